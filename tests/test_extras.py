@@ -9,7 +9,8 @@ import pytest
 
 from sunarc import extras
 from sunarc.errors import InputError
-from sunarc.exports import Table, Variable, netcdf_bytes
+from sunarc.exports.discovery import Table, Variable
+from sunarc.exports.tables import netcdf_bytes
 from sunarc.extras import extra_module, is_installed
 
 

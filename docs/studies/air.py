@@ -18,9 +18,11 @@ import population as pop
 from coverage_statistics import CHI_SQUARE_95, squared_sigmas
 from numpy.typing import NDArray
 
-from sunarc.calibration import SunPoints, calibrate, hemisphere, project_with_covariance
-from sunarc.optics import project
-from sunarc.sky import sun_directions
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.optics.forward import project
+from sunarc.sky.sun import sun_directions
 
 FloatArray = NDArray[np.float64]
 

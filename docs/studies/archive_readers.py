@@ -25,7 +25,7 @@ import numpy as np
 from astropy.io import fits
 from netCDF4 import Dataset
 
-from sunarc.detection import Expectation
+from sunarc.detection.values import Expectation
 from sunarc.offline.detect_files import detect_in_image
 from sunarc.offline.sources.frames import images_in
 from sunarc.offline.sources.opening import open_source

@@ -27,8 +27,8 @@ from sunarc.offline.reanalysis.look import Chunk, Item, look_at
 from sunarc.offline.reanalysis.passes import CHUNK, chunks_of
 from sunarc.offline.reanalysis.plan import CameraPlan, Selector
 from sunarc.runtime.clock import SystemClock
-from sunarc.simulation import SGP
 from sunarc.simulation.made_archive import FOUR_CAMERAS, MadeArchive, write_archive
+from sunarc.simulation.truth import SGP
 
 _AHEAD = 3
 """Chunks that wait at each worker, as in `reanalysis/cluster`."""

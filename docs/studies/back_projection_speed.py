@@ -22,7 +22,10 @@ from fit_speed import cost_ms
 from numpy.typing import NDArray
 
 from sunarc.calibration.model.residual_field import wave_basis
-from sunarc.optics import Camera, inverse_table, project, unproject
+from sunarc.optics.camera import Camera
+from sunarc.optics.fast import inverse_table
+from sunarc.optics.forward import project
+from sunarc.optics.inverse import unproject
 
 FloatArray = NDArray[np.float64]
 

@@ -19,9 +19,15 @@ import nights
 import numpy as np
 import population as pop
 
-from sunarc.calibration import BlindOptions, NightImage, blind_start, hemisphere
-from sunarc.optics import Camera, PoseAngles, ideal_radius, project, rotation_from_pose_angles
-from sunarc.sky import Site, night_sky
+from sunarc.calibration.blind_start.start import blind_start
+from sunarc.calibration.blind_start.values import BlindOptions, NightImage
+from sunarc.calibration.model.covariance import hemisphere
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles
+from sunarc.optics.projections import ideal_radius
+from sunarc.sky.night import night_sky
+from sunarc.sky.site import Site
 
 KINDS = {
     "clear": nights.Night(sigma_px=0.15, faint=150),

@@ -23,11 +23,16 @@ from numpy.typing import NDArray
 from real_like_tracks import drawn_aside
 from scipy.spatial.transform import Rotation
 
-from sunarc.calibration import Calibration, SunPoints, calibrate
-from sunarc.calibration.change_detection import Change, Sighting, SightingWindow, WatchOptions, update_window
-from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
-from sunarc.simulation import SGP, true_camera
-from sunarc.sky import sun_angles, sun_directions
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.change_detection.detect_change import update_window
+from sunarc.calibration.change_detection.values import Change, Sighting, SightingWindow, WatchOptions
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.pose import rotation_matrix, rotation_vector
+from sunarc.simulation.truth import SGP, true_camera
+from sunarc.sky.sun import sun_angles, sun_directions
 
 FloatArray = NDArray[np.float64]
 

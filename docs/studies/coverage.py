@@ -25,9 +25,14 @@ from numpy.typing import NDArray
 from ranks import FIELD_LENGTHS
 from ranks import amplitude_px as drawn_amplitude_px
 
-from sunarc.calibration import CalibrationOptions, calibrate, camera_sees, hemisphere, project_with_covariance
-from sunarc.optics import Camera, PoseAngles, Projection, ideal_radius, rotation_from_pose_angles
-from sunarc.sky import Site
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.backward import camera_sees
+from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.optics.camera import Camera
+from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles
+from sunarc.optics.projections import Projection, ideal_radius
+from sunarc.sky.site import Site
 
 FloatArray = NDArray[np.float64]
 Noise = Callable[[np.random.Generator, FloatArray, float], FloatArray]

@@ -31,22 +31,18 @@ from numpy.typing import NDArray
 from real_like_fits import sky_error_px
 from real_like_tracks import real_like_track
 
-from sunarc.calibration import (
-    Calibration,
-    CalibrationOptions,
-    SunPoints,
-    calibrate,
-    camera_sees,
-    hemisphere,
-    project_with_covariance,
-)
+from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.fit import robust_fit
 from sunarc.calibration.fit.hyperparameter_grid import HyperparameterGrid
 from sunarc.calibration.least_squares import priors
-from sunarc.calibration.model.options import LensTolerances
+from sunarc.calibration.model.backward import camera_sees
+from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.model.options import CalibrationOptions, LensTolerances
 from sunarc.calibration.model.residual_field import wave_basis
-from sunarc.optics import Camera, ideal_radius
-from sunarc.optics.camera import RADIAL_ORDERS
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.optics.camera import RADIAL_ORDERS, Camera
+from sunarc.optics.projections import ideal_radius
 
 FloatArray = NDArray[np.float64]
 _SKY = hemisphere(600)

@@ -20,9 +20,12 @@ from collections.abc import Callable
 import numpy as np
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration.change_detection import pole_of
-from sunarc.cross_checks import Cause, DailyRotations, explain_step, find_steps, rotation_of_site
-from sunarc.sky import SECONDS_PER_DEGREE, Site
+from sunarc.calibration.change_detection.hypotheses import pole_of
+from sunarc.cross_checks.causes import Cause, explain_step, rotation_of_site
+from sunarc.cross_checks.daily_rotations import DailyRotations
+from sunarc.cross_checks.rotation_steps import find_steps
+from sunarc.sky.days import SECONDS_PER_DEGREE
+from sunarc.sky.site import Site
 
 SITE = Site(latitude=36.6, longitude=-97.5)
 COVARIANCE = np.diag([0.003, 0.002, 0.004]) ** 2

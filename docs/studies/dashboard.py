@@ -22,9 +22,9 @@ import numpy as np
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, ViewportSize, sync_playwright
 
-from sunarc.calibration import from_document
-from sunarc.optics import project
-from sunarc.sky import sun_directions
+from sunarc.calibration.model.document import from_document
+from sunarc.optics.forward import project
+from sunarc.sky.sun import sun_directions
 
 
 class Look(NamedTuple):

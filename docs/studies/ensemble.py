@@ -14,7 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-from sunarc.calibration import camera_sees, draw_ensemble, hemisphere, lookup, project_with_covariance
+from sunarc.calibration.ensemble import draw_ensemble
+from sunarc.calibration.model.backward import camera_sees
+from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.model.direction_table import lookup
 from sunarc.offline.project_files import read_calibration
 
 

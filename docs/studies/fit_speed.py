@@ -19,13 +19,14 @@ import population as pop
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from sunarc.calibration import CalibrationOptions, ImageCircle, SunPoints, calibrate
+from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.fit.marginal_likelihood import prior_precision
 from sunarc.calibration.least_squares.priors import lens_prior
 from sunarc.calibration.least_squares.problem import observations, problem_for
 from sunarc.calibration.least_squares.solve import most_probable
-from sunarc.calibration.model.sightings import filter_sightings
-from sunarc.optics import Camera
+from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
+from sunarc.calibration.model.sightings import SunPoints, filter_sightings
+from sunarc.optics.camera import Camera
 
 FloatArray = NDArray[np.float64]
 

@@ -32,15 +32,20 @@ import httpx
 import numpy as np
 from fastapi import FastAPI
 
-from sunarc.api import ApiOptions, create_app
-from sunarc.archive import Archive, CameraArchive, CameraRecord, Day, Event, Refit, open_archive, upgrade
-from sunarc.calibration import CalibrationOptions
-from sunarc.optics import project_fast
+from sunarc.api.app import create_app
+from sunarc.api.options import ApiOptions
+from sunarc.archive.archive import Archive, open_archive
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.schema import upgrade
+from sunarc.archive.values import CameraRecord, Day, Event, Refit
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.optics.forward import project_fast
 from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation import SGP, true_camera
-from sunarc.sky import sun_angles, sun_directions
-from sunarc.workers import DayJudge, RefitOptions, RefitWorker
+from sunarc.simulation.truth import SGP, true_camera
+from sunarc.sky.sun import sun_angles, sun_directions
+from sunarc.workers.calibrating.judge_days import DayJudge
+from sunarc.workers.calibrating.refit import RefitOptions, RefitWorker
 
 _START = datetime(2013, 5, 13, 6, 30, tzinfo=UTC)
 _DAYS = 1826

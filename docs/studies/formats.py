@@ -19,30 +19,19 @@ from typing import Any
 import numpy as np
 from population import random_camera
 
-from sunarc.calibration import (
-    BackwardModel,
-    Calibration,
-    Field,
-    Metrics,
-    Provenance,
-    Verdict,
-    WaveBasis,
-    from_document,
-    to_document,
-)
-from sunarc.exports import (
-    FILE_FORMATS,
-    FORMATS,
-    Comparison,
-    Exported,
-    camera_view,
-    compare,
-    export,
-    export_file,
-    read_view,
-)
-from sunarc.optics import Camera, pose_angles
-from sunarc.sky import Site
+from sunarc.calibration.model.backward import BackwardModel
+from sunarc.calibration.model.document import from_document, to_document
+from sunarc.calibration.model.metrics import Metrics
+from sunarc.calibration.model.residual_field import Field, WaveBasis
+from sunarc.calibration.model.result import Calibration, Provenance, Verdict
+from sunarc.exports.comparison import Comparison, compare
+from sunarc.exports.exported import Exported
+from sunarc.exports.formats import FILE_FORMATS, FORMATS, export, export_file
+from sunarc.exports.reading import read_view
+from sunarc.exports.view import camera_view
+from sunarc.optics.camera import Camera
+from sunarc.optics.pose import pose_angles
+from sunarc.sky.site import Site
 
 HEAD = "| format | px RMS | px, largest | degrees RMS | largest | 0-30 | 30-60 | 60-80 | 80-90 | stated |"
 

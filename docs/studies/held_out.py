@@ -30,8 +30,10 @@ from numpy.typing import NDArray
 from real_like_tracks import Draw, Lens, Track, real_like_track
 from scipy.spatial.transform import Rotation
 
-from sunarc.calibration import Calibration, calibrate, hemisphere, project_with_covariance
-from sunarc.sky import sun_directions
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.model.result import Calibration
+from sunarc.sky.sun import sun_directions
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -10,8 +10,11 @@ from __future__ import annotations
 import argparse
 from datetime import UTC, datetime
 
-from sunarc.imaging import Exposed, Level, factor_all_over, level_of
-from sunarc.simulation import SGP, WEATHERS, Scene, SceneOptions, true_camera
+from sunarc.imaging.brightness import Exposed
+from sunarc.imaging.level import Level, factor_all_over, level_of
+from sunarc.simulation.options import WEATHERS, SceneOptions
+from sunarc.simulation.scene import Scene
+from sunarc.simulation.truth import SGP, true_camera
 
 _DAWN = datetime(2013, 5, 13, 11, 0, tzinfo=UTC).timestamp()
 _DAY_S = 14.8 * 3600.0

@@ -30,8 +30,10 @@ import xarray as xr
 from tests.api.conftest import NOON, fill, new_archive
 from tests.fixtures.calibrations import SITE
 
-from sunarc.api import ApiOptions, BoundedConnection, create_app
-from sunarc.archive import Refit
+from sunarc.api.app import create_app
+from sunarc.api.middleware.connection_limit import BoundedConnection
+from sunarc.api.options import ApiOptions
+from sunarc.archive.values import Refit
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.preflight import listen
 from sunarc.runtime.status import StatusRegistry

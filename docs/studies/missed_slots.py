@@ -16,10 +16,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration import SunPoints, decide_day, measure_day
-from sunarc.optics import Camera, project
-from sunarc.simulation import true_camera
-from sunarc.sky import Site, sun_angles, sun_directions
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.quality.day_quality import decide_day, measure_day
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.simulation.truth import true_camera
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_angles, sun_directions
 
 BoolArray = NDArray[np.bool_]
 FloatArray = NDArray[np.float64]

@@ -21,23 +21,28 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from sunarc.archive import CameraArchive, CameraRecord, Refit, open_archive, upgrade
-from sunarc.calibration import (
-    BackwardModel,
-    Calibration,
-    Field,
-    Metrics,
-    Provenance,
-    Verdict,
-    WaveBasis,
-    to_document,
-)
-from sunarc.cameras import Frame
-from sunarc.detection import NightLimits, NightTrend, dew_suspected, focus_ratio
-from sunarc.optics import Camera, pose_angles
+from sunarc.archive.archive import open_archive
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.schema import upgrade
+from sunarc.archive.values import CameraRecord, Refit
+from sunarc.calibration.model.backward import BackwardModel
+from sunarc.calibration.model.document import to_document
+from sunarc.calibration.model.metrics import Metrics
+from sunarc.calibration.model.residual_field import Field, WaveBasis
+from sunarc.calibration.model.result import Calibration, Provenance, Verdict
+from sunarc.cameras.frame import Frame
+from sunarc.detection.stars.trend import NightLimits, NightTrend, dew_suspected, focus_ratio
+from sunarc.optics.camera import Camera
+from sunarc.optics.pose import pose_angles
 from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation import SGP, NightOptions, Scene, SceneOptions, Weather, true_camera
-from sunarc.workers import DropOldestQueue, NightCapture, NightExposures, NightWorker, SensorOptions
+from sunarc.simulation.night_options import NightOptions
+from sunarc.simulation.options import SceneOptions, Weather
+from sunarc.simulation.scene import Scene
+from sunarc.simulation.truth import SGP, true_camera
+from sunarc.workers.bounded_queue import DropOldestQueue
+from sunarc.workers.night.exposures import NightCapture, NightExposures
+from sunarc.workers.night.night import NightWorker
+from sunarc.workers.sensor import SensorOptions
 
 EXPOSURE_US = 5e6
 IMAGES = 9

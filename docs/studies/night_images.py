@@ -22,23 +22,31 @@ from typing import Any
 import numpy as np
 from coverage_statistics import CHI_SQUARE_95, squared_sigmas
 
-from sunarc.archive import Archive, CameraArchive, CameraRecord, Refit, SunPoint, open_archive, upgrade
-from sunarc.calibration import (
-    Calibration,
-    CalibrationOptions,
-    calibrate,
-    hemisphere,
-    project_with_covariance,
-    to_document,
-)
-from sunarc.cameras import Frame
-from sunarc.optics import Camera, project
+from sunarc.archive.archive import Archive, open_archive
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.schema import upgrade
+from sunarc.archive.values import CameraRecord, Refit, SunPoint
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.model.document import to_document
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.result import Calibration
+from sunarc.cameras.frame import Frame
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
 from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation import SGP, NightOptions, Scene, SceneOptions, true_camera
-from sunarc.sky import body_directions, sun_angles, sun_directions
+from sunarc.simulation.night_options import NightOptions
+from sunarc.simulation.options import SceneOptions
+from sunarc.simulation.scene import Scene
+from sunarc.simulation.truth import SGP, true_camera
+from sunarc.sky.night import body_directions
+from sunarc.sky.sun import sun_angles, sun_directions
 from sunarc.utc import utc_time
-from sunarc.workers import DropOldestQueue, NightCapture, NightExposures, NightWorker, SensorOptions
+from sunarc.workers.bounded_queue import DropOldestQueue
 from sunarc.workers.calibrating.refit_task import Task, next_task
+from sunarc.workers.night.exposures import NightCapture, NightExposures
+from sunarc.workers.night.night import NightWorker
+from sunarc.workers.sensor import SensorOptions
 
 DARK = datetime(2013, 5, 14, 3, 30, tzinfo=UTC)
 FULL_MOON = datetime(2013, 5, 25, 4, 0, tzinfo=UTC)

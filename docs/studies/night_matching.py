@@ -16,10 +16,13 @@ import nights
 import numpy as np
 import population as pop
 
-from sunarc.calibration import Calibration, CalibrationOptions, calibrate
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.result import Calibration
 from sunarc.detection.stars.matching import match_stars
 from sunarc.detection.stars.still import sky_motion, standing_still
-from sunarc.optics import Camera, rotation_matrix, rotation_vector
+from sunarc.optics.camera import Camera
+from sunarc.optics.pose import rotation_matrix, rotation_vector
 
 NIGHTS = {
     "clear": nights.Night(),

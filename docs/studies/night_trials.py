@@ -31,21 +31,19 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from sunarc.array_types import stacked
-from sunarc.calibration import (
-    MOST_STARS,
-    Calibration,
-    Kind,
-    StarView,
-    SunPoints,
-    accept,
-    image_parts,
-    match_views,
-    surest_of_parts,
-)
-from sunarc.cameras import Frame
-from sunarc.detection import Stars
-from sunarc.optics import Camera
-from sunarc.simulation import SGP, NightOptions, Scene, SceneOptions, SensorModel, true_camera
+from sunarc.calibration.model.kinds import Kind
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.quality.acceptance import accept
+from sunarc.calibration.selection.star_selection import MOST_STARS, image_parts, surest_of_parts
+from sunarc.calibration.star_views import StarView, match_views
+from sunarc.cameras.frame import Frame
+from sunarc.detection.stars.values import Stars
+from sunarc.optics.camera import Camera
+from sunarc.simulation.night_options import NightOptions
+from sunarc.simulation.options import SceneOptions, SensorModel
+from sunarc.simulation.scene import Scene
+from sunarc.simulation.truth import SGP, true_camera
 from sunarc.workers.night.verdict import decide_night, summary_of
 
 SIZES = (640, 874, 1024)

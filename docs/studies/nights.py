@@ -11,12 +11,16 @@ import population as pop
 from numpy.typing import NDArray
 
 from sunarc.array_types import BoolArray
-from sunarc.calibration import Calibration
+from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.star_prediction import predict_stars
-from sunarc.detection import Stars
-from sunarc.detection.stars.values import PredictedStars
-from sunarc.optics import Camera, ideal_radius, project, rotation_matrix, rotation_vector
-from sunarc.sky import NightSky, angles_from_direction, night_sky, relative_air_mass
+from sunarc.detection.stars.values import PredictedStars, Stars
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.pose import rotation_matrix, rotation_vector
+from sunarc.optics.projections import ideal_radius
+from sunarc.sky.air import relative_air_mass
+from sunarc.sky.directions import angles_from_direction
+from sunarc.sky.night import NightSky, night_sky
 
 FloatArray = NDArray[np.float64]
 MIDNIGHT = pop.MAY_13 + 6.0 * 3600.0

@@ -23,7 +23,9 @@ import cv2
 import numpy as np
 
 from sunarc.array_types import BoolArray, Image
-from sunarc.detection import Detection, detect_sun_in_photo, static_mask
+from sunarc.detection.photo.ordinary_image import detect_sun_in_photo
+from sunarc.detection.photo.static_mask import static_mask
+from sunarc.detection.values import Detection
 from sunarc.offline.files import read_image
 
 _FULL_SCALE = {"uint8": 255, "uint16": 65535}

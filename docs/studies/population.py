@@ -11,9 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from sunarc.calibration import SunPoints, camera_sees
-from sunarc.optics import Camera, PoseAngles, ideal_radius, project, rotation_from_pose_angles
-from sunarc.sky import Site, sun_angles, sun_directions
+from sunarc.calibration.model.backward import camera_sees
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles
+from sunarc.optics.projections import ideal_radius
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_angles, sun_directions
 
 FloatArray = NDArray[np.float64]
 Field = Callable[[FloatArray], FloatArray]

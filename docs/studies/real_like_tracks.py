@@ -23,9 +23,11 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from sunarc.calibration import CalibrationOptions, SunPoints
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.sightings import SunPoints
 from sunarc.optics.projections import Projection
-from sunarc.sky import Site, sun_angles, sun_directions
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_angles, sun_directions
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

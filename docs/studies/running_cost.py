@@ -30,12 +30,18 @@ from types import FrameType
 
 import numpy as np
 
-from sunarc.archive import CameraRecord, open_archive, upgrade
-from sunarc.calibration import SunPoints, calibrate, from_document, to_document
-from sunarc.optics import Camera, project
+from sunarc.archive.archive import open_archive
+from sunarc.archive.schema import upgrade
+from sunarc.archive.values import CameraRecord
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.document import from_document, to_document
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
 from sunarc.runtime.clock import SystemClock
-from sunarc.simulation import SGP, ImagerOptions, run_imager, true_camera
-from sunarc.sky import sun_angles, sun_directions
+from sunarc.simulation.imager import ImagerOptions, run_imager
+from sunarc.simulation.truth import SGP, true_camera
+from sunarc.sky.sun import sun_angles, sun_directions
 
 _SIZE = 2048
 _START = datetime(2013, 5, 13, 17, 0, tzinfo=UTC)

@@ -18,28 +18,22 @@ import pytest
 from fastapi import FastAPI
 from tests.fixtures.calibrations import SITE, chosen_calibration, refused
 
-from sunarc.api import ApiOptions, create_app
-from sunarc.archive import (
-    Archive,
-    CameraRecord,
-    Day,
-    Event,
-    Housekeeping,
-    ImageStore,
-    Refit,
-    SunPoint,
-    open_archive,
-    upgrade,
-)
-from sunarc.calibration import (
-    Calibration,
-    to_document,
-)
+from sunarc.api.app import create_app
+from sunarc.api.options import ApiOptions
+from sunarc.archive.archive import Archive, open_archive
+from sunarc.archive.housekeeping_values import Housekeeping
+from sunarc.archive.images import ImageStore
+from sunarc.archive.schema import upgrade
+from sunarc.archive.values import CameraRecord, Day, Event, Refit, SunPoint
+from sunarc.calibration.model.document import to_document
+from sunarc.calibration.model.result import Calibration
 from sunarc.findings import Finding
-from sunarc.optics import Camera, project
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import CameraStatus, ClockStatus, DiskStatus, StatusRegistry, WorkerStatus
-from sunarc.sky import Site, sun_angles, sun_directions
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_angles, sun_directions
 
 TOKEN = "a token that is long enough"  # noqa: S105 - of the test alone
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)

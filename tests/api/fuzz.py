@@ -24,8 +24,9 @@ import uvicorn
 from tests.api.conftest import LENS, NOON, TOKEN, fill, new_archive, write_image
 from tests.fixtures.calibrations import SITE
 
-from sunarc.api import ApiOptions, create_app
-from sunarc.archive import Refit
+from sunarc.api.app import create_app
+from sunarc.api.options import ApiOptions
+from sunarc.archive.values import Refit
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.preflight import listen
 from sunarc.runtime.status import StatusRegistry

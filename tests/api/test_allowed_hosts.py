@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.api.test_problems import check_shape
 
-from sunarc.api import ApiOptions
+from sunarc.api.options import ApiOptions
 from sunarc.errors import InputError
 
 if TYPE_CHECKING:

@@ -22,12 +22,13 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from tests.api.conftest import LENS, NOON, REFUSED
 from tests.fixtures.calibrations import SITE
 
-from sunarc.archive import Event, SunPoint
+from sunarc.archive.values import Event, SunPoint
 from sunarc.calibration.messages import MESSAGES, text_of
 from sunarc.findings import Finding
-from sunarc.optics import project, unproject
+from sunarc.optics.forward import project
+from sunarc.optics.inverse import unproject
 from sunarc.runtime.status import Reason
-from sunarc.sky import sun_directions
+from sunarc.sky.sun import sun_directions
 from sunarc.workers.messages import condition
 
 if TYPE_CHECKING:

@@ -9,8 +9,9 @@ import httpx
 import numpy as np
 import pytest
 
-from sunarc.calibration import from_document, project_with_covariance, sigma_px, unproject_with_sigma
-from sunarc.sky import angles_from_direction, angular_distance, direction_from_angles
+from sunarc.calibration.model.covariance import project_with_covariance, sigma_px, unproject_with_sigma
+from sunarc.calibration.model.document import from_document
+from sunarc.sky.directions import angles_from_direction, angular_distance, direction_from_angles
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made

@@ -13,7 +13,8 @@ import pytest
 import xarray as xr
 
 from sunarc.api.routes.calibrations import decimal
-from sunarc.sky import angular_distance, sun_directions
+from sunarc.sky.directions import angular_distance
+from sunarc.sky.sun import sun_directions
 
 if TYPE_CHECKING:
     import httpx

@@ -15,12 +15,13 @@ from tests.api.conftest import LENS, NOON, Made, calibration, sightings
 from tests.api.test_dashboard import CUT_OFF, browser, in_a_browser, is_accessible, opened, serving
 from tests.fixtures.calibrations import SITE
 
-from sunarc.archive import SunPoint
-from sunarc.calibration import Verdict, to_document
+from sunarc.archive.values import SunPoint
+from sunarc.calibration.model.document import to_document
+from sunarc.calibration.model.result import Verdict
 from sunarc.findings import Finding
-from sunarc.optics import project
+from sunarc.optics.forward import project
 from sunarc.runtime.status import CameraStatus, ClockStatus, Reason
-from sunarc.sky import sun_directions
+from sunarc.sky.sun import sun_directions
 from sunarc.workers.messages import MESSAGES, condition
 
 FIRST = "#first:not([hidden])"

@@ -23,13 +23,19 @@ from tests.fixtures.fleet import NOW, new_imager, next_batch, sighting
 from tests.fixtures.postgresql import TEMPLATE, running_server
 from tests.workers.test_full_disk import mounted
 
-from sunarc.api import ApiOptions, create_hub_app, token_digest
-from sunarc.api.routes.feed import _MOST_BYTES
+from sunarc.api.hub_app import create_hub_app
+from sunarc.api.options import ApiOptions
+from sunarc.api.routes.feed import _MOST_BYTES, token_digest
 from sunarc.api.routes.fleet import SILENT
-from sunarc.archive import Archive, CrossCheck, Day, NightlyRun, feed_lines, head_revision, open_archive
+from sunarc.archive.archive import Archive, open_archive
+from sunarc.archive.cross_check import CrossCheck
+from sunarc.archive.feed_values import feed_lines
+from sunarc.archive.nightly import NightlyRun
+from sunarc.archive.schema import head_revision
+from sunarc.archive.values import Day
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import Reason, StatusRegistry, StatusSnapshot
-from sunarc.workers import StoreRoomWorker
+from sunarc.workers.database_file import StoreRoomWorker
 
 TOKEN = "the token of the camera roof"  # noqa: S105 - of the test alone
 METRICS = {

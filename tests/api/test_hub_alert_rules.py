@@ -17,8 +17,11 @@ from tests.api.test_hub import TOKEN, Hub
 from tests.fixtures.fleet import NOW, new_imager, next_batch, sighting
 from tests.fixtures.postgresql import Server, running_server
 
-from sunarc.api import ApiOptions, create_hub_app, token_digest
-from sunarc.archive import Archive, feed_lines, open_archive
+from sunarc.api.hub_app import create_hub_app
+from sunarc.api.options import ApiOptions
+from sunarc.api.routes.feed import token_digest
+from sunarc.archive.archive import Archive, open_archive
+from sunarc.archive.feed_values import feed_lines
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import Reason, StatusRegistry
 

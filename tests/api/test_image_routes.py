@@ -13,8 +13,8 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image as Pictures
 
-from sunarc.archive import ImageStore
-from sunarc.imaging import document_of, jpeg_with, png_with
+from sunarc.archive.images import ImageStore
+from sunarc.imaging.metadata import document_of, jpeg_with, png_with
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made, Make

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.optics import unproject
-from sunarc.sky import sun_directions
+from sunarc.optics.inverse import unproject
+from sunarc.sky.sun import sun_directions
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made, Make

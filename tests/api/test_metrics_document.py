@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import yaml
 from pydantic import AwareDatetime
 
-from sunarc.archive import Event
+from sunarc.archive.values import Event
 from sunarc.runtime.status import ClockStatus, Notes, Reason
 
 if TYPE_CHECKING:

@@ -14,7 +14,8 @@ from tests.api.conftest import LENS, Made, write_image
 from tests.api.test_dashboard import CUT_LABELS, CUT_OFF, browser, in_a_browser, is_accessible, opened, serving
 from tests.api.test_nights import NUMBERS, PARTS
 
-from sunarc.archive import DiskOptions, Event, ImageStore
+from sunarc.archive.images import DiskOptions, ImageStore
+from sunarc.archive.values import Event
 from sunarc.findings import Finding
 from sunarc.workers.messages import MESSAGES
 from sunarc.workers.night.picture import night_picture, store_picture

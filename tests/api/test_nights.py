@@ -3,7 +3,7 @@ from __future__ import annotations
 from datetime import timedelta
 from typing import TYPE_CHECKING, Any
 
-from sunarc.archive import Event
+from sunarc.archive.values import Event
 from sunarc.findings import Finding
 from sunarc.workers.messages import MESSAGES
 

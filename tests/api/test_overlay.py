@@ -8,8 +8,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 from tests.api.conftest import document
 
-from sunarc.optics import project, rotation_matrix, unproject
-from sunarc.sky import angular_distance, direction_from_angles
+from sunarc.optics.forward import project
+from sunarc.optics.inverse import unproject
+from sunarc.optics.pose import rotation_matrix
+from sunarc.sky.directions import angular_distance, direction_from_angles
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made

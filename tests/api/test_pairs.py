@@ -13,13 +13,15 @@ import pytest
 from tests.api.conftest import LENS, NOON, Client, calibration
 from tests.fixtures.archive import make_empty
 
-from sunarc.api import ApiOptions, create_hub_app
-from sunarc.archive import CameraRecord, open_archive
-from sunarc.calibration import to_document
+from sunarc.api.hub_app import create_hub_app
+from sunarc.api.options import ApiOptions
+from sunarc.archive.archive import open_archive
+from sunarc.archive.values import CameraRecord
+from sunarc.calibration.model.document import to_document
 from sunarc.geolocation.ellipsoid import _frame
-from sunarc.optics import project
+from sunarc.optics.forward import project
 from sunarc.runtime.status import StatusSnapshot
-from sunarc.sky import Site
+from sunarc.sky.site import Site
 
 SITES = {
     "a": Site(latitude=36.6, longitude=-97.5, altitude=318.0),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import httpx
 import pytest
 
-from sunarc.api import ApiOptions
+from sunarc.api.options import ApiOptions
 from sunarc.errors import ConfigurationError, InputError, OutsideError, SunarcError
 
 if TYPE_CHECKING:

@@ -14,12 +14,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.archive import ImageStore
+from sunarc.archive.images import ImageStore
 from sunarc.errors import InputError
-from sunarc.exports import compare, read_view
+from sunarc.exports.comparison import compare
+from sunarc.exports.reading import read_view
 from sunarc.exports.view import camera_view
-from sunarc.optics import project
-from sunarc.sky import direction_from_angles
+from sunarc.optics.forward import project
+from sunarc.sky.directions import direction_from_angles
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made, Make

@@ -19,8 +19,9 @@ import pytest
 import uvicorn
 from tests.api.conftest import LENS, NOON, document
 
-from sunarc.api import ApiOptions, BoundedConnection
-from sunarc.optics import Camera
+from sunarc.api.middleware.connection_limit import BoundedConnection
+from sunarc.api.options import ApiOptions
+from sunarc.optics.camera import Camera
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made

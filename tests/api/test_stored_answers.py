@@ -16,7 +16,7 @@ from sunarc.api.compute_slots import ComputeSlots
 from sunarc.api.problems import RefusedError
 from sunarc.api.routes import maps
 from sunarc.api.routes.stored_answers import AnswerFiles, Content, Tagged, byte_range
-from sunarc.calibration import back_projection_map
+from sunarc.calibration.model.maps import back_projection_map
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from fastapi import Request
     from tests.api.conftest import Made, Make
 
-    from sunarc.calibration import BackProjectionMap, Lookup
+    from sunarc.calibration.model.direction_table import Lookup
+    from sunarc.calibration.model.maps import BackProjectionMap
 
 PATHS = ("/v1/remap?size=32", "/v1/masks/sun", "/v1/masks/horizon")
 RATE_BYTES_PER_S = 50_000

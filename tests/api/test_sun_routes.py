@@ -8,8 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.optics import project
-from sunarc.sky import angles_from_direction, body_directions, solar_date, sun_angles, sun_directions
+from sunarc.optics.forward import project
+from sunarc.sky.days import solar_date
+from sunarc.sky.directions import angles_from_direction
+from sunarc.sky.night import body_directions
+from sunarc.sky.sun import sun_angles, sun_directions
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made

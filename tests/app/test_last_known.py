@@ -12,14 +12,17 @@ from typing import Any
 import pytest
 from tests.fixtures.archive import HIDDEN, make_empty, store_sun_point
 
-from sunarc.app import Service
 from sunarc.app.last_known import restore_last_known
-from sunarc.archive import CameraRecord, ImageStore, open_archive
-from sunarc.cameras import AravisOptions, SkyCamera
+from sunarc.app.service import Service
+from sunarc.archive.archive import open_archive
+from sunarc.archive.images import ImageStore
+from sunarc.archive.values import CameraRecord
+from sunarc.cameras.frame import SkyCamera
+from sunarc.cameras.options import AravisOptions
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.settings import Settings
-from sunarc.sky import Site
+from sunarc.settings.model import Settings
+from sunarc.sky.site import Site
 
 NOON = datetime(2026, 5, 1, 18, 30, tzinfo=UTC)
 

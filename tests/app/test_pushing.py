@@ -9,11 +9,13 @@ from tests.fixtures.archive import make_empty, new_archive
 from tests.fixtures.fleet import NOW, feed, new_imager, sighting
 
 from sunarc.app.pushing import fleet_states, imager_states, push_workers
-from sunarc.archive import CameraArchive, Refusal, open_archive
+from sunarc.archive.archive import open_archive
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.feed_values import Refusal
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import Reason, StatusRegistry
-from sunarc.sky import Site
-from sunarc.workers import PushOptions
+from sunarc.sky.site import Site
+from sunarc.workers.pushing.options import PushOptions
 
 HOOK = "http://127.0.0.1:9/hook"
 

@@ -12,8 +12,9 @@ from tests.finding_codes import codes
 from tests.fixtures.cameras import INFO
 from tests.workers.clock_faults import START, Imager
 
-from sunarc.archive import LENS_CHANGED, Archive
-from sunarc.cameras import CameraInfo
+from sunarc.archive.archive import Archive
+from sunarc.archive.sighting_revisions import LENS_CHANGED
+from sunarc.cameras.frame import CameraInfo
 from sunarc.runtime.clock import ClockState
 
 from .test_same_camera import Camera

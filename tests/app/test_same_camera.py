@@ -12,13 +12,14 @@ import pytest
 from tests.fixtures.archive import make_empty
 from tests.fixtures.cameras import INFO
 
-from sunarc.app import Service
-from sunarc.archive import Archive, open_archive
-from sunarc.cameras import AravisOptions, CameraCondition, CameraInfo, Frame
+from sunarc.app.service import Service
+from sunarc.archive.archive import Archive, open_archive
+from sunarc.cameras.frame import CameraCondition, CameraInfo, Frame
+from sunarc.cameras.options import AravisOptions
 from sunarc.errors import InputError
 from sunarc.runtime.clock import VirtualClock
-from sunarc.settings import Settings
-from sunarc.sky import Site
+from sunarc.settings.model import Settings
+from sunarc.sky.site import Site
 
 
 class Camera:

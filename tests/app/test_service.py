@@ -12,12 +12,14 @@ import pytest
 from tests.finding_codes import codes
 from tests.fixtures.archive import make_empty
 
-from sunarc.app import Service
-from sunarc.archive import CameraRecord, SunPoint, open_archive
-from sunarc.cameras import AravisOptions, SkyCamera
+from sunarc.app.service import Service
+from sunarc.archive.archive import open_archive
+from sunarc.archive.values import CameraRecord, SunPoint
+from sunarc.cameras.frame import SkyCamera
+from sunarc.cameras.options import AravisOptions
 from sunarc.runtime.clock import ClockState, VirtualClock
-from sunarc.settings import Settings
-from sunarc.sky import Site
+from sunarc.settings.model import Settings
+from sunarc.sky.site import Site
 
 NOON = datetime(2026, 5, 1, 18, 30, tzinfo=UTC)
 CAMERA = CameraRecord(name="imager", latitude=36.6, longitude=-97.5, altitude=318.0, width=8, height=6)

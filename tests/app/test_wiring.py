@@ -19,22 +19,27 @@ from tests.fixtures.archive import HIDDEN, store_sun_point
 from tests.fixtures.cameras import INFO
 from tests.fixtures.settings import new_settings
 
-from sunarc.app import Service, serving, simulating
+from sunarc.app import serving, simulating
 from sunarc.app.cameras import camera_opener, camera_record
 from sunarc.app.recording import imager_recording
-from sunarc.app.serving import Server, _monitored, _schedule, serve, with_credentials
-from sunarc.archive import ELSEWHERE, open_archive, upgrade
-from sunarc.cameras import CameraCondition, CameraInfo, Frame
+from sunarc.app.service import Service
+from sunarc.app.serving import Server, _monitored, _schedule, serve_imager, with_credentials
+from sunarc.archive.archive import open_archive
+from sunarc.archive.schema import upgrade
+from sunarc.archive.sighting_revisions import ELSEWHERE
+from sunarc.cameras.frame import CameraCondition, CameraInfo, Frame
 from sunarc.cli import service as commands
-from sunarc.detection import Detection
+from sunarc.detection.values import Detection
 from sunarc.errors import ConfigurationError, OutsideError
 from sunarc.runtime.clock import ClockState, VirtualClock
 from sunarc.runtime.heartbeats import Heartbeat
 from sunarc.runtime.preflight import listen
 from sunarc.runtime.status import DiskStatus, Reason
-from sunarc.settings import Settings
-from sunarc.simulation import ImagerOptions
-from sunarc.workers import ConditionTimesWorker, HousekeepingWorker, webhook_name
+from sunarc.settings.model import Settings
+from sunarc.simulation.imager import ImagerOptions
+from sunarc.workers.condition_times import ConditionTimesWorker
+from sunarc.workers.housekeeping import HousekeepingWorker
+from sunarc.workers.pushing.webhook import webhook_name
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 FRAME = Frame(
@@ -255,7 +260,7 @@ def test_the_service_runs_until_it_is_told_to_stop_and_frees_its_state(
     thread = threading.Thread(target=stop_once_it_answers)
     try:
         thread.start()
-        assert serve(settings) == 0
+        assert serve_imager(settings) == 0
     finally:
         ended.set()
         thread.join()

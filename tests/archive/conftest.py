@@ -9,7 +9,8 @@ from sqlalchemy import URL
 from tests.fixtures.archive import make_empty
 from tests.fixtures.postgresql import Server, postgresql
 
-from sunarc.archive import Archive, CameraRecord, open_archive
+from sunarc.archive.archive import Archive, open_archive
+from sunarc.archive.values import CameraRecord
 
 __all__ = ["postgresql"]
 

@@ -10,7 +10,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from sunarc.archive import Archive, Refit
+from sunarc.archive.archive import Archive
+from sunarc.archive.values import Refit
 from sunarc.errors import ConflictError, NotFoundError
 
 from .test_calibrations import MAY, document, served

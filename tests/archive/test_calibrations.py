@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from tests.finding_codes import codes
 
-from sunarc.archive import Archive
+from sunarc.archive.archive import Archive
 from sunarc.errors import InputError, NotFoundError
 from sunarc.findings import Finding
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from sunarc.archive import Archive, CameraRecord
-from sunarc.sky import Site
+from sunarc.archive.archive import Archive
+from sunarc.archive.values import CameraRecord
+from sunarc.sky.site import Site
 
 SITE = Site(latitude=36.6, longitude=-97.5, altitude=318.0, temperature=15.0)
 

@@ -12,18 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from sunarc.archive import (
-    Archive,
-    Event,
-    backup,
-    backup_into,
-    check,
-    downgrade,
-    head_revision,
-    open_archive,
-    restore,
-    upgrade,
-)
+from sunarc.archive.archive import Archive, open_archive
+from sunarc.archive.backup import backup, backup_into, restore
+from sunarc.archive.schema import check, downgrade, head_revision, upgrade
+from sunarc.archive.values import Event
 from sunarc.errors import InputError, OutsideError
 
 NOW = datetime(2026, 5, 1, 2, 0, tzinfo=UTC)

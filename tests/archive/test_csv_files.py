@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from sunarc.archive import read_pairs, read_sightings, write_columns, write_sightings
+from sunarc.archive.csv_files import read_pairs, read_sightings, write_columns, write_sightings
 from sunarc.errors import InputError
 
 HEADER = "time_utc,x_px,y_px,sigma_px,body"

@@ -10,9 +10,11 @@ from typing import Any
 import pytest
 from tests.archive.test_calibrations import MAY, document
 
-from sunarc.archive import Archive, CameraArchive, calibrations, open_archive
+from sunarc.archive import calibrations
+from sunarc.archive.archive import Archive, open_archive
+from sunarc.archive.camera_archive import CameraArchive
 from sunarc.errors import InputError
-from sunarc.sky import Site
+from sunarc.sky.site import Site
 
 SITE = Site(latitude=36.604, longitude=-97.485, altitude=318.0)
 SOURCES = Path(calibrations.__file__).parents[1]

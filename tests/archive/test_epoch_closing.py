@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from sunarc.archive import LENS_CHANGED, Archive, open_archive
+from sunarc.archive.archive import Archive, open_archive
+from sunarc.archive.sighting_revisions import LENS_CHANGED
 from sunarc.errors import InputError
 
 from .conftest import NOON

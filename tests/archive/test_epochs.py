@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.archive import SunPoint
+from sunarc.archive.values import SunPoint
 from sunarc.errors import InputError, NotFoundError
 
 from .conftest import NOON
 
 if TYPE_CHECKING:
-    from sunarc.archive import Archive
+    from sunarc.archive.archive import Archive
 
 POINT = SunPoint(
     camera="roof", pose_epoch="roof-1", time=NOON, method="disc", accepted=True, verdict="clear", x_px=1.0, y_px=2.0,

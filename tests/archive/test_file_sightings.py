@@ -12,7 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sunarc.archive import Archive, Event, SunPoint, downgrade, image_key, open_archive, upgrade
+from sunarc.archive.archive import Archive, open_archive
+from sunarc.archive.file_sightings import image_key
+from sunarc.archive.schema import downgrade, upgrade
+from sunarc.archive.values import Event, SunPoint
 from sunarc.errors import InputError
 from sunarc.utc import to_microseconds
 

@@ -11,7 +11,7 @@ from sunarc.findings import Finding
 from .test_calibrations import MAY, document, served
 
 if TYPE_CHECKING:
-    from sunarc.archive import Archive
+    from sunarc.archive.archive import Archive
 
 
 @pytest.fixture

@@ -8,7 +8,8 @@ from functools import reduce
 import numpy as np
 import pytest
 
-from sunarc.archive import Archive, Housekeeping, merged
+from sunarc.archive.archive import Archive
+from sunarc.archive.housekeeping_values import Housekeeping, merged
 
 MIDNIGHT = datetime(2026, 5, 13, tzinfo=UTC)
 

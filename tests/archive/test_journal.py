@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from sunarc.archive import Archive, Day, Event, Refit
+from sunarc.archive.archive import Archive
+from sunarc.archive.values import Day, Event, Refit
 from sunarc.errors import NotFoundError
 from sunarc.findings import Finding, uncoded
 

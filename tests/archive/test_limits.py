@@ -14,11 +14,13 @@ import numpy as np
 import pyproj
 import pytest
 
-from sunarc.archive import CameraRecord, DiskOptions, ImageStore, Reserve
 from sunarc.archive.csv_files import read_pairs, read_sightings, write_columns, write_sightings
+from sunarc.archive.images import DiskOptions, ImageStore
 from sunarc.archive.sites import SITE_LIMIT_M, distance_m, require_same_site
+from sunarc.archive.space_reserve import Reserve
+from sunarc.archive.values import CameraRecord
 from sunarc.errors import InputError, OutsideError
-from sunarc.sky import Site
+from sunarc.sky.site import Site
 from sunarc.utc import parse_time
 
 NOON = datetime(2013, 5, 13, 18, 30, 0, 123_456, tzinfo=UTC)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from sunarc.archive import lock_holder, lock_state
+from sunarc.archive.lock import lock_holder, lock_state
 from sunarc.errors import OutsideError
 
 HOLDER = """

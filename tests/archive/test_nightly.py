@@ -11,9 +11,11 @@ from tests.archive.conftest import NOON
 from tests.archive.test_current import serve
 from tests.fixtures.archive import store_sun_point
 
-from sunarc.archive import Archive, CameraRecord, Day, Event, NightlyRun
+from sunarc.archive.archive import Archive
+from sunarc.archive.nightly import NightlyRun
+from sunarc.archive.values import CameraRecord, Day, Event
 from sunarc.errors import OutsideError
-from sunarc.sky import day_bounds_unix_s
+from sunarc.sky.days import day_bounds_unix_s
 from sunarc.utc import utc_time
 
 DATE = date(2013, 5, 13)

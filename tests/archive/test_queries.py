@@ -11,10 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sunarc.archive import Archive, SunPoint, check, open_archive, sun_point_of, upgrade
-from sunarc.archive.schema import _revisions, downgrade
-from sunarc.detection import Detection
-from sunarc.sky import Site, solar_date
+from sunarc.archive.archive import Archive, open_archive
+from sunarc.archive.schema import _revisions, check, downgrade, upgrade
+from sunarc.archive.seen import sun_point_of
+from sunarc.archive.values import SunPoint
+from sunarc.detection.values import Detection
+from sunarc.sky.days import solar_date
+from sunarc.sky.site import Site
 
 from .conftest import NOON, ROOF
 

@@ -11,20 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from sunarc.archive import (
-    Archive,
-    Event,
-    backup_into,
-    check,
-    downgrade,
-    newest_sound_copy,
-    open_archive,
-    prepare_database,
-    recovery,
-    restore,
-    upgrade,
-    upgrade_present,
-)
+from sunarc.archive import recovery
+from sunarc.archive.archive import Archive, open_archive
+from sunarc.archive.backup import backup_into, newest_sound_copy, restore
+from sunarc.archive.recovery import prepare_database, upgrade_present
+from sunarc.archive.schema import check, downgrade, upgrade
+from sunarc.archive.values import Event
 from sunarc.errors import ConfigurationError, InputError, OutsideError
 
 from .conftest import ROOF

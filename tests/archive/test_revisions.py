@@ -10,25 +10,14 @@ from pathlib import Path
 
 import pytest
 
-from sunarc.archive import (
-    Archive,
-    Day,
-    DayAir,
-    Event,
-    FeedBatch,
-    FeedRow,
-    Housekeeping,
-    NightImage,
-    NightlyRun,
-    Refit,
-    Refusal,
-    SunPoint,
-    check,
-    downgrade,
-    open_archive,
-    upgrade,
-)
+from sunarc.archive.archive import Archive, open_archive
+from sunarc.archive.feed_values import FeedBatch, FeedRow, Refusal
+from sunarc.archive.housekeeping_values import Housekeeping
+from sunarc.archive.night_images import NightImage
+from sunarc.archive.nightly import NightlyRun
+from sunarc.archive.schema import check, downgrade, upgrade
 from sunarc.archive.tables import metadata
+from sunarc.archive.values import Day, DayAir, Event, Refit, SunPoint
 from sunarc.findings import Finding, uncoded
 
 from .conftest import NOON

@@ -11,8 +11,11 @@ from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from sqlalchemy import create_engine
 
-from sunarc.archive import Archive, CameraRecord, backup, check, head_revision, open_archive, upgrade
+from sunarc.archive.archive import Archive, open_archive
+from sunarc.archive.backup import backup
+from sunarc.archive.schema import check, head_revision, upgrade
 from sunarc.archive.tables import metadata
+from sunarc.archive.values import CameraRecord
 from sunarc.errors import ConfigurationError, InputError, OutsideError, SchemaError
 
 

@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sunarc.archive import Archive, PoseEpoch, SunPoint
+from sunarc.archive.archive import Archive
 from sunarc.archive.types import UtcTime
+from sunarc.archive.values import PoseEpoch, SunPoint
 from sunarc.errors import InputError
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)

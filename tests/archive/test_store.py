@@ -14,17 +14,18 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from sqlalchemy import insert, text
 
-from sunarc.archive import CameraRecord, SunPoint, open_archive
+from sunarc.archive.archive import open_archive
 from sunarc.archive.engine import create_archive_engine, reading, writing
 from sunarc.archive.file import DELETED, EMPTIED, REPLACED, DatabaseFile
 from sunarc.archive.store import given
 from sunarc.archive.tables import camera, sun_point
+from sunarc.archive.values import CameraRecord, SunPoint
 from sunarc.errors import ConfigurationError, InputError, OutsideError
 
 from .conftest import NOON, ROOF
 
 if TYPE_CHECKING:
-    from sunarc.archive import Archive
+    from sunarc.archive.archive import Archive
 
 POINT = SunPoint(
     camera="roof", pose_epoch="roof-1", time=NOON, method="disc", accepted=True, verdict="clear", x_px=1.0, y_px=2.0

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.archive import SunPoint
+from sunarc.archive.values import SunPoint
 from sunarc.errors import InputError, NotFoundError
 
 from .test_calibrations import MAY, document
@@ -17,7 +17,7 @@ from .test_calibrations import MAY, document
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from sunarc.archive import Archive
+    from sunarc.archive.archive import Archive
 
 
 def point(time: datetime, x_px: float, *, accepted: bool = True, sigma_px: float | None = None) -> SunPoint:

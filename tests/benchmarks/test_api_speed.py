@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from tests.api.conftest import NOON, fill, new_archive
 from tests.fixtures.calibrations import SITE
 
-from sunarc.api import ApiOptions, create_app
-from sunarc.archive import open_archive
+from sunarc.api.app import create_app
+from sunarc.api.options import ApiOptions
+from sunarc.archive.archive import open_archive
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.preflight import listen
 from sunarc.runtime.status import StatusRegistry

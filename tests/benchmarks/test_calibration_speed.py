@@ -11,17 +11,22 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from sunarc.calibration import SunPoints, back_projection_map, calibrate, lookup
+from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.fit.marginal_likelihood import Scales, prior_precision
 from sunarc.calibration.fit.normal_equations import irls_converged, linear_system
 from sunarc.calibration.initial_guess.coarse_search import single_problem
 from sunarc.calibration.least_squares.problem import Observations, Problem, observations
 from sunarc.calibration.least_squares.time_bins import time_bins
+from sunarc.calibration.model.direction_table import lookup
+from sunarc.calibration.model.maps import back_projection_map
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.residual_field import wave_basis
-from sunarc.calibration.model.sightings import FilteredSightings, filter_sightings
-from sunarc.optics import Camera, inverse_table, project
-from sunarc.sky import Site, sun_angles, sun_directions
+from sunarc.calibration.model.sightings import FilteredSightings, SunPoints, filter_sightings
+from sunarc.optics.camera import Camera
+from sunarc.optics.fast import inverse_table
+from sunarc.optics.forward import project
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_angles, sun_directions
 
 FloatArray = NDArray[np.float64]
 

@@ -9,7 +9,9 @@ import pytest
 from tests.detection.photographs import sky
 from tests.detection.rendering import Image, Scene, equisolid_stretch, render
 
-from sunarc.detection import Expectation, Sensor, detect_sun, locate, planes_of
+from sunarc.detection.disc.detect import detect_sun
+from sunarc.detection.photo.urquhart2016 import locate, planes_of
+from sunarc.detection.values import Expectation, Sensor
 
 
 @pytest.fixture(scope="module", params=[0.7, 30.0], ids=["unsaturated", "saturated"])

@@ -22,8 +22,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sunarc.simulation import SGP
-from sunarc.sky import Site, day_bounds_unix_s, solar_date
+from sunarc.simulation.truth import SGP
+from sunarc.sky.days import day_bounds_unix_s, solar_date
+from sunarc.sky.site import Site
 
 from .machine import IMAGER_ADDRESS, Machine, cabled, run, wait_for
 from .truth import worse_than_stated, wrong_sightings

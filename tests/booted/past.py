@@ -13,11 +13,12 @@ sys.path.insert(0, "/usr/lib/sunarc/site")
 
 import numpy as np
 
-from sunarc.archive import SunPoint, open_archive
-from sunarc.optics import project
-from sunarc.settings import load_settings
-from sunarc.simulation import true_camera
-from sunarc.sky import sun_angles, sun_directions
+from sunarc.archive.archive import open_archive
+from sunarc.archive.values import SunPoint
+from sunarc.optics.forward import project
+from sunarc.settings.load import load_settings
+from sunarc.simulation.truth import true_camera
+from sunarc.sky.sun import sun_angles, sun_directions
 
 SENSOR_PX = 1748
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from sunarc.sky import Site
+from sunarc.sky.site import Site
 
 from .conditions import findings, wait_for_reason
 from .conftest import AS_SUNARC

@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration import from_document, hemisphere, project_with_covariance
-from sunarc.optics import project
-from sunarc.simulation import true_camera
-from sunarc.sky import Site, sun_directions
+from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.model.document import from_document
+from sunarc.optics.forward import project
+from sunarc.simulation.truth import true_camera
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_directions
 
 FloatArray = NDArray[np.float64]
 

@@ -9,9 +9,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.calibration import Calibration, SunPoints, calibrate, hemisphere
-from sunarc.optics import Camera, PoseAngles, project, rotation_from_pose_angles
-from sunarc.sky import Site, sun_angles, sun_directions
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.covariance import hemisphere
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_angles, sun_directions
 
 FloatArray = NDArray[np.float64]
 

@@ -10,16 +10,14 @@ import numpy as np
 import pytest
 from tests.calibration.conftest import SGP, SIZE, TRUTH, rms, times_of
 
-from sunarc.calibration import (
-    Calibration,
-    SunPoints,
-    calibrate,
-    hemisphere,
-    project_with_covariance,
-    sun_with_covariance,
-)
-from sunarc.optics import project
-from sunarc.sky import MEASURED_AIR_SD, direction_from_angles, raised, refraction_rad, sun_directions
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.covariance import hemisphere, project_with_covariance, sun_with_covariance
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.optics.forward import project
+from sunarc.sky.directions import direction_from_angles
+from sunarc.sky.refraction import MEASURED_AIR_SD, raised, refraction_rad
+from sunarc.sky.sun import sun_directions
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -9,9 +9,11 @@ import pytest
 from tests.calibration.conftest import SGP
 from tests.finding_codes import codes
 
-from sunarc.calibration import CalibrationOptions, ImageCircle, LensTolerances, PaperOptions, SunPoints, calibrate
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances, PaperOptions
+from sunarc.calibration.model.sightings import SunPoints
 from sunarc.errors import InputError
-from sunarc.sky import Site
+from sunarc.sky.site import Site
 
 if TYPE_CHECKING:
     from tests.calibration.conftest import Simulated, Simulator

@@ -9,9 +9,14 @@ import population as pop
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.calibration import Batch, CalibrationOptions, ImageCircle, Method, SunPoints, calibrate, hemisphere
+from sunarc.calibration.batch import Batch
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.covariance import hemisphere
+from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Method
+from sunarc.calibration.model.sightings import SunPoints
 from sunarc.errors import InputError
-from sunarc.optics import Camera, project
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
 
 FloatArray = NDArray[np.float64]
 

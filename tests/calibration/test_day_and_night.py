@@ -13,10 +13,20 @@ from numpy.typing import NDArray
 from tests.fixtures.calibration import current_document
 
 from sunarc.array_types import stacked
-from sunarc.calibration import Calibration, Kind, SunPoints, calibrate, from_document, hemisphere, reproduce_calibration
-from sunarc.calibration.model.sightings import filter_sightings
-from sunarc.optics import Camera, ideal_radius, project, rotation_matrix, rotation_vector
-from sunarc.sky import direction_from_angles, raised, refraction_rad, sun_directions
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.covariance import hemisphere
+from sunarc.calibration.model.document import from_document
+from sunarc.calibration.model.kinds import Kind
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints, filter_sightings
+from sunarc.calibration.reproduce import reproduce_calibration
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.pose import rotation_matrix, rotation_vector
+from sunarc.optics.projections import ideal_radius
+from sunarc.sky.directions import direction_from_angles
+from sunarc.sky.refraction import raised, refraction_rad
+from sunarc.sky.sun import sun_directions
 
 FloatArray = NDArray[np.float64]
 

@@ -7,10 +7,14 @@ import pytest
 from tests.calibration.conftest import times_of
 from tests.finding_codes import codes
 
-from sunarc.calibration import Calibration, SunPoints, calibrate, hemisphere, project_with_covariance
-from sunarc.optics import Camera, project
-from sunarc.simulation import SGP, true_camera
-from sunarc.sky import sun_directions
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.simulation.truth import SGP, true_camera
+from sunarc.sky.sun import sun_directions
 
 N = 20
 DRAWN = 5

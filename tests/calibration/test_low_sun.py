@@ -7,10 +7,11 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from sunarc.calibration import SunPoints, calibrate
-from sunarc.optics import project
-from sunarc.simulation import SGP, true_camera
-from sunarc.sky import sun_angles, sun_directions
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.optics.forward import project
+from sunarc.simulation.truth import SGP, true_camera
+from sunarc.sky.sun import sun_angles, sun_directions
 
 
 @pytest.mark.parametrize("lens_seed", [0, 1, 2, 3])

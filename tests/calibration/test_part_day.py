@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 from tests.calibration.conftest import times_of
 
-from sunarc.calibration import SunPoints, calibrate, hemisphere, project_with_covariance
-from sunarc.optics import project
-from sunarc.simulation import SGP, true_camera
-from sunarc.sky import sun_directions
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.optics.forward import project
+from sunarc.simulation.truth import SGP, true_camera
+from sunarc.sky.sun import sun_directions
 
 _CHI_SQUARE_95 = 5.991
 

@@ -14,9 +14,16 @@ from real_like_tracks import real_like_track
 from scipy.spatial.transform import Rotation
 from tests.finding_codes import codes
 
-from sunarc.calibration import CalibrationOptions, SunPoints, calibrate, calibrate_moved, from_document, to_document
-from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
-from sunarc.sky import Site, sun_directions
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.document import from_document, to_document
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.pose_change_points import calibrate_moved
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.pose import rotation_matrix, rotation_vector
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_directions
 
 if TYPE_CHECKING:
     from tests.calibration.conftest import Simulated, Simulator

@@ -16,7 +16,7 @@ from sunarc.calibration import pose_step_search as search
 from sunarc.calibration.model.sightings import FilteredSightings
 from sunarc.calibration.pose.error_model import rotated
 from sunarc.calibration.pose_change_points import best_row
-from sunarc.optics import project
+from sunarc.optics.forward import project
 
 FloatArray = NDArray[np.float64]
 

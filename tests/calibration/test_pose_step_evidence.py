@@ -16,7 +16,7 @@ from sunarc.calibration import pose_step_evidence as module
 from sunarc.calibration.model.sightings import FilteredSightings
 from sunarc.calibration.pose.error_model import rotated
 from sunarc.calibration.pose_step_evidence import Amplitudes, Episode, log_bayes_factor
-from sunarc.optics import project
+from sunarc.optics.forward import project
 
 FloatArray = NDArray[np.float64]
 

@@ -9,13 +9,15 @@ import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibration import SGP, small_camera, stated_calibration
 
-from sunarc.calibration import Calibration, SunPoints
 from sunarc.calibration import pose_step_search as module
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.calibration.model.result import Move
+from sunarc.calibration.model.result import Calibration, Move
+from sunarc.calibration.model.sightings import SunPoints
 from sunarc.calibration.pose.error_model import rotated
-from sunarc.optics import Camera, project
-from sunarc.sky import solar_days, sun_directions
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.sky.days import solar_days
+from sunarc.sky.sun import sun_directions
 
 FloatArray = NDArray[np.float64]
 

@@ -10,9 +10,11 @@ import population as pop
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.calibration import CalibrationOptions, SunPoints, calibrate_unknown_lens, choose_projection
-from sunarc.calibration.projection_choice import ProjectionChoice
-from sunarc.optics import PROJECTIONS, Camera, Projection, ideal_radius
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.projection_choice import ProjectionChoice, calibrate_unknown_lens, choose_projection
+from sunarc.optics.camera import Camera
+from sunarc.optics.projections import PROJECTIONS, Projection, ideal_radius
 
 FloatArray = NDArray[np.float64]
 

@@ -13,16 +13,20 @@ from numpy.typing import NDArray
 from real_like_fits import compared, sky_error_px
 from real_like_tracks import Draw, drawn_aside, real_like_track
 
-from sunarc.calibration import CalibrationOptions, SunPoints, calibrate, hemisphere, project_with_covariance
+from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.fit.hyperparameter_grid import scale_grid
 from sunarc.calibration.fit.least_squares_reference import at_least_least_squares
 from sunarc.calibration.fit.noise_by_sort import Course
 from sunarc.calibration.initial_guess.multistart import lowest
 from sunarc.calibration.least_squares.priors import lens_prior
 from sunarc.calibration.least_squares.problem import Observations, Problem, observations, problem_for
-from sunarc.calibration.model.sightings import filter_sightings
-from sunarc.optics import project, rotation_matrix
-from sunarc.sky import Site, sun_directions
+from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.sightings import SunPoints, filter_sightings
+from sunarc.optics.forward import project
+from sunarc.optics.pose import rotation_matrix
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_directions
 
 REAL = Path(__file__).parents[3] / "shared" / "real" / "fe4_2016-08-30.csv"
 EQUIDISTANT = Draw(projection="equidistant", cloud="middle", thin=1)

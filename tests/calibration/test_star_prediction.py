@@ -7,8 +7,10 @@ import pytest
 from population import CASE_3
 from tests.fixtures.calibrations import SITE, chosen_calibration
 
-from sunarc.calibration import predict_stars, project_with_covariance, sigma_px
-from sunarc.sky import NightSky, direction_from_angles
+from sunarc.calibration.model.covariance import project_with_covariance, sigma_px
+from sunarc.calibration.star_prediction import predict_stars
+from sunarc.sky.directions import direction_from_angles
+from sunarc.sky.night import NightSky
 
 
 def test_the_stars_of_the_image_with_their_uncertainty_and_the_air_s_extinction() -> None:

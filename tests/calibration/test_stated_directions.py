@@ -7,12 +7,17 @@ import population as pop
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.calibration import Calibration, CalibrationOptions, ImageCircle, SunPoints, calibrate, hemisphere
+from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.least_squares.time_bins import time_bins
-from sunarc.calibration.model.sightings import apparent_directions, filter_sightings
+from sunarc.calibration.model.covariance import hemisphere
+from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints, apparent_directions, filter_sightings
 from sunarc.errors import InputError
-from sunarc.optics import Camera, project
-from sunarc.sky import direction_from_angles, sun_directions
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.sky.directions import direction_from_angles
+from sunarc.sky.sun import sun_directions
 
 FloatArray = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sunarc.calibration import calibrate
+from sunarc.calibration.calibrate import calibrate
 
 if TYPE_CHECKING:
     from tests.calibration.conftest import Simulator

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sunarc.cameras import AravisCamera, AravisOptions, open_aravis
 from sunarc.cameras import aravis as adapter
+from sunarc.cameras.aravis import AravisCamera, open_aravis
 from sunarc.cameras.buffers import follows
+from sunarc.cameras.options import AravisOptions
 from sunarc.errors import (
     CameraError,
     CameraLostError,

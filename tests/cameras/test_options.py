@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 
-from sunarc.cameras import AravisOptions, ReplayOptions, full_scale_of
+from sunarc.cameras.frame import full_scale_of
+from sunarc.cameras.options import AravisOptions, ReplayOptions
 from sunarc.errors import InputError
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sunarc.cameras import full_scale_of
+from sunarc.cameras.frame import full_scale_of
 from sunarc.cameras.packed import pack, packed_bytes, packing_of, unpack
 
 FORMATS = ["Mono10p", "Mono12p", "Mono10Packed", "Mono12Packed"]

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sunarc.cameras import AravisCamera, AravisOptions, pack
+from sunarc.cameras.aravis import AravisCamera
+from sunarc.cameras.options import AravisOptions
+from sunarc.cameras.packed import pack
 from sunarc.diagnostics.camera_checks import _trial as frames_of_trial
 from sunarc.errors import CameraError, CameraLostError
 from sunarc.runtime.clock import VirtualClock

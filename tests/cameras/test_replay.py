@@ -10,8 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
-from sunarc.cameras import ReplayOptions, SkyCamera, open_replay
-from sunarc.cameras.replay import exposure_of_name, time_of_name
+from sunarc.cameras.frame import SkyCamera
+from sunarc.cameras.options import ReplayOptions
+from sunarc.cameras.replay import exposure_of_name, open_replay, time_of_name
 from sunarc.errors import CameraLostError, InputError
 
 

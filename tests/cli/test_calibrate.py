@@ -11,10 +11,13 @@ import cv2
 import numpy as np
 import pytest
 
-from sunarc.archive import write_sightings
+from sunarc.archive.csv_files import write_sightings
 from sunarc.cli import calibrate as module
-from sunarc.optics import Camera, PoseAngles, project, rotation_from_pose_angles
-from sunarc.sky import Site, sun_angles, sun_directions
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_angles, sun_directions
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc

@@ -10,7 +10,9 @@ import pytest
 import xarray as xr
 from tests.fixtures.postgresql import postgresql
 
-from sunarc.archive import CameraRecord, DayAir, lock_state, open_archive
+from sunarc.archive.archive import open_archive
+from sunarc.archive.lock import lock_state
+from sunarc.archive.values import CameraRecord, DayAir
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc

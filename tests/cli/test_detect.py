@@ -9,7 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from sunarc.simulation import SGP, Scene, SceneOptions, true_camera
+from sunarc.simulation.options import SceneOptions
+from sunarc.simulation.scene import Scene
+from sunarc.simulation.truth import SGP, true_camera
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc

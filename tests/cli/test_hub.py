@@ -11,9 +11,11 @@ import pytest
 from tests.fixtures.archive import make_empty
 from tests.fixtures.fleet import NOW
 
-from sunarc.api import token_digest
-from sunarc.archive import CrossCheck, Refusal, open_archive
-from sunarc.settings import load_hub_settings
+from sunarc.api.routes.feed import token_digest
+from sunarc.archive.archive import open_archive
+from sunarc.archive.cross_check import CrossCheck
+from sunarc.archive.feed_values import Refusal
+from sunarc.settings.load import load_hub_settings
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc

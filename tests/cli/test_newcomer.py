@@ -12,17 +12,20 @@ import numpy as np
 import pytest
 
 from sunarc.app.cameras import require_stored_site
-from sunarc.archive import Archive, CameraArchive, Refit, lock_state, open_archive
-from sunarc.calibration import CalibrationOptions
+from sunarc.archive.archive import Archive, open_archive
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.lock import lock_state
+from sunarc.archive.values import Refit
+from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.diagnostics.checks import run_checks
 from sunarc.errors import InputError
-from sunarc.optics import project
+from sunarc.optics.forward import project
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.settings import load_settings
-from sunarc.simulation import SGP, true_camera
-from sunarc.sky import sun_angles, sun_directions
-from sunarc.workers import RefitOptions, RefitWorker
+from sunarc.settings.load import load_settings
+from sunarc.simulation.truth import SGP, true_camera
+from sunarc.sky.sun import sun_angles, sun_directions
+from sunarc.workers.calibrating.refit import RefitOptions, RefitWorker
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc

@@ -18,8 +18,8 @@ import pytest
 from tests.api.conftest import LENS, NOON, archives, make
 from tests.api.test_event_stream import quick, serving
 
-from sunarc.archive import ImageStore
-from sunarc.optics import unproject
+from sunarc.archive.images import ImageStore
+from sunarc.optics.inverse import unproject
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made, Make

@@ -17,9 +17,12 @@ import uvicorn
 from tests.api.conftest import NOON, fill, new_archive
 from tests.fixtures.calibrations import SITE
 
-from sunarc.api import ApiOptions, create_app
-from sunarc.archive import ImageStore, open_archive
-from sunarc.calibration import from_document, project_with_covariance, unproject_with_sigma
+from sunarc.api.app import create_app
+from sunarc.api.options import ApiOptions
+from sunarc.archive.archive import open_archive
+from sunarc.archive.images import ImageStore
+from sunarc.calibration.model.covariance import project_with_covariance, unproject_with_sigma
+from sunarc.calibration.model.document import from_document
 from sunarc.client import Imager, ImagerError
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.messages import of_worker

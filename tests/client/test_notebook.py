@@ -15,9 +15,10 @@ from tests.api.conftest import LENS, NOON, archives, make
 from tests.api.test_event_stream import serving
 from tests.fixtures.calibrations import SITE
 
-from sunarc.archive import ImageStore
-from sunarc.optics import project, unproject
-from sunarc.sky import sun_directions
+from sunarc.archive.images import ImageStore
+from sunarc.optics.forward import project
+from sunarc.optics.inverse import unproject
+from sunarc.sky.sun import sun_directions
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made, Make

@@ -15,8 +15,9 @@ import pytest
 from tests.fixtures.archive import make_empty
 from tests.fixtures.calibration import current_document, distinctive_calibration
 
-from sunarc.api import ApiOptions, create_hub_app
-from sunarc.archive import open_archive
+from sunarc.api.hub_app import create_hub_app
+from sunarc.api.options import ApiOptions
+from sunarc.archive.archive import open_archive
 from sunarc.client import AsyncImager, Hub, Imager, ImagerError, LocalImager
 from sunarc.client.transport import Transport
 from sunarc.runtime.status import StatusSnapshot

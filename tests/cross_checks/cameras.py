@@ -10,11 +10,15 @@ from tests.fixtures.calibration import ideal_camera
 from tests.fixtures.calibrations import chosen_calibration
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration import Calibration, SunPoints
-from sunarc.cross_checks import DailyRotations, daily_rotations
-from sunarc.optics import PARAMETER_NAMES, Camera, project, rotation_matrix, rotation_vector, unproject
-from sunarc.optics.camera import POSE
-from sunarc.sky import Site, sun_directions
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.cross_checks.daily_rotations import DailyRotations, daily_rotations
+from sunarc.optics.camera import PARAMETER_NAMES, POSE, Camera
+from sunarc.optics.forward import project
+from sunarc.optics.inverse import unproject
+from sunarc.optics.pose import rotation_matrix, rotation_vector
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_directions
 
 FIRST_NOON = 1_780_339_200.0
 """2026-06-01 18:40 UTC: about noon at 97.5° west."""

@@ -10,18 +10,12 @@ from scipy.spatial.transform import Rotation
 from tests.cross_checks.cameras import Wrong, neighbours
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration.change_detection import pole_of
-from sunarc.cross_checks import (
-    DailyRotations,
-    RotationStep,
-    StepSize,
-    daily_rotations,
-    explain_step,
-    find_step,
-    find_steps,
-    rotation_of_site,
-)
-from sunarc.sky import Site, sun_directions
+from sunarc.calibration.change_detection.hypotheses import pole_of
+from sunarc.cross_checks.causes import StepSize, explain_step, rotation_of_site
+from sunarc.cross_checks.daily_rotations import DailyRotations, daily_rotations
+from sunarc.cross_checks.rotation_steps import RotationStep, find_step, find_steps
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_directions
 
 SITE = Site(latitude=36.6, longitude=-97.5)
 COVARIANCE = np.diag([0.003, 0.002, 0.004]) ** 2

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from tests.detection.rendering import FloatArray, Image, Scene, disc_image, equisolid_stretch, read_out
 
-from sunarc.detection import Expectation, Sensor, detect_sun
+from sunarc.detection.disc.detect import detect_sun
+from sunarc.detection.values import Expectation, Sensor
 
 KINDS = ("night", "overcast", "hot", "cloud_edge", "glint_blobs", "moon", "long_moon")
 SUN_PER_US = 3.0  # full scales of a bare camera

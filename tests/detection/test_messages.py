@@ -10,15 +10,16 @@ import pytest
 from tests.finding_codes import codes
 
 from sunarc import detection
-from sunarc.detection import Detection, beside, combine
+from sunarc.detection.disc.bracket import beside, combine
 from sunarc.detection.messages import MESSAGES, reason_of
+from sunarc.detection.values import Detection, Verdict
 from sunarc.findings import Finding
 
 FITTED = Finding("disc_found", {"chi2": 1.043})
 SOURCES = sorted(Path(detection.__file__).parent.rglob("*.py"))
 
 
-def disc(x_px: float, *findings: Finding, verdict: detection.Verdict = "clear", snr: float = 100.0) -> Detection:
+def disc(x_px: float, *findings: Finding, verdict: Verdict = "clear", snr: float = 100.0) -> Detection:
     return Detection(
         method="disc",
         accepted=verdict == "clear",

@@ -8,10 +8,12 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from sunarc.detection import Expectation, Sensor, detect_sun
-from sunarc.optics import local_stretch
-from sunarc.simulation import SGP, Scene, true_camera
-from sunarc.sky import sun_angles
+from sunarc.detection.disc.detect import detect_sun
+from sunarc.detection.values import Expectation, Sensor
+from sunarc.optics.stretch import local_stretch
+from sunarc.simulation.scene import Scene
+from sunarc.simulation.truth import SGP, true_camera
+from sunarc.sky.sun import sun_angles
 
 FULL_SCALE = 4095
 SENSOR = Sensor(full_scale=FULL_SCALE, gain_e_per_count=20_000.0 / FULL_SCALE, black_level=32.0)

@@ -11,13 +11,13 @@ import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibrations import chosen_calibration
 
-from sunarc.calibration import (
-    camera_sees,
-    hemisphere,
-    to_document,
-)
-from sunarc.exports import Exported, Format, export
-from sunarc.optics import Camera, project
+from sunarc.calibration.model.backward import camera_sees
+from sunarc.calibration.model.covariance import hemisphere
+from sunarc.calibration.model.document import to_document
+from sunarc.exports.exported import Exported
+from sunarc.exports.formats import Format, export
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
 
 FloatArray = NDArray[np.float64]
 

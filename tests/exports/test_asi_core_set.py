@@ -20,9 +20,11 @@ import yaml
 from tests.exports.conftest import LENS, FloatArray, document_of
 
 from sunarc.errors import InputError
-from sunarc.exports import asi_core_set, export
 from sunarc.exports.asi_core import matlab_bytes
-from sunarc.optics import Camera, unproject
+from sunarc.exports.asi_core_set import asi_core_set
+from sunarc.exports.formats import export
+from sunarc.optics.camera import Camera
+from sunarc.optics.inverse import unproject
 
 SMALL = Camera(
     width=220, height=200, projection="equisolid", focal_length_px=(75.0, 75.0), principal_point_px=(110.0, 98.0),

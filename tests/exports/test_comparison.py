@@ -10,10 +10,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 from tests.exports.conftest import LENS, FloatArray
 
-from sunarc.calibration import camera_sees, hemisphere
+from sunarc.calibration.model.backward import camera_sees
+from sunarc.calibration.model.covariance import hemisphere
 from sunarc.errors import InputError
-from sunarc.exports import ZENITH_RANGES_DEG, View, camera_view, compare, rotated
-from sunarc.optics import project, rotation_matrix, rotation_vector
+from sunarc.exports.comparison import ZENITH_RANGES_DEG, compare
+from sunarc.exports.view import View, camera_view, rotated
+from sunarc.optics.forward import project
+from sunarc.optics.pose import rotation_matrix, rotation_vector
 
 OURS = camera_view(LENS)
 

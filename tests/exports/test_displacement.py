@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from tests.exports.conftest import LENS, document_of
 
-from sunarc.calibration import from_document, hemisphere
+from sunarc.calibration.model.covariance import hemisphere
+from sunarc.calibration.model.document import from_document
 from sunarc.calibration.model.residual_field import wave_basis
-from sunarc.exports import FILE_NAMES, Format, export
+from sunarc.exports.formats import FILE_NAMES, Format, export
 from sunarc.exports.reading import read_view
-from sunarc.optics import project
+from sunarc.optics.forward import project
 
 
 def displaced_document(amplitude_px: float) -> dict[str, object]:

@@ -12,10 +12,11 @@ import pytest
 from tests.fixtures.calibration import current_document, small_camera, stated_calibration
 from tests.fixtures.command_line import Sunarc, sunarc
 
-from sunarc.calibration import draw_ensemble, from_document
+from sunarc.calibration.ensemble import draw_ensemble
+from sunarc.calibration.model.document import from_document
 from sunarc.errors import InputError
-from sunarc.exports import export, export_draws
 from sunarc.exports.draws import MOST_DRAWS_OF_A_FILE
+from sunarc.exports.formats import export, export_draws
 
 __all__ = ["sunarc"]
 

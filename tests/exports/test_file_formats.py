@@ -16,13 +16,18 @@ import scipy.io
 import yaml
 from tests.exports.conftest import LENS, FloatArray, apart_deg, document_of, worst_stated_deg, worst_stated_px
 
-from sunarc.calibration import camera_sees, hemisphere
+from sunarc.calibration.model.backward import camera_sees
+from sunarc.calibration.model.covariance import hemisphere
 from sunarc.errors import InputError
-from sunarc.exports import FILE_FORMATS, READ_FORMATS, Exported, camera_view, compare, export_file, read_view
-from sunarc.exports.formats import FileFormat
+from sunarc.exports.comparison import compare
+from sunarc.exports.exported import Exported
+from sunarc.exports.formats import FILE_FORMATS, FileFormat, export_file
+from sunarc.exports.reading import READ_FORMATS, read_view
 from sunarc.exports.remap import ground_grid, remap_tables, sky_grid
-from sunarc.optics import project, unproject
-from sunarc.sky import angles_from_direction, direction_from_angles
+from sunarc.exports.view import camera_view
+from sunarc.optics.forward import project
+from sunarc.optics.inverse import unproject
+from sunarc.sky.directions import angles_from_direction, direction_from_angles
 
 SMALL = replace(
     LENS, width=330, height=300, focal_length_px=(112.0, 112.3), principal_point_px=(164.2, 150.9), skew_px=0.0,

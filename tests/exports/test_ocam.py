@@ -12,10 +12,12 @@ import scipy.io
 import yaml
 from tests.exports.conftest import Export, FloatArray, apart_deg, document_of, worst_stated_deg, worst_stated_px
 
-from sunarc.calibration import from_document
-from sunarc.exports import export
-from sunarc.optics import Camera, rotation_matrix, unproject
-from sunarc.sky import angles_from_direction, direction_from_angles
+from sunarc.calibration.model.document import from_document
+from sunarc.exports.formats import export
+from sunarc.optics.camera import Camera
+from sunarc.optics.inverse import unproject
+from sunarc.optics.pose import rotation_matrix
+from sunarc.sky.directions import angles_from_direction, direction_from_angles
 
 Sky = tuple[FloatArray, FloatArray]
 

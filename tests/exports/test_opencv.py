@@ -7,8 +7,9 @@ import numpy as np
 import yaml
 from tests.exports.conftest import FloatArray, worst_stated_px
 
-from sunarc.exports import export
-from sunarc.optics import Camera, rotation_matrix
+from sunarc.exports.formats import export
+from sunarc.optics.camera import Camera
+from sunarc.optics.pose import rotation_matrix
 
 Sky = tuple[FloatArray, FloatArray]
 

@@ -13,9 +13,12 @@ import scipy.io
 from tests.exports.conftest import LENS, Export, document_of, worst_stated_deg, worst_stated_px
 
 from sunarc.errors import InputError
-from sunarc.exports import FORMATS, camera_view, closest_camera, compare, export, read_view
-from sunarc.exports.reading import _BY_CONTENT
-from sunarc.optics import Camera
+from sunarc.exports.comparison import compare
+from sunarc.exports.formats import FORMATS, export
+from sunarc.exports.reading import _BY_CONTENT, read_view
+from sunarc.exports.start import closest_camera
+from sunarc.exports.view import camera_view
+from sunarc.optics.camera import Camera
 
 SMALL = Camera(
     width=220, height=200, projection="equidistant", focal_length_px=(62.0, 62.0), principal_point_px=(110.0, 100.0),

@@ -10,7 +10,8 @@ import pytest
 from tests.exports.conftest import LENS
 
 from sunarc.exports.sky import sky_of
-from sunarc.optics import project, rotation_matrix
+from sunarc.optics.forward import project
+from sunarc.optics.pose import rotation_matrix
 
 SKY = sky_of(LENS, within=LENS.max_angle)
 

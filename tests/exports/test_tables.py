@@ -10,10 +10,12 @@ import xarray as xr
 from scipy.interpolate import RegularGridInterpolator
 from tests.exports.conftest import FloatArray, worst_stated_px
 
-from sunarc.calibration import from_document, unproject_with_sigma
-from sunarc.exports import export, export_map
-from sunarc.optics import Camera, project
-from sunarc.sky import angles_from_direction
+from sunarc.calibration.model.covariance import unproject_with_sigma
+from sunarc.calibration.model.document import from_document
+from sunarc.exports.formats import export, export_map
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.sky.directions import angles_from_direction
 
 
 def opened(content: bytes) -> Any:  # noqa: ANN401 - of xarray

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 from tests.exports.conftest import LENS, FloatArray, apart_deg
 
-from sunarc.calibration import camera_sees, hemisphere
+from sunarc.calibration.model.backward import camera_sees
+from sunarc.calibration.model.covariance import hemisphere
 from sunarc.exports.view import camera_view, grid_view, lens_view, rotated
-from sunarc.optics import project, rotation_matrix, unproject
+from sunarc.optics.forward import project
+from sunarc.optics.inverse import unproject
+from sunarc.optics.pose import rotation_matrix
 
 SIZE = (LENS.width, LENS.height)
 

@@ -14,9 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from sunarc.calibration import from_document, hemisphere, project_with_covariance
-from sunarc.optics import project
-from sunarc.sky import Site, sun_angles, sun_directions
+from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.model.document import from_document
+from sunarc.optics.forward import project
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_angles, sun_directions
 
 _EARTH_RATE_DEG_S = 15.041 / 3600.0
 _SIGMAS = 6.0

@@ -18,9 +18,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Self
 
-from sunarc.simulation import SGP
 from sunarc.simulation.timeline import next_dawn
-from sunarc.sky import Site, sun_angles
+from sunarc.simulation.truth import SGP
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_angles
 
 from .campaign_judge import Judge
 

@@ -21,11 +21,16 @@ from typing import Any
 
 from soak import ADDRESS, HDR_US, REGION, START, Imager  # type: ignore[import-not-found] # beside this script
 
-from sunarc.cameras import AravisOptions, Frame, open_aravis
-from sunarc.imaging import SunExposureOptions
+from sunarc.cameras.aravis import open_aravis
+from sunarc.cameras.frame import Frame
+from sunarc.cameras.options import AravisOptions
+from sunarc.imaging.exposure import SunExposureOptions
 from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.workers import CaptureOptions, CaptureWorker, DropOldestQueue, FrameTime, SunExposures
+from sunarc.workers.bounded_queue import DropOldestQueue
+from sunarc.workers.capture.capture import CaptureOptions, CaptureWorker
+from sunarc.workers.capture.sun_exposure_control import SunExposures
+from sunarc.workers.timing.frame_time import FrameTime
 
 _SETTLING = 4
 _UP_DEG, _DOWN_DEG = 60.0, 92.0  # apparent zenith angles: in daylight both

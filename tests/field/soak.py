@@ -27,12 +27,17 @@ from typing import Any
 
 import numpy as np
 
-from sunarc.cameras import AravisOptions, Frame, open_aravis
-from sunarc.imaging import SunExposureOptions
+from sunarc.cameras.aravis import open_aravis
+from sunarc.cameras.frame import Frame
+from sunarc.cameras.options import AravisOptions
+from sunarc.imaging.exposure import SunExposureOptions
 from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation import ImagerOptions, scene_of
-from sunarc.workers import CaptureOptions, CaptureWorker, DropOldestQueue, FrameTime, SunExposures
+from sunarc.simulation.imager import ImagerOptions, scene_of
+from sunarc.workers.bounded_queue import DropOldestQueue
+from sunarc.workers.capture.capture import CaptureOptions, CaptureWorker
+from sunarc.workers.capture.sun_exposure_control import SunExposures
+from sunarc.workers.timing.frame_time import FrameTime
 
 ADDRESS = "127.0.0.1"
 START = datetime(2013, 5, 13, 22, 40, tzinfo=UTC)

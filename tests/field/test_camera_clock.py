@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from tests.fixtures.ports import free_port
 
-from sunarc.sky import Site
+from sunarc.sky.site import Site
 
 from .campaign_processes import Processes, Setting, pause
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import sys
 import threading
 
-from sunarc.cameras import AravisOptions, open_aravis
+from sunarc.cameras.aravis import open_aravis
+from sunarc.cameras.options import AravisOptions
 from sunarc.errors import CameraError
 from sunarc.runtime.clock import SystemClock
 

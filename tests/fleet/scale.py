@@ -21,8 +21,9 @@ from tests.fixtures.calibrations import chosen_calibration
 from tests.fixtures.postgresql import TEMPLATE, Server, running_server
 from tests.fleet.hub_process import HubProcess
 
-from sunarc.archive import CameraRecord, open_archive
-from sunarc.calibration import to_document
+from sunarc.archive.archive import open_archive
+from sunarc.archive.values import CameraRecord
+from sunarc.calibration.model.document import to_document
 
 _BEGIN = datetime(2026, 1, 1, tzinfo=UTC)
 _STEP_S = 30.0

@@ -9,9 +9,10 @@ import pytest
 from numpy.typing import NDArray
 from pyproj import Transformer
 
-from sunarc.geolocation import Located, clouds, geodetic_position, shadows
-from sunarc.geolocation.ellipsoid import ECCENTRICITY2, SEMI_MAJOR_M, _frame
-from sunarc.sky import Site, direction_from_angles
+from sunarc.geolocation.ellipsoid import ECCENTRICITY2, SEMI_MAJOR_M, _frame, geodetic_position
+from sunarc.geolocation.locate import Located, clouds, shadows
+from sunarc.sky.directions import direction_from_angles
+from sunarc.sky.site import Site
 
 FloatArray = NDArray[np.float64]
 SITE = Site(latitude=36.604043, longitude=-97.484856, altitude=318.0)

@@ -5,8 +5,10 @@ import pytest
 from numpy.typing import NDArray
 from pyproj import Geod, Transformer
 
-from sunarc.geolocation import Located, clouds, geodetic_position, shadows
-from sunarc.sky import Site, direction_from_angles
+from sunarc.geolocation.ellipsoid import geodetic_position
+from sunarc.geolocation.locate import Located, clouds, shadows
+from sunarc.sky.directions import direction_from_angles
+from sunarc.sky.site import Site
 
 FloatArray = NDArray[np.float64]
 SITE = Site(latitude=36.604043, longitude=-97.484856, altitude=318.0)

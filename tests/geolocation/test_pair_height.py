@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from pyproj import Transformer
 
 from sunarc.errors import InputError
-from sunarc.geolocation import View, pair_height
 from sunarc.geolocation.ellipsoid import _frame
-from sunarc.sky import Site
+from sunarc.geolocation.pair_height import View, pair_height
+from sunarc.sky.site import Site
 
 FloatArray = NDArray[np.float64]
 HERE = Site(latitude=53.15, longitude=8.17, altitude=12.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.imaging import Exposed, light_ratio_contradiction
+from sunarc.imaging.brightness import Exposed, light_ratio_contradiction
 
 FULL_SCALE, BLACK = 4095, 60.0
 SIZE = 300

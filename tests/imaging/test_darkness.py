@@ -7,8 +7,10 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from sunarc.imaging import is_dark
-from sunarc.simulation import SGP, Scene, SceneOptions, SensorModel, Weather, true_camera
+from sunarc.imaging.darkness import is_dark
+from sunarc.simulation.options import SceneOptions, SensorModel, Weather
+from sunarc.simulation.scene import Scene
+from sunarc.simulation.truth import SGP, true_camera
 
 DAY = datetime(2013, 5, 13, tzinfo=UTC).timestamp()
 

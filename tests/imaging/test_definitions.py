@@ -9,12 +9,13 @@ import pytest
 from numpy.typing import NDArray
 
 from sunarc.array_types import Image
-from sunarc.detection import Bayer, Sensor
+from sunarc.detection.values import Bayer, Sensor
 from sunarc.errors import InputError
-from sunarc.imaging import Exposed, Level, factor_all_over, is_dark, level_of, light_ratio_contradiction, merge_hdr
-from sunarc.imaging import preview as preview_of
-from sunarc.imaging.brightness import _trimmed
-from sunarc.imaging.hdr import _merge
+from sunarc.imaging.brightness import Exposed, _trimmed, light_ratio_contradiction
+from sunarc.imaging.darkness import is_dark
+from sunarc.imaging.hdr import _merge, merge_hdr
+from sunarc.imaging.level import Level, factor_all_over, level_of
+from sunarc.imaging.preview import preview as preview_of
 
 FloatArray = NDArray[np.float64]
 FULL_SCALE, BLACK = 4095, 100.0

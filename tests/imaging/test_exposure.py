@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from sunarc.errors import InputError
-from sunarc.imaging import (
+from sunarc.imaging.exposure import (
+    LOST_AFTER,
     ExposureBounds,
     Peak,
     SunExposureOptions,
@@ -14,7 +15,6 @@ from sunarc.imaging import (
     first_sun_exposures,
     next_sun_exposures,
 )
-from sunarc.imaging.exposure import LOST_AFTER
 
 OPTIONS = SunExposureOptions()
 BOUNDS = ExposureBounds(minimum_us=10.0, maximum_us=1e6, step_us=1.0)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from sunarc.errors import InputError
-from sunarc.imaging import (
+from sunarc.imaging.exposure import (
     ExposureBounds,
     Peak,
     SunExposureOptions,

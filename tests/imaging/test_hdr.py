@@ -7,9 +7,10 @@ import pytest
 from numpy.typing import NDArray
 
 from sunarc.array_types import Image
-from sunarc.detection import Sensor
+from sunarc.detection.values import Sensor
 from sunarc.errors import InputError
-from sunarc.imaging import merge_hdr, preview
+from sunarc.imaging.hdr import merge_hdr
+from sunarc.imaging.preview import preview
 
 EXPOSURES_US = (3000.0, 12000.0, 48000.0)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image as Pictures
 
-from sunarc.imaging import document_of, jpeg_with, png_with
+from sunarc.imaging.metadata import document_of, jpeg_with, png_with
 
 DOCUMENT = {
     "schema": "sunarc.image/1",

@@ -11,23 +11,19 @@ import numpy as np
 import population as pop
 
 from sunarc.array_types import stacked
-from sunarc.calibration import (
-    Calibration,
-    CalibrationOptions,
-    ImageCircle,
-    Kind,
-    PriorTolerances,
-    SunPoints,
-    calibrate,
-    calibrate_with_prior,
-    find_pose_steps,
-    hemisphere,
-    lookup,
-    reproduce_calibration,
-)
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.covariance import hemisphere
+from sunarc.calibration.model.direction_table import lookup
+from sunarc.calibration.model.kinds import Kind
+from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.pose.stated_prior import PriorTolerances, calibrate_with_prior
+from sunarc.calibration.pose_step_search import find_pose_steps
+from sunarc.calibration.reproduce import reproduce_calibration
 from sunarc.jit import TolerantCache
 from sunarc.offline.compile_kernels import compile_kernels
-from sunarc.optics import project
+from sunarc.optics.forward import project
 
 SIZE = (pop.SIZE, pop.SIZE)
 CAMERA = pop.random_camera(np.random.default_rng(4))

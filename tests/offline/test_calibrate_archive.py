@@ -15,17 +15,19 @@ from tests.fixtures.archive import make_empty
 from tests.fixtures.calibration import SGP, small_camera, stated_calibration
 from tests.fixtures.settings import new_settings
 
-from sunarc.archive import CameraRecord, SunPoint, lock_state, open_archive
-from sunarc.calibration import Calibration, Verdict
+from sunarc.archive.archive import open_archive
+from sunarc.archive.lock import lock_state
+from sunarc.archive.values import CameraRecord, SunPoint
+from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.errors import InputError, OutsideError, SchemaError
 from sunarc.findings import Finding
 from sunarc.offline import calibrate_archive as module
 from sunarc.offline.calibrate_archive import calibrate_archive
-from sunarc.optics import project
+from sunarc.optics.forward import project
 from sunarc.runtime.clock import VirtualClock
-from sunarc.settings import Settings
-from sunarc.sky import sun_directions
-from sunarc.workers import RefitWorker
+from sunarc.settings.model import Settings
+from sunarc.sky.sun import sun_directions
+from sunarc.workers.calibrating.refit import RefitWorker
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc

@@ -9,7 +9,7 @@ import pytest
 from tests.fixtures.archive import make_empty
 from tests.fixtures.settings import SGP, new_settings
 
-from sunarc.archive import Archive, open_archive
+from sunarc.archive.archive import Archive, open_archive
 from sunarc.errors import InputError
 from sunarc.offline.cameras import known_camera, parse_image_size, register_camera
 

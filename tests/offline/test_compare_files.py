@@ -12,7 +12,7 @@ import xarray as xr
 from tests.exports.conftest import LENS, document_of
 
 from sunarc.errors import InputError, OutsideError
-from sunarc.exports import export
+from sunarc.exports.formats import export
 from sunarc.offline.compare_files import compare_files, read_view_file
 
 

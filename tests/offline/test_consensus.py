@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from tests.fixtures.calibration import SGP, small_camera, stated_calibration
 
-from sunarc.archive import FileSighting
+from sunarc.archive.file_sightings import FileSighting
 from sunarc.calibration.least_squares.priors import FREE_NAMES
-from sunarc.detection import Detection, Expectation
+from sunarc.detection.values import Detection, Expectation
 from sunarc.offline.ingest.consensus import as_predicted, expectations, is_consistent, misfit_px
 from sunarc.offline.ingest.index import ImageFile
-from sunarc.optics import project
-from sunarc.sky import sun_angles, sun_directions
+from sunarc.optics.forward import project
+from sunarc.sky.sun import sun_angles, sun_directions
 
 CAMERA = small_camera()
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC).timestamp()

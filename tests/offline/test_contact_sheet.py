@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from sunarc.archive import FileSighting
+from sunarc.archive.file_sightings import FileSighting
 from sunarc.errors import OutsideError
 from sunarc.offline.ingest.contact_sheet import _ACCEPTED, _REJECTED, _TILE_PX, _TITLE_PX, write_contact_sheet
 from sunarc.offline.ingest.index import ImageFile

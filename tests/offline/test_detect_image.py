@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from tests.detection.photo.suns import glare_image
 
-from sunarc.detection import Detection
+from sunarc.detection.values import Detection
 from sunarc.findings import Finding
 from sunarc.offline.detect_files import Method
 from sunarc.offline.ingest.detect_image import Task, detect_in_file

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from sunarc.detection import Detection
+from sunarc.detection.values import Detection
 from sunarc.findings import Finding
 from sunarc.offline.ingest import detection_pool
 from sunarc.offline.ingest.detect_image import Task

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 from tests.fixtures.archive import new_archive
 
-from sunarc.archive import Archive, Day, DayAir, Refit, SunPoint
+from sunarc.archive.archive import Archive
+from sunarc.archive.values import Day, DayAir, Refit, SunPoint
 from sunarc.errors import InputError, OutsideError
 from sunarc.findings import Finding
 from sunarc.offline.export_archive import _cell, export_everything

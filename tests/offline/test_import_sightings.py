@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 from tests.fixtures.settings import new_settings
 
-from sunarc.archive import open_archive, read_sightings
+from sunarc.archive.archive import open_archive
+from sunarc.archive.csv_files import read_sightings
 from sunarc.errors import InputError
 from sunarc.offline.import_sightings import import_points, write_points
-from sunarc.sky import angles_from_direction, body_directions
+from sunarc.sky.directions import angles_from_direction
+from sunarc.sky.night import body_directions
 
 HEADER = "time_utc,x_px,y_px,sigma_px,temperature_c,pressure_hpa"
 ROWS = ("2013-05-13T18:30:00Z,3.25,2.5,0.04,21.5,980.25", "2013-05-13T18:31:00Z,3.5,2.75,,,")

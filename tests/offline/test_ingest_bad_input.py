@@ -12,7 +12,7 @@ from PIL import Image
 from tests.detection.photo.suns import glare_image
 from tests.fixtures.settings import new_settings
 
-from sunarc.archive import open_archive
+from sunarc.archive.archive import open_archive
 from sunarc.offline.detect_files import detect_in_image
 from sunarc.offline.ingest.run import IngestOptions, ingest_folder
 

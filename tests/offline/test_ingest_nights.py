@@ -15,12 +15,15 @@ from tests.fixtures.calibrations import SITE, chosen_calibration
 from tests.fixtures.command_line import Sunarc
 from tests.offline.test_star_files import CAMERA, SIZE, night_image
 
-from sunarc.archive import CameraRecord, ImageStore, SunPointColumns, open_archive, upgrade
-from sunarc.calibration import to_document
+from sunarc.archive.archive import open_archive
+from sunarc.archive.images import ImageStore
+from sunarc.archive.schema import upgrade
+from sunarc.archive.values import CameraRecord, SunPointColumns
+from sunarc.calibration.model.document import to_document
 from sunarc.offline.ingest.image_times import Naming, taken
 from sunarc.offline.messages import RefusedImageError
-from sunarc.optics import project
-from sunarc.sky import body_directions
+from sunarc.optics.forward import project
+from sunarc.sky.night import body_directions
 from sunarc.workers.night.picture import night_picture, store_picture
 
 NIGHT = ("20260313T060000Z", "20260313T064000Z", "20260313T072000Z")

@@ -15,15 +15,19 @@ import pytest
 from tests.fixtures.calibration import SGP, small_camera, stated_calibration
 from tests.fixtures.settings import new_settings
 
-from sunarc.archive import SunPoint, open_archive
-from sunarc.calibration import Calibration, SunPoints, Verdict
-from sunarc.detection import Detection, Expectation, Exposure
+from sunarc.archive.archive import open_archive
+from sunarc.archive.values import SunPoint
+from sunarc.calibration.model.result import Calibration, Verdict
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.detection.photo.exposure_stack import Exposure
+from sunarc.detection.values import Detection, Expectation
 from sunarc.findings import Finding
 from sunarc.offline.ingest import consensus, detect_image, detect_stack, run
 from sunarc.offline.ingest.run import PREDICTED, UNPREDICTED, IngestOptions, ingest_folder
 from sunarc.offline.ingest.summary import Summary, sentence_of
-from sunarc.optics import Camera, project
-from sunarc.sky import sun_directions
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.sky.sun import sun_directions
 
 MORNING = datetime(2013, 5, 13, 14, 0, tzinfo=UTC)
 CAMERA = small_camera()

@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 from tests.detection.photo.suns import SUN, exposed
 
-from sunarc.archive import SunPoint, open_archive
-from sunarc.detection import detect_sun_in_photo
+from sunarc.archive.archive import open_archive
+from sunarc.archive.values import SunPoint
+from sunarc.detection.photo.ordinary_image import detect_sun_in_photo
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc

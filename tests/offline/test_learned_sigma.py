@@ -12,10 +12,11 @@ from tests.fixtures.archive import make_empty
 from tests.fixtures.calibration import SGP, small_camera, stated_calibration
 from tests.fixtures.settings import new_settings
 
-from sunarc.archive import Archive, CameraRecord, SunPoint, open_archive
+from sunarc.archive.archive import Archive, open_archive
+from sunarc.archive.values import CameraRecord, SunPoint
 from sunarc.offline.learned_sigma import ValidCamera, factor_in_force, learn_sigma, sigma_factor
-from sunarc.optics import project
-from sunarc.sky import sun_directions
+from sunarc.optics.forward import project
+from sunarc.sky.sun import sun_directions
 
 COUNT = 400
 MORNING = datetime(2013, 5, 13, 14, 0, tzinfo=UTC)

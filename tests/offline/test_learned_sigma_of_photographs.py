@@ -14,11 +14,11 @@ from tests.detection.photo.facts import KINDS, sun_photo
 from tests.fixtures.calibration import SGP, ideal_camera, stated_calibration
 from tests.fixtures.settings import new_settings
 
-from sunarc.archive import open_archive
+from sunarc.archive.archive import open_archive
 from sunarc.offline.ingest import consensus
 from sunarc.offline.ingest.run import IngestOptions, ingest_folder
-from sunarc.optics import project
-from sunarc.sky import sun_directions
+from sunarc.optics.forward import project
+from sunarc.sky.sun import sun_directions
 
 SIZE = 480
 CAMERA = replace(

@@ -13,16 +13,19 @@ import pytest
 from tests.calibration.conftest import SGP, TRUTH, simulate
 
 import sunarc
-from sunarc.archive import write_sightings
-from sunarc.calibration import CalibrationOptions, UnitSpread, calibrate, to_document
+from sunarc.archive.csv_files import write_sightings
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.lens_library.lens_type import UnitSpread
+from sunarc.calibration.model.document import to_document
+from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.errors import InputError
 from sunarc.offline.calibrate_files import calibrate_file
 from sunarc.offline.calibrate_joint import LENS_FILE, calibrate_joint, read_joint_spec
 from sunarc.offline.lens_priors import combined_lens, write_lens_prior
-from sunarc.optics import Camera
+from sunarc.optics.camera import Camera
 from sunarc.runtime.clock import VirtualClock
 from sunarc.utc import utc_time
-from sunarc.workers import read_lens_prior
+from sunarc.workers.calibrating.lens_prior_file import read_lens_prior
 
 NOW = datetime(2013, 5, 14, tzinfo=UTC)
 SPREAD = UnitSpread(focal_length=0.003, center_px=8.0)

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from tests.exports.conftest import LENS, document_of
 
-from sunarc.calibration import from_document, project_with_covariance, unproject_with_sigma
+from sunarc.calibration.model.covariance import project_with_covariance, unproject_with_sigma
+from sunarc.calibration.model.document import from_document
 from sunarc.errors import InputError
 from sunarc.offline.project_files import project_csv, read_calibration, unproject_csv
-from sunarc.sky import angles_from_direction, direction_from_angles
+from sunarc.sky.directions import angles_from_direction, direction_from_angles
 
 
 @pytest.fixture(scope="module")

@@ -13,10 +13,10 @@ import pytest
 from tests.exports.conftest import LENS, FloatArray, document_of
 
 from sunarc.errors import InputError, OutsideError
-from sunarc.imaging import png_with
+from sunarc.imaging.metadata import png_with
 from sunarc.offline.rectify_files import rectify_files
-from sunarc.optics import project
-from sunarc.sky import direction_from_angles
+from sunarc.optics.forward import project
+from sunarc.sky.directions import direction_from_angles
 
 CAMERA = replace(
     LENS, width=640, height=600, focal_length_px=(212.0, 212.0), principal_point_px=(318.0, 301.0), skew_px=0.0

@@ -16,12 +16,17 @@ from tests.detection.stars.rendering import counted, expected
 from tests.fixtures.calibrations import SITE, chosen_calibration
 from tests.fixtures.command_line import Sunarc
 
-from sunarc.archive import read_sightings
-from sunarc.calibration import MOST_STARS, Calibration, from_document, to_document
+from sunarc.archive.csv_files import read_sightings
+from sunarc.calibration.model.document import from_document, to_document
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.selection.star_selection import MOST_STARS
 from sunarc.errors import InputError
 from sunarc.offline.star_files import StarOptions, find_stars, read_stars, write_star_sightings
-from sunarc.optics import Camera, project
-from sunarc.sky import STAR, angles_from_direction, night_sky, relative_air_mass
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.sky.air import relative_air_mass
+from sunarc.sky.directions import angles_from_direction
+from sunarc.sky.night import STAR, night_sky
 
 SIZE = 640
 CAMERA = Camera(

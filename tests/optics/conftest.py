@@ -7,15 +7,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.optics import (
-    PROJECTIONS,
-    Camera,
-    PoseAngles,
-    Projection,
-    ideal_radius,
-    rotation_from_pose_angles,
-    rotation_matrix,
-)
+from sunarc.optics.camera import Camera
+from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles, rotation_matrix
+from sunarc.optics.projections import PROJECTIONS, Projection, ideal_radius
 
 
 def _edge(projection: Projection) -> float:

@@ -12,7 +12,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.optics import PROJECTIONS, Camera, PoseAngles, Projection, rotation_from_pose_angles
+from sunarc.optics.camera import Camera
+from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles
+from sunarc.optics.projections import PROJECTIONS, Projection
 
 FloatArray = NDArray[np.float64]
 

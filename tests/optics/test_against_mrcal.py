@@ -8,7 +8,9 @@ import subprocess
 import numpy as np
 import pytest
 
-from sunarc.optics import Camera, project, unproject
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.inverse import unproject
 
 CAMERA = Camera(
     width=1748,

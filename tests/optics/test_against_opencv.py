@@ -7,7 +7,9 @@ import math
 import cv2
 import numpy as np
 
-from sunarc.optics import Camera, project, unproject
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.inverse import unproject
 
 K = np.array([[601.0, 0.0, 871.5], [0.0, 603.0, 880.25], [0.0, 0.0, 1.0]])
 D = np.array([0.02, -0.011, 0.004, -0.0007])

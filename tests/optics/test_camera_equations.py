@@ -11,25 +11,19 @@ from numpy.typing import NDArray
 from tests.optics.reference import IDEAL, STRANGE, field_of, parameters_by_differences, pixel_by_hand, pixels_by_hand
 
 from sunarc.errors import InputError
-from sunarc.optics import (
-    PARAMETER_NAMES,
-    PROJECTIONS,
-    Camera,
-    Projection,
-    angle_limit,
-    block_kernels,
-    ideal_angle,
-    ideal_radius,
-    kernels,
+from sunarc.optics import block_kernels, kernels
+from sunarc.optics.camera import PARAMETER_NAMES, Camera
+from sunarc.optics.forward import (
+    decentering_shift,
+    distorted_radius,
     project,
     project_fast,
     project_with_jacobian,
     project_with_rows_fast,
-    rotation_matrix,
+    radius_slope,
 )
-from sunarc.optics.forward import decentering_shift, distorted_radius, radius_slope
-from sunarc.optics.pose import right_jacobian
-from sunarc.optics.projections import ideal_slope
+from sunarc.optics.pose import right_jacobian, rotation_matrix
+from sunarc.optics.projections import PROJECTIONS, Projection, angle_limit, ideal_angle, ideal_radius, ideal_slope
 
 FloatArray = NDArray[np.float64]
 AXIS = np.array([[0.0, 0.0, 1.0]])

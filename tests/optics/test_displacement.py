@@ -11,15 +11,11 @@ from scipy.optimize import fsolve
 
 from sunarc.array_types import FloatArray
 from sunarc.errors import InputError
-from sunarc.optics import (
-    Camera,
-    Displacement,
-    inverse_table,
-    project,
-    project_with_jacobian,
-    project_with_rows_fast,
-    unproject,
-)
+from sunarc.optics.camera import Camera
+from sunarc.optics.displacement import Displacement
+from sunarc.optics.fast import inverse_table
+from sunarc.optics.forward import project, project_with_jacobian, project_with_rows_fast
+from sunarc.optics.inverse import unproject
 
 SIZE = 1748
 CENTER = (SIZE - 1) / 2.0

@@ -8,7 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.optics import Camera, local_stretch, project, project_with_jacobian
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project, project_with_jacobian
+from sunarc.optics.stretch import local_stretch
 
 FloatArray = NDArray[np.float64]
 
@@ -44,7 +46,7 @@ def test_broadcasting_equals_a_loop(camera: Camera, directions: FloatArray) -> N
 
 
 def test_turning_the_world_and_the_camera_changes_nothing(camera: Camera, directions: FloatArray) -> None:
-    from sunarc.optics import rotation_matrix, rotation_vector  # noqa: PLC0415 - used here alone
+    from sunarc.optics.pose import rotation_matrix, rotation_vector  # noqa: PLC0415 - used here alone
 
     turn = rotation_matrix((0.3, -0.2, 0.7))
     turned = replace(camera, rotation_cam_enu=rotation_vector(rotation_matrix(camera.rotation_cam_enu) @ turn.T))

@@ -10,18 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from sunarc.optics import (
-    Camera,
-    PoseAngles,
-    inverse_table,
-    pose_angles,
-    project,
-    project_fast,
-    project_with_jacobian,
-    project_with_rows_fast,
-    rotation_from_pose_angles,
-    unproject,
-)
+from sunarc.optics.camera import Camera
+from sunarc.optics.fast import inverse_table
+from sunarc.optics.forward import project, project_fast, project_with_jacobian, project_with_rows_fast
+from sunarc.optics.inverse import unproject
+from sunarc.optics.pose import PoseAngles, pose_angles, rotation_from_pose_angles
 
 FloatArray = NDArray[np.float64]
 
@@ -52,7 +45,7 @@ def test_unproject_undoes_project(camera: Camera, directions: FloatArray) -> Non
 def test_a_direction_comes_back_from_any_pose(
     *, zenith: float, azimuth: float, tilt: float, lean: float, k: float, mirrored: bool
 ) -> None:
-    from sunarc.sky import direction_from_angles  # noqa: PLC0415 - used here alone
+    from sunarc.sky.directions import direction_from_angles  # noqa: PLC0415 - used here alone
 
     turn = rotation_from_pose_angles(PoseAngles(30.0, tilt, lean))
     camera = replace(EQUISOLID, rotation_cam_enu=turn, radial=(k, *([0.0] * 7)), mirrored=mirrored, max_angle=2.7)

@@ -11,20 +11,13 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from tests.optics.reference import STRANGE, field_of, pixel_by_hand, pixels_by_hand
 
-from sunarc.optics import (
-    PROJECTIONS,
-    Camera,
-    angle_limit,
-    inverse_table,
-    local_stretch,
-    project,
-    rising_limit,
-    unproject,
-)
-from sunarc.optics.fast import _rounds
-from sunarc.optics.forward import distorted_radius, radius_slope
+from sunarc.optics.camera import Camera
+from sunarc.optics.fast import _rounds, inverse_table
+from sunarc.optics.forward import distorted_radius, project, radius_slope
+from sunarc.optics.inverse import unproject
 from sunarc.optics.inverse_table_kernels import directions_of
-from sunarc.optics.stretch import tangent_basis
+from sunarc.optics.projections import PROJECTIONS, angle_limit
+from sunarc.optics.stretch import local_stretch, rising_limit, tangent_basis
 
 FloatArray = NDArray[np.float64]
 GENTLE = (1.2e-3, -7e-4, 0.03, -0.002)  # a decentering whose fixed point converges all over the field

@@ -10,9 +10,16 @@ import pytest
 from numpy.typing import NDArray
 from tests.optics.reference import rodrigues
 
-from sunarc.optics import PoseAngles, pose_angles, rotation_from_pose_angles, rotation_matrix, rotation_vector
 from sunarc.optics.kernels import write_rotation
-from sunarc.optics.pose import right_jacobian, skew_matrix
+from sunarc.optics.pose import (
+    PoseAngles,
+    pose_angles,
+    right_jacobian,
+    rotation_from_pose_angles,
+    rotation_matrix,
+    rotation_vector,
+    skew_matrix,
+)
 
 FloatArray = NDArray[np.float64]
 RNG = np.random.default_rng(3)

@@ -11,16 +11,20 @@ import pytest
 from annotated_types import Ge, Gt, Le, Lt
 
 from sunarc.bounds import OneOf, bounds_of
-from sunarc.calibration import CalibrationOptions, SelectionOptions
-from sunarc.calibration.change_detection import WatchOptions
-from sunarc.cameras import AravisOptions
-from sunarc.detection import DiscOptions
+from sunarc.calibration.change_detection.values import WatchOptions
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.selection.selection import SelectionOptions
+from sunarc.cameras.options import AravisOptions
+from sunarc.detection.options import DiscOptions
 from sunarc.errors import ConfigurationError, InputError
-from sunarc.imaging import SunExposureOptions
+from sunarc.imaging.exposure import SunExposureOptions
 from sunarc.runtime.supervisor import SupervisorOptions
-from sunarc.settings import REMOVED, Settings, all_settings, load_settings
-from sunarc.settings.reference import dataclass_in
-from sunarc.workers import CaptureOptions, RefitOptions
+from sunarc.settings.load import load_settings
+from sunarc.settings.model import Settings
+from sunarc.settings.reference import all_settings, dataclass_in
+from sunarc.settings.removed import REMOVED
+from sunarc.workers.calibrating.refit import RefitOptions
+from sunarc.workers.capture.capture import CaptureOptions
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -11,8 +11,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import pytest
 from annotated_types import Gt, Le
 
-from sunarc.settings import REMOVED, all_settings, as_markdown
-from sunarc.settings.reference import _of_options, _toml, _type_name, attributes_of, dataclass_in
+from sunarc.settings.reference import (
+    _of_options,
+    _toml,
+    _type_name,
+    all_settings,
+    as_markdown,
+    attributes_of,
+    dataclass_in,
+)
+from sunarc.settings.removed import REMOVED
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc

@@ -15,7 +15,11 @@ from typing import Any
 import pytest
 
 from sunarc.runtime.clock import SystemClock
-from sunarc.simulation import SGP, ImagerOptions, NightOptions, Scene, SceneOptions, scene_of, true_camera
+from sunarc.simulation.imager import ImagerOptions, scene_of
+from sunarc.simulation.night_options import NightOptions
+from sunarc.simulation.options import SceneOptions
+from sunarc.simulation.scene import Scene
+from sunarc.simulation.truth import SGP, true_camera
 
 ADDRESS = "127.0.0.1"  # of 127/8 the only one that stands on an interface, which the fake camera wants
 START = datetime(2013, 5, 13, 17, 0, tzinfo=UTC)

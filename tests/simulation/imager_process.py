@@ -12,9 +12,12 @@ import threading
 from datetime import datetime
 from pathlib import Path
 
-from sunarc.simulation import ImagerOptions, NightOptions, SceneOptions, genicam, run_imager
+from sunarc.simulation import genicam
 from sunarc.simulation.fake_camera import FakeCamera
-from sunarc.sky import Site
+from sunarc.simulation.imager import ImagerOptions, run_imager
+from sunarc.simulation.night_options import NightOptions
+from sunarc.simulation.options import SceneOptions
+from sunarc.sky.site import Site
 
 
 def obey(camera: FakeCamera) -> None:

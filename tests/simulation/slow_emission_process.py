@@ -5,7 +5,8 @@ from __future__ import annotations
 import threading
 import time
 
-from sunarc.cameras import AravisOptions, open_aravis
+from sunarc.cameras.aravis import open_aravis
+from sunarc.cameras.options import AravisOptions
 from sunarc.runtime.clock import SystemClock
 from sunarc.simulation import genicam
 

@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sunarc.simulation import SGP, Scene, SceneOptions, Weather, true_camera
 from sunarc.simulation.clouds import cloud_layer
 from sunarc.simulation.kernels import transmittance_towards
+from sunarc.simulation.options import SceneOptions, Weather
+from sunarc.simulation.scene import Scene
+from sunarc.simulation.truth import SGP, true_camera
 
 TINY = replace(true_camera(), width=8, height=8)  # where the sun falls does not matter here
 NOON_S = 1_368_469_800.0  # 2013-05-13 18:30 UTC

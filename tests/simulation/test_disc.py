@@ -8,10 +8,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from sunarc.optics import local_stretch, project
-from sunarc.simulation import true_camera
+from sunarc.optics.forward import project
+from sunarc.optics.stretch import local_stretch
 from sunarc.simulation.disc import disc_points, stamp_of
-from sunarc.sky import SOLAR_RADIUS, direction_from_angles
+from sunarc.simulation.truth import true_camera
+from sunarc.sky.directions import direction_from_angles
+from sunarc.sky.sun import SOLAR_RADIUS
 
 FloatArray = NDArray[np.float64]
 

@@ -8,10 +8,14 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from sunarc.detection import Expectation, Sensor, detect_sun
-from sunarc.optics import local_stretch, project
-from sunarc.simulation import SGP, Scene, SceneOptions, SensorModel, true_camera
-from sunarc.sky import direction_from_angles
+from sunarc.detection.disc.detect import detect_sun
+from sunarc.detection.values import Expectation, Sensor
+from sunarc.optics.forward import project
+from sunarc.optics.stretch import local_stretch
+from sunarc.simulation.options import SceneOptions, SensorModel
+from sunarc.simulation.scene import Scene
+from sunarc.simulation.truth import SGP, true_camera
+from sunarc.sky.directions import direction_from_angles
 
 NOON = datetime(2013, 5, 13, 20, 0, tzinfo=UTC).timestamp()
 

@@ -16,9 +16,10 @@ from tests.fixtures.calibration import small_camera
 from sunarc.cameras.packed import unpack
 from sunarc.errors import OutsideError
 from sunarc.runtime.clock import VirtualClock
-from sunarc.simulation import ImagerOptions, Scene, genicam
+from sunarc.simulation import genicam
 from sunarc.simulation.fake_camera import FakeCamera, Request
-from sunarc.simulation.imager import _DARK_US, _MAX_IMAGES, _Imager, _write_truth
+from sunarc.simulation.imager import _DARK_US, _MAX_IMAGES, ImagerOptions, _Imager, _write_truth
+from sunarc.simulation.scene import Scene
 
 START = datetime(2013, 5, 13, 17, tzinfo=UTC)
 START_NS = round(START.timestamp()) * 10**9

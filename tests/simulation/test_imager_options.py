@@ -12,8 +12,10 @@ from typing import Any
 import pytest
 
 from sunarc.errors import ConfigurationError, InputError
-from sunarc.simulation import ImagerOptions, SceneOptions, SensorModel, run_imager, scene_of, true_camera
 from sunarc.simulation.genicam import genicam_xml
+from sunarc.simulation.imager import ImagerOptions, run_imager, scene_of
+from sunarc.simulation.options import SceneOptions, SensorModel
+from sunarc.simulation.truth import true_camera
 
 
 @pytest.mark.parametrize(

@@ -11,13 +11,19 @@ import pytest
 from numpy.typing import NDArray
 
 from sunarc.array_types import FloatArray
-from sunarc.detection import detect_stars
+from sunarc.detection.stars.detect import detect_stars
 from sunarc.errors import InputError
-from sunarc.optics import project
-from sunarc.simulation import SGP, NightOptions, Scene, SceneOptions, SensorModel, true_camera
+from sunarc.optics.forward import project
+from sunarc.simulation.night_options import NightOptions
+from sunarc.simulation.options import SceneOptions, SensorModel
+from sunarc.simulation.scene import Scene
 from sunarc.simulation.star_places import star_directions_by_series
-from sunarc.sky import Site, direction_from_angles, night_sky, relative_air_mass, sun_angles, wanderer_place
-from sunarc.sky.night import star_directions, star_table
+from sunarc.simulation.truth import SGP, true_camera
+from sunarc.sky.air import relative_air_mass
+from sunarc.sky.directions import direction_from_angles
+from sunarc.sky.night import night_sky, star_directions, star_table, wanderer_place
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_angles
 
 NIGHT_US = int(datetime(2013, 5, 13, 7, 0, tzinfo=UTC).timestamp()) * 1_000_000
 MOON_UP_US = int(datetime(2013, 5, 18, 3, 30, tzinfo=UTC).timestamp()) * 1_000_000  # the first quarter, in the west

@@ -18,20 +18,23 @@ import pytest
 from tests.fixtures.archive import new_archive
 from tests.fixtures.board import status_registry
 
-from sunarc.archive import Archive, CameraArchive
-from sunarc.cameras import AravisCamera, AravisOptions, Frame, open_aravis
-from sunarc.detection import DiscOptions
+from sunarc.archive.archive import Archive
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.cameras.aravis import AravisCamera, open_aravis
+from sunarc.cameras.frame import Frame
+from sunarc.cameras.options import AravisOptions
+from sunarc.detection.options import DiscOptions
 from sunarc.errors import CameraError, CameraLostError, OutsideError
 from sunarc.runtime.clock import SystemClock, VirtualClock
-from sunarc.simulation import SGP, ImagerOptions, Scene, run_imager
-from sunarc.workers import (
-    DetectWorker,
-    DropOldestQueue,
-    FrozenFrames,
-    SensorOptions,
-    SightingWriteBuffer,
-    SunPredictor,
-)
+from sunarc.simulation.imager import ImagerOptions, run_imager
+from sunarc.simulation.scene import Scene
+from sunarc.simulation.truth import SGP
+from sunarc.workers.bounded_queue import DropOldestQueue
+from sunarc.workers.sensor import SensorOptions
+from sunarc.workers.sightings.detect import DetectWorker
+from sunarc.workers.sightings.frozen_frames import FrozenFrames
+from sunarc.workers.sightings.sun_prediction import SunPredictor
+from sunarc.workers.sightings.write_buffer import SightingWriteBuffer
 
 from .conftest import require_aravis, wait_until
 

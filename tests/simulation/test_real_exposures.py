@@ -12,22 +12,21 @@ import pytest
 from tests.simulation.conftest import Imager, require_aravis
 from tests.simulation.test_over_the_wire import ADDRESS, opened, rendered
 
-from sunarc.cameras import AravisCamera, AravisOptions, Frame, open_aravis
-from sunarc.detection import detect_stars
-from sunarc.imaging import SunExposureOptions
+from sunarc.cameras.aravis import AravisCamera, open_aravis
+from sunarc.cameras.frame import Frame
+from sunarc.cameras.options import AravisOptions
+from sunarc.detection.stars.detect import detect_stars
+from sunarc.imaging.exposure import SunExposureOptions
 from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation import SGP, genicam
-from sunarc.sky import sun_angles
-from sunarc.workers import (
-    CaptureOptions,
-    CaptureWorker,
-    DropOldestQueue,
-    FrameTime,
-    NightCapture,
-    NightExposures,
-    SunExposures,
-)
+from sunarc.simulation import genicam
+from sunarc.simulation.truth import SGP
+from sunarc.sky.sun import sun_angles
+from sunarc.workers.bounded_queue import DropOldestQueue
+from sunarc.workers.capture.capture import CaptureOptions, CaptureWorker
+from sunarc.workers.capture.sun_exposure_control import SunExposures
+from sunarc.workers.night.exposures import NightCapture, NightExposures
+from sunarc.workers.timing.frame_time import FrameTime
 
 __all__ = ["opened"]
 pytestmark = [pytest.mark.gige, pytest.mark.slow, pytest.mark.timeout(240)]

@@ -11,15 +11,19 @@ import pytest
 from numpy.typing import NDArray
 
 from sunarc.errors import InputError
-from sunarc.optics import Camera, rotation_matrix
-from sunarc.simulation import SGP, Bump, Obstruction, Scene, SceneOptions, SensorModel, bumped_camera
+from sunarc.optics.camera import Camera
+from sunarc.optics.pose import rotation_matrix
 from sunarc.simulation.charge import behind_mosaic, run_over
 from sunarc.simulation.clouds import CLEAR_SKY, cloud_layer
 from sunarc.simulation.disc import Stamp, disc_points, is_covered
 from sunarc.simulation.field import is_blocked, pixel_field
 from sunarc.simulation.kernels import count_light, sky_light, transmittance_towards
-from sunarc.simulation.scene import _add
-from sunarc.sky import SOLAR_RADIUS, direction_from_angles, relative_air_mass
+from sunarc.simulation.options import Bump, Obstruction, SceneOptions, SensorModel
+from sunarc.simulation.scene import Scene, _add, bumped_camera
+from sunarc.simulation.truth import SGP
+from sunarc.sky.air import relative_air_mass
+from sunarc.sky.directions import direction_from_angles
+from sunarc.sky.sun import SOLAR_RADIUS
 
 NOON_US = round(datetime(2013, 5, 13, 18, 30, tzinfo=UTC).timestamp() * 1e6)
 SMALL = Camera(

@@ -6,7 +6,9 @@ from typing import cast
 
 import pytest
 
-from sunarc.simulation import FakeCamera, genicam, halve_speed
+from sunarc.simulation import genicam
+from sunarc.simulation.fake_camera import FakeCamera
+from sunarc.simulation.imager import halve_speed
 
 
 class Registers:

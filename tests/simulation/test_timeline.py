@@ -7,8 +7,10 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from sunarc.simulation import SGP, Timeline
-from sunarc.sky import Site, sun_angles
+from sunarc.simulation.timeline import Timeline
+from sunarc.simulation.truth import SGP
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_angles
 
 DUSK_S = datetime(2013, 5, 14, 1, 0, tzinfo=UTC).timestamp()
 

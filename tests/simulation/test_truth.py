@@ -10,11 +10,15 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from sunarc.calibration import from_document, project_with_covariance
-from sunarc.optics import Camera, pose_angles, project, rising_limit
-from sunarc.optics.forward import decentering_shift, distorted_radius
-from sunarc.simulation import SGP, true_camera, truth_document
-from sunarc.sky import direction_from_angles
+from sunarc.calibration.model.covariance import project_with_covariance
+from sunarc.calibration.model.document import from_document
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import decentering_shift, distorted_radius, project
+from sunarc.optics.pose import pose_angles
+from sunarc.optics.stretch import rising_limit
+from sunarc.simulation.truth import SGP, true_camera
+from sunarc.simulation.truth_document import truth_document
+from sunarc.sky.directions import direction_from_angles
 
 THETA = np.linspace(0.0, math.pi / 2, 2001)
 

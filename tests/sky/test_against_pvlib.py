@@ -8,9 +8,9 @@ import pytest
 from pvlib.atmosphere import alt2pres
 from pvlib.solarposition import get_solarposition
 
-from sunarc.sky import Site, direction_from_angles, sun_angles
-from sunarc.sky.directions import angular_distance
-from sunarc.sky.sun import _delta_t_s
+from sunarc.sky.directions import angular_distance, direction_from_angles
+from sunarc.sky.site import Site
+from sunarc.sky.sun import _delta_t_s, sun_angles
 
 SITES = [
     Site(latitude=36.604043, longitude=-97.484856, altitude=318.0),

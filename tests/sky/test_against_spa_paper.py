@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import sunarc.sky.sun
-from sunarc.sky import Site, sun_angles
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_angles
 
 GOLDEN = Site(latitude=39.742476, longitude=-105.1786, altitude=1830.14, pressure=82_000.0, temperature=11.0)
 MOMENT = datetime(2003, 10, 17, 12, 30, 30, tzinfo=timezone(timedelta(hours=-7))).timestamp()

@@ -7,8 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sunarc.sky import Site, day_bounds_unix_s, hour_angle, solar_date, sun_angles, sun_directions
+from sunarc.sky.days import day_bounds_unix_s, solar_date
 from sunarc.sky.directions import angular_distance
+from sunarc.sky.site import Site
+from sunarc.sky.sun import hour_angle, sun_angles, sun_directions
 
 LONGITUDES = st.floats(-180.0, 180.0)
 DATES = st.dates(date(1980, 1, 1), date(2080, 1, 1))

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sunarc.sky import angles_from_direction, angular_distance, direction_from_angles, wrapped_deg
+from sunarc.sky.directions import angles_from_direction, angular_distance, direction_from_angles, wrapped_deg
 
 geometry = settings(derandomize=True, deadline=None)
 AZIMUTHS = st.floats(0.0, 360.0, exclude_max=True)

@@ -11,7 +11,10 @@ import numpy as np
 import pytest
 from tests.sky.test_night import ARCSEC, MOMENTS, SITES, TIMESCALE
 
-from sunarc.sky import Site, angular_distance, direction_from_angles, moon_disc, wanderer_place
+from sunarc.sky.directions import angular_distance, direction_from_angles
+from sunarc.sky.moon import moon_disc
+from sunarc.sky.night import wanderer_place
+from sunarc.sky.site import Site
 
 api = pytest.importorskip("skyfield.api")
 kernels = pytest.importorskip("skyfield_data")

@@ -13,21 +13,20 @@ import pytest
 
 from sunarc.array_types import FloatArray, picked
 from sunarc.errors import InputError
-from sunarc.sky import (
+from sunarc.sky.directions import angles_from_direction, angular_distance, direction_from_angles
+from sunarc.sky.night import (
     STAR,
     WANDERERS,
-    Site,
     Wanderer,
-    angles_from_direction,
-    angular_distance,
-    apparent_elevation,
     body_directions,
-    direction_from_angles,
     night_sky,
-    sun_angles,
+    star_directions,
+    star_table,
     wanderer_place,
 )
-from sunarc.sky.night import star_directions, star_table
+from sunarc.sky.refraction import apparent_elevation
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_angles
 
 api = pytest.importorskip("skyfield.api")
 erfa = pytest.importorskip("erfa")

@@ -7,15 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sunarc.sky import (
-    Site,
-    angles_from_direction,
-    direction_from_angles,
-    raised,
-    refraction_rad,
-    sun_angles,
-    sun_directions,
-)
+from sunarc.sky.directions import angles_from_direction, direction_from_angles
+from sunarc.sky.refraction import raised, refraction_rad
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_angles, sun_directions
 
 SITE = Site(latitude=36.604043, longitude=-97.484856, altitude=318.0)
 TIMES = 1_368_403_200.0 + np.arange(0.0, 86_400.0, 600.0)

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from sunarc.errors import InputError
-from sunarc.sky import Site
+from sunarc.sky.site import Site
 
 
 @pytest.mark.parametrize(

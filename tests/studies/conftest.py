@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from tests.fixtures.command_line import sunarc
 
-from sunarc.calibration import Calibration, SunPoints, calibrate
-from sunarc.optics import project
-from sunarc.simulation import SGP, true_camera
-from sunarc.sky import sun_angles, sun_directions
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.optics.forward import project
+from sunarc.simulation.truth import SGP, true_camera
+from sunarc.sky.sun import sun_angles, sun_directions
 
 __all__ = ["sunarc"]
 

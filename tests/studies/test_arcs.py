@@ -10,9 +10,10 @@ import pandas as pd
 import pvlib
 import pytest
 
-from sunarc.optics import project
-from sunarc.simulation import SGP, true_camera
-from sunarc.sky import direction_from_angles, solar_date
+from sunarc.optics.forward import project
+from sunarc.simulation.truth import SGP, true_camera
+from sunarc.sky.days import solar_date
+from sunarc.sky.directions import direction_from_angles
 from sunarc.studies.arcs import LARGEST_ZENITH_DEG, SYNTHETIC_DAY, arcs
 from sunarc.studies.trials import Trial, found_circle, run_trials, true_error
 

@@ -12,9 +12,10 @@ from matplotlib.axes import Axes
 from matplotlib.quiver import Quiver
 from tests.fixtures.calibration import ideal_camera, stated_calibration
 
-from sunarc.calibration import SunPoints
-from sunarc.optics import project
-from sunarc.sky import direction_from_angles, sun_directions
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.optics.forward import project
+from sunarc.sky.directions import direction_from_angles
+from sunarc.sky.sun import sun_directions
 from sunarc.studies.drawing import new_sheet
 from sunarc.studies.residual_plot import _draw_angles, _draw_arrows, _draw_components, _draw_rejected, _headline
 from sunarc.studies.residuals import Residuals, _used, residuals_of

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from sunarc.errors import InputError
-from sunarc.optics import pose_angles
-from sunarc.simulation import true_camera
+from sunarc.optics.pose import pose_angles
+from sunarc.simulation.truth import true_camera
 from sunarc.studies.published import CASES, TRUE_RMSE
 from sunarc.studies.reports import _write_csv, make_folder, writing_into
 from sunarc.studies.tables import COLUMNS, published_row, truth_row

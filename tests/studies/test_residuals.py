@@ -8,9 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sunarc.calibration import Calibration, SunPoints
-from sunarc.optics import project, unproject
-from sunarc.sky import angular_distance, sun_directions
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.optics.forward import project
+from sunarc.optics.inverse import unproject
+from sunarc.sky.directions import angular_distance
+from sunarc.sky.sun import sun_directions
 from sunarc.studies.drawing import key, letter, new_sheet
 from sunarc.studies.residual_plot import _limit, _nice, _some, residual_figure
 from sunarc.studies.residuals import residuals_of

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.calibration import DayMeasure, measure_day
-from sunarc.simulation import SGP
+from sunarc.calibration.quality.day_quality import DayMeasure, measure_day
+from sunarc.simulation.truth import SGP
 from sunarc.studies.noise import SD_OF_DISTANCE, clear_noise, cloud_noise
 from sunarc.studies.published import CASES, Case
 from sunarc.studies.reports import write_tables

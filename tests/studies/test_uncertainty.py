@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.studies import study_uncertainty
 from sunarc.studies.reports import write_uncertainty
 from sunarc.studies.trials import QUANTITIES, Trial, run_trials
-from sunarc.studies.uncertainty import Uncertainty, distribution_rows, trial_rows
+from sunarc.studies.uncertainty import Uncertainty, distribution_rows, study_uncertainty, trial_rows
 from sunarc.studies.uncertainty_plot import PARAMETER_SHEET_PX, RMSE_SHEET_PX
 
 if TYPE_CHECKING:

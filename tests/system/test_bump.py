@@ -8,24 +8,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sunarc.app import Service
-from sunarc.archive import Archive, open_archive, upgrade
-from sunarc.calibration import (
-    Calibration,
-    SunPoints,
-    calibrate,
-    from_document,
-    hemisphere,
-    project_with_covariance,
-    to_document,
-)
-from sunarc.cameras import AravisOptions
-from sunarc.optics import project
+from sunarc.app.service import Service
+from sunarc.archive.archive import Archive, open_archive
+from sunarc.archive.schema import upgrade
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.model.document import from_document, to_document
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.cameras.options import AravisOptions
+from sunarc.optics.forward import project
 from sunarc.runtime.clock import VirtualClock
-from sunarc.settings import Settings
-from sunarc.simulation import SGP, Bump, Scene, SceneCamera, SceneOptions, SensorModel, bumped_camera, true_camera
-from sunarc.sky import sun_angles, sun_directions
-from sunarc.workers import CaptureOptions
+from sunarc.settings.model import Settings
+from sunarc.simulation.options import Bump, SceneOptions, SensorModel
+from sunarc.simulation.scene import Scene, bumped_camera
+from sunarc.simulation.scene_camera import SceneCamera
+from sunarc.simulation.truth import SGP, true_camera
+from sunarc.sky.sun import sun_angles, sun_directions
+from sunarc.workers.capture.capture import CaptureOptions
 
 CADENCE_S = 60.0
 BUMPED_AT = datetime(2013, 5, 14, 18, 30, 30, tzinfo=UTC)

@@ -12,16 +12,27 @@ import numpy as np
 import pytest
 from tests.workers.long_run import solve_here
 
-from sunarc.app import Service
-from sunarc.archive import open_archive, upgrade
-from sunarc.calibration import from_document
-from sunarc.cameras import AravisOptions, SkyCamera
-from sunarc.optics import Camera, project
+from sunarc.app.service import Service
+from sunarc.archive.archive import open_archive
+from sunarc.archive.schema import upgrade
+from sunarc.calibration.model.document import from_document
+from sunarc.cameras.frame import SkyCamera
+from sunarc.cameras.options import AravisOptions
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
 from sunarc.runtime.clock import VirtualClock
-from sunarc.settings import Settings
-from sunarc.simulation import Scene, SceneCamera, SensorModel, true_camera
-from sunarc.sky import Site, day_bounds_unix_s, direction_from_angles, sun_angles, sun_directions
-from sunarc.workers import CaptureOptions, RefitWorker, SensorOptions
+from sunarc.settings.model import Settings
+from sunarc.simulation.options import SensorModel
+from sunarc.simulation.scene import Scene
+from sunarc.simulation.scene_camera import SceneCamera
+from sunarc.simulation.truth import true_camera
+from sunarc.sky.days import day_bounds_unix_s
+from sunarc.sky.directions import direction_from_angles
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_angles, sun_directions
+from sunarc.workers.calibrating.refit import RefitWorker
+from sunarc.workers.capture.capture import CaptureOptions
+from sunarc.workers.sensor import SensorOptions
 
 CADENCE_S = 1200.0
 

@@ -15,9 +15,10 @@ import numpy as np
 import pytest
 from tests.fixtures.ports import free_port
 
-from sunarc.calibration import from_document
-from sunarc.optics import project
-from sunarc.sky import direction_from_angles, sun_angles, sun_directions
+from sunarc.calibration.model.document import from_document
+from sunarc.optics.forward import project
+from sunarc.sky.directions import direction_from_angles
+from sunarc.sky.sun import sun_angles, sun_directions
 
 ROOT = Path(__file__).parents[2]
 

@@ -16,7 +16,7 @@ import pytest
 from tests.fixtures.ports import free_port
 from tests.offline.reanalysis.made import MADE, analysed, indexed_in, tables_in
 
-from sunarc.detection import Detection
+from sunarc.detection.values import Detection
 from sunarc.findings import Finding
 from sunarc.offline.reanalysis.cluster import Workers, open_cluster
 from sunarc.offline.reanalysis.look import Answer, Chunk, Item

@@ -18,8 +18,11 @@ from tests.api.conftest import calibration
 from tests.fixtures.calibrations import SITE
 from tests.fixtures.ports import free_port
 
-from sunarc.archive import CameraRecord, backup_into, open_archive, upgrade
-from sunarc.calibration import to_document
+from sunarc.archive.archive import open_archive
+from sunarc.archive.backup import backup_into
+from sunarc.archive.schema import upgrade
+from sunarc.archive.values import CameraRecord
+from sunarc.calibration.model.document import to_document
 
 from .test_restart import CONFIG, answers, run_serve, sunarc, wait_for
 

@@ -20,16 +20,24 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from tests.fixtures.archive import make_empty
 
-from sunarc.app import Service
-from sunarc.archive import CameraRecord, Event, open_archive, sun_point_of
-from sunarc.calibration import Calibration, SunPoints, calibrate, from_document, to_document
-from sunarc.cameras import AravisOptions, Frame, SkyCamera
-from sunarc.detection import Detection
-from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
+from sunarc.app.service import Service
+from sunarc.archive.archive import open_archive
+from sunarc.archive.seen import sun_point_of
+from sunarc.archive.values import CameraRecord, Event
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.document import from_document, to_document
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.cameras.frame import Frame, SkyCamera
+from sunarc.cameras.options import AravisOptions
+from sunarc.detection.values import Detection
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.pose import rotation_matrix, rotation_vector
 from sunarc.runtime.clock import ClockState, VirtualClock
-from sunarc.settings import Settings
-from sunarc.simulation import SGP, true_camera
-from sunarc.sky import sun_angles, sun_directions
+from sunarc.settings.model import Settings
+from sunarc.simulation.truth import SGP, true_camera
+from sunarc.sky.sun import sun_angles, sun_directions
 
 DAY = datetime(2013, 5, 13, 6, tzinfo=UTC)
 START = datetime(2013, 5, 14, 16, 0, 7, tzinfo=UTC)

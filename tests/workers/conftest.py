@@ -11,13 +11,14 @@ from tests.fixtures.board import status_registry
 from tests.fixtures.calibrations import SITE
 from tests.fixtures.cameras import INFO
 
-from sunarc.archive import Archive, CameraArchive
-from sunarc.calibration import CalibrationOptions
-from sunarc.cameras import CameraCondition, CameraInfo, Frame
+from sunarc.archive.archive import Archive
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.cameras.frame import CameraCondition, CameraInfo, Frame
 from sunarc.errors import CameraError
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.workers import RefitOptions, RefitWorker
+from sunarc.workers.calibrating.refit import RefitOptions, RefitWorker
 
 NOON = datetime(2013, 5, 13, 18, 30, 10, tzinfo=UTC)
 

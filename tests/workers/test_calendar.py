@@ -8,7 +8,7 @@ from itertools import pairwise
 import pytest
 
 from sunarc.runtime.clock import VirtualClock
-from sunarc.workers import FrameTime
+from sunarc.workers.timing.frame_time import FrameTime
 
 
 @pytest.mark.parametrize(

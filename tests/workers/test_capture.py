@@ -11,20 +11,16 @@ import numpy as np
 import pytest
 from tests.fixtures.cameras import INFO
 
-from sunarc.cameras import Frame, SkyCamera
+from sunarc.cameras.frame import Frame, SkyCamera
 from sunarc.errors import CameraError, CameraLostError, CameraTimeoutError
-from sunarc.imaging import SunExposureOptions
+from sunarc.imaging.exposure import SunExposureOptions
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.workers import (
-    CaptureOptions,
-    CaptureWorker,
-    DropOldestQueue,
-    FrameTime,
-    NightCapture,
-    NightExposures,
-    SunExposures,
-)
+from sunarc.workers.bounded_queue import DropOldestQueue
+from sunarc.workers.capture.capture import CaptureOptions, CaptureWorker
+from sunarc.workers.capture.sun_exposure_control import SunExposures
+from sunarc.workers.night.exposures import NightCapture, NightExposures
+from sunarc.workers.timing.frame_time import FrameTime
 
 if TYPE_CHECKING:
     from .conftest import FakeCamera

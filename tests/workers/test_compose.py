@@ -14,11 +14,18 @@ import pytest
 from PIL import Image as Pictures
 from tests.fixtures.archive import make_empty
 
-from sunarc.archive import CameraArchive, DiskOptions, ImageStore, open_archive
-from sunarc.cameras import Frame
-from sunarc.imaging import HdrImage, document_of
-from sunarc.sky import Site
-from sunarc.workers import ComposeWorker, DropOldestQueue, SensorOptions, SunPredictor, image_document
+from sunarc.archive.archive import open_archive
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.images import DiskOptions, ImageStore
+from sunarc.cameras.frame import Frame
+from sunarc.imaging.hdr import HdrImage
+from sunarc.imaging.metadata import document_of
+from sunarc.sky.site import Site
+from sunarc.workers.bounded_queue import DropOldestQueue
+from sunarc.workers.images.compose import ComposeWorker
+from sunarc.workers.images.image_metadata import image_document
+from sunarc.workers.sensor import SensorOptions
+from sunarc.workers.sightings.sun_prediction import SunPredictor
 
 from .conftest import NOON
 

@@ -11,11 +11,11 @@ import pytest
 from tests.fixtures.archive import new_archive
 from tests.fixtures.board import START, status_registry
 
-from sunarc.archive import Archive
+from sunarc.archive.archive import Archive
 from sunarc.errors import OutsideError
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import Reason, StatusRegistry
-from sunarc.workers import ConditionTimesWorker
+from sunarc.workers.condition_times import ConditionTimesWorker
 
 LOW = Reason(code="disk_low", severity="degraded", text="the disk is full", remedy="free some space")
 LATE = Reason(code="no_sightings", severity="degraded", text="none", remedy="look")

@@ -18,28 +18,25 @@ import pytest
 from tests.api.conftest import LENS, calibration
 from tests.fixtures.calibrations import SITE
 
-from sunarc.archive import (
-    Archive,
-    CameraArchive,
-    CameraRecord,
-    Day,
-    Event,
-    Refit,
-    SunPoint,
-    check,
-    downgrade,
-    open_archive,
-    upgrade,
-)
+from sunarc.archive.archive import Archive, open_archive
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.schema import check, downgrade, upgrade
 from sunarc.archive.tables import metadata
-from sunarc.calibration import CalibrationOptions, SunPoints, to_document
-from sunarc.calibration.change_detection import WatchOptions
+from sunarc.archive.values import CameraRecord, Day, Event, Refit, SunPoint
+from sunarc.calibration.change_detection.values import WatchOptions
+from sunarc.calibration.model.document import to_document
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.sightings import SunPoints
 from sunarc.errors import InputError
-from sunarc.optics import project
+from sunarc.optics.forward import project
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import Reason, StatusRegistry
-from sunarc.sky import sun_directions
-from sunarc.workers import DayJudge, ProvisionalPoseEstimator, RefitOptions, RefitWorker, SunPredictor, WatchWorker
+from sunarc.sky.sun import sun_directions
+from sunarc.workers.calibrating.judge_days import DayJudge
+from sunarc.workers.calibrating.monitor import WatchWorker
+from sunarc.workers.calibrating.provisional_pose import ProvisionalPoseEstimator
+from sunarc.workers.calibrating.refit import RefitOptions, RefitWorker
+from sunarc.workers.sightings.sun_prediction import SunPredictor
 
 if TYPE_CHECKING:
     from sunarc.workers.calibrating.refit_task import Task

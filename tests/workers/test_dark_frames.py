@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sunarc.cameras import Frame
+from sunarc.cameras.frame import Frame
 from sunarc.errors import InputError
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.workers import CaptureOptions
+from sunarc.workers.capture.capture import CaptureOptions
 from sunarc.workers.capture.dark_frames import DarkFrames
 
 from .conftest import FakeCamera

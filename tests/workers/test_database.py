@@ -10,8 +10,12 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.fixtures.archive import new_archive
 
-from sunarc.archive import Archive, CameraRecord, Recovery, SunPoint, open_archive, upgrade
-from sunarc.workers import DatabaseWorker, SightingWriteBuffer
+from sunarc.archive.archive import Archive, open_archive
+from sunarc.archive.recovery import Recovery
+from sunarc.archive.schema import upgrade
+from sunarc.archive.values import CameraRecord, SunPoint
+from sunarc.workers.database_file import DatabaseWorker
+from sunarc.workers.sightings.write_buffer import SightingWriteBuffer
 
 from .conftest import NOON
 

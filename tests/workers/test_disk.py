@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from sunarc.archive import DiskOptions, ImageStore, Reserve
-from sunarc.workers import DiskWorker
+from sunarc.archive.images import DiskOptions, ImageStore
+from sunarc.archive.space_reserve import Reserve
+from sunarc.workers.disk_space import DiskWorker
 
 from .conftest import NOON
 

@@ -15,26 +15,28 @@ from scipy.spatial.transform import Rotation
 from tests.fixtures.archive import new_archive
 from tests.workers.conftest import refit_worker
 
-from sunarc.archive import Archive, CameraArchive, Event, Refit, SunPoint
-from sunarc.calibration import (
-    Calibration,
-    CalibrationOptions,
-    PoseStep,
-    calibrate,
-    find_pose_steps,
-    from_document,
-    project_with_covariance,
-    reproduce_calibration,
-)
+from sunarc.archive.archive import Archive
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.values import Event, Refit, SunPoint
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.covariance import project_with_covariance
+from sunarc.calibration.model.document import from_document
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.pose_step_search import PoseStep, find_pose_steps
+from sunarc.calibration.reproduce import reproduce_calibration
 from sunarc.findings import Finding
-from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.pose import rotation_matrix, rotation_vector
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation import SGP, true_camera
-from sunarc.sky import sun_angles, sun_directions
-from sunarc.workers import RefitWorker, points_of
+from sunarc.simulation.truth import SGP, true_camera
+from sunarc.sky.sun import sun_angles, sun_directions
 from sunarc.workers.calibrating.epoch_search import SEARCHED, EpochSearch
+from sunarc.workers.calibrating.refit import RefitWorker
 from sunarc.workers.calibrating.solver_process import Problem, SolverDiedError
+from sunarc.workers.fit_input import points_of
 
 FloatArray = NDArray[np.float64]
 SIZE = (1748, 1748)

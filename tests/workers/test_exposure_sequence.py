@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.cameras import Frame
+from sunarc.cameras.frame import Frame
 from sunarc.errors import CameraLostError, ExposureMismatchError
 from sunarc.runtime.status import StatusRegistry
 from sunarc.workers.capture.exposure_sequence import ExposureSequence

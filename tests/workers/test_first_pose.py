@@ -13,27 +13,27 @@ from tests.finding_codes import codes
 from tests.fixtures.archive import make_empty
 from tests.workers.test_watch import DAY, NOON, SIZE, TRUTH, Imager, off_in_sigmas, turned
 
-from sunarc.archive import CameraArchive, CameraRecord, open_archive
-from sunarc.calibration import (
-    Calibration,
-    CalibrationOptions,
-    FirstPoseOptions,
-    LensType,
-    SunPoints,
-    UnitSpread,
-    calibrate,
-    north_sigma_deg,
-    top_azimuth_deg,
-)
-from sunarc.calibration.change_detection import WatchOptions
+from sunarc.archive.archive import open_archive
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.values import CameraRecord
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.change_detection.values import WatchOptions
+from sunarc.calibration.lens_library.first_pose import FirstPoseOptions
 from sunarc.calibration.lens_library.frame import frame_of
-from sunarc.calibration.lens_library.lens_type import type_camera
+from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread, type_camera
+from sunarc.calibration.lens_library.mounting import north_sigma_deg, top_azimuth_deg
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints
 from sunarc.errors import InputError
-from sunarc.optics import Camera, project
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
 from sunarc.runtime.status import Reason, StatusRegistry
-from sunarc.simulation import SGP
-from sunarc.sky import sun_angles, sun_directions
-from sunarc.workers import FirstPose, LensPriorOptions, ProvisionalPoseEstimator, WatchWorker, read_lens_prior
+from sunarc.simulation.truth import SGP
+from sunarc.sky.sun import sun_angles, sun_directions
+from sunarc.workers.calibrating.lens_prior_file import FirstPose, LensPriorOptions, read_lens_prior
+from sunarc.workers.calibrating.monitor import WatchWorker
+from sunarc.workers.calibrating.provisional_pose import ProvisionalPoseEstimator
 
 SPREAD = UnitSpread(focal_length=0.003, center_px=8.0, radial_px=0.4, decentering_px=0.3)
 LEVEL = replace(TRUTH, max_angle=2.0)
@@ -139,7 +139,7 @@ def full_fit() -> Calibration:
 
 
 def store_current(imager: NewImager, full: Calibration) -> None:
-    from sunarc.calibration import to_document  # noqa: PLC0415 - beside its only use
+    from sunarc.calibration.model.document import to_document  # noqa: PLC0415 - beside its only use
 
     epoch = imager.archive.current_epoch("roof", at=imager.now + timedelta(seconds=1))
     assert epoch is not None

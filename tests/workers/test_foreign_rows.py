@@ -19,11 +19,18 @@ from tests.detection.rendering import read_out as noisy
 from tests.fixtures.archive import new_archive
 from tests.fixtures.calibrations import SITE
 
-from sunarc.archive import Archive, CameraArchive, SunPoint
-from sunarc.cameras import Frame
-from sunarc.detection import DiscOptions, Expectation
+from sunarc.archive.archive import Archive
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.values import SunPoint
+from sunarc.cameras.frame import Frame
+from sunarc.detection.options import DiscOptions
+from sunarc.detection.values import Expectation
 from sunarc.runtime.status import StatusRegistry
-from sunarc.workers import DetectWorker, DropOldestQueue, FrozenFrames, SensorOptions, SightingWriteBuffer
+from sunarc.workers.bounded_queue import DropOldestQueue
+from sunarc.workers.sensor import SensorOptions
+from sunarc.workers.sightings.detect import DetectWorker
+from sunarc.workers.sightings.frozen_frames import FrozenFrames
+from sunarc.workers.sightings.write_buffer import SightingWriteBuffer
 
 from .conftest import NOON
 

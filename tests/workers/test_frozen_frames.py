@@ -12,23 +12,26 @@ import numpy as np
 import pytest
 from tests.fixtures.archive import new_archive, store_sun_point
 
-from sunarc.archive import FROZEN, Archive, CameraArchive
-from sunarc.cameras import Frame
-from sunarc.detection import Detection, DiscOptions
+from sunarc.archive.archive import Archive
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.sighting_revisions import FROZEN
+from sunarc.cameras.frame import Frame
+from sunarc.detection.options import DiscOptions
+from sunarc.detection.values import Detection
 from sunarc.findings import Finding
-from sunarc.optics import project
+from sunarc.optics.forward import project
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation import SGP, Scene, SensorModel, true_camera
-from sunarc.sky import sun_directions
-from sunarc.workers import (
-    DetectWorker,
-    DropOldestQueue,
-    FrozenFrames,
-    SensorOptions,
-    SightingWriteBuffer,
-    SunPredictor,
-)
+from sunarc.simulation.options import SensorModel
+from sunarc.simulation.scene import Scene
+from sunarc.simulation.truth import SGP, true_camera
+from sunarc.sky.sun import sun_directions
+from sunarc.workers.bounded_queue import DropOldestQueue
+from sunarc.workers.sensor import SensorOptions
+from sunarc.workers.sightings.detect import DetectWorker
+from sunarc.workers.sightings.frozen_frames import FrozenFrames
+from sunarc.workers.sightings.sun_prediction import SunPredictor
+from sunarc.workers.sightings.write_buffer import SightingWriteBuffer
 
 START = datetime(2013, 5, 13, 18, 0, tzinfo=UTC)
 SIDE = 240

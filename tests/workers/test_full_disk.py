@@ -13,22 +13,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.archive import CameraArchive, CameraRecord, DiskOptions, ImageStore, Reserve, check, open_archive, upgrade
-from sunarc.cameras import Frame
-from sunarc.detection import DiscOptions
+from sunarc.archive.archive import open_archive
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.images import DiskOptions, ImageStore
+from sunarc.archive.schema import check, upgrade
+from sunarc.archive.space_reserve import Reserve
+from sunarc.archive.values import CameraRecord
+from sunarc.cameras.frame import Frame
+from sunarc.detection.options import DiscOptions
 from sunarc.errors import OutsideError
 from sunarc.runtime.preflight import prepare_state
-from sunarc.sky import Site
-from sunarc.workers import (
-    ComposeWorker,
-    DetectWorker,
-    DiskWorker,
-    DropOldestQueue,
-    FrozenFrames,
-    SensorOptions,
-    SightingWriteBuffer,
-    SunPredictor,
-)
+from sunarc.sky.site import Site
+from sunarc.workers.bounded_queue import DropOldestQueue
+from sunarc.workers.disk_space import DiskWorker
+from sunarc.workers.images.compose import ComposeWorker
+from sunarc.workers.sensor import SensorOptions
+from sunarc.workers.sightings.detect import DetectWorker
+from sunarc.workers.sightings.frozen_frames import FrozenFrames
+from sunarc.workers.sightings.sun_prediction import SunPredictor
+from sunarc.workers.sightings.write_buffer import SightingWriteBuffer
 
 from .conftest import NOON
 

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.fixtures.archive import new_archive
 
-from sunarc.archive import Archive, SunPoint
+from sunarc.archive.archive import Archive
+from sunarc.archive.values import SunPoint
 from sunarc.errors import OutsideError
-from sunarc.workers import SightingWriteBuffer
 from sunarc.workers.sightings import write_buffer as keeping
+from sunarc.workers.sightings.write_buffer import SightingWriteBuffer
 
 from .conftest import NOON
 

@@ -16,13 +16,16 @@ import numpy as np
 import pytest
 from tests.finding_codes import codes
 
-from sunarc.archive import Archive, CameraArchive, Day, SunPoint, backup, open_archive
-from sunarc.calibration import from_document
+from sunarc.archive.archive import Archive, open_archive
+from sunarc.archive.backup import backup
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.values import Day, SunPoint
+from sunarc.calibration.model.document import from_document
 from sunarc.errors import InputError
 from sunarc.offline.reproduce import solve_again
-from sunarc.settings import load_settings
-from sunarc.simulation import SGP
-from sunarc.workers import SunPredictor
+from sunarc.settings.load import load_settings
+from sunarc.simulation.truth import SGP
+from sunarc.workers.sightings.sun_prediction import SunPredictor
 
 from .long_run import CLEAR, CLOUDY, FIRST_DAY, HEAVY, PARTLY, LongRun, Night, judged_against, worst_rise
 

@@ -15,15 +15,26 @@ import pytest
 from tests.fixtures.archive import new_archive
 from tests.fixtures.calibrations import chosen_calibration
 
-from sunarc.archive import Archive, CameraArchive, CameraRecord, Event, ImageStore, Refit
+from sunarc.archive.archive import Archive
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.images import ImageStore
+from sunarc.archive.values import CameraRecord, Event, Refit
 from sunarc.array_types import Image
-from sunarc.calibration import Calibration, to_document
-from sunarc.cameras import Frame
-from sunarc.optics import Camera, project
+from sunarc.calibration.model.document import to_document
+from sunarc.calibration.model.result import Calibration
+from sunarc.cameras.frame import Frame
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
 from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation import SGP, NightOptions, Scene, SceneOptions, Weather, true_camera
-from sunarc.sky import STAR, body_directions
-from sunarc.workers import DropOldestQueue, NightCapture, NightExposures, NightWorker, SensorOptions
+from sunarc.simulation.night_options import NightOptions
+from sunarc.simulation.options import SceneOptions, Weather
+from sunarc.simulation.scene import Scene
+from sunarc.simulation.truth import SGP, true_camera
+from sunarc.sky.night import STAR, body_directions
+from sunarc.workers.bounded_queue import DropOldestQueue
+from sunarc.workers.night.exposures import NightCapture, NightExposures
+from sunarc.workers.night.night import NightWorker
+from sunarc.workers.sensor import SensorOptions
 
 BEGIN = datetime(2013, 5, 13, 5, 0, tzinfo=UTC)
 EXPOSURE_US = 5e6

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sunarc.detection import Stars
-from sunarc.imaging import ExposureBounds
-from sunarc.workers import NightExposures
+from sunarc.detection.stars.values import Stars
+from sunarc.imaging.exposure import ExposureBounds
+from sunarc.workers.night.exposures import NightExposures
 
 BOUNDS = ExposureBounds(minimum_us=10.0, maximum_us=30e6, step_us=1.0)
 

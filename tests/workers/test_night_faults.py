@@ -16,12 +16,15 @@ from numpy.typing import NDArray
 from tests.fixtures.archive import new_archive
 from tests.workers.test_night import BEGIN, CAMERA, Bench, frame_at
 
-from sunarc.archive import CameraRecord, Event
+from sunarc.archive.values import CameraRecord, Event
 from sunarc.array_types import Image
-from sunarc.cameras import Frame
-from sunarc.optics import project
-from sunarc.simulation import SGP, NightOptions, Scene, SceneOptions
-from sunarc.sky import body_directions, wanderer_place
+from sunarc.cameras.frame import Frame
+from sunarc.optics.forward import project
+from sunarc.simulation.night_options import NightOptions
+from sunarc.simulation.options import SceneOptions
+from sunarc.simulation.scene import Scene
+from sunarc.simulation.truth import SGP
+from sunarc.sky.night import body_directions, wanderer_place
 
 MINUTES = (0, 40, 80)
 CONJUNCTION = datetime(2015, 7, 1, 3, 25, tzinfo=UTC)

@@ -9,14 +9,17 @@ import numpy as np
 import pytest
 from tests.workers.test_night import CAMERA
 
-from sunarc.cameras import Frame
+from sunarc.cameras.frame import Frame
 from sunarc.errors import CameraError, CameraLostError
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation import SGP, NightOptions, Scene, SceneCamera, SceneOptions
-from sunarc.workers import SensorOptions
+from sunarc.simulation.night_options import NightOptions
+from sunarc.simulation.options import SceneOptions
+from sunarc.simulation.scene import Scene
+from sunarc.simulation.scene_camera import SceneCamera
+from sunarc.simulation.truth import SGP
 from sunarc.workers.capture.night_gain import CODE, NightGain
-from sunarc.workers.sensor import sensor_of
+from sunarc.workers.sensor import SensorOptions, sensor_of
 
 NIGHT = datetime(2013, 5, 13, 5, 0, tzinfo=UTC)
 

@@ -13,11 +13,11 @@ from scipy.ndimage import gaussian_filter
 from tests.fixtures.archive import new_archive
 from tests.workers.test_night import BEGIN, CAMERA, Bench, clear, frame_at
 
-from sunarc.archive import CameraRecord, Event
-from sunarc.cameras import Frame
-from sunarc.detection import NightLimits
+from sunarc.archive.values import CameraRecord, Event
+from sunarc.cameras.frame import Frame
+from sunarc.detection.stars.trend import NightLimits
 from sunarc.findings import Finding
-from sunarc.simulation import SGP
+from sunarc.simulation.truth import SGP
 from sunarc.workers.messages import MESSAGES
 from sunarc.workers.night.night_conditions import night_conditions
 

@@ -14,10 +14,12 @@ import pytest
 from tests.fixtures.archive import new_archive
 from tests.workers.test_night import CAMERA, Bench, clear, frame_at
 
-from sunarc.archive import CameraRecord, DiskOptions, ImageStore
-from sunarc.optics import project
-from sunarc.simulation import SGP
-from sunarc.sky import body_directions, title_of
+from sunarc.archive.images import DiskOptions, ImageStore
+from sunarc.archive.values import CameraRecord
+from sunarc.optics.forward import project
+from sunarc.simulation.truth import SGP
+from sunarc.sky.night import body_directions
+from sunarc.sky.star_names import title_of
 from sunarc.workers.night.picture import night_picture
 
 

@@ -18,9 +18,11 @@ from tests.workers.test_moon import HALF
 from tests.workers.test_moon import frame as moon_frame
 from tests.workers.test_night import BEGIN, CAMERA, Bench, clear, frame_at
 
-from sunarc.archive import Archive, CameraRecord, Event, ImageStore, open_archive
+from sunarc.archive.archive import Archive, open_archive
+from sunarc.archive.images import ImageStore
+from sunarc.archive.values import CameraRecord, Event
 from sunarc.errors import OutsideError
-from sunarc.simulation import SGP
+from sunarc.simulation.truth import SGP
 from sunarc.workers.night import night as night_module
 
 MINUTES = (0, 20, 40, 60, 80, 100)

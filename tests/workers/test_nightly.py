@@ -11,11 +11,11 @@ import pytest
 from tests.fixtures.archive import new_archive
 from tests.fixtures.board import status_registry
 
-from sunarc.archive import Archive
+from sunarc.archive.archive import Archive
 from sunarc.errors import InputError
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.workers import NightlyOptions, NightlyWork, nightly_jobs
+from sunarc.workers.nightly import NightlyOptions, NightlyWork, nightly_jobs
 
 NIGHT = datetime(2026, 5, 2, 8, 29, 59, tzinfo=UTC)
 """A second before 2 h after midnight at 97.5 degrees west."""

@@ -9,8 +9,8 @@ import pytest
 
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.workers import FrameTime
 from sunarc.workers.capture.overdue_sightings import OverdueSightings
+from sunarc.workers.timing.frame_time import FrameTime
 
 CADENCE_S = 30.0
 

@@ -17,16 +17,21 @@ from tests.finding_codes import codes
 from tests.fixtures.archive import new_archive
 from tests.workers.conftest import refit_worker
 
-from sunarc.archive import Archive, Refit, SunPoint
-from sunarc.calibration import Calibration, CalibrationOptions, SunPoints, Verdict, calibrate
+from sunarc.archive.archive import Archive
+from sunarc.archive.values import Refit, SunPoint
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.result import Calibration, Verdict
+from sunarc.calibration.model.sightings import SunPoints
 from sunarc.findings import Finding
-from sunarc.optics import PARAMETER_NAMES, project
+from sunarc.optics.camera import PARAMETER_NAMES
+from sunarc.optics.forward import project
 from sunarc.runtime.clock import SystemClock, VirtualClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation import SGP, true_camera
-from sunarc.sky import sun_angles, sun_directions
-from sunarc.workers import RefitWorker
+from sunarc.simulation.truth import SGP, true_camera
+from sunarc.sky.sun import sun_angles, sun_directions
 from sunarc.workers.calibrating import solver_process
+from sunarc.workers.calibrating.refit import RefitWorker
 from sunarc.workers.calibrating.solver_process import Problem, SolveFailedError, SolverDiedError, solve_in_child
 from sunarc.workers.messages import text_of
 

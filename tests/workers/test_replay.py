@@ -7,10 +7,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from sunarc.cameras import Frame, ReplayOptions, open_replay
+from sunarc.cameras.frame import Frame
+from sunarc.cameras.options import ReplayOptions
+from sunarc.cameras.replay import open_replay
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.workers import DropOldestQueue, FrameTime, ReplayWorker
+from sunarc.workers.bounded_queue import DropOldestQueue
+from sunarc.workers.capture.replay import ReplayWorker
+from sunarc.workers.timing.frame_time import FrameTime
 
 from .conftest import NOON
 

@@ -13,12 +13,16 @@ from sqlalchemy import event
 from tests.fixtures.archive import new_archive
 from tests.fixtures.calibrations import SITE
 
-from sunarc.archive import CameraArchive
-from sunarc.cameras import Frame
-from sunarc.detection import DiscOptions
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.cameras.frame import Frame
+from sunarc.detection.options import DiscOptions
 from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.workers import DetectWorker, DropOldestQueue, FrozenFrames, SensorOptions, SightingWriteBuffer
+from sunarc.workers.bounded_queue import DropOldestQueue
+from sunarc.workers.sensor import SensorOptions
+from sunarc.workers.sightings.detect import DetectWorker
+from sunarc.workers.sightings.frozen_frames import FrozenFrames
+from sunarc.workers.sightings.write_buffer import SightingWriteBuffer
 
 from .conftest import NOON
 

@@ -11,9 +11,12 @@ import sys
 import numpy as np
 import pytest
 
-from sunarc.calibration import Calibration, CalibrationOptions, SunPoints, calibrate
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints
 from sunarc.runtime.child_process import answer_call
-from sunarc.sky import Site
+from sunarc.sky.site import Site
 from sunarc.workers.calibrating.solver_process import Problem, call_on
 
 

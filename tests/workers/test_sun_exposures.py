@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from tests.fixtures.cameras import INFO
 
-from sunarc.detection import Detection
-from sunarc.imaging import SunExposureOptions
-from sunarc.workers import SunExposures
-from sunarc.workers.capture.sun_exposure_control import SPOILED_AFTER
+from sunarc.detection.values import Detection
+from sunarc.imaging.exposure import SunExposureOptions
+from sunarc.workers.capture.sun_exposure_control import SPOILED_AFTER, SunExposures
 
 if TYPE_CHECKING:
     from sunarc.runtime.clock import VirtualClock

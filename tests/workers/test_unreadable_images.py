@@ -8,11 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.archive import DiskOptions, ImageStore, Reserve
-from sunarc.cameras import Frame
+from sunarc.archive.images import DiskOptions, ImageStore
+from sunarc.archive.space_reserve import Reserve
+from sunarc.cameras.frame import Frame
 from sunarc.errors import OutsideError
 from sunarc.runtime.preflight import prepare_state
-from sunarc.workers import ComposeWorker, DiskWorker, DropOldestQueue, SensorOptions
+from sunarc.workers.bounded_queue import DropOldestQueue
+from sunarc.workers.disk_space import DiskWorker
+from sunarc.workers.images.compose import ComposeWorker
+from sunarc.workers.sensor import SensorOptions
 
 from .conftest import NOON
 from .test_database import as_nobody

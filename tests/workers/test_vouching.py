@@ -10,12 +10,15 @@ import numpy as np
 import pytest
 from tests.fixtures.cameras import INFO
 
-from sunarc.cameras import Frame
-from sunarc.imaging import SunExposureOptions
+from sunarc.cameras.frame import Frame
+from sunarc.imaging.exposure import SunExposureOptions
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.workers import CaptureOptions, CaptureWorker, DropOldestQueue, FrameTime, SunExposures
+from sunarc.workers.bounded_queue import DropOldestQueue
+from sunarc.workers.capture.capture import CaptureOptions, CaptureWorker
 from sunarc.workers.capture.cycle_consistency import Cycle, CycleConsistencyFilter
+from sunarc.workers.capture.sun_exposure_control import SunExposures
+from sunarc.workers.timing.frame_time import FrameTime
 
 from .conftest import NOON, FakeCamera, StopAfter
 

@@ -17,7 +17,7 @@ from tests.workers.test_full_disk import mounted
 from tests.workers.test_night import BEGIN, CAMERA, Bench, bench
 from tests.workers.test_warm_pixels import MINUTES
 
-from sunarc.cameras import Frame
+from sunarc.cameras.frame import Frame
 from sunarc.findings import Finding
 from sunarc.workers.night.warm import WarmPixelMap
 from sunarc.workers.night.warm_file import SensorFormat, WarmPixelFile

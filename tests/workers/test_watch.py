@@ -14,34 +14,31 @@ from scipy.spatial.transform import Rotation
 from tests.finding_codes import codes
 from tests.fixtures.archive import make_empty
 
-from sunarc.archive import CameraArchive, CameraRecord, DayAir, Event, SunPoint, open_archive
-from sunarc.calibration import (
-    Calibration,
-    CalibrationOptions,
-    SunPoints,
-    calibrate,
-    from_document,
-    hemisphere,
-    project_with_covariance,
-    to_document,
-)
-from sunarc.calibration.change_detection import (
-    Change,
-    Sighting,
-    SightingWindow,
-    WatchOptions,
-    detect_change,
-    update_window,
-)
+from sunarc.archive.archive import open_archive
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.values import CameraRecord, DayAir, Event, SunPoint
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.change_detection import detect_change
+from sunarc.calibration.change_detection.detect_change import update_window
+from sunarc.calibration.change_detection.values import Change, Sighting, SightingWindow, WatchOptions
 from sunarc.calibration.messages import MESSAGES
+from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.model.document import from_document, to_document
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints
 from sunarc.errors import OutsideError
 from sunarc.findings import from_json
-from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.pose import rotation_matrix, rotation_vector
 from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation import SGP, true_camera
-from sunarc.sky import Site, sun_angles, sun_directions
-from sunarc.workers import ProvisionalPoseEstimator, WatchWorker
+from sunarc.simulation.truth import SGP, true_camera
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_angles, sun_directions
 from sunarc.workers.calibrating import monitor
+from sunarc.workers.calibrating.monitor import WatchWorker
+from sunarc.workers.calibrating.provisional_pose import ProvisionalPoseEstimator
 
 FloatArray = NDArray[np.float64]
 DAY = datetime(2013, 5, 13, 6, tzinfo=UTC).timestamp()

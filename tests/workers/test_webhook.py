@@ -23,8 +23,9 @@ from tests.fixtures.ports import free_port
 from tests.fixtures.pushing import DUSTY, Pushing, pushing, step
 
 from sunarc.errors import ConfigurationError, InputError, OutsideError
-from sunarc.workers import PushOptions, Webhook, webhook_name
 from sunarc.workers.pushing import push, webhook
+from sunarc.workers.pushing.options import PushOptions
+from sunarc.workers.pushing.webhook import Webhook, webhook_name
 
 SECRET = "a secret of enough bytes"  # noqa: S105 - of the test alone
 

@@ -11,11 +11,11 @@ from fastapi import Request
 
 from sunarc.api.arrays import require_few
 from sunarc.api.context import ApiContext
-from sunarc.archive import CalibrationRecord
+from sunarc.archive.values import CalibrationRecord
 from sunarc.array_types import FloatArray, IntArray
-from sunarc.calibration import Lookup
+from sunarc.calibration.model.direction_table import Lookup
 from sunarc.errors import InputError, NotFoundError
-from sunarc.sky import solar_days
+from sunarc.sky.days import solar_days
 
 _MOST_CALIBRATIONS = 8
 """Of one request with a time for each point: as many as are kept ready."""

@@ -51,10 +51,13 @@ from sunarc.api.routes.refits import refit_routes
 from sunarc.api.routes.remap import remap_routes
 from sunarc.api.routes.stored_answers import AnswerFiles
 from sunarc.api.routes.sun import sun_routes
-from sunarc.archive import Archive, ImageStore, Refit
-from sunarc.calibration import draw_ensemble, lookup
+from sunarc.archive.archive import Archive
+from sunarc.archive.images import ImageStore
+from sunarc.archive.values import Refit
+from sunarc.calibration.ensemble import draw_ensemble
+from sunarc.calibration.model.direction_table import lookup
 from sunarc.runtime.status import StatusSnapshot
-from sunarc.sky import Site
+from sunarc.sky.site import Site
 
 _ENSEMBLES = 4
 """Ensembles that are kept: each of up to 64 draws, 5 MB."""

@@ -24,7 +24,7 @@ from sunarc.api.context import CALIBRATION, ApiContext, Sampling
 from sunarc.api.middleware.client_address import client_network
 from sunarc.api.problems import Fault, RefusedError
 from sunarc.array_types import FloatArray
-from sunarc.calibration import Ensemble
+from sunarc.calibration.ensemble import Ensemble
 from sunarc.errors import InputError
 
 RequestModel = TypeVar("RequestModel", bound=BaseModel)

@@ -15,11 +15,16 @@ from starlette.convertors import Convertor, register_url_convertor
 from starlette.requests import Request
 
 from sunarc.api.options import ApiOptions
-from sunarc.archive import Archive, CalibrationRecord, ImageStore, Refit
-from sunarc.calibration import Calibration, Ensemble, Lookup
+from sunarc.archive.archive import Archive
+from sunarc.archive.images import ImageStore
+from sunarc.archive.values import CalibrationRecord, Refit
+from sunarc.calibration.ensemble import Ensemble
+from sunarc.calibration.model.direction_table import Lookup
+from sunarc.calibration.model.result import Calibration
 from sunarc.errors import InputError, NotFoundError
 from sunarc.runtime.status import StatusSnapshot
-from sunarc.sky import Site, solar_date
+from sunarc.sky.days import solar_date
+from sunarc.sky.site import Site
 
 _CACHE_SIZE = 8
 CALIBRATION, BEST = "calibration", "best"

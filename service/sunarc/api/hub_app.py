@@ -17,9 +17,9 @@ from sunarc.api.routes.feed import FeedReceiver, FeedSizes, feed_routes
 from sunarc.api.routes.fleet import FleetCollector, fleet_page, fleet_routes
 from sunarc.api.routes.nightly import nightly_routes
 from sunarc.api.routes.pairs import pair_routes
-from sunarc.archive import Archive
+from sunarc.archive.archive import Archive
 from sunarc.runtime.status import StatusSnapshot
-from sunarc.sky import Site
+from sunarc.sky.site import Site
 
 
 def create_hub_app(

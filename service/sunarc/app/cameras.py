@@ -8,13 +8,18 @@ from dataclasses import replace
 from datetime import datetime
 
 from sunarc.app.messages import MESSAGES
-from sunarc.archive import LENS_CHANGED, Archive, CameraRecord, Event, require_same_site
-from sunarc.cameras import CameraInfo, SkyCamera, open_aravis, open_replay
+from sunarc.archive.archive import Archive
+from sunarc.archive.sighting_revisions import LENS_CHANGED
+from sunarc.archive.sites import require_same_site
+from sunarc.archive.values import CameraRecord, Event
+from sunarc.cameras.aravis import open_aravis
+from sunarc.cameras.frame import CameraInfo, SkyCamera
+from sunarc.cameras.replay import open_replay
 from sunarc.errors import ConfigurationError, InputError
 from sunarc.findings import Finding
 from sunarc.runtime.clock import Clock
-from sunarc.settings import Settings
-from sunarc.sky import Site
+from sunarc.settings.model import Settings
+from sunarc.sky.site import Site
 
 _log = logging.getLogger(__name__)
 

@@ -6,8 +6,9 @@ import logging
 from datetime import datetime
 from typing import TypedDict
 
-from sunarc.archive import Archive, ImageStore
-from sunarc.calibration import MAX_CLOCK_ERROR_S
+from sunarc.archive.archive import Archive
+from sunarc.archive.images import ImageStore
+from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
 from sunarc.errors import OutsideError
 from sunarc.runtime.status import StatusRegistry
 

@@ -7,16 +7,14 @@ from datetime import datetime
 from typing import TYPE_CHECKING
 
 from sunarc.extras import extra_module
-from sunarc.sky import Site, moon_disc
-from sunarc.workers import (
-    DropOldestQueue,
-    MoonCapture,
-    MoonExposures,
-    NightCapture,
-    NightExposures,
-    NightOptions,
-    NightWorker,
-)
+from sunarc.sky.moon import moon_disc
+from sunarc.sky.site import Site
+from sunarc.workers.bounded_queue import DropOldestQueue
+from sunarc.workers.night.exposures import NightCapture, NightExposures
+from sunarc.workers.night.moon import MoonCapture
+from sunarc.workers.night.moon_exposures import MoonExposures
+from sunarc.workers.night.night import NightWorker
+from sunarc.workers.night.options import NightOptions
 
 if TYPE_CHECKING:
     from sunarc.app.service import Service

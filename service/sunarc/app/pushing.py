@@ -6,12 +6,19 @@ from collections.abc import Callable, Mapping
 from datetime import datetime
 from functools import partial
 
-from sunarc.api import members
-from sunarc.archive import Archive, CameraArchive, CameraState, FleetCamera
+from sunarc.api.routes.fleet import members
+from sunarc.archive.archive import Archive
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.feed_values import FleetCamera
+from sunarc.archive.notices import CameraState
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import StatusRegistry
 from sunarc.runtime.supervisor import Supervised
-from sunarc.workers import MqttBroker, NoticeWorker, PushOptions, PushWorker, Sink, Webhook, webhook_name
+from sunarc.workers.pushing.mqtt import MqttBroker
+from sunarc.workers.pushing.options import PushOptions
+from sunarc.workers.pushing.push import PushWorker, Sink
+from sunarc.workers.pushing.record import NoticeWorker
+from sunarc.workers.pushing.webhook import Webhook, webhook_name
 
 
 def push_workers(

@@ -6,11 +6,13 @@ from datetime import datetime
 
 from sunarc.app.service import Service
 from sunarc.app.status_line import NO_FRAME_YET
-from sunarc.archive import Archive
+from sunarc.archive.archive import Archive
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import StatusRegistry
 from sunarc.runtime.supervisor import Supervised
-from sunarc.workers import ConditionTimesWorker, HousekeepingWorker, StoreRoomWorker
+from sunarc.workers.condition_times import ConditionTimesWorker
+from sunarc.workers.database_file import StoreRoomWorker
+from sunarc.workers.housekeeping import HousekeepingWorker
 
 _OF_THE_HUB = ""
 

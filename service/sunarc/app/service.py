@@ -13,40 +13,44 @@ import sunarc
 from sunarc.app.cameras import camera_record, note_other_camera, require_same_camera
 from sunarc.app.last_known import restore_last_known
 from sunarc.app.night import night_capture, night_worker
-from sunarc.archive import ELSEWHERE, Archive, CameraArchive, ImageStore, Recovery, Refit, Reserve
-from sunarc.calibration import MAX_CLOCK_ERROR_S
-from sunarc.cameras import Frame, SkyCamera
-from sunarc.detection import Detection
+from sunarc.archive.archive import Archive
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.images import ImageStore
+from sunarc.archive.recovery import Recovery
+from sunarc.archive.sighting_revisions import ELSEWHERE
+from sunarc.archive.space_reserve import Reserve
+from sunarc.archive.values import Refit
+from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
+from sunarc.cameras.frame import Frame, SkyCamera
+from sunarc.detection.values import Detection
 from sunarc.errors import OutsideError
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import StatusRegistry
 from sunarc.runtime.supervisor import Supervised, Worker
-from sunarc.settings import Settings
+from sunarc.settings.model import Settings
 from sunarc.utc import MICROSECOND
-from sunarc.workers import (
-    CaptureWorker,
-    ClockWatch,
-    ComposeWorker,
-    DatabaseWorker,
-    DayJudge,
-    DetectWorker,
-    DiskWorker,
-    DropOldestQueue,
-    FeedWorker,
-    FirstPose,
-    FrameTime,
-    FrozenFrames,
-    HubConnection,
-    OverdueSightings,
-    ProvisionalPoseEstimator,
-    RefitWorker,
-    ReplayWorker,
-    SightingWriteBuffer,
-    SunExposures,
-    SunPredictor,
-    WatchWorker,
-    image_document,
-)
+from sunarc.workers.bounded_queue import DropOldestQueue
+from sunarc.workers.calibrating.judge_days import DayJudge
+from sunarc.workers.calibrating.lens_prior_file import FirstPose
+from sunarc.workers.calibrating.monitor import WatchWorker
+from sunarc.workers.calibrating.provisional_pose import ProvisionalPoseEstimator
+from sunarc.workers.calibrating.refit import RefitWorker
+from sunarc.workers.capture.capture import CaptureWorker
+from sunarc.workers.capture.overdue_sightings import OverdueSightings
+from sunarc.workers.capture.replay import ReplayWorker
+from sunarc.workers.capture.sun_exposure_control import SunExposures
+from sunarc.workers.database_file import DatabaseWorker
+from sunarc.workers.disk_space import DiskWorker
+from sunarc.workers.feeding.feed import FeedWorker
+from sunarc.workers.feeding.hub_connection import HubConnection
+from sunarc.workers.images.compose import ComposeWorker
+from sunarc.workers.images.image_metadata import image_document
+from sunarc.workers.sightings.detect import DetectWorker
+from sunarc.workers.sightings.frozen_frames import FrozenFrames
+from sunarc.workers.sightings.sun_prediction import SunPredictor
+from sunarc.workers.sightings.write_buffer import SightingWriteBuffer
+from sunarc.workers.timing.clock_watch import ClockWatch
+from sunarc.workers.timing.frame_time import FrameTime
 
 _log = logging.getLogger(__name__)
 _WAITING_CYCLES = 4

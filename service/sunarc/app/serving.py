@@ -19,28 +19,34 @@ from typing import NoReturn, cast
 import uvicorn
 from fastapi import FastAPI
 
-from sunarc.api import ApiOptions, BoundedConnection, create_app
+from sunarc.api.app import create_app
+from sunarc.api.middleware.connection_limit import BoundedConnection
+from sunarc.api.options import ApiOptions
 from sunarc.app.cameras import camera_opener, require_stored_site
 from sunarc.app.pushing import imager_states, push_workers
 from sunarc.app.recording import imager_recording
 from sunarc.app.service import Service
 from sunarc.app.status_line import FirstFrame, StatusLine
 from sunarc.app.supervision import running, supervised
-from sunarc.archive import ImageStore, Reserve, lock_state, open_archive, prepare_database, require_unlocked
+from sunarc.archive.archive import open_archive
+from sunarc.archive.images import ImageStore
+from sunarc.archive.lock import lock_state, require_unlocked
+from sunarc.archive.recovery import prepare_database
+from sunarc.archive.space_reserve import Reserve
 from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.daily_job import Schedule
 from sunarc.runtime.heartbeats import Heartbeat, Monitored
 from sunarc.runtime.preflight import listen, prepare_state
 from sunarc.runtime.supervisor import Supervised
 from sunarc.runtime.systemd import credential, notifier_from
-from sunarc.settings import Settings
+from sunarc.settings.model import Settings
 
 _KEEP_ALIVE_S = 20
 LOOP_STALE_S = 30.0  # the web server's loop turns every 0.1 s; its longest step on a busy field computer is seconds
 LONGEST_CALL_S = 600.0  # of the scheduled job; judging a year of days that were missed takes a minute
 
 
-def serve(settings: Settings) -> int:
+def serve_imager(settings: Settings) -> int:
     """Run the service until SIGTERM or SIGINT; return the process's exit code.
 
     SIGHUP is ignored: settings are read at the start, and a closed terminal is no reason to stop.

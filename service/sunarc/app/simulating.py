@@ -5,10 +5,15 @@ from __future__ import annotations
 import signal
 import threading
 
-from sunarc.simulation import FakeCamera, ImagerOptions, halve_speed, run_imager
+from sunarc.simulation.fake_camera import FakeCamera
+from sunarc.simulation.imager import ImagerOptions, halve_speed, run_imager
+from sunarc.simulation.night_options import NightOptions
+from sunarc.simulation.options import SceneOptions, SensorModel
+
+__all__ = ["ImagerOptions", "NightOptions", "SceneOptions", "SensorModel", "simulate_imager"]
 
 
-def simulate(options: ImagerOptions) -> None:
+def simulate_imager(options: ImagerOptions) -> None:
     """Run a simulated imager until SIGTERM or SIGINT; SIGUSR1 halves its speed."""
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):

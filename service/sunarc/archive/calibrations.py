@@ -21,7 +21,8 @@ from sunarc.archive.store import Store, given
 from sunarc.archive.tables import calibration, pose_epoch
 from sunarc.archive.validity import SERVED, clear_interval, end_others, set_columns, with_interval, wrong_state
 from sunarc.archive.values import CalibrationRecord, CalibrationState, SunPointColumns
-from sunarc.calibration import Calibration, from_document
+from sunarc.calibration.model.document import from_document
+from sunarc.calibration.model.result import Calibration
 from sunarc.errors import InputError, NotFoundError
 from sunarc.findings import Finding, findings_of
 

@@ -11,7 +11,7 @@ from typing import Any
 from sunarc.archive.archive import Archive
 from sunarc.archive.values import Event, EventSeverity
 from sunarc.findings import Finding, Messages
-from sunarc.sky import Site
+from sunarc.sky.site import Site
 
 
 class CameraArchive:

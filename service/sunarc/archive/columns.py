@@ -28,8 +28,9 @@ from sunarc.archive.tables import sun_point
 from sunarc.archive.types import is_number, stored_as
 from sunarc.archive.values import SunPointColumns
 from sunarc.array_types import FloatArray, IntArray, NameArray
-from sunarc.calibration import Candidates
-from sunarc.sky import PA_PER_HPA, PRESSURE_BOUNDS_PA, SUN, TEMPERATURE_BOUNDS_C
+from sunarc.calibration.selection.selection import Candidates
+from sunarc.sky.night import SUN
+from sunarc.sky.site import PA_PER_HPA, PRESSURE_BOUNDS_PA, TEMPERATURE_BOUNDS_C
 
 _LEVELS = np.dtype([("time", "i8"), ("level", "f8")])
 _EXTRAPOLATED_AT_MOST = 100.0

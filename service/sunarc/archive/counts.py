@@ -12,7 +12,8 @@ from sqlalchemy import BigInteger, Column, Select, func, select, type_coerce
 from sunarc.archive.store import Store
 from sunarc.archive.tables import day, refit, sun_point
 from sunarc.archive.values import SightingCounts
-from sunarc.sky import SECONDS_PER_DEGREE, SUN, day_bounds_unix_s
+from sunarc.sky.days import SECONDS_PER_DEGREE, day_bounds_unix_s
+from sunarc.sky.night import SUN
 from sunarc.utc import DAY_S
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import TypeAdapter, ValidationError
 
-from sunarc.cross_checks import Cause
+from sunarc.cross_checks.causes import Cause
 from sunarc.json_fields import EXAMPLE_TIME, Returned, Time, described
 
 Found = Cause | Literal["clock_by_clouds"]

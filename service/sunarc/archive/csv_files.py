@@ -13,13 +13,8 @@ import numpy as np
 
 from sunarc.array_types import FloatArray, NameArray
 from sunarc.errors import InputError
-from sunarc.sky import (
-    PA_PER_HPA,
-    PRESSURE_BOUNDS_HPA,
-    TEMPERATURE_BOUNDS_C,
-    angles_from_direction,
-    direction_from_angles,
-)
+from sunarc.sky.directions import angles_from_direction, direction_from_angles
+from sunarc.sky.site import PA_PER_HPA, PRESSURE_BOUNDS_HPA, TEMPERATURE_BOUNDS_C
 from sunarc.utc import parse_time, rfc3339
 
 SIGHTING_COLUMNS = ("time_utc", "x_px", "y_px", "sigma_px", "body")

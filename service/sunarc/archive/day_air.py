@@ -16,16 +16,8 @@ from sunarc.archive.tables import day_air
 from sunarc.archive.values import DayAir, SunPoint
 from sunarc.array_types import FloatArray
 from sunarc.errors import InputError, NotFoundError
-from sunarc.sky import (
-    PA_PER_HPA,
-    PRESSURE_BOUNDS_HPA,
-    PRESSURE_BOUNDS_PA,
-    TEMPERATURE_BOUNDS_C,
-    Site,
-    day_of_date,
-    solar_date,
-    solar_days,
-)
+from sunarc.sky.days import day_of_date, solar_date, solar_days
+from sunarc.sky.site import PA_PER_HPA, PRESSURE_BOUNDS_HPA, PRESSURE_BOUNDS_PA, TEMPERATURE_BOUNDS_C, Site
 
 
 class MeasuredAir(Store):

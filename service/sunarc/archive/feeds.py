@@ -19,7 +19,7 @@ from sunarc.archive.json_text import json_text
 from sunarc.archive.rows import upsert, upsert_all, upsert_records
 from sunarc.archive.store import Store
 from sunarc.archive.tables import calibration, event, feed, fleet, pose_epoch, quarantine
-from sunarc.calibration import READ_SCHEMAS
+from sunarc.calibration.model.document import READ_SCHEMAS
 from sunarc.utc import from_microseconds, to_microseconds
 
 FUTURE = timedelta(minutes=10)

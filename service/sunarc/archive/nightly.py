@@ -16,7 +16,7 @@ from sunarc.archive.rows import upsert
 from sunarc.archive.store import Store, given
 from sunarc.archive.tables import calibration, camera, day, day_summary, event, nightly_run, sun_point
 from sunarc.json_fields import EXAMPLE_TIME, Returned, SolarDate, Time, described
-from sunarc.sky import day_bounds_unix_s
+from sunarc.sky.days import day_bounds_unix_s
 from sunarc.utc import to_microseconds, utc_time
 
 LEAST_KEPT = timedelta(days=90)

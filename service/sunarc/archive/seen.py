@@ -6,7 +6,7 @@ from dataclasses import fields
 from datetime import datetime
 
 from sunarc.archive.values import SunPoint
-from sunarc.detection import Detection
+from sunarc.detection.values import Detection
 
 _SHARED = {field.name for field in fields(SunPoint)} & {field.name for field in fields(Detection)} - {"exposure_us"}
 """What both have under the same name; the exposure of a detection may be unknown."""

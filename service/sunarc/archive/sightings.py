@@ -29,7 +29,8 @@ from sunarc.archive.validity import SERVED
 from sunarc.archive.values import CameraRecord, PoseEpoch, SunPoint, SunPointColumns
 from sunarc.array_types import FloatArray, IntArray
 from sunarc.errors import InputError
-from sunarc.sky import SECONDS_PER_DEGREE, SUN, day_bounds_unix_s, solar_date
+from sunarc.sky.days import SECONDS_PER_DEGREE, day_bounds_unix_s, solar_date
+from sunarc.sky.night import SUN
 from sunarc.utc import DAY_S
 
 _FIRST_OF_EACH_DAY = text(

@@ -6,7 +6,7 @@ import numpy as np
 
 from sunarc.archive.values import CameraRecord
 from sunarc.errors import InputError
-from sunarc.sky import Site
+from sunarc.sky.site import Site
 
 _EARTH_RADIUS_M = 6_371_000.0
 SITE_LIMIT_M = 500.0

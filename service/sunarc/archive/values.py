@@ -17,7 +17,7 @@ from sunarc.array_types import BoolArray, FloatArray, IntArray, NameArray
 from sunarc.errors import InputError
 from sunarc.findings import Finding, Messages
 from sunarc.json_fields import EXAMPLE_TIME, Findings, FindingsJson, Returned, SolarDate, Time, described
-from sunarc.sky import Site
+from sunarc.sky.site import Site
 
 CalibrationState = Literal["candidate", "current", "retired", "refused"]
 DayVerdict = Literal["clear", "partly", "cloudy", "unusable"]

@@ -26,11 +26,11 @@ from sunarc.calibration.least_squares.problem import Observations, Problem, obse
 from sunarc.calibration.least_squares.solve import information, most_probable
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.sightings import FilteredSightings, SunPoints, filter_sightings
-from sunarc.calibration.paper import fit_as_paper
+from sunarc.calibration.paper.stages import fit_as_paper
 from sunarc.calibration.robust_loss import robust_sigma
 from sunarc.errors import InputError
-from sunarc.optics import Camera
-from sunarc.sky import Site
+from sunarc.optics.camera import Camera
+from sunarc.sky.site import Site
 
 _SETTLING = 3
 _STEPS = 10

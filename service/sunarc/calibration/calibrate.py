@@ -15,12 +15,12 @@ from sunarc.calibration.least_squares.problem import Observations, observations
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Mirrored
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import SunPoints, filter_sightings
-from sunarc.calibration.paper import fit_as_paper
+from sunarc.calibration.paper.stages import fit_as_paper
 from sunarc.calibration.quality.fit_checks import Handedness, before_fit, below_horizon
 from sunarc.errors import InputError
 from sunarc.findings import Finding
-from sunarc.optics import Camera
-from sunarc.sky import Site
+from sunarc.optics.camera import Camera
+from sunarc.sky.site import Site
 
 _AMBIGUOUS = 3.0
 """Half squares by which one handedness must be the more plausible one."""

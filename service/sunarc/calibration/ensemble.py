@@ -20,8 +20,9 @@ from sunarc.calibration.model.direction_table import polar_directions, polar_spl
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.pose.error_model import CameraErrorModel, error_model_of, field_and_parameters, predicted
 from sunarc.jit import njit
-from sunarc.optics import InverseTable, inverse_table, project_fast
 from sunarc.optics.cubic_spline import spline_weights
+from sunarc.optics.fast import InverseTable, inverse_table
+from sunarc.optics.forward import project_fast
 from sunarc.optics.inverse_table_kernels import InverseConstants
 
 MOST_DRAWS = 64

@@ -24,8 +24,10 @@ from sunarc.calibration.model.sightings import FilteredSightings, SunPoints, fil
 from sunarc.calibration.pose_step_evidence import LONGEST_EPISODE_S, log_bayes_factor
 from sunarc.calibration.robust_loss import finite, robust_sigma, tukey_loss
 from sunarc.findings import Finding
-from sunarc.optics import Camera, project_fast, rotation_matrix
-from sunarc.sky import Site
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project_fast
+from sunarc.optics.pose import rotation_matrix
+from sunarc.sky.site import Site
 from sunarc.utc import DAY_S, rfc3339, utc_time
 
 _SIDE = 12

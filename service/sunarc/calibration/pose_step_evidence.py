@@ -24,8 +24,8 @@ from sunarc.calibration.least_squares.priors import LENS, N_LENS, lens_prior, pr
 from sunarc.calibration.model.options import LensTolerances
 from sunarc.calibration.model.sightings import FilteredSightings
 from sunarc.calibration.robust_loss import robust_sigma
-from sunarc.optics import Camera, Param, project_with_rows_fast
-from sunarc.optics.camera import POSE
+from sunarc.optics.camera import POSE, Camera, Param
+from sunarc.optics.forward import project_with_rows_fast
 from sunarc.utc import DAY_S
 
 _MOST_ROWS = 280

@@ -15,9 +15,9 @@ from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import Calibration, Move
 from sunarc.calibration.model.sightings import SunPoints, filter_sightings
-from sunarc.calibration.pose import daily_pose_offset
+from sunarc.calibration.pose.daily_offset import daily_pose_offset
 from sunarc.calibration.pose_change_points import best_row, calibrate_moved
-from sunarc.sky import Site
+from sunarc.sky.site import Site
 
 _PER_DAY = 150
 """Sightings of a day that the search looks at; the step itself is dated among all."""

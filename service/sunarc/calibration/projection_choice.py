@@ -29,8 +29,8 @@ from sunarc.calibration.pose_change_points import Moved, calibrate_moved
 from sunarc.calibration.quality.fit_checks import before_fit, missing_hours
 from sunarc.calibration.robust_loss import robust_sigma, tukey_loss
 from sunarc.findings import Finding
-from sunarc.optics import PROJECTIONS, Projection
-from sunarc.sky import Site
+from sunarc.optics.projections import PROJECTIONS, Projection
+from sunarc.sky.site import Site
 
 _IMPOSSIBLE = -1e4
 """Log evidence below which the odds are not given any more."""

@@ -12,7 +12,7 @@ from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import SunPoints
 from sunarc.calibration.quality.pose_drift import with_pose_spread
 from sunarc.errors import InputError
-from sunarc.optics import Camera
+from sunarc.optics.camera import Camera
 
 
 def reproduce_calibration(past: Calibration, points: SunPoints) -> Calibration:

@@ -9,8 +9,10 @@ from sunarc.calibration.model.backward import camera_sees
 from sunarc.calibration.model.covariance import project_with_covariance, sigma_px
 from sunarc.calibration.model.result import Calibration
 from sunarc.detection.stars.values import PredictedStars
-from sunarc.optics import Camera
-from sunarc.sky import NightSky, angles_from_direction, relative_air_mass
+from sunarc.optics.camera import Camera
+from sunarc.sky.air import relative_air_mass
+from sunarc.sky.directions import angles_from_direction
+from sunarc.sky.night import NightSky
 
 _EXTINCTION = 0.25
 """Magnitudes an air mass, of a clear sky in the visible: Rayleigh scattering 0.1, and as much and more of aerosol."""

@@ -11,7 +11,7 @@ from sunarc.array_types import FloatArray
 from sunarc.detection.stars.matching import StarMatches, match_stars
 from sunarc.detection.stars.still import sky_motion, standing_still
 from sunarc.detection.stars.values import PredictedStars, Stars
-from sunarc.sky import NightSky
+from sunarc.sky.night import NightSky
 
 _LONGEST_NIGHT_S = 6.0 * 3600.0
 """Between two images that are compared: later the stars of one have set in the other."""

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from sunarc.cameras.features import has, read, write
 from sunarc.errors import CameraError
-from sunarc.imaging import ExposureBounds
+from sunarc.imaging.exposure import ExposureBounds
 
 _FLOATS = ("ExposureTime", "ExposureTimeAbs")
 _SAME = 1.5

@@ -10,7 +10,7 @@ from typing import Protocol, runtime_checkable
 
 from sunarc.array_types import Image
 from sunarc.errors import InputError
-from sunarc.imaging import ExposureBounds
+from sunarc.imaging.exposure import ExposureBounds
 
 _SINGLE_CHANNEL = re.compile(r"(?:Mono|Bayer(?:RG|BG|GR|GB))(?:(8|14|16)|(10|12)(?:p|Packed)?)")
 

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 from rich.console import Console
 
-from sunarc.calibration import CalibrationOptions, PriorTolerances
 from sunarc.calibration.messages import MESSAGES
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.pose.stated_prior import PriorTolerances
 from sunarc.cli.lens_prior import (
     JointFile,
     JointFolder,
@@ -29,10 +30,10 @@ from sunarc.findings import findings_of, significant
 from sunarc.offline.calibrate_files import calibrate_file, image_circle_of
 from sunarc.offline.cameras import parse_image_size
 from sunarc.runtime.clock import SystemClock
-from sunarc.sky import Site
+from sunarc.sky.site import Site
 
 if TYPE_CHECKING:
-    from sunarc.settings import Settings
+    from sunarc.settings.model import Settings
 
 PRIOR = "A start as a prior"
 Value = TypeVar("Value")
@@ -130,7 +131,7 @@ def calibrate(
             focal_within,
             lens_prior,
         )
-        from sunarc.settings import load_settings  # noqa: PLC0415 - with the settings come all rooms
+        from sunarc.settings.load import load_settings
 
         calibrate_stored(load_settings(config), as_json=as_json)
         return
@@ -215,7 +216,7 @@ def _require_settings_only(*options: object) -> None:
 
 def calibrate_stored(settings: Settings, *, as_json: bool) -> None:
     """Fit the camera to the archive's sightings, store and print the result; exit 1 when it is refused."""
-    from sunarc.offline.calibrate_archive import calibrate_archive  # noqa: PLC0415 - as above
+    from sunarc.offline.calibrate_archive import calibrate_archive
 
     refit, document = calibrate_archive(settings, clock=SystemClock())
     if as_json:
@@ -230,8 +231,8 @@ def calibrate_stored(settings: Settings, *, as_json: bool) -> None:
 
 
 def _solve_again(calibration_id: str, config: Path | None, *, as_json: bool) -> None:
-    from sunarc.offline.reproduce import solve_again  # noqa: PLC0415 - as above
-    from sunarc.settings import load_settings  # noqa: PLC0415
+    from sunarc.offline.reproduce import solve_again
+    from sunarc.settings.load import load_settings
 
     result = solve_again(load_settings(config), calibration_id)
     if as_json:

@@ -8,11 +8,12 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from sunarc.archive import CalibrationRecord, PoseEpoch, open_archive
+from sunarc.archive.archive import open_archive
+from sunarc.archive.values import CalibrationRecord, PoseEpoch
 from sunarc.cli.options import AsJson, Config
 from sunarc.cli.output import print_json, table
 from sunarc.runtime.clock import SystemClock
-from sunarc.settings import load_settings
+from sunarc.settings.load import load_settings
 from sunarc.utc import parse_time
 
 _SHOWN = ("id", "state", "pinned", "valid_from", "valid_until", "pose_epoch", "parent", "accepted")

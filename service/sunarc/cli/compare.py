@@ -10,7 +10,7 @@ from rich.console import Console
 
 from sunarc.cli.options import AsJson
 from sunarc.cli.output import print_json, table
-from sunarc.exports import READ_FORMATS
+from sunarc.exports.reading import READ_FORMATS
 from sunarc.offline.compare_files import compare_files
 
 

@@ -13,21 +13,11 @@ import typer
 from rich.console import Console
 from sqlalchemy import URL
 
-from sunarc.archive import (
-    backup,
-    backup_into,
-    check,
-    downgrade,
-    lock_holder,
-    lock_state,
-    newest_sound_copy,
-    prepare_folder,
-    require_file,
-    restore,
-    server_url,
-    upgrade_present,
-    upgrade_server,
-)
+from sunarc.archive.backup import backup, backup_into, newest_sound_copy, restore
+from sunarc.archive.lock import lock_holder, lock_state
+from sunarc.archive.recovery import upgrade_present
+from sunarc.archive.schema import check, downgrade, prepare_folder, require_file, upgrade_server
+from sunarc.archive.server import server_url
 from sunarc.cli.options import AsJson, Config, State
 from sunarc.cli.output import print_json, table
 from sunarc.errors import InputError
@@ -36,7 +26,7 @@ from sunarc.offline.export_archive import database_of, export_everything
 from sunarc.offline.import_sightings import import_points as read_points
 from sunarc.offline.import_sightings import write_points
 from sunarc.runtime.clock import SystemClock
-from sunarc.settings import load_settings
+from sunarc.settings.load import load_settings
 from sunarc.utc import parse_time
 
 points_cli = typer.Typer(no_args_is_help=True, help="Sun sightings in and out of the archive, as CSV.")

@@ -10,17 +10,9 @@ from typing import Annotated
 import typer
 
 from sunarc.errors import InputError, OutsideError
-from sunarc.exports import (
-    FILE_FORMATS,
-    FORMATS,
-    MAP_FORMATS,
-    Exported,
-    asi_core_set,
-    export,
-    export_draws,
-    export_file,
-    export_map,
-)
+from sunarc.exports.asi_core_set import asi_core_set
+from sunarc.exports.exported import Exported
+from sunarc.exports.formats import FILE_FORMATS, FORMATS, MAP_FORMATS, export, export_draws, export_file, export_map
 from sunarc.offline.files import read_file
 
 _YAML = (".yaml", ".yml")

@@ -19,7 +19,7 @@ from sunarc.offline.image_names import utc_offset_of
 from sunarc.offline.ingest.image_times import Naming
 from sunarc.offline.ingest.run import IngestOptions, ingest_folder, usable_processors
 from sunarc.offline.ingest.summary import Summary, sentence_of
-from sunarc.settings import load_settings
+from sunarc.settings.load import load_settings
 
 _LISTED = 20
 """Images that are named with the reason why they were left out; --json lists all."""

@@ -8,7 +8,7 @@ from typing import Annotated, Any, NamedTuple
 import typer
 from rich.console import Console
 
-from sunarc.calibration import LensType, UnitSpread
+from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread
 from sunarc.cli.output import print_json, table
 from sunarc.errors import InputError
 from sunarc.offline.calibrate_joint import calibrate_joint
@@ -67,7 +67,7 @@ def known_lens(path: Path | None, *, start: Path | None, writes: bool) -> LensTy
             problem="beside --lens-prior: the fit would count what the file says once more",
             remedy="fit without --lens-prior, and name the other cameras with --lens-of",
         )
-    from sunarc.workers import read_lens_prior  # noqa: PLC0415 - with the workers come all rooms
+    from sunarc.workers.calibrating.lens_prior_file import read_lens_prior
 
     return read_lens_prior(path)
 

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from sunarc.cli.options import AsJson, CalibrationFile, DetectionMethod, choice_of
 from sunarc.cli.output import print_json, table
-from sunarc.detection import BAYERS
+from sunarc.detection.values import BAYERS
 from sunarc.errors import InputError
 from sunarc.offline.detect_files import METHODS, detect_in_files, draw_overlay
 from sunarc.offline.project_files import project_csv, unproject_csv

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from sunarc.calibration import CalibrationOptions
+from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.cli.options import SITE, AsJson, DetectionMethod, choice_of
 from sunarc.cli.output import print_json, table
 from sunarc.cli.progress import progress_bars
@@ -29,7 +29,7 @@ from sunarc.offline.reanalysis.results import Summary, sentence_of
 from sunarc.offline.reanalysis.run import ReanalysisOptions, reanalyse
 from sunarc.offline.sources.times import TimeRules
 from sunarc.runtime.clock import SystemClock
-from sunarc.sky import Site
+from sunarc.sky.site import Site
 
 _LISTED = 10
 """Files that are named with the reason why they are left out; failures.csv has all."""

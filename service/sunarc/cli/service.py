@@ -11,16 +11,13 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from sunarc import app
 from sunarc.cli.options import Altitude, AsJson, Config, Latitude, Longitude, choice_of
 from sunarc.cli.output import print_json, table
-from sunarc.diagnostics import checks
-from sunarc.jit import set_aside_after_death
-from sunarc.offline.compile_kernels import compile_kernels as compile_all
 from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.log_to_journal import start_log
-from sunarc.settings import all_settings, as_markdown, load_hub_settings, load_settings
-from sunarc.sky import Site
+from sunarc.settings.load import load_hub_settings, load_settings
+from sunarc.settings.reference import all_settings, as_markdown
+from sunarc.sky.site import Site
 from sunarc.utc import parse_time
 
 
@@ -33,10 +30,14 @@ def serve(
 
     Example: sunarc serve --config /etc/sunarc/sunarc.toml
     """
+    from sunarc.app.hub import serve_hub
+    from sunarc.app.serving import end_process, serve_imager
+    from sunarc.jit import set_aside_after_death
+
     is_hub = choice_of("--role", role, ("imager", "hub")) == "hub"
     start_log(os.environ)
     set_aside_after_death()
-    app.end_process(app.serve_hub(load_hub_settings(config)) if is_hub else app.serve(load_settings(config)))
+    end_process(serve_hub(load_hub_settings(config)) if is_hub else serve_imager(load_settings(config)))
 
 
 def simulate(
@@ -67,15 +68,17 @@ def simulate(
 
     Example: sunarc simulate --address 127.0.0.1 --speed 60 --truth truth.json
     """
+    from sunarc.app.simulating import ImagerOptions, NightOptions, SceneOptions, SensorModel, simulate_imager
+
     start_log(os.environ)
-    scene = app.SceneOptions(
+    scene = SceneOptions(
         nd_transmission=nd_transmission,
         ghost_strength=ghost,
         sun_cover=sun_cover,
         moon_at=moon,
-        night=app.NightOptions() if nights else None,
+        night=NightOptions() if nights else None,
     )
-    options = app.ImagerOptions(
+    options = ImagerOptions(
         address=address,
         start=parse_time(start, where="--start"),
         speed=speed,
@@ -84,10 +87,10 @@ def simulate(
         lens_seed=lens_seed,
         clouds=clouds,
         scene=scene,
-        sensor=app.SensorModel(blooming=blooming),
+        sensor=SensorModel(blooming=blooming),
         truth=truth,
     )
-    app.simulate(options)
+    simulate_imager(options)
 
 
 def check(
@@ -100,7 +103,9 @@ def check(
 
     Example: sunarc check --camera --config /etc/sunarc/sunarc.toml
     """
-    run = checks.run_camera_checks if camera else checks.run_checks
+    from sunarc.diagnostics.checks import run_camera_checks, run_checks
+
+    run = run_camera_checks if camera else run_checks
     results = list(run(load_settings(config), clock=SystemClock()))
     if as_json:
         print_json([result._asdict() for result in results])
@@ -122,6 +127,8 @@ def compile_kernels(
 
     Example: sunarc compile
     """
+    from sunarc.offline.compile_kernels import compile_kernels as compile_all
+
     compile_all(first_sighting_alone=first_sighting)
 
 

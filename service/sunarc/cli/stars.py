@@ -9,11 +9,12 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from sunarc.archive import SightingTable, read_sightings
-from sunarc.calibration import MOST_STARS, BlindOptions
+from sunarc.archive.csv_files import SightingTable, read_sightings
+from sunarc.calibration.blind_start.values import BlindOptions
+from sunarc.calibration.selection.star_selection import MOST_STARS
 from sunarc.cli.options import SITE, Altitude, AsJson, choice_of
 from sunarc.cli.output import print_json, table
-from sunarc.detection import BAYERS
+from sunarc.detection.values import BAYERS
 from sunarc.errors import InputError, OutsideError
 from sunarc.extras import extra_module
 from sunarc.offline.blind_stars import find_stars_blind
@@ -24,7 +25,7 @@ from sunarc.offline.ingest.image_times import Naming
 from sunarc.offline.project_files import read_calibration
 from sunarc.offline.star_files import StarImage, StarOptions, find_stars, write_star_sightings
 from sunarc.runtime.clock import SystemClock
-from sunarc.sky import Site
+from sunarc.sky.site import Site
 
 BLIND = "Without a calibration"
 

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from sunarc.calibration import Method
+from sunarc.calibration.model.options import Method
 from sunarc.cli.options import AsJson
 from sunarc.cli.output import print_json
 from sunarc.errors import InputError

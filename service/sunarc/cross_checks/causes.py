@@ -13,9 +13,11 @@ from typing import Literal
 import numpy as np
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration.change_detection import pole_of
+from sunarc.calibration.change_detection.hypotheses import pole_of
 from sunarc.cross_checks.rotation_steps import RotationStep
-from sunarc.sky import SECONDS_PER_DEGREE, Site, wrapped_deg
+from sunarc.sky.days import SECONDS_PER_DEGREE
+from sunarc.sky.directions import wrapped_deg
+from sunarc.sky.site import Site
 
 Cause = Literal["clock", "longitude", "site", "north", "clock_or_north", "moved", "slow_turn"]
 """`clock`: about the celestial pole, and the stated site is as before. `longitude`, `site`: what is stated of the site

@@ -6,11 +6,12 @@ from collections.abc import Iterator, Sequence
 from contextlib import closing
 from typing import Literal, NamedTuple
 
-from sunarc.app import camera_opener
-from sunarc.cameras import AravisCamera, SkyCamera
+from sunarc.app.cameras import camera_opener
+from sunarc.cameras.aravis import AravisCamera
+from sunarc.cameras.frame import SkyCamera
 from sunarc.errors import CameraError, CameraSilentError, CameraTimeoutError, SunarcError
 from sunarc.runtime.clock import Clock
-from sunarc.settings import Settings
+from sunarc.settings.model import Settings
 
 Outcome = Literal["ok", "warn", "fail"]
 _TRIAL_FRAMES = 12

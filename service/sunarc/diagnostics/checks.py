@@ -20,16 +20,24 @@ from pathlib import Path
 from typing import Any
 
 import sunarc
-from sunarc.api import read_token
-from sunarc.app import camera_opener, night_capture, receivers, require_stored_site, with_credentials
-from sunarc.archive import OutboxPosition, check, head_revision, newest_sound_copy, open_archive
+from sunarc.api.middleware.authentication import read_token
+from sunarc.app.cameras import camera_opener, require_stored_site
+from sunarc.app.night import night_capture
+from sunarc.app.pushing import receivers
+from sunarc.app.serving import with_credentials
+from sunarc.archive.archive import open_archive
+from sunarc.archive.backup import newest_sound_copy
+from sunarc.archive.outbox import OutboxPosition
+from sunarc.archive.schema import check, head_revision
 from sunarc.diagnostics.camera_checks import CheckResult, Outcome, survey
 from sunarc.errors import ConfigurationError, OutsideError, SunarcError
 from sunarc.runtime.clock import Clock, SystemClock, host_clock_state
 from sunarc.runtime.preflight import listen, prepare_state
-from sunarc.settings import Settings
+from sunarc.settings.model import Settings
 from sunarc.utc import utc_time
-from sunarc.workers import FirstPose, HubConnection, HubRefusal, Sink
+from sunarc.workers.calibrating.lens_prior_file import FirstPose
+from sunarc.workers.feeding.hub_connection import HubConnection, HubRefusal
+from sunarc.workers.pushing.push import Sink
 
 _LEAST_FREE_BYTES = 2_000_000_000
 _LARGEST_CLOCK_ERROR_S = 1.0

@@ -20,7 +20,7 @@ from scipy.io.matlab import MatReadError
 from scipy.spatial.transform import Rotation
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration import BackProjectionMap
+from sunarc.calibration.model.maps import BackProjectionMap
 from sunarc.errors import InputError
 from sunarc.exports.ocam import OcamModel, ocam_view
 from sunarc.exports.view import View

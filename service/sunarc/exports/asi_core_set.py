@@ -10,7 +10,10 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
-from sunarc.calibration import Calibration, back_projection_map, from_document, lookup
+from sunarc.calibration.model.direction_table import lookup
+from sunarc.calibration.model.document import from_document
+from sunarc.calibration.model.maps import back_projection_map
+from sunarc.calibration.model.result import Calibration
 from sunarc.errors import InputError
 from sunarc.exports.asi_core import asi_core_yaml, mask_files, matrix_files
 from sunarc.exports.comparison import compare

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration import hemisphere
+from sunarc.calibration.model.covariance import hemisphere
 from sunarc.errors import InputError
 from sunarc.exports.view import View, rotated
 

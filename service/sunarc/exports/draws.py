@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from sunarc.calibration import draw_ensemble, from_document
+from sunarc.calibration.ensemble import draw_ensemble
+from sunarc.calibration.model.document import from_document
 from sunarc.errors import InputError
 from sunarc.exports.discovery import Table, Variable
 from sunarc.exports.tables import calibration_table

@@ -15,7 +15,8 @@ import numpy as np
 from sunarc.array_types import BoolArray, FloatArray
 from sunarc.exports.sky import sky_of
 from sunarc.exports.view import View, lens_view
-from sunarc.optics import Camera, rotation_matrix
+from sunarc.optics.camera import Camera
+from sunarc.optics.pose import rotation_matrix
 
 WITHIN_DEG = 89.5
 """Off the axis; readers divide by z, so that they have nothing at 90 degrees and beyond."""

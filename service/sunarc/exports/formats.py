@@ -7,7 +7,10 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, Literal, get_args
 
-from sunarc.calibration import Calibration, back_projection_map, from_document, lookup
+from sunarc.calibration.model.direction_table import lookup
+from sunarc.calibration.model.document import from_document
+from sunarc.calibration.model.maps import back_projection_map
+from sunarc.calibration.model.result import Calibration
 from sunarc.exports.asi_core_set import asi_core_file
 from sunarc.exports.comparison import compare
 from sunarc.exports.discovery import Table

@@ -18,7 +18,8 @@ from sunarc.array_types import FloatArray
 from sunarc.errors import InputError
 from sunarc.exports.sky import sky_of
 from sunarc.exports.view import View, lens_view
-from sunarc.optics import Camera, rotation_matrix
+from sunarc.optics.camera import Camera
+from sunarc.optics.pose import rotation_matrix
 
 _KNOTS = 40
 _STIFFNESS = 1e-7

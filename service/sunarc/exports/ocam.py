@@ -18,7 +18,9 @@ from numpy.typing import NDArray
 from sunarc.array_types import FloatArray
 from sunarc.exports.sky import Sky, sky_of
 from sunarc.exports.view import View
-from sunarc.optics import Camera, project, rotation_matrix
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.pose import rotation_matrix
 
 _FORWARD = 11
 _BACKWARD = tuple((0, *range(2, degree + 1)) for degree in (4, 5, 6, 7, 8))

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from scipy.io.matlab import MatReadError
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration import BackProjectionMap
+from sunarc.calibration.model.maps import BackProjectionMap
 from sunarc.errors import InputError
 from sunarc.exports.asi_core import matlab_bytes
 from sunarc.exports.tables import require_directions
 from sunarc.exports.view import View, grid_view
-from sunarc.sky import direction_from_angles
+from sunarc.sky.directions import direction_from_angles
 
 STEPS = 64_000
 """Of a circle of azimuth, and of a right angle of zenith."""

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sunarc.calibration import from_document
+from sunarc.calibration.model.document import from_document
 from sunarc.errors import InputError
 from sunarc.exports.asi_core import mask_file, read_asi_core
 from sunarc.exports.mrcal import read_mrcal

@@ -17,7 +17,8 @@ from sunarc.array_types import FloatArray, Image
 from sunarc.errors import InputError
 from sunarc.exports.discovery import Table, Variable
 from sunarc.exports.view import View, lens_view
-from sunarc.optics import Camera, project
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
 
 Grid = Literal["sky", "ground"]
 

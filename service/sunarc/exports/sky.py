@@ -8,8 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration import camera_sees, hemisphere
-from sunarc.optics import Camera, project, rising_limit, rotation_matrix
+from sunarc.calibration.model.backward import camera_sees
+from sunarc.calibration.model.covariance import hemisphere
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.pose import rotation_matrix
+from sunarc.optics.stretch import rising_limit
 
 _COUNT = 4000
 

@@ -11,7 +11,10 @@ from sunarc.array_types import FloatArray
 from sunarc.errors import InputError
 from sunarc.exports.comparison import Comparison, compare
 from sunarc.exports.view import View, camera_view
-from sunarc.optics import Camera, Param, Projection, ideal_radius, project_with_jacobian, rotation_vector
+from sunarc.optics.camera import Camera, Param
+from sunarc.optics.forward import project_with_jacobian
+from sunarc.optics.pose import rotation_vector
+from sunarc.optics.projections import Projection, ideal_radius
 
 _PROJECTIONS: tuple[Projection, ...] = ("equisolid", "equidistant", "stereographic")
 _FITTED = [p for p in Param if p not in (Param.TRANSLATION_X, Param.TRANSLATION_Y, Param.TRANSLATION_Z)]

@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.array_types import IntArray
-from sunarc.calibration import BackProjectionMap, Calibration, lookup
+from sunarc.calibration.model.direction_table import lookup
+from sunarc.calibration.model.maps import BackProjectionMap
+from sunarc.calibration.model.result import Calibration
 from sunarc.errors import InputError
 from sunarc.exports.comparison import Comparison, compare
 from sunarc.exports.discovery import PLACE, Table, Variable, discovery_attributes, discovery_variables

@@ -15,7 +15,7 @@ from sunarc.errors import InputError
 from sunarc.exports.fisheye import RADIAL, Fisheye, FisheyeModel, fisheye_view
 from sunarc.exports.view import View
 from sunarc.extras import extra_module
-from sunarc.optics import Camera
+from sunarc.optics.camera import Camera
 
 _ROTATION = "rotation_cam_enu, row by row: "
 _COLMAP_ORIGIN_PX = 0.5

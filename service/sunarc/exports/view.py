@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sunarc.array_types import FloatArray, IntArray
-from sunarc.optics import Camera, project, unproject
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.inverse import unproject
 
 Convert = Callable[[FloatArray], FloatArray]
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.array_types import FloatArray
-from sunarc.sky import Site
+from sunarc.sky.site import Site
 
 SEMI_MAJOR_M = 6_378_137.0
 FLATTENING = 1.0 / 298.257223563

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from sunarc.array_types import FloatArray
 from sunarc.geolocation.ellipsoid import SEMI_MAJOR_M, GeodeticPosition, geodetic_position
-from sunarc.sky import Site
+from sunarc.sky.site import Site
 
 _ROUNDS = 5
 _LEVEL = 1e-4

@@ -12,7 +12,7 @@ import numpy as np
 from sunarc.array_types import FloatArray
 from sunarc.errors import InputError
 from sunarc.geolocation.ellipsoid import GeodeticPosition, geodetic_position, in_frame_of
-from sunarc.sky import Site
+from sunarc.sky.site import Site
 
 _STEP = 1e-6
 """Of the finite differences, radians: 1 cm at 10 km."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.array_types import FloatArray, Image
-from sunarc.detection import Sensor
+from sunarc.detection.values import Sensor
 from sunarc.errors import InputError
 from sunarc.jit import njit
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.array_types import Image
-from sunarc.detection import Bayer
+from sunarc.detection.values import Bayer
 
 _KNEE = 300.0  # how strongly the logarithm lifts the dark
 

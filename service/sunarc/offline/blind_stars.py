@@ -12,25 +12,20 @@ import numpy as np
 
 import sunarc
 from sunarc.array_types import evenly_spread
-from sunarc.calibration import (
-    BlindOptions,
-    BlindStart,
-    Calibration,
-    CalibrationOptions,
-    NightImage,
-    SunPoints,
-    blind_start,
-    calibrate,
-    image_parts,
-    surest_of_parts,
-    to_document,
-)
+from sunarc.calibration.blind_start.start import blind_start
+from sunarc.calibration.blind_start.values import BlindOptions, BlindStart, NightImage
+from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.messages import text_of
+from sunarc.calibration.model.document import to_document
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.selection.star_selection import image_parts, surest_of_parts
 from sunarc.errors import InputError
 from sunarc.findings import Finding
 from sunarc.offline.star_files import StarImage, StarOptions, named_stars, read_stars
 from sunarc.runtime.clock import Clock
-from sunarc.sky import Site
+from sunarc.sky.site import Site
 from sunarc.utc import utc_time
 
 _GAP_S = 6.0 * 3600.0

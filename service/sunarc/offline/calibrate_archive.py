@@ -7,15 +7,20 @@ import uuid
 from typing import Any
 
 import sunarc
-from sunarc.archive import Archive, CameraArchive, Refit, lock_state, open_archive, require_file, upgrade_present
+from sunarc.archive.archive import Archive, open_archive
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.lock import lock_state
+from sunarc.archive.recovery import upgrade_present
+from sunarc.archive.schema import require_file
+from sunarc.archive.values import Refit
 from sunarc.errors import InputError
 from sunarc.findings import Finding
 from sunarc.offline.cameras import known_camera
 from sunarc.offline.learned_sigma import ValidCamera, learn_sigma
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.settings import Settings
-from sunarc.workers import RefitWorker
+from sunarc.settings.model import Settings
+from sunarc.workers.calibrating.refit import RefitWorker
 
 
 def calibrate_archive(settings: Settings, *, clock: Clock) -> tuple[Refit, dict[str, Any] | None]:

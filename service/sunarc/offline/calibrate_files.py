@@ -9,32 +9,28 @@ from pathlib import Path
 from typing import Any
 
 import sunarc
-from sunarc.archive import read_sightings
-from sunarc.calibration import (
-    CalibrationOptions,
-    ImageCircle,
-    LensType,
-    PriorTolerances,
-    SunPoints,
-    calibrate_moved,
-    calibrate_unknown_lens,
-    calibrate_with_lens,
-    calibrate_with_prior,
-    estimate_pose,
-    find_image_circle,
-    kinds_of,
-    to_document,
-)
+from sunarc.archive.csv_files import read_sightings
+from sunarc.calibration.initial_guess.image_circle import find_image_circle
+from sunarc.calibration.lens_library.first_pose import calibrate_with_lens
+from sunarc.calibration.lens_library.lens_type import LensType
+from sunarc.calibration.model.document import to_document
+from sunarc.calibration.model.kinds import kinds_of
+from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.pose.estimate_pose import estimate_pose
+from sunarc.calibration.pose.stated_prior import PriorTolerances, calibrate_with_prior
+from sunarc.calibration.pose_change_points import calibrate_moved
+from sunarc.calibration.projection_choice import calibrate_unknown_lens
 from sunarc.errors import InputError
-from sunarc.exports import closest_camera
+from sunarc.exports.start import closest_camera
 from sunarc.extras import extra_module
 from sunarc.offline.compare_files import read_view_file
 from sunarc.offline.files import read_image, read_lines, require_inside
 from sunarc.offline.lens_priors import require_lens
 from sunarc.offline.project_files import read_calibration
-from sunarc.optics import Camera
+from sunarc.optics.camera import Camera
 from sunarc.runtime.clock import Clock
-from sunarc.sky import Site
+from sunarc.sky.site import Site
 from sunarc.utc import utc_time
 
 
@@ -82,7 +78,7 @@ def calibrate_file(
             points, site=site, image_size=image_size, options=options, circle=circle, start=begin
         )
     if plots is not None:
-        from sunarc.studies import write_calibration_plots  # noqa: PLC0415 - the plot library is slow to load
+        from sunarc.studies.plots import write_calibration_plots  # noqa: PLC0415 - the plot library is slow to load
 
         write_calibration_plots(solved, points, folder=plots)
     now = clock.now()

@@ -12,13 +12,16 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import sunarc
-from sunarc.calibration import CalibrationOptions, Entry, UnitSpread, calibrate_jointly, to_document
+from sunarc.calibration.lens_library.joint import Entry, calibrate_jointly
+from sunarc.calibration.lens_library.lens_type import UnitSpread
+from sunarc.calibration.model.document import to_document
+from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.errors import InputError
 from sunarc.offline.calibrate_files import read_points
 from sunarc.offline.files import read_file
 from sunarc.offline.lens_priors import write_lens_prior
 from sunarc.runtime.clock import Clock
-from sunarc.sky import Site
+from sunarc.sky.site import Site
 from sunarc.utc import utc_time
 
 _SITE = tuple(field.name for field in fields(Site))

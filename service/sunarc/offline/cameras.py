@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from sunarc.archive import Archive, CameraRecord, require_same_site
+from sunarc.archive.archive import Archive
+from sunarc.archive.sites import require_same_site
+from sunarc.archive.values import CameraRecord
 from sunarc.errors import InputError
 
 if TYPE_CHECKING:
-    from sunarc.settings import Settings  # with it come all rooms
+    from sunarc.settings.model import Settings  # with it come all rooms
 
 
 def known_camera(archive: Archive, settings: Settings) -> CameraRecord | None:

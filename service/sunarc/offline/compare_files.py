@@ -10,19 +10,13 @@ import numpy as np
 
 from sunarc.array_types import FloatArray
 from sunarc.errors import InputError, OutsideError
-from sunarc.exports import (
-    ZENITH_RANGES_DEG,
-    Comparison,
-    Table,
-    Variable,
-    View,
-    compare,
-    netcdf_bytes,
-    npz_bytes,
-    read_view,
-)
+from sunarc.exports.comparison import ZENITH_RANGES_DEG, Comparison, compare
+from sunarc.exports.discovery import Table, Variable
+from sunarc.exports.reading import read_view
+from sunarc.exports.tables import netcdf_bytes, npz_bytes
+from sunarc.exports.view import View
 from sunarc.offline.files import read_file
-from sunarc.sky import angles_from_direction
+from sunarc.sky.directions import angles_from_direction
 
 _WRITERS = {".nc": netcdf_bytes, ".npz": npz_bytes}
 

@@ -8,11 +8,19 @@ from typing import get_args
 import numpy as np
 
 from sunarc.array_types import FloatArray, Image, stacked
-from sunarc.calibration import CalibrationOptions, Kind, Method, SunPoints, calibrate, hemisphere, lookup
-from sunarc.detection import Expectation, Sensor, detect_sun
-from sunarc.imaging import merge_hdr
-from sunarc.optics import Camera, project
-from sunarc.sky import Site, sun_angles, sun_directions
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.covariance import hemisphere
+from sunarc.calibration.model.direction_table import lookup
+from sunarc.calibration.model.kinds import Kind
+from sunarc.calibration.model.options import CalibrationOptions, Method
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.detection.disc.detect import detect_sun
+from sunarc.detection.values import Expectation, Sensor
+from sunarc.imaging.hdr import merge_hdr
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_angles, sun_directions
 
 _SIZE = 160
 _SUN_RADIUS_PX = 9.0  # about the sun's through a fisheye of 2 megapixels

@@ -10,17 +10,12 @@ import cv2
 import numpy as np
 
 from sunarc.array_types import BoolArray, Image
-from sunarc.detection import (
-    Bayer,
-    Detection,
-    Expectation,
-    Sensor,
-    detect_sun,
-    detect_sun_in_photo,
-)
+from sunarc.detection.disc.detect import detect_sun
+from sunarc.detection.photo.ordinary_image import detect_sun_in_photo
+from sunarc.detection.values import Bayer, Detection, Expectation, Sensor
 from sunarc.errors import InputError, OutsideError
 from sunarc.findings import Finding
-from sunarc.imaging import preview
+from sunarc.imaging.preview import preview
 from sunarc.offline.files import read_image
 
 Method = Literal["auto", "disc", "paper"]

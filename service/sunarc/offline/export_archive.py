@@ -13,22 +13,13 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.archive import (
-    Archive,
-    CameraRecord,
-    Day,
-    DayAir,
-    Event,
-    Housekeeping,
-    HousekeepingStep,
-    PoseEpoch,
-    Refit,
-    SunPoint,
-    open_archive,
-)
+from sunarc.archive.archive import Archive, open_archive
+from sunarc.archive.housekeeping_values import Housekeeping, HousekeepingStep
+from sunarc.archive.values import CameraRecord, Day, DayAir, Event, PoseEpoch, Refit, SunPoint
 from sunarc.array_types import FloatArray
 from sunarc.errors import InputError, OutsideError
-from sunarc.exports import Table, Variable, netcdf_bytes
+from sunarc.exports.discovery import Table, Variable
+from sunarc.exports.tables import netcdf_bytes
 from sunarc.findings import Finding
 from sunarc.utc import rfc3339
 

@@ -8,23 +8,20 @@ from typing import TextIO
 
 import numpy as np
 
-from sunarc.archive import (
-    Archive,
-    SightingTable,
-    SunPoint,
-    open_archive,
-    read_sightings,
-    upgrade,
-    upgrade_present,
-    write_sightings,
-)
+from sunarc.archive.archive import Archive, open_archive
+from sunarc.archive.csv_files import SightingTable, read_sightings, write_sightings
+from sunarc.archive.recovery import upgrade_present
+from sunarc.archive.schema import upgrade
+from sunarc.archive.values import SunPoint
 from sunarc.array_types import picked
 from sunarc.calibration.model.sightings import inside_image
 from sunarc.errors import InputError
 from sunarc.offline.cameras import known_camera, register_camera
 from sunarc.offline.files import read_lines, require_inside
-from sunarc.settings import Settings
-from sunarc.sky import PA_PER_HPA, SUN, Site, angular_distance, body_directions
+from sunarc.settings.model import Settings
+from sunarc.sky.directions import angular_distance
+from sunarc.sky.night import SUN, body_directions
+from sunarc.sky.site import PA_PER_HPA, Site
 from sunarc.utc import utc_time
 
 _MOST_APART_DEG = 0.05

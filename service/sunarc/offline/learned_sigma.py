@@ -16,16 +16,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.archive import Archive, Event
+from sunarc.archive.archive import Archive
+from sunarc.archive.values import Event
 from sunarc.array_types import FloatArray
-from sunarc.calibration import Calibration
+from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.robust_loss import robust_sigma
-from sunarc.detection import Detection
+from sunarc.detection.values import Detection
 from sunarc.findings import Finding
 from sunarc.offline.messages import MESSAGES
-from sunarc.optics import project
-from sunarc.settings import Settings
-from sunarc.sky import sun_directions
+from sunarc.optics.forward import project
+from sunarc.settings.model import Settings
+from sunarc.sky.sun import sun_directions
 
 _LEAST_SIGHTINGS = 20
 _LARGEST_FACTOR = 5.0

@@ -8,14 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import sunarc
-from sunarc.calibration import (
-    CalibrationOptions,
-    LensType,
-    Unit,
-    UnitSpread,
-    from_document,
-    lens_type_of,
-)
+from sunarc.calibration.lens_library.combination import Unit, lens_type_of
+from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread
+from sunarc.calibration.model.document import from_document
+from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.errors import InputError
 from sunarc.offline.files import read_file
 

@@ -10,9 +10,9 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from sunarc.array_types import Image, evenly_spread
-from sunarc.cameras import Frame
+from sunarc.cameras.frame import Frame
 from sunarc.offline.detect_files import full_scale_of
-from sunarc.sky import solar_date
+from sunarc.sky.days import solar_date
 from sunarc.utc import DAY_S, utc_time
 
 MOST_IMAGES = 60

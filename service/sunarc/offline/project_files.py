@@ -8,18 +8,14 @@ from typing import TextIO
 
 import numpy as np
 
-from sunarc.archive import read_pairs, write_columns
-from sunarc.calibration import (
-    Calibration,
-    camera_sees,
-    from_document,
-    project_with_covariance,
-    sigma_px,
-    unproject_with_sigma,
-)
+from sunarc.archive.csv_files import read_pairs, write_columns
+from sunarc.calibration.model.backward import camera_sees
+from sunarc.calibration.model.covariance import project_with_covariance, sigma_px, unproject_with_sigma
+from sunarc.calibration.model.document import from_document
+from sunarc.calibration.model.result import Calibration
 from sunarc.errors import InputError
 from sunarc.offline.files import read_file
-from sunarc.sky import angles_from_direction, direction_from_angles
+from sunarc.sky.directions import angles_from_direction, direction_from_angles
 
 _PLACES = 10
 

@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.array_types import Image
-from sunarc.calibration import Calibration
-from sunarc.detection import Bayer
+from sunarc.calibration.model.result import Calibration
+from sunarc.detection.values import Bayer
 from sunarc.errors import InputError, OutsideError
 from sunarc.exports.remap import Grid, grid_directions, reach_m, remap_tables, remapped
 from sunarc.extras import extra_module
-from sunarc.imaging import demosaiced, document_of
+from sunarc.imaging.metadata import document_of
+from sunarc.imaging.preview import demosaiced
 from sunarc.offline.files import read_file, read_image
 from sunarc.offline.project_files import read_calibration
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import sunarc
-from sunarc.archive import open_archive
-from sunarc.calibration import distance_px, from_document, reproduce_calibration, to_document
-from sunarc.settings import Settings
-from sunarc.workers import points_of
+from sunarc.archive.archive import open_archive
+from sunarc.calibration.model.document import from_document, to_document
+from sunarc.calibration.quality.acceptance import distance_px
+from sunarc.calibration.reproduce import reproduce_calibration
+from sunarc.settings.model import Settings
+from sunarc.workers.fit_input import points_of
 
 _ROUNDING_PX = 1e-6
 

@@ -10,26 +10,17 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from sunarc.archive import SightingTable, write_sightings
+from sunarc.archive.csv_files import SightingTable, write_sightings
 from sunarc.array_types import FloatArray, Image, IntArray
-from sunarc.calibration import (
-    MOST_STARS,
-    Calibration,
-    StarView,
-    match_views,
-    predict_stars,
-    sky_parts,
-    surest_of_parts,
-)
-from sunarc.detection import (
-    FWHM,
-    Bayer,
-    PredictedStars,
-    StarMatches,
-    Stars,
-    detect_stars,
-)
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.selection.star_selection import MOST_STARS, sky_parts, surest_of_parts
+from sunarc.calibration.star_prediction import predict_stars
+from sunarc.calibration.star_views import StarView, match_views
 from sunarc.detection.messages import reason_of
+from sunarc.detection.stars.detect import detect_stars
+from sunarc.detection.stars.matching import StarMatches
+from sunarc.detection.stars.values import FWHM, PredictedStars, Stars
+from sunarc.detection.values import Bayer
 from sunarc.errors import InputError
 from sunarc.findings import Finding
 from sunarc.offline.detect_files import full_scale_of
@@ -37,7 +28,8 @@ from sunarc.offline.files import read_file, read_image
 from sunarc.offline.ingest.image_times import Naming, taken
 from sunarc.offline.messages import MESSAGES, RefusedImageError
 from sunarc.offline.sources.frames import kind_of
-from sunarc.sky import FAINTEST_V, NightSky, Site, night_sky
+from sunarc.sky.night import FAINTEST_V, NightSky, night_sky
+from sunarc.sky.site import Site
 from sunarc.utc import rfc3339, utc_time
 
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from sunarc.array_types import FloatArray
 from sunarc.optics.kernels import write_rotation
-from sunarc.sky import angles_from_direction
+from sunarc.sky.directions import angles_from_direction
 
 
 class PoseAngles(NamedTuple):

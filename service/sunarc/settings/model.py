@@ -8,26 +8,25 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, field_validator
 from sqlalchemy import URL
 
-from sunarc.api import ApiOptions
-from sunarc.archive import DiskOptions, server_url
-from sunarc.calibration import CalibrationOptions
-from sunarc.calibration.change_detection import WatchOptions
-from sunarc.cameras import AravisOptions, ReplayOptions
-from sunarc.detection import DiscOptions
-from sunarc.imaging import SunExposureOptions
+from sunarc.api.options import ApiOptions
+from sunarc.archive.images import DiskOptions
+from sunarc.archive.server import server_url
+from sunarc.calibration.change_detection.values import WatchOptions
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.cameras.options import AravisOptions, ReplayOptions
+from sunarc.detection.options import DiscOptions
+from sunarc.imaging.exposure import SunExposureOptions
 from sunarc.runtime.supervisor import SupervisorOptions
-from sunarc.sky import Site
-from sunarc.workers import (
-    CaptureOptions,
-    ClockOptions,
-    HubOptions,
-    LensPriorOptions,
-    NightlyOptions,
-    NightOptions,
-    PushOptions,
-    RefitOptions,
-    SensorOptions,
-)
+from sunarc.sky.site import Site
+from sunarc.workers.calibrating.lens_prior_file import LensPriorOptions
+from sunarc.workers.calibrating.refit import RefitOptions
+from sunarc.workers.capture.capture import CaptureOptions
+from sunarc.workers.feeding.hub_connection import HubOptions
+from sunarc.workers.night.options import NightOptions
+from sunarc.workers.nightly import NightlyOptions
+from sunarc.workers.pushing.options import PushOptions
+from sunarc.workers.sensor import SensorOptions
+from sunarc.workers.timing.clock_watch import ClockOptions
 
 
 class _WithStore(BaseModel):

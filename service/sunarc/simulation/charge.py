@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.detection import Bayer
+from sunarc.detection.values import Bayer
 from sunarc.jit import njit
 
 _TRANSMISSION = {"R": 0.6, "G": 1.0, "B": 0.7}  # of white light, of the most sensitive colour's

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from sunarc.array_types import BoolArray, FloatArray
-from sunarc.optics import Camera, project_with_jacobian
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project_with_jacobian
 from sunarc.optics.stretch import tangent_basis
-from sunarc.sky import SOLAR_RADIUS
+from sunarc.sky.sun import SOLAR_RADIUS
 
 _RINGS = 16
 _SPOKES = 48

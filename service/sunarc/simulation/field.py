@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.array_types import BoolArray, FloatArray
-from sunarc.optics import Camera, rotation_matrix, unproject
+from sunarc.optics.camera import Camera
+from sunarc.optics.inverse import unproject
+from sunarc.optics.pose import rotation_matrix
 from sunarc.simulation.options import Obstruction
-from sunarc.sky import wrapped_deg
+from sunarc.sky.directions import wrapped_deg
 
 _ROWS_AT_ONCE = 64
 

@@ -21,10 +21,11 @@ from numpy.typing import NDArray
 
 from sunarc.array_types import Image
 from sunarc.bounds import require_bounds
-from sunarc.cameras import full_scale_of, pack, packing_of
-from sunarc.detection import bayer_of
+from sunarc.cameras.frame import full_scale_of
+from sunarc.cameras.packed import pack, packing_of
+from sunarc.detection.values import bayer_of
 from sunarc.errors import InputError, OutsideError
-from sunarc.optics import Camera
+from sunarc.optics.camera import Camera
 from sunarc.runtime.clock import Clock, SystemClock
 from sunarc.simulation import genicam
 from sunarc.simulation.fake_camera import FakeCamera, Request, fake_camera
@@ -33,7 +34,8 @@ from sunarc.simulation.scene import Scene
 from sunarc.simulation.timeline import Timeline
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.simulation.truth_document import truth_document
-from sunarc.sky import Site, solar_date
+from sunarc.sky.days import solar_date
+from sunarc.sky.site import Site
 from sunarc.utc import to_microseconds
 
 _log = logging.getLogger(__name__)

@@ -19,11 +19,14 @@ import cv2
 import numpy as np
 
 from sunarc.array_types import FloatArray
-from sunarc.optics import Camera, PoseAngles, project, rotation_from_pose_angles
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles
 from sunarc.simulation.options import Bump
 from sunarc.simulation.scene import bumped_camera
 from sunarc.simulation.truth import SGP
-from sunarc.sky import Site, sun_angles, sun_directions
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_angles, sun_directions
 from sunarc.utc import DAY_S, utc_time
 
 Container = Literal["folder", "zip", "tar"]

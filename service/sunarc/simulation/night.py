@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.array_types import FloatArray
-from sunarc.optics import Camera, project, rotation_matrix
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.pose import rotation_matrix
 from sunarc.simulation.clouds import CloudLayer
 from sunarc.simulation.disc import disc_points
 from sunarc.simulation.field import is_blocked
@@ -18,8 +20,11 @@ from sunarc.simulation.night_kernels import add_glow, add_points
 from sunarc.simulation.night_options import NightOptions
 from sunarc.simulation.options import Obstruction
 from sunarc.simulation.star_places import star_directions_by_series
-from sunarc.sky import Site, direction_from_angles, relative_air_mass, sun_angles
+from sunarc.sky.air import relative_air_mass
+from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.night import FAINTEST_V, WANDERERS, WandererPlace, star_table, wanderer_place
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_angles
 from sunarc.utc import DAY_S
 
 _TABLE_YEAR_UNIX_S = 1_704_067_200.0

@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.array_types import BoolArray, FloatArray, Image
-from sunarc.detection import Bayer
-from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
+from sunarc.detection.values import Bayer
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.pose import rotation_matrix, rotation_vector
 from sunarc.simulation.charge import behind_mosaic, run_over
 from sunarc.simulation.clouds import CloudLayer, cloud_layer
 from sunarc.simulation.disc import Stamp, disc_points, is_covered, stamp_of
@@ -18,8 +20,11 @@ from sunarc.simulation.field import is_blocked, pixel_field
 from sunarc.simulation.kernels import count_light, sky_light, transmittance_towards
 from sunarc.simulation.night import NightLight
 from sunarc.simulation.options import Bump, SceneOptions, SensorModel, Weather
-from sunarc.sky import Site, clear_transmission, solar_date, sun_angles
+from sunarc.sky.air import clear_transmission
+from sunarc.sky.days import solar_date
 from sunarc.sky.directions import direction_from_angles
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_angles
 
 Region = tuple[int, int, int, int]
 

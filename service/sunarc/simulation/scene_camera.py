@@ -8,8 +8,8 @@ from collections.abc import Callable
 from datetime import datetime, timedelta
 from typing import Literal
 
-from sunarc.cameras import CameraCondition, CameraInfo, Frame, full_scale_of
-from sunarc.detection import bayer_of
+from sunarc.cameras.frame import CameraCondition, CameraInfo, Frame, full_scale_of
+from sunarc.detection.values import bayer_of
 from sunarc.errors import CameraError, CameraLostError, CameraTimeoutError
 from sunarc.runtime.clock import Clock
 from sunarc.simulation.scene import Region, Scene

@@ -13,8 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.array_types import FloatArray
-from sunarc.sky import Site, direction_from_angles
+from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.refraction import apparent_elevation
+from sunarc.sky.site import Site
 
 _J2000_UNIX_S = 946_728_000.0
 _TT_MINUS_UTC_S = 69.184

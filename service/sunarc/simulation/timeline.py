@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sunarc.sky import Site, sun_angles
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_angles
 from sunarc.utc import DAY_S
 
 _TWILIGHT_ZENITH_DEG = 92.0

@@ -7,8 +7,9 @@ import math
 import numpy as np
 
 from sunarc.array_types import FloatArray
-from sunarc.optics import Camera, PoseAngles, rotation_from_pose_angles
-from sunarc.sky import Site
+from sunarc.optics.camera import Camera
+from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles
+from sunarc.sky.site import Site
 
 SGP = Site(latitude=36.604043, longitude=-97.484856, altitude=318.0)
 """The Southern Great Plains site of the paper's imager USI 1.8."""

@@ -9,19 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from sunarc.calibration import (
-    Calibration,
-    Field,
-    Metrics,
-    Provenance,
-    Verdict,
-    WaveBasis,
-    fit_backward,
-    to_document,
-)
+from sunarc.calibration.model.backward import fit_backward
+from sunarc.calibration.model.document import to_document
+from sunarc.calibration.model.metrics import Metrics
+from sunarc.calibration.model.residual_field import Field, WaveBasis
+from sunarc.calibration.model.result import Calibration, Provenance, Verdict
 from sunarc.findings import Finding
-from sunarc.optics import Camera, pose_angles
-from sunarc.sky import Site
+from sunarc.optics.camera import Camera
+from sunarc.optics.pose import pose_angles
+from sunarc.sky.site import Site
 
 
 def truth_document(camera: Camera, site: Site, *, name: str, created_at: datetime) -> dict[str, Any]:

@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.array_types import FloatArray
-from sunarc.optics import Camera, project
-from sunarc.simulation import SGP
-from sunarc.sky import day_bounds_unix_s, sun_angles, sun_directions
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.simulation.truth import SGP
+from sunarc.sky.days import day_bounds_unix_s
+from sunarc.sky.sun import sun_angles, sun_directions
 
 LARGEST_ZENITH_DEG = 89.6
 """Up to this apparent zenith angle the paper's detector found the sun (section 3.3)."""

@@ -12,9 +12,12 @@ import numpy as np
 from scipy.linalg import null_space, solve_triangular
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration import ImageCircle, LensTolerances, Method, hemisphere, prior_knowledge
-from sunarc.optics import PARAMETER_NAMES, Camera, ideal_radius, project_with_jacobian
-from sunarc.optics.camera import FOCAL_LENGTH, RADIAL, RADIAL_ORDERS, Param
+from sunarc.calibration.least_squares.priors import prior_knowledge
+from sunarc.calibration.model.covariance import hemisphere
+from sunarc.calibration.model.options import ImageCircle, LensTolerances, Method
+from sunarc.optics.camera import FOCAL_LENGTH, PARAMETER_NAMES, RADIAL, RADIAL_ORDERS, Camera, Param
+from sunarc.optics.forward import project_with_jacobian
+from sunarc.optics.projections import ideal_radius
 from sunarc.studies.trials import QUANTITIES
 
 _RIGHT_ANGLE = math.pi / 2

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sunarc.calibration import Calibration, SunPoints
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints
 from sunarc.extras import extra_module
 from sunarc.studies.reports import writing_into
 from sunarc.studies.residuals import residuals_of

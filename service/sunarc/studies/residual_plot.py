@@ -9,9 +9,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from sunarc.array_types import BoolArray, FloatArray
-from sunarc.calibration import Calibration
-from sunarc.optics import Camera, project
-from sunarc.sky import direction_from_angles
+from sunarc.calibration.model.result import Calibration
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.sky.directions import direction_from_angles
 from sunarc.studies.drawing import BLUE, GREY, INK, LETTERING_PT, ORANGE, TITLE_PT, VERMILLION, key, letter, new_sheet
 from sunarc.studies.residuals import Residuals
 from sunarc.utc import DAY_S

@@ -7,9 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray
-from sunarc.calibration import Calibration, SunPoints, apparent_directions
-from sunarc.optics import project, unproject
-from sunarc.sky import angles_from_direction, angular_distance
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints, apparent_directions
+from sunarc.optics.forward import project
+from sunarc.optics.inverse import unproject
+from sunarc.sky.directions import angles_from_direction, angular_distance
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -17,9 +17,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration import Calibration, draw_ensemble
-from sunarc.optics import project
-from sunarc.sky import direction_from_angles
+from sunarc.calibration.ensemble import draw_ensemble
+from sunarc.calibration.model.result import Calibration
+from sunarc.optics.forward import project
+from sunarc.sky.directions import direction_from_angles
 
 SIGMAS_DEG = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 """1-sigma per axis of the pose, degrees."""

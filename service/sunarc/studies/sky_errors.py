@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 
 from sunarc.array_types import FloatArray, Image
-from sunarc.calibration import from_document
+from sunarc.calibration.model.document import from_document
 from sunarc.errors import OutsideError
-from sunarc.optics import project
-from sunarc.sky import angles_from_direction, direction_from_angles
+from sunarc.optics.forward import project
+from sunarc.sky.directions import angles_from_direction, direction_from_angles
 
 _LOWEST_DEG = 85.0
 _SIZE_PX, _MARGIN_PX = 360, 40

@@ -11,9 +11,11 @@ from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.projections.polar import PolarAxes
 
 from sunarc.array_types import BoolArray, FloatArray
-from sunarc.calibration import Calibration, sigma_deg
-from sunarc.optics import Camera, project
-from sunarc.sky import direction_from_angles
+from sunarc.calibration.model.covariance import sigma_deg
+from sunarc.calibration.model.result import Calibration
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.sky.directions import direction_from_angles
 from sunarc.studies.drawing import INK, LETTERING_PT, TITLE_PT, VERMILLION, new_sheet
 from sunarc.studies.residuals import Residuals
 

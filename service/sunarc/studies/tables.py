@@ -7,19 +7,18 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from sunarc.calibration import (
-    Calibration,
-    CalibrationOptions,
-    Method,
-    SunPoints,
-    calibrate,
-    hemisphere,
-    measure_day,
-    measures,
-)
-from sunarc.optics import Camera, pose_angles, project
-from sunarc.simulation import SGP, true_camera
-from sunarc.sky import solar_date
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.covariance import hemisphere
+from sunarc.calibration.model.metrics import measures
+from sunarc.calibration.model.options import CalibrationOptions, Method
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.quality.day_quality import measure_day
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.pose import pose_angles
+from sunarc.simulation.truth import SGP, true_camera
+from sunarc.sky.days import solar_date
 from sunarc.studies.arcs import Arc, arcs
 from sunarc.studies.noise import clear_noise, cloud_noise
 from sunarc.studies.published import CASES, Case

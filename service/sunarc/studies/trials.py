@@ -12,10 +12,15 @@ from multiprocessing import get_context
 import numpy as np
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration import Batch, CalibrationOptions, ImageCircle, Method, SunPoints, hemisphere
-from sunarc.optics import Camera, angle_limit, project
+from sunarc.calibration.batch import Batch
+from sunarc.calibration.model.covariance import hemisphere
+from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Method
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.projections import angle_limit
 from sunarc.runtime.threads import one_thread_each
-from sunarc.simulation import SGP, true_camera
+from sunarc.simulation.truth import SGP, true_camera
 from sunarc.studies.arcs import SYNTHETIC_DAY, Arc, arcs
 
 QUANTITIES = (

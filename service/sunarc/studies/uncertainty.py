@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration import Method
-from sunarc.simulation import true_camera
+from sunarc.calibration.model.options import Method
+from sunarc.simulation.truth import true_camera
 from sunarc.studies.bound import cramer_rao_bound
 from sunarc.studies.trials import QUANTITIES, Trial, run_trials, synthetic_arc
 

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sunarc.calibration import Method
+from sunarc.calibration.model.options import Method
 from sunarc.studies.drawing import BLUE, INK, TITLE_PT, VERMILLION, key, letter, new_sheet
 from sunarc.studies.published import FOCAL_LENGTH_P90, PRINCIPAL_POINT_P90, TRUE_RMSE
 from sunarc.studies.uncertainty import Uncertainty, true_values

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Collection, Mapping
 from datetime import datetime, timedelta
 
-from sunarc.archive import Archive
+from sunarc.archive.archive import Archive
 from sunarc.errors import OutsideError
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import StatusRegistry

@@ -7,7 +7,9 @@ import threading
 from collections.abc import Callable
 from datetime import datetime
 
-from sunarc.archive import Archive, Event, Recovery
+from sunarc.archive.archive import Archive
+from sunarc.archive.recovery import Recovery
+from sunarc.archive.values import Event
 from sunarc.errors import OutsideError, StoreFullError
 from sunarc.findings import Finding
 from sunarc.runtime.clock import Clock

@@ -7,7 +7,8 @@ import threading
 from collections.abc import Callable
 from datetime import datetime, timedelta
 
-from sunarc.archive import DiskOptions, DiskUsage, ImageStore, Reserve
+from sunarc.archive.images import DiskOptions, DiskUsage, ImageStore
+from sunarc.archive.space_reserve import Reserve
 from sunarc.errors import OutsideError
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import DiskStatus, Reason, StatusRegistry

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from sunarc.archive import SunPointColumns
-from sunarc.calibration import SunPoints, kinds_of
-from sunarc.sky import SUN, Site, body_directions
+from sunarc.archive.values import SunPointColumns
+from sunarc.calibration.model.kinds import kinds_of
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.sky.night import SUN, body_directions
+from sunarc.sky.site import Site
 
 
 def points_of(columns: SunPointColumns, *, site: Site | None = None, latest: str | None = None) -> SunPoints:

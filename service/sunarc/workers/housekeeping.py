@@ -7,7 +7,8 @@ import threading
 from collections.abc import Callable
 from datetime import UTC, datetime
 
-from sunarc.archive import CameraArchive, Housekeeping, merged
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.housekeeping_values import Housekeeping, merged
 from sunarc.errors import OutsideError
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import StatusRegistry

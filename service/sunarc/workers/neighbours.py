@@ -11,24 +11,21 @@ from typing import Any
 
 import numpy as np
 
-from sunarc.archive import Archive, CalibrationRecord, CameraRecord, CrossCheck, Found
+from sunarc.archive.archive import Archive
+from sunarc.archive.cross_check import CrossCheck, Found
+from sunarc.archive.values import CalibrationRecord, CameraRecord
 from sunarc.array_types import FloatArray, IntArray
-from sunarc.calibration import MAX_CLOCK_ERROR_S
-from sunarc.cross_checks import (
-    ClockOffsets,
-    DailyRotations,
-    Lag,
-    RotationStep,
-    StepSize,
-    SunSeries,
-    clock_offsets,
-    cloud_lag,
-    daily_rotations,
-    explain_step,
-    find_steps,
-)
-from sunarc.optics import unproject
-from sunarc.sky import Site, date_of_day, day_bounds_unix_s, solar_days, sun_directions, wrapped_deg
+from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
+from sunarc.cross_checks.causes import StepSize, explain_step
+from sunarc.cross_checks.clocks import ClockOffsets, Lag, clock_offsets
+from sunarc.cross_checks.cloud_edges import SunSeries, cloud_lag
+from sunarc.cross_checks.daily_rotations import DailyRotations, daily_rotations
+from sunarc.cross_checks.rotation_steps import RotationStep, find_steps
+from sunarc.optics.inverse import unproject
+from sunarc.sky.days import date_of_day, day_bounds_unix_s, solar_days
+from sunarc.sky.directions import wrapped_deg
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_directions
 
 _DAYS = timedelta(days=60)
 """Compared at once; a step that is older has become what was always so."""

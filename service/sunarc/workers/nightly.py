@@ -10,11 +10,12 @@ from typing import Annotated, Any
 
 from annotated_types import Ge, Le
 
-from sunarc.archive import LEAST_KEPT, Archive, NightlyRun
+from sunarc.archive.archive import Archive
+from sunarc.archive.nightly import LEAST_KEPT, NightlyRun
 from sunarc.bounds import require_bounds
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.sky import solar_date
+from sunarc.sky.days import solar_date
 from sunarc.workers.messages import condition
 from sunarc.workers.neighbours import cross_check_fleet
 

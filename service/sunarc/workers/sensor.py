@@ -8,8 +8,8 @@ from typing import Annotated
 from annotated_types import Ge, Gt, Le, Lt
 
 from sunarc.bounds import require_bounds
-from sunarc.cameras import Frame
-from sunarc.detection import Sensor, bayer_of
+from sunarc.cameras.frame import Frame
+from sunarc.detection.values import Sensor, bayer_of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

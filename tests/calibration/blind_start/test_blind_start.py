@@ -10,10 +10,15 @@ import numpy as np
 import population as pop
 import pytest
 
-from sunarc.calibration import BlindOptions, BlindStart, ImageCircle, NightImage, blind_start, hemisphere
-from sunarc.detection import Stars
-from sunarc.optics import Camera, PoseAngles, project, rotation_from_pose_angles
-from sunarc.sky import NightSky
+from sunarc.calibration.blind_start.start import blind_start
+from sunarc.calibration.blind_start.values import BlindOptions, BlindStart, NightImage
+from sunarc.calibration.model.covariance import hemisphere
+from sunarc.calibration.model.options import ImageCircle
+from sunarc.detection.stars.values import Stars
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles
+from sunarc.sky.night import NightSky
 
 POSE = PoseAngles(phi_xz_deg=112.0, theta_zz_deg=3.0, psi_z_deg=77.0)
 CAMERA = Camera(

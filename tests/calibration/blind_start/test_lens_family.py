@@ -13,7 +13,7 @@ from sunarc.calibration.blind_start.lens_family import (
     radial_for,
     radius_of_angle,
 )
-from sunarc.optics import Projection, ideal_radius
+from sunarc.optics.projections import Projection, ideal_radius
 
 ANGLES = np.radians(np.linspace(1.0, 85.0, 40))
 

@@ -11,12 +11,18 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sunarc.calibration import Calibration, CalibrationOptions, SunPoints, estimate_pose
-from sunarc.calibration.change_detection import Change, Sighting, SightingWindow, WatchOptions, update_window
-from sunarc.calibration.change_detection.detect_change import distrusted
-from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
-from sunarc.simulation import SGP
-from sunarc.sky import Site, sun_directions
+from sunarc.calibration.change_detection.detect_change import distrusted, update_window
+from sunarc.calibration.change_detection.values import Change, Sighting, SightingWindow, WatchOptions
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.pose.estimate_pose import estimate_pose
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.pose import rotation_matrix, rotation_vector
+from sunarc.simulation.truth import SGP
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_directions
 
 if TYPE_CHECKING:
     from tests.calibration.conftest import Simulated

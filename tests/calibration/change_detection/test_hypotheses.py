@@ -12,16 +12,19 @@ from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
 from tests.fixtures.calibration import SGP, small_camera, stated_calibration
 
-from sunarc.calibration.change_detection import Change, ChangeKind, SightingWindow, WatchOptions
 from sunarc.calibration.change_detection import hypotheses as module
 from sunarc.calibration.change_detection.hypotheses import best_hypothesis, pole_of
 from sunarc.calibration.change_detection.report import describe_change
 from sunarc.calibration.change_detection.residual_model import ResidualModel, errors_at, window_of
+from sunarc.calibration.change_detection.values import Change, ChangeKind, SightingWindow, WatchOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.pose.error_model import at_every_angle, joined, predicted, rotated
 from sunarc.calibration.pose.gaussian_conditioning import fit_inlier_mixture
-from sunarc.optics import Camera, project, rotation_matrix
-from sunarc.sky import Site, sun_directions
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.pose import rotation_matrix
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_directions
 
 FloatArray = NDArray[np.float64]
 

@@ -12,12 +12,13 @@ from scipy.spatial.transform import Rotation
 from scipy.special import gamma, kv
 from tests.fixtures.calibration import SGP, small_camera, stated_calibration, sun_arc
 
-from sunarc.calibration.change_detection import SightingWindow, WatchOptions
 from sunarc.calibration.change_detection.residual_model import errors_at, wandering, window_of
+from sunarc.calibration.change_detection.values import SightingWindow, WatchOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.pose.error_model import joint_covariance
-from sunarc.optics import project, rotation_matrix, rotation_vector
-from sunarc.sky import raised, refraction_rad
+from sunarc.optics.forward import project
+from sunarc.optics.pose import rotation_matrix, rotation_vector
+from sunarc.sky.refraction import raised, refraction_rad
 
 FloatArray = NDArray[np.float64]
 

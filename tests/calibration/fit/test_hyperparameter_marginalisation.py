@@ -18,7 +18,8 @@ from sunarc.calibration.fit.normal_equations import LinearSystem, linear_system
 from sunarc.calibration.least_squares.problem import Problem
 from sunarc.calibration.least_squares.time_bins import Bins
 from sunarc.calibration.model.covariance import hemisphere
-from sunarc.optics import Camera, project
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
 
 FloatArray = NDArray[np.float64]
 

@@ -17,7 +17,8 @@ from sunarc.calibration.fit.systematic_errors import (
     with_systematic_errors,
 )
 from sunarc.calibration.model.kinds import Kind, kinds_of
-from sunarc.optics import project, rotation_matrix, rotation_vector
+from sunarc.optics.forward import project
+from sunarc.optics.pose import rotation_matrix, rotation_vector
 
 FloatArray = NDArray[np.float64]
 

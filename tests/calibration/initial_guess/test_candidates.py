@@ -20,7 +20,10 @@ from sunarc.calibration.initial_guess.candidates import (
     wahba,
 )
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
-from sunarc.optics import Projection, project, rotation_matrix, unproject
+from sunarc.optics.forward import project
+from sunarc.optics.inverse import unproject
+from sunarc.optics.pose import rotation_matrix
+from sunarc.optics.projections import Projection
 
 FloatArray = NDArray[np.float64]
 

@@ -14,7 +14,8 @@ from sunarc.calibration.initial_guess.coarse_search import _misfit, field_angle,
 from sunarc.calibration.least_squares.problem import Observations
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.robust_loss import robust_sigma
-from sunarc.optics import Camera, project
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
 
 FloatArray = NDArray[np.float64]
 

@@ -25,7 +25,8 @@ from sunarc.calibration.least_squares.priors import DECENTERING, HIGHER, LENS, R
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.least_squares.solve import most_probable
 from sunarc.calibration.robust_loss import UNSEEN_PX, robust_sigma, tukey_loss
-from sunarc.optics import PARAMETER_NAMES, rotation_matrix
+from sunarc.optics.camera import PARAMETER_NAMES
+from sunarc.optics.pose import rotation_matrix
 
 FloatArray = NDArray[np.float64]
 

@@ -23,7 +23,7 @@ from sunarc.calibration.least_squares.kernels import Goal, damped_step_of, equat
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.least_squares.solve import as_lens, as_seen, most_probable
 from sunarc.calibration.robust_loss import UNSEEN_PX
-from sunarc.optics import PROJECTIONS, Projection
+from sunarc.optics.projections import PROJECTIONS, Projection
 
 FloatArray = NDArray[np.float64]
 

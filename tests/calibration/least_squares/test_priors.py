@@ -23,9 +23,9 @@ from sunarc.calibration.least_squares.priors import (
     radial_basis,
 )
 from sunarc.calibration.model.options import ImageCircle, LensTolerances
-from sunarc.optics import PARAMETER_NAMES, Camera, Param, Projection, ideal_radius, project
-from sunarc.optics.camera import POSE
-from sunarc.optics.forward import distorted_radius
+from sunarc.optics.camera import PARAMETER_NAMES, POSE, Camera, Param
+from sunarc.optics.forward import distorted_radius, project
+from sunarc.optics.projections import Projection, ideal_radius
 
 TOLERANCES = LensTolerances()
 CIRCLE = ImageCircle(x=318.0, y=241.0, radius=231.0)

@@ -21,8 +21,10 @@ from tests.fixtures.calibration import (
 from sunarc.calibration.least_squares.priors import N_LENS
 from sunarc.calibration.least_squares.problem import Observations, by_elevation, observations, problem_for
 from sunarc.calibration.model.sightings import SunPoints, filter_sightings
-from sunarc.optics import Camera, Projection, angle_limit, project, project_with_rows_fast
-from sunarc.sky import raised
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project, project_with_rows_fast
+from sunarc.optics.projections import Projection, angle_limit
+from sunarc.sky.refraction import raised
 
 FloatArray = NDArray[np.float64]
 

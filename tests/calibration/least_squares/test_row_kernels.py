@@ -12,9 +12,10 @@ from tests.fixtures.calibration import observed, small_camera, small_problem, sp
 from sunarc.calibration.least_squares.priors import LENS, N_LENS
 from sunarc.calibration.least_squares.problem import Observations, Problem, by_elevation
 from sunarc.calibration.robust_loss import UNSEEN_PX
-from sunarc.optics import PARAMETER_NAMES, PROJECTIONS, Projection, project_with_rows_fast
-from sunarc.optics.camera import POSE
-from sunarc.sky import raised
+from sunarc.optics.camera import PARAMETER_NAMES, POSE
+from sunarc.optics.forward import project_with_rows_fast
+from sunarc.optics.projections import PROJECTIONS, Projection
+from sunarc.sky.refraction import raised
 
 FloatArray = NDArray[np.float64]
 

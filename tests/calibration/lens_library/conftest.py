@@ -9,11 +9,14 @@ import numpy as np
 import pytest
 from tests.calibration.conftest import SGP, TRUTH, FloatArray, simulate
 
-from sunarc.calibration import Calibration, LensType, SunPoints, UnitSpread, calibrate
+from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.least_squares.priors import LENS
 from sunarc.calibration.lens_library.frame import frame_of
-from sunarc.calibration.lens_library.lens_type import type_camera
-from sunarc.optics import Camera, PoseAngles, rotation_from_pose_angles
+from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread, type_camera
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.optics.camera import Camera
+from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles
 
 SPREAD = UnitSpread(focal_length=0.003, center_px=8.0, radial_px=0.4, decentering_px=0.3)
 Units = Callable[[int], Camera]

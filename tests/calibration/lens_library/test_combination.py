@@ -8,10 +8,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.calibration import LensType, Unit, UnitSpread, lens_type_of
 from sunarc.calibration.least_squares.priors import N_LENS
-from sunarc.calibration.lens_library.combination import _log_evidences, estimated_spread, further_unit
+from sunarc.calibration.lens_library.combination import (
+    Unit,
+    _log_evidences,
+    estimated_spread,
+    further_unit,
+    lens_type_of,
+)
 from sunarc.calibration.lens_library.frame import Information, frame_of, usual_precision
+from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread
 from sunarc.errors import InputError
 
 if TYPE_CHECKING:

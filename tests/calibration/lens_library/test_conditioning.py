@@ -9,21 +9,18 @@ import numpy as np
 import pytest
 from tests.calibration.conftest import SGP
 
-from sunarc.calibration import (
-    Calibration,
-    CalibrationOptions,
-    LensType,
-    UnitSpread,
-    calibrate,
-    hemisphere,
-    project_with_covariance,
-    reproduce_calibration,
-)
-from sunarc.calibration.lens_library import conditioning, with_lens
-from sunarc.calibration.lens_library.conditioning import conditioned_lens
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.lens_library import conditioning
+from sunarc.calibration.lens_library.conditioning import conditioned_lens, with_lens
 from sunarc.calibration.lens_library.frame import frame_of, gaussian_of, information_of, prior_precision_of
+from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread
+from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.reproduce import reproduce_calibration
 from sunarc.errors import InputError
-from sunarc.optics import Camera, project
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
 
 if TYPE_CHECKING:
     from tests.calibration.lens_library.conftest import Fitted, Units

@@ -9,21 +9,16 @@ import numpy as np
 import pytest
 from tests.calibration.conftest import SGP, simulate
 
-from sunarc.calibration import (
-    Calibration,
-    CalibrationOptions,
-    FirstPoseOptions,
-    LensType,
-    calibrate_with_lens,
-    first_pose,
-    hemisphere,
-    north_sigma_deg,
-    project_with_covariance,
-    top_azimuth_deg,
-)
-from sunarc.calibration.lens_library.mounting import level, levelling
+from sunarc.calibration.lens_library.first_pose import FirstPoseOptions, calibrate_with_lens, first_pose
+from sunarc.calibration.lens_library.lens_type import LensType
+from sunarc.calibration.lens_library.mounting import level, levelling, north_sigma_deg, top_azimuth_deg
+from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.result import Calibration
 from sunarc.errors import InputError
-from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.pose import rotation_matrix, rotation_vector
 
 if TYPE_CHECKING:
     from tests.calibration.conftest import Simulated

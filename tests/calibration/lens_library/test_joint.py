@@ -10,21 +10,19 @@ import pytest
 from scipy.optimize import least_squares
 from tests.calibration.conftest import SGP, simulate
 
-from sunarc.calibration import (
-    Calibration,
-    CalibrationOptions,
-    Entry,
-    LensType,
-    SunPoints,
-    calibrate_jointly,
-    hemisphere,
-)
 from sunarc.calibration.least_squares.priors import LENS, N_LENS
 from sunarc.calibration.lens_library.frame import IN_FREE, frame_of, usual_precision
+from sunarc.calibration.lens_library.joint import Entry, calibrate_jointly
+from sunarc.calibration.lens_library.lens_type import LensType
+from sunarc.calibration.model.covariance import hemisphere
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints
 from sunarc.errors import InputError
-from sunarc.optics import Camera, PoseAngles, project, project_fast, rotation_from_pose_angles
-from sunarc.optics.camera import POSE
-from sunarc.sky import sun_directions
+from sunarc.optics.camera import POSE, Camera
+from sunarc.optics.forward import project, project_fast
+from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles
+from sunarc.sky.sun import sun_directions
 
 if TYPE_CHECKING:
     from tests.calibration.conftest import FloatArray

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from sunarc.calibration import LENS_SCHEMA, LensType, UnitSpread, lens_type_from_json
+from sunarc.calibration.lens_library.lens_type import LENS_SCHEMA, LensType, UnitSpread, lens_type_from_json
 from sunarc.errors import InputError
 
 Change = Callable[[dict[str, Any]], object]

@@ -13,8 +13,9 @@ from tests.fixtures.calibration import ideal_camera, numerical_derivative, small
 
 from sunarc.calibration.model import backward
 from sunarc.calibration.model.backward import NO_BACKWARD, BackwardModel, back_project, camera_sees, fit_backward
-from sunarc.optics import Projection, ideal_radius, project, unproject
-from sunarc.optics.inverse import calibrated
+from sunarc.optics.forward import project
+from sunarc.optics.inverse import calibrated, unproject
+from sunarc.optics.projections import Projection, ideal_radius
 
 NOTHING = BackwardModel(radial=(0.0,) * 8, decentering=(0.0,) * 5, max_error_px=0.0)
 

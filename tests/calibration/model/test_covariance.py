@@ -11,26 +11,26 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from sunarc.calibration import (
-    Calibration,
-    SunPoints,
-    accept,
-    back_project,
-    back_projection_map,
-    calibrate,
-    from_document,
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.least_squares import time_bins as bins_module
+from sunarc.calibration.model.backward import back_project
+from sunarc.calibration.model.covariance import (
     hemisphere,
-    lookup,
     project_with_covariance,
     sigma_deg,
     sigma_px,
-    to_document,
     unproject_with_sigma,
 )
-from sunarc.calibration.least_squares import time_bins as bins_module
+from sunarc.calibration.model.direction_table import lookup
+from sunarc.calibration.model.document import from_document, to_document
+from sunarc.calibration.model.maps import back_projection_map
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.quality.acceptance import accept
 from sunarc.errors import InputError
-from sunarc.optics import project, unproject
-from sunarc.sky import angular_distance
+from sunarc.optics.forward import project
+from sunarc.optics.inverse import unproject
+from sunarc.sky.directions import angular_distance
 
 if TYPE_CHECKING:
     from tests.calibration.conftest import Simulated, Simulator

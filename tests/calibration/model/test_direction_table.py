@@ -6,18 +6,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.calibration import (
-    Lookup,
-    hemisphere,
-    lookup,
-    project_with_covariance,
-    sigma_px,
-    unproject_with_sigma,
-)
-from sunarc.sky import angles_from_direction
+from sunarc.calibration.model.covariance import hemisphere, project_with_covariance, sigma_px, unproject_with_sigma
+from sunarc.calibration.model.direction_table import Lookup, lookup
+from sunarc.sky.directions import angles_from_direction
 
 if TYPE_CHECKING:
-    from sunarc.calibration import Calibration
+    from sunarc.calibration.model.result import Calibration
 
 
 @pytest.fixture(scope="module")

@@ -18,18 +18,15 @@ import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibration import SGP, current_document, distinctive_calibration, small_camera
 
-from sunarc.calibration import (
-    Calibration,
-    SunPoints,
-    back_project,
-    calibrate,
-    from_document,
-    hemisphere,
-    project_with_covariance,
-)
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.backward import back_project
+from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.model.document import from_document
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints
 from sunarc.errors import InputError
-from sunarc.optics import project
-from sunarc.sky import sun_directions
+from sunarc.optics.forward import project
+from sunarc.sky.sun import sun_directions
 
 FloatArray = NDArray[np.float64]
 DOCS = Path(__file__).parents[3] / "docs"

@@ -13,9 +13,10 @@ from sunarc.calibration.model import direction_table as module
 from sunarc.calibration.model.covariance import project_with_covariance, sigma_deg
 from sunarc.calibration.model.direction_table import Lookup, lookup
 from sunarc.calibration.model.maps import back_projection_map
-from sunarc.optics import project, unproject
 from sunarc.optics.cubic_spline import spline_weights
-from sunarc.sky import angles_from_direction
+from sunarc.optics.forward import project
+from sunarc.optics.inverse import unproject
+from sunarc.sky.directions import angles_from_direction
 
 
 @pytest.fixture(scope="module")

@@ -35,7 +35,10 @@ from sunarc.calibration.model.covariance import (
 )
 from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.result import Calibration
-from sunarc.optics import Camera, project, rotation_matrix, unproject
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.inverse import unproject
+from sunarc.optics.pose import rotation_matrix
 
 FloatArray = NDArray[np.float64]
 

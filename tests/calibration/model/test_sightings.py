@@ -11,7 +11,8 @@ from tests.fixtures.calibration import SGP
 
 from sunarc.calibration.model.sightings import SunPoints, filter_sightings
 from sunarc.errors import InputError
-from sunarc.sky import ASSUMED_AIR_SD, DAILY_AIR_SD, MEASURED_AIR_SD, refraction_rad, sun_angles, sun_directions
+from sunarc.sky.refraction import ASSUMED_AIR_SD, DAILY_AIR_SD, MEASURED_AIR_SD, refraction_rad
+from sunarc.sky.sun import sun_angles, sun_directions
 
 FloatArray = NDArray[np.float64]
 

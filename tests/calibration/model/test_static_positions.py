@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from tests.finding_codes import codes
 
-from sunarc.calibration import SunPoints, calibrate
-from sunarc.calibration.model.sightings import filter_sightings
-from sunarc.optics import project
-from sunarc.sky import Site, sun_angles, sun_directions
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.sightings import SunPoints, filter_sightings
+from sunarc.optics.forward import project
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_angles, sun_directions
 
 if TYPE_CHECKING:
     from tests.calibration.conftest import Simulated, Simulator

@@ -12,8 +12,9 @@ from tests.fixtures.calibration import ideal_camera, numerical_derivative, penal
 
 from sunarc.calibration.model.options import PaperOptions
 from sunarc.calibration.paper.constraints import Penalties
-from sunarc.optics import Camera, ideal_radius
+from sunarc.optics.camera import Camera
 from sunarc.optics.forward import distorted_radius
+from sunarc.optics.projections import ideal_radius
 
 EDGE = math.pi / 2
 

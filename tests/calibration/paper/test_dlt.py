@@ -10,7 +10,9 @@ from tests.fixtures.calibration import ideal_camera, observed, small_camera, spr
 
 from sunarc.calibration.least_squares.problem import Observations
 from sunarc.calibration.paper.dlt import _left_null_spaces, direct_linear_pose
-from sunarc.optics import Camera, project, rotation_matrix
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.pose import rotation_matrix
 
 
 def _of(camera: Camera, *, count: int = 40) -> Observations:

@@ -13,7 +13,7 @@ from sunarc.calibration.model.options import CalibrationOptions, EllipseScope, P
 from sunarc.calibration.paper.kernels import Optics, equations
 from sunarc.calibration.paper.stages import _penalties, _unlimited
 from sunarc.calibration.paper.stages import equations as equations_in_numpy
-from sunarc.optics import Camera
+from sunarc.optics.camera import Camera
 from sunarc.optics.forward import kernel_lens
 
 FALLING = (0.0, 0.0, -0.9, 0.0, 0.0, 0.0, 0.0, 0.0)

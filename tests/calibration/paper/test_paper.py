@@ -10,12 +10,15 @@ import numpy as np
 import pytest
 from tests.fixtures.calibration import penalties
 
-from sunarc.calibration import Calibration, CalibrationOptions, ImageCircle, PaperOptions, calibrate
+from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.initial_guess.candidates import wahba
 from sunarc.calibration.least_squares.problem import Observations
 from sunarc.calibration.model.metrics import measures
-from sunarc.calibration.paper import direct_linear_pose
-from sunarc.optics import pose_angles, project
+from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, PaperOptions
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.paper.dlt import direct_linear_pose
+from sunarc.optics.forward import project
+from sunarc.optics.pose import pose_angles
 
 if TYPE_CHECKING:
     from tests.calibration.conftest import Simulated, Simulator

@@ -22,7 +22,8 @@ from sunarc.calibration.least_squares.problem import Observations
 from sunarc.calibration.model.options import CalibrationOptions, PaperOptions
 from sunarc.calibration.model.sightings import FilteredSightings
 from sunarc.calibration.paper.stages import _inverse, _start, fit_as_paper
-from sunarc.optics import PARAMETER_NAMES, project
+from sunarc.optics.camera import PARAMETER_NAMES
+from sunarc.optics.forward import project
 
 FloatArray = NDArray[np.float64]
 

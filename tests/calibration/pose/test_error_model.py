@@ -32,7 +32,10 @@ from sunarc.calibration.pose.error_model import (
     with_parameters,
 )
 from sunarc.errors import InputError
-from sunarc.optics import Camera, angle_limit, project, rotation_matrix
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.pose import rotation_matrix
+from sunarc.optics.projections import angle_limit
 
 FloatArray = NDArray[np.float64]
 TURN = np.array([0.02, -0.05, 0.03])

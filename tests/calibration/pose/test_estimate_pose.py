@@ -12,21 +12,19 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sunarc.calibration import (
-    Calibration,
-    CalibrationOptions,
-    SunPoints,
-    calibrate,
-    daily_pose_offset,
-    estimate_pose,
-    from_document,
-    hemisphere,
-    project_with_covariance,
-    to_document,
-)
-from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
-from sunarc.simulation import SGP
-from sunarc.sky import Site
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.model.document import from_document, to_document
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.pose.daily_offset import daily_pose_offset
+from sunarc.calibration.pose.estimate_pose import estimate_pose
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.pose import rotation_matrix, rotation_vector
+from sunarc.simulation.truth import SGP
+from sunarc.sky.site import Site
 
 if TYPE_CHECKING:
     from tests.calibration.conftest import Simulated, Simulator

@@ -12,7 +12,7 @@ from tests.fixtures.calibration import small_camera, stated_calibration, sun_arc
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.pose.residuals import MOST, PredictedSightings, gathered, inflation, noise_px
 from sunarc.calibration.robust_loss import finite
-from sunarc.optics import project
+from sunarc.optics.forward import project
 
 
 def _with(calibration: Calibration, **evidence: float) -> Calibration:

@@ -11,7 +11,7 @@ from tests.fixtures.calibration import ideal_camera, small_camera, spread_direct
 from sunarc.calibration.pose import rotation_consensus as module
 from sunarc.calibration.pose.error_model import at_every_angle, rotated
 from sunarc.calibration.pose.rotation_consensus import ransac_rotation
-from sunarc.optics import project
+from sunarc.optics.forward import project
 
 FloatArray = NDArray[np.float64]
 

@@ -8,21 +8,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from sunarc.calibration import (
-    Calibration,
-    CalibrationOptions,
-    PriorTolerances,
-    calibrate,
-    calibrate_with_prior,
-    hemisphere,
-    project_with_covariance,
-    reproduce_calibration,
-)
+from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.least_squares.priors import FREE
+from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.pose.error_model import rotated
-from sunarc.calibration.pose.stated_prior import _basis
+from sunarc.calibration.pose.stated_prior import PriorTolerances, _basis, calibrate_with_prior
+from sunarc.calibration.reproduce import reproduce_calibration
 from sunarc.errors import InputError
-from sunarc.optics import Camera, project
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
 
 if TYPE_CHECKING:
     from tests.calibration.conftest import Simulated, Simulator

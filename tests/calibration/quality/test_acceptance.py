@@ -9,16 +9,20 @@ import numpy as np
 import pytest
 from tests.finding_codes import codes
 
-from sunarc.calibration import SunPoints, Verdict, accept, distance_px, hemisphere, unseen_points
+from sunarc.calibration.model.covariance import hemisphere
+from sunarc.calibration.model.result import Verdict
+from sunarc.calibration.model.sightings import SunPoints
 from sunarc.calibration.quality import acceptance
+from sunarc.calibration.quality.acceptance import accept, distance_px, unseen_points
 from sunarc.findings import Finding
-from sunarc.optics import PARAMETER_NAMES, project, project_with_rows_fast
-from sunarc.sky import sun_directions
+from sunarc.optics.camera import PARAMETER_NAMES
+from sunarc.optics.forward import project, project_with_rows_fast
+from sunarc.sky.sun import sun_directions
 
 if TYPE_CHECKING:
     from tests.calibration.conftest import Simulated
 
-    from sunarc.calibration import Calibration
+    from sunarc.calibration.model.result import Calibration
 
 
 def knowing(calibration: Calibration, *days: str, sky: float = 1.0) -> Calibration:

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.calibration import SunPoints, days_left_out, decide_day, find_image_circle, measure_day
-from sunarc.calibration.quality.day_quality import smooth_arc
+from sunarc.calibration.initial_guess.image_circle import find_image_circle
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.quality.day_quality import days_left_out, decide_day, measure_day, smooth_arc
 from sunarc.errors import InputError
-from sunarc.sky import Site
+from sunarc.sky.site import Site
 
 if TYPE_CHECKING:
     from tests.calibration.conftest import Simulated, Simulator

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from tests.fixtures.calibration import ideal_camera, stated_calibration
 
-from sunarc.calibration import Calibration, disagreement
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.quality.acceptance import disagreement
 
 CENTRE = ("principal_point_x_px", "principal_point_y_px")
 

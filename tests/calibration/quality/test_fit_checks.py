@@ -9,8 +9,8 @@ import pytest
 from tests.finding_codes import codes
 from tests.fixtures.calibration import SGP, filtered_sightings, small_camera, stated_calibration, sun_arc
 
-from sunarc.calibration import CalibrationOptions, SunPoints
-from sunarc.calibration.model.sightings import filter_sightings
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.sightings import SunPoints, filter_sightings
 from sunarc.calibration.quality.fit_checks import Handedness, fit_verdict
 
 HAND = Handedness(mirrored=False, ambiguous=False)

@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.calibration import accept, hemisphere, pose_spread_deg, project_with_covariance, with_pose_spread
-from sunarc.optics import project, rotation_matrix, rotation_vector
+from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.quality.acceptance import accept
+from sunarc.calibration.quality.pose_drift import pose_spread_deg, with_pose_spread
+from sunarc.optics.forward import project
+from sunarc.optics.pose import rotation_matrix, rotation_vector
 
 if TYPE_CHECKING:
-    from sunarc.calibration import Calibration
+    from sunarc.calibration.model.result import Calibration
 
 
 def test_the_spread_is_what_the_days_errors_do_not_explain() -> None:

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from tests.finding_codes import codes
 
-from sunarc.calibration import DayVerdict, SunPoints, decide_day, measure_day
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.quality.day_quality import DayVerdict, decide_day, measure_day
 from sunarc.calibration.quality.sampling import Sampling, sampling_of
 
 if TYPE_CHECKING:

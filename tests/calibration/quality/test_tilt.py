@@ -12,8 +12,11 @@ from tests.fixtures.calibration import ideal_camera
 
 from sunarc.calibration.quality import tilt as module
 from sunarc.calibration.quality.tilt import tilt_question
-from sunarc.optics import Camera, PoseAngles, project, rotation_from_pose_angles, rotation_matrix, rotation_vector
-from sunarc.sky import Site, sun_directions
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles, rotation_matrix, rotation_vector
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_directions
 
 SITE = Site(latitude=36.6, longitude=-97.5)
 

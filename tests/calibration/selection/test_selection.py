@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.calibration import Candidates, SelectionOptions, SunPoints, hemisphere, select_sightings
-from sunarc.calibration.selection.selection import _grade
+from sunarc.calibration.model.covariance import hemisphere
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.selection.selection import Candidates, SelectionOptions, _grade, select_sightings
 from sunarc.calibration.selection.sky_grid import sky_patches, solid_angle_sr
 from sunarc.errors import InputError
-from sunarc.sky import Site, sun_directions
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_directions
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

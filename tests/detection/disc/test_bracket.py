@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from sunarc.detection import Detection, beside, combine
+from sunarc.detection.disc.bracket import beside, combine
+from sunarc.detection.values import Detection
 from sunarc.errors import InputError
 from sunarc.findings import Finding
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sunarc.detection import clear_sun
-from sunarc.detection.disc.brightness import ClearSun
-from sunarc.sky import relative_air_mass
+from sunarc.detection.disc.brightness import ClearSun, clear_sun
+from sunarc.sky.air import relative_air_mass
 
 ZENITH = np.linspace(20.0, 88.0, 400)
 

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from tests.detection.disc.fitting import SENSOR, good_fit
 
-from sunarc.detection import Expectation
 from sunarc.detection.disc.classify import detection_of, is_flat, verdict_of
-from sunarc.detection.values import Verdict
+from sunarc.detection.values import Expectation, Verdict
 
 FULL = float(SENSOR.full_scale)
 STRETCH = ((565.0, 0.0), (0.0, 640.0))

@@ -18,9 +18,10 @@ from tests.detection.rendering import (
     render,
 )
 
-from sunarc.detection import Detection, DiscOptions, Expectation, Sensor, detect_sun
 from sunarc.detection.disc import detect
-from sunarc.detection.values import Verdict
+from sunarc.detection.disc.detect import detect_sun
+from sunarc.detection.options import DiscOptions
+from sunarc.detection.values import Detection, Expectation, Sensor, Verdict
 from sunarc.errors import InputError
 
 SENSOR = Sensor.from_full_well(full_scale=4095)

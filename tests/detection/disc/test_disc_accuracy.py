@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from tests.detection.rendering import FULL_WELL_E, FloatArray, Image, Scene, equisolid_stretch, render
 
-from sunarc.detection import Detection, Expectation, Sensor, detect_sun
+from sunarc.detection.disc.detect import detect_sun
+from sunarc.detection.values import Detection, Expectation, Sensor
 
 FRAMES = 150
 

@@ -11,7 +11,9 @@ from tests.detection.rendering import Scene, equisolid_stretch, read_out, render
 from tests.detection.sunless import KINDS, accepted_of
 from tests.finding_codes import codes
 
-from sunarc.detection import Detection, DiscOptions, Expectation, Sensor, detect_sun
+from sunarc.detection.disc.detect import detect_sun
+from sunarc.detection.options import DiscOptions
+from sunarc.detection.values import Detection, Expectation, Sensor
 from sunarc.errors import InputError
 
 SENSOR = Sensor.from_full_well(full_scale=4095)

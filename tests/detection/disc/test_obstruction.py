@@ -7,10 +7,13 @@ from functools import lru_cache
 
 import pytest
 
-from sunarc.detection import Detection, Expectation, Sensor, detect_sun
-from sunarc.optics import local_stretch
-from sunarc.simulation import SGP, Obstruction, Scene, SceneOptions, true_camera
-from sunarc.sky import sun_angles
+from sunarc.detection.disc.detect import detect_sun
+from sunarc.detection.values import Detection, Expectation, Sensor
+from sunarc.optics.stretch import local_stretch
+from sunarc.simulation.options import Obstruction, SceneOptions
+from sunarc.simulation.scene import Scene
+from sunarc.simulation.truth import SGP, true_camera
+from sunarc.sky.sun import sun_angles
 
 NOON = datetime(2013, 5, 13, 20, 0, tzinfo=UTC)
 SENSOR = Sensor(full_scale=4095, gain_e_per_count=20_000.0 / 4095, black_level=32.0)

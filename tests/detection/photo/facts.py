@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from tests.detection.rendering import FloatArray
 
-from sunarc.detection import Expectation, detect_sun_in_photo
+from sunarc.detection.photo.ordinary_image import detect_sun_in_photo
+from sunarc.detection.values import Expectation
 
 Photo = NDArray[np.uint8]
 

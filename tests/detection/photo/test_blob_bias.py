@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from tests.detection.rendering import FloatArray
 
-from sunarc.detection import Lens, radial_bias_px
-from sunarc.detection.photo.blob_bias import bias_at
+from sunarc.detection.photo.blob_bias import Lens, bias_at, radial_bias_px
 
 ALPHA_PX = 600.0
 

@@ -9,10 +9,10 @@ import pytest
 from tests.detection.photo.suns import glare_image
 
 from sunarc.array_types import Image
-from sunarc.detection import Bayer, Expectation
 from sunarc.detection.photo.candidates import Candidate, candidates_near, window_step
 from sunarc.detection.photo.candidates import candidates_in as candidates_in_part
 from sunarc.detection.photo.part import part_near, plane_of, whole_part
+from sunarc.detection.values import Bayer, Expectation
 
 
 def candidates_in(image: Image, *, full_scale: int, bayer: Bayer | None = None) -> list[Candidate]:

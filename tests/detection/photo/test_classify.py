@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
-from sunarc.detection import Expectation
 from sunarc.detection.photo.candidates import Candidate, sigma_px
 from sunarc.detection.photo.classify import Judged, best_of
 from sunarc.detection.photo.rim import Rim
+from sunarc.detection.values import Expectation
 
 RIM = Rim(
     x=100.0,

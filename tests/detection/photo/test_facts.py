@@ -7,7 +7,8 @@ import pytest
 from tests.detection.photo.facts import KINDS, SUNLESS, accepted_without_a_sun, outcome_of, sun_photo, sunless_photo
 from tests.detection.photo.predicted import compared, distance_px, stand_ins
 
-from sunarc.detection import Expectation, detect_sun_in_photo
+from sunarc.detection.photo.ordinary_image import detect_sun_in_photo
+from sunarc.detection.values import Expectation
 
 FEW = {"haze": 1, "HDR, Raspberry Pi": 2, "thin cloud": 2}  # of five are accepted
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sunarc.detection import Bayer, Expectation
 from sunarc.detection.photo.part import part_near, plane_of, whole_part
+from sunarc.detection.values import Bayer, Expectation
 
 RNG = np.random.default_rng(2)
 COLOUR = RNG.integers(0, 256, (700, 900, 3), dtype=np.uint8)

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from tests.detection.photographs import Photograph, photograph
 
-from sunarc.detection import Expectation, detect_sun_in_photo
+from sunarc.detection.photo.ordinary_image import detect_sun_in_photo
+from sunarc.detection.values import Expectation
 
 
 def errors(count: int, seed: int = 3, **scene: Any) -> list[tuple[float, bool]]:  # noqa: ANN401 - the scene's own fields

@@ -6,10 +6,10 @@ import math
 
 import pytest
 
-from sunarc.detection import Detection
 from sunarc.detection.photo.candidates import Candidate
 from sunarc.detection.photo.exposure_stack import _agrees, _mean
 from sunarc.detection.photo.rim import Rim
+from sunarc.detection.values import Detection
 
 
 def candidate(x: float, y: float, *, sigma_px: float, radius: float = 5.0) -> Candidate:

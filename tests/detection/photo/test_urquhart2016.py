@@ -11,11 +11,11 @@ from scipy.signal import fftconvolve
 from tests.detection.photographs import sky
 from tests.detection.rendering import FloatArray, Image
 
-from sunarc.detection import Estimates, Lens, locate, planes_of, radial_bias_px
 from sunarc.detection.photo import centroids, urquhart2016
 from sunarc.detection.photo.blob import Blob
+from sunarc.detection.photo.blob_bias import Lens, radial_bias_px
 from sunarc.detection.photo.centroids import Plane, gaussian_sigma_px, kernels, smear_column, sun_blob
-from sunarc.detection.photo.urquhart2016 import Planes
+from sunarc.detection.photo.urquhart2016 import Estimates, Planes, locate, planes_of
 from sunarc.errors import InputError
 
 ALPHA_PX = 601.32

@@ -13,8 +13,8 @@ from sunarc.offline.reanalysis.plan import CameraPlan, Selector
 from sunarc.offline.reanalysis.results import Summary
 from sunarc.offline.reanalysis.run import ReanalysisOptions, reanalyse
 from sunarc.runtime.clock import SystemClock
-from sunarc.simulation import SGP
 from sunarc.simulation.made_archive import FOUR_CAMERAS, MadeArchive, write_archive
+from sunarc.simulation.truth import SGP
 
 MADE = MadeArchive(cameras=FOUR_CAMERAS[:2], days=6, per_day=14, cloudy_share=0.15)
 """Of a bumped camera in a folder, and one in a zip file whose clock is an hour ahead on two days."""

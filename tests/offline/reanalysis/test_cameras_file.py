@@ -11,7 +11,7 @@ from sunarc.errors import InputError
 from sunarc.offline.reanalysis.cameras_file import read_cameras
 from sunarc.offline.reanalysis.plan import CameraPlan, Selector
 from sunarc.offline.sources.times import TimeRules
-from sunarc.simulation import SGP
+from sunarc.simulation.truth import SGP
 
 COMMON = CameraPlan(
     name="all",

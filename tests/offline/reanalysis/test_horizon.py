@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from sunarc.detection import Expectation
+from sunarc.detection.values import Expectation
 from sunarc.offline.reanalysis.horizon import HIDDEN, SEEN, UNKNOWN, learn_horizon
 from sunarc.offline.reanalysis.passes import Looked, Sun
 from sunarc.offline.reanalysis.plan import ArchiveImage

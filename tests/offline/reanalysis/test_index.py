@@ -14,8 +14,8 @@ from sunarc.offline.reanalysis import index as index_module
 from sunarc.offline.reanalysis.index import Indexed, index_archive
 from sunarc.offline.reanalysis.plan import CameraPlan, Selector
 from sunarc.offline.sources.times import TimeRules
-from sunarc.simulation import SGP
-from sunarc.sky import Site
+from sunarc.simulation.truth import SGP
+from sunarc.sky.site import Site
 
 PICTURE = encoded(GREY, ".png")
 DAY = [f"20130513T18{minute:02d}00Z.png" for minute in range(10, 50, 4)]

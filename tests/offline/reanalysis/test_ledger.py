@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.fixtures.postgresql import Server, postgresql
 
-from sunarc.detection import Detection
+from sunarc.detection.values import Detection
 from sunarc.errors import OutsideError
 from sunarc.findings import Finding
 from sunarc.offline.ingest.packed_mask import pack_mask

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tests.offline.sources.archives import encoded, folder_of
 
-from sunarc.detection import Detection, Expectation
+from sunarc.detection.values import Detection, Expectation
 from sunarc.findings import Finding
 from sunarc.offline.reanalysis import look
 from sunarc.offline.reanalysis.look import Answer, Chunk, Item, key_of, look_at, still_parts

@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from sunarc.detection import Expectation
+from sunarc.detection.values import Expectation
 from sunarc.offline.reanalysis.epochs import Epoch
 from sunarc.offline.reanalysis.look import Item
 from sunarc.offline.reanalysis.passes import CHUNK, _rounded, chunks_of, epoch_at
 from sunarc.offline.reanalysis.plan import ArchiveImage, CameraImages, CameraPlan, Selector
-from sunarc.simulation import SGP
+from sunarc.simulation.truth import SGP
 from sunarc.utc import DAY_S
 
 PLAN = CameraPlan(name="roof", site=SGP, selector=Selector(()))

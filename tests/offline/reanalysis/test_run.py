@@ -15,8 +15,9 @@ from tests.fixtures.postgresql import Server, postgresql
 from tests.offline.reanalysis.in_process import InProcess
 from tests.offline.reanalysis.made import MADE, analysed, indexed_in, tables_in
 
-from sunarc.archive import lock_state, read_sightings
-from sunarc.calibration import from_document
+from sunarc.archive.csv_files import read_sightings
+from sunarc.archive.lock import lock_state
+from sunarc.calibration.model.document import from_document
 from sunarc.errors import InputError, OutsideError
 from sunarc.offline.reanalysis import look
 from sunarc.offline.reanalysis.results import Summary, exports_of

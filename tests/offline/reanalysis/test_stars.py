@@ -16,7 +16,8 @@ from tests.fixtures.calibrations import SITE, chosen_calibration
 from tests.offline.reanalysis.in_process import InProcess
 from tests.offline.test_star_files import CAMERA, SIZE, night_image
 
-from sunarc.calibration import CalibrationOptions, SunPoints
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.sightings import SunPoints
 from sunarc.findings import Finding
 from sunarc.offline.reanalysis import stars as stars_module
 from sunarc.offline.reanalysis.analysis import Final, Sightings, Starry, starry_analysis
@@ -28,10 +29,11 @@ from sunarc.offline.reanalysis.passes import Passes
 from sunarc.offline.reanalysis.plan import ArchiveImage, CameraImages, CameraPlan, Selector
 from sunarc.offline.reanalysis.stars import Nights, NightsLooked, name_stars, nights_of, star_points
 from sunarc.offline.reanalysis.states import Camera, State
-from sunarc.optics import project
-from sunarc.sky import STAR, body_directions, sun_directions
+from sunarc.optics.forward import project
+from sunarc.sky.night import STAR, body_directions
+from sunarc.sky.sun import sun_directions
 from sunarc.utc import DAY_S
-from sunarc.workers import star_view
+from sunarc.workers.night.named_stars import star_view
 
 TIMES = ("20260313_060000", "20260313_064000", "20260313_072000")
 LATE_S = 3600.0

@@ -10,10 +10,14 @@ import pytest
 from tests.finding_codes import codes
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration import Calibration, CalibrationOptions, SunPoints, calibrate
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints
 from sunarc.offline.reanalysis.analysis import Sightings, final_analysis
 from sunarc.offline.reanalysis.states import Camera, State
-from sunarc.sky import Site, sun_angles
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_angles
 
 SITE = Site(latitude=47.1, longitude=8.4, altitude=500.0)
 SIZE = (640, 600)

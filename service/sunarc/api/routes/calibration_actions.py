@@ -13,7 +13,7 @@ from sunarc.api.problems import answers
 from sunarc.api.routes.calibrations import summary
 from sunarc.api.schemas.parameters import CalibrationId
 from sunarc.api.schemas.record import CalibrationSummary, ClosedEpoch, Decision
-from sunarc.archive import CalibrationRecord
+from sunarc.archive.values import CalibrationRecord
 from sunarc.errors import NotFoundError
 
 EpochId = Annotated[

@@ -17,8 +17,9 @@ from sunarc.api.routes.choice import BY_CALIBRATION
 from sunarc.api.schemas.paging import Cursor, page_at
 from sunarc.api.schemas.parameters import At, CalibrationId, IfNoneMatch, row_limit
 from sunarc.api.schemas.record import Calibrations, CalibrationSummary
-from sunarc.archive import CalibrationRecord, CalibrationState
-from sunarc.exports import FILE_NAMES, FORMATS, MEDIA_TYPES, Exported, Format, export
+from sunarc.archive.values import CalibrationRecord, CalibrationState
+from sunarc.exports.exported import Exported
+from sunarc.exports.formats import FILE_NAMES, FORMATS, MEDIA_TYPES, Format, export
 
 _DOCUMENT: dict[int | str, dict[str, Any]] = {
     200: {

@@ -11,7 +11,7 @@ from sunarc.api.context import ApiContext
 from sunarc.api.middleware.authentication import require_write_token
 from sunarc.api.problems import answers
 from sunarc.api.schemas.record import DayAirIn, DayAirOut
-from sunarc.archive import DayAir
+from sunarc.archive.values import DayAir
 from sunarc.json_fields import SolarDate
 
 Day = Annotated[SolarDate, Path(description="Local mean solar date.", examples=["2013-05-13"])]

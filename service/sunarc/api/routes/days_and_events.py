@@ -18,7 +18,7 @@ from sunarc.api.routes.images import ThumbnailWidth, thumbnail
 from sunarc.api.schemas.paging import Cursor, page_at
 from sunarc.api.schemas.parameters import IfNoneMatch, Since, Until, row_limit
 from sunarc.api.schemas.record import Days, DayWithAir, Events
-from sunarc.archive import Day, EventSeverity
+from sunarc.archive.values import Day, EventSeverity
 from sunarc.errors import NotFoundError, OutsideError
 from sunarc.json_fields import SolarDate
 

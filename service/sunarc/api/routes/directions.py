@@ -18,8 +18,9 @@ from sunarc.api.routes.choice import BY_CALIBRATION
 from sunarc.api.schemas.calibration import BackProjectAnswer, BackProjectRequest, ProjectAnswer, ProjectRequest
 from sunarc.api.schemas.parameters import At, Draws, Seed
 from sunarc.array_types import FloatArray
-from sunarc.calibration import BACK_PROJECTED, PROJECTED, Ensemble
-from sunarc.sky import angles_from_direction, direction_from_angles
+from sunarc.calibration.ensemble import Ensemble
+from sunarc.calibration.model.direction_table import BACK_PROJECTED, PROJECTED
+from sunarc.sky.directions import angles_from_direction, direction_from_angles
 
 
 def direction_routes(context: ApiContext, slots: ComputeSlots) -> APIRouter:

@@ -15,7 +15,7 @@ from starlette.concurrency import run_in_threadpool
 from sunarc.api.context import ApiContext
 from sunarc.api.middleware.head_requests import asked_by_head
 from sunarc.api.problems import answers
-from sunarc.archive import NoticeKind, condition_changes, stored_changes
+from sunarc.archive.notices import NoticeKind, condition_changes, stored_changes
 from sunarc.errors import InputError
 from sunarc.runtime.status import StatusSnapshot
 from sunarc.utc import rfc3339

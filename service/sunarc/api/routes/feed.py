@@ -21,7 +21,9 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from sunarc.api.middleware.authentication import FEED_PATH
 from sunarc.api.problems import Fault, RefusedError, answers
-from sunarc.archive import Archive, FeedBatch, Reason, Refusal, head_revision, read_feed_lines
+from sunarc.archive.archive import Archive
+from sunarc.archive.feed_values import FeedBatch, Reason, Refusal, read_feed_lines
+from sunarc.archive.schema import head_revision
 from sunarc.errors import InputError, OutsideError
 from sunarc.json_fields import described
 

@@ -20,7 +20,8 @@ from sunarc.api.routes.health import readiness
 from sunarc.api.routes.metrics import push_metrics, service_metrics
 from sunarc.api.schemas.calibration import Alive, Readiness
 from sunarc.api.schemas.parameters import row_limit
-from sunarc.archive import Archive, FleetCamera, Quarantined
+from sunarc.archive.archive import Archive
+from sunarc.archive.feed_values import FleetCamera, Quarantined
 from sunarc.errors import OutsideError
 from sunarc.json_fields import Time, described
 from sunarc.runtime.status import StatusSnapshot

@@ -19,10 +19,10 @@ from sunarc.api.routes.directions import finite_rows
 from sunarc.api.schemas.geolocation import GeolocateAnswer, GeolocateRequest
 from sunarc.api.schemas.parameters import At, Draws, Seed
 from sunarc.array_types import FloatArray
-from sunarc.calibration import Ensemble
+from sunarc.calibration.ensemble import Ensemble
 from sunarc.errors import InputError
-from sunarc.geolocation import Located, clouds, shadows
-from sunarc.sky import sun_angles, sun_directions
+from sunarc.geolocation.locate import Located, clouds, shadows
+from sunarc.sky.sun import sun_angles, sun_directions
 
 _OF_ONE = (
     "east_m",

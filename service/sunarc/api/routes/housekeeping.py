@@ -10,7 +10,7 @@ from pydantic import BaseModel
 from sunarc.api.context import ApiContext
 from sunarc.api.problems import answers
 from sunarc.api.schemas.parameters import Since, Until
-from sunarc.archive import Housekeeping, HousekeepingStep
+from sunarc.archive.housekeeping_values import Housekeeping, HousekeepingStep
 from sunarc.json_fields import described
 
 

@@ -22,7 +22,7 @@ from sunarc.api.schemas.images import Composite, Images
 from sunarc.api.schemas.paging import Cursor, page_at
 from sunarc.api.schemas.parameters import IfNoneMatch, Since, Until, row_limit
 from sunarc.errors import NotFoundError, OutsideError
-from sunarc.imaging import document_of
+from sunarc.imaging.metadata import document_of
 from sunarc.json_fields import Time
 from sunarc.utc import rfc3339
 

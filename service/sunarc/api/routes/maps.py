@@ -22,12 +22,15 @@ from sunarc.api.routes.calibrations import etag_of
 from sunarc.api.routes.choice import BY_CALIBRATION
 from sunarc.api.routes.stored_answers import RANGED, AnswerFiles, Content, Tagged
 from sunarc.api.schemas.parameters import At, IfNoneMatch
-from sunarc.archive import CalibrationRecord
+from sunarc.archive.values import CalibrationRecord
 from sunarc.array_types import BoolArray
-from sunarc.calibration import BackProjectionMap, back_projection_map
+from sunarc.calibration.model.maps import BackProjectionMap, back_projection_map
 from sunarc.errors import OutsideError
-from sunarc.exports import MAP_FORMATS, MEDIA_TYPES, MapFormat, Variable, map_table, netcdf_bytes, npz_bytes
-from sunarc.sky import Site, sun_directions
+from sunarc.exports.discovery import Variable
+from sunarc.exports.formats import MAP_FORMATS, MEDIA_TYPES, MapFormat
+from sunarc.exports.tables import map_table, netcdf_bytes, npz_bytes
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_directions
 
 _MAP: dict[int | str, dict[str, Any]] = {
     200: {

@@ -22,9 +22,9 @@ from sunarc.api.routes.choice import BY_CALIBRATION
 from sunarc.api.routes.maps import hidden_by_obstructions
 from sunarc.api.routes.stored_answers import RANGED, AnswerFiles, Content, Tagged
 from sunarc.api.schemas.parameters import At, IfNoneMatch
-from sunarc.archive import CalibrationRecord
+from sunarc.archive.values import CalibrationRecord
 from sunarc.array_types import BoolArray, FloatArray
-from sunarc.sky import sun_directions
+from sunarc.sky.sun import sun_directions
 
 _MASK: dict[int | str, dict[str, Any]] = {
     200: {

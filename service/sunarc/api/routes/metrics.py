@@ -13,7 +13,7 @@ from prometheus_client.registry import Collector
 from sunarc.api.context import ApiContext
 from sunarc.api.routes.calibrations import summary
 from sunarc.api.routes.record_metrics import record_metrics
-from sunarc.archive import Archive
+from sunarc.archive.archive import Archive
 from sunarc.json_fields import descriptions
 from sunarc.runtime.status import (
     CameraStatus,

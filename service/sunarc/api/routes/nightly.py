@@ -10,7 +10,9 @@ from fastapi import APIRouter, Query
 from pydantic import BaseModel
 
 from sunarc.api.schemas.parameters import row_limit
-from sunarc.archive import Archive, CrossChecks, DaySummary, NightlyRun
+from sunarc.archive.archive import Archive
+from sunarc.archive.cross_check import CrossChecks
+from sunarc.archive.nightly import DaySummary, NightlyRun
 from sunarc.json_fields import described
 
 

@@ -18,10 +18,10 @@ from sunarc.api.routes.calibrations import matches
 from sunarc.api.schemas.nights import Night, NightBodies, NightPose, Nights
 from sunarc.api.schemas.paging import Cursor, page_at
 from sunarc.api.schemas.parameters import IfNoneMatch, Since, Until, row_limit
-from sunarc.archive import Event
+from sunarc.archive.values import Event
 from sunarc.errors import NotFoundError, OutsideError
 from sunarc.json_fields import SolarDate
-from sunarc.sky import day_bounds_unix_s
+from sunarc.sky.days import day_bounds_unix_s
 from sunarc.utc import DAY_S, rfc3339, utc_time
 
 _PICTURE, _NAMES = "night.jpg", "night.json"

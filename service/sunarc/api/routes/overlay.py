@@ -20,10 +20,13 @@ from sunarc.api.routes.sun import track_of
 from sunarc.api.schemas.overlay import AzimuthLine, Difference, Overlay, SunPath, Uncertainty, ZenithCircle
 from sunarc.api.schemas.parameters import At, IfNoneMatch
 from sunarc.array_types import FloatArray
-from sunarc.calibration import Calibration, unproject_with_sigma
+from sunarc.calibration.model.covariance import unproject_with_sigma
+from sunarc.calibration.model.result import Calibration
 from sunarc.errors import InputError
-from sunarc.optics import Camera, project
-from sunarc.sky import angular_distance, direction_from_angles, solar_date
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.sky.days import solar_date
+from sunarc.sky.directions import angular_distance, direction_from_angles
 
 _CIRCLES_DEG = (30.0, 60.0, 90.0)
 _NAMES = {0: "N", 90: "E", 180: "S", 270: "W"}

@@ -13,7 +13,7 @@ from sunarc.api.context import ApiContext
 from sunarc.api.problems import answers
 from sunarc.api.schemas.parameters import Body, Number, Pixel
 from sunarc.errors import InputError
-from sunarc.geolocation import View, pair_height
+from sunarc.geolocation.pair_height import View, pair_height
 from sunarc.json_fields import Time, described
 
 CameraName = Annotated[str, Path(min_length=1, max_length=100, description="Name of a camera.")]

@@ -9,7 +9,8 @@ from typing import get_args
 
 from prometheus_client.core import GaugeMetricFamily, Metric
 
-from sunarc.archive import Archive, Day, DayVerdict, Event, RefitState
+from sunarc.archive.archive import Archive
+from sunarc.archive.values import Day, DayVerdict, Event, RefitState
 
 _A_DAY = timedelta(days=1)
 

@@ -12,7 +12,7 @@ from sunarc.api.problems import answers
 from sunarc.api.schemas.paging import Cursor, page_at
 from sunarc.api.schemas.parameters import row_limit
 from sunarc.api.schemas.record import RefitRequest, Refits
-from sunarc.archive import Refit
+from sunarc.archive.values import Refit
 from sunarc.errors import NotFoundError
 
 RefitId = Annotated[str, Path(description="Id of a refit, as the answer to its request has it.", examples=["3f2a9c"])]

@@ -25,13 +25,14 @@ from sunarc.api.routes.choice import BY_CALIBRATION
 from sunarc.api.routes.images import Captured, composite_file, decoded_preview
 from sunarc.api.routes.stored_answers import RANGED, AnswerFiles, Content, Tagged
 from sunarc.api.schemas.parameters import At, IfNoneMatch
-from sunarc.archive import CalibrationRecord
+from sunarc.archive.values import CalibrationRecord
 from sunarc.array_types import FloatArray
 from sunarc.errors import InputError
-from sunarc.exports import MEDIA_TYPES, MapFormat, netcdf_bytes, npz_bytes
+from sunarc.exports.formats import MEDIA_TYPES, MapFormat
 from sunarc.exports.remap import Grid, grid_directions, reach_m, remap_table, remap_tables, remapped
-from sunarc.geolocation import clouds
-from sunarc.optics import Camera
+from sunarc.exports.tables import netcdf_bytes, npz_bytes
+from sunarc.geolocation.locate import clouds
+from sunarc.optics.camera import Camera
 
 _HEIGHT_M = 1000.0
 """Of a cloud base where none is given, m: that of fair-weather cumulus; the header `Sunarc-Height-M` tells it."""

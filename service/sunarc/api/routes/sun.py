@@ -18,23 +18,17 @@ from sunarc.api.schemas.calibration import Residual, Sun, SunPoints, SunPointWit
 from sunarc.api.schemas.paging import Cursor, page_at
 from sunarc.api.schemas.parameters import At, Since, Until, row_limit
 from sunarc.api.schemas.record import SightingsByDay
-from sunarc.archive import SunPoint
-from sunarc.calibration import Calibration, camera_sees, sigma_px, sun_with_covariance
+from sunarc.archive.values import SunPoint
+from sunarc.calibration.model.backward import camera_sees
+from sunarc.calibration.model.covariance import sigma_px, sun_with_covariance
+from sunarc.calibration.model.result import Calibration
 from sunarc.json_fields import SolarDate
-from sunarc.optics import project, unproject
-from sunarc.sky import (
-    STAR,
-    SUN,
-    WANDERERS,
-    angles_from_direction,
-    angular_distance,
-    body_directions,
-    day_bounds_unix_s,
-    direction_from_angles,
-    solar_date,
-    sun_angles,
-    sun_directions,
-)
+from sunarc.optics.forward import project
+from sunarc.optics.inverse import unproject
+from sunarc.sky.days import day_bounds_unix_s, solar_date
+from sunarc.sky.directions import angles_from_direction, angular_distance, direction_from_angles
+from sunarc.sky.night import STAR, SUN, WANDERERS, body_directions
+from sunarc.sky.sun import sun_angles, sun_directions
 from sunarc.utc import utc_time
 
 _HORIZON_DEG = 90.0

@@ -25,7 +25,7 @@ from sunarc.api.schemas.parameters import (
     Vector,
 )
 from sunarc.api.schemas.record import CalibrationSummary, DayWithAir
-from sunarc.archive import SunPoint
+from sunarc.archive.values import SunPoint
 from sunarc.json_fields import EXAMPLE_TIME, FindingsJson, SolarDate, Time, described
 from sunarc.runtime.status import CameraStatus, CaptureStatus, ClockStatus, DiskStatus, Health, Reason, WorkerStatus
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from fastapi import Header, Path, Query
 from pydantic import BaseModel, ConfigDict, Field
 
-from sunarc.calibration import MOST_DRAWS
+from sunarc.calibration.ensemble import MOST_DRAWS
 from sunarc.json_fields import EXAMPLE_TIME, Time, described
 
 MOST_ROWS = 10_000

@@ -8,9 +8,9 @@ from typing import Annotated
 from pydantic import BaseModel, Field
 
 from sunarc.api.schemas.parameters import Body, Next, Number
-from sunarc.archive import CalibrationState, CameraRecord, Day, Event, Refit, SightingCounts
+from sunarc.archive.values import CalibrationState, CameraRecord, Day, Event, Refit, SightingCounts
 from sunarc.json_fields import EXAMPLE_TIME, Findings, Time, described
-from sunarc.sky import PRESSURE_BOUNDS_HPA, TEMPERATURE_BOUNDS_C
+from sunarc.sky.site import PRESSURE_BOUNDS_HPA, TEMPERATURE_BOUNDS_C
 
 _CALIBRATION_ID = "20130514T150508Z-52ee44"
 _TEMPERATURE = "Of the air, mean over the hours of sun, degrees Celsius."

@@ -3,8 +3,3 @@
 `turning` the lens, the pole and the hand by what moves · `phase` the angle about the pole by the bright catalogue ·
 `refinement` the camera by the stars · `start` the entry, with the other hypotheses beside it.
 """
-
-from sunarc.calibration.blind_start.start import blind_start
-from sunarc.calibration.blind_start.values import BlindOptions, BlindStart, NightImage
-
-__all__ = ["BlindOptions", "BlindStart", "NightImage", "blind_start"]

@@ -12,7 +12,7 @@ import numpy as np
 
 from sunarc.array_types import FloatArray
 from sunarc.calibration.blind_start.sky_turn import MAX_ANGLE
-from sunarc.optics import Projection, ideal_radius
+from sunarc.optics.projections import Projection, ideal_radius
 
 _FLAT = 1e-6
 _SHAPES: dict[Projection, float] = {

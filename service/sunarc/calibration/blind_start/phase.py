@@ -13,8 +13,9 @@ from sunarc.calibration.blind_start.sky_turn import MAX_ANGLE, pole_enu
 from sunarc.calibration.blind_start.turning import Turning, unmirrored
 from sunarc.calibration.blind_start.turning_kernel import Turns, count_on_detections
 from sunarc.calibration.blind_start.values import NightImage
-from sunarc.optics import Camera, rotation_matrix, rotation_vector
-from sunarc.sky import Site
+from sunarc.optics.camera import Camera
+from sunarc.optics.pose import rotation_matrix, rotation_vector
+from sunarc.sky.site import Site
 
 _STEP_DEG = 1.0
 _REACH = 0.035

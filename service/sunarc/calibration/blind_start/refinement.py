@@ -10,9 +10,10 @@ from scipy.spatial import cKDTree
 
 from sunarc.array_types import FloatArray
 from sunarc.calibration.blind_start.values import NightImage
-from sunarc.optics import Camera, Param, project_with_jacobian
+from sunarc.optics.camera import Camera, Param
+from sunarc.optics.forward import project_with_jacobian
 from sunarc.robust_statistics import biweights, mad_sigma
-from sunarc.sky import NightSky
+from sunarc.sky.night import NightSky
 
 _FIT = (
     Param.FOCAL_LENGTH_X_PX, Param.PRINCIPAL_POINT_X_PX, Param.PRINCIPAL_POINT_Y_PX,

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from sunarc.array_types import FloatArray
-from sunarc.sky import Site
+from sunarc.sky.site import Site
 
 SIDEREAL_RATE = 2.0 * math.pi / 86_164.0905
 """Radians a second."""

@@ -20,8 +20,13 @@ from sunarc.calibration.quality.tilt import tilt_question
 from sunarc.calibration.star_prediction import stars_in_image
 from sunarc.calibration.star_views import MatchedView, StarView, match_views
 from sunarc.findings import Finding
-from sunarc.optics import Camera, ideal_radius, pose_angles, project, unproject
-from sunarc.sky import Site, angular_distance
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.inverse import unproject
+from sunarc.optics.pose import pose_angles
+from sunarc.optics.projections import ideal_radius
+from sunarc.sky.directions import angular_distance
+from sunarc.sky.site import Site
 
 _FEWEST_IMAGES = 2
 _LEAST_TURN_DEG = 10.0

@@ -12,8 +12,8 @@ from sunarc.calibration.model.options import ImageCircle
 from sunarc.detection.stars.matching import StarMatches
 from sunarc.detection.stars.values import PredictedStars, Stars
 from sunarc.findings import Finding
-from sunarc.optics import Camera
-from sunarc.sky import NightSky
+from sunarc.optics.camera import Camera
+from sunarc.sky.night import NightSky
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -4,26 +4,3 @@
 `hypotheses` what may have changed · `cloud_drift` the rival that nothing has · `report` the change in words ·
 `values` in and out.
 """
-
-from sunarc.calibration.change_detection.detect_change import REMEMBERED, update_window
-from sunarc.calibration.change_detection.hypotheses import pole_of
-from sunarc.calibration.change_detection.values import (
-    LENS_KINDS,
-    Change,
-    ChangeKind,
-    Sighting,
-    SightingWindow,
-    WatchOptions,
-)
-
-__all__ = [
-    "LENS_KINDS",
-    "REMEMBERED",
-    "Change",
-    "ChangeKind",
-    "Sighting",
-    "SightingWindow",
-    "WatchOptions",
-    "pole_of",
-    "update_window",
-]

@@ -16,7 +16,7 @@ from sunarc.calibration.change_detection.hypotheses import best_hypothesis
 from sunarc.calibration.change_detection.residual_model import ResidualModel, window_of
 from sunarc.calibration.change_detection.values import Change, Sighting, SightingWindow, WatchOptions
 from sunarc.calibration.model.result import Calibration
-from sunarc.sky import Site
+from sunarc.sky.site import Site
 
 REMEMBERED = 56
 _TRUSTED_SQUARE = 30.0

@@ -21,8 +21,11 @@ from sunarc.calibration.pose.error_model import joined, predicted, rotated
 from sunarc.calibration.pose.gaussian_conditioning import MixtureFit, Sightings, fit_inlier_mixture
 from sunarc.calibration.pose.rotation_consensus import ransac_rotation
 from sunarc.calibration.robust_loss import finite
-from sunarc.optics import Param, project_fast, rotation_matrix
-from sunarc.sky import Site, sun_directions
+from sunarc.optics.camera import Param
+from sunarc.optics.forward import project_fast
+from sunarc.optics.pose import rotation_matrix
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_directions
 
 _SMALLEST_ROTATION_RAD = math.radians(0.02)
 _RECENT, _STRIDE, _FEW = 12, 3, 4

@@ -13,7 +13,7 @@ from sunarc.calibration.pose.error_model import CameraErrorModel, predicted
 from sunarc.calibration.pose.gaussian_conditioning import MixtureFit, Sightings, conditioned
 from sunarc.calibration.robust_loss import finite
 from sunarc.findings import Data, Finding
-from sunarc.optics import Param
+from sunarc.optics.camera import Param
 
 _SECOND_RAD = 7.292e-5
 _FOCAL, _CENTER = Param.FOCAL_LENGTH_X_PX, (Param.PRINCIPAL_POINT_X_PX, Param.PRINCIPAL_POINT_Y_PX)

@@ -22,8 +22,10 @@ from sunarc.calibration.pose.error_model import (
 from sunarc.calibration.pose.gaussian_conditioning import Sightings, false_density
 from sunarc.calibration.pose.residuals import noise_px
 from sunarc.calibration.robust_loss import finite
-from sunarc.optics import Camera, project_with_rows_fast
-from sunarc.sky import ASSUMED_AIR_SD, DAILY_AIR_SD, Site, refraction_rad
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project_with_rows_fast
+from sunarc.sky.refraction import ASSUMED_AIR_SD, DAILY_AIR_SD, refraction_rad
+from sunarc.sky.site import Site
 
 _WANDER_S = 2.0 * 3600.0
 """Time over which a mast and its mount wander with the sun on them."""

@@ -13,7 +13,7 @@ from sunarc.array_types import BoolArray, FloatArray, picked
 from sunarc.bounds import require_bounds
 from sunarc.calibration.messages import MESSAGES
 from sunarc.findings import Finding
-from sunarc.optics import Camera
+from sunarc.optics.camera import Camera
 
 ChangeKind = Literal["bump", "clock", "lens", "refocus", "shift", "mirrored", "site"]
 LENS_KINDS: frozenset[ChangeKind] = frozenset({"lens", "refocus", "shift"})

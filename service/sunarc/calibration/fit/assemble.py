@@ -23,9 +23,11 @@ from sunarc.calibration.model.result import Calibration, NightDifference, Proven
 from sunarc.calibration.model.sightings import FilteredSightings, SunPoints
 from sunarc.calibration.quality.fit_checks import Handedness, fit_verdict
 from sunarc.findings import Finding
-from sunarc.optics import Camera, pose_angles, rising_limit, rotation_matrix, rotation_vector
-from sunarc.optics.camera import POSE
-from sunarc.sky import Site, date_of_day
+from sunarc.optics.camera import POSE, Camera
+from sunarc.optics.pose import pose_angles, rotation_matrix, rotation_vector
+from sunarc.optics.stretch import rising_limit
+from sunarc.sky.days import date_of_day
+from sunarc.sky.site import Site
 
 _UNKNOWN_POSE = math.pi**2
 

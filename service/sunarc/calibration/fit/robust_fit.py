@@ -26,7 +26,7 @@ from sunarc.calibration.least_squares.time_bins import Bins
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import FilteredSightings
 from sunarc.calibration.robust_loss import robust_sigma, surely_well_behaved
-from sunarc.optics import Camera
+from sunarc.optics.camera import Camera
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

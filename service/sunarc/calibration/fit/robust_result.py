@@ -16,8 +16,8 @@ from sunarc.calibration.least_squares.priors import FREE, FREE_NAMES, LENS, N_LE
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import NightDifference
 from sunarc.calibration.model.sightings import FilteredSightings
-from sunarc.optics import Camera, Displacement, Param
-from sunarc.optics.camera import POSE
+from sunarc.optics.camera import POSE, Camera, Param
+from sunarc.optics.displacement import Displacement
 from sunarc.optics.pose import right_jacobian
 
 

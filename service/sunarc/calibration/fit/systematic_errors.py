@@ -17,8 +17,9 @@ from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.model.kinds import Kind
 from sunarc.calibration.model.sightings import FilteredSightings
-from sunarc.optics import Camera, ideal_radius
+from sunarc.optics.camera import Camera
 from sunarc.optics.forward import by_direction, project_with_rows_fast
+from sunarc.optics.projections import ideal_radius
 
 POSE_DIFFERENCE_DEG = 0.02
 """1-sigma about each axis of how far the camera of the night is turned against that of the day. A bracket of 10 cm and

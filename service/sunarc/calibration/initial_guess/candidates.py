@@ -15,7 +15,11 @@ import numpy as np
 from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.least_squares.problem import Observations
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
-from sunarc.optics import Camera, ideal_radius, rising_limit, rotation_vector, unproject
+from sunarc.optics.camera import Camera
+from sunarc.optics.inverse import unproject
+from sunarc.optics.pose import rotation_vector
+from sunarc.optics.projections import ideal_radius
+from sunarc.optics.stretch import rising_limit
 from sunarc.robust_statistics import cauchy_weights
 
 LARGEST_TILT = math.radians(75.0)

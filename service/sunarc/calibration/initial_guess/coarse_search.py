@@ -22,7 +22,9 @@ from sunarc.calibration.least_squares.problem import Observations, Problem, prob
 from sunarc.calibration.least_squares.solve import most_probable
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.robust_loss import robust_sigma
-from sunarc.optics import Camera, angle_limit, unproject
+from sunarc.optics.camera import Camera
+from sunarc.optics.inverse import unproject
+from sunarc.optics.projections import angle_limit
 
 _TRIED = 10
 _THIN = 120

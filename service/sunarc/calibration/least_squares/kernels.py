@@ -16,8 +16,8 @@ from sunarc.calibration.least_squares.block_sums import add_products, block_size
 from sunarc.calibration.least_squares.priors import LENS, N_LENS
 from sunarc.cholesky import solved
 from sunarc.jit import njit
-from sunarc.optics import Param
 from sunarc.optics.block_kernels import N_NATIVE, RESIDUAL, WORK, write_block
+from sunarc.optics.camera import Param
 from sunarc.optics.kernels import write_rotation
 
 FIRST_DAMPING = 1e-3

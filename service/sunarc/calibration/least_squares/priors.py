@@ -16,8 +16,17 @@ import numpy as np
 
 from sunarc.array_types import FloatArray
 from sunarc.calibration.model.options import ImageCircle, LensTolerances
-from sunarc.optics import PARAMETER_NAMES, Camera, Param, ideal_radius
-from sunarc.optics.camera import FOCAL_LENGTH, POSE, PRINCIPAL_POINT, RADIAL_ORDERS, TRANSLATION
+from sunarc.optics.camera import (
+    FOCAL_LENGTH,
+    PARAMETER_NAMES,
+    POSE,
+    PRINCIPAL_POINT,
+    RADIAL_ORDERS,
+    TRANSLATION,
+    Camera,
+    Param,
+)
+from sunarc.optics.projections import ideal_radius
 
 FREE = np.delete(np.array(Param), TRANSLATION)
 """What the robust method estimates of one camera: everything but the translation, the pose at `POSE` as among all."""

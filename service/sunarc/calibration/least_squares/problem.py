@@ -20,10 +20,11 @@ from sunarc.calibration.least_squares.row_kernels import (
 )
 from sunarc.calibration.model.sightings import FilteredSightings
 from sunarc.calibration.robust_loss import UNSEEN_PX
-from sunarc.optics import Camera, Param, angle_limit, rotation_matrix
-from sunarc.optics.camera import POSE
+from sunarc.optics.camera import POSE, Camera, Param
 from sunarc.optics.forward import by_direction, kernel_lens
-from sunarc.sky import raised, upward
+from sunarc.optics.pose import rotation_matrix
+from sunarc.optics.projections import angle_limit
+from sunarc.sky.refraction import raised, upward
 
 _RIGHT_ANGLE = math.pi / 2
 

@@ -15,8 +15,8 @@ from sunarc.calibration.least_squares.block_sums import block_size, reach_of
 from sunarc.calibration.least_squares.priors import LENS, N_LENS
 from sunarc.calibration.robust_loss import UNSEEN_PX
 from sunarc.jit import njit
-from sunarc.optics import Param
 from sunarc.optics.block_kernels import BLOCK, N_NATIVE, PIXEL_X, RESIDUAL, WORK, write_block
+from sunarc.optics.camera import Param
 from sunarc.optics.kernels import pixels_of, write_rotation
 
 _SIZE = len(Param)

@@ -38,7 +38,9 @@ from sunarc.calibration.model.sightings import FilteredSightings, SunPoints, fil
 from sunarc.calibration.quality.fit_checks import Handedness, fit_verdict
 from sunarc.calibration.robust_loss import finite
 from sunarc.findings import Finding
-from sunarc.optics import Camera, pose_angles, project_fast
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project_fast
+from sunarc.optics.pose import pose_angles
 
 _COST_RATIO = 1.05
 """Robust cost and median residual over those of the fit alone that the type may cost it: priors and correlated noise

@@ -46,8 +46,10 @@ from sunarc.calibration.pose_change_points import Moved, calibrate_moved
 from sunarc.calibration.quality.fit_checks import Handedness
 from sunarc.calibration.robust_loss import finite
 from sunarc.findings import Finding
-from sunarc.optics import Camera, project_fast
-from sunarc.sky import Site, wrapped_deg
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project_fast
+from sunarc.sky.directions import wrapped_deg
+from sunarc.sky.site import Site
 
 FEWEST_SIGHTINGS = 4
 _AZIMUTHS = 48

@@ -26,7 +26,7 @@ from sunarc.calibration.least_squares.priors import (
 )
 from sunarc.calibration.model.options import ImageCircle, LensTolerances
 from sunarc.calibration.model.result import Calibration
-from sunarc.optics import PARAMETER_NAMES, Camera
+from sunarc.optics.camera import PARAMETER_NAMES, Camera
 
 LENS_NAMES = tuple(PARAMETER_NAMES[i] for i in LENS)
 """Names of a lens's 17 parameters, in order."""

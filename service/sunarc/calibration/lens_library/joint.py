@@ -22,7 +22,7 @@ from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import SunPoints
 from sunarc.errors import InputError
-from sunarc.sky import Site
+from sunarc.sky.site import Site
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

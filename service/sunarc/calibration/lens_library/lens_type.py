@@ -15,7 +15,7 @@ from sunarc.bounds import require_bounds
 from sunarc.calibration.least_squares.priors import LENS, N_LENS, LensPrior
 from sunarc.calibration.lens_library.frame import LENS_NAMES, Gaussian, frame_of, spread_scales
 from sunarc.errors import InputError
-from sunarc.optics import Camera
+from sunarc.optics.camera import Camera
 
 LENS_SCHEMA = "sunarc.lens-prior/1"
 

@@ -10,7 +10,9 @@ import numpy as np
 from sunarc.array_types import FloatArray
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.pose.error_model import error_model_of
-from sunarc.optics import Camera, rotation_matrix, rotation_vector, unproject
+from sunarc.optics.camera import Camera
+from sunarc.optics.inverse import unproject
+from sunarc.optics.pose import rotation_matrix, rotation_vector
 
 
 def level(camera: Camera, azimuth_rad: float) -> Camera:

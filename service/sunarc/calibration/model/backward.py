@@ -10,9 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sunarc.array_types import BoolArray, FloatArray
-from sunarc.optics import Camera, ideal_angle, ideal_radius, project, rising_limit, rotation_matrix
-from sunarc.optics.forward import decentering_shift, decentering_slopes
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import decentering_shift, decentering_slopes, project
 from sunarc.optics.inverse import calibrated
+from sunarc.optics.pose import rotation_matrix
+from sunarc.optics.projections import ideal_angle, ideal_radius
+from sunarc.optics.stretch import rising_limit
 
 _ORDERS = np.arange(2, 10)
 _ANGLES = 46

@@ -17,17 +17,13 @@ from numpy.typing import ArrayLike
 from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.model.backward import camera_sees
 from sunarc.calibration.model.residual_field import Field
-from sunarc.optics import (
-    PARAMETER_NAMES,
-    Camera,
-    pose,
-    project,
-    project_with_rows_fast,
-    unproject,
-)
-from sunarc.optics.forward import by_direction
+from sunarc.optics import pose
+from sunarc.optics.camera import PARAMETER_NAMES, Camera
+from sunarc.optics.forward import by_direction, project, project_with_rows_fast
+from sunarc.optics.inverse import unproject
 from sunarc.optics.stretch import tangent_basis
-from sunarc.sky import ASSUMED_AIR_SD, DAILY_AIR_SD, MEASURED_AIR_SD, Site, raised, refraction_rad
+from sunarc.sky.refraction import ASSUMED_AIR_SD, DAILY_AIR_SD, MEASURED_AIR_SD, raised, refraction_rad
+from sunarc.sky.site import Site
 
 _CHUNK = 4096
 _EARTH_RADIUS_M = 6_371_000.0

@@ -17,8 +17,10 @@ from scipy.ndimage import spline_filter1d
 from sunarc.array_types import FloatArray
 from sunarc.calibration.model.covariance import Uncertain, direction_covariance, uncertainties
 from sunarc.jit import njit
-from sunarc.optics import Camera, InverseTable, inverse_table, project_fast
+from sunarc.optics.camera import Camera
 from sunarc.optics.cubic_spline import spline_weights
+from sunarc.optics.fast import InverseTable, inverse_table
+from sunarc.optics.forward import project_fast
 from sunarc.optics.inverse_table_kernels import InverseConstants, calibrated_of, decentering_of
 
 Rows = FloatArray | NDArray[np.float32]

@@ -18,9 +18,10 @@ from sunarc.calibration.model.residual_field import Field, WaveBasis
 from sunarc.calibration.model.result import Calibration, Move, NightDifference, Provenance, Verdict
 from sunarc.errors import InputError
 from sunarc.findings import Finding, from_json
-from sunarc.optics import PARAMETER_NAMES, Camera, Displacement, pose_angles
-from sunarc.optics.displacement import HIGHEST_ORDER
-from sunarc.sky import Site
+from sunarc.optics.camera import PARAMETER_NAMES, Camera
+from sunarc.optics.displacement import HIGHEST_ORDER, Displacement
+from sunarc.optics.pose import pose_angles
+from sunarc.sky.site import Site
 from sunarc.utc import rfc3339
 
 SCHEMA = "sunarc.calibration/2"

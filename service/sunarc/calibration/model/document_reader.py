@@ -12,7 +12,7 @@ import numpy as np
 from sunarc.array_types import FloatArray
 from sunarc.calibration.model.metrics import Metrics
 from sunarc.errors import InputError
-from sunarc.sky import Site
+from sunarc.sky.site import Site
 
 
 class DocumentReader:

@@ -7,7 +7,9 @@ from enum import IntEnum
 import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray, IntArray, NameArray
-from sunarc.sky import STAR, SUN, WANDERERS, Site, sun_angles
+from sunarc.sky.night import STAR, SUN, WANDERERS
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_angles
 
 MOON = "moon"
 _NIGHT_ZENITH_DEG = 96.0

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray
-from sunarc.optics import Camera, unproject
-from sunarc.sky import angular_distance
+from sunarc.optics.camera import Camera
+from sunarc.optics.inverse import unproject
+from sunarc.sky.directions import angular_distance
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

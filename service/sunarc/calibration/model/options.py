@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from annotated_types import Ge, Gt, Le
 
 from sunarc.bounds import NonNegative, Positive, require_bounds
-from sunarc.optics import Projection
+from sunarc.optics.projections import Projection
 
 Method = Literal["robust", "paper"]
 Mirrored = Literal["no", "yes", "auto"]

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.model.wave_kernel import waves_at
-from sunarc.optics import Displacement
+from sunarc.optics.displacement import Displacement
 
 _MARGIN_LENGTHS = 1.2
 _REACH = 3.6

@@ -12,8 +12,9 @@ from sunarc.calibration.model.metrics import Metrics
 from sunarc.calibration.model.options import Method
 from sunarc.calibration.model.residual_field import Field
 from sunarc.findings import Finding
-from sunarc.optics import Camera, PoseAngles
-from sunarc.sky import Site
+from sunarc.optics.camera import Camera
+from sunarc.optics.pose import PoseAngles
+from sunarc.sky.site import Site
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

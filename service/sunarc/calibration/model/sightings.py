@@ -14,7 +14,10 @@ from sunarc.calibration.model.kinds import Kind, at_night
 from sunarc.calibration.model.static_positions import StaticPosition, static_positions, static_sightings
 from sunarc.errors import InputError
 from sunarc.findings import Finding
-from sunarc.sky import ASSUMED_AIR_SD, DAILY_AIR_SD, MEASURED_AIR_SD, Site, refraction_rad, solar_days, sun_directions
+from sunarc.sky.days import solar_days
+from sunarc.sky.refraction import ASSUMED_AIR_SD, DAILY_AIR_SD, MEASURED_AIR_SD, refraction_rad
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_directions
 
 _LOWEST_UP = -math.sin(math.radians(1.0))
 _AIR_RUNS = 8

@@ -10,10 +10,9 @@ import numpy as np
 from sunarc.array_types import FloatArray
 from sunarc.calibration.model.options import PaperOptions
 from sunarc.calibration.paper.kernels import Weighed
-from sunarc.optics import Param, Projection, ideal_radius
-from sunarc.optics.camera import DECENTERING, RADIAL, RADIAL_ORDERS
+from sunarc.optics.camera import DECENTERING, RADIAL, RADIAL_ORDERS, Param
 from sunarc.optics.forward import decentering_shift, decentering_slopes
-from sunarc.optics.projections import ideal_slope
+from sunarc.optics.projections import Projection, ideal_radius, ideal_slope
 
 _ANGLES = 181
 _AZIMUTHS = 24

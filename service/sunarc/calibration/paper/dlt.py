@@ -10,7 +10,9 @@ import numpy as np
 from sunarc.array_types import FloatArray
 from sunarc.calibration.initial_guess.candidates import as_far_as_it_rises
 from sunarc.calibration.least_squares.problem import Observations
-from sunarc.optics import Camera, rotation_vector, unproject
+from sunarc.optics.camera import Camera
+from sunarc.optics.inverse import unproject
+from sunarc.optics.pose import rotation_vector
 
 
 def direct_linear_pose(camera: Camera, observed: Observations) -> Camera:

@@ -20,8 +20,8 @@ from sunarc.calibration.least_squares.kernels import (
     damped_step_of,
 )
 from sunarc.jit import njit
-from sunarc.optics import Param
 from sunarc.optics.block_kernels import BLOCK, N_COLUMNS, PARAMETERS, WORK, write_block
+from sunarc.optics.camera import Param
 from sunarc.optics.kernels import decentering_bracket, write_rotation
 
 _SIZE = len(Param)

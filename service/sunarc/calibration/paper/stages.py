@@ -20,9 +20,9 @@ from sunarc.calibration.paper.constraints import Penalties
 from sunarc.calibration.paper.dlt import direct_linear_pose
 from sunarc.calibration.paper.kernels import Limits, Optics, minimised
 from sunarc.calibration.robust_loss import finite
-from sunarc.optics import PARAMETER_NAMES, Camera, Param, angle_limit, project_fast, project_with_rows_fast
-from sunarc.optics.camera import TRANSLATION
-from sunarc.optics.forward import kernel_lens
+from sunarc.optics.camera import PARAMETER_NAMES, TRANSLATION, Camera, Param
+from sunarc.optics.forward import kernel_lens, project_fast, project_with_rows_fast
+from sunarc.optics.projections import angle_limit
 
 _NUDGE = 1e-5
 """p1 and p2 start off 0: at 0 the fit cannot feel p3 and p4."""

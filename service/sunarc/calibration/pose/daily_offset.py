@@ -20,8 +20,9 @@ from sunarc.calibration.pose.error_model import (
 from sunarc.calibration.pose.estimate_pose import fit_pose
 from sunarc.calibration.pose.residuals import PredictedSightings, gathered, inflation, noise_px
 from sunarc.calibration.robust_loss import finite
-from sunarc.optics import Camera, rotation_matrix
-from sunarc.sky import Site
+from sunarc.optics.camera import Camera
+from sunarc.optics.pose import rotation_matrix
+from sunarc.sky.site import Site
 
 _FEWEST = 20
 

@@ -16,9 +16,10 @@ from sunarc.array_types import FloatArray, IntArray, Rows, picked
 from sunarc.calibration.model.residual_field import Field, WaveBasis
 from sunarc.calibration.model.result import Calibration
 from sunarc.errors import InputError
-from sunarc.optics import PARAMETER_NAMES, Camera, angle_limit, project_with_rows_fast, rotation_matrix, rotation_vector
-from sunarc.optics.camera import POSE
-from sunarc.optics.pose import right_jacobian
+from sunarc.optics.camera import PARAMETER_NAMES, POSE, Camera
+from sunarc.optics.forward import project_with_rows_fast
+from sunarc.optics.pose import right_jacobian, rotation_matrix, rotation_vector
+from sunarc.optics.projections import angle_limit
 
 _SHORTEST_LENGTH_PX = 16.0
 

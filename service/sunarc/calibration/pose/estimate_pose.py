@@ -39,9 +39,10 @@ from sunarc.calibration.pose.rotation_consensus import ransac_rotation
 from sunarc.calibration.quality.fit_checks import Handedness
 from sunarc.calibration.robust_loss import finite, robust_sigma
 from sunarc.findings import Finding
-from sunarc.optics import Camera, project_fast
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project_fast
 from sunarc.optics.pose import right_jacobian
-from sunarc.sky import Site
+from sunarc.sky.site import Site
 
 FEWEST = 3
 _ROUNDS = 3

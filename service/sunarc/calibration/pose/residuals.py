@@ -12,7 +12,8 @@ from sunarc.calibration.least_squares.problem import Observations
 from sunarc.calibration.least_squares.time_bins import Bins
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.robust_loss import finite
-from sunarc.optics import Camera, project_fast
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project_fast
 
 MOST = 80
 """Sightings, or means of neighbours, that are looked at together."""

@@ -13,7 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.initial_guess.candidates import as_far_as_it_rises
-from sunarc.optics import Camera, rotation_matrix, unproject
+from sunarc.optics.camera import Camera
+from sunarc.optics.inverse import unproject
+from sunarc.optics.pose import rotation_matrix
 
 _MAX_SIGHTINGS = 64
 _PAIRS = 400

@@ -22,9 +22,11 @@ from sunarc.calibration.pose.residuals import MOST, PredictedSightings, noise_px
 from sunarc.calibration.quality.fit_checks import Handedness
 from sunarc.calibration.robust_loss import finite
 from sunarc.findings import Finding
-from sunarc.optics import Camera, ideal_radius, pose_angles, project_fast, rotation_matrix, rotation_vector
-from sunarc.optics.camera import POSE
-from sunarc.sky import Site
+from sunarc.optics.camera import POSE, Camera
+from sunarc.optics.forward import project_fast
+from sunarc.optics.pose import pose_angles, rotation_matrix, rotation_vector
+from sunarc.optics.projections import ideal_radius
+from sunarc.sky.site import Site
 
 _LARGEST_DEPARTURE = 3.0
 """RMS departure from the prior in its own sigmas, over what the sightings determine: with one such quantity a right

@@ -17,7 +17,9 @@ from sunarc.array_types import FloatArray
 from sunarc.calibration.model.options import Mirrored
 from sunarc.findings import Finding
 from sunarc.robust_statistics import mad_sigma
-from sunarc.sky import Site, sun_angles, sun_directions, wrapped_deg
+from sunarc.sky.directions import wrapped_deg
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_angles, sun_directions
 
 FEWEST_IN_MOTION = 4
 _SHORTEST_S = 60.0

@@ -13,8 +13,8 @@ from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import SunPoints, apparent_directions
 from sunarc.calibration.quality.pose_drift import fit_direction_sigma_rms_deg
 from sunarc.findings import Finding
-from sunarc.optics import project
-from sunarc.sky import day_of_date, solar_days
+from sunarc.optics.forward import project
+from sunarc.sky.days import day_of_date, solar_days
 
 _WORSE = 1.15
 """Growth of the stated 1-sigma that still counts as staying."""

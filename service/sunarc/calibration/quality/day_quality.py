@@ -18,16 +18,10 @@ from sunarc.calibration.robust_loss import robust_sigma, tukey_weights
 from sunarc.calibration.selection.sky_grid import solid_angle_sr
 from sunarc.findings import Finding
 from sunarc.robust_statistics import cauchy_weights
-from sunarc.sky import (
-    Site,
-    angular_distance,
-    date_of_day,
-    day_bounds_unix_s,
-    day_of_date,
-    hour_angle,
-    solar_date,
-    sun_angles,
-)
+from sunarc.sky.days import date_of_day, day_bounds_unix_s, day_of_date, solar_date
+from sunarc.sky.directions import angular_distance
+from sunarc.sky.site import Site
+from sunarc.sky.sun import hour_angle, sun_angles
 
 DayKind = Literal["clear", "partly", "cloudy", "unusable"]
 

@@ -16,8 +16,9 @@ from sunarc.calibration.model.sightings import FilteredSightings
 from sunarc.calibration.quality.day_quality import smooth_arc
 from sunarc.calibration.robust_loss import robust_sigma
 from sunarc.findings import Finding
-from sunarc.optics import project
-from sunarc.sky import date_of_day, hour_angle
+from sunarc.optics.forward import project
+from sunarc.sky.days import date_of_day
+from sunarc.sky.sun import hour_angle
 
 _FEWEST_TO_JUDGE = 20
 """Sightings of a day that show whether it was clear (see `day_quality`); fewer are taken to be of a clear one."""

@@ -16,7 +16,9 @@ from sunarc.calibration.quality.day_quality import arc_length_deg
 from sunarc.calibration.quality.explained_days import unexplained_days
 from sunarc.calibration.quality.tilt import tilt_question
 from sunarc.findings import Finding
-from sunarc.sky import Site, date_of_day, day_bounds_unix_s, sun_angles
+from sunarc.sky.days import date_of_day, day_bounds_unix_s
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_angles
 
 _FEWEST = 20
 _FEWEST_BELOW = 4

@@ -13,8 +13,10 @@ import numpy as np
 
 from sunarc.array_types import FloatArray
 from sunarc.findings import Finding
-from sunarc.optics import Camera, rotation_matrix
-from sunarc.sky import Site, angles_from_direction, wrapped_deg
+from sunarc.optics.camera import Camera
+from sunarc.optics.pose import rotation_matrix
+from sunarc.sky.directions import angles_from_direction, wrapped_deg
+from sunarc.sky.site import Site
 
 _TURN_DEG_PER_H = 15.0
 _LARGEST_ZONE_H = 14.0

@@ -17,7 +17,9 @@ from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.bounds import Count, Positive, require_bounds
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, SunPoints
 from sunarc.calibration.selection.sky_grid import sky_patches
-from sunarc.sky import Site, solar_days, sun_directions
+from sunarc.sky.days import solar_days
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_directions
 
 _PATCH_SLOT_S = 240.0
 """The sun moves by a degree meanwhile; its place in every sighting of a long record would take a minute to compute."""

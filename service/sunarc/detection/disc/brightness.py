@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.array_types import FloatArray, IntArray
-from sunarc.sky import CLEAR_OPTICAL_DEPTH, relative_air_mass
+from sunarc.sky.air import CLEAR_OPTICAL_DEPTH, relative_air_mass
 
 _MIN_PER_BIN = 5
 _BINS_PER_AIR_MASS = 3.0  # per natural logarithm

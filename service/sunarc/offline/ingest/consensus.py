@@ -10,15 +10,22 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from sunarc.archive import Archive, FileSighting
-from sunarc.calibration import Calibration, ImageCircle, SunPoints, calibrate, project_with_covariance
+from sunarc.archive.archive import Archive
+from sunarc.archive.file_sightings import FileSighting
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.covariance import project_with_covariance
+from sunarc.calibration.model.options import ImageCircle
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints
 from sunarc.calibration.robust_loss import robust_sigma
-from sunarc.detection import Detection, Expectation
+from sunarc.detection.values import Detection, Expectation
 from sunarc.findings import Finding
 from sunarc.offline.ingest.index import ImageFile
-from sunarc.optics import local_stretch, project
-from sunarc.settings import Settings
-from sunarc.sky import Site, sun_angles, sun_directions
+from sunarc.optics.forward import project
+from sunarc.optics.stretch import local_stretch
+from sunarc.settings.model import Settings
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_angles, sun_directions
 from sunarc.utc import DAY_S
 
 _MOST_SIGHTINGS = 240

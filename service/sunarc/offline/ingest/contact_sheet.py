@@ -9,10 +9,10 @@ from typing import Any
 import cv2
 import numpy as np
 
-from sunarc.archive import FileSighting
+from sunarc.archive.file_sightings import FileSighting
 from sunarc.array_types import Image
 from sunarc.errors import InputError, OutsideError
-from sunarc.imaging import preview
+from sunarc.imaging.preview import preview
 from sunarc.offline.ingest.image_checks import read_checked_image
 from sunarc.offline.ingest.index import ImageFile
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from sunarc.array_types import Image
-from sunarc.detection import Detection, Expectation
+from sunarc.detection.values import Detection, Expectation
 from sunarc.errors import InputError
 from sunarc.findings import Finding
 from sunarc.offline.detect_files import Method, detect_in_image, full_scale_of, selected_method

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Final
 
 from sunarc.array_types import Image
-from sunarc.detection import Detection, Exposure, detect_sun_in_stack
+from sunarc.detection.photo.exposure_stack import Exposure, detect_sun_in_stack
+from sunarc.detection.values import Detection
 from sunarc.findings import Finding
 from sunarc.offline.detect_files import full_scale_of, selected_method
 from sunarc.offline.ingest.detect_image import Answer, Task, detect_in_file, detect_in_read, no_sun, read_for

@@ -11,10 +11,10 @@ from typing import Any, BinaryIO, NamedTuple
 from PIL import ExifTags, UnidentifiedImageError
 from PIL import Image as Pictures
 
-from sunarc.cameras import exposure_of_name
+from sunarc.cameras.replay import exposure_of_name
 from sunarc.errors import InputError
 from sunarc.findings import Finding
-from sunarc.imaging import document_of
+from sunarc.imaging.metadata import document_of
 from sunarc.offline.image_names import UtcOffset, ambiguous_dates, time_in_name, utc_of_local
 from sunarc.offline.messages import RefusedImageError
 from sunarc.utc import parse_time

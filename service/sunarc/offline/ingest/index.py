@@ -10,14 +10,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.archive import ImageKey, image_key
+from sunarc.archive.file_sightings import ImageKey, image_key
 from sunarc.errors import InputError
 from sunarc.findings import Finding
 from sunarc.offline.ingest.image_checks import image_size
 from sunarc.offline.ingest.image_times import Naming, taken
 from sunarc.offline.messages import RefusedImageError
-from sunarc.sky import Site, sun_angles
-from sunarc.workers import DARK_ZENITH_DEG
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_angles
+from sunarc.workers.night.exposures import DARK_ZENITH_DEG
 
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".jp2")
 _SIZES_READ = 100

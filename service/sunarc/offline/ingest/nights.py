@@ -8,8 +8,10 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from sunarc.archive import Archive, CameraArchive, Refit
-from sunarc.cameras import Frame
+from sunarc.archive.archive import Archive
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.values import Refit
+from sunarc.cameras.frame import Frame
 from sunarc.errors import InputError
 from sunarc.findings import Finding
 from sunarc.offline.ingest.image_checks import read_checked_image
@@ -17,9 +19,11 @@ from sunarc.offline.ingest.index import ImageFile, Skipped, zeniths_deg
 from sunarc.offline.messages import RefusedImageError
 from sunarc.offline.night_images import by_night, evenly, frame_of
 from sunarc.runtime.status import StatusRegistry
-from sunarc.settings import Settings
+from sunarc.settings.model import Settings
 from sunarc.utc import utc_time
-from sunarc.workers import DropOldestQueue, NightCapture, NightExposures, NightWorker
+from sunarc.workers.bounded_queue import DropOldestQueue
+from sunarc.workers.night.exposures import NightCapture, NightExposures
+from sunarc.workers.night.night import NightWorker
 
 _KNOWN_SHARE = 0.9
 """Of a night's files, less one, that were looked at: the others are damaged, and are not read again at each run."""

@@ -10,10 +10,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import get_args
 
-from sunarc.archive import Archive, FileSighting, ImageKey, SunPoint, open_archive, sun_point_of, upgrade_present
-from sunarc.calibration import Calibration
-from sunarc.detection import Detection, Expectation
-from sunarc.detection import Method as DetectionMethod
+from sunarc.archive.archive import Archive, open_archive
+from sunarc.archive.file_sightings import FileSighting, ImageKey
+from sunarc.archive.recovery import upgrade_present
+from sunarc.archive.seen import sun_point_of
+from sunarc.archive.values import SunPoint
+from sunarc.calibration.model.result import Calibration
+from sunarc.detection.values import Detection, Expectation
+from sunarc.detection.values import Method as DetectionMethod
 from sunarc.findings import Finding
 from sunarc.offline.cameras import known_camera, register_camera
 from sunarc.offline.detect_files import Method
@@ -31,7 +35,7 @@ from sunarc.offline.ingest.series_mask import series_mask
 from sunarc.offline.ingest.summary import Summary, newest_verdicts
 from sunarc.offline.learned_sigma import ValidCamera, factor_in_force, learn_sigma, with_factor
 from sunarc.runtime.clock import SystemClock
-from sunarc.settings import Settings
+from sunarc.settings.model import Settings
 from sunarc.utc import from_microseconds
 
 _BATCH = 32

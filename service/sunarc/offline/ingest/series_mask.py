@@ -9,13 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from sunarc.array_types import Image
-from sunarc.detection import static_mask
+from sunarc.detection.photo.static_mask import static_mask
 from sunarc.offline.detect_files import full_scale_of
 from sunarc.offline.ingest.image_checks import read_checked_image
 from sunarc.offline.ingest.index import ImageFile
 from sunarc.offline.ingest.packed_mask import PackedMask, pack_mask
 from sunarc.offline.messages import RefusedImageError
-from sunarc.sky import Site, sun_directions
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_directions
 
 _IMAGES = 24
 _LEAST_MOTION_DEG = 40.0

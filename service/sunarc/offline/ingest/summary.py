@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sunarc.archive import FileSighting, ImageKey
+from sunarc.archive.file_sightings import FileSighting, ImageKey
 from sunarc.calibration.messages import MESSAGES as OF_CALIBRATION
 from sunarc.findings import Finding
 from sunarc.offline.ingest.index import ImageFile, Skipped

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from sunarc.array_types import IntArray
-from sunarc.calibration import SunPoints
+from sunarc.calibration.model.sightings import SunPoints
 from sunarc.calibration.robust_loss import robust_sigma
 from sunarc.findings import Finding
 from sunarc.offline.reanalysis.epochs import Epoch, find_epochs, with_true_clock

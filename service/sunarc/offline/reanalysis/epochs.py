@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from sunarc.array_types import FloatArray, IntArray
-from sunarc.calibration import SunPoints
+from sunarc.calibration.model.sightings import SunPoints
 from sunarc.offline.reanalysis.states import Camera, State
 
 Cause = Literal["start", "moved", "lens", "clock"]

@@ -12,17 +12,15 @@ import numpy as np
 
 import sunarc
 from sunarc.array_types import IntArray, stacked
-from sunarc.calibration import (
-    Calibration,
-    SunPoints,
-    calibrate,
-    estimate_pose,
-    find_pose_steps,
-    select_sightings,
-    surest_of_epochs,
-    tilt_question,
-    to_document,
-)
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.document import to_document
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.pose.estimate_pose import estimate_pose
+from sunarc.calibration.pose_step_search import find_pose_steps
+from sunarc.calibration.quality.tilt import tilt_question
+from sunarc.calibration.selection.selection import select_sightings
+from sunarc.calibration.selection.star_selection import surest_of_epochs
 from sunarc.findings import Finding
 from sunarc.offline.reanalysis.epochs import Epoch, joined
 from sunarc.offline.reanalysis.look import key_of

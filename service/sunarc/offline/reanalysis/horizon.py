@@ -8,7 +8,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from sunarc.detection import Expectation
+from sunarc.detection.values import Expectation
 from sunarc.offline.reanalysis.passes import Looked, Sun
 from sunarc.utc import DAY_S
 

@@ -23,9 +23,9 @@ from sunarc.offline.sources.frames import MOST_BYTES, images_in, kind_of
 from sunarc.offline.sources.opening import open_source
 from sunarc.offline.sources.times import TimedFrame, timed_frames
 from sunarc.offline.sources.values import ImageSource, SourceFile
-from sunarc.sky import sun_angles
+from sunarc.sky.sun import sun_angles
 from sunarc.utc import rfc3339, to_microseconds
-from sunarc.workers import DARK_ZENITH_DEG
+from sunarc.workers.night.exposures import DARK_ZENITH_DEG
 
 _LARGEST_ZENITH_DEG = 90.0
 """Apparent zenith angle of the sun beyond which an image is one of the night."""

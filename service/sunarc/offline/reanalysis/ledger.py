@@ -28,7 +28,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.exc import SQLAlchemyError
 
-from sunarc.detection import Detection
+from sunarc.detection.values import Detection
 from sunarc.errors import OutsideError
 from sunarc.findings import Finding, from_json
 from sunarc.offline.ingest.packed_mask import PackedMask

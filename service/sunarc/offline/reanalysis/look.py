@@ -12,15 +12,16 @@ from typing import NamedTuple
 import cv2
 
 from sunarc.array_types import BoolArray, Image
-from sunarc.calibration import Calibration
-from sunarc.detection import Detection, Expectation, static_mask
+from sunarc.calibration.model.result import Calibration
+from sunarc.detection.photo.static_mask import static_mask
+from sunarc.detection.values import Detection, Expectation
 from sunarc.findings import Finding
 from sunarc.offline.detect_files import Method, detect_in_image, full_scale_of, selected_method
 from sunarc.offline.ingest.packed_mask import PackedMask, pack_mask
 from sunarc.offline.sources.frames import images_in
 from sunarc.offline.sources.hashed import HashedSource
 from sunarc.offline.sources.opening import open_source
-from sunarc.sky import Site
+from sunarc.sky.site import Site
 
 
 class Item(NamedTuple):

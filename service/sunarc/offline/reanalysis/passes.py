@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 import sunarc
-from sunarc.calibration import SunPoints
-from sunarc.detection import Detection, Expectation, Verdict
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.detection.values import Detection, Expectation, Verdict
 from sunarc.findings import Finding
 from sunarc.offline.ingest.consensus import expectations, is_consistent
 from sunarc.offline.ingest.index import ImageFile
@@ -23,7 +23,7 @@ from sunarc.offline.reanalysis.ledger import ImageId, Known, Ledger
 from sunarc.offline.reanalysis.look import Answer, Chunk, Item, NamedStars, key_of, look_at
 from sunarc.offline.reanalysis.plan import ArchiveImage, CameraImages
 from sunarc.offline.reanalysis.states import State
-from sunarc.sky import sun_directions
+from sunarc.sky.sun import sun_directions
 from sunarc.utc import DAY_S
 
 CHUNK = 64

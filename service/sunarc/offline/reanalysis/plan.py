@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 from pathlib import PurePosixPath
 from typing import NamedTuple
 
-from sunarc.calibration import CalibrationOptions
+from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.findings import Finding
 from sunarc.offline.detect_files import Method
 from sunarc.offline.sources.times import TimeRules
-from sunarc.sky import Site
+from sunarc.sky.site import Site
 
 
 class ArchiveImage(NamedTuple):

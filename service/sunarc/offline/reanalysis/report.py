@@ -22,9 +22,10 @@ from sunarc.offline.reanalysis.states import State
 from sunarc.offline.reanalysis.svg import residuals, time_line
 from sunarc.offline.sources.frames import images_in
 from sunarc.offline.sources.opening import open_source
-from sunarc.optics import project
+from sunarc.optics.forward import project
 from sunarc.robust_statistics import median_of
-from sunarc.sky import solar_date, solar_days, sun_directions
+from sunarc.sky.days import solar_date, solar_days
+from sunarc.sky.sun import sun_directions
 from sunarc.utc import DAY_S
 
 _PICTURE_PX = 320

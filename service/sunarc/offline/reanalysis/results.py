@@ -14,7 +14,7 @@ from typing import Any, Protocol, TypeVar
 
 from sunarc.calibration.messages import MESSAGES as OF_CALIBRATION
 from sunarc.errors import InputError, OutsideError
-from sunarc.exports import FILE_FORMATS, FILE_NAMES, FORMATS, export, export_file, export_map
+from sunarc.exports.formats import FILE_FORMATS, FILE_NAMES, FORMATS, export, export_file, export_map
 from sunarc.findings import Finding
 from sunarc.offline.learned_sigma import sigma_factor
 from sunarc.offline.messages import MESSAGES
@@ -26,8 +26,8 @@ from sunarc.offline.reanalysis.index import Indexed
 from sunarc.offline.reanalysis.passes import Looked, Sun
 from sunarc.offline.reanalysis.plan import CameraImages, Failure
 from sunarc.offline.reanalysis.stars import NightsLooked
-from sunarc.optics import project
-from sunarc.sky import sun_directions
+from sunarc.optics.forward import project
+from sunarc.sky.sun import sun_directions
 from sunarc.utc import rfc3339, utc_time
 
 _HEADER = ("camera", "time_utc", "file", "x_px", "y_px", "sigma_px", "body", "verdict", "epoch")

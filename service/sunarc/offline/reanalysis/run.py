@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from sunarc.archive import lock_state
+from sunarc.archive.lock import lock_state
 from sunarc.errors import InputError, OutsideError
 from sunarc.findings import Finding
 from sunarc.offline.messages import MESSAGES

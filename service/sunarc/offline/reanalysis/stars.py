@@ -10,9 +10,11 @@ import cv2
 import numpy as np
 
 from sunarc.array_types import Image
-from sunarc.calibration import MatchedView, StarView, SunPoints, kinds_of, match_views
-from sunarc.detection import detect_stars
+from sunarc.calibration.model.kinds import kinds_of
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.star_views import MatchedView, StarView, match_views
 from sunarc.detection.messages import reason_of
+from sunarc.detection.stars.detect import detect_stars
 from sunarc.findings import Finding
 from sunarc.offline.night_images import by_night, evenly, frame_of
 from sunarc.offline.reanalysis.epochs import Epoch
@@ -22,8 +24,9 @@ from sunarc.offline.reanalysis.plan import ArchiveImage, CameraImages
 from sunarc.offline.reanalysis.states import State
 from sunarc.offline.sources.frames import images_in
 from sunarc.offline.sources.opening import open_source
-from sunarc.sky import body_directions
-from sunarc.workers import WarmPixelMap, star_view, surest_named
+from sunarc.sky.night import body_directions
+from sunarc.workers.night.named_stars import star_view, surest_named
+from sunarc.workers.night.warm import WarmPixelMap
 
 _DIGITS = 4
 

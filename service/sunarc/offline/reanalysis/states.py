@@ -15,12 +15,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sunarc.array_types import FloatArray, IntArray
-from sunarc.calibration import Calibration, CalibrationOptions, SunPoints, calibrate, estimate_pose
-from sunarc.calibration.model.options import Mirrored
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.options import CalibrationOptions, Mirrored
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.pose.estimate_pose import estimate_pose
 from sunarc.calibration.robust_loss import finite, robust_sigma
 from sunarc.findings import Finding
-from sunarc.optics import project_fast
-from sunarc.sky import Site, solar_days, sun_directions
+from sunarc.optics.forward import project_fast
+from sunarc.sky.days import solar_days
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_directions
 
 _PER_DAY = 40
 """Sightings of a day that states are sought in."""

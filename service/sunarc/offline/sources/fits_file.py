@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from sunarc.array_types import Image
-from sunarc.detection import BAYERS, Bayer
+from sunarc.detection.values import BAYERS, Bayer
 from sunarc.extras import extra_module
 from sunarc.findings import Finding
 from sunarc.offline.messages import RefusedImageError

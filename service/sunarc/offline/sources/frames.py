@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 from sunarc.array_types import Image
 from sunarc.errors import InputError
 from sunarc.findings import Finding
-from sunarc.imaging import document_of
+from sunarc.imaging.metadata import document_of
 from sunarc.offline.ingest.image_checks import checked_image
 from sunarc.offline.messages import RefusedImageError
 from sunarc.offline.sources.values import ImageSource

@@ -9,7 +9,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import PurePosixPath
 from typing import NamedTuple
 
-from sunarc.cameras import exposure_of_name
+from sunarc.cameras.replay import exposure_of_name
 from sunarc.findings import Finding
 from sunarc.offline.image_names import NamedTime, UtcOffset, time_in_name, utc_of_local
 from sunarc.offline.ingest.image_times import exif_time, no_time_finding, sidecar_time

@@ -8,9 +8,14 @@ from datetime import datetime
 
 import numpy as np
 
-from sunarc.archive import LENS_CHANGED, CameraArchive, Event, SunPointColumns
-from sunarc.calibration import MAX_CLOCK_ERROR_S, Calibration, CalibrationOptions, ImageCircle, PoseStep
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.sighting_revisions import LENS_CHANGED
+from sunarc.archive.values import Event, SunPointColumns
 from sunarc.calibration.messages import MESSAGES as CHANGES
+from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
+from sunarc.calibration.pose_step_search import PoseStep
 from sunarc.errors import InputError
 from sunarc.findings import Data, Finding
 from sunarc.utc import DAY_S, utc_time

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from datetime import datetime
 
-from sunarc.archive import CalibrationRecord, CameraArchive
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.values import CalibrationRecord
 from sunarc.errors import InputError, NotFoundError
 from sunarc.findings import Finding
 from sunarc.runtime.status import Reason, StatusRegistry

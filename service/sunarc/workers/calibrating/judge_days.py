@@ -9,17 +9,14 @@ from datetime import date, datetime
 
 import numpy as np
 
-from sunarc.archive import CameraArchive, Day, Refit, SunPointColumns
-from sunarc.calibration import (
-    DOUBTFUL_CLOCK_SHARE,
-    MAX_CLOCK_ERROR_S,
-    PoseOffset,
-    daily_pose_offset,
-    decide_day,
-    measure_day,
-)
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.values import Day, Refit, SunPointColumns
+from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
+from sunarc.calibration.pose.daily_offset import PoseOffset, daily_pose_offset
+from sunarc.calibration.quality.day_quality import DOUBTFUL_CLOCK_SHARE, decide_day, measure_day
 from sunarc.findings import Finding
-from sunarc.sky import day_bounds_unix_s, solar_date, sun_angles
+from sunarc.sky.days import day_bounds_unix_s, solar_date
+from sunarc.sky.sun import sun_angles
 from sunarc.utc import utc_time
 from sunarc.workers.fit_input import points_of
 from sunarc.workers.messages import MESSAGES

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from sunarc.bounds import require_bounds
-from sunarc.calibration import FirstPoseOptions, LensType, lens_type_from_json
+from sunarc.calibration.lens_library.first_pose import FirstPoseOptions
+from sunarc.calibration.lens_library.lens_type import LensType, lens_type_from_json
 from sunarc.errors import InputError
 
 

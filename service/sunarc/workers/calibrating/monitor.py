@@ -11,22 +11,21 @@ from datetime import datetime, timedelta
 
 import numpy as np
 
-from sunarc.archive import ELSEWHERE, EPOCH_CLOSED, LENS_CHANGED, CameraArchive, PoseEpoch, SunPoint
-from sunarc.calibration import MAX_CLOCK_ERROR_S, Calibration, site_contradiction
-from sunarc.calibration.change_detection import (
-    LENS_KINDS,
-    REMEMBERED,
-    Change,
-    Sighting,
-    SightingWindow,
-    WatchOptions,
-    update_window,
-)
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.epoch_closing import EPOCH_CLOSED
+from sunarc.archive.sighting_revisions import ELSEWHERE, LENS_CHANGED
+from sunarc.archive.values import PoseEpoch, SunPoint
+from sunarc.calibration.change_detection.detect_change import REMEMBERED, update_window
+from sunarc.calibration.change_detection.values import LENS_KINDS, Change, Sighting, SightingWindow, WatchOptions
 from sunarc.calibration.messages import MESSAGES as CHANGES
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
+from sunarc.calibration.pose.sun_motion import site_contradiction
 from sunarc.errors import InputError, OutsideError
 from sunarc.findings import Finding
 from sunarc.runtime.status import Reason, StatusRegistry
-from sunarc.sky import Site, sun_directions
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_directions
 from sunarc.utc import MICROSECOND, utc_time
 from sunarc.workers.bounded_queue import DropOldestQueue
 from sunarc.workers.calibrating.pose_conditions import pose_condition, refused_condition, waiting_condition

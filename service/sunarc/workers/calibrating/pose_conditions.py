@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from sunarc.calibration import Calibration, Verdict, north_sigma_deg, top_azimuth_deg
+from sunarc.calibration.lens_library.mounting import north_sigma_deg, top_azimuth_deg
 from sunarc.calibration.messages import MESSAGES as CHANGES
+from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.runtime.status import Reason
 from sunarc.workers.calibrating.provisional_pose import FEWEST, is_first_pose, is_provisional
 from sunarc.workers.messages import condition

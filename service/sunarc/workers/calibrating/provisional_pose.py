@@ -11,18 +11,15 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
 import sunarc
-from sunarc.archive import LENS_CHANGED, CalibrationRecord, CameraArchive, PoseEpoch
-from sunarc.calibration import (
-    MAX_CLOCK_ERROR_S,
-    Calibration,
-    CalibrationOptions,
-    Mirrored,
-    SunPoints,
-    Verdict,
-    estimate_pose,
-    first_pose,
-    to_document,
-)
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.sighting_revisions import LENS_CHANGED
+from sunarc.archive.values import CalibrationRecord, PoseEpoch
+from sunarc.calibration.lens_library.first_pose import first_pose
+from sunarc.calibration.model.document import to_document
+from sunarc.calibration.model.options import CalibrationOptions, Mirrored
+from sunarc.calibration.model.result import Calibration, Verdict
+from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, SunPoints
+from sunarc.calibration.pose.estimate_pose import estimate_pose
 from sunarc.errors import InputError
 from sunarc.workers.calibrating.lens_prior_file import FirstPose
 from sunarc.workers.fit_input import points_of

@@ -14,25 +14,20 @@ from typing import Annotated, Any, TypeVar
 from annotated_types import Ge, Gt, Le
 
 import sunarc
-from sunarc.archive import CalibrationRecord, CameraArchive, EventSeverity, PoseEpoch, Refit, RefitState
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.values import CalibrationRecord, EventSeverity, PoseEpoch, Refit, RefitState
 from sunarc.bounds import require_bounds
-from sunarc.calibration import (
-    Calibration,
-    CalibrationOptions,
-    ImageCircle,
-    PoseStep,
-    Verdict,
-    accept,
-    pose_spread_deg,
-    to_document,
-    unseen_points,
-    with_pose_spread,
-)
+from sunarc.calibration.model.document import to_document
+from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
+from sunarc.calibration.model.result import Calibration, Verdict
+from sunarc.calibration.pose_step_search import PoseStep
+from sunarc.calibration.quality.acceptance import accept, unseen_points
+from sunarc.calibration.quality.pose_drift import pose_spread_deg, with_pose_spread
 from sunarc.errors import InputError
 from sunarc.findings import Finding
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.sky import solar_date
+from sunarc.sky.days import solar_date
 from sunarc.workers.calibrating.epoch_search import EpochSearch
 from sunarc.workers.calibrating.integrity import CalibrationIntegrityCheck
 from sunarc.workers.calibrating.refit_task import Task, next_task

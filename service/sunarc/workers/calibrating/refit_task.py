@@ -8,21 +8,17 @@ from datetime import datetime
 
 import numpy as np
 
-from sunarc.archive import CameraArchive, SunPointColumns
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.values import SunPointColumns
 from sunarc.array_types import IntArray
-from sunarc.calibration import (
-    MAX_CLOCK_ERROR_S,
-    Calibration,
-    CalibrationOptions,
-    ImageCircle,
-    Selection,
-    SelectionOptions,
-    days_left_out,
-    select_sightings,
-    surest_of_epochs,
-)
+from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
+from sunarc.calibration.quality.day_quality import days_left_out
+from sunarc.calibration.selection.selection import Selection, SelectionOptions, select_sightings
+from sunarc.calibration.selection.star_selection import surest_of_epochs
 from sunarc.findings import Finding
-from sunarc.sky import SUN
+from sunarc.sky.night import SUN
 from sunarc.workers.calibrating.epoch_search import since_lens
 from sunarc.workers.calibrating.solver_process import Problem
 from sunarc.workers.fit_input import points_of

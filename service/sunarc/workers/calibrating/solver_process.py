@@ -11,21 +11,17 @@ from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 from typing import TypeVar
 
-from sunarc.calibration import (
-    Calibration,
-    CalibrationOptions,
-    ImageCircle,
-    PoseStep,
-    SunPoints,
-    calibrate,
-    find_pose_steps,
-)
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.pose_step_search import PoseStep, find_pose_steps
 from sunarc.findings import Finding
 from sunarc.jit import set_aside_after_exit
 from sunarc.runtime.child_process import answer_call
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.threads import one_thread_each
-from sunarc.sky import Site
+from sunarc.sky.site import Site
 from sunarc.workers.messages import text_of
 
 _Answer = TypeVar("_Answer")

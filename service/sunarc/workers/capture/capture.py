@@ -13,7 +13,7 @@ from typing import Annotated
 from annotated_types import Ge, Gt, Le
 
 from sunarc.bounds import require_bounds
-from sunarc.cameras import CameraCondition, Frame, SkyCamera
+from sunarc.cameras.frame import CameraCondition, Frame, SkyCamera
 from sunarc.errors import CameraError, CameraLostError, ConfigurationError, InputError
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import StatusRegistry

@@ -6,8 +6,9 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from sunarc.cameras import Frame
-from sunarc.imaging import MOST_ALL_OVER, Exposed, Level, factor_all_over, level_of
+from sunarc.cameras.frame import Frame
+from sunarc.imaging.brightness import Exposed
+from sunarc.imaging.level import MOST_ALL_OVER, Level, factor_all_over, level_of
 
 _log = logging.getLogger(__name__)
 COMPARABLE_S = 120.0

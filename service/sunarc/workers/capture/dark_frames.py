@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from sunarc.cameras import Frame
-from sunarc.imaging import is_dark
+from sunarc.cameras.frame import Frame
+from sunarc.imaging.darkness import is_dark
 from sunarc.runtime.status import StatusRegistry
 from sunarc.workers.messages import condition
 

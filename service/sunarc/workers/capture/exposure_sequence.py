@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from sunarc.cameras import Frame, SkyCamera
+from sunarc.cameras.frame import Frame, SkyCamera
 from sunarc.errors import CameraError, CameraLostError, ExposureMismatchError
-from sunarc.imaging import Exposed, light_ratio_contradiction
+from sunarc.imaging.brightness import Exposed, light_ratio_contradiction
 from sunarc.workers.capture.status import CaptureReport
 
 _log = logging.getLogger(__name__)

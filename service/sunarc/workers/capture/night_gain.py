@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 
-from sunarc.cameras import Frame, GainCamera, SkyCamera
+from sunarc.cameras.frame import Frame, GainCamera, SkyCamera
 from sunarc.errors import CameraError, CameraLostError
 from sunarc.runtime.status import StatusRegistry
 from sunarc.workers.messages import condition

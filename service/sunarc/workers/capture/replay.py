@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable
 from contextlib import closing
 
-from sunarc.cameras import Frame, SkyCamera
+from sunarc.cameras.frame import Frame, SkyCamera
 from sunarc.errors import CameraLostError, ConfigurationError, InputError
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import CameraStatus, StatusRegistry

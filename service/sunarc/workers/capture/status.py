@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sunarc.cameras import CameraCondition, CameraInfo, Frame
+from sunarc.cameras.frame import CameraCondition, CameraInfo, Frame
 from sunarc.errors import CameraError, CameraTimeoutError, ConfigurationError, ExposureMismatchError, InputError
 from sunarc.runtime.status import CameraStatus, CaptureStatus, StatusRegistry
 from sunarc.workers.capture.dark_frames import DarkFrames

@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sunarc.cameras import CameraInfo, Frame
-from sunarc.detection import Detection
-from sunarc.imaging import (
+from sunarc.cameras.frame import CameraInfo, Frame
+from sunarc.detection.values import Detection
+from sunarc.imaging.exposure import (
     ExposureBounds,
     Peak,
     SunExposureOptions,

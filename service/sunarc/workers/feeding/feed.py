@@ -10,7 +10,9 @@ from dataclasses import replace
 from http import HTTPStatus
 from typing import Any
 
-from sunarc.archive import CameraArchive, FeedRow, OutboxPosition
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.feed_values import FeedRow
+from sunarc.archive.outbox import OutboxPosition
 from sunarc.errors import OutsideError
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import StatusRegistry

@@ -15,7 +15,9 @@ from pathlib import Path
 
 import h11
 
-from sunarc.archive import FeedRow, OutboxPosition, feed_lines, head_revision
+from sunarc.archive.feed_values import FeedRow, feed_lines
+from sunarc.archive.outbox import OutboxPosition
+from sunarc.archive.schema import head_revision
 from sunarc.errors import ConfigurationError, InputError, OutsideError
 from sunarc.runtime.clock import Clock
 from sunarc.workers.http_exchange import HttpRequest, Limit, UnfinishedError, exchange

@@ -9,11 +9,13 @@ from typing import Any
 import cv2
 
 import sunarc
-from sunarc.archive import ImageStore
+from sunarc.archive.images import ImageStore
 from sunarc.array_types import Image
-from sunarc.cameras import Frame
+from sunarc.cameras.frame import Frame
 from sunarc.errors import OutsideError
-from sunarc.imaging import HdrImage, jpeg_with, merge_hdr, png_with, preview
+from sunarc.imaging.hdr import HdrImage, merge_hdr
+from sunarc.imaging.metadata import jpeg_with, png_with
+from sunarc.imaging.preview import preview
 from sunarc.runtime.status import StatusRegistry
 from sunarc.workers.bounded_queue import DropOldestQueue
 from sunarc.workers.messages import condition

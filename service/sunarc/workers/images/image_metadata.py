@@ -7,10 +7,11 @@ from datetime import datetime
 from typing import Any
 
 import sunarc
-from sunarc.cameras import Frame
-from sunarc.detection import bayer_of
-from sunarc.imaging import HdrImage
-from sunarc.sky import Site, sun_angles
+from sunarc.cameras.frame import Frame
+from sunarc.detection.values import bayer_of
+from sunarc.imaging.hdr import HdrImage
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_angles
 from sunarc.utc import rfc3339
 from sunarc.workers.sightings.sun_prediction import SunPredictor
 

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.cameras import Frame
-from sunarc.detection import MOST_PEAK, Stars
-from sunarc.imaging import ExposureBounds
+from sunarc.cameras.frame import Frame
+from sunarc.detection.stars.values import MOST_PEAK, Stars
+from sunarc.imaging.exposure import ExposureBounds
 from sunarc.workers.bounded_queue import DropOldestQueue
 from sunarc.workers.night.moon import MoonCapture
 

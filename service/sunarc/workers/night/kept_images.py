@@ -13,10 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.archive import CameraArchive, NightImage
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.night_images import NightImage
 from sunarc.array_types import IntArray
-from sunarc.cameras import Frame
-from sunarc.detection import Cutout, Stars
+from sunarc.cameras.frame import Frame
+from sunarc.detection.moon.cutouts import Cutout
+from sunarc.detection.stars.values import Stars
 from sunarc.errors import OutsideError
 from sunarc.workers.night.warm_file import SensorFormat
 

@@ -9,20 +9,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.archive import CameraArchive, SunPoint
-from sunarc.calibration import Calibration, project_with_covariance
-from sunarc.cameras import Frame
-from sunarc.detection import (
-    Cutout,
-    MoonDetection,
-    MoonExpectation,
-    Sensor,
-    brightest_cutouts,
-    cutout_around,
-    detect_moon,
-)
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.values import SunPoint
+from sunarc.calibration.model.covariance import project_with_covariance
+from sunarc.calibration.model.result import Calibration
+from sunarc.cameras.frame import Frame
+from sunarc.detection.moon.cutouts import Cutout, brightest_cutouts, cutout_around
+from sunarc.detection.moon.detect import detect_moon
+from sunarc.detection.moon.values import MoonDetection, MoonExpectation
+from sunarc.detection.values import Sensor
 from sunarc.findings import Finding
-from sunarc.sky import MoonDisc, moon_disc
+from sunarc.sky.moon import MoonDisc, moon_disc
 from sunarc.workers.bounded_queue import DropOldestQueue
 from sunarc.workers.messages import text_of
 from sunarc.workers.night.moon_exposures import LEAST_LIT, LOWEST_DEG, MOST_LEVEL, MoonExposures

@@ -7,8 +7,9 @@ import threading
 from collections.abc import Callable
 from datetime import datetime
 
-from sunarc.imaging import ExposureBounds
-from sunarc.sky import MoonDisc, relative_air_mass
+from sunarc.imaging.exposure import ExposureBounds
+from sunarc.sky.air import relative_air_mass
+from sunarc.sky.moon import MoonDisc
 
 LOWEST_DEG = 83.0
 """Zenith angle: below, 8 air masses redden and tremble, and trees stand."""

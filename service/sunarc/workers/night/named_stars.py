@@ -5,9 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from sunarc.array_types import NameArray
-from sunarc.calibration import Calibration, MatchedView, StarView, image_parts, predict_stars, surest_of_parts
-from sunarc.detection import Stars
-from sunarc.sky import FAINTEST_V, Site, night_sky
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.selection.star_selection import image_parts, surest_of_parts
+from sunarc.calibration.star_prediction import predict_stars
+from sunarc.calibration.star_views import MatchedView, StarView
+from sunarc.detection.stars.values import Stars
+from sunarc.sky.night import FAINTEST_V, night_sky
+from sunarc.sky.site import Site
 
 BENT_PX = 1.0
 """1-sigma of how far the cold of the night bends a mount, beside the calibration's own uncertainty."""

@@ -13,19 +13,21 @@ from pathlib import Path
 
 import numpy as np
 
-from sunarc.archive import CameraArchive, Event, ImageStore, Refit, SunPoint
-from sunarc.calibration import (
-    MAX_CLOCK_ERROR_S,
-    Calibration,
-    MatchedView,
-    StarView,
-    match_views,
-)
-from sunarc.cameras import Frame
-from sunarc.detection import NightLimits, Stars, detect_stars, star_halo
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.images import ImageStore
+from sunarc.archive.values import Event, Refit, SunPoint
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
+from sunarc.calibration.star_views import MatchedView, StarView, match_views
+from sunarc.cameras.frame import Frame
+from sunarc.detection.stars.detect import detect_stars
+from sunarc.detection.stars.halo import star_halo
+from sunarc.detection.stars.trend import NightLimits
+from sunarc.detection.stars.values import Stars
 from sunarc.findings import Finding
 from sunarc.runtime.status import StatusRegistry
-from sunarc.sky import solar_date, wanderer_place
+from sunarc.sky.days import solar_date
+from sunarc.sky.night import wanderer_place
 from sunarc.utc import DAY_S, rfc3339
 from sunarc.workers.messages import MESSAGES, text_of
 from sunarc.workers.night.exposures import DARK_ZENITH_DEG, NightCapture

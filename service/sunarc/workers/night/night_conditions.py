@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sunarc.detection import NightLimits, NightTrend, dew_suspected, focus_ratio
+from sunarc.detection.stars.trend import NightLimits, NightTrend, dew_suspected, focus_ratio
 from sunarc.runtime.status import Reason
 from sunarc.workers.messages import condition
 

@@ -10,21 +10,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration import MatchedView, StarView
-from sunarc.detection import (
-    FWHM,
-    ZENITH_BANDS_DEG,
-    Extinction,
-    NightTrend,
-    StarLight,
-    Stars,
-    detected,
-    extinction_of,
-    limiting_magnitude,
-    trend_of,
-    zenith_bands,
-)
-from sunarc.sky import FAINTEST_V, angles_from_direction, relative_air_mass
+from sunarc.calibration.star_views import MatchedView, StarView
+from sunarc.detection.stars.completeness import ZENITH_BANDS_DEG, detected, limiting_magnitude, zenith_bands
+from sunarc.detection.stars.extinction import Extinction, StarLight, extinction_of
+from sunarc.detection.stars.trend import NightTrend, trend_of
+from sunarc.detection.stars.values import FWHM, Stars
+from sunarc.sky.air import relative_air_mass
+from sunarc.sky.directions import angles_from_direction
+from sunarc.sky.night import FAINTEST_V
 from sunarc.utc import utc_time
 
 COUNTED_TO_V = 4.0

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration import Calibration, MatchedView, StarView
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.star_views import MatchedView, StarView
 from sunarc.robust_statistics import biweights, mad_sigma
 from sunarc.workers.night.named_stars import BENT_PX
 

@@ -12,14 +12,18 @@ from typing import Any
 import cv2
 import numpy as np
 
-from sunarc.archive import CameraArchive, ImageStore
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.images import ImageStore
 from sunarc.array_types import BoolArray, Image
-from sunarc.calibration import Calibration, StarView, camera_sees
-from sunarc.detection import detected
+from sunarc.calibration.model.backward import camera_sees
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.star_views import StarView
+from sunarc.detection.stars.completeness import detected
 from sunarc.errors import OutsideError
-from sunarc.imaging import jpeg_with
-from sunarc.optics import project
-from sunarc.sky import title_of, wanderer_place
+from sunarc.imaging.metadata import jpeg_with
+from sunarc.optics.forward import project
+from sunarc.sky.night import wanderer_place
+from sunarc.sky.star_names import title_of
 from sunarc.utc import rfc3339
 from sunarc.workers.night.numbers import TakenImage
 

@@ -9,8 +9,8 @@ from typing import Literal
 
 import numpy as np
 
-from sunarc.calibration import MatchedView, StarView
-from sunarc.detection import FWHM
+from sunarc.calibration.star_views import MatchedView, StarView
+from sunarc.detection.stars.values import FWHM
 from sunarc.findings import Finding
 from sunarc.workers.night.numbers import cloud_fraction, limit_of
 

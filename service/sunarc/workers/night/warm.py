@@ -9,8 +9,10 @@ from datetime import datetime, timedelta
 import numpy as np
 
 from sunarc.array_types import BoolArray, Image, IntArray
-from sunarc.cameras import Frame
-from sunarc.detection import Bayer, Stars, outstanding_pixels, repaired, warm_pixels
+from sunarc.cameras.frame import Frame
+from sunarc.detection.stars.values import Stars
+from sunarc.detection.stars.warm import outstanding_pixels, repaired, warm_pixels
+from sunarc.detection.values import Bayer
 from sunarc.workers.night.warm_file import SensorFormat, WarmPixelFile
 
 _MOST_IMAGES = 36

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sunarc.archive import write_atomically
+from sunarc.archive.images import write_atomically
 from sunarc.array_types import IntArray
 from sunarc.findings import Finding
 from sunarc.workers.messages import text_of

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from sunarc.archive import CameraState, Notice
+from sunarc.archive.notices import CameraState, Notice
 from sunarc.errors import OutsideError
 from sunarc.extras import extra_module
 from sunarc.runtime.clock import Clock

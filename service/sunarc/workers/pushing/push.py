@@ -7,7 +7,8 @@ import threading
 from collections.abc import Callable
 from typing import Protocol
 
-from sunarc.archive import Archive, Notice
+from sunarc.archive.archive import Archive
+from sunarc.archive.notices import Notice
 from sunarc.errors import ConfigurationError, InputError, OutsideError
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.messages import worker_code

@@ -7,7 +7,8 @@ import threading
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 
-from sunarc.archive import Archive, CameraState
+from sunarc.archive.archive import Archive
+from sunarc.archive.notices import CameraState
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import StatusRegistry
 from sunarc.workers.messages import condition

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import h11
 
-from sunarc.archive import Notice
+from sunarc.archive.notices import Notice
 from sunarc.errors import OutsideError
 from sunarc.runtime.clock import Clock
 from sunarc.utc import rfc3339

@@ -8,9 +8,12 @@ from dataclasses import replace
 from datetime import datetime, timedelta
 from typing import NamedTuple
 
-from sunarc.archive import sun_point_of
-from sunarc.cameras import Frame
-from sunarc.detection import Detection, DiscOptions, Expectation, beside, detect_sun
+from sunarc.archive.seen import sun_point_of
+from sunarc.cameras.frame import Frame
+from sunarc.detection.disc.bracket import beside
+from sunarc.detection.disc.detect import detect_sun
+from sunarc.detection.options import DiscOptions
+from sunarc.detection.values import Detection, Expectation
 from sunarc.findings import Finding
 from sunarc.runtime.status import StatusRegistry
 from sunarc.workers.bounded_queue import DropOldestQueue

@@ -11,14 +11,17 @@ from datetime import datetime
 
 import numpy as np
 
-from sunarc.archive import ELSEWHERE, FROZEN, CameraArchive, SunPoint
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.sighting_revisions import ELSEWHERE, FROZEN
+from sunarc.archive.values import SunPoint
 from sunarc.array_types import Image
-from sunarc.cameras import Frame
-from sunarc.detection import Detection
+from sunarc.cameras.frame import Frame
+from sunarc.detection.values import Detection
 from sunarc.errors import OutsideError
 from sunarc.findings import Finding
 from sunarc.runtime.status import Reason, StatusRegistry
-from sunarc.sky import angular_distance, sun_directions
+from sunarc.sky.directions import angular_distance
+from sunarc.sky.sun import sun_directions
 from sunarc.workers.messages import MESSAGES
 
 _log = logging.getLogger(__name__)

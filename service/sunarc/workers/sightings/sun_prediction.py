@@ -8,11 +8,14 @@ from datetime import datetime, timedelta
 
 import numpy as np
 
-from sunarc.archive import CameraArchive
-from sunarc.calibration import MAX_CLOCK_ERROR_S, project_with_covariance
-from sunarc.detection import ClearSun, Expectation, clear_sun
-from sunarc.optics import local_stretch
-from sunarc.sky import solar_days, sun_angles, sun_directions
+from sunarc.archive.camera_archive import CameraArchive
+from sunarc.calibration.model.covariance import project_with_covariance
+from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
+from sunarc.detection.disc.brightness import ClearSun, clear_sun
+from sunarc.detection.values import Expectation
+from sunarc.optics.stretch import local_stretch
+from sunarc.sky.days import solar_days
+from sunarc.sky.sun import sun_angles, sun_directions
 
 _LEAST_UNCERTAINTY_PX = 2.0
 _BRIGHTNESS_OF = timedelta(days=5)

@@ -6,7 +6,8 @@ import logging
 from collections import deque
 from dataclasses import replace
 
-from sunarc.archive import Archive, SunPoint
+from sunarc.archive.archive import Archive
+from sunarc.archive.values import SunPoint
 from sunarc.errors import OutsideError
 from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.status import StatusRegistry

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sunarc.cameras import TAI_MINUS_UTC_S
+from sunarc.cameras.timestamps import TAI_MINUS_UTC_S
 from sunarc.findings import Finding
 from sunarc.utc import rfc3339
 from sunarc.workers.timing.clock_steps import ClockStep

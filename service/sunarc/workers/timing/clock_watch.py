@@ -12,10 +12,10 @@ from typing import Annotated
 
 from annotated_types import Gt, Le
 
-from sunarc.archive import CameraArchive
+from sunarc.archive.camera_archive import CameraArchive
 from sunarc.bounds import require_bounds
-from sunarc.calibration import MAX_CLOCK_ERROR_S
-from sunarc.cameras import TAI_MINUS_UTC_S
+from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
+from sunarc.cameras.timestamps import TAI_MINUS_UTC_S
 from sunarc.errors import OutsideError
 from sunarc.findings import Finding
 from sunarc.runtime.clock import Clock
