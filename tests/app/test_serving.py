@@ -24,7 +24,7 @@ PATIENCE_S = 20.0  # only a failing test waits as long
 IN_OPENCV = """
 import sys, threading
 import cv2, numpy as np
-from sunarc.app import end_process
+from sunarc.app.serving import end_process
 
 image, begun = np.ones((1500, 1500), np.uint16), threading.Event()
 

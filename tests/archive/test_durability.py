@@ -23,7 +23,8 @@ import sys
 from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
-from sunarc.archive import SunPoint, open_archive
+from sunarc.archive.archive import open_archive
+from sunarc.archive.values import SunPoint
 
 archive = open_archive(Path(sys.argv[1]))
 noon = datetime.fromisoformat(sys.argv[2])

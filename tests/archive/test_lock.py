@@ -16,7 +16,7 @@ from sunarc.errors import OutsideError
 HOLDER = """
 import sys
 from pathlib import Path
-from sunarc.archive import lock_state
+from sunarc.archive.lock import lock_state
 with lock_state(Path(sys.argv[1])):
     print("held", flush=True); sys.stdin.read()
 """

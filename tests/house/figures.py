@@ -334,8 +334,8 @@ def _write_track(path: Path) -> Path:
     return path
 
 
-PIXEL = "sunarc.calibration.answers" if (PACKAGE / "calibration" / "answers").is_dir() else "sunarc.calibration"
-"""The package that answers which direction a pixel has."""
+PIXEL = "sunarc.calibration.model.document, sunarc.calibration.model.backward"
+"""What answers which direction a pixel of a document has."""
 
 
 def figures() -> dict[str, object]:

@@ -286,7 +286,8 @@ def narrow_network(tmp_path: Path) -> Iterator[list[str]]:
 
 
 LARGE_AND_SMALL = """
-from sunarc.cameras import AravisOptions, open_aravis
+from sunarc.cameras.aravis import open_aravis
+from sunarc.cameras.options import AravisOptions
 from sunarc.runtime.clock import SystemClock
 for size in (8000, 1400):
     options = AravisOptions(address="192.0.2.1", packet_size=size, region=(700, 500, 420, 300))
