@@ -43,7 +43,7 @@ from sunarc.sky.night import body_directions
 from sunarc.sky.sun import sun_angles, sun_directions
 from sunarc.utc import utc_time
 from sunarc.workers.bounded_queue import DropOldestQueue
-from sunarc.workers.calibrating.refit_task import Task, next_task
+from sunarc.workers.calibrating.refit import Task, next_task
 from sunarc.workers.night.exposures import NightCapture, NightExposures
 from sunarc.workers.night.night import NightWorker
 from sunarc.workers.sensor import SensorOptions

@@ -44,7 +44,7 @@ from sunarc.simulation.night_options import NightOptions
 from sunarc.simulation.options import SceneOptions, SensorModel
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP, true_camera
-from sunarc.workers.night.verdict import decide_night, summary_of
+from sunarc.workers.night.night import decide_night, summary_of
 
 SIZES = (640, 874, 1024)
 KINDS = ("broken clouds", "haze", "moon", "town", "all of it")

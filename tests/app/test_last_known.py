@@ -12,8 +12,7 @@ from typing import Any
 import pytest
 from tests.fixtures.archive import HIDDEN, make_empty, store_sun_point
 
-from sunarc.app.last_known import restore_last_known
-from sunarc.app.service import Service
+from sunarc.app.service import Service, restore_last_known
 from sunarc.archive.archive import open_archive
 from sunarc.archive.images import ImageStore
 from sunarc.archive.values import CameraRecord

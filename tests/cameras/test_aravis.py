@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from sunarc.cameras import aravis as adapter
-from sunarc.cameras.aravis import AravisCamera, open_aravis
-from sunarc.cameras.buffers import follows
+from sunarc.cameras.aravis import AravisCamera, follows, open_aravis
 from sunarc.cameras.options import AravisOptions
 from sunarc.errors import (
     CameraError,

@@ -10,12 +10,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sunarc.cameras.buffers import follows, image_of, incomplete, require_exposure
-from sunarc.cameras.control_lost import setter, wait_for_last_reference
-from sunarc.cameras.exposure import ExposureControl, exposure_control
+from sunarc.cameras.aravis import (
+    ExposureControl,
+    NotedExposure,
+    exposure_control,
+    follows,
+    image_of,
+    incomplete,
+    require_exposure,
+    setter,
+    wait_for_last_reference,
+)
 from sunarc.cameras.frame import CameraInfo, full_scale_of, middle_of_exposure
 from sunarc.cameras.link import Link, buffer_limit, route_mtu
-from sunarc.cameras.noted_exposure import NotedExposure
 from sunarc.cameras.options import AravisOptions
 from sunarc.cameras.packed import pack
 from sunarc.cameras.timestamps import utc_of_timestamp

@@ -15,8 +15,7 @@ from tests.fixtures.command_line import Sunarc, sunarc
 from sunarc.calibration.ensemble import draw_ensemble
 from sunarc.calibration.model.document import from_document
 from sunarc.errors import InputError
-from sunarc.exports.draws import MOST_DRAWS_OF_A_FILE
-from sunarc.exports.formats import export, export_draws
+from sunarc.exports.formats import MOST_DRAWS_OF_A_FILE, export, export_draws
 
 __all__ = ["sunarc"]
 

@@ -18,7 +18,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Self
 
-from sunarc.simulation.timeline import next_dawn
+from sunarc.simulation.imager import next_dawn
 from sunarc.simulation.truth import SGP
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles

@@ -12,10 +12,9 @@ import pytest
 
 from sunarc.detection.values import Detection
 from sunarc.findings import Finding
-from sunarc.offline.ingest import detection_pool
+from sunarc.offline.ingest import run
 from sunarc.offline.ingest.detect_image import Task
-from sunarc.offline.ingest.detect_stack import detect_in_files
-from sunarc.offline.ingest.detection_pool import Answers, detect_in_pool
+from sunarc.offline.ingest.run import Answers, detect_in_files, detect_in_pool
 
 N_TASKS = 8
 EXPECTED = ["hidden" if n % 5 else "file_size_differs" for n in range(N_TASKS)]
@@ -48,7 +47,7 @@ def codes(answers: list[Answers]) -> list[str]:
 
 
 def test_few_images_are_looked_at_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(detection_pool, "_pool", None)
+    monkeypatch.setattr(run, "_pool", None)
     here = list(detect_in_pool(tasks(tmp_path), n_tasks=4, processes=2))
     assert codes(here) == EXPECTED
     assert all(one.exposure_us == 20.0 for (one,) in here if isinstance(one, Detection))
@@ -57,15 +56,15 @@ def test_few_images_are_looked_at_here(tmp_path: Path, monkeypatch: pytest.Monke
 def test_answers_keep_the_order_and_an_image_that_kills_its_process_is_left_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(detection_pool, "detect_in_files", dying)
-    monkeypatch.setattr(detection_pool, "_AHEAD", 1)
+    monkeypatch.setattr(run, "detect_in_files", dying)
+    monkeypatch.setattr(run, "_AHEAD", 1)
     answers = list(detect_in_pool(tasks(tmp_path), n_tasks=N_TASKS, processes=2))
     assert codes(answers) == [*EXPECTED[:2], "worker_died", *EXPECTED[3:]]
 
 
 def test_an_interrupt_is_for_the_run_and_not_for_its_processes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(detection_pool, "detect_in_files", blocking)
-    (answer,) = detection_pool._alone(tasks(tmp_path)[0])
+    monkeypatch.setattr(run, "detect_in_files", blocking)
+    (answer,) = run._alone(tasks(tmp_path)[0])
     assert isinstance(answer, Finding)
     assert str(signal.SIGINT) in str(answer.data["signals"]).split()
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])

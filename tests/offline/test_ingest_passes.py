@@ -22,7 +22,8 @@ from sunarc.calibration.model.sightings import SunPoints
 from sunarc.detection.photo.exposure_stack import Exposure
 from sunarc.detection.values import Detection, Expectation
 from sunarc.findings import Finding
-from sunarc.offline.ingest import consensus, detect_image, detect_stack, run
+from sunarc.offline.ingest import consensus, detect_image, run
+from sunarc.offline.ingest import run as detect_stack
 from sunarc.offline.ingest.run import PREDICTED, UNPREDICTED, IngestOptions, ingest_folder
 from sunarc.offline.ingest.summary import Summary, sentence_of
 from sunarc.optics.camera import Camera

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from sunarc.cameras.control_lost import wait_for_last_reference
+from sunarc.cameras.aravis import wait_for_last_reference
 from sunarc.runtime.clock import VirtualClock
 
 

@@ -14,10 +14,10 @@ from sunarc.array_types import FloatArray
 from sunarc.detection.stars.detect import detect_stars
 from sunarc.errors import InputError
 from sunarc.optics.forward import project
+from sunarc.simulation.night import star_directions_by_series
 from sunarc.simulation.night_options import NightOptions
 from sunarc.simulation.options import SceneOptions, SensorModel
 from sunarc.simulation.scene import Scene
-from sunarc.simulation.star_places import star_directions_by_series
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.air import relative_air_mass
 from sunarc.sky.directions import direction_from_angles

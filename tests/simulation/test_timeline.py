@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from sunarc.simulation.timeline import Timeline
+from sunarc.simulation.imager import Timeline
 from sunarc.simulation.truth import SGP
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles

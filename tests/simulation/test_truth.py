@@ -16,8 +16,8 @@ from sunarc.optics.camera import Camera
 from sunarc.optics.forward import decentering_shift, distorted_radius, project
 from sunarc.optics.pose import pose_angles
 from sunarc.optics.stretch import rising_limit
+from sunarc.simulation.imager import truth_document
 from sunarc.simulation.truth import SGP, true_camera
-from sunarc.simulation.truth_document import truth_document
 from sunarc.sky.directions import direction_from_angles
 
 THETA = np.linspace(0.0, math.pi / 2, 2001)

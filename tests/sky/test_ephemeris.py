@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.sky import ephemeris as module
-from sunarc.sky.ephemeris import geocentric
+from sunarc.sky import sun as module
+from sunarc.sky.sun import geocentric
 
 FloatArray = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, rayleigh
 
-from sunarc.studies.noise import SD_OF_DISTANCE, _episodes, clear_noise, cloud_noise
+from sunarc.studies.tables import SD_OF_DISTANCE, _episodes, clear_noise, cloud_noise
 
 
 def test_the_distance_of_round_errors_is_rayleighs() -> None:

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from sunarc.errors import OutsideError
+from sunarc.simulation.imager import truth_document
 from sunarc.simulation.truth import SGP, true_camera
-from sunarc.simulation.truth_document import truth_document
 from sunarc.studies.sky_errors import sky_errors, write_picture
 
 NOW = datetime(2013, 5, 13, tzinfo=UTC)

@@ -11,10 +11,18 @@ import pytest
 
 from sunarc.calibration.quality.day_quality import DayMeasure, measure_day
 from sunarc.simulation.truth import SGP
-from sunarc.studies.noise import SD_OF_DISTANCE, clear_noise, cloud_noise
 from sunarc.studies.published import CASES, Case
 from sunarc.studies.reports import write_tables
-from sunarc.studies.tables import COLUMNS, fitted_row, published_row, simulated_case, truth_row
+from sunarc.studies.tables import (
+    COLUMNS,
+    SD_OF_DISTANCE,
+    clear_noise,
+    cloud_noise,
+    fitted_row,
+    published_row,
+    simulated_case,
+    truth_row,
+)
 from sunarc.studies.trials import QUANTITIES
 
 if TYPE_CHECKING:

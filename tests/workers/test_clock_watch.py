@@ -16,8 +16,14 @@ from sunarc.archive.camera_archive import CameraArchive
 from sunarc.errors import InputError, OutsideError
 from sunarc.runtime.clock import ClockState, VirtualClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.workers.timing.clock_agreement import SETTLE_S
-from sunarc.workers.timing.clock_watch import LEAST_ERROR_S, SHOW_STEP_S, UNKNOWN_ERROR_S, ClockOptions, ClockWatch
+from sunarc.workers.timing.clock_watch import (
+    LEAST_ERROR_S,
+    SETTLE_S,
+    SHOW_STEP_S,
+    UNKNOWN_ERROR_S,
+    ClockOptions,
+    ClockWatch,
+)
 from sunarc.workers.timing.frame_time import FrameTime
 
 from .conftest import NOON

@@ -39,7 +39,7 @@ from sunarc.workers.calibrating.refit import RefitOptions, RefitWorker
 from sunarc.workers.sightings.sun_prediction import SunPredictor
 
 if TYPE_CHECKING:
-    from sunarc.workers.calibrating.refit_task import Task
+    from sunarc.workers.calibrating.refit import Task
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 NOW = NOON + timedelta(days=3)

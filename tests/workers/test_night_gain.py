@@ -18,7 +18,7 @@ from sunarc.simulation.options import SceneOptions
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.scene_camera import SceneCamera
 from sunarc.simulation.truth import SGP
-from sunarc.workers.capture.night_gain import CODE, NightGain
+from sunarc.workers.capture.capture import CODE, NightGain
 from sunarc.workers.sensor import SensorOptions, sensor_of
 
 NIGHT = datetime(2013, 5, 13, 5, 0, tzinfo=UTC)

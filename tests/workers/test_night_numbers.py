@@ -19,7 +19,7 @@ from sunarc.detection.stars.trend import NightLimits
 from sunarc.findings import Finding
 from sunarc.simulation.truth import SGP
 from sunarc.workers.messages import MESSAGES
-from sunarc.workers.night.night_conditions import night_conditions
+from sunarc.workers.night.night import night_conditions
 
 LIMITS = NightLimits()
 

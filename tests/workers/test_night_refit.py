@@ -24,7 +24,7 @@ from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.night import body_directions, night_sky
 from sunarc.sky.sun import sun_angles, sun_directions
 from sunarc.utc import utc_time
-from sunarc.workers.calibrating.refit_task import Task, next_task
+from sunarc.workers.calibrating.refit import Task, next_task
 from sunarc.workers.fit_input import points_of
 
 NOW = datetime(2013, 5, 14, 12, 0, tzinfo=UTC)

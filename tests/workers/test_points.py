@@ -26,7 +26,7 @@ from sunarc.sky.sun import sun_angles, sun_directions
 from sunarc.workers.calibrating import judge_days as days
 from sunarc.workers.calibrating.epoch_search import EpochSearch
 from sunarc.workers.calibrating.judge_days import DayJudge
-from sunarc.workers.calibrating.refit_task import Task, next_task
+from sunarc.workers.calibrating.refit import Task, next_task
 from sunarc.workers.sightings.sun_prediction import SunPredictor
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)

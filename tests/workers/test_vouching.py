@@ -15,8 +15,7 @@ from sunarc.imaging.exposure import SunExposureOptions
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
 from sunarc.workers.bounded_queue import DropOldestQueue
-from sunarc.workers.capture.capture import CaptureOptions, CaptureWorker
-from sunarc.workers.capture.cycle_consistency import Cycle, CycleConsistencyFilter
+from sunarc.workers.capture.capture import CaptureOptions, CaptureWorker, Cycle, CycleConsistencyFilter
 from sunarc.workers.capture.sun_exposure_control import SunExposures
 from sunarc.workers.timing.frame_time import FrameTime
 

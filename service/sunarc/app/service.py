@@ -8,10 +8,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import datetime
 from functools import partial
+from typing import TypedDict
 
 import sunarc
 from sunarc.app.cameras import camera_record, note_other_camera, require_same_camera
-from sunarc.app.last_known import restore_last_known
 from sunarc.app.night import night_capture, night_worker
 from sunarc.archive.archive import Archive
 from sunarc.archive.camera_archive import CameraArchive
@@ -51,6 +51,49 @@ from sunarc.workers.sightings.sun_prediction import SunPredictor
 from sunarc.workers.sightings.write_buffer import SightingWriteBuffer
 from sunarc.workers.timing.clock_watch import ClockWatch
 from sunarc.workers.timing.frame_time import FrameTime
+
+# What the store knows of the time before the service started, so that a restart hides nothing.
+
+
+class _Filters(TypedDict):
+    until: datetime | None
+    largest_clock_error_s: float
+    newest_first: bool
+    limit: int
+
+
+def restore_last_known(
+    board: StatusRegistry,
+    *,
+    archive: Archive,
+    images: ImageStore,
+    camera: str,
+    until: datetime | None,
+) -> None:
+    """Write on the board when the last frame and the last accepted sighting were, as the store has them.
+
+    Parameters
+    ----------
+    board : where they are shown until newer ones come.
+    archive, images : what was stored; where that cannot be read, nothing is written.
+    camera : whose sightings.
+    until : now; later times are of a clock that was ahead. None where times jump by nature (replay, simulation).
+    """
+    filters: _Filters = {"until": until, "largest_clock_error_s": MAX_CLOCK_ERROR_S, "newest_first": True, "limit": 1}
+    try:
+        points = archive.sun_points(camera, body=None, **filters)
+        sightings = archive.sun_points(camera, accepted=True, **filters)
+        frames: list[datetime] = [point.time for point in points]
+        if (image_at := images.newest_at(kind="hdr.png", until=until)) is not None:
+            frames.append(image_at)
+    except (OutsideError, OSError) as error:
+        _log.warning("the times of the last frame and sighting cannot be read from the store: %s", error)
+        return
+    if frames:
+        board.note(last_frame_at=max(frames))
+    if sightings:
+        board.note(last_sighting_at=sightings[0].time)
+
 
 _log = logging.getLogger(__name__)
 _WAITING_CYCLES = 4

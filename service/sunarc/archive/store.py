@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import sqlite3
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
@@ -11,11 +12,10 @@ from typing import Any, Self, TypeVar
 
 from sqlalchemy import Column, ColumnElement, Connection, Engine, Select, TypeDecorator
 
-from sunarc.archive.data_version import Changes
-from sunarc.archive.engine import reading, writing
+from sunarc.archive.engine import outside_errors, reading, writing
 from sunarc.archive.file import DatabaseFile
 from sunarc.archive.server import Months, SnapshotVersion
-from sunarc.errors import InputError, StoreFullError
+from sunarc.errors import InputError, OutsideError, StoreFullError
 
 _log = logging.getLogger(__name__)
 
@@ -142,3 +142,43 @@ def _required(column: ColumnElement[Any]) -> bool:
 def given(*filters: tuple[Callable[[Any], Any], object | None]) -> list[ColumnElement[bool]]:
     """Return the conditions whose argument is given: `given((column.__eq__, None))` filters nothing."""
     return [compare(argument) for compare, argument in filters if argument is not None]
+
+
+# Detection of writes in microseconds, so that query results can be cached until the next one.
+
+
+class Changes:
+    """A connection of its own to a database, which sees every commit of all others.
+
+    Parameters
+    ----------
+    engine : names the database in errors.
+    file : its file.
+    """
+
+    def __init__(self, engine: Engine, file: DatabaseFile) -> None:
+        self._engine = engine
+        self._file = file
+        self._lock = threading.Lock()
+        self._connection: sqlite3.Connection | None = None
+        self._opened = 0
+
+    def count(self) -> int:
+        """Return a number that is another one after any commit, of this process or another."""
+        with self._lock, outside_errors(self._engine):
+            if self._connection is None:
+                try:
+                    self._connection = self._file.connect()
+                except sqlite3.Error as error:
+                    raise OutsideError(f"cannot use the database {self._file.path}: {error}") from error
+                self._opened += 1  # each connection counts from the start
+            # SQLite counts commits of other connections only: this one writes nothing, so that it sees them all.
+            (version,) = self._connection.execute("PRAGMA data_version").fetchone()
+            return int(version) + (self._opened << 32)
+
+    def close(self) -> None:
+        """Close the connection; the next question opens another."""
+        with self._lock:
+            if self._connection is not None:
+                self._connection.close()
+            self._connection = None

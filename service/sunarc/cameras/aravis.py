@@ -7,39 +7,209 @@ else happens raises, and the next exposure starts from a stopped camera.
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import math
 import threading
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any, Literal
 
-from sunarc.cameras.abilities import abilities_of
-from sunarc.cameras.buffers import follows, image_of, incomplete, require_exposure
-from sunarc.cameras.control_lost import setter, wait_for_last_reference
-from sunarc.cameras.exposure import ExposureControl, exposure_control, require_taken
+import numpy as np
+
+from sunarc.array_types import Image
 from sunarc.cameras.features import (
+    BLACK_LEVEL,
+    GAIN,
     SIMULATED_SPEED,
     Pin,
     changed_pins,
+    first,
     gain_db,
     gain_raise_db,
     has,
+    is_usable,
     pin_settings,
+    read,
     serial_of,
     simulated_speed,
     temperature_c,
     with_gain_raised,
+    write,
 )
 from sunarc.cameras.frame import CameraCondition, CameraInfo, Frame, full_scale_of, middle_of_exposure
 from sunarc.cameras.link import PASSED_EVERYWHERE_BYTES, PREFERRED_BUFFER_BYTES, Link, link_to
-from sunarc.cameras.noted_exposure import NotedExposure
 from sunarc.cameras.options import AravisOptions
+from sunarc.cameras.packed import packed_bytes, packing_of, unpack
 from sunarc.cameras.timestamps import utc_of_timestamp
-from sunarc.errors import CameraError, CameraLostError, CameraSilentError, ConfigurationError, SunarcError
+from sunarc.errors import (
+    CameraError,
+    CameraLostError,
+    CameraSilentError,
+    CameraTimeoutError,
+    ConfigurationError,
+    SunarcError,
+)
+from sunarc.imaging.exposure import ExposureBounds
 from sunarc.runtime.clock import Clock
+
+# The exposure of a GenICam camera: by which feature it is set, in what unit, within what bounds.
+
+_FLOATS = ("ExposureTime", "ExposureTimeAbs")
+_SAME = 1.5
+"""Factor up to which two exposures may be one to a camera that does not tell its step."""
+_RAW, _RAW_UNIT = "ExposureTimeRaw", "ExposureTimeBaseAbs"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExposureControl:
+    """How exposures are set.
+
+    Attributes
+    ----------
+    feature, kind : the camera's feature, and whether it holds a float or whole steps.
+    unit_us : microseconds in a step of the feature.
+    bounds : shortest and longest exposure, and its step.
+    """
+
+    feature: str
+    kind: Literal["float", "integer"]
+    unit_us: float
+    bounds: ExposureBounds
+
+    def set(self, camera: Any, exposure_us: float) -> float:  # noqa: ANN401 - a GObject has no types
+        """Set the nearest possible exposure, and return the one read back, µs."""
+        steps = self.bounds.nearest(exposure_us) / self.unit_us
+        pin = write(camera, self.feature, self.kind, round(steps) if self.kind == "integer" else steps)
+        return float(pin.value) * self.unit_us
+
+    def get(self, camera: Any) -> float:  # noqa: ANN401 - a GObject has no types
+        """Return the exposure read back from the camera, µs."""
+        return float(read(camera, self.feature, self.kind)) * self.unit_us
+
+
+def require_taken(actual_us: float, asked_us: float, *, before_us: float) -> float:
+    """Return an exposure that was read back; CameraError where the camera kept the one before instead of another."""
+    if actual_us == before_us and not 1.0 / _SAME <= actual_us / asked_us <= _SAME:
+        raise CameraError(f"the camera keeps an exposure of {actual_us:g} µs and does not take {asked_us:g} µs")
+    return actual_us
+
+
+def exposure_control(camera: Any) -> ExposureControl:  # noqa: ANN401 - a GObject has no types
+    """Find out how a camera's exposure is set; CameraError when it cannot be."""
+    for feature in (*_FLOATS, _RAW):
+        if not has(camera, feature):
+            continue
+        unit_us = float(camera.get_float(_RAW_UNIT)) if feature == _RAW and has(camera, _RAW_UNIT) else 1.0
+        with contextlib.suppress(Exception):  # a few cameras hold whole microseconds: refused as a float
+            bounds = camera.get_float_bounds(feature)
+            return _control(feature, "float", unit_us, bounds, _step(camera.get_float_increment, feature))
+        bounds = camera.get_integer_bounds(feature)
+        return _control(feature, "integer", unit_us, bounds, _step(camera.get_integer_increment, feature))
+    raise CameraError(f"the camera's exposure cannot be set: it has none of {', '.join((*_FLOATS, _RAW))}")
+
+
+def _control(
+    feature: str, kind: Literal["float", "integer"], unit_us: float, bounds: tuple[float, float], step: float
+) -> ExposureControl:
+    return ExposureControl(
+        feature=feature,
+        kind=kind,
+        unit_us=unit_us,
+        bounds=ExposureBounds(
+            minimum_us=float(bounds[0]) * unit_us, maximum_us=float(bounds[1]) * unit_us, step_us=step * unit_us
+        ),
+    )
+
+
+def _step(ask: Any, feature: str) -> float:  # noqa: ANN401 - a GObject's method has no types
+    with contextlib.suppress(Exception):  # vendors' descriptions disagree on whether there is one
+        step = float(ask(feature))
+        return step if math.isfinite(step) and 1e-6 < step < 1e6 else 0.0
+    return 0.0
+
+
+# The exposure that a frame notes of itself (a GenICam chunk), or the register's where there is none to be read.
+
+_CHUNK = "ExposureTime"
+
+
+class NotedExposure:
+    """Reads a frame's exposure.
+
+    Parameters
+    ----------
+    camera : the library's, before its stream is made: chunks change the payload.
+    control : by which the exposure is set, and read back.
+    error : the library's error.
+    """
+
+    def __init__(self, camera: Any, control: ExposureControl, *, error: type[Exception]) -> None:  # noqa: ANN401 - a GObject has no types
+        self._camera = camera
+        self._control = control
+        self._error = error
+        self._parser: Any = None
+        try:
+            if camera.are_chunks_available():
+                camera.set_chunks(_CHUNK)
+                self._parser = camera.create_chunk_parser()
+        except error as refused:  # a camera may have chunks and none of the exposure
+            _log.info("the camera does not note its exposures: %s", refused)
+
+    @property
+    def from_frame(self) -> bool:
+        """Whether frames note their exposure themselves."""
+        return self._parser is not None
+
+    def of(self, buffer: Any) -> float:  # noqa: ANN401 - a GObject
+        """Return a frame's exposure in microseconds; chunks that cannot be parsed are not tried again."""
+        if self._parser is not None:
+            try:
+                return float(self._parser.get_float_value(buffer, f"Chunk{_CHUNK}"))
+            except self._error as unreadable:
+                self._parser = None
+                _log.warning(
+                    "chunk data of the camera cannot be parsed (%s): exposures are checked by reading %s back instead",
+                    unreadable,
+                    self._control.feature,
+                )
+        return self._control.get(self._camera)
+
+
+# The library's signal that a camera no longer answers, and the end of the device that sends it.
+
+_POLL_S = 0.002
+_POLLS = 250
+"""0.5 s in all: a signal's emission takes less than a millisecond of a thread that runs."""
+
+
+def setter(event: threading.Event) -> Callable[..., None]:
+    """Return a signal handler that refers to nothing but the event: a reference to the camera would keep it open."""
+
+    def set_event(*_: object) -> None:
+        event.set()
+
+    return set_event
+
+
+def wait_for_last_reference(device: Any, clock: Clock) -> bool:  # noqa: ANN401 - a GObject has no types
+    """Wait until the caller's reference to a device is the only one, at most 0.5 s; return whether it is.
+
+    The signal is emitted in the device's own heartbeat thread, and the emission has a reference to the device until
+    all handlers have returned. Were that the last one, the device would be finalized in that thread, which would then
+    join itself: GLib ends the process ("Resource deadlock avoided"). An exception that is being handled may hold
+    another reference, which is dropped later in the caller's thread: that wait ends in vain.
+    """
+    for _ in range(_POLLS):
+        if getattr(device, "__grefcount__", 1) <= 1:
+            return True
+        clock.wait(threading.Event(), _POLL_S)
+    _log.debug("the camera's device is still referred to %g s after it was closed", _POLLS * _POLL_S)
+    return False
+
 
 _log = logging.getLogger(__name__)
 
@@ -380,3 +550,77 @@ def _library() -> tuple[Any, Any]:
             "and use a virtual environment on /usr/bin/python3"
         ) from None
     return Aravis, GLib
+
+
+# The abilities of a GenICam camera, in words for its installation.
+
+
+def abilities_of(
+    camera: Any,  # noqa: ANN401 - a GObject has no types
+    *,
+    exposure: ExposureControl,
+    pins: tuple[Pin, ...],
+    notes_exposures: bool,
+) -> Iterator[tuple[str, str]]:
+    """Yield what there is, and what of it is used."""
+    width, height = camera.get_sensor_size()
+    binning = "bins" if has(camera, "BinningHorizontal") else "does not bin"
+    yield "sensor", f"{width}x{height} px, {binning}"
+    offered = [str(name) for name in camera.dup_available_pixel_formats_as_strings()]
+    left_out = [name for name in offered if not is_usable(name)]
+    not_used = f" (of no use here: {', '.join(left_out)})" if left_out else ""
+    yield "pixel formats", ", ".join(name for name in offered if is_usable(name)) + not_used
+    for what, names in (("gain", GAIN), ("black level", BLACK_LEVEL)):
+        name = first(camera, names)
+        pinned = next((pin.value for pin in pins if pin.name == name), None)
+        yield what, "cannot be set" if name is None else f"{name}, held at {pinned}"
+    noted = (
+        "noted by the camera beside each frame"
+        if notes_exposures
+        else "read back from the camera, and judged by brightness"
+    )
+    yield "exposure", f"by {exposure.feature}; {noted}"
+    degrees = temperature_c(camera)
+    yield "temperature", "not reported" if degrees is None else f"{degrees:.1f} °C"
+    yield "held settings", ", ".join(f"{pin.name} {pin.value}" for pin in pins)
+
+
+# Checks of a received frame: complete, next in number, of the exposure that was set.
+
+_CHUNK_TOLERANCE = 0.01
+
+
+def follows(previous_id: int, frame_id: int) -> bool:
+    """Return whether a frame count is the next one; GigE Vision 1 counts 1 … 65535 and never says 0."""
+    return frame_id == previous_id + 1 or (previous_id == 65_535 and frame_id == 1)
+
+
+def require_exposure(noted_us: float, exposure_us: float) -> None:
+    """Raise `CameraError` when the exposure that a frame notes of itself is not the one that was read back."""
+    if not abs(noted_us - exposure_us) <= max(1.0, _CHUNK_TOLERANCE * exposure_us):
+        raise CameraError(f"a frame notes an exposure of {noted_us:g} µs, not {exposure_us:g} µs")
+
+
+def image_of(data: bytes, info: CameraInfo) -> Image:
+    """Return the counts of a frame's bytes, which may have been cut short."""
+    count, packing = info.width * info.height, packing_of(info.pixel_format)
+    depth = 1 if info.full_scale == 255 else 2
+    expected = count * depth if packing is None else packed_bytes(packing, count)
+    if len(data) < expected:
+        raise CameraError(f"a frame of {len(data)} bytes came, {expected} bytes in {info.pixel_format} are expected")
+    if packing is not None:
+        return _read_only(unpack(data, packing, count)).reshape(info.height, info.width)
+    flat = np.frombuffer(data, np.uint8, count) if depth == 1 else np.frombuffer(data, np.uint16, count)
+    return flat.reshape(info.height, info.width)
+
+
+def _read_only(image: Image) -> Image:
+    image.flags.writeable = False
+    return image
+
+
+def incomplete(status: str) -> CameraError:
+    """Return the error that an unusable buffer's status stands for."""
+    if status in {"timeout", "missing-packets"}:
+        return CameraTimeoutError(f"packets of the frame were lost ({status}); see the network's buffer settings")
+    return CameraError(f"the frame is not usable ({status})")

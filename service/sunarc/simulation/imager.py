@@ -12,8 +12,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple, get_args
+from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
@@ -21,22 +22,28 @@ from numpy.typing import NDArray
 
 from sunarc.array_types import Image
 from sunarc.bounds import require_bounds
+from sunarc.calibration.model.backward import fit_backward
+from sunarc.calibration.model.document import to_document
+from sunarc.calibration.model.metrics import Metrics
+from sunarc.calibration.model.residual_field import Field, WaveBasis
+from sunarc.calibration.model.result import Calibration, Provenance, Verdict
 from sunarc.cameras.frame import full_scale_of
 from sunarc.cameras.packed import pack, packing_of
 from sunarc.detection.values import bayer_of
 from sunarc.errors import InputError, OutsideError
+from sunarc.findings import Finding
 from sunarc.optics.camera import Camera
+from sunarc.optics.pose import pose_angles
 from sunarc.runtime.clock import Clock, SystemClock
 from sunarc.simulation import genicam
 from sunarc.simulation.fake_camera import FakeCamera, Request, fake_camera
 from sunarc.simulation.options import WEATHERS, SceneOptions, SensorModel, Weather
 from sunarc.simulation.scene import Scene
-from sunarc.simulation.timeline import Timeline
 from sunarc.simulation.truth import SGP, true_camera
-from sunarc.simulation.truth_document import truth_document
 from sunarc.sky.days import solar_date
 from sunarc.sky.site import Site
-from sunarc.utc import to_microseconds
+from sunarc.sky.sun import sun_angles
+from sunarc.utc import DAY_S, to_microseconds
 
 _log = logging.getLogger(__name__)
 
@@ -412,3 +419,131 @@ def _write_truth(path: Path, scene: Scene, *, name: str, created_at: datetime) -
         partial.replace(path)
     except OSError as error:
         raise OutsideError(f"{path} cannot be written: {error.strerror}") from None
+
+
+# Simulated time: faster than real, with the nights left out.
+
+_TWILIGHT_ZENITH_DEG = 92.0
+_STEP_S = 60.0
+_LONGEST_NIGHT_DAYS = 200
+
+
+class Timeline:
+    """Simulated time as a function of elapsed real time.
+
+    Parameters
+    ----------
+    site : whose nights are skipped.
+    start_unix_s : simulated time at 0.
+    speed : simulated seconds per real second.
+    skip_nights : jump from the end of a day's twilight to the beginning of the next one's.
+    """
+
+    def __init__(self, site: Site, *, start_unix_s: float, speed: float, skip_nights: bool = True) -> None:
+        self._site = site
+        self._start_unix_s = start_unix_s
+        self._speed = speed
+        self._skip_nights = skip_nights
+        self._skipped_s = 0.0
+        self._since_s = 0.0
+
+    @property
+    def speed(self) -> float:
+        """Simulated seconds per real second."""
+        return self._speed
+
+    def set_speed(self, speed: float, *, elapsed_s: float) -> None:
+        """Go on at another speed from an elapsed real time on, without a step."""
+        self._start_unix_s += (elapsed_s - self._since_s) * self._speed
+        self._since_s, self._speed = elapsed_s, speed
+
+    def at(self, elapsed_s: float) -> float:
+        """Return the simulated time in seconds since 1970-01-01 UTC; must not be called for earlier times again."""
+        now = self._start_unix_s + (elapsed_s - self._since_s) * self._speed + self._skipped_s
+        if self._skip_nights and _is_night(now, self._site):
+            dawn = next_dawn(now, self._site)
+            self._skipped_s += dawn - now
+            return dawn
+        return now
+
+
+def next_dawn(unix_s: float, site: Site) -> float:
+    """Return the next minute at which the sun is at most 92° from the zenith; `unix_s` itself if there is none."""
+    minutes = np.arange(0.0, DAY_S, _STEP_S)
+    for day in range(_LONGEST_NIGHT_DAYS):
+        times = unix_s + day * DAY_S + minutes
+        light = np.flatnonzero(sun_angles(times, site).apparent_zenith <= _TWILIGHT_ZENITH_DEG)
+        if light.size:
+            return float(times[light[0]])
+    return unix_s
+
+
+def _is_night(unix_s: float, site: Site) -> bool:
+    return float(sun_angles(unix_s, site).apparent_zenith) > _TWILIGHT_ZENITH_DEG
+
+
+# The truth as a calibration document, so that everything that reads one can be held against it.
+
+
+def truth_document(camera: Camera, site: Site, *, name: str, created_at: datetime) -> dict[str, Any]:
+    """Return a camera as a calibration document ("sunarc.calibration/2"): without uncertainty, and without evidence."""
+    truth = Calibration(
+        camera=camera,
+        poses=(camera.rotation_cam_enu,),
+        parameter_names=(),
+        covariance=np.zeros((0, 0)),
+        field=_no_field(camera),
+        sky_rms_deg=0.0,
+        sky_max_deg=0.0,
+        metrics=_no_metrics(),
+        pose=pose_angles(camera.rotation_cam_enu),
+        backward=fit_backward(camera),
+        evidence=_no_evidence(),
+        verdict=Verdict(accepted=True, findings=(Finding("simulated_camera"),)),
+        method="robust",
+        site=site,
+    )
+    return to_document(
+        truth,
+        id="truth",
+        camera=name,
+        state="current",
+        created_at=created_at,
+        valid_from=created_at,
+        valid_until=None,
+        pose_epoch="truth",
+        software_version=version("sunarc"),
+    )
+
+
+def _no_field(camera: Camera) -> Field:
+    center = (camera.width / 2.0, camera.height / 2.0)
+    basis = WaveBasis(center_px=center, half_px=center, orders=np.zeros((0, 2), dtype=np.int64))
+    return Field(amplitude_px=0.0, length_px=1.0, basis=basis, cross=np.zeros((2, 0, 0)))
+
+
+def _no_metrics() -> Metrics:
+    return Metrics(
+        n=0,
+        rmse_px=math.nan,
+        rmse_all_px=math.nan,
+        mae_px=math.nan,
+        sd_px=math.nan,
+        sd_of_distance_px=math.nan,
+        rmse_deg=math.nan,
+        held_out_rmse_px=None,
+    )
+
+
+def _no_evidence() -> Provenance:
+    return Provenance(
+        days=(),
+        n_supplied=0,
+        n_used=0,
+        n_rejected=0,
+        options={},
+        sigma_px=math.nan,
+        inflation=math.nan,
+        radial_px=math.nan,
+        clock_error_s=math.nan,
+    )

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from sunarc.array_types import BoolArray, FloatArray, Image
 from sunarc.detection.values import Bayer
+from sunarc.jit import njit
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector
-from sunarc.simulation.charge import behind_mosaic, run_over
 from sunarc.simulation.clouds import CloudLayer, cloud_layer
 from sunarc.simulation.disc import Stamp, disc_points, is_covered, stamp_of
 from sunarc.simulation.field import is_blocked, pixel_field
@@ -276,3 +276,40 @@ def _add(image: NDArray[np.float32], stamp: Stamp, origin: tuple[int, int]) -> N
     right, bottom = min(x + width, image.shape[1]), min(y + height, image.shape[0])
     if left < right and top < bottom:
         image[top:bottom, left:right] += stamp.values[top - y : bottom - y, left - x : right - x].astype(np.float32)
+
+
+# What a sensor does to light before it is counted: a mosaic of colours, and wells that run over.
+
+_TRANSMISSION = {"R": 0.6, "G": 1.0, "B": 0.7}  # of white light, of the most sensitive colour's
+
+
+def behind_mosaic(light: NDArray[np.float32], bayer: Bayer, *, first: tuple[int, int]) -> None:
+    """Dim each pixel as its colour filter does; `first` is the sensor's column and row of the first pixel."""
+    for k, letter in enumerate(bayer):
+        row, column = (k // 2 - first[1]) % 2, (k % 2 - first[0]) % 2
+        light[row::2, column::2] *= _TRANSMISSION[letter]
+
+
+@njit(nogil=True)
+def run_over(light: NDArray[np.float32], most: float, share: float) -> None:
+    """Let what a well cannot hold run along its column, half up and half down, until wells with room have taken it.
+
+    Parameters
+    ----------
+    light : (h, w), changed in place; what exceeds `most` stays as it is (it is cut off when counted).
+    most : light that fills a well.
+    share : of the excess that runs; the rest is drained.
+    """
+    height, width = light.shape
+    for column in range(width):
+        for way in range(2):
+            carried = 0.0
+            for step in range(height):
+                row = step if way == 0 else height - 1 - step
+                level = light[row, column]
+                if level > most:
+                    carried += 0.5 * share * (level - most)
+                elif carried > 0.0:
+                    added = min(carried, most - level)
+                    light[row, column] = level + added
+                    carried -= added

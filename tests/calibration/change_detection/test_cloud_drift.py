@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from scipy.special import gamma, kv, logsumexp
 from tests.fixtures.calibration import small_camera, stated_calibration, sun_arc
 
-from sunarc.calibration.change_detection import cloud_drift as module
-from sunarc.calibration.change_detection.cloud_drift import Drift, drift_evidence
+from sunarc.calibration.change_detection import hypotheses as module
 from sunarc.calibration.change_detection.detect_change import update_window
+from sunarc.calibration.change_detection.hypotheses import Drift, drift_evidence
 from sunarc.calibration.change_detection.residual_model import ResidualModel, window_of
 from sunarc.calibration.change_detection.values import Sighting, SightingWindow, WatchOptions
 from sunarc.calibration.pose.gaussian_conditioning import fit_inlier_mixture, log_evidence

@@ -13,8 +13,7 @@ from scipy.stats import multivariate_normal
 from tests.fixtures.calibration import SGP, small_camera, stated_calibration
 
 from sunarc.calibration.change_detection import hypotheses as module
-from sunarc.calibration.change_detection.hypotheses import best_hypothesis, pole_of
-from sunarc.calibration.change_detection.report import describe_change
+from sunarc.calibration.change_detection.hypotheses import best_hypothesis, describe_change, pole_of
 from sunarc.calibration.change_detection.residual_model import ResidualModel, errors_at, window_of
 from sunarc.calibration.change_detection.values import Change, ChangeKind, SightingWindow, WatchOptions
 from sunarc.calibration.model.result import Calibration

@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from sunarc.calibration.change_detection.report import describe_change
+from sunarc.calibration.change_detection.hypotheses import describe_change
 from sunarc.calibration.change_detection.values import Change
 
 TIMES = 1000.0 + 60.0 * np.arange(10)

@@ -8,9 +8,9 @@ import numpy as np
 from tests.fixtures.calibration import observed, small_camera, small_problem, spread_directions
 
 from sunarc.calibration.fit.hyperparameter_grid import scale_grid
-from sunarc.calibration.fit.leverage import leverage_of
 from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit
 from sunarc.calibration.fit.normal_equations import linear_system
+from sunarc.calibration.fit.robust_rounds import leverage_of
 from sunarc.calibration.least_squares.time_bins import Bins
 
 COUNT, NIGHT = 60, 40

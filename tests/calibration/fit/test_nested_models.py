@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from tests.fixtures.calibration import observed, small_camera, small_problem, sun_arc
 
 from sunarc.calibration.fit.marginal_likelihood import MarginalFit, NormalEquations, Scales
-from sunarc.calibration.fit.nested_models import log_bayes_factor, log_odds_of_parts
 from sunarc.calibration.fit.normal_equations import linear_system
+from sunarc.calibration.fit.robust_fit import log_bayes_factor, log_odds_of_parts
 from sunarc.calibration.least_squares.time_bins import Bins
 from sunarc.calibration.model.residual_field import WaveBasis, wave_basis
 

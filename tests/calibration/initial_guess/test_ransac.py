@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibration import loose_precision, observed, small_camera, small_problem, sun_arc
 
-from sunarc.calibration.initial_guess import ransac as module
-from sunarc.calibration.initial_guess.ransac import ransac_start
+from sunarc.calibration.initial_guess import multistart as module
+from sunarc.calibration.initial_guess.multistart import ransac_start
 from sunarc.calibration.initial_guess.ransac_kernels import trial_steps
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.robust_loss import WELL_BEHAVED, robust_scale, robust_sigma

@@ -16,7 +16,7 @@ from sunarc.calibration.least_squares.problem import Observations
 from sunarc.calibration.model.metrics import measures
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, PaperOptions
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.paper.dlt import direct_linear_pose
+from sunarc.calibration.paper.stages import direct_linear_pose
 from sunarc.optics.forward import project
 from sunarc.optics.pose import pose_angles
 

@@ -13,8 +13,7 @@ import pytest
 from tests.finding_codes import codes
 
 from sunarc.calibration.model.sightings import SunPoints
-from sunarc.calibration.quality.day_quality import DayVerdict, decide_day, measure_day
-from sunarc.calibration.quality.sampling import Sampling, sampling_of
+from sunarc.calibration.quality.day_quality import DayVerdict, Sampling, decide_day, measure_day, sampling_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

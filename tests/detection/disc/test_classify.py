@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tests.detection.disc.fitting import SENSOR, good_fit
 
-from sunarc.detection.disc.classify import detection_of, is_flat, verdict_of
+from sunarc.detection.disc.detect import detection_of, is_flat, verdict_of
 from sunarc.detection.values import Expectation, Verdict
 
 FULL = float(SENSOR.full_scale)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.detection.rendering import Image
 
-from sunarc.detection.disc.obstruction import obstruction
+from sunarc.detection.disc.detect import obstruction
 from sunarc.detection.values import Expectation, Sensor
 
 SENSOR = Sensor(full_scale=4095, gain_e_per_count=5.0, read_noise_e=10.0, black_level=100.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tests.detection.rendering import FloatArray, Image
 
-from sunarc.detection.disc.smear import _profile, column_smear
+from sunarc.detection.disc.window import _profile, column_smear
 
 
 def frame(smear: FloatArray, *, rows: int = 800, noise: float = 2.0, seed: int = 0) -> Image:

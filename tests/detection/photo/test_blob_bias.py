@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.detection.rendering import FloatArray
 
-from sunarc.detection.photo.blob_bias import Lens, bias_at, radial_bias_px
+from sunarc.detection.photo.ordinary_image import Lens, bias_at, radial_bias_px
 
 ALPHA_PX = 600.0
 

@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter, sobel
 from scipy.signal import fftconvolve
 from tests.detection.rendering import FloatArray, Image
 
-from sunarc.detection.photo.centroids import (
+from sunarc.detection.photo.urquhart2016 import (
     Plane,
     forstner,
     gaussian_sigma_px,

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from sunarc.detection.photo.candidates import Candidate, sigma_px
-from sunarc.detection.photo.classify import Judged, best_of
+from sunarc.detection.photo.ordinary_image import Judged, best_of
 from sunarc.detection.photo.rim import Rim
 from sunarc.detection.values import Expectation
 

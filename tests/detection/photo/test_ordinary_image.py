@@ -13,8 +13,7 @@ from tests.detection.photo.suns import glare_image, with_text
 from tests.detection.rendering import FloatArray
 from tests.finding_codes import codes
 
-from sunarc.detection.photo.blob_bias import Lens, radial_bias_px
-from sunarc.detection.photo.ordinary_image import detect_sun_in_photo
+from sunarc.detection.photo.ordinary_image import Lens, detect_sun_in_photo, radial_bias_px
 from sunarc.detection.values import Detection, Expectation
 from sunarc.errors import InputError
 

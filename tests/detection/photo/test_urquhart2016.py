@@ -11,11 +11,21 @@ from scipy.signal import fftconvolve
 from tests.detection.photographs import sky
 from tests.detection.rendering import FloatArray, Image
 
-from sunarc.detection.photo import centroids, urquhart2016
+from sunarc.detection.photo import urquhart2016
+from sunarc.detection.photo import urquhart2016 as centroids
 from sunarc.detection.photo.blob import Blob
-from sunarc.detection.photo.blob_bias import Lens, radial_bias_px
-from sunarc.detection.photo.centroids import Plane, gaussian_sigma_px, kernels, smear_column, sun_blob
-from sunarc.detection.photo.urquhart2016 import Estimates, Planes, locate, planes_of
+from sunarc.detection.photo.ordinary_image import Lens, radial_bias_px
+from sunarc.detection.photo.urquhart2016 import (
+    Estimates,
+    Plane,
+    Planes,
+    gaussian_sigma_px,
+    kernels,
+    locate,
+    planes_of,
+    smear_column,
+    sun_blob,
+)
 from sunarc.errors import InputError
 
 ALPHA_PX = 601.32

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.detection.stars.clear_sky import on_cloud, share_where_clear
-from sunarc.detection.stars.matching import StarMatches, match_stars
+from sunarc.detection.stars.matching import StarMatches, match_stars, on_cloud, share_where_clear
 from sunarc.detection.stars.still import sky_motion, standing_still
 from sunarc.detection.stars.values import PredictedStars, Stars
 

@@ -10,23 +10,115 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from sunarc.array_types import BoolArray, FloatArray
-from sunarc.calibration.blind_start.phase import phases
-from sunarc.calibration.blind_start.refinement import Refined, refined
-from sunarc.calibration.blind_start.sky_turn import SIDEREAL_RATE
-from sunarc.calibration.blind_start.turning import Field, Turning, pairs_of, turnings
+from sunarc.calibration.blind_start.lens_family import nearest_projection, radial_for
+from sunarc.calibration.blind_start.sky_turn import MAX_ANGLE, SIDEREAL_RATE, pole_enu
+from sunarc.calibration.blind_start.turning import Field, Turning, pairs_of, turnings, unmirrored
+from sunarc.calibration.blind_start.turning_kernel import Turns, count_on_detections
 from sunarc.calibration.blind_start.values import BlindOptions, BlindStart, NightImage
 from sunarc.calibration.model.covariance import hemisphere
 from sunarc.calibration.quality.tilt import tilt_question
 from sunarc.calibration.star_prediction import stars_in_image
 from sunarc.calibration.star_views import MatchedView, StarView, match_views
 from sunarc.findings import Finding
-from sunarc.optics.camera import Camera
-from sunarc.optics.forward import project
+from sunarc.optics.camera import Camera, Param
+from sunarc.optics.forward import project, project_with_jacobian
 from sunarc.optics.inverse import unproject
-from sunarc.optics.pose import pose_angles
+from sunarc.optics.pose import pose_angles, rotation_matrix, rotation_vector
 from sunarc.optics.projections import ideal_radius
+from sunarc.robust_statistics import biweights, mad_sigma
 from sunarc.sky.directions import angular_distance
+from sunarc.sky.night import NightSky
 from sunarc.sky.site import Site
+
+# A rough camera made exact by the catalogue's stars: the nearest detections, ever closer ones, and least squares.
+
+_FIT = (
+    Param.FOCAL_LENGTH_X_PX, Param.PRINCIPAL_POINT_X_PX, Param.PRINCIPAL_POINT_Y_PX,
+    Param.ROTATION_X, Param.ROTATION_Y, Param.ROTATION_Z, Param.K2, Param.K3, Param.K4, Param.K5,
+)  # fmt: skip
+_SIGMA_LENS = (0.1, 0.08, 0.08, 0.3, 0.3, 0.3, 0.05, 0.05, 0.05, 0.05)
+"""1-sigma of the prior about the rough camera: focal length and centre in focal lengths, rotation in radians."""
+_ROUNDS = (
+    (0.1, 2.0), (0.08, 2.5), (0.06, 3.0), (0.045, 3.0), (0.03, 3.5), (0.02, 3.5),
+    (0.012, 4.0), (0.008, 4.5), (0.006, 4.5),
+)  # fmt: skip
+"""Reach in focal lengths, and V of the faintest stars of each round."""
+_STEPS = 3
+_PER_STAR_REFINEMENT = 1.5
+_FEWEST = 12
+_LEAST_REACH_PX = 2.0
+
+
+class Refined(NamedTuple):
+    """A camera, and the scatter of the stars about it per axis, px."""
+
+    camera: Camera
+    scatter_px: float
+
+
+def refined(camera: Camera, images: Sequence[NightImage]) -> Refined | None:
+    """Return the camera by least squares of bright stars of several images; None where too few come near."""
+    focal = camera.focal_length_px[0]
+    start = camera.to_vector()[list(_FIT)]
+    sigma = np.array(_SIGMA_LENS) * np.r_[focal, focal, focal, np.ones(7)]
+    scatter = np.nan
+    for reach, faintest in _ROUNDS:
+        for _ in range(_STEPS):
+            radius = max(reach * focal, _LEAST_REACH_PX)
+            pairs = _nearest(camera, images, radius, faintest)
+            if pairs[0].shape[0] < _FEWEST:
+                return None
+            camera, scatter = _step(camera, pairs, (start, sigma), radius)
+    return Refined(camera, scatter)
+
+
+def _nearest(
+    camera: Camera, images: Sequence[NightImage], radius: float, faintest: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return directions (n, 3) of stars and pixels (n, 2) of the detections nearest to them, each the other's."""
+    directions, pixels = [np.zeros((0, 3))], [np.zeros((0, 2))]
+    for image in images:
+        sky = _of_image(camera, image.sky.select(image.sky.magnitude <= faintest))
+        some = image.stars.pixels[: round(_PER_STAR_REFINEMENT * len(sky)) + 10]
+        if len(sky) == 0 or some.shape[0] == 0:
+            continue
+        there = project_with_jacobian(camera, sky.directions)[0]
+        apart, row = cKDTree(some).query(there)
+        back = np.asarray(cKDTree(there).query(some)[1])
+        near = (np.asarray(apart) < radius) & (back[np.asarray(row)] == np.arange(len(sky)))
+        directions.append(sky.directions[near])
+        pixels.append(some[np.asarray(row)[near]])
+    return np.concatenate(directions), np.concatenate(pixels)
+
+
+def _of_image(camera: Camera, sky: NightSky) -> NightSky:
+    pixels = project_with_jacobian(camera, sky.directions)[0]
+    size = np.array([camera.width, camera.height])
+    return sky.select(np.all((pixels > -0.5) & (pixels < size - 0.5), axis=-1))
+
+
+def _step(
+    camera: Camera, pairs: tuple[FloatArray, FloatArray], prior: tuple[FloatArray, FloatArray], radius: float
+) -> tuple[Camera, float]:
+    """Return the camera after a robust Gauss-Newton step, and the scatter about it before."""
+    (directions, pixels), (start, sigma) = pairs, prior
+    there, rows, _ = project_with_jacobian(camera, directions)
+    seen = np.isfinite(there[:, 0])
+    residual, rows = (pixels - there)[seen], rows[seen]
+    rows[..., Param.FOCAL_LENGTH_X_PX] += rows[..., Param.FOCAL_LENGTH_Y_PX]  # one focal length
+    distance = np.linalg.norm(residual, axis=-1)
+    scatter = max(mad_sigma(residual.ravel()), 0.1)
+    weight = np.sqrt(np.maximum(biweights(distance / max(6.0 * scatter, 0.1 * radius)), 1e-9))
+    design = rows[..., list(_FIT)] * weight[:, None, None] / scatter
+    now = camera.to_vector()[list(_FIT)]
+    matrix = np.concatenate([design.reshape(-1, len(_FIT)), np.diag(1.0 / sigma)])
+    goal = np.r_[(residual * weight[:, None] / scatter).ravel(), (start - now) / sigma]
+    change = np.linalg.lstsq(matrix, goal, rcond=None)[0]
+    vector = camera.to_vector()
+    vector[list(_FIT)] = now + change
+    vector[Param.FOCAL_LENGTH_Y_PX] = vector[Param.FOCAL_LENGTH_X_PX]
+    return camera.with_parameters(vector), scatter
+
 
 _FEWEST_IMAGES = 2
 _LEAST_TURN_DEG = 10.0
@@ -205,4 +297,83 @@ def _decided(found: Sequence[_Hypothesis], site: Site, options: BlindOptions) ->
         predicted=tuple(view.predicted for view in best.views),
         stars=tuple(one.stars for one in best.matched),
         matches=tuple(one.matches for one in best.matched),
+    )
+
+
+# The angle about the pole of a camera whose lens and pole are known: by the bright catalogue at the stated times.
+
+_STEP_DEG = 1.0
+_REACH = 0.035
+"""Focal lengths: 2 degrees, for a lens and a pole that the turning alone found."""
+_BRIGHT = 3.2
+"""V of the faintest; 40 to 80 stars above a horizon."""
+_PER_STAR = 2
+"""Detections for each of these stars: planets, and what is no star."""
+_KEPT = 3
+_APART_DEG = 6.0
+
+
+def phases(
+    turning: Turning, images: Sequence[NightImage], site: Site, *, image_size: tuple[int, int]
+) -> list[tuple[float, Camera]]:
+    """Return the best angles about the pole as cameras, each with its share of bright stars on detections."""
+    pole = pole_enu(site)
+    first = _any_rotation(pole, turning.pole)
+    angles = np.radians(np.arange(0.0, 360.0, _STEP_DEG))
+    share = np.zeros(angles.size)
+    for image in images:
+        share += _shares(turning, image, first, angles)
+    share /= len(images)
+    found: list[tuple[float, Camera]] = []
+    taken: list[float] = []
+    for row in np.argsort(-share, kind="stable").tolist():
+        apart = [abs((row * _STEP_DEG - other + 180.0) % 360.0 - 180.0) for other in taken]
+        if min(apart, default=360.0) > _APART_DEG:
+            taken.append(row * _STEP_DEG)
+            turn = rotation_matrix(angles[row] * turning.pole)
+            found.append((float(share[row]), _camera(turning, turn @ first, image_size)))
+        if len(found) == _KEPT:
+            break
+    return found
+
+
+def _shares(turning: Turning, image: NightImage, first: FloatArray, angles: FloatArray) -> FloatArray:
+    stars = image.sky.directions[image.sky.magnitude <= _BRIGHT]
+    centre, focal = turning.centre, turning.focal_px
+    pixels = image.stars.pixels[: _PER_STAR * stars.shape[0]]
+    if min(stars.shape[0], pixels.shape[0]) < 3:
+        return np.zeros(angles.size)
+    pixels = unmirrored(pixels, turning.width, mirrored=turning.mirrored)
+    poles = np.broadcast_to(turning.pole, (angles.size, 3))
+    onto = (pixels - centre) / focal
+    rays, turns = stars @ first.T, Turns(poles, angles)
+    return count_on_detections(rays, onto, turns, shape=turning.shape, reach=_REACH, largest=MAX_ANGLE)
+
+
+def _any_rotation(pole: FloatArray, pole_camera: FloatArray) -> FloatArray:
+    """Return a rotation (3, 3) that takes the pole, east-north-up, to its place in the camera's frame."""
+    return _frame(pole_camera).T @ _frame(pole)
+
+
+def _frame(axis: FloatArray) -> FloatArray:
+    """Return (3, 3): rows are a right-handed frame whose last is the axis."""
+    other = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    first = np.cross(other, axis)
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(axis, first), axis])
+
+
+def _camera(turning: Turning, rotation: FloatArray, image_size: tuple[int, int]) -> Camera:
+    projection = nearest_projection(turning.shape)
+    x, y = turning.centre.tolist()
+    return Camera(
+        width=image_size[0],
+        height=image_size[1],
+        projection=projection,
+        focal_length_px=(turning.focal_px, turning.focal_px),
+        principal_point_px=(x, y),
+        rotation_cam_enu=rotation_vector(rotation),
+        radial=radial_for(turning.shape, projection),
+        mirrored=turning.mirrored,
+        max_angle=math.radians(100.0),
     )

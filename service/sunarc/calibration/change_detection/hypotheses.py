@@ -7,20 +7,29 @@ Reference for the weighing: R. Kass and A. Raftery, "Bayes factors", J. Am. Stat
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
+from scipy.special import logsumexp
 
-from sunarc.array_types import FloatArray
-from sunarc.calibration.change_detection.cloud_drift import drift_evidence
-from sunarc.calibration.change_detection.report import describe_change
+from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.calibration.change_detection.residual_model import ResidualModel, errors_at
 from sunarc.calibration.change_detection.values import Change, ChangeKind, Hypothesis
-from sunarc.calibration.pose.error_model import joined, predicted, rotated
-from sunarc.calibration.pose.gaussian_conditioning import MixtureFit, Sightings, fit_inlier_mixture
+from sunarc.calibration.pose.error_model import CameraErrorModel, joined, predicted, rotated
+from sunarc.calibration.pose.gaussian_conditioning import (
+    MixtureFit,
+    Sightings,
+    conditioned,
+    fit_inlier_mixture,
+    log_evidence,
+)
 from sunarc.calibration.pose.rotation_consensus import ransac_rotation
 from sunarc.calibration.robust_loss import finite
+from sunarc.findings import Data, Finding
 from sunarc.optics.camera import Param
 from sunarc.optics.forward import project_fast
 from sunarc.optics.pose import rotation_matrix
@@ -286,3 +295,182 @@ def _most_probable(best: ScoredHypothesis, rivals: list[ScoredHypothesis], *, cl
         return _CLEARER
 
     return max([best, *rivals], key=lambda one: one.evidence - (0.0 if one is best else handicap(one)))
+
+
+# Evidence of an episode of cloud: detections that drift away smoothly while camera, clock and lens are as they were.
+#
+# The drift of each axis is a Gaussian process in time (Matérn, twice differentiable) that begins at one sighting, or a
+# ramp from zero, as under a cloud edge that passes at a constant speed. A turn of the camera is constant at once; what
+# cloud does to a detection is not.
+
+_AMPLITUDES_PX = (0.1, 0.5, 2.0, 8.0)
+"""1-sigma of the drift: from what passes for noise to the largest that detectors were seen to follow."""
+_TIMES_S = (200.0, 700.0, 2400.0)
+"""Correlation times: episodes of a few minutes to an hour."""
+_SLOPES_PX_S = (0.0005, 0.002, 0.008)
+"""1-sigma of a ramp's slope: 0.5 to 8 px in 1000 s."""
+_RAMP_AMPLITUDE_PX, _RAMP_TIME_S = 0.5, 2400.0
+"""What a ramp may differ from a straight line by; it also takes up a begin between two sightings."""
+_ONSETS_BACK = (0, 2, 6, 14)
+"""Sightings before the change at which the episode may have begun; a slow one is trusted at first."""
+
+
+class Drift(NamedTuple):
+    """A drift: its first sighting, amplitude (px) and correlation time (s), and the slope (px/s) of a ramp, 1-sigma."""
+
+    begin: int
+    amplitude_px: float
+    time_s: float
+    slope_px_s: float = 0.0
+
+
+def drift_evidence(window: ResidualModel, first: int) -> float:
+    """Return the log evidence of the last sightings under an episode of cloud, averaged over its unknown numbers.
+
+    Parameters
+    ----------
+    window : the sightings.
+    first : the first sighting after the change that the episode competes with.
+    """
+    untrusted = np.flatnonzero(~window.watch.trusted)
+    begins = {max(first - back, 0) for back in _ONSETS_BACK}
+    # the episode need not begin with the change: the change may count sightings before it as false
+    begins |= _begins_of_runs(untrusted) | _begins_of_runs(untrusted[untrusted <= first])
+    reached, best, likeliest = [], -math.inf, Drift(first, 0.0, 1.0)
+    for drift in _drifts(begins):
+        reached.append(log_evidence(_with_drift(window, drift), window.sightings, _inliers(window, drift.begin)))
+        if reached[-1] > best:
+            best, likeliest = reached[-1], drift
+    # the likeliest one once more, with false sightings among the episode's
+    inliers = _inliers(window, likeliest.begin)
+    among_false = fit_inlier_mixture(_with_drift(window, likeliest), window.sightings, inliers).log_evidence
+    return float(logsumexp(reached)) - math.log(len(reached)) + max(among_false - best, 0.0)
+
+
+def _drifts(begins: Iterable[int]) -> Iterator[Drift]:
+    """Yield the drifts that are averaged over, all equally likely."""
+    for begin in sorted(begins):
+        for amplitude_px, time_s in itertools.product(_AMPLITUDES_PX, _TIMES_S):
+            yield Drift(begin, amplitude_px, time_s)
+        for slope_px_s in _SLOPES_PX_S:
+            yield Drift(begin, _RAMP_AMPLITUDE_PX, _RAMP_TIME_S, slope_px_s)
+
+
+def _inliers(window: ResidualModel, begin: int) -> BoolArray:
+    return np.asarray(window.watch.trusted | (np.arange(len(window.watch)) >= begin))
+
+
+def _begins_of_runs(rows: IntArray) -> set[int]:
+    """Return where the last and the longest run of rows begin; a single row between does not end a run."""
+    runs = [run for run in np.split(rows, np.flatnonzero(np.diff(rows) > 2) + 1) if run.size]
+    longest = max(map(len, runs), default=0)
+    return {int(run[0]) for run in runs if run is runs[-1] or len(run) == longest}
+
+
+def _with_drift(window: ResidualModel, drift: Drift) -> FloatArray:
+    """Return the covariance (2n, 2n) of the sightings' errors with a drift from one of them on, px²."""
+    begin, all_times = drift.begin, window.watch.unix_s
+    times = all_times[begin:]
+    # Matern with nu = 5/2 (Rasmussen and Williams 2006, eq. 4.17)
+    lag = math.sqrt(5.0) * np.abs(times[:, None] - times) / drift.time_s
+    kernel = drift.amplitude_px**2 * (1.0 + lag + lag**2 / 3.0) * np.exp(-lag)
+    # the kernel of a line without intercept (ibid., section 4.2.2), zero at the sighting before the first displaced one
+    elapsed = times - all_times[max(begin - 1, 0)]
+    kernel += drift.slope_px_s**2 * np.outer(elapsed, elapsed)
+    covariance = window.covariance.copy()
+    covariance[2 * begin :: 2, 2 * begin :: 2] += kernel
+    covariance[2 * begin + 1 :: 2, 2 * begin + 1 :: 2] += kernel
+    return covariance
+
+
+# A change as a finding, with its size.
+
+_SECOND_RAD = 7.292e-5
+_FOCAL, _CENTER_REPORT = Param.FOCAL_LENGTH_X_PX, (Param.PRINCIPAL_POINT_X_PX, Param.PRINCIPAL_POINT_Y_PX)
+_UNITS: dict[ChangeKind, str] = {"clock": "s", "refocus": "%", "shift": "px"}
+_PERHAPS: dict[ChangeKind, str] = {
+    "lens": "another lens",
+    "refocus": "a refocused lens",
+    "shift": "a sensor that shifted behind the lens",
+}
+
+
+def describe_change(
+    window: ResidualModel,
+    explanation: Hypothesis,
+    mixture: MixtureFit,
+    *,
+    gain: float,
+    alike: list[int],
+    perhaps: tuple[ChangeKind, ...] = (),
+) -> Change:
+    """Return the change that an explanation amounts to.
+
+    Parameters
+    ----------
+    window, explanation, mixture : the sightings, what explains them, and what they say of it.
+    gain : powers of e by which it is better than none.
+    alike : first sightings after a change that explain nearly as well.
+    perhaps : other kinds that do.
+    """
+    first, times = explanation.first, window.watch.unix_s
+    sure = first + int(np.argmax(mixture.inlier[first:]))
+    early, late = min([first, *alike]), max([sure, *alike])
+    size, sigma = _size(window, explanation, mixture)
+    agreeing = int(mixture.inlier[first:].sum())
+    of = len(window.watch) - first
+    data: Data = {"size": size, "sigma": sigma, "agreeing": agreeing, "of": of, "alternatives": _alternatives(perhaps)}
+    return Change(
+        kind=explanation.kind,
+        at_unix_s=float(times[sure]),
+        earliest_unix_s=float(times[early - 1]) if early > 0 else float(times[0]),
+        latest_unix_s=float(times[late]),
+        size=size,
+        size_sigma=sigma,
+        unit=_UNITS.get(explanation.kind, "degrees"),
+        gain=gain,
+        agreeing=agreeing,
+        of=of,
+        perhaps=", ".join(perhaps),
+        finding=Finding(f"changed_{explanation.kind}", data),
+    )
+
+
+def _alternatives(perhaps: tuple[ChangeKind, ...]) -> str:
+    return f" (or {', or '.join(_PERHAPS[kind] for kind in perhaps)}: cannot be distinguished yet)" if perhaps else ""
+
+
+def _size(window: ResidualModel, explanation: Hypothesis, mixture: MixtureFit) -> tuple[float, float]:
+    """Return how large a change is, in its unit, with its 1-sigma; 0 where that has no meaning."""
+    names, rotation = list(window.error_model.selected), window.error_model.rotation
+    if explanation.kind not in ("bump", "clock", "refocus", "shift") or not {_FOCAL, *_CENTER_REPORT} <= set(names):
+        return 0.0, 0.0
+    after = _after(window, explanation, mixture)
+    change = after.mean.copy()
+    change[rotation] -= explanation.mean[rotation]
+    axis, unit = np.zeros(change.size), 1.0
+    if explanation.kind == "clock":
+        axis, unit = explanation.free[:, 0] / np.linalg.norm(explanation.free[:, 0]), -1.0 / _SECOND_RAD
+    elif explanation.kind == "refocus":
+        axis[names.index(_FOCAL)], unit = 1.0, 100.0 / window.camera.focal_length_px[0]
+    else:
+        of = rotation if explanation.kind == "bump" else [names.index(i) for i in _CENTER_REPORT]
+        axis[of] = change[of] / max(float(np.linalg.norm(change[of])), 1e-12)
+        unit = math.degrees(1.0) if explanation.kind == "bump" else 1.0
+    sigma = math.sqrt(max(float(axis @ after.covariance @ axis), 0.0))
+    return unit * float(axis @ change), abs(unit) * sigma
+
+
+def _after(window: ResidualModel, explanation: Hypothesis, mixture: MixtureFit) -> CameraErrorModel:
+    """Return the error model of the hypothesis's camera, conditioned on the sightings that agree with it."""
+    free = explanation.free
+    before = replace(
+        window.error_model, mean=explanation.mean, covariance=window.error_model.covariance + free @ free.T
+    )
+    at = predicted(window.error_model, explanation.camera, explanation.directions)
+    inlier = mixture.inlier[explanation.first :]
+    noise = window.sightings.variance[explanation.first :][inlier]
+    sightings = Sightings(
+        residual=finite(explanation.pixels - at.pixels)[inlier], variance=noise, false_density=0.0 * noise
+    )
+    return conditioned(before, at.select(inlier), sightings)

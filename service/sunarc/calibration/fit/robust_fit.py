@@ -6,24 +6,34 @@ one, the camera is the one that fits with the assumed air: what the air may chan
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
-from sunarc.array_types import FloatArray
+import numpy as np
+
+from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.fit.decentering_mixture import mixed_over_decentering
 from sunarc.calibration.fit.hyperparameter_grid import HyperparameterGrid, scale_grid
 from sunarc.calibration.fit.hyperparameter_marginalisation import PosteriorCovariance, marginalised_covariance
-from sunarc.calibration.fit.marginal_likelihood import Scales, prior_precision
-from sunarc.calibration.fit.nested_models import log_odds_of_parts
+from sunarc.calibration.fit.marginal_likelihood import (
+    MarginalFit,
+    NormalEquations,
+    Scales,
+    marginal_fit,
+    prior_precision,
+)
 from sunarc.calibration.fit.noise_by_sort import Course
 from sunarc.calibration.fit.normal_equations import LinearSystem
 from sunarc.calibration.fit.robust_rounds import LOOSE_DECENTERING_PX, LOOSE_RADIAL_PX, robust_camera
 from sunarc.calibration.fit.systematic_errors import with_systematic_errors
 from sunarc.calibration.initial_guess.decentering_starts import best_of_starts
 from sunarc.calibration.initial_guess.multistart import SMALLEST_SIGMA_PX, best_start, distance_sigmas, lowest
+from sunarc.calibration.least_squares.priors import DECENTERING, RADIAL, Whitened
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.least_squares.solve import information as information_of
 from sunarc.calibration.least_squares.time_bins import Bins
 from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.residual_field import WaveBasis
 from sunarc.calibration.model.sightings import FilteredSightings
 from sunarc.calibration.robust_loss import robust_sigma, surely_well_behaved
 from sunarc.optics.camera import Camera
@@ -155,3 +165,53 @@ def _without_field(problem: Problem, observed: Observations, start: FloatArray, 
     means = bins.observations(observed, problem, at, information=information_of(residuals, observed, sigma))
     deepest = best_of_starts(problem, means, at, precision=precision)
     return lowest(problem, observed, [at, deepest], precision=precision)
+
+
+# How much more probable the sightings are with each part of the lens model than without it.
+
+_PARTS = {"skew": slice(Whitened.SKEW, Whitened.SKEW + 1), "radial": RADIAL, "decentering": DECENTERING}
+
+_MENTIONED = math.log(3.0)
+"""Log odds below which a difference is "not worth more than a bare mention" (Kass and Raftery 1995)."""
+
+
+def log_odds_of_parts(normal: NormalEquations, basis: WaveBasis, scales: Scales) -> dict[str, float]:
+    """Return the log odds, natural and at even ones before, of each part of the lens model against its being zero.
+
+    Parameters
+    ----------
+    normal : the equations about the fit.
+    basis, scales : of the fit.
+
+    Returns
+    -------
+    `skew`, `radial` (k2 … k9 beside the projection) and `decentering` (p1 and p2). `radial_terms` is how many of the
+    eight shapes of the radial distortion, the largest first, are needed: the odds of all others are below 3 to 1.
+
+    Notes
+    -----
+    The ratio of Savage and Dickey (J. Dickey, Annals of Mathematical Statistics 42, 1971): for a nested model the
+    Bayes factor is the posterior density of the part at zero over the prior's, all else integrated out. Both densities
+    are taken as Gaussian, at the scales of the fit.
+    """
+    fit = marginal_fit(normal, basis, scales)
+    precision = normal.prior_precision(scales.radial_px, scales.decentering_px)
+    odds = {name: log_bayes_factor(fit, precision, np.arange(part.start, part.stop)) for name, part in _PARTS.items()}
+    return {**odds, "radial_terms": float(_radial_terms(fit, precision))}
+
+
+def log_bayes_factor(fit: MarginalFit, precision: FloatArray, part: IntArray) -> float:
+    """Return the log Bayes factor of unknowns (k,) being free, of prior precisions (p,), against their being zero."""
+    mean, covariance = fit.unknowns[part], fit.covariance[np.ix_(part, part)]
+    sharpness = np.linalg.slogdet(covariance)[1] + float(np.sum(np.log(precision[part])))
+    return float(0.5 * (mean @ np.linalg.solve(covariance, mean) + sharpness))
+
+
+def _radial_terms(fit: MarginalFit, precision: FloatArray) -> int:
+    """Return the least number of radial shapes beyond which the odds of all others together are below 3 to 1."""
+    # the last column of the prior's basis is its largest shape
+    for count in range(RADIAL.stop - RADIAL.start):
+        others = np.arange(RADIAL.start, RADIAL.stop - count)
+        if not log_bayes_factor(fit, precision, others) > _MENTIONED:
+            return count
+    return RADIAL.stop - RADIAL.start

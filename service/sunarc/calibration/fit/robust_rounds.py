@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sunarc.array_types import FloatArray
+from sunarc.array_types import BoolArray, FloatArray
+from sunarc.calibration.fit.field_posterior import prediction_variance
 from sunarc.calibration.fit.hyperparameter_grid import (
     HyperparameterGrid,
     likely_scales,
@@ -22,8 +23,14 @@ from sunarc.calibration.fit.hyperparameter_grid import (
     normalised,
 )
 from sunarc.calibration.fit.least_squares_reference import allowed_level, at_least_least_squares, finest_weight
-from sunarc.calibration.fit.leverage import leverage_of
-from sunarc.calibration.fit.marginal_likelihood import STRONG_EVIDENCE, NormalEquations, Scales, field_at, marginal_fit
+from sunarc.calibration.fit.marginal_likelihood import (
+    STRONG_EVIDENCE,
+    MarginalFit,
+    NormalEquations,
+    Scales,
+    field_at,
+    marginal_fit,
+)
 from sunarc.calibration.fit.noise_by_sort import Course, Noise, measured_noise
 from sunarc.calibration.fit.normal_equations import LinearSystem, irls_converged, linear_system, system_about
 from sunarc.calibration.initial_guess.multistart import SMALLEST_SIGMA_PX, distance_sigmas
@@ -260,3 +267,31 @@ def _in_assumed_air(  # noqa: PLR0917 - the fit, piece by piece
     scales = likely_scales(normalised(usual), grid)
     unknowns = irls_converged(assumed, in_assumed_air, scales).unknowns
     return replace(state, unknowns=np.concatenate([unknowns, np.zeros(problem.n_air)]), scales=scales)
+
+
+# How much of the noise of each star the fit has taken up: beside a field the residuals of 150 stars are too small.
+
+_LARGEST = 0.8
+"""Of a star that stands alone; beyond it the residual says nothing of the noise."""
+
+
+def leverage_of(
+    system: LinearSystem, normal: NormalEquations, fit: MarginalFit, scales: Scales, *, which: BoolArray
+) -> FloatArray:
+    """Return (n,): the share of its noise's variance that the fit has taken up, of the sightings of some bins; else 0.
+
+    The variance of a residual is that of the noise less that of the prediction, with the sighting among its data.
+
+    Parameters
+    ----------
+    system, normal : the bins' equations, with systematic errors, and their sums.
+    fit : the fit under the scales.
+    which : (b,) bins.
+    """
+    variance = prediction_variance(
+        fit, scales, system.basis, rows=system.rows[which], basis_values=system.basis_values[which], normal=normal
+    )
+    leverage = np.zeros(which.size)
+    # the trace is of two axes
+    leverage[which] = np.clip(0.5 * variance * system.observed.information[which], 0.0, _LARGEST)
+    return np.asarray(leverage[system.member])

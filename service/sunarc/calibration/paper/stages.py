@@ -3,26 +3,149 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.fit.assemble import Fitted, no_field
+from sunarc.calibration.initial_guess.candidates import as_far_as_it_rises
 from sunarc.calibration.least_squares.kernels import FIRST_DAMPING
 from sunarc.calibration.least_squares.problem import Observations
 from sunarc.calibration.least_squares.solve import as_seen
 from sunarc.calibration.least_squares.time_bins import Bins, time_bins
-from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.options import CalibrationOptions, PaperOptions
 from sunarc.calibration.model.sightings import FilteredSightings
-from sunarc.calibration.paper.constraints import Penalties
-from sunarc.calibration.paper.dlt import direct_linear_pose
-from sunarc.calibration.paper.kernels import Limits, Optics, minimised
+from sunarc.calibration.paper.kernels import Limits, Optics, Weighed, minimised
 from sunarc.calibration.robust_loss import finite
-from sunarc.optics.camera import PARAMETER_NAMES, TRANSLATION, Camera, Param
-from sunarc.optics.forward import kernel_lens, project_fast, project_with_rows_fast
-from sunarc.optics.projections import angle_limit
+from sunarc.optics.camera import DECENTERING, PARAMETER_NAMES, RADIAL, RADIAL_ORDERS, TRANSLATION, Camera, Param
+from sunarc.optics.forward import (
+    decentering_shift,
+    decentering_slopes,
+    kernel_lens,
+    project_fast,
+    project_with_rows_fast,
+)
+from sunarc.optics.inverse import unproject
+from sunarc.optics.pose import rotation_vector
+from sunarc.optics.projections import Projection, angle_limit, ideal_radius, ideal_slope
+
+# The paper's penalties (section 4.2): c1 orthogonality, c2 circularity, c3 monotony.
+
+_ANGLES = 181
+_AZIMUTHS = 24
+_RIGHT_ANGLE = math.pi / 2
+_ROUND, _FALLING = slice(1, 1 + _AZIMUTHS), slice(1 + _AZIMUTHS, None)
+_U, _V = (of(np.linspace(0.0, 2.0 * math.pi, _AZIMUTHS, endpoint=False)) for of in (np.cos, np.sin))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Penalties:
+    """The penalty vector ε_c of Eq. 26, px, (206,), as a function of the 23 parameters.
+
+    c2 is taken as the vector of the radius's deviations over √n, whose square is the paper's and which is smooth at 0.
+
+    Attributes
+    ----------
+    options : weights and the scope of c2.
+    edge : θ_max, radians; edge_radius: the ideal radius there.
+    orthogonality (8,): c1 by the radial coefficients.
+    ideal_slope (181,), slope_by_radial (181, 8): the radius's slope over the angles.
+    """
+
+    options: PaperOptions
+    edge: float
+    edge_radius: float
+    orthogonality: FloatArray
+    ideal_slope: FloatArray
+    slope_by_radial: FloatArray
+
+    @classmethod
+    def of(cls, projection: Projection, options: PaperOptions, *, largest_angle: float) -> Penalties:
+        """Return the penalties of cameras of a projection, looked at up to an angle in radians."""
+        theta = np.linspace(0.0, largest_angle, _ANGLES)
+        orders = np.array(RADIAL_ORDERS)
+        powers = (theta / _RIGHT_ANGLE)[:, None] ** orders
+        ideal = ideal_radius(projection, theta)
+        return cls(
+            options=options,
+            edge=largest_angle,
+            edge_radius=float(ideal[-1]),
+            orthogonality=np.trapezoid(ideal[:, None] * powers, theta, axis=0),
+            ideal_slope=ideal_slope(projection, theta),
+            slope_by_radial=(theta / _RIGHT_ANGLE)[:, None] ** (orders - 1) * orders / _RIGHT_ANGLE,
+        )
+
+    def weighed(self) -> Weighed:
+        """Return the penalties as the compiled loop takes them."""
+        return Weighed(
+            orthogonality=self.options.orthogonality_weight * self.orthogonality,
+            circularity=self.options.circularity_weight / math.sqrt(_AZIMUTHS),
+            edge_radius=self.edge_radius,
+            edge_powers=(self.edge / _RIGHT_ANGLE) ** np.array(RADIAL_ORDERS, dtype=np.float64),
+            cosine=_U,
+            sine=_V,
+            with_decentering=self.options.ellipse_scope == "with_decentering",
+            monotony=self.options.monotony_weight / math.sqrt(_ANGLES),
+            ideal_slope=np.ascontiguousarray(self.ideal_slope),
+            slope_by_radial=np.ascontiguousarray(self.slope_by_radial),
+        )
+
+    def values(self, vector: FloatArray) -> FloatArray:
+        """Return ε_c of parameters (23,)."""
+        return self.values_and_slopes(vector)[0]
+
+    def values_and_slopes(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return ε_c (206,) and its derivatives by the parameters (206, 23)."""
+        radial = vector[RADIAL]
+        slopes = np.zeros((1 + _AZIMUTHS + _ANGLES, len(Param)))
+        slopes[0, RADIAL] = self.options.orthogonality_weight * self.orthogonality
+        distance, by_parameters = self._edge_distance(vector)
+        weight = self.options.circularity_weight / math.sqrt(_AZIMUTHS)
+        slopes[_ROUND] = weight * (by_parameters - by_parameters.mean(axis=0))
+        # c3 is one-sided: a radius that rises costs nothing, however fast
+        slope = self.ideal_slope + self.slope_by_radial @ radial
+        falling = self.options.monotony_weight / math.sqrt(_ANGLES) * (slope < 0.0)
+        slopes[_FALLING, RADIAL] = falling[:, None] * self.slope_by_radial
+        values = [slopes[:1, RADIAL] @ radial, weight * (distance - distance.mean()), falling * slope]
+        return np.concatenate(values), slopes
+
+    def _edge_distance(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return how far the edge's image lies from the principal point, px (24,), and its slopes (24, 23)."""
+        fx, fy, skew = vector[[Param.FOCAL_LENGTH_X_PX, Param.FOCAL_LENGTH_Y_PX, Param.SKEW_PX]]
+        powers = (self.edge / _RIGHT_ANGLE) ** np.array(RADIAL_ORDERS)
+        radius = self.edge_radius + float(powers @ vector[RADIAL])
+        # by columns: the radius, then p1 … p4
+        point, by_shape = np.stack([radius * _U, radius * _V]), np.zeros((2, _AZIMUTHS, 5))
+        by_shape[..., 0] = _U, _V
+        if self.options.ellipse_scope == "with_decentering":
+            shift, by_shift = _decentering(vector[DECENTERING], radius)
+            point, by_shape = point + shift, by_shape + by_shift
+        x, y = fx * point[0] + skew * point[1], fy * point[1]
+        distance = np.hypot(x, y)
+        by_x, by_y = x / distance, y / distance
+        result = np.zeros((_AZIMUTHS, len(Param)))
+        result[:, Param.FOCAL_LENGTH_X_PX] = by_x * point[0]
+        result[:, Param.FOCAL_LENGTH_Y_PX] = by_y * point[1]
+        result[:, Param.SKEW_PX] = by_x * point[1]
+        by_shape_px = by_x[:, None] * (fx * by_shape[0] + skew * by_shape[1]) + by_y[:, None] * fy * by_shape[1]
+        result[:, RADIAL] = by_shape_px[:, :1] * powers
+        result[:, DECENTERING] = by_shape_px[:, 1:]
+        return distance, result
+
+
+def _decentering(coefficients: FloatArray, radius: float) -> tuple[FloatArray, FloatArray]:
+    """Return the shift of Eq. 12 (2, 24) round the axis, and its slopes by the radius and p1 … p4 (2, 24, 5)."""
+    p3, p4 = coefficients[2:]
+    square = radius**2
+    around = np.full(_AZIMUTHS, radius)
+    shift = np.stack(decentering_shift(coefficients, around, _U, _V))
+    profile = square * (1.0 + p3 * square + p4 * square**2)
+    rise = radius * (2.0 + 4.0 * p3 * square + 6.0 * p4 * square**2)
+    by_coefficients = np.moveaxis(decentering_slopes(coefficients, around, _U, _V), -2, 0)
+    return shift, np.concatenate([(rise / profile * shift)[..., None], by_coefficients], axis=-1)
+
 
 _NUDGE = 1e-5
 """p1 and p2 start off 0: at 0 the fit cannot feel p3 and p4."""
@@ -151,3 +274,56 @@ def equations(camera: Camera, observed: Observations, options: CalibrationOption
     root = np.sqrt(observed.information)[:, None]
     misfit = np.concatenate([(root * finite(pixels - observed.pixels)).ravel(), values])
     return Equations(misfit, np.concatenate([(root[..., None] * rows).reshape(-1, slopes.shape[1]), slopes]))
+
+
+# The pose by the direct linear transform (Eqs. 23 to 25).
+
+
+def direct_linear_pose(camera: Camera, observed: Observations) -> Camera:
+    """Return the camera with the pose and translation of the direct linear transform.
+
+    Sun directions of one or two days lie nearly in a plane, and the transform then says next to nothing: that is what
+    the paper's procedure does, and why `wahba` is the default.
+
+    Parameters
+    ----------
+    camera : K0; its own pose does not count.
+    observed : sightings of one pose epoch.
+    """
+    rays = unproject(as_far_as_it_rises(camera), observed.pixels)
+    good = np.all(np.isfinite(rays), axis=-1)
+    rays, world = rays[good], observed.directions[good]
+    # Hartley's normalisation: without it the 12 columns differ by orders of magnitude
+    center, spread = world.mean(axis=0), float(np.mean(np.linalg.norm(world - world.mean(axis=0), axis=-1)))
+    scale = math.sqrt(3.0) / spread
+    normalised = np.concatenate([scale * (world - center), np.ones((world.shape[0], 1))], axis=1)
+    blocks = np.einsum("ni,naj->naji", normalised, _left_null_spaces(rays)).reshape(-1, 3, 4)
+    solution = np.linalg.svd(blocks.reshape(-1, 12), full_matrices=False)[2][-1].reshape(3, 4)
+    undo = np.eye(4)
+    undo[:3] *= scale
+    undo[:3, 3] = -scale * center
+    return _posed(camera, solution @ undo, world, rays)
+
+
+def _left_null_spaces(rays: FloatArray) -> FloatArray:
+    """Return (n, 2, 3): two unit vectors orthogonal to each ray and to each other."""
+    helper = np.where(np.abs(rays[:, 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
+    first = np.cross(helper, rays)
+    first /= np.linalg.norm(first, axis=-1, keepdims=True)
+    return np.stack([first, np.cross(rays, first)], axis=1)
+
+
+def _posed(camera: Camera, matrix: FloatArray, world: FloatArray, rays: FloatArray) -> Camera:
+    """Take R and t out of P up to its scale and sign, as the paper does after Eq. 25."""
+    toward = np.sum((world @ matrix[:, :3].T + matrix[:, 3]) * rays)
+    matrix = matrix * (1.0 if toward >= 0.0 else -1.0)
+    left, singular, right = np.linalg.svd(matrix[:, :3])
+    # P is known up to its sign: a rotation has the determinant +1
+    sign = np.sign(np.linalg.det(left @ right))
+    rotation = sign * left @ right
+    shift = sign * matrix[:, 3] / float(np.mean(singular))
+    return replace(
+        camera,
+        rotation_cam_enu=rotation_vector(rotation),
+        translation=(float(shift[0]), float(shift[1]), float(shift[2])),
+    )

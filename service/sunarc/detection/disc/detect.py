@@ -8,24 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from sunarc.array_types import FloatArray, Image
-from sunarc.detection.disc.classify import detection_of, is_flat, verdict_of
 from sunarc.detection.disc.fit import DiscFit, fit_disc
-from sunarc.detection.disc.limits import (
-    FAINTEST_LEVEL_PER_US,
-    FAINTEST_SHARE,
-    LIMB_DARKENING,
-    MAX_APPARENT_ZENITH_DEG,
-    MAX_RADIUS_PX,
-    MIN_PEAK_FRACTION,
-    MIN_RADIUS_PX,
-    PSF_PX,
-    PSF_TOLERANCE,
-    SATURATION_FRACTION,
-    SOLAR_RADIUS_DEG,
-    WINGS_TOLERANCE,
-)
 from sunarc.detection.disc.model import Prior
-from sunarc.detection.disc.obstruction import obstruction
+from sunarc.detection.disc.row_bands import is_foreign
 from sunarc.detection.disc.search import Spot, brightest_spots, semi_axes, symmetric_root
 from sunarc.detection.disc.template import sun_sources
 from sunarc.detection.disc.window import Window, cut, saturated_level
@@ -33,6 +18,48 @@ from sunarc.detection.frames import require_raw
 from sunarc.detection.options import DiscOptions
 from sunarc.detection.values import Detection, Expectation, Sensor, Verdict
 from sunarc.findings import Finding
+
+# Limits of the search for the disc and of its classification; the lengths are px of the sensor, before binning.
+
+PSF_PX = 0.7
+"""Standard deviation of the lens's point spread; the fit adapts it to the frame."""
+PSF_TOLERANCE = 0.3
+"""1-sigma of its logarithm; the fit moves it that far."""
+WINGS_TOLERANCE = 0.05
+"""1-sigma of the share of light in wings three times as wide."""
+LIMB_DARKENING = 0.6
+"""u of 1 - u (1 - cos) across the sun's disc, in visible light (Allen's Astrophysical Quantities)."""
+SOLAR_RADIUS_DEG = 0.2666
+"""The sun's angular radius at one astronomical unit, 959.6″."""
+SATURATION_FRACTION = 0.98
+"""Counts from this fraction of full scale on are saturated."""
+MIN_PEAK_FRACTION = 0.01
+"""Level over full scale below which no disc is searched for."""
+MIN_ACCEPTED_FRACTION = 0.07
+"""Level below which a disc is rejected: a partly covered one would look the same."""
+MIN_SNR = 12.0
+"""Signal-to-noise ratio below which the sun counts as hidden."""
+MIN_RADIUS_PX = 1.2
+MAX_RADIUS_PX = 10.0
+"""Bounds of the semi-axes of a disc without a prediction."""
+MAX_ELLIPTICITY = 0.6
+"""Largest 1 - minor/major semi-axis of such a disc."""
+MAX_UNEVEN_PX = 0.03
+"""A disc whose uneven brightness may have moved the centre further is partly covered."""
+MAX_RESIDUAL_FRACTION = 0.02
+"""So is a disc with larger residuals over its level."""
+MAX_SIGMA_PX = 0.06
+"""A less certain position is not accepted."""
+VEILED_BELOW = 0.5
+"""A disc below this fraction of the clear sky's is veiled; so is one below this contrast."""
+MAX_APPARENT_ZENITH_DEG = 89.6
+"""A lower sun is below the horizon."""
+FAINTEST_SHARE = 1e-4
+"""Fraction of the clear sun's level below which a disc is not the sun; the full moon has 2.5e-6."""
+FAINTEST_LEVEL_PER_US = 1e-4
+"""Where the clear level is unknown, a disc without a prediction and with less than this level over full scale in 1 µs
+is not the sun. Through a bare lens the sun has 0.1 to 10, the full moon 1e-7 to 3e-5."""
+
 
 _CANDIDATES = 3
 _MARGIN_PX = 5.0
@@ -258,3 +285,172 @@ def _first_shapes(spot: Spot, axes: FloatArray | None, sensor: Sensor) -> list[t
 
 def _all_saturated(window: Window) -> bool:
     return bool(np.count_nonzero(window.usable) < 0.3 * window.usable.size)
+
+
+# Detection of obstructions in front of the sun from the sky's own light.
+
+_TILE = 64
+_TILE_ROWS = 8  # every so many rows are looked at
+_DARK_SHARE = 0.5  # of the sky's light, below which no cloud is
+_SIGNIFICANT = 6.0
+_DETECTABLE = 3.0  # predicted level over the detection limit from which a missing disc is significant
+
+
+def obstruction(image: Image, *, sensor: Sensor, expectation: Expectation, reach_px: float) -> Finding | None:
+    """Return that a sun that was not found is behind a mast or a building; None where that is not certain.
+
+    A cloud in front of the sun is brighter than most of the sky; a building is dark. So the surroundings of the
+    predicted pixel must be darker than half of the sky (the brighter quarter of the image's 64 px tiles), the
+    difference must exceed 6 of its sigmas, and a clear sun must be well above the detection limit at this exposure
+    (`clear_peak_fraction`). Where an exposure is too short for the sky to show, or the obstruction is smaller than
+    the surroundings, the result is None.
+
+    Parameters
+    ----------
+    image : (rows, columns) counts.
+    reach_px : half the square around the expected pixel that counts as its surroundings.
+    """
+    clear = expectation.clear_peak_fraction
+    if clear is None or clear < _DETECTABLE * MIN_PEAK_FRACTION:
+        return None
+    x, y, reach = round(expectation.x_px), round(expectation.y_px), math.ceil(reach_px)
+    part = image[max(0, y - reach) : y + reach + 1, max(0, x - reach) : x + reach + 1].astype(np.float64)
+    tiles = _tile_means(image)
+    if tiles.size == 0 or part.size == 0:
+        return None
+    noise = math.hypot(sensor.read_noise_e / sensor.gain_e_per_count, 0.3)
+    part = np.minimum(part, float(np.median(part)) + 5.0 * noise)  # hot pixels are clipped
+    level, sky = float(part.mean()) - sensor.black_level, float(np.quantile(tiles, 0.75)) - sensor.black_level
+    sigma = math.hypot(float(part.std()), noise) / math.sqrt(part.size)
+    if level > _DARK_SHARE * sky or sky - level < _SIGNIFICANT * sigma:
+        return None
+    return Finding("sun_obstructed", {"level": level / sensor.full_scale, "sky": sky / sensor.full_scale})
+
+
+def _tile_means(image: Image) -> FloatArray:
+    """Return the mean of some rows of every whole tile, flat."""
+    down, across = image.shape[0] // _TILE, image.shape[1] // _TILE
+    rows = image[: down * _TILE : _TILE_ROWS, : across * _TILE]
+    return np.asarray(rows.reshape(down, _TILE // _TILE_ROWS, across, _TILE).mean(axis=(1, 3))).ravel()
+
+
+# Classification of a disc fit.
+
+_MIN_CONTRAST = 0.15  # disc over its surroundings; below it, texture resembles a disc
+_POSITION_TOLERANCE_PX = 1.0
+_UNPREDICTED_LEVEL, _UNPREDICTED_RESIDUAL, _UNPREDICTED_SIGMA_PX = 0.08, 0.01, 0.016
+_SIGNIFICANT_CLASSIFY = 16.0  # chi² of four parameters
+
+
+def verdict_of(fit: DiscFit, *, expectation: Expectation | None, sensor: Sensor) -> tuple[Verdict, bool, Finding]:
+    """Return the verdict, whether the position can be accepted, and what decided."""
+    for check in (_no_disc, _misplaced, _covered, _uncertain):
+        found = check(fit, expectation, sensor)
+        if found is not None:
+            return found[0], False, found[1]
+    veil = _veil(fit, expectation, sensor)
+    return ("clear", True, Finding("disc_found", {"chi2": fit.chi2})) if veil is None else ("veiled", True, veil)
+
+
+def _no_disc(fit: DiscFit, expectation: Expectation | None, sensor: Sensor) -> tuple[Verdict, Finding] | None:
+    numbers = (fit.x_px, fit.y_px, fit.sigma_px, fit.level, fit.chi2, fit.snr)
+    if not all(math.isfinite(number) for number in numbers) or not fit.converged:
+        return "hidden", Finding("disc_not_converged")
+    if fit.snr < MIN_SNR or fit.level < MIN_PEAK_FRACTION * sensor.full_scale:
+        return "hidden", Finding("disc_below_noise", {"snr": fit.snr, "level": fit.level / sensor.full_scale})
+    if fit.level < _MIN_CONTRAST * fit.background:
+        return "hidden", Finding("disc_low_contrast", {"share": fit.level / max(fit.background, 1e-9)})
+    psf_px = PSF_PX / sensor.binning
+    deviation = abs(math.log(fit.psf_px / psf_px))
+    if deviation > 4.0 * PSF_TOLERANCE:
+        return "hidden", Finding("disc_edge_width", {"width_px": fit.psf_px, "expected_px": psf_px})
+    return _unusual_size(fit, sensor) if expectation is None or expectation.stretch_px_per_rad is None else None
+
+
+def _unusual_size(fit: DiscFit, sensor: Sensor) -> tuple[Verdict, Finding] | None:
+    minor, major = semi_axes(fit.stretch)
+    axes = {"minor_px": minor, "major_px": major}
+    if not MIN_RADIUS_PX <= minor * sensor.binning <= major * sensor.binning <= MAX_RADIUS_PX:
+        return "hidden", Finding("disc_wrong_size", axes)
+    if 1.0 - minor / major > MAX_ELLIPTICITY:
+        return "partly_covered", Finding("disc_elongated", axes)
+    return None
+
+
+def _misplaced(fit: DiscFit, expectation: Expectation | None, sensor: Sensor) -> tuple[Verdict, Finding] | None:
+    if expectation is None:
+        return _unlikely(fit, sensor)
+    distance = math.hypot(fit.x_px - expectation.x_px, fit.y_px - expectation.y_px)
+    if distance > _POSITION_TOLERANCE_PX + 5.0 * expectation.uncertainty_px:
+        return "reflection", Finding("disc_displaced", {"distance_px": distance})
+    return None
+
+
+def _unlikely(fit: DiscFit, sensor: Sensor) -> tuple[Verdict, Finding] | None:
+    """Return why a disc without a prediction is rejected: the moon and small clouds are fainter or fit worse."""
+    if fit.level < _UNPREDICTED_LEVEL * sensor.full_scale:
+        return "hidden", Finding("disc_faint_unpredicted", {"level": fit.level / sensor.full_scale})
+    poor = fit.residual > _UNPREDICTED_RESIDUAL or (fit.chi2 > 3.0 and fit.residual > 0.3 * _UNPREDICTED_RESIDUAL)
+    if poor or fit.sigma_px > _UNPREDICTED_SIGMA_PX:
+        return "hidden", Finding("disc_poor_fit", {"residual": fit.residual, "sigma_px": fit.sigma_px})
+    return None
+
+
+def is_flat(fit: DiscFit, flat: DiscFit | None) -> bool:
+    """Return whether a disc of even brightness explains the pixels clearly better than a limb-darkened one."""
+    return flat is not None and flat.chi2 * flat.used_px < fit.chi2 * fit.used_px - _SIGNIFICANT_CLASSIFY
+
+
+def _covered(fit: DiscFit, expectation: Expectation | None, sensor: Sensor) -> tuple[Verdict, Finding] | None:
+    del expectation, sensor
+    uneven_px = math.sqrt(max(fit.uneven, 0.0)) * fit.sigma_px
+    if fit.uneven > _SIGNIFICANT_CLASSIFY and uneven_px > MAX_UNEVEN_PX:
+        return "partly_covered", Finding("disc_uneven", {"uneven_px": uneven_px, "chi2": fit.uneven})
+    if fit.residual > MAX_RESIDUAL_FRACTION:
+        return "partly_covered", Finding("disc_residuals", {"residual": fit.residual, "chi2": fit.chi2})
+    if is_foreign(*fit.bands):
+        return "partly_covered", Finding("disc_foreign_rows", {"rows": fit.bands[0], "columns": fit.bands[1]})
+    return None
+
+
+def _uncertain(fit: DiscFit, expectation: Expectation | None, sensor: Sensor) -> tuple[Verdict, Finding] | None:
+    del expectation
+    if fit.level < MIN_ACCEPTED_FRACTION * sensor.full_scale:
+        return "veiled", Finding("disc_faint", {"level": fit.level / sensor.full_scale})
+    if fit.sigma_px > MAX_SIGMA_PX:
+        return "veiled", Finding("disc_position_uncertain", {"sigma_px": fit.sigma_px})
+    return None
+
+
+def _veil(fit: DiscFit, expectation: Expectation | None, sensor: Sensor) -> Finding | None:
+    if expectation is not None and expectation.clear_peak_fraction:
+        share = fit.level / sensor.full_scale / expectation.clear_peak_fraction
+        if share < VEILED_BELOW:
+            return Finding("disc_dimmed", {"share": share})
+    contrast = fit.level / max(fit.level + fit.background, 1e-9)
+    return Finding("disc_in_bright_sky", {"share": contrast}) if contrast < VEILED_BELOW else None
+
+
+def detection_of(
+    fit: DiscFit, verdict: tuple[Verdict, bool, Finding], *, sensor: Sensor, saturated_px: int
+) -> Detection:
+    """Return the detection of a classified fit."""
+    name, accepted, finding = verdict
+    minor, major = semi_axes(fit.stretch)
+    left_out = (Finding("saturated_left_out", {"n": saturated_px}),) if accepted and saturated_px else ()
+    return Detection(
+        method="disc",
+        accepted=accepted,
+        verdict=name,
+        findings=(finding, *left_out),
+        x_px=fit.x_px,
+        y_px=fit.y_px,
+        sigma_px=fit.sigma_px,
+        peak_fraction=(fit.level + max(fit.background, 0.0)) / sensor.full_scale,
+        background_fraction=fit.background / sensor.full_scale,
+        radius_px=math.sqrt(minor * major),
+        ellipticity=1.0 - minor / max(major, 1e-9),
+        residual_chi2=fit.chi2,
+        snr=fit.snr,
+        saturated_px=saturated_px,
+    )

@@ -2,41 +2,75 @@
 
 from __future__ import annotations
 
+import itertools
+import multiprocessing
 import os
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+import signal
+import threading
+from collections import Counter, deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from multiprocessing.connection import wait
 from pathlib import Path
-from typing import get_args
+from typing import Final, get_args
+
+import cv2
+import numpy as np
 
 from sunarc.archive.archive import Archive, open_archive
 from sunarc.archive.file_sightings import FileSighting, ImageKey
 from sunarc.archive.recovery import upgrade_present
 from sunarc.archive.seen import sun_point_of
 from sunarc.archive.values import SunPoint
+from sunarc.array_types import Image
 from sunarc.calibration.model.result import Calibration
+from sunarc.detection.photo.exposure_stack import Exposure, detect_sun_in_stack
+from sunarc.detection.photo.static_mask import static_mask
 from sunarc.detection.values import Detection, Expectation
 from sunarc.detection.values import Method as DetectionMethod
 from sunarc.findings import Finding
 from sunarc.offline.cameras import known_camera, register_camera
-from sunarc.offline.detect_files import Method
+from sunarc.offline.detect_files import Method, full_scale_of, selected_method
 from sunarc.offline.ingest.consensus import Agreed, agreed_cameras, as_predicted, expectations, is_consistent, misfit_px
 from sunarc.offline.ingest.contact_sheet import write_contact_sheet
-from sunarc.offline.ingest.detect_image import Task
-from sunarc.offline.ingest.detect_stack import IN_STACK
-from sunarc.offline.ingest.detection_pool import detect_in_pool
+from sunarc.offline.ingest.detect_image import Answer, Task, detect_in_file, detect_in_read, no_sun, read_for
+from sunarc.offline.ingest.image_checks import read_checked_image
 from sunarc.offline.ingest.image_times import Naming
 from sunarc.offline.ingest.index import ImageFile, Index, Skipped, index_folder, usual_size
-from sunarc.offline.ingest.moments import Moment, moments_of
 from sunarc.offline.ingest.nights import Nights, ingest_nights
-from sunarc.offline.ingest.packed_mask import PackedMask
-from sunarc.offline.ingest.series_mask import series_mask
+from sunarc.offline.ingest.packed_mask import PackedMask, pack_mask
 from sunarc.offline.ingest.summary import Summary, newest_verdicts
 from sunarc.offline.learned_sigma import ValidCamera, factor_in_force, learn_sigma, with_factor
+from sunarc.offline.messages import RefusedImageError
 from sunarc.runtime.clock import SystemClock
+from sunarc.runtime.threads import one_thread_each
 from sunarc.settings.model import Settings
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_directions
 from sunarc.utc import from_microseconds
+
+# Images by the time at which they were taken: several of one time are a stack of exposures.
+
+Moment = tuple[ImageFile, ...]
+"""All images of one time, in the order of their names."""
+
+MOST_EXPOSURES = 32
+"""More images of one time are no stack, but a series whose names say too little of the time."""
+
+
+def moments_of(images: Iterable[ImageFile]) -> list[Moment]:
+    """Return the images grouped by their time; too many for a stack stand alone."""
+    by_time: dict[int, list[ImageFile]] = {}
+    for image in images:
+        by_time.setdefault(image.key[0], []).append(image)
+    moments = list[Moment]()
+    for members in by_time.values():
+        moments += [tuple(members)] if len(members) <= MOST_EXPOSURES else [(image,) for image in members]
+    return moments
+
 
 _BATCH = 32
 """Sightings written at once; a run that is killed loses no more, and finds them again."""
@@ -339,4 +373,190 @@ def _summary(
         camera_findings=camera_findings,
         nights=nights.looked_at,
         nights_known=nights.known,
+    )
+
+
+# What stands still in a folder's images: text overlays, logos, painted marks.
+
+_IMAGES = 24
+_LEAST_MOTION_DEG = 40.0
+"""Largest angle between two suns of the images that are compared, at least: the glare of one is 20 degrees wide at
+most, and has to leave every place."""
+
+
+def series_mask(folder: Path, images: Sequence[ImageFile], *, size: tuple[int, int], site: Site) -> PackedMask | None:
+    """Return what stands still in the images of a folder; None where nothing does, or they cannot tell."""
+    some = images[:: len(images) // _IMAGES + 1]
+    if not some or _motion_deg(some, site) < _LEAST_MOTION_DEG:
+        return None
+    images_read = _read(folder, some, size)
+    first = next(images_read, None)
+    if first is None:
+        return None
+    like_first = (one for one in images_read if (one.shape, one.dtype) == (first.shape, first.dtype))
+    mask = static_mask(itertools.chain([first], like_first), full_scale=full_scale_of(first))
+    return None if mask is None or not np.any(mask) else pack_mask(mask)
+
+
+def _read(folder: Path, images: Sequence[ImageFile], size: tuple[int, int]) -> Iterator[Image]:
+    for image in images:
+        try:
+            yield read_checked_image(folder / image.path, size=size)
+        except RefusedImageError:
+            continue
+
+
+def _motion_deg(images: Sequence[ImageFile], site: Site) -> float:
+    """Return the largest angle between the suns of two images."""
+    directions = sun_directions(np.array([image.unix_s for image in images]), site)
+    return float(np.degrees(np.arccos(np.clip(directions @ directions.T, -1.0, 1.0)).max()))
+
+
+# Detection in many image files at once, in processes: they read and compute, the caller alone writes.
+
+Answers = tuple[Answer, ...]
+"""An answer for each file of a task."""
+
+_AHEAD = 4
+"""Tasks handed to each process before the first answer is read: bounds the memory of a long run."""
+
+
+def detect_in_pool(tasks: Iterable[Task], *, n_tasks: int, processes: int) -> Iterator[Answers]:
+    """Yield the answers of the tasks, in their order; fewer than a process is worth are computed here.
+
+    An image whose process dies (a fault of a decoder, too little memory) is left out, and the others go on.
+    """
+    if processes < 2 or n_tasks <= 2 * processes:
+        yield from map(detect_in_files, tasks)
+        return
+    waiting = iter(tasks)
+    lost: list[Task] | None = []
+    while lost is not None:
+        for task in lost:
+            yield _alone(task)
+        lost = yield from _until_a_process_dies(waiting, processes)
+
+
+def _until_a_process_dies(tasks: Iterator[Task], processes: int) -> Generator[Answers, None, list[Task] | None]:
+    """Yield answers; return the tasks that were under way when a process died, None when all are done."""
+    under_way: deque[tuple[Task, Future[Answers]]] = deque()
+    pool = _pool(processes)
+    try:
+        for task in tasks:
+            under_way.append((task, _submitted(pool, task)))
+            if len(under_way) >= _AHEAD * processes:
+                yield under_way[0][1].result()
+                under_way.popleft()
+        while under_way:
+            yield under_way[0][1].result()
+            under_way.popleft()
+    except BrokenProcessPool:
+        return [task for task, _ in under_way]
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+    return None
+
+
+def _submitted(pool: ProcessPoolExecutor, task: Task) -> Future[Answers]:
+    """Return the future answer of a task; a pool that is broken already answers with its error."""
+    # The process that this may start inherits the mask: Ctrl-C is for the run, which lets each image be finished.
+    former = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        return pool.submit(detect_in_files, task)
+    except BrokenProcessPool as error:
+        broken = Future[Answers]()
+        broken.set_exception(error)
+        return broken
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, former)
+
+
+def _alone(task: Task) -> Answers:
+    """Return the answers of a task in a process of its own; that it died is an answer, too."""
+    with _pool(1) as pool:
+        try:
+            return _submitted(pool, task).result()
+        except BrokenProcessPool as error:
+            return tuple(Finding("worker_died", {"error": str(error)}) for _ in task.files)
+
+
+def _pool(processes: int) -> ProcessPoolExecutor:
+    one_thread_each()  # read by the processes that are started
+    context = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(processes, mp_context=context, initializer=_begin)
+
+
+def _begin() -> None:
+    """Prepare a process: one thread for images, and an end when the run has died."""
+    cv2.setNumThreads(1)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)  # the queue of tasks stays open in every process, and would be waited for without end
+
+
+# What a process does with the image files of one time: one sighting from all exposures.
+
+IN_STACK: Final = "in_stack"
+"""Verdict of an exposure whose stack has its sighting in another file."""
+
+
+def detect_in_files(task: Task) -> tuple[Answer, ...]:
+    """Read the files of a task and look for the sun in them; return an answer for each, in their order.
+
+    Exposures of one time that an ordinary image is among are a stack: its sighting is the first one's answer, the
+    others name that file. Microsecond exposures, and files that cannot be stacked, are looked at one by one.
+    """
+    if not task.more:
+        return (detect_in_file(task),)
+    files = [replace(task, path=path, exposure_us=exposure_us, more=()) for path, exposure_us in task.files]
+    images = [read_for(one) for one in files]
+    stack = _stack_of(images)
+    if len(stack) < 2 or not _is_ordinary(list(stack.values()), task):
+        return tuple(_alone_of_detect_stack(image, one) for image, one in zip(images, files, strict=True))
+    first, *others = stack
+    found = _detect(stack, files, task)
+    answers = {first: found} | {n: _member(found, files[n], files[first].path) for n in others}
+    return tuple(answers.get(n) or _alone_of_detect_stack(images[n], one) for n, one in enumerate(files))
+
+
+def _alone_of_detect_stack(image: Image | Finding, task: Task) -> Answer:
+    return image if isinstance(image, Finding) else detect_in_read(image, task)
+
+
+def _stack_of(images: list[Image | Finding]) -> dict[int, Image]:
+    """Return the images that are like the first one that could be read, by their number."""
+    read = {n: image for n, image in enumerate(images) if not isinstance(image, Finding)}
+    kinds = [(image.shape, image.dtype) for image in read.values()]
+    return {n: image for n, image in read.items() if (image.shape, image.dtype) == kinds[0]}
+
+
+def _is_ordinary(images: list[Image], task: Task) -> bool:
+    scale = max(full_scale_of(image) for image in images)
+    return any(selected_method(image, task.method, full_scale=scale) == "paper" for image in images)
+
+
+def _detect(stack: dict[int, Image], files: list[Task], task: Task) -> Detection:
+    if task.outside:
+        return no_sun("paper", task.exposure_us)
+    return detect_sun_in_stack(
+        [Exposure(image, files[n].exposure_us) for n, image in stack.items()],
+        full_scale=max(full_scale_of(image) for image in stack.values()),
+        expectation=task.expectation,
+        static=None if task.static is None else task.static.unpacked(),
+    )
+
+
+def _member(found: Detection, task: Task, first: Path) -> Detection:
+    """Return the answer for an exposure whose stack has its sighting in another file."""
+    return Detection(
+        method=found.method,
+        accepted=False,
+        verdict=IN_STACK,
+        findings=(Finding("stack_member", {"file": first.name}),),
+        exposure_us=task.exposure_us,
     )

@@ -17,8 +17,9 @@ from sunarc.archive.sighting_revisions import ELSEWHERE, LENS_CHANGED
 from sunarc.archive.values import PoseEpoch, SunPoint
 from sunarc.calibration.change_detection.detect_change import REMEMBERED, update_window
 from sunarc.calibration.change_detection.values import LENS_KINDS, Change, Sighting, SightingWindow, WatchOptions
+from sunarc.calibration.lens_library.mounting import north_sigma_deg, top_azimuth_deg
 from sunarc.calibration.messages import MESSAGES as CHANGES
-from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
 from sunarc.calibration.pose.sun_motion import site_contradiction
 from sunarc.errors import InputError, OutsideError
@@ -28,8 +29,7 @@ from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions
 from sunarc.utc import MICROSECOND, utc_time
 from sunarc.workers.bounded_queue import DropOldestQueue
-from sunarc.workers.calibrating.pose_conditions import pose_condition, refused_condition, waiting_condition
-from sunarc.workers.calibrating.provisional_pose import FEWEST, ProvisionalPoseEstimator, is_provisional
+from sunarc.workers.calibrating.provisional_pose import FEWEST, ProvisionalPoseEstimator, is_first_pose, is_provisional
 from sunarc.workers.messages import MESSAGES, condition
 
 _log = logging.getLogger(__name__)
@@ -357,3 +357,32 @@ def _sun(unix_s: float, site: Site) -> tuple[float, float, float]:
 
 def _of_the_future(epoch: PoseEpoch) -> Reason:
     return condition(_FUTURE_EPOCH, pose_epoch=epoch.id, started_at=epoch.started_at.isoformat(timespec="seconds"))
+
+
+# Conditions of a pose that is provisional, refused, or waited for.
+
+
+def waiting_condition(n: int, pixel: tuple[float, float]) -> Reason:
+    """Return the condition of a first pose that waits for sightings: how many there are, and where the last one is."""
+    return condition("first_sun", n=n, least=FEWEST, x_px=pixel[0], y_px=pixel[1])
+
+
+def pose_condition(current: Calibration) -> Reason | None:
+    """Return the condition of a pose that is provisional; None for that of a full fit."""
+    if not is_provisional(current):
+        return None
+    if not is_first_pose(current):
+        return condition("provisional_pose", n=current.evidence.n_used, sigma_deg=current.sky_rms_deg)
+    return condition(
+        "first_pose_provisional",
+        n=current.evidence.n_used,
+        sigma_deg=current.sky_rms_deg,
+        north_sigma_deg=north_sigma_deg(current),
+        top_azimuth_deg=top_azimuth_deg(current.camera),
+    )
+
+
+def refused_condition(verdict: Verdict) -> Reason:
+    """Return the condition of a first pose that is refused."""
+    finding = verdict.findings[0]
+    return condition("first_pose_refused", reason=CHANGES.text_of(finding), remedy=CHANGES.remedy_of(finding))

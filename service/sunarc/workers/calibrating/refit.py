@@ -6,31 +6,36 @@ import logging
 import threading
 import uuid
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 from typing import Annotated, Any, TypeVar
 
+import numpy as np
 from annotated_types import Ge, Gt, Le
 
 import sunarc
 from sunarc.archive.camera_archive import CameraArchive
-from sunarc.archive.values import CalibrationRecord, EventSeverity, PoseEpoch, Refit, RefitState
+from sunarc.archive.values import CalibrationRecord, EventSeverity, PoseEpoch, Refit, RefitState, SunPointColumns
+from sunarc.array_types import IntArray
 from sunarc.bounds import require_bounds
 from sunarc.calibration.model.document import to_document
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import Calibration, Verdict
+from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
 from sunarc.calibration.pose_step_search import PoseStep
 from sunarc.calibration.quality.acceptance import accept, unseen_points
+from sunarc.calibration.quality.day_quality import days_left_out
 from sunarc.calibration.quality.pose_drift import pose_spread_deg, with_pose_spread
-from sunarc.errors import InputError
+from sunarc.calibration.selection.selection import Selection, SelectionOptions, select_sightings
+from sunarc.calibration.selection.star_selection import surest_of_epochs
+from sunarc.errors import InputError, NotFoundError
 from sunarc.findings import Finding
 from sunarc.runtime.clock import Clock
-from sunarc.runtime.status import StatusRegistry
+from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.sky.days import solar_date
-from sunarc.workers.calibrating.epoch_search import EpochSearch
-from sunarc.workers.calibrating.integrity import CalibrationIntegrityCheck
-from sunarc.workers.calibrating.refit_task import Task, next_task
+from sunarc.sky.night import SUN
+from sunarc.workers.calibrating.epoch_search import EpochSearch, since_lens
 from sunarc.workers.calibrating.solver_process import (
     Problem,
     SolveFailedError,
@@ -38,7 +43,99 @@ from sunarc.workers.calibrating.solver_process import (
     search_in_child,
     solve_in_child,
 )
+from sunarc.workers.fit_input import points_of
 from sunarc.workers.messages import MESSAGES, condition, text_of
+
+# Input of a refit from the archive.
+
+_LIMITS = SelectionOptions()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Task:
+    """A solve, and the sightings of the archive that it is given.
+
+    Attributes
+    ----------
+    problem : for the child process.
+    used : the sightings, as columns of the archive.
+    selection : how they were picked.
+    """
+
+    problem: Problem
+    used: SunPointColumns
+    selection: Selection
+
+    @property
+    def pose_epoch(self) -> str:
+        """The pose epoch of the result."""
+        return self.used.epoch_ids[-1]
+
+    def of_epoch(self, epoch: str) -> Problem:
+        """Return the same solve, its answer that of another pose epoch."""
+        return replace(self.problem, points=points_of(self.used, site=self.problem.site, latest=epoch))
+
+    def with_selection(self, solved: Calibration) -> Calibration:
+        """Return a calibration whose evidence tells how its sightings were picked."""
+        counts = {**asdict(_LIMITS), **self.selection.counts()}
+        return replace(solved, evidence=replace(solved.evidence, selection=counts))
+
+
+def next_task(
+    camera: CameraArchive,
+    *,
+    cadence_s: float,
+    options: CalibrationOptions,
+    circle: ImageCircle | None,
+    now: datetime,
+) -> Task | Finding:
+    """Return what the record of a camera up to now asks for; or why there is nothing to solve."""
+    record, since = camera.record(), since_lens(camera, now)
+    read = camera.sun_candidates(since=since, until=now)
+    if record is None or read.ids.size == 0:
+        return Finding("no_accepted_sightings")
+    left_out = days_left_out({day.date: day.verdict for day in camera.days()})
+    selection = select_sightings(
+        read.candidates,
+        site=camera.site,
+        slot_s=cadence_s,
+        options=_LIMITS,
+        left_out_days=np.array(left_out),
+    )
+    if selection.index.size == 0:
+        counts = {
+            "n": selection.n_supplied,
+            "n_doubtful_clock": selection.n_doubtful_clock,
+            "n_other_days": selection.n_other_days,
+        }
+        return Finding("no_usable_sightings", counts)
+    epochs = [read.epoch_ids[number] for number in np.unique(read.candidates.epoch[selection.index]).tolist()]
+    others = camera.sun_point_columns(since=since, until=now, body=None, no_sun=True)
+    stars = _stars(others, epochs, record.image_size)
+    used = camera.sightings_of_ids(np.concatenate([read.ids[selection.index], stars]))
+    if not np.any(used.body == SUN):  # deleted meanwhile
+        return Finding("no_accepted_sightings")
+    problem = Problem(
+        points=points_of(used, site=camera.site),
+        site=camera.site,
+        image_size=record.image_size,
+        options=options,
+        circle=circle,
+    )
+    return Task(problem=problem, used=used, selection=selection)
+
+
+def _stars(others: SunPointColumns, epochs: Sequence[str], image_size: tuple[int, int]) -> IntArray:
+    """Return the keys of the surest stars and planets of each part of the image.
+
+    Of the pose epochs that the sun was seen in; those of the latest epoch first, then of the others.
+    """
+    with_sun = np.array([name in epochs for name in others.epoch_ids], dtype=bool)
+    usable = with_sun[others.epoch] & (np.nan_to_num(others.clock_error_s) <= MAX_CLOCK_ERROR_S)
+    rows = np.flatnonzero(usable)
+    chosen = surest_of_epochs(others.pixels[rows], others.sigma_px[rows], others.epoch[rows], image_size)
+    return others.ids[rows[chosen]]
+
 
 _log = logging.getLogger(__name__)
 
@@ -308,3 +405,76 @@ def _in_child(run: Callable[..., _Answer], problem: Problem, child: Mapping[str,
     except SolverDiedError as error:
         _log.warning("%s; starting it once more", error)
         return run(problem, **child)
+
+
+# Integrity of stored calibrations: changes by hand or by other versions are reported once.
+
+_CODES = ("no_calibration", "calibration_unreadable", "calibration_damaged")
+
+
+class CalibrationIntegrityCheck:
+    """Looks whether the current calibration can be read, and the sightings that it rests on are still there.
+
+    Parameters
+    ----------
+    camera : its archive.
+    now : frame time, which dates events.
+    board : where the lack of a calibration that can be used is shown.
+    """
+
+    def __init__(self, camera: CameraArchive, *, now: Callable[[], datetime], board: StatusRegistry) -> None:
+        self._camera = camera
+        self._now = now
+        self._board = board
+        self._reported: set[tuple[str, str]] = set()
+        self._revision: int | None = None
+        self._current: str | None = None
+
+    def follow(self) -> None:
+        """Check again where another calibration is current than at the last check."""
+        revision = self._camera.archive.revision()
+        if revision == self._revision:
+            return
+        self._revision = revision
+        current = self._camera.current_calibration()
+        if (None if current is None else current.id) != self._current:
+            self.check()
+
+    def check(self) -> None:
+        """Check, set the condition, and store an event the first time."""
+        current = self._camera.current_calibration()
+        self._current = None if current is None else current.id
+        self._board.set_one_condition(_CODES, self._reason(current))
+        if current is not None:
+            self._check_sightings(current)
+
+    def _reason(self, current: CalibrationRecord | None) -> Reason | None:
+        damaged = self._camera.damaged_calibration()
+        reason = None
+        if current is None:
+            reason = condition("no_calibration")
+        if damaged is not None:
+            active = "no calibration" if current is None else current.id
+            reason = self._report("calibration_damaged", calibration=damaged, served=active)
+        if current is not None:
+            try:
+                self._camera.archive.model(current.id)
+            except InputError as error:
+                reason = self._report("calibration_unreadable", calibration=current.id, error=str(error))
+        return reason
+
+    def _check_sightings(self, current: CalibrationRecord) -> None:
+        try:
+            self._camera.archive.sightings_of(current.id)
+        except NotFoundError:
+            return  # imported, or made before evidence was kept
+        except InputError as error:
+            self._report("evidence_changed", calibration=current.id, error=str(error))
+
+    def _report(self, code: str, *, calibration: str, **data: str) -> Reason:
+        """Write an event the first time, and return the condition."""
+        finding = Finding(code, {"calibration": calibration, **data})
+        if (code, calibration) not in self._reported:
+            self._reported.add((code, calibration))
+            self._camera.add_event(finding, MESSAGES, time=self._now(), severity="alarm")
+        return Reason.of(finding, MESSAGES)

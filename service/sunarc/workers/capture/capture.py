@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -13,18 +14,124 @@ from typing import Annotated
 from annotated_types import Ge, Gt, Le
 
 from sunarc.bounds import require_bounds
-from sunarc.cameras.frame import CameraCondition, Frame, SkyCamera
+from sunarc.cameras.frame import CameraCondition, Frame, GainCamera, SkyCamera
 from sunarc.errors import CameraError, CameraLostError, ConfigurationError, InputError
+from sunarc.imaging.brightness import Exposed
+from sunarc.imaging.level import MOST_ALL_OVER, Level, factor_all_over, level_of
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import StatusRegistry
 from sunarc.workers.bounded_queue import DropOldestQueue
-from sunarc.workers.capture.cycle_consistency import Cycle, CycleConsistencyFilter
 from sunarc.workers.capture.exposure_sequence import ExposureSequence
-from sunarc.workers.capture.night_gain import NightGain
 from sunarc.workers.capture.status import CaptureReport
 from sunarc.workers.capture.sun_exposure_control import SunExposures
+from sunarc.workers.messages import condition
 from sunarc.workers.night.exposures import DARK_ZENITH_DEG, NightCapture
 from sunarc.workers.timing.frame_time import FrameTime
+
+# Consistency of consecutive cycles: the overall brightness may not jump from one to the next.
+
+COMPARABLE_S = 120.0
+"""Cycles further apart may show another sky: their levels are not compared."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Cycle:
+    """The frames of one cycle; a normal exposure that failed is None."""
+
+    normal: tuple[Frame | None, ...]
+    sun: tuple[Frame, ...]
+
+    @property
+    def good(self) -> list[Frame]:
+        """The normal frames that succeeded."""
+        return [frame for frame in self.normal if frame is not None]
+
+    @property
+    def complete(self) -> bool:
+        """Whether every normal exposure succeeded."""
+        return None not in self.normal
+
+
+class CycleConsistencyFilter:
+    """Delays the first cycle until a second has the same brightness; compares each later one with the last accepted.
+
+    Parameters
+    ----------
+    cadence_s : seconds between cycles; beyond half of `COMPARABLE_S`, where one that is missed leaves the others too
+        far apart, nothing is compared and nothing held back.
+    """
+
+    def __init__(self, *, cadence_s: float) -> None:
+        self._comparing = cadence_s <= COMPARABLE_S / 2.0
+        self._reference: _CycleLevel | None = None
+        self._held_back: tuple[Cycle, _CycleLevel] | None = None
+
+    def contradiction(self, frames: Sequence[Frame]) -> str | None:
+        """Return how a cycle's normal frames contradict the last accepted cycle, one sentence; None: they do not."""
+        if not frames or self._reference is None:
+            return None
+        factor = self._reference.factor_to(_level_of_cycle(frames))
+        if factor is None or _is_possible(factor):
+            return None
+        return (
+            f"image {factor:.2g}× as bright as the previous cycle; accepted only if it stays so for {COMPARABLE_S:g} s"
+        )
+
+    def accepted_cycles(self, taken: Cycle) -> list[Cycle]:
+        """Return what may be handed on now that this cycle is whole: nothing, this one, or one held back and this."""
+        level = _level_of_cycle(taken.good)
+        if self._reference is not None and self._reference.factor_to(level) is not None:
+            self._reference, self._held_back = level, None
+            return [taken]
+        if not self._comparing or not level.tells:
+            self._reference = self._held_back = None
+            return [taken]
+        return self._first(taken, level)
+
+    def _first(self, taken: Cycle, level: _CycleLevel) -> list[Cycle]:
+        """Delay a cycle without a reference; or return it together with the delayed one before it.
+
+        Two that are too far apart to be compared are let go: nothing speaks against them, and nothing ever could.
+        """
+        held_back, self._held_back = self._held_back, (taken, level)
+        self._reference = None
+        if held_back is None:
+            return []
+        factor = held_back[1].factor_to(level)
+        if factor is not None and not _is_possible(factor):
+            _log.warning("discarded a cycle: brightness inconsistent with the cycles before and after")
+            return []
+        self._reference, self._held_back = level, None
+        return [held_back[0], taken]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _CycleLevel:
+    """A cycle's level, and when it was, seconds since 1970."""
+
+    level: Level
+    at_s: float
+
+    @property
+    def tells(self) -> bool:
+        """Whether there is contrast enough to compare others with it."""
+        return factor_all_over(self.level, self.level) is not None
+
+    def factor_to(self, later: _CycleLevel) -> float | None:
+        """Return `factor_all_over` from here to there; None where the two are too far apart too."""
+        if abs(later.at_s - self.at_s) > COMPARABLE_S * 1.001:
+            return None
+        return factor_all_over(self.level, later.level)
+
+
+def _level_of_cycle(frames: Sequence[Frame]) -> _CycleLevel:
+    exposed = [Exposed(image=f.image, exposure_us=f.exposure_us, full_scale=f.full_scale) for f in frames]
+    return _CycleLevel(level=level_of(exposed), at_s=frames[0].time.timestamp())
+
+
+def _is_possible(factor: float) -> bool:
+    return 1.0 / MOST_ALL_OVER <= factor <= MOST_ALL_OVER
+
 
 _HEARTBEAT_S = 1.0
 _DAYLIGHT_ZENITH_DEG = 96.0
@@ -311,3 +418,61 @@ class CaptureWorker:
         self._frame_time.note(ended_at, host_offset_s=frame.host_offset_s)
         self._report.frame(frame)
         self._on_frame(frame)
+
+
+# The gain of the night: raised for one exposure, restored after it, and days blocked where that fails.
+
+_log = logging.getLogger(__name__)
+CODE = "gain_not_restored"
+
+
+class NightGain:
+    """Takes an exposure with a raised gain.
+
+    A frame of the day with the gain of the night would spoil its sightings. So the gain is restored and read back
+    before anything else is done with the camera; where it stays raised, the camera is let go, and after it was opened
+    again no slot is served before the gain is what the settings say.
+
+    Parameters
+    ----------
+    board : where the condition `gain_not_restored` is set.
+    """
+
+    def __init__(self, board: StatusRegistry) -> None:
+        self._board = board
+        self._raised = False
+
+    def take(self, camera: SkyCamera, raised_db: float, expose: Callable[[], Frame | None]) -> Frame | None:
+        """Return a frame with a gain raised by `raised_db`, or as it is where the camera has no gain to set.
+
+        Raises
+        ------
+        CameraLostError
+            The gain could not be restored.
+        """
+        if raised_db <= 0.0 or camera.info.gain_raise_db <= 0.0 or not isinstance(camera, GainCamera):
+            return expose()
+        self._raised = True
+        try:
+            camera.raise_gain(min(raised_db, camera.info.gain_raise_db))
+            return expose()
+        except CameraLostError:
+            raise
+        except CameraError as error:
+            _log.warning("the gain of the night was not set: %s", error)
+            return None
+        finally:
+            self.restore(camera)
+
+    def restore(self, camera: SkyCamera) -> None:
+        """Restore the gain where it was raised, and read it back; CameraLostError where it is another one."""
+        if not self._raised or not isinstance(camera, GainCamera):
+            return
+        try:
+            camera.restore_gain()
+        except CameraError as error:
+            reason = condition(CODE, severity="not_ready", error=str(error))
+            self._board.set_condition(CODE, reason)
+            raise CameraLostError(f"the gain of the night was not restored: {error}") from error
+        self._raised = False
+        self._board.set_condition(CODE, None)

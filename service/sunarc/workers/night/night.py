@@ -6,10 +6,11 @@ import logging
 import math
 import threading
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import date, datetime, timedelta
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 
@@ -22,26 +23,96 @@ from sunarc.calibration.star_views import MatchedView, StarView, match_views
 from sunarc.cameras.frame import Frame
 from sunarc.detection.stars.detect import detect_stars
 from sunarc.detection.stars.halo import star_halo
-from sunarc.detection.stars.trend import NightLimits
-from sunarc.detection.stars.values import Stars
+from sunarc.detection.stars.trend import NightLimits, NightTrend, dew_suspected, focus_ratio
+from sunarc.detection.stars.values import FWHM, Stars
 from sunarc.findings import Finding
-from sunarc.runtime.status import StatusRegistry
+from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.sky.days import solar_date
 from sunarc.sky.night import wanderer_place
 from sunarc.utc import DAY_S, rfc3339
-from sunarc.workers.messages import MESSAGES, text_of
+from sunarc.workers.messages import MESSAGES, condition, text_of
 from sunarc.workers.night.exposures import DARK_ZENITH_DEG, NightCapture
 from sunarc.workers.night.kept_images import FrameNote, KeptImages, KeptMoon, KeptStars
 from sunarc.workers.night.moon import MoonImages
 from sunarc.workers.night.named_stars import BENT_PX, star_view, surest_named
-from sunarc.workers.night.night_conditions import NIGHTS_COMPARED, night_conditions
-from sunarc.workers.night.numbers import TakenImage, numbers_of
+from sunarc.workers.night.numbers import TakenImage, cloud_fraction, limit_of, numbers_of
 from sunarc.workers.night.offset import offset_of
 from sunarc.workers.night.picture import NightPicture, better, named_bodies, night_picture, store_picture
-from sunarc.workers.night.verdict import NightVerdict, decide_night, summary_of
 from sunarc.workers.night.warm import WarmPixelMap
 from sunarc.workers.night.warm_file import WarmPixelFile
 from sunarc.workers.sensor import SensorOptions, sensor_of
+
+# What a night was like, by its images.
+
+NightVerdict = Literal["clear", "partly", "cloudy", "moonlit", "unusable"]
+_FEWEST_IMAGES = 3
+_CLEAR_SHARE, _CLEAR_CLOUDS = 0.8, 0.25
+_PARTLY_SHARE = 0.1
+_MOONLIT_SHARE = 0.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NightSummary:
+    """The numbers of a night; NaN where no image was matched.
+
+    Attributes
+    ----------
+    n_images, n_accepted : images, and those whose stars were named.
+    n_stars, n_matched : detections and named stars of an accepted image, medians.
+    limiting_magnitude : V to which half of the stars are detected, the median of the accepted images.
+    star_fwhm_px : width of the stars, the median of all images.
+    cloud_fraction : share of the stars to V 4 that are not seen, the mean of the images: 1 in those not accepted.
+    """
+
+    n_images: int
+    n_accepted: int
+    n_stars: int
+    n_matched: int
+    limiting_magnitude: float
+    star_fwhm_px: float
+    cloud_fraction: float
+
+
+def summary_of(views: Sequence[StarView], matched: Sequence[MatchedView]) -> NightSummary:
+    """Return the numbers of a night of images and their matches."""
+    pairs = [(view, found) for view, found in zip(views, matched, strict=True) if found.matches.accepted]
+    widths = np.concatenate([view.stars.width_px for view in views]) if views else np.zeros(0)
+    clouds = [1.0] * (len(views) - len(pairs)) + [cloud_fraction(view) for view, _ in pairs]
+    return NightSummary(
+        n_images=len(views),
+        n_accepted=len(pairs),
+        n_stars=round(_median([len(found.stars) for _, found in pairs], otherwise=0.0)),
+        n_matched=round(_median([found.matches.star.size for _, found in pairs], otherwise=0.0)),
+        limiting_magnitude=_median([limit_of(view) for view, _ in pairs]),
+        star_fwhm_px=FWHM * _median(widths.tolist()),
+        cloud_fraction=float(np.mean(clouds)) if clouds else math.nan,
+    )
+
+
+def decide_night(summary: NightSummary, *, moonlit_share: float) -> tuple[NightVerdict, tuple[Finding, ...]]:
+    """Return what a night was, and why.
+
+    Parameters
+    ----------
+    summary : its numbers.
+    moonlit_share : of its images, those with a moon above the horizon that is more than half lit.
+    """
+    share = summary.n_accepted / max(summary.n_images, 1)
+    counts = {"n": summary.n_accepted, "images": summary.n_images}
+    if summary.n_images < _FEWEST_IMAGES:
+        return "unusable", (Finding("night_few_images", {"n": summary.n_images, "limit": _FEWEST_IMAGES}),)
+    found = (Finding("night_images", {**counts, "cloud_fraction": summary.cloud_fraction}),)
+    if share >= _CLEAR_SHARE and summary.cloud_fraction <= _CLEAR_CLOUDS:
+        return "clear", found
+    if share >= _PARTLY_SHARE:
+        return "partly", found
+    return ("moonlit" if moonlit_share > _MOONLIT_SHARE else "cloudy"), found
+
+
+def _median(values: Sequence[float], *, otherwise: float = math.nan) -> float:
+    finite = [value for value in values if math.isfinite(value)]
+    return float(np.median(finite)) if finite else otherwise
+
 
 _log = logging.getLogger(__name__)
 
@@ -437,3 +508,54 @@ def _image_of(kept: KeptStars) -> _Image:
 
 def _picture_of(kept: KeptStars) -> NightPicture:
     return NightPicture(time=kept.note.frame.time, n_stars=len(kept.stars), jpeg=kept.picture or b"")
+
+
+# Conditions that the numbers of the last nights give rise to: stars that grew wide, a dome that dewed over.
+
+NIGHT_CODES = ("night_focus_worse", "night_dew_suspected")
+NIGHTS_COMPARED = 20
+_WORTH_COMPARING = frozenset({"clear", "partly"})
+
+
+def night_conditions(nights: Sequence[Mapping[str, Any]], limits: NightLimits) -> dict[str, Reason | None]:
+    """Return the conditions by code, None for one that does not hold.
+
+    Parameters
+    ----------
+    nights : what the events of the last nights say, the newest first.
+    limits : what is suspected.
+    """
+    return dict(zip(NIGHT_CODES, (_focus(nights, limits), _dew(nights, limits)), strict=True))
+
+
+def _focus(nights: Sequence[Mapping[str, Any]], limits: NightLimits) -> Reason | None:
+    """Return the condition of stars that are wider than they were."""
+    widths = [
+        float(night["star_fwhm_px"])
+        for night in nights
+        if night.get("verdict") in _WORTH_COMPARING and night.get("star_fwhm_px") is not None
+    ]
+    ratio = focus_ratio(widths, limits)
+    if ratio is None:
+        return None
+    return condition("night_focus_worse", ratio=ratio, fwhm_px=widths[0], nights=limits.nights)
+
+
+def _dew(nights: Sequence[Mapping[str, Any]], limits: NightLimits) -> Reason | None:
+    """Return the condition of a last night whose stars faded while they grew wider or hazy."""
+    newest = nights[0] if nights else {}
+    width, halo, fading = (newest.get(name) for name in ("width_growth", "halo_growth", "fading_mag"))
+    trend = NightTrend(width_growth=_number(width), halo_growth=_number(halo), fading_mag=_number(fading))
+    if not dew_suspected(trend, limits):
+        return None
+    return condition(
+        "night_dew_suspected",
+        date=str(newest.get("date", "")),
+        width_growth=trend.width_growth,
+        halo_growth=trend.halo_growth,
+        fading_mag=trend.fading_mag,
+    )
+
+
+def _number(value: Any) -> float:  # noqa: ANN401 - of JSON
+    return float("nan") if value is None else float(value)

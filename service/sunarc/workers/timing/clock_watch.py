@@ -6,7 +6,7 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from typing import Annotated
 
@@ -20,11 +20,128 @@ from sunarc.errors import OutsideError
 from sunarc.findings import Finding
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import ClockStatus, Reason, StatusRegistry
+from sunarc.utc import rfc3339
 from sunarc.workers.messages import MESSAGES
-from sunarc.workers.timing.clock_agreement import IMPLAUSIBLE_SETTLE_S, LARGE_STEP_S, ClockAgreement
-from sunarc.workers.timing.clock_reasons import camera_offset, is_tai, stepped
-from sunarc.workers.timing.clock_steps import ClockReading, ClockStep, GradualSteps, UntrustedTimes, step_between
 from sunarc.workers.timing.frame_time import FrameTime
+
+# Finding that a clock was set, from readings of it against monotonic time.
+
+_WINDOWS_S = (60.0, 3600.0)
+"""Times over which many small steps are added up."""
+_SLEW = 500e-6
+"""Rate of wall time against monotonic time that is no step: what a time service corrects a quartz by, piecemeal."""
+_INTERVALS_KEPT = 64
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClockReading:
+    """Wall time beside monotonic time, the two read within `within_s` of one another."""
+
+    wall: datetime
+    monotonic_s: float
+    within_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClockStep:
+    """A clock was set by `step_s` somewhere between two readings.
+
+    Attributes
+    ----------
+    step_s : seconds, positive where it was set forward.
+    at, found_s : when it was found, in wall time and in monotonic time.
+    doubted : the intervals of wall time between the readings, by the clock before and after the step.
+    gradual : made of many small steps, each too small to be found between two looks.
+    """
+
+    step_s: float
+    at: datetime
+    found_s: float
+    doubted: tuple[tuple[datetime, datetime], ...]
+    gradual: bool = False
+
+    @property
+    def within_s(self) -> float:
+        """Seconds between the two readings."""
+        return (self.doubted[0][1] - self.doubted[0][0]).total_seconds()
+
+    def doubts(self, time: datetime) -> bool:
+        """Return whether this wall time may be from either side of the step."""
+        return any(since <= time <= until for since, until in self.doubted)
+
+
+def step_between(before: ClockReading, now: ClockReading, *, least_s: float) -> ClockStep | None:
+    """Return the step between two readings; None where there is none of more than `least_s`.
+
+    A kernel that slews its clock slews its monotonic clock alike, so that their difference moves by steps alone.
+    """
+    elapsed = timedelta(seconds=now.monotonic_s - before.monotonic_s)
+    step_s = (now.wall - before.wall - elapsed).total_seconds()
+    if abs(step_s) <= least_s + before.within_s + now.within_s:
+        return None
+    return ClockStep(
+        step_s=step_s,
+        at=now.wall,
+        found_s=now.monotonic_s,
+        doubted=((before.wall, before.wall + elapsed), (now.wall - elapsed, now.wall)),
+    )
+
+
+class GradualSteps:
+    """Finds steps that are too small to be found from one look to the next, by comparing readings far apart."""
+
+    def __init__(self) -> None:
+        self._anchors: dict[float, ClockReading] = {}
+
+    def restart(self, reading: ClockReading) -> None:
+        """Compare with this reading from now on: the clock was set, and that is known."""
+        self._anchors = dict.fromkeys(_WINDOWS_S, reading)
+
+    def step_to(self, reading: ClockReading, *, least_s: float) -> ClockStep | None:
+        """Return the sum of the steps over a window that has ended with this reading; None where it is too small."""
+        for window_s in _WINDOWS_S:
+            anchor = self._anchors.setdefault(window_s, reading)
+            elapsed_s = reading.monotonic_s - anchor.monotonic_s
+            if elapsed_s < window_s:
+                continue
+            self._anchors[window_s] = reading
+            step = step_between(anchor, reading, least_s=least_s + _SLEW * elapsed_s)
+            if step is not None:
+                self.restart(reading)
+                return replace(step, gradual=True)
+        return None
+
+
+class UntrustedTimes:
+    """Intervals of wall time in which the clock could not be trusted.
+
+    A frame is dated when it is taken and its sighting stored later, perhaps when the clock is right again.
+    """
+
+    def __init__(self) -> None:
+        self._intervals: deque[tuple[datetime, datetime]] = deque(maxlen=_INTERVALS_KEPT)
+        self._growing = False
+
+    def note(self, before: ClockReading | None, now: ClockReading, *, step: ClockStep | None, trusted: bool) -> None:
+        """Take a look at the clock: its reading, the one before, the step between them, and whether it is trusted."""
+        since = now.wall if before is None else before.wall
+        if step is not None:
+            if self._growing:
+                self._grow(step.doubted[0][1])
+            self._growing, since = False, step.doubted[1][0]
+        if self._growing:
+            self._grow(now.wall)
+        elif not trusted:
+            self._intervals.append((since, now.wall))
+        self._growing = not trusted
+
+    def _grow(self, until: datetime) -> None:
+        self._intervals[-1] = (self._intervals[-1][0], until)
+
+    def covers(self, time: datetime) -> bool:
+        """Return whether a wall time is in an interval in which the clock could not be trusted."""
+        return any(since <= time < until for since, until in self._intervals)
+
 
 _log = logging.getLogger(__name__)
 
@@ -331,3 +448,110 @@ class ClockWatch:
     def _put(self, code: str, finding: Finding | None, *, log: bool = False) -> None:
         """Set or clear a condition; without `log` where an event says the same."""
         self._board.set_condition(code, None if finding is None else Reason.of(finding, MESSAGES), log=log)
+
+
+# Conditions of the clock that dates the frames.
+
+_ABOUT_S = 1.0
+"""How near to TAI less UTC a difference must be to be called that."""
+
+
+def stepped(code: str, clock: str, step: ClockStep) -> Finding:
+    """Return that a clock was set, or moved in small steps."""
+    how = f"in small steps within {step.within_s:.0f} s" if step.gradual else "at once"
+    at = rfc3339(step.at, timespec="seconds")
+    return Finding(code, {"clock": clock, "step_s": step.step_s, "how": how, "at": at})
+
+
+def is_tai(offset_s: float) -> bool:
+    """Return whether two clocks differ by about TAI less UTC, which no wrong clock does but by chance."""
+    return abs(abs(offset_s) - TAI_MINUS_UTC_S) < _ABOUT_S
+
+
+def camera_offset(offset_s: float, *, limit_s: float) -> Finding:
+    """Return that the camera's time is not the host's, and what that difference looks like."""
+    if is_tai(offset_s):
+        cause = f"; {TAI_MINUS_UTC_S:.0f} s is TAI - UTC"
+        remedy = f'set camera.timestamp_scale = "{"tai" if offset_s > 0.0 else "utc"}"'
+    else:
+        cause = ""
+        remedy = (
+            "check the camera's PTP master and the host's time service; set camera.timestamp_offset_s for a known "
+            'offset, or camera.timestamps = "host"'
+        )
+    return Finding("camera_clock_offset", {"offset_s": offset_s, "limit_s": limit_s, "cause": cause, "remedy": remedy})
+
+
+# Whether the host's clock has agreed with monotonic time for long enough after a large step.
+
+LARGE_STEP_S = 60.0
+"""From this size on a step is no correction of a disciplined clock: a minute turns the sky by 0.25 degrees."""
+SETTLE_S = 600.0
+"""How long a clock must go without a large or gradual step afterwards; time services settle within minutes."""
+IMPLAUSIBLE_SETTLE_S = 86_400.0
+"""The same where the new time contradicts both the time before and the record: longer than a fault is left alone."""
+_LONGEST_GAP = timedelta(days=2)
+"""A service that ran until now has a newer sighting than this, unless the sky was covered."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Settling:
+    began_s: float
+    wait_s: float
+
+
+class ClockAgreement:
+    """Remembers how the wall clock stood against the monotonic one, and from when on a new time is accepted."""
+
+    def __init__(self) -> None:
+        self._newest_stored: datetime | None = None
+        self._good: ClockReading | None = None
+        self._began_s: float | None = None
+        self._settling: _Settling | None = None
+
+    def wait_s(self, monotonic_s: float) -> float:
+        """Return for how long the clock is still distrusted, seconds; 0 where it is not."""
+        if self._settling is None:
+            return 0.0
+        return max(self._settling.began_s + self._settling.wait_s - monotonic_s, 0.0)
+
+    def begin(self, reading: ClockReading, *, newest_stored: datetime | None, remaining_s: float) -> None:
+        """Take the first reading of the process that can be compared with the record.
+
+        Parameters
+        ----------
+        reading : wall time and monotonic time.
+        newest_stored : the newest time in the record with a good clock; None without one.
+        remaining_s : what is left of a wait that an earlier process began, seconds.
+        """
+        self._began_s, self._newest_stored = reading.monotonic_s, newest_stored
+        if newest_stored is not None:
+            gap = reading.wall - newest_stored
+            if not -timedelta(seconds=LARGE_STEP_S) <= gap <= _LONGEST_GAP:  # not one service's end and start
+                remaining_s = max(remaining_s, SETTLE_S)
+        if remaining_s > self.wait_s(reading.monotonic_s):
+            self._settling = _Settling(reading.monotonic_s, min(remaining_s, IMPLAUSIBLE_SETTLE_S))
+
+    def stepped(self, reading: ClockReading) -> float:
+        """Start the wait after a large or gradual step, and return its length in seconds."""
+        wait_s = SETTLE_S if self._is_plausible(reading) else IMPLAUSIBLE_SETTLE_S
+        self._settling = _Settling(reading.monotonic_s, wait_s)
+        return wait_s
+
+    def agreed(self, reading: ClockReading) -> None:
+        """Take a reading of a clock that is synchronised; once settled, later steps are compared with it."""
+        if self.wait_s(reading.monotonic_s) == 0.0:
+            self._settling = None
+            self._good = reading
+
+    def _is_plausible(self, reading: ClockReading) -> bool:
+        """Return whether a new time agrees with the last good one, or follows shortly on the record."""
+        if self._good is None:
+            return True  # nothing is known that it could contradict
+        since_good = timedelta(seconds=reading.monotonic_s - self._good.monotonic_s)
+        if abs((reading.wall - self._good.wall - since_good).total_seconds()) <= LARGE_STEP_S:
+            return True
+        if self._newest_stored is None or self._began_s is None:
+            return False
+        ran = timedelta(seconds=reading.monotonic_s - self._began_s)
+        return self._newest_stored <= reading.wall <= self._newest_stored + ran + _LONGEST_GAP
