@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from sunarc.cholesky import factored, halved, solved
+from sunarc.compiled_math import factored, halved, solved
 
 
 def _positive(size: int) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:

@@ -9,7 +9,7 @@ import pytest
 
 from sunarc import extras
 from sunarc.errors import InputError
-from sunarc.exports.discovery import Table, Variable
+from sunarc.exports.exported import Table, Variable
 from sunarc.exports.tables import netcdf_bytes
 from sunarc.extras import extra_module, is_installed
 

@@ -18,8 +18,8 @@ import population as pop
 from coverage_statistics import CHI_SQUARE_95, squared_sigmas
 from numpy.typing import NDArray
 
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.model.sightings import SunPoints
 from sunarc.optics.forward import project
 from sunarc.sky.sun import sun_directions

@@ -26,9 +26,9 @@ from astropy.io import fits
 from netCDF4 import Dataset
 
 from sunarc.detection.values import Expectation
-from sunarc.offline.detect_files import detect_in_image
-from sunarc.offline.sources.frames import images_in
-from sunarc.offline.sources.opening import open_source
+from sunarc.reanalysis.detect_files import detect_in_image
+from sunarc.reanalysis.image_files import images_in
+from sunarc.reanalysis.sources import open_source
 from sunarc.simulation.made_archive import photograph
 
 _QUALITY = 90

@@ -19,13 +19,11 @@ from pathlib import Path
 from time import perf_counter, process_time
 from typing import NamedTuple
 
-from sunarc.offline.reanalysis.cameras_file import read_cameras
-from sunarc.offline.reanalysis.cluster import Workers, open_cluster
-from sunarc.offline.reanalysis.index import index_archive
-from sunarc.offline.reanalysis.ledger import ImageId, Known, Ledger
-from sunarc.offline.reanalysis.look import Chunk, Item, look_at
-from sunarc.offline.reanalysis.passes import CHUNK, chunks_of
-from sunarc.offline.reanalysis.plan import CameraPlan, Selector
+from sunarc.reanalysis.cluster import Workers, open_cluster
+from sunarc.reanalysis.index import CameraPlan, Selector, index_archive, read_cameras
+from sunarc.reanalysis.ledger import ImageId, Known, Ledger
+from sunarc.reanalysis.look import Chunk, Item, look_at
+from sunarc.reanalysis.passes import CHUNK, chunks_of
 from sunarc.runtime.clock import SystemClock
 from sunarc.simulation.made_archive import FOUR_CAMERAS, MadeArchive, write_archive
 from sunarc.simulation.truth import SGP

@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 
 from sunarc.calibration.model.residual_field import wave_basis
 from sunarc.optics.camera import Camera
-from sunarc.optics.fast import inverse_table
 from sunarc.optics.forward import project
 from sunarc.optics.inverse import unproject
+from sunarc.optics.inverse_table import inverse_table
 
 FloatArray = NDArray[np.float64]
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.array_types import Image
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance, sigma_px
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.covariance import hemisphere, project_with_covariance, sigma_px
 from sunarc.calibration.model.sightings import SunPoints
 from sunarc.cameras.frame import CameraInfo, Frame
 from sunarc.detection.disc.detect import detect_sun
@@ -26,8 +26,8 @@ from sunarc.simulation.options import SceneOptions, SensorModel
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.sun import sun_angles
-from sunarc.workers.capture.sun_exposure_control import SunExposures
-from sunarc.workers.sensor import SensorOptions, sensor_of
+from sunarc.workers.exposures import SunExposures
+from sunarc.workers.options import SensorOptions, sensor_of
 
 FULL_SCALE = 4095
 START_S = datetime(2013, 5, 13, 11, tzinfo=UTC).timestamp()

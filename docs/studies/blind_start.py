@@ -19,9 +19,8 @@ import nights
 import numpy as np
 import population as pop
 
-from sunarc.calibration.blind_start.start import blind_start
-from sunarc.calibration.blind_start.values import BlindOptions, NightImage
-from sunarc.calibration.model.covariance import hemisphere
+from sunarc.calibration.answers.covariance import hemisphere
+from sunarc.calibration.start.blind_start import BlindOptions, NightDetections, blind_start
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles
@@ -71,7 +70,7 @@ def drawn(seed: int) -> tuple[np.random.Generator, Site, Camera, float]:
 
 def night_images(
     seed: int, night: nights.Night, late_s: float
-) -> tuple[Site, Camera, list[NightImage], list[list[str]]]:
+) -> tuple[Site, Camera, list[NightDetections], list[list[str]]]:
     """Return the images of a night, with the sky of a clock that is late, and the true names of the detections."""
     rng, site, camera, begin = drawn(seed)
     images, names = [], []
@@ -80,7 +79,7 @@ def night_images(
         stars, known = nights.detections(rng, camera, night_sky(when, site, faintest=5.5), night)
         inside = np.flatnonzero(np.all((stars.pixels > 0.0) & (stars.pixels < size - 1.0), axis=-1))
         sky = night_sky(when + late_s, site, faintest=5.5)
-        images.append(NightImage(unix_s=when, stars=stars.select(inside), sky=sky))
+        images.append(NightDetections(unix_s=when, stars=stars.select(inside), sky=sky))
         names.append([known[row] for row in inside])
     return site, camera, images, names
 

@@ -24,8 +24,8 @@ from real_like_tracks import drawn_aside
 from scipy.spatial.transform import Rotation
 
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.change_detection.detect_change import update_window
-from sunarc.calibration.change_detection.values import Change, Sighting, SightingWindow, WatchOptions
+from sunarc.calibration.changes.detect_change import update_window
+from sunarc.calibration.changes.values import Change, Sighting, SightingWindow, WatchOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import SunPoints
 from sunarc.optics.camera import Camera

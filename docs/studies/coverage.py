@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 from ranks import FIELD_LENGTHS
 from ranks import amplitude_px as drawn_amplitude_px
 
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.backward import camera_sees
-from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.optics.camera import Camera
 from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles

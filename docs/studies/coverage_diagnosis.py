@@ -31,16 +31,16 @@ from numpy.typing import NDArray
 from real_like_fits import sky_error_px
 from real_like_tracks import real_like_track
 
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.fit import robust_fit
-from sunarc.calibration.fit.hyperparameter_grid import HyperparameterGrid
-from sunarc.calibration.least_squares import priors
+from sunarc.calibration.fit.marginal_likelihood import HyperparameterGrid
 from sunarc.calibration.model.backward import camera_sees
-from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.model.options import CalibrationOptions, LensTolerances
 from sunarc.calibration.model.residual_field import wave_basis
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.solve import priors
 from sunarc.optics.camera import RADIAL_ORDERS, Camera
 from sunarc.optics.projections import ideal_radius
 

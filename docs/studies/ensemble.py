@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from sunarc.calibration.ensemble import draw_ensemble
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.answers.direction_table import lookup
+from sunarc.calibration.answers.error_model import draw_ensemble
 from sunarc.calibration.model.backward import camera_sees
-from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
-from sunarc.calibration.model.direction_table import lookup
-from sunarc.offline.project_files import read_calibration
+from sunarc.offline.calibration_files import read_calibration
 
 
 def main() -> None:

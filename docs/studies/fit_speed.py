@@ -21,11 +21,11 @@ from scipy.optimize import least_squares
 
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.fit.marginal_likelihood import prior_precision
-from sunarc.calibration.least_squares.priors import lens_prior
-from sunarc.calibration.least_squares.problem import observations, problem_for
-from sunarc.calibration.least_squares.solve import most_probable
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.sightings import SunPoints, filter_sightings
+from sunarc.calibration.solve.levenberg_marquardt import most_probable
+from sunarc.calibration.solve.priors import lens_prior
+from sunarc.calibration.solve.problem import observations, problem_for
 from sunarc.optics.camera import Camera
 
 FloatArray = NDArray[np.float64]

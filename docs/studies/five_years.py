@@ -34,9 +34,8 @@ from fastapi import FastAPI
 
 from sunarc.api.app import create_app
 from sunarc.api.options import ApiOptions
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.camera_archive import CameraArchive
-from sunarc.archive.schema import upgrade
+from sunarc.archive.archive import Archive, CameraArchive, open_archive
+from sunarc.archive.database.schema import upgrade
 from sunarc.archive.values import CameraRecord, Day, Event, Refit
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.optics.forward import project_fast
@@ -44,7 +43,7 @@ from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.status import StatusRegistry
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.sun import sun_angles, sun_directions
-from sunarc.workers.calibrating.judge_days import DayJudge
+from sunarc.workers.calibrating.monitor import DayJudge
 from sunarc.workers.calibrating.refit import RefitOptions, RefitWorker
 
 _START = datetime(2013, 5, 13, 6, 30, tzinfo=UTC)

@@ -30,8 +30,8 @@ from numpy.typing import NDArray
 from real_like_tracks import Draw, Lens, Track, real_like_track
 from scipy.spatial.transform import Rotation
 
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.model.result import Calibration
 from sunarc.sky.sun import sun_directions
 

@@ -21,19 +21,16 @@ import population as pop
 from coverage_statistics import CHI_SQUARE_95, squared_sigmas
 from numpy.typing import NDArray
 
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.least_squares.priors import LENS
-from sunarc.calibration.lens_library.combination import Unit, lens_type_of
 from sunarc.calibration.lens_library.conditioning import with_lens
-from sunarc.calibration.lens_library.first_pose import first_pose
-from sunarc.calibration.lens_library.frame import frame_of
-from sunarc.calibration.lens_library.joint import Entry, calibrate_jointly
-from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread
-from sunarc.calibration.lens_library.mounting import north_sigma_deg
-from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.lens_library.first_pose import first_pose, north_sigma_deg
+from sunarc.calibration.lens_library.joint import Entry, Unit, calibrate_jointly, lens_type_of
+from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread, frame_of
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.solve.priors import LENS
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector

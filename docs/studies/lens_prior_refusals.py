@@ -28,17 +28,16 @@ from coverage import Case, lens_of
 from lens_prior import SPREAD, record
 from numpy.typing import NDArray
 
+from sunarc.calibration.answers.covariance import hemisphere
+from sunarc.calibration.answers.error_model import error_model_of, joint_covariance, predicted
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.least_squares.priors import LENS, Whitened
-from sunarc.calibration.lens_library.combination import Unit, lens_type_of
 from sunarc.calibration.lens_library.first_pose import calibrate_with_lens
-from sunarc.calibration.lens_library.frame import frame_of
-from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread
+from sunarc.calibration.lens_library.joint import Unit, lens_type_of
+from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread, frame_of
 from sunarc.calibration.model.backward import camera_sees
-from sunarc.calibration.model.covariance import hemisphere
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.pose.error_model import error_model_of, joint_covariance, predicted
+from sunarc.calibration.solve.priors import LENS, Whitened
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.projections import PROJECTIONS, Projection

@@ -10,8 +10,7 @@ from __future__ import annotations
 import argparse
 from datetime import UTC, datetime
 
-from sunarc.imaging.brightness import Exposed
-from sunarc.imaging.level import Level, factor_all_over, level_of
+from sunarc.imaging.brightness import Exposed, Level, factor_all_over, level_of
 from sunarc.simulation.options import WEATHERS, SceneOptions
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP, true_camera

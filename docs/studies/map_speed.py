@@ -35,7 +35,7 @@ from sunarc.api.middleware.connection_limit import BoundedConnection
 from sunarc.api.options import ApiOptions
 from sunarc.archive.values import Refit
 from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.preflight import listen
+from sunarc.runtime.host import listen
 from sunarc.runtime.status import StatusRegistry
 
 MAP = "/v1/back-projection-map"

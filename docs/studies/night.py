@@ -23,17 +23,16 @@ from coverage_statistics import CHI_SQUARE_95, bootstrap_interval, squared_sigma
 from numpy.typing import NDArray
 
 from sunarc.array_types import stacked
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.fit.hyperparameter_grid import DECENTERING_LOG_SIGMA, RADIAL_LOG_SIGMA
-from sunarc.calibration.fit.systematic_errors import DECENTRED_PX, OFFSET_PX, POSE_DIFFERENCE_DEG
-from sunarc.calibration.least_squares.priors import LENS, N_LENS, Whitened, lens_prior, precisions
+from sunarc.calibration.fit.marginal_likelihood import DECENTERING_LOG_SIGMA, RADIAL_LOG_SIGMA
+from sunarc.calibration.fit.robust_fit import DECENTRED_PX, OFFSET_PX, POSE_DIFFERENCE_DEG
 from sunarc.calibration.messages import text_of
-from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
-from sunarc.calibration.model.kinds import Kind
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints
-from sunarc.calibration.selection.star_selection import MOST_STARS, image_parts, surest_of_parts
+from sunarc.calibration.model.sightings import Kind, SunPoints
+from sunarc.calibration.selection import MOST_STARS, image_parts, surest_of_parts
+from sunarc.calibration.solve.priors import LENS, N_LENS, Whitened, lens_prior, precisions
 from sunarc.detection.stars.matching import match_stars
 from sunarc.optics.camera import PRINCIPAL_POINT, Camera
 from sunarc.optics.forward import project

@@ -21,28 +21,25 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from sunarc.archive.archive import open_archive
-from sunarc.archive.camera_archive import CameraArchive
-from sunarc.archive.schema import upgrade
+from sunarc.archive.archive import CameraArchive, open_archive
+from sunarc.archive.database.schema import upgrade
 from sunarc.archive.values import CameraRecord, Refit
 from sunarc.calibration.model.backward import BackwardModel
 from sunarc.calibration.model.document import to_document
-from sunarc.calibration.model.metrics import Metrics
 from sunarc.calibration.model.residual_field import Field, WaveBasis
-from sunarc.calibration.model.result import Calibration, Provenance, Verdict
+from sunarc.calibration.model.result import Calibration, Metrics, Provenance, Verdict
 from sunarc.cameras.frame import Frame
-from sunarc.detection.stars.trend import NightLimits, NightTrend, dew_suspected, focus_ratio
+from sunarc.detection.stars.photometry import NightLimits, NightTrend, dew_suspected, focus_ratio
 from sunarc.optics.camera import Camera
 from sunarc.optics.pose import pose_angles
 from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation.night_options import NightOptions
-from sunarc.simulation.options import SceneOptions, Weather
+from sunarc.simulation.options import NightOptions, SceneOptions, Weather
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP, true_camera
-from sunarc.workers.bounded_queue import DropOldestQueue
+from sunarc.workers.loop import DropOldestQueue
 from sunarc.workers.night.exposures import NightCapture, NightExposures
 from sunarc.workers.night.night import NightWorker
-from sunarc.workers.sensor import SensorOptions
+from sunarc.workers.options import SensorOptions
 
 EXPOSURE_US = 5e6
 IMAGES = 9

@@ -14,24 +14,21 @@ import time
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from sunarc.archive.archive import open_archive
-from sunarc.archive.camera_archive import CameraArchive
-from sunarc.archive.schema import upgrade
+from sunarc.archive.archive import CameraArchive, open_archive
+from sunarc.archive.database.schema import upgrade
 from sunarc.archive.values import CameraRecord, Refit
 from sunarc.cameras.frame import Frame
 from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation.night_options import NightOptions
-from sunarc.simulation.options import SceneOptions
+from sunarc.simulation.options import NightOptions, SceneOptions
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP, true_camera
-from sunarc.sky.moon import moon_disc
+from sunarc.sky.night import moon_disc
 from sunarc.utc import utc_time
-from sunarc.workers.bounded_queue import DropOldestQueue
-from sunarc.workers.night.exposures import NightCapture, NightExposures
+from sunarc.workers.loop import DropOldestQueue
+from sunarc.workers.night.exposures import MoonExposures, NightCapture, NightExposures
 from sunarc.workers.night.moon import MoonCapture
-from sunarc.workers.night.moon_exposures import MoonExposures
 from sunarc.workers.night.night import NightWorker
-from sunarc.workers.sensor import SensorOptions
+from sunarc.workers.options import SensorOptions
 
 BEGIN = datetime(2013, 5, 18, 3, 20, tzinfo=UTC)
 SLOT_S, SLOTS = 600.0, 72

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from sunarc.robust_statistics import biweights, mad_sigma
 from sunarc.simulation.truth import SGP
-from sunarc.sky.air import relative_air_mass
 from sunarc.sky.directions import angles_from_direction
 from sunarc.sky.night import night_sky
+from sunarc.sky.site import relative_air_mass
 
 BEGIN_UNIX_S = 1_368_421_200.0
 """2013-05-13 05:00 UTC: night at the site until 10 h."""

@@ -22,12 +22,11 @@ from typing import Any
 import numpy as np
 from coverage_statistics import CHI_SQUARE_95, squared_sigmas
 
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.camera_archive import CameraArchive
-from sunarc.archive.schema import upgrade
+from sunarc.archive.archive import Archive, CameraArchive, open_archive
+from sunarc.archive.database.schema import upgrade
 from sunarc.archive.values import CameraRecord, Refit, SunPoint
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.model.document import to_document
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
@@ -35,18 +34,17 @@ from sunarc.cameras.frame import Frame
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation.night_options import NightOptions
-from sunarc.simulation.options import SceneOptions
+from sunarc.simulation.options import NightOptions, SceneOptions
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.night import body_directions
 from sunarc.sky.sun import sun_angles, sun_directions
 from sunarc.utc import utc_time
-from sunarc.workers.bounded_queue import DropOldestQueue
 from sunarc.workers.calibrating.refit import Task, next_task
+from sunarc.workers.loop import DropOldestQueue
 from sunarc.workers.night.exposures import NightCapture, NightExposures
 from sunarc.workers.night.night import NightWorker
-from sunarc.workers.sensor import SensorOptions
+from sunarc.workers.options import SensorOptions
 
 DARK = datetime(2013, 5, 14, 3, 30, tzinfo=UTC)
 FULL_MOON = datetime(2013, 5, 25, 4, 0, tzinfo=UTC)

@@ -19,8 +19,7 @@ import population as pop
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
-from sunarc.detection.stars.matching import match_stars
-from sunarc.detection.stars.still import sky_motion, standing_still
+from sunarc.detection.stars.matching import match_stars, sky_motion, standing_still
 from sunarc.optics.camera import Camera
 from sunarc.optics.pose import rotation_matrix, rotation_vector
 

@@ -31,17 +31,15 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from sunarc.array_types import stacked
-from sunarc.calibration.model.kinds import Kind
+from sunarc.calibration.answers.stars import StarView, match_views
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Kind, SunPoints
 from sunarc.calibration.quality.acceptance import accept
-from sunarc.calibration.selection.star_selection import MOST_STARS, image_parts, surest_of_parts
-from sunarc.calibration.star_views import StarView, match_views
+from sunarc.calibration.selection import MOST_STARS, image_parts, surest_of_parts
 from sunarc.cameras.frame import Frame
-from sunarc.detection.stars.values import Stars
+from sunarc.detection.values import Stars
 from sunarc.optics.camera import Camera
-from sunarc.simulation.night_options import NightOptions
-from sunarc.simulation.options import SceneOptions, SensorModel
+from sunarc.simulation.options import NightOptions, SceneOptions, SensorModel
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.workers.night.night import decide_night, summary_of

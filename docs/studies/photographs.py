@@ -24,9 +24,9 @@ import numpy as np
 
 from sunarc.array_types import BoolArray, Image
 from sunarc.detection.photo.ordinary_image import detect_sun_in_photo
-from sunarc.detection.photo.static_mask import static_mask
+from sunarc.detection.photo.plateau import static_mask
 from sunarc.detection.values import Detection
-from sunarc.offline.files import read_image
+from sunarc.reanalysis.files import read_image
 
 _FULL_SCALE = {"uint8": 255, "uint16": 65535}
 _REDUCED_PX = 640  # smaller side of the images of which the mask is made

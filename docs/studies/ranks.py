@@ -23,8 +23,8 @@ import population as pop
 from coverage_statistics import bootstrap_interval, squared_sigmas
 from numpy.typing import NDArray
 
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.model.options import CalibrationOptions
 
 FloatArray = NDArray[np.float64]

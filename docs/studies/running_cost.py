@@ -31,7 +31,7 @@ from types import FrameType
 import numpy as np
 
 from sunarc.archive.archive import open_archive
-from sunarc.archive.schema import upgrade
+from sunarc.archive.database.schema import upgrade
 from sunarc.archive.values import CameraRecord
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.document import from_document, to_document

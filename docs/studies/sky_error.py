@@ -19,8 +19,8 @@ import population as pop
 from coverage_statistics import CHI_SQUARE_95, degrees_from_track, every_so_many, squared_sigmas
 from numpy.typing import NDArray
 
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.optics.forward import project
 

@@ -21,10 +21,9 @@ from tests.fixtures.calibrations import SITE, chosen_calibration, refused
 from sunarc.api.app import create_app
 from sunarc.api.options import ApiOptions
 from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.housekeeping_values import Housekeeping
+from sunarc.archive.database.schema import upgrade
 from sunarc.archive.images import ImageStore
-from sunarc.archive.schema import upgrade
-from sunarc.archive.values import CameraRecord, Day, Event, Refit, SunPoint
+from sunarc.archive.values import CameraRecord, Day, Event, Housekeeping, Refit, SunPoint
 from sunarc.calibration.model.document import to_document
 from sunarc.calibration.model.result import Calibration
 from sunarc.findings import Finding

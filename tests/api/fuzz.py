@@ -28,7 +28,7 @@ from sunarc.api.app import create_app
 from sunarc.api.options import ApiOptions
 from sunarc.archive.values import Refit
 from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.preflight import listen
+from sunarc.runtime.host import listen
 from sunarc.runtime.status import StatusRegistry
 
 CONFIG = Path(__file__).with_name("schemathesis.toml")

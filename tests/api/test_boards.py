@@ -21,16 +21,15 @@ from tests.api.test_event_stream import serving
 from tests.fixtures.calibrations import SITE
 from tests.fixtures.ports import free_port
 
-from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.archive import CameraArchive
+from sunarc.archive.database.store import Reserve
 from sunarc.archive.images import DiskOptions, ImageStore
-from sunarc.archive.space_reserve import Reserve
 from sunarc.archive.values import Day, Event, Refit
 from sunarc.findings import Finding
 from sunarc.runtime.clock import ClockState, SystemClock, VirtualClock
-from sunarc.workers.disk_space import DiskWorker
+from sunarc.workers.clock_watch import ClockOptions, ClockWatch, FrameTime
 from sunarc.workers.messages import MESSAGES
-from sunarc.workers.timing.clock_watch import ClockOptions, ClockWatch
-from sunarc.workers.timing.frame_time import FrameTime
+from sunarc.workers.upkeep import DiskWorker
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made

@@ -9,7 +9,7 @@ import httpx
 import numpy as np
 import pytest
 
-from sunarc.calibration.model.covariance import project_with_covariance, sigma_px, unproject_with_sigma
+from sunarc.calibration.answers.covariance import project_with_covariance, sigma_px, unproject_with_sigma
 from sunarc.calibration.model.document import from_document
 from sunarc.sky.directions import angles_from_direction, angular_distance, direction_from_angles
 

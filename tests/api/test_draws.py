@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sunarc.api.options import ApiOptions
-from sunarc.calibration.ensemble import MOST_DRAWS, draw_ensemble
+from sunarc.calibration.answers.error_model import MOST_DRAWS, draw_ensemble
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made

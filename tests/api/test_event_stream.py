@@ -23,8 +23,8 @@ from tests.fixtures.calibrations import SITE
 from sunarc.api import app
 from sunarc.api.middleware.connection_limit import BoundedConnection
 from sunarc.api.options import ApiOptions
-from sunarc.api.routes import event_stream
-from sunarc.api.routes.event_stream import Follower
+from sunarc.api.routes import record as event_stream
+from sunarc.api.routes.record import Follower
 from sunarc.archive.values import CameraRecord, Event
 from sunarc.client import Imager, ImagerEvent
 from sunarc.runtime.status import Reason, WorkerStatus

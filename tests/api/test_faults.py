@@ -12,9 +12,8 @@ from starlette.types import Receive, Scope, Send
 from tests.api.test_problems import check_shape
 from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
-from sunarc.api.fault_log import FaultLog
-from sunarc.api.middleware.client_address import client_network
-from sunarc.api.problems import FaultGuard
+from sunarc.api.middleware.holdings import client_network
+from sunarc.api.problems import FaultGuard, FaultLog
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made

@@ -23,19 +23,18 @@ from tests.fixtures.fleet import NOW, new_imager, next_batch, sighting
 from tests.fixtures.postgresql import TEMPLATE, running_server
 from tests.workers.test_full_disk import mounted
 
-from sunarc.api.hub_app import create_hub_app
+from sunarc.api.app import create_hub_app
 from sunarc.api.options import ApiOptions
 from sunarc.api.routes.feed import _MOST_BYTES, token_digest
 from sunarc.api.routes.fleet import SILENT
 from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.cross_check import CrossCheck
-from sunarc.archive.feed_values import feed_lines
-from sunarc.archive.nightly import NightlyRun
-from sunarc.archive.schema import head_revision
+from sunarc.archive.database.schema import head_revision
+from sunarc.archive.fleet.feed_rows import feed_lines
+from sunarc.archive.fleet.nightly import CrossCheck, NightlyRun
 from sunarc.archive.values import Day
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import Reason, StatusRegistry, StatusSnapshot
-from sunarc.workers.database_file import StoreRoomWorker
+from sunarc.workers.upkeep import StoreRoomWorker
 
 TOKEN = "the token of the camera roof"  # noqa: S105 - of the test alone
 METRICS = {

@@ -12,11 +12,11 @@ import pytest
 from tests.fixtures.archive import make_empty
 from tests.fixtures.fleet import NOW
 
-from sunarc.api.hub_app import create_hub_app
+from sunarc.api.app import create_hub_app
 from sunarc.api.options import ApiOptions
 from sunarc.api.routes.feed import _LARGE_AT_ONCE, _LARGE_BYTES, FeedReceiver
 from sunarc.archive.archive import open_archive
-from sunarc.archive.schema import head_revision
+from sunarc.archive.database.schema import head_revision
 from sunarc.runtime.status import StatusSnapshot
 
 CAMERAS = 60  # more than the pool has threads

@@ -15,8 +15,8 @@ import uvicorn
 from starlette.types import Receive, Scope, Send
 from tests.api.test_problems import check_shape
 
+from sunarc.api.middleware.admission import ConcurrencyLimit, TokenBuckets
 from sunarc.api.middleware.connection_limit import BoundedConnection
-from sunarc.api.middleware.rate_limit import ConcurrencyLimit, TokenBuckets
 from sunarc.api.options import ApiOptions
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from sunarc.archive.images import DiskOptions, ImageStore
 from sunarc.archive.values import Event
 from sunarc.findings import Finding
 from sunarc.workers.messages import MESSAGES
-from sunarc.workers.night.picture import night_picture, store_picture
+from sunarc.workers.night.images import night_picture, store_picture
 
 MIDNIGHT = datetime(2013, 5, 13, 6, 0, tzinfo=UTC)
 BODIES: list[dict[str, Any]] = [

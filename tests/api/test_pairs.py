@@ -13,12 +13,12 @@ import pytest
 from tests.api.conftest import LENS, NOON, Client, calibration
 from tests.fixtures.archive import make_empty
 
-from sunarc.api.hub_app import create_hub_app
+from sunarc.api.app import create_hub_app
 from sunarc.api.options import ApiOptions
 from sunarc.archive.archive import open_archive
 from sunarc.archive.values import CameraRecord
 from sunarc.calibration.model.document import to_document
-from sunarc.geolocation.ellipsoid import _frame
+from sunarc.geolocation.locate import _frame
 from sunarc.optics.forward import project
 from sunarc.runtime.status import StatusSnapshot
 from sunarc.sky.site import Site

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from tests.api.conftest import NOON
 
-from sunarc.api import answering
+from sunarc.api import bulk as answering
 from sunarc.utc import rfc3339
 
 if TYPE_CHECKING:

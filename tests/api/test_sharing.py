@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from sunarc.api.compute_slots import ComputeSlots
+from sunarc.api.bulk import ComputeSlots
 from sunarc.api.middleware.holdings import Holding, Holdings
 from sunarc.api.problems import RefusedError
 

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from tests.api.test_slow_clients import SMALL, connect, serving
 
-from sunarc.api.compute_slots import ComputeSlots
+from sunarc.api.bulk import ComputeSlots
 from sunarc.api.problems import RefusedError
 from sunarc.api.routes import maps
 from sunarc.api.routes.stored_answers import AnswerFiles, Content, Tagged, byte_range
-from sunarc.calibration.model.maps import back_projection_map
+from sunarc.calibration.answers.direction_table import back_projection_map
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     from fastapi import Request
     from tests.api.conftest import Made, Make
 
-    from sunarc.calibration.model.direction_table import Lookup
-    from sunarc.calibration.model.maps import BackProjectionMap
+    from sunarc.calibration.answers.direction_table import BackProjectionMap, Lookup
 
 PATHS = ("/v1/remap?size=32", "/v1/masks/sun", "/v1/masks/horizon")
 RATE_BYTES_PER_S = 50_000

@@ -9,13 +9,12 @@ from tests.fixtures.archive import make_empty, new_archive
 from tests.fixtures.fleet import NOW, feed, new_imager, sighting
 
 from sunarc.app.pushing import fleet_states, imager_states, push_workers
-from sunarc.archive.archive import open_archive
-from sunarc.archive.camera_archive import CameraArchive
-from sunarc.archive.feed_values import Refusal
+from sunarc.archive.archive import CameraArchive, open_archive
+from sunarc.archive.fleet.feed_rows import Refusal
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.sky.site import Site
-from sunarc.workers.pushing.options import PushOptions
+from sunarc.workers.options import PushOptions
 
 HOOK = "http://127.0.0.1:9/hook"
 

@@ -13,7 +13,7 @@ from tests.fixtures.cameras import INFO
 from tests.workers.clock_faults import START, Imager
 
 from sunarc.archive.archive import Archive
-from sunarc.archive.sighting_revisions import LENS_CHANGED
+from sunarc.archive.sightings import LENS_CHANGED
 from sunarc.cameras.frame import CameraInfo
 from sunarc.runtime.clock import ClockState
 

@@ -16,7 +16,7 @@ import uvicorn
 
 from sunarc.app.serving import Server, stop_on_signals
 from sunarc.runtime.clock import SystemClock
-from sunarc.runtime.heartbeats import Heartbeat
+from sunarc.runtime.supervisor import Heartbeat
 
 PATIENCE_S = 20.0  # only a failing test waits as long
 

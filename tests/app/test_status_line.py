@@ -14,8 +14,8 @@ from tests.fixtures.board import START
 
 from sunarc.app.status_line import FirstFrame, StatusLine
 from sunarc.runtime.clock import VirtualClock
+from sunarc.runtime.host import Notifier
 from sunarc.runtime.status import Reason, StatusRegistry
-from sunarc.runtime.systemd import Notifier
 
 
 @pytest.fixture

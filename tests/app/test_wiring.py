@@ -21,25 +21,23 @@ from tests.fixtures.settings import new_settings
 
 from sunarc.app import serving, simulating
 from sunarc.app.cameras import camera_opener, camera_record
-from sunarc.app.recording import imager_recording
-from sunarc.app.service import Service
+from sunarc.app.service import Service, imager_recording
 from sunarc.app.serving import Server, _monitored, _schedule, serve_imager, with_credentials
 from sunarc.archive.archive import open_archive
-from sunarc.archive.schema import upgrade
-from sunarc.archive.sighting_revisions import ELSEWHERE
+from sunarc.archive.database.schema import upgrade
+from sunarc.archive.sightings import ELSEWHERE
 from sunarc.cameras.frame import CameraCondition, CameraInfo, Frame
 from sunarc.cli import service as commands
 from sunarc.detection.values import Detection
 from sunarc.errors import ConfigurationError, OutsideError
 from sunarc.runtime.clock import ClockState, VirtualClock
-from sunarc.runtime.heartbeats import Heartbeat
-from sunarc.runtime.preflight import listen
+from sunarc.runtime.host import listen
 from sunarc.runtime.status import DiskStatus, Reason
+from sunarc.runtime.supervisor import Heartbeat
 from sunarc.settings.model import Settings
 from sunarc.simulation.imager import ImagerOptions
-from sunarc.workers.condition_times import ConditionTimesWorker
-from sunarc.workers.housekeeping import HousekeepingWorker
-from sunarc.workers.pushing.webhook import webhook_name
+from sunarc.workers.push import webhook_name
+from sunarc.workers.upkeep import ConditionTimesWorker, HousekeepingWorker
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 FRAME = Frame(

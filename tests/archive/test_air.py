@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from sunarc.archive.csv_files import read_sightings, write_sightings
-from sunarc.archive.schema import downgrade, upgrade
+from sunarc.archive.database.schema import downgrade, upgrade
 from sunarc.archive.values import DayAir, SunPoint
 from sunarc.errors import InputError, NotFoundError
 from sunarc.sky.site import Site

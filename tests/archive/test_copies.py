@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.backup import backup, backup_into, restore
-from sunarc.archive.schema import check, downgrade, head_revision, upgrade
+from sunarc.archive.database.backup import backup, backup_into, restore
+from sunarc.archive.database.schema import check, downgrade, head_revision, upgrade
 from sunarc.archive.values import Event
 from sunarc.errors import InputError, OutsideError
 

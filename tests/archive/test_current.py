@@ -11,8 +11,7 @@ import pytest
 from tests.archive.test_calibrations import MAY, document
 
 from sunarc.archive import calibrations
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.archive import Archive, CameraArchive, open_archive
 from sunarc.errors import InputError
 from sunarc.sky.site import Site
 
@@ -102,7 +101,7 @@ def test_every_command_opens_the_archive_in_a_with_statement() -> None:
     found = [
         f"{path.relative_to(SOURCES)}:{node.lineno}"
         for path in sorted(SOURCES.rglob("*.py"))
-        if path.parts[-2] in {"cli", "offline", "diagnostics"}
+        if path.parts[-2] in {"cli", "offline", "reanalysis", "diagnostics"}
         for node in ast.walk(ast.parse(path.read_text("utf-8")))
         if isinstance(node, ast.Assign) and "open_archive(" in ast.unparse(node.value)
     ]

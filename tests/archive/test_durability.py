@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.schema import check
+from sunarc.archive.database.schema import check
 from sunarc.archive.values import SunPoint
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.sighting_revisions import LENS_CHANGED
+from sunarc.archive.sightings import LENS_CHANGED
 from sunarc.errors import InputError
 
 from .conftest import NOON

@@ -15,9 +15,8 @@ from tests.archive.test_calibrations import document
 from tests.fixtures.fleet import NOON, NOW, batch_of, feed, new_imager, next_batch, sighting
 
 from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.feed_rows import FED
-from sunarc.archive.feed_values import FeedBatch, FeedRow, Refusal, read_feed_lines
-from sunarc.archive.feeds import FUTURE
+from sunarc.archive.fleet.feed_rows import FED, FeedBatch, FeedRow, Refusal, read_feed_lines
+from sunarc.archive.fleet.feeds import FUTURE
 from sunarc.archive.values import Day, DayAir, Event, Refit
 from sunarc.errors import NotFoundError
 from sunarc.findings import Finding

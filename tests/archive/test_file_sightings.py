@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.file_sightings import image_key
-from sunarc.archive.schema import downgrade, upgrade
+from sunarc.archive.database.schema import downgrade, upgrade
+from sunarc.archive.sightings import image_key
 from sunarc.archive.values import Event, SunPoint
 from sunarc.errors import InputError
 from sunarc.utc import to_microseconds

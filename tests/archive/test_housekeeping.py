@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sunarc.archive.archive import Archive
-from sunarc.archive.housekeeping_values import Housekeeping, merged
+from sunarc.archive.values import Housekeeping, merged
 
 MIDNIGHT = datetime(2026, 5, 13, tzinfo=UTC)
 

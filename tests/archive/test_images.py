@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from sunarc.archive.database.store import Reserve
 from sunarc.archive.images import DiskOptions, ImageStore
-from sunarc.archive.space_reserve import Reserve
 from sunarc.errors import InputError, OutsideError
 
 NOON = datetime(2013, 5, 13, 18, 30, 0, 123_456, tzinfo=UTC)

@@ -15,9 +15,9 @@ import pyproj
 import pytest
 
 from sunarc.archive.csv_files import read_pairs, read_sightings, write_columns, write_sightings
+from sunarc.archive.database.store import Reserve
 from sunarc.archive.images import DiskOptions, ImageStore
-from sunarc.archive.sites import SITE_LIMIT_M, distance_m, require_same_site
-from sunarc.archive.space_reserve import Reserve
+from sunarc.archive.sightings import SITE_LIMIT_M, distance_m, require_same_site
 from sunarc.archive.values import CameraRecord
 from sunarc.errors import InputError, OutsideError
 from sunarc.sky.site import Site

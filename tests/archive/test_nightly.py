@@ -12,7 +12,7 @@ from tests.archive.test_current import serve
 from tests.fixtures.archive import store_sun_point
 
 from sunarc.archive.archive import Archive
-from sunarc.archive.nightly import NightlyRun
+from sunarc.archive.fleet.nightly import NightlyRun
 from sunarc.archive.values import CameraRecord, Day, Event
 from sunarc.errors import OutsideError
 from sunarc.sky.days import day_bounds_unix_s
@@ -71,7 +71,7 @@ def test_summaries_are_of_days_and_cameras_that_are_asked_for(archive: Archive) 
 
 
 def test_of_many_days_every_one_is_summarised(archive: Archive, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sunarc.archive.nightly._AT_ONCE", 3)
+    monkeypatch.setattr("sunarc.archive.fleet.nightly._AT_ONCE", 3)
     for number in range(7):
         judge(archive, DATE + timedelta(days=number))
     assert (archive.summarise_days(), archive.summarise_days()) == (7, 0)

@@ -16,12 +16,10 @@ from tests.archive.test_calibrations import document
 from tests.fixtures.fleet import NOON, new_imager, sighting
 
 from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.feed_rows import FED, STATUS, columns_of, problem_of
-from sunarc.archive.feed_values import FeedRow, feed_lines, read_feed_lines
-from sunarc.archive.housekeeping_values import Housekeeping
-from sunarc.archive.outbox import _triggers
-from sunarc.archive.tables import metadata
-from sunarc.archive.values import Day, DayAir, Event, Refit
+from sunarc.archive.database.tables import metadata
+from sunarc.archive.fleet.feed_rows import FED, STATUS, FeedRow, columns_of, feed_lines, problem_of, read_feed_lines
+from sunarc.archive.fleet.outbox import _triggers
+from sunarc.archive.values import Day, DayAir, Event, Housekeeping, Refit
 from sunarc.errors import InputError
 from sunarc.findings import Finding
 

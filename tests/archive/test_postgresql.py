@@ -19,11 +19,10 @@ from tests.fixtures.fleet import NOW, batch_of, feed, new_imager, sighting
 from tests.fixtures.postgresql import TEMPLATE, Server, running_server
 
 from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.engine import writing
-from sunarc.archive.feed_values import FeedBatch
-from sunarc.archive.schema import check, head_revision, upgrade_server
-from sunarc.archive.server import create_server_engine, server_url
-from sunarc.archive.tables import metadata
+from sunarc.archive.database.connections import create_server_engine, server_url, writing
+from sunarc.archive.database.schema import check, head_revision, upgrade_server
+from sunarc.archive.database.tables import metadata
+from sunarc.archive.fleet.feed_rows import FeedBatch
 from sunarc.archive.values import SunPoint
 from sunarc.errors import InputError, OutsideError, SchemaError, StoreFullError
 

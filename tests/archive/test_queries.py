@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.schema import _revisions, check, downgrade, upgrade
-from sunarc.archive.seen import sun_point_of
+from sunarc.archive.database.schema import _revisions, check, downgrade, upgrade
+from sunarc.archive.sightings import sun_point_of
 from sunarc.archive.values import SunPoint
 from sunarc.detection.values import Detection
 from sunarc.sky.days import solar_date

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from sunarc.archive import recovery
 from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.backup import backup_into, newest_sound_copy, restore
-from sunarc.archive.recovery import prepare_database, upgrade_present
-from sunarc.archive.schema import check, downgrade, upgrade
+from sunarc.archive.database import recovery
+from sunarc.archive.database.backup import backup_into, newest_sound_copy, restore
+from sunarc.archive.database.recovery import prepare_database, upgrade_present
+from sunarc.archive.database.schema import check, downgrade, upgrade
 from sunarc.archive.values import Event
 from sunarc.errors import ConfigurationError, InputError, OutsideError
 

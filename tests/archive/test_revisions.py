@@ -11,13 +11,12 @@ from pathlib import Path
 import pytest
 
 from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.feed_values import FeedBatch, FeedRow, Refusal
-from sunarc.archive.housekeeping_values import Housekeeping
-from sunarc.archive.night_images import NightImage
-from sunarc.archive.nightly import NightlyRun
-from sunarc.archive.schema import check, downgrade, upgrade
-from sunarc.archive.tables import metadata
-from sunarc.archive.values import Day, DayAir, Event, Refit, SunPoint
+from sunarc.archive.database.schema import check, downgrade, upgrade
+from sunarc.archive.database.tables import metadata
+from sunarc.archive.days import NightImage
+from sunarc.archive.fleet.feed_rows import FeedBatch, FeedRow, Refusal
+from sunarc.archive.fleet.nightly import NightlyRun
+from sunarc.archive.values import Day, DayAir, Event, Housekeeping, Refit, SunPoint
 from sunarc.findings import Finding, uncoded
 
 from .conftest import NOON

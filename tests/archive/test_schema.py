@@ -12,9 +12,9 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import create_engine
 
 from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.backup import backup
-from sunarc.archive.schema import check, head_revision, upgrade
-from sunarc.archive.tables import metadata
+from sunarc.archive.database.backup import backup
+from sunarc.archive.database.schema import check, head_revision, upgrade
+from sunarc.archive.database.tables import metadata
 from sunarc.archive.values import CameraRecord
 from sunarc.errors import ConfigurationError, InputError, OutsideError, SchemaError
 
@@ -122,7 +122,7 @@ def test_a_database_that_is_locked_by_another_process_is_said_to_be_locked(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     upgrade(path)
-    monkeypatch.setattr("sunarc.archive.engine._BUSY_TIMEOUT_MS", 50)
+    monkeypatch.setattr("sunarc.archive.database.connections._BUSY_TIMEOUT_MS", 50)
     with closing(sqlite3.connect(path, isolation_level=None)) as other:
         other.execute("BEGIN IMMEDIATE")
         with pytest.raises(OutsideError, match="database is locked"):

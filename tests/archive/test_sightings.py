@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sunarc.archive.archive import Archive
-from sunarc.archive.types import UtcTime
+from sunarc.archive.database.tables import UtcTime
 from sunarc.archive.values import PoseEpoch, SunPoint
 from sunarc.errors import InputError
 

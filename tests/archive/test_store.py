@@ -15,10 +15,17 @@ import pytest
 from sqlalchemy import insert, text
 
 from sunarc.archive.archive import open_archive
-from sunarc.archive.engine import create_archive_engine, reading, writing
-from sunarc.archive.file import DELETED, EMPTIED, REPLACED, DatabaseFile
-from sunarc.archive.store import given
-from sunarc.archive.tables import camera, sun_point
+from sunarc.archive.database.connections import (
+    DELETED,
+    EMPTIED,
+    REPLACED,
+    DatabaseFile,
+    create_archive_engine,
+    reading,
+    writing,
+)
+from sunarc.archive.database.store import given
+from sunarc.archive.database.tables import camera, sun_point
 from sunarc.archive.values import CameraRecord, SunPoint
 from sunarc.errors import ConfigurationError, InputError, OutsideError
 

@@ -9,7 +9,7 @@ import pytest
 from sqlalchemy import TypeDecorator
 from sqlalchemy.dialects import sqlite
 
-from sunarc.archive.types import CalendarDate, FindingTuple, JsonObject, NumberTuple, UtcTime, Word
+from sunarc.archive.database.tables import CalendarDate, FindingTuple, JsonObject, NumberTuple, UtcTime, Word
 from sunarc.findings import UNCODED, Finding, uncoded
 from sunarc.utc import to_microseconds
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from sqlalchemy import Connection, create_engine, insert, select
 
-from sunarc.archive.tables import calibration, camera, metadata
-from sunarc.archive.validity import clear_interval, end_others, set_columns, with_interval
+from sunarc.archive.calibration_rows import clear_interval, end_others, set_columns, with_interval
+from sunarc.archive.database.tables import calibration, camera, metadata
 from sunarc.archive.values import CalibrationRecord
 
 from .conftest import NOON, ROOF

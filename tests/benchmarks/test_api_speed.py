@@ -20,7 +20,7 @@ from sunarc.api.app import create_app
 from sunarc.api.options import ApiOptions
 from sunarc.archive.archive import open_archive
 from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.preflight import listen
+from sunarc.runtime.host import listen
 from sunarc.runtime.status import StatusRegistry
 
 _PIXEL = b'{"pixels": [[871.96, 700.0]]}'

@@ -11,20 +11,18 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from sunarc.calibration.answers.direction_table import back_projection_map, lookup
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.fit.marginal_likelihood import Scales, prior_precision
 from sunarc.calibration.fit.normal_equations import irls_converged, linear_system
-from sunarc.calibration.initial_guess.coarse_search import single_problem
-from sunarc.calibration.least_squares.problem import Observations, Problem, observations
-from sunarc.calibration.least_squares.time_bins import time_bins
-from sunarc.calibration.model.direction_table import lookup
-from sunarc.calibration.model.maps import back_projection_map
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.residual_field import wave_basis
 from sunarc.calibration.model.sightings import FilteredSightings, SunPoints, filter_sightings
+from sunarc.calibration.solve.problem import FitProblem, Observations, observations, time_bins
+from sunarc.calibration.start.initial_guess import single_problem
 from sunarc.optics.camera import Camera
-from sunarc.optics.fast import inverse_table
 from sunarc.optics.forward import project
+from sunarc.optics.inverse_table import inverse_table
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles, sun_directions
 
@@ -63,7 +61,7 @@ class _Task:
         self.seen: Observations = observations(self.usable).weighted(np.full(len(self.usable), 4.0))
         start = replace(TRUTH, focal_length_px=(605.0, 605.0), principal_point_px=(876.0, 880.0), radial=(0.0,) * 8)
         start = replace(start, decentering=(1e-5, 1e-5, 0.0, 0.0), rotation_cam_enu=(0.02, -0.01, 0.81))
-        self.problem: Problem = single_problem(self.seen, start, CalibrationOptions(), None)
+        self.problem: FitProblem = single_problem(self.seen, start, CalibrationOptions(), None)
         self.start = self.problem.unknowns([start])
         self.root = np.sqrt(prior_precision(self.problem.size, 2.0, 0.7))
 

@@ -142,7 +142,7 @@ class Field:
             )
 
     def order(self, register: str, value: int) -> None:
-        """Write a register of the imager, by its name in `sunarc.simulation.genicam`."""
+        """Write a register of the imager, by its name in `sunarc.simulation.fake_camera`."""
         assert self._imager is not None
         assert self._imager.stdin is not None
         self._imager.stdin.write(f"{register} {value}\n")

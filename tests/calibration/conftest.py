@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.covariance import hemisphere
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import SunPoints
 from sunarc.optics.camera import Camera

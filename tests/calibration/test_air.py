@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from tests.calibration.conftest import SGP, SIZE, TRUTH, rms, times_of
 
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance, sun_with_covariance
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.covariance import hemisphere, project_with_covariance, sun_with_covariance
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import SunPoints
 from sunarc.optics.forward import project

@@ -9,9 +9,8 @@ import population as pop
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.calibration.batch import Batch
-from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.covariance import hemisphere
+from sunarc.calibration.answers.covariance import hemisphere
+from sunarc.calibration.calibrate import Batch, calibrate
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Method
 from sunarc.calibration.model.sightings import SunPoints
 from sunarc.errors import InputError

@@ -15,15 +15,14 @@ import population as pop
 import pytest
 from tests.finding_codes import codes
 
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import SunPoints
 from sunarc.optics.camera import Camera
-from sunarc.optics.forward import project
+from sunarc.optics.forward import project, rising_limit
 from sunarc.optics.projections import Projection, ideal_radius
-from sunarc.optics.stretch import rising_limit
 from sunarc.sky.site import Site
 
 if TYPE_CHECKING:

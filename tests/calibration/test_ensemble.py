@@ -10,10 +10,18 @@ import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibration import small_camera, stated_calibration
 
-from sunarc.calibration.ensemble import MOST_DRAWS, Ensemble, _drawn, _root, draw_ensemble
-from sunarc.calibration.model.covariance import hemisphere, project_with_covariance, sigma_deg
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance, sigma_deg
+from sunarc.calibration.answers.error_model import (
+    MOST_DRAWS,
+    Ensemble,
+    _drawn,
+    _root,
+    draw_ensemble,
+    error_model_of,
+    joint_covariance,
+    predicted,
+)
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.pose.error_model import error_model_of, joint_covariance, predicted
 from sunarc.errors import InputError
 from sunarc.optics.camera import PARAMETER_NAMES
 from sunarc.optics.forward import project, project_with_rows_fast

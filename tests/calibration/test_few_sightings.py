@@ -7,8 +7,8 @@ import pytest
 from tests.calibration.conftest import times_of
 from tests.finding_codes import codes
 
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import SunPoints
 from sunarc.optics.camera import Camera

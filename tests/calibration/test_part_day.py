@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from tests.calibration.conftest import times_of
 
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.model.sightings import SunPoints
 from sunarc.optics.forward import project
 from sunarc.simulation.truth import SGP, true_camera

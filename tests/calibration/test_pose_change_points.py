@@ -15,10 +15,10 @@ from scipy.spatial.transform import Rotation
 from tests.finding_codes import codes
 
 from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.changes.change_points import calibrate_moved
 from sunarc.calibration.model.document import from_document, to_document
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import SunPoints
-from sunarc.calibration.pose_change_points import calibrate_moved
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector

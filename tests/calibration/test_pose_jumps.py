@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from tests.fixtures.calibration import filtered_sightings, small_camera, stated_calibration, sun_arc
 
-from sunarc.calibration import pose_change_points as module
-from sunarc.calibration import pose_step_search as search
+from sunarc.calibration.answers.error_model import rotated
+from sunarc.calibration.changes import change_points as module
+from sunarc.calibration.changes import step_search as search
+from sunarc.calibration.changes.change_points import best_row
 from sunarc.calibration.model.sightings import FilteredSightings
-from sunarc.calibration.pose.error_model import rotated
-from sunarc.calibration.pose_change_points import best_row
 from sunarc.optics.forward import project
 
 FloatArray = NDArray[np.float64]

@@ -12,10 +12,10 @@ from scipy.special import gamma, kv
 from scipy.stats import multivariate_normal
 from tests.fixtures.calibration import filtered_sightings, small_camera, sun_arc
 
-from sunarc.calibration import pose_step_evidence as module
+from sunarc.calibration.answers.error_model import rotated
+from sunarc.calibration.changes import change_points as module
+from sunarc.calibration.changes.change_points import Amplitudes, Episode, log_bayes_factor
 from sunarc.calibration.model.sightings import FilteredSightings
-from sunarc.calibration.pose.error_model import rotated
-from sunarc.calibration.pose_step_evidence import Amplitudes, Episode, log_bayes_factor
 from sunarc.optics.forward import project
 
 FloatArray = NDArray[np.float64]

@@ -9,11 +9,11 @@ import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibration import SGP, small_camera, stated_calibration
 
-from sunarc.calibration import pose_step_search as module
+from sunarc.calibration.answers.error_model import rotated
+from sunarc.calibration.changes import step_search as module
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration, Move
 from sunarc.calibration.model.sightings import SunPoints
-from sunarc.calibration.pose.error_model import rotated
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.sky.days import solar_days
@@ -23,7 +23,7 @@ FloatArray = NDArray[np.float64]
 
 NOON = 1_368_403_200.0 + 43_200.0 + 97.484856 * 240.0
 """13 May 2013, local mean solar noon at SGP."""
-SEARCH = module._Search(site=SGP, image_size=(640, 480), options=CalibrationOptions(), circle=None)
+SEARCH = module._StepSearch(site=SGP, image_size=(640, 480), options=CalibrationOptions(), circle=None)
 
 
 def test_each_step_is_dated_by_the_poses_on_its_two_sides(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -55,7 +55,7 @@ def test_the_days_about_a_jump_are_fitted_and_no_others(monkeypatch: pytest.Monk
     first = int(solar_days(times[:1], longitude=SGP.longitude)[0])
     fitted: list[list[int]] = []
 
-    def verified(_: module._Search, whole: SunPoints, some: SunPoints) -> list[module.PoseStep]:
+    def verified(_: module._StepSearch, whole: SunPoints, some: SunPoints) -> list[module.PoseStep]:
         assert len(whole) == len(points)
         fitted.append(np.unique(solar_days(some.unix_s, longitude=SGP.longitude)).tolist())
         return []
@@ -64,7 +64,7 @@ def test_the_days_about_a_jump_are_fitted_and_no_others(monkeypatch: pytest.Monk
         assert daily.day.tolist() == list(range(first, first + 9))
         return [(first + 4, first + 6), (first, first + 1)]
 
-    monkeypatch.setattr(module._Search, "_verified", verified)
+    monkeypatch.setattr(module._StepSearch, "_verified", verified)
     monkeypatch.setattr(module, "_spans", spans)
     assert SEARCH.steps(points, _known_lens()) == []
     assert fitted == [[first + 4, first + 5, first + 6], [first, first + 1]]

@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 from real_like_fits import compared, sky_error_px
 from real_like_tracks import Draw, drawn_aside, real_like_track
 
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.fit.hyperparameter_grid import scale_grid
-from sunarc.calibration.fit.least_squares_reference import at_least_least_squares
-from sunarc.calibration.fit.noise_by_sort import Course
-from sunarc.calibration.initial_guess.multistart import lowest
-from sunarc.calibration.least_squares.priors import lens_prior
-from sunarc.calibration.least_squares.problem import Observations, Problem, observations, problem_for
-from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.fit.marginal_likelihood import scale_grid
+from sunarc.calibration.fit.robust_rounds import at_least_least_squares
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import SunPoints, filter_sightings
+from sunarc.calibration.noise import Course
+from sunarc.calibration.solve.priors import lens_prior
+from sunarc.calibration.solve.problem import FitProblem, Observations, observations, problem_for
+from sunarc.calibration.start.multistart import lowest
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix
 from sunarc.sky.site import Site
@@ -88,7 +88,7 @@ def test_where_every_second_sighting_states_far_more_that_is_stated() -> None:
     assert finding.data["factor"] == factor
 
 
-def _problem(track_seed: int) -> tuple[Problem, Observations, Course, NDArray[np.float64]]:
+def _problem(track_seed: int) -> tuple[FitProblem, Observations, Course, NDArray[np.float64]]:
     """Return the problem of a clear track, its sightings, their course and the unknowns of a camera near the truth."""
     track = real_like_track(track_seed, EQUIDISTANT, cloud="none", tilt_deg=2.0, half_day=False, gaps=False)
     fit = calibrate(track.points, site=track.site, image_size=track.image_size, options=track.options)

@@ -7,8 +7,8 @@ import pytest
 from population import CASE_3
 from tests.fixtures.calibrations import SITE, chosen_calibration
 
-from sunarc.calibration.model.covariance import project_with_covariance, sigma_px
-from sunarc.calibration.star_prediction import predict_stars
+from sunarc.calibration.answers.covariance import project_with_covariance, sigma_px
+from sunarc.calibration.answers.stars import predict_stars
 from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.night import NightSky
 

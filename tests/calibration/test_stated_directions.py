@@ -7,12 +7,12 @@ import population as pop
 import pytest
 from numpy.typing import NDArray
 
+from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.least_squares.time_bins import time_bins
-from sunarc.calibration.model.covariance import hemisphere
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import SunPoints, apparent_directions, filter_sightings
+from sunarc.calibration.solve.problem import time_bins
 from sunarc.errors import InputError
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from tests.calibration.conftest import NOON_13_MAY_2013, SGP, TRUTH
 
 from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.changes.change_points import calibrate_moved
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, PaperOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import SunPoints
-from sunarc.calibration.pose.estimate_pose import estimate_pose
-from sunarc.calibration.pose_change_points import calibrate_moved
+from sunarc.calibration.pose import estimate_pose
 from sunarc.optics.camera import PARAMETER_NAMES, Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles

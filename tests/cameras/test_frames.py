@@ -21,11 +21,10 @@ from sunarc.cameras.aravis import (
     setter,
     wait_for_last_reference,
 )
+from sunarc.cameras.features import Link, buffer_limit, route_mtu
 from sunarc.cameras.frame import CameraInfo, full_scale_of, middle_of_exposure
-from sunarc.cameras.link import Link, buffer_limit, route_mtu
-from sunarc.cameras.options import AravisOptions
+from sunarc.cameras.options import AravisOptions, utc_of_timestamp
 from sunarc.cameras.packed import pack
-from sunarc.cameras.timestamps import utc_of_timestamp
 from sunarc.errors import CameraError, CameraTimeoutError, InputError
 from sunarc.imaging.exposure import ExposureBounds
 from sunarc.runtime.clock import VirtualClock

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, get_args
 
 import pytest
 
+from sunarc.archive.database.recovery import Recovered
 from sunarc.archive.messages import code_of_event
-from sunarc.archive.recovery import Recovered
 from sunarc.archive.values import RefitState
-from sunarc.calibration.change_detection.values import ChangeKind
+from sunarc.calibration.changes.values import ChangeKind
 from sunarc.cli.codes import all_codes, codes_as_markdown
 
 if TYPE_CHECKING:

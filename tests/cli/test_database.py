@@ -11,7 +11,7 @@ import xarray as xr
 from tests.fixtures.postgresql import postgresql
 
 from sunarc.archive.archive import open_archive
-from sunarc.archive.lock import lock_state
+from sunarc.archive.database.state_folder import lock_state
 from sunarc.archive.values import CameraRecord, DayAir
 
 if TYPE_CHECKING:

@@ -13,8 +13,8 @@ from tests.fixtures.fleet import NOW
 
 from sunarc.api.routes.feed import token_digest
 from sunarc.archive.archive import open_archive
-from sunarc.archive.cross_check import CrossCheck
-from sunarc.archive.feed_values import Refusal
+from sunarc.archive.fleet.feed_rows import Refusal
+from sunarc.archive.fleet.nightly import CrossCheck
 from sunarc.settings.load import load_hub_settings
 
 if TYPE_CHECKING:

@@ -12,12 +12,11 @@ import numpy as np
 import pytest
 
 from sunarc.app.cameras import require_stored_site
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.camera_archive import CameraArchive
-from sunarc.archive.lock import lock_state
+from sunarc.archive.archive import Archive, CameraArchive, open_archive
+from sunarc.archive.database.state_folder import lock_state
 from sunarc.archive.values import Refit
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.diagnostics.checks import run_checks
+from sunarc.diagnostics import run_checks
 from sunarc.errors import InputError
 from sunarc.optics.forward import project
 from sunarc.runtime.clock import VirtualClock

@@ -6,7 +6,7 @@ from io import StringIO
 
 from rich.console import Console
 
-from sunarc.cli.output import table
+from sunarc.cli.options import table
 
 ID = "20130514T063000Z-ab12cd"
 

@@ -11,7 +11,7 @@ from tests.offline.reanalysis.in_process import InProcess, use
 from tests.offline.sources.archives import GREY, encoded, folder_of
 
 from sunarc.cli import reanalyse as command
-from sunarc.offline.reanalysis.results import Summary
+from sunarc.reanalysis.results import Summary
 
 __all__ = ["sunarc"]
 

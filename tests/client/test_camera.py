@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.fixtures.calibration import current_document, distinctive_calibration
 
-from sunarc.calibration.model.covariance import hemisphere, project_with_covariance, unproject_with_sigma
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance, unproject_with_sigma
 from sunarc.client import CameraModel
 
 SKY = hemisphere(60)

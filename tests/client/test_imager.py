@@ -21,12 +21,12 @@ from sunarc.api.app import create_app
 from sunarc.api.options import ApiOptions
 from sunarc.archive.archive import open_archive
 from sunarc.archive.images import ImageStore
-from sunarc.calibration.model.covariance import project_with_covariance, unproject_with_sigma
+from sunarc.calibration.answers.covariance import project_with_covariance, unproject_with_sigma
 from sunarc.calibration.model.document import from_document
 from sunarc.client import Imager, ImagerError
 from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.messages import of_worker
 from sunarc.runtime.status import StatusRegistry
+from sunarc.runtime.supervisor import of_worker
 from sunarc.workers.messages import condition
 
 ROOT = Path(__file__).parents[2]

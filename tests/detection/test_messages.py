@@ -10,7 +10,7 @@ import pytest
 from tests.finding_codes import codes
 
 from sunarc import detection
-from sunarc.detection.disc.bracket import beside, combine
+from sunarc.detection.disc.series import beside, combine
 from sunarc.detection.messages import MESSAGES, reason_of
 from sunarc.detection.values import Detection, Verdict
 from sunarc.findings import Finding

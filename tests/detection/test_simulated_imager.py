@@ -10,7 +10,7 @@ import pytest
 
 from sunarc.detection.disc.detect import detect_sun
 from sunarc.detection.values import Expectation, Sensor
-from sunarc.optics.stretch import local_stretch
+from sunarc.optics.forward import local_stretch
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.sun import sun_angles

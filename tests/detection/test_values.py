@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 
 from sunarc.array_types import Image
-from sunarc.detection.frames import require_raw
-from sunarc.detection.options import DiscOptions
-from sunarc.detection.values import Expectation, Sensor, bayer_of
+from sunarc.detection.values import DiscOptions, Expectation, Sensor, bayer_of, require_raw
 from sunarc.errors import InputError
 
 STRETCH = ((565.0, 0.0), (0.0, 640.0))

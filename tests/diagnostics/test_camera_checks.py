@@ -12,9 +12,9 @@ import pytest
 from tests.fixtures.cameras import INFO
 from tests.fixtures.settings import new_settings
 
+from sunarc import diagnostics as camera_checks
 from sunarc.cameras.frame import CameraCondition, CameraInfo, Frame
-from sunarc.diagnostics import checks as camera_checks
-from sunarc.diagnostics.checks import _exposures, _trial, survey
+from sunarc.diagnostics import _exposures, _trial, survey
 from sunarc.errors import CameraError, CameraLostError, CameraSilentError, CameraTimeoutError
 from sunarc.runtime.clock import VirtualClock
 

@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibrations import chosen_calibration
 
+from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.model.backward import camera_sees
-from sunarc.calibration.model.covariance import hemisphere
 from sunarc.calibration.model.document import to_document
 from sunarc.exports.exported import Exported
 from sunarc.exports.formats import Format, export

@@ -10,11 +10,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 from tests.exports.conftest import LENS, FloatArray
 
+from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.model.backward import camera_sees
-from sunarc.calibration.model.covariance import hemisphere
 from sunarc.errors import InputError
-from sunarc.exports.comparison import ZENITH_RANGES_DEG, compare
-from sunarc.exports.view import View, camera_view, rotated
+from sunarc.exports.view import ZENITH_RANGES_DEG, View, camera_view, compare, rotated
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from tests.exports.conftest import LENS, document_of
 
-from sunarc.calibration.model.covariance import hemisphere
+from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.model.document import from_document
 from sunarc.calibration.model.residual_field import wave_basis
 from sunarc.exports.formats import FILE_NAMES, Format, export

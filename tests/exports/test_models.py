@@ -20,18 +20,16 @@ from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 from tests.exports.conftest import LENS, FloatArray, document_of
 
-from sunarc.calibration.model.maps import BackProjectionMap
+from sunarc.calibration.answers.direction_table import BackProjectionMap
 from sunarc.errors import InputError
 from sunarc.exports.asi_core import asi_core_yaml, mask_files
-from sunarc.exports.comparison import compare
-from sunarc.exports.discovery import Table, Variable
+from sunarc.exports.exported import Table, Variable
 from sunarc.exports.fisheye import fisheye_model, fisheye_view, pixels_of_rays
 from sunarc.exports.formats import FILE_NAMES, FORMATS, MAP_FORMATS, MEDIA_TYPES, export
 from sunarc.exports.mrcal import _bending, _design, cameramodel, splined_model, splined_view
 from sunarc.exports.ocam import ocam_model
-from sunarc.exports.sky import sky_of
 from sunarc.exports.tables import _every, netcdf_bytes, npz_bytes
-from sunarc.exports.view import camera_view
+from sunarc.exports.view import camera_view, compare, sky_of
 from sunarc.optics.camera import Camera
 
 SKY = sky_of(LENS, within=math.radians(80.0))

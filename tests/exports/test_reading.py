@@ -13,11 +13,9 @@ import scipy.io
 from tests.exports.conftest import LENS, Export, document_of, worst_stated_deg, worst_stated_px
 
 from sunarc.errors import InputError
-from sunarc.exports.comparison import compare
 from sunarc.exports.formats import FORMATS, export
-from sunarc.exports.reading import _BY_CONTENT, read_view
-from sunarc.exports.start import closest_camera
-from sunarc.exports.view import camera_view
+from sunarc.exports.reading import _BY_CONTENT, closest_camera, read_view
+from sunarc.exports.view import camera_view, compare
 from sunarc.optics.camera import Camera
 
 SMALL = Camera(

@@ -10,7 +10,7 @@ import xarray as xr
 from scipy.interpolate import RegularGridInterpolator
 from tests.exports.conftest import FloatArray, worst_stated_px
 
-from sunarc.calibration.model.covariance import unproject_with_sigma
+from sunarc.calibration.answers.covariance import unproject_with_sigma
 from sunarc.calibration.model.document import from_document
 from sunarc.exports.formats import export, export_map
 from sunarc.optics.camera import Camera

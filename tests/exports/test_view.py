@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from tests.exports.conftest import LENS, FloatArray, apart_deg
 
+from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.model.backward import camera_sees
-from sunarc.calibration.model.covariance import hemisphere
 from sunarc.exports.view import camera_view, grid_view, lens_view, rotated
 from sunarc.optics.forward import project
 from sunarc.optics.inverse import unproject

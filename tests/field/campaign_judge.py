@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.model.document import from_document
 from sunarc.optics.forward import project
 from sunarc.sky.site import Site

@@ -27,10 +27,10 @@ from sunarc.cameras.options import AravisOptions
 from sunarc.imaging.exposure import SunExposureOptions
 from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.workers.bounded_queue import DropOldestQueue
-from sunarc.workers.capture.capture import CaptureOptions, CaptureWorker
-from sunarc.workers.capture.sun_exposure_control import SunExposures
-from sunarc.workers.timing.frame_time import FrameTime
+from sunarc.workers.capture import CaptureOptions, CaptureWorker
+from sunarc.workers.clock_watch import FrameTime
+from sunarc.workers.exposures import SunExposures
+from sunarc.workers.loop import DropOldestQueue
 
 _SETTLING = 4
 _UP_DEG, _DOWN_DEG = 60.0, 92.0  # apparent zenith angles: in daylight both

@@ -30,15 +30,13 @@ from tests.fleet.hub_process import HubProcess, processor_s
 from tests.fleet.links import Link, Network, network
 
 from sunarc.api.routes.feed import token_digest
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.archive import Archive, CameraArchive, open_archive
 from sunarc.archive.values import Event
 from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.status import StatusRegistry
 from sunarc.sky.site import Site
-from sunarc.workers.feeding import feed
-from sunarc.workers.feeding.feed import FeedWorker
-from sunarc.workers.feeding.hub_connection import HubConnection, HubOptions
+from sunarc.workers import feed
+from sunarc.workers.feed import FeedWorker, HubConnection, HubOptions
 
 START = datetime(2026, 1, 1, 12, tzinfo=UTC)
 CADENCE_S = 30.0

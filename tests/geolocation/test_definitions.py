@@ -9,8 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from pyproj import Transformer
 
-from sunarc.geolocation.ellipsoid import ECCENTRICITY2, SEMI_MAJOR_M, _frame, geodetic_position
-from sunarc.geolocation.locate import Located, clouds, shadows
+from sunarc.geolocation.locate import ECCENTRICITY2, SEMI_MAJOR_M, Located, _frame, clouds, geodetic_position, shadows
 from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.site import Site
 

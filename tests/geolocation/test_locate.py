@@ -5,8 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from pyproj import Geod, Transformer
 
-from sunarc.geolocation.ellipsoid import geodetic_position
-from sunarc.geolocation.locate import Located, clouds, shadows
+from sunarc.geolocation.locate import Located, clouds, geodetic_position, shadows
 from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.site import Site
 

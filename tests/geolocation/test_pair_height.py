@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pyproj import Transformer
 
 from sunarc.errors import InputError
-from sunarc.geolocation.ellipsoid import _frame
+from sunarc.geolocation.locate import _frame
 from sunarc.geolocation.pair_height import View, pair_height
 from sunarc.sky.site import Site
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from sunarc.archive.schema import upgrade
+from sunarc.archive.database.schema import upgrade
 from sunarc.cli.codes import all_codes
 
 BOOTED = Path(__file__).parents[1] / "booted"

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from sunarc.imaging.darkness import is_dark
+from sunarc.imaging.brightness import is_dark
 from sunarc.simulation.options import SceneOptions, SensorModel, Weather
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP, true_camera

@@ -11,10 +11,16 @@ from numpy.typing import NDArray
 from sunarc.array_types import Image
 from sunarc.detection.values import Bayer, Sensor
 from sunarc.errors import InputError
-from sunarc.imaging.brightness import Exposed, _trimmed, light_ratio_contradiction
-from sunarc.imaging.darkness import is_dark
+from sunarc.imaging.brightness import (
+    Exposed,
+    Level,
+    _trimmed,
+    factor_all_over,
+    is_dark,
+    level_of,
+    light_ratio_contradiction,
+)
 from sunarc.imaging.hdr import _merge, merge_hdr
-from sunarc.imaging.level import Level, factor_all_over, level_of
 from sunarc.imaging.preview import preview as preview_of
 
 FloatArray = NDArray[np.float64]

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.imaging.brightness import Exposed
-from sunarc.imaging.level import MOST_ALL_OVER, Level, factor_all_over, level_of
+from sunarc.imaging.brightness import MOST_ALL_OVER, Exposed, Level, factor_all_over, level_of
 
 FULL_SCALE, BLACK = 4095, 60.0
 SIZE = 300

@@ -11,16 +11,14 @@ import numpy as np
 import population as pop
 
 from sunarc.array_types import stacked
-from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.covariance import hemisphere
-from sunarc.calibration.model.direction_table import lookup
-from sunarc.calibration.model.kinds import Kind
+from sunarc.calibration.answers.covariance import hemisphere
+from sunarc.calibration.answers.direction_table import lookup
+from sunarc.calibration.calibrate import calibrate, reproduce_calibration
+from sunarc.calibration.changes.step_search import find_pose_steps
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints
-from sunarc.calibration.pose.stated_prior import PriorTolerances, calibrate_with_prior
-from sunarc.calibration.pose_step_search import find_pose_steps
-from sunarc.calibration.reproduce import reproduce_calibration
+from sunarc.calibration.model.sightings import Kind, SunPoints
+from sunarc.calibration.stated_prior import PriorTolerances, calibrate_with_prior
 from sunarc.jit import TolerantCache
 from sunarc.offline.compile_kernels import compile_kernels
 from sunarc.optics.forward import project

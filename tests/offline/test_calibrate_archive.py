@@ -16,7 +16,7 @@ from tests.fixtures.calibration import SGP, small_camera, stated_calibration
 from tests.fixtures.settings import new_settings
 
 from sunarc.archive.archive import open_archive
-from sunarc.archive.lock import lock_state
+from sunarc.archive.database.state_folder import lock_state
 from sunarc.archive.values import CameraRecord, SunPoint
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.errors import InputError, OutsideError, SchemaError

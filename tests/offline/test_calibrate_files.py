@@ -16,7 +16,7 @@ from tests.exports.conftest import LENS, document_of
 from tests.fixtures.settings import SGP
 
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.calibration.pose.stated_prior import PriorTolerances
+from sunarc.calibration.stated_prior import PriorTolerances
 from sunarc.errors import InputError
 from sunarc.exports.formats import export
 from sunarc.offline.calibrate_files import _start_camera, calibrate_file, image_circle_of

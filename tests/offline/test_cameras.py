@@ -11,7 +11,7 @@ from tests.fixtures.settings import SGP, new_settings
 
 from sunarc.archive.archive import Archive, open_archive
 from sunarc.errors import InputError
-from sunarc.offline.cameras import known_camera, parse_image_size, register_camera
+from sunarc.reanalysis.cameras import known_camera, parse_image_size, register_camera
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from tests.exports.conftest import LENS, document_of
 
 from sunarc.errors import InputError, OutsideError
 from sunarc.exports.formats import export
-from sunarc.offline.compare_files import compare_files, read_view_file
+from sunarc.offline.calibration_files import compare_files, read_view_file
 
 
 @pytest.fixture(scope="module")

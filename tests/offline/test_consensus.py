@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from tests.fixtures.calibration import SGP, small_camera, stated_calibration
 
-from sunarc.archive.file_sightings import FileSighting
-from sunarc.calibration.least_squares.priors import FREE_NAMES
+from sunarc.archive.sightings import FileSighting
+from sunarc.calibration.solve.priors import FREE_NAMES
 from sunarc.detection.values import Detection, Expectation
-from sunarc.offline.ingest.consensus import as_predicted, expectations, is_consistent, misfit_px
-from sunarc.offline.ingest.index import ImageFile
 from sunarc.optics.forward import project
+from sunarc.reanalysis.consensus import as_predicted, expectations, is_consistent, misfit_px
+from sunarc.reanalysis.index import ImageFile
 from sunarc.sky.sun import sun_angles, sun_directions
 
 CAMERA = small_camera()

@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from sunarc.archive.file_sightings import FileSighting
+from sunarc.archive.sightings import FileSighting
 from sunarc.errors import OutsideError
-from sunarc.offline.ingest.contact_sheet import _ACCEPTED, _REJECTED, _TILE_PX, _TITLE_PX, write_contact_sheet
-from sunarc.offline.ingest.index import ImageFile
+from sunarc.reanalysis.index import ImageFile
+from sunarc.reanalysis.ingest_summary import _ACCEPTED, _REJECTED, _TILE_PX, _TITLE_PX, write_contact_sheet
 
 Pixels = np.ndarray[Any, np.dtype[Any]]
 SIDE = 2 * _TILE_PX

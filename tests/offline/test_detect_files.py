@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sunarc.errors import InputError, OutsideError
-from sunarc.offline.detect_files import (
+from sunarc.reanalysis.detect_files import (
     detect_in_files,
     detect_in_image,
     draw_overlay,

@@ -12,9 +12,8 @@ from tests.detection.photo.suns import glare_image
 
 from sunarc.detection.values import Detection
 from sunarc.findings import Finding
-from sunarc.offline.detect_files import Method
-from sunarc.offline.ingest.detect_image import Task, detect_in_file
-from sunarc.offline.ingest.packed_mask import pack_mask
+from sunarc.reanalysis.detect_files import Method
+from sunarc.reanalysis.look import Task, detect_in_file, pack_mask
 
 SIZE = (60, 50)
 

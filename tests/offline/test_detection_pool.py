@@ -12,9 +12,9 @@ import pytest
 
 from sunarc.detection.values import Detection
 from sunarc.findings import Finding
-from sunarc.offline.ingest import run
-from sunarc.offline.ingest.detect_image import Task
-from sunarc.offline.ingest.run import Answers, detect_in_files, detect_in_pool
+from sunarc.reanalysis import ingest as run
+from sunarc.reanalysis.ingest import Answers, detect_in_files, detect_in_pool
+from sunarc.reanalysis.look import Task
 
 N_TASKS = 8
 EXPECTED = ["hidden" if n % 5 else "file_size_differs" for n in range(N_TASKS)]

@@ -18,7 +18,7 @@ from sunarc.archive.archive import Archive
 from sunarc.archive.values import Day, DayAir, Refit, SunPoint
 from sunarc.errors import InputError, OutsideError
 from sunarc.findings import Finding
-from sunarc.offline.export_archive import _cell, export_everything
+from sunarc.offline.archive_tables import _cell, export_everything
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sunarc.errors import InputError
-from sunarc.offline.files import read_file, read_image, read_lines, require_inside
+from sunarc.reanalysis.files import read_file, read_image, read_lines, require_inside
 
 
 def written(path: Path, image: NDArray[Any]) -> Path:

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sunarc.offline.ingest.image_checks import image_size, read_checked_image
-from sunarc.offline.messages import RefusedImageError
+from sunarc.reanalysis.image_files import image_size, read_checked_image
+from sunarc.reanalysis.messages import RefusedImageError
 
 ROWS, COLUMNS = 48, 64
 GREY: np.ndarray[Any, np.dtype[np.uint8]] = np.random.default_rng(5).integers(0, 255, (ROWS, COLUMNS)).astype(np.uint8)

@@ -13,7 +13,7 @@ from tests.fixtures.settings import new_settings
 from sunarc.archive.archive import open_archive
 from sunarc.archive.csv_files import read_sightings
 from sunarc.errors import InputError
-from sunarc.offline.import_sightings import import_points, write_points
+from sunarc.offline.archive_tables import import_points, write_points
 from sunarc.sky.directions import angles_from_direction
 from sunarc.sky.night import body_directions
 

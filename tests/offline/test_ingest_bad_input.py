@@ -13,8 +13,8 @@ from tests.detection.photo.suns import glare_image
 from tests.fixtures.settings import new_settings
 
 from sunarc.archive.archive import open_archive
-from sunarc.offline.detect_files import detect_in_image
-from sunarc.offline.ingest.run import IngestOptions, ingest_folder
+from sunarc.reanalysis.detect_files import detect_in_image
+from sunarc.reanalysis.ingest import IngestOptions, ingest_folder
 
 SIZE = (64, 48)
 GREY = np.zeros((SIZE[1], SIZE[0]), dtype=np.uint8)

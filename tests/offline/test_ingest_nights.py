@@ -16,15 +16,15 @@ from tests.fixtures.command_line import Sunarc
 from tests.offline.test_star_files import CAMERA, SIZE, night_image
 
 from sunarc.archive.archive import open_archive
+from sunarc.archive.database.schema import upgrade
 from sunarc.archive.images import ImageStore
-from sunarc.archive.schema import upgrade
 from sunarc.archive.values import CameraRecord, SunPointColumns
 from sunarc.calibration.model.document import to_document
-from sunarc.offline.ingest.image_times import Naming, taken
-from sunarc.offline.messages import RefusedImageError
 from sunarc.optics.forward import project
+from sunarc.reanalysis.image_times import Naming, taken
+from sunarc.reanalysis.messages import RefusedImageError
 from sunarc.sky.night import body_directions
-from sunarc.workers.night.picture import night_picture, store_picture
+from sunarc.workers.night.images import night_picture, store_picture
 
 NIGHT = ("20260313T060000Z", "20260313T064000Z", "20260313T072000Z")
 

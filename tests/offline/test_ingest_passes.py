@@ -19,15 +19,17 @@ from sunarc.archive.archive import open_archive
 from sunarc.archive.values import SunPoint
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import SunPoints
-from sunarc.detection.photo.exposure_stack import Exposure
+from sunarc.detection.photo.ordinary_image import Exposure
 from sunarc.detection.values import Detection, Expectation
 from sunarc.findings import Finding
-from sunarc.offline.ingest import consensus, detect_image, run
-from sunarc.offline.ingest import run as detect_stack
-from sunarc.offline.ingest.run import PREDICTED, UNPREDICTED, IngestOptions, ingest_folder
-from sunarc.offline.ingest.summary import Summary, sentence_of
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
+from sunarc.reanalysis import consensus
+from sunarc.reanalysis import ingest as detect_stack
+from sunarc.reanalysis import ingest as run
+from sunarc.reanalysis import look as detect_image
+from sunarc.reanalysis.ingest import PREDICTED, UNPREDICTED, IngestOptions, ingest_folder
+from sunarc.reanalysis.ingest_summary import Summary, sentence_of
 from sunarc.sky.sun import sun_directions
 
 MORNING = datetime(2013, 5, 13, 14, 0, tzinfo=UTC)

@@ -13,10 +13,10 @@ from PIL import Image
 from tests.fixtures.settings import new_settings
 
 from sunarc.errors import InputError
-from sunarc.offline.ingest.image_times import Naming, _from_name, taken
-from sunarc.offline.ingest.run import IngestOptions, ingest_folder
-from sunarc.offline.ingest.summary import Summary
-from sunarc.offline.messages import RefusedImageError
+from sunarc.reanalysis.image_times import Naming, _from_name, taken
+from sunarc.reanalysis.ingest import IngestOptions, ingest_folder
+from sunarc.reanalysis.ingest_summary import Summary
+from sunarc.reanalysis.messages import RefusedImageError
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 EXIF_SECTION, TAKEN, ZONE = 0x8769, 36867, 36881

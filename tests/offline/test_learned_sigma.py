@@ -14,8 +14,8 @@ from tests.fixtures.settings import new_settings
 
 from sunarc.archive.archive import Archive, open_archive
 from sunarc.archive.values import CameraRecord, SunPoint
-from sunarc.offline.learned_sigma import ValidCamera, factor_in_force, learn_sigma, sigma_factor
 from sunarc.optics.forward import project
+from sunarc.reanalysis.learned_sigma import ValidCamera, factor_in_force, learn_sigma, sigma_factor
 from sunarc.sky.sun import sun_directions
 
 COUNT = 400

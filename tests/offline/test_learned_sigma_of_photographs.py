@@ -15,9 +15,9 @@ from tests.fixtures.calibration import SGP, ideal_camera, stated_calibration
 from tests.fixtures.settings import new_settings
 
 from sunarc.archive.archive import open_archive
-from sunarc.offline.ingest import consensus
-from sunarc.offline.ingest.run import IngestOptions, ingest_folder
 from sunarc.optics.forward import project
+from sunarc.reanalysis import consensus
+from sunarc.reanalysis.ingest import IngestOptions, ingest_folder
 from sunarc.sky.sun import sun_directions
 
 SIZE = 480

@@ -19,13 +19,18 @@ from sunarc.calibration.lens_library.lens_type import UnitSpread
 from sunarc.calibration.model.document import to_document
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.errors import InputError
-from sunarc.offline.calibrate_files import calibrate_file
-from sunarc.offline.calibrate_joint import LENS_FILE, calibrate_joint, read_joint_spec
-from sunarc.offline.lens_priors import combined_lens, write_lens_prior
+from sunarc.offline.calibrate_files import (
+    LENS_FILE,
+    calibrate_file,
+    calibrate_joint,
+    combined_lens,
+    read_joint_spec,
+    write_lens_prior,
+)
 from sunarc.optics.camera import Camera
 from sunarc.runtime.clock import VirtualClock
 from sunarc.utc import utc_time
-from sunarc.workers.calibrating.lens_prior_file import read_lens_prior
+from sunarc.workers.calibrating.provisional_pose import read_lens_prior
 
 NOW = datetime(2013, 5, 14, tzinfo=UTC)
 SPREAD = UnitSpread(focal_length=0.003, center_px=8.0)

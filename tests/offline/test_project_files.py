@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from tests.exports.conftest import LENS, document_of
 
-from sunarc.calibration.model.covariance import project_with_covariance, unproject_with_sigma
+from sunarc.calibration.answers.covariance import project_with_covariance, unproject_with_sigma
 from sunarc.calibration.model.document import from_document
 from sunarc.errors import InputError
-from sunarc.offline.project_files import project_csv, read_calibration, unproject_csv
+from sunarc.offline.calibration_files import project_csv, read_calibration, unproject_csv
 from sunarc.sky.directions import angles_from_direction, direction_from_angles
 
 

@@ -14,7 +14,7 @@ from tests.exports.conftest import LENS, FloatArray, document_of
 
 from sunarc.errors import InputError, OutsideError
 from sunarc.imaging.metadata import png_with
-from sunarc.offline.rectify_files import rectify_files
+from sunarc.offline.calibration_files import rectify_files
 from sunarc.optics.forward import project
 from sunarc.sky.directions import direction_from_angles
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from tests.fixtures.settings import SGP
 
-from sunarc.offline.ingest.index import ImageFile
-from sunarc.offline.ingest.packed_mask import pack_mask
-from sunarc.offline.ingest.run import series_mask
+from sunarc.reanalysis.index import ImageFile
+from sunarc.reanalysis.ingest import series_mask
+from sunarc.reanalysis.look import pack_mask
 
 MORNING = datetime(2013, 5, 13, 14, 0, tzinfo=UTC)
 SIZE = (160, 120)

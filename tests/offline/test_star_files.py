@@ -19,14 +19,14 @@ from tests.fixtures.command_line import Sunarc
 from sunarc.archive.csv_files import read_sightings
 from sunarc.calibration.model.document import from_document, to_document
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.selection.star_selection import MOST_STARS
+from sunarc.calibration.selection import MOST_STARS
 from sunarc.errors import InputError
-from sunarc.offline.star_files import StarOptions, find_stars, read_stars, write_star_sightings
+from sunarc.offline.stars import StarOptions, find_stars, read_stars, write_star_sightings
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
-from sunarc.sky.air import relative_air_mass
 from sunarc.sky.directions import angles_from_direction
 from sunarc.sky.night import STAR, night_sky
+from sunarc.sky.site import relative_air_mass
 
 SIZE = 640
 CAMERA = Camera(

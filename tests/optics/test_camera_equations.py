@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from tests.optics.reference import IDEAL, STRANGE, field_of, parameters_by_differences, pixel_by_hand, pixels_by_hand
 
 from sunarc.errors import InputError
-from sunarc.optics import block_kernels, kernels
+from sunarc.optics import kernels
+from sunarc.optics import kernels as block_kernels
 from sunarc.optics.camera import PARAMETER_NAMES, Camera
 from sunarc.optics.forward import (
     decentering_shift,

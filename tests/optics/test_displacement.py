@@ -13,9 +13,9 @@ from sunarc.array_types import FloatArray
 from sunarc.errors import InputError
 from sunarc.optics.camera import Camera
 from sunarc.optics.displacement import Displacement
-from sunarc.optics.fast import inverse_table
 from sunarc.optics.forward import project, project_with_jacobian, project_with_rows_fast
 from sunarc.optics.inverse import unproject
+from sunarc.optics.inverse_table import inverse_table
 
 SIZE = 1748
 CENTER = (SIZE - 1) / 2.0

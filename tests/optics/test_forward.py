@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.optics.camera import Camera
-from sunarc.optics.forward import project, project_with_jacobian
-from sunarc.optics.stretch import local_stretch
+from sunarc.optics.forward import local_stretch, project, project_with_jacobian
 
 FloatArray = NDArray[np.float64]
 

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from sunarc.optics.camera import Camera
-from sunarc.optics.fast import inverse_table
 from sunarc.optics.forward import project, project_fast, project_with_jacobian, project_with_rows_fast
 from sunarc.optics.inverse import unproject
+from sunarc.optics.inverse_table import inverse_table
 from sunarc.optics.pose import PoseAngles, pose_angles, rotation_from_pose_angles
 
 FloatArray = NDArray[np.float64]

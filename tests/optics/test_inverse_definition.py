@@ -12,12 +12,10 @@ from scipy.optimize import brentq
 from tests.optics.reference import STRANGE, field_of, pixel_by_hand, pixels_by_hand
 
 from sunarc.optics.camera import Camera
-from sunarc.optics.fast import _rounds, inverse_table
-from sunarc.optics.forward import distorted_radius, project, radius_slope
+from sunarc.optics.forward import distorted_radius, local_stretch, project, radius_slope, rising_limit, tangent_basis
 from sunarc.optics.inverse import unproject
-from sunarc.optics.inverse_table_kernels import directions_of
+from sunarc.optics.inverse_table import _rounds, directions_of, inverse_table
 from sunarc.optics.projections import PROJECTIONS, angle_limit
-from sunarc.optics.stretch import local_stretch, rising_limit, tangent_basis
 
 FloatArray = NDArray[np.float64]
 GENTLE = (1.2e-3, -7e-4, 0.03, -0.002)  # a decentering whose fixed point converges all over the field

@@ -11,10 +11,9 @@ import pytest
 from scipy.optimize import brentq, fsolve
 from tests.fixtures.calibration import small_camera
 
+from sunarc.compiled_math import sine_and_cosine_of_half
 from sunarc.optics.forward import decentering_shift, distorted_radius
-from sunarc.optics.half_angle import sine_and_cosine_of_half
-from sunarc.optics.inverse import unproject
-from sunarc.optics.inverse_kernels import take_out_decentering
+from sunarc.optics.inverse import take_out_decentering, unproject
 from sunarc.optics.projections import Projection
 
 _BARE: dict[str, Any] = {

@@ -12,9 +12,8 @@ from tests.fixtures.board import START
 
 from sunarc.errors import OutsideError
 from sunarc.runtime.clock import SystemClock, VirtualClock
-from sunarc.runtime.heartbeats import Heartbeat, Monitored
 from sunarc.runtime.status import StatusRegistry, WorkerStatus
-from sunarc.runtime.supervisor import Supervised, Supervisor, SupervisorOptions, Worker
+from sunarc.runtime.supervisor import Heartbeat, Monitored, Supervised, Supervisor, SupervisorOptions, Worker
 
 PATIENCE_S = 20.0  # only a failing test waits as long
 

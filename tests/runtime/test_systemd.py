@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from sunarc.runtime.systemd import Notifier, notifier_from, watchdog_interval_s
+from sunarc.runtime.host import Notifier, notifier_from, watchdog_interval_s
 
 
 @pytest.fixture(params=["path", "abstract"])

@@ -11,11 +11,11 @@ import pytest
 from annotated_types import Ge, Gt, Le, Lt
 
 from sunarc.bounds import OneOf, bounds_of
-from sunarc.calibration.change_detection.values import WatchOptions
+from sunarc.calibration.changes.values import WatchOptions
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.calibration.selection.selection import SelectionOptions
+from sunarc.calibration.selection import SelectionOptions
 from sunarc.cameras.options import AravisOptions
-from sunarc.detection.options import DiscOptions
+from sunarc.detection.values import DiscOptions
 from sunarc.errors import ConfigurationError, InputError
 from sunarc.imaging.exposure import SunExposureOptions
 from sunarc.runtime.supervisor import SupervisorOptions
@@ -24,7 +24,7 @@ from sunarc.settings.model import Settings
 from sunarc.settings.reference import all_settings, dataclass_in
 from sunarc.settings.removed import REMOVED
 from sunarc.workers.calibrating.refit import RefitOptions
-from sunarc.workers.capture.capture import CaptureOptions
+from sunarc.workers.capture import CaptureOptions
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -16,8 +16,7 @@ import pytest
 
 from sunarc.runtime.clock import SystemClock
 from sunarc.simulation.imager import ImagerOptions, scene_of
-from sunarc.simulation.night_options import NightOptions
-from sunarc.simulation.options import SceneOptions
+from sunarc.simulation.options import NightOptions, SceneOptions
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP, true_camera
 

@@ -12,11 +12,10 @@ import threading
 from datetime import datetime
 from pathlib import Path
 
-from sunarc.simulation import genicam
+from sunarc.simulation import fake_camera as genicam
 from sunarc.simulation.fake_camera import FakeCamera
 from sunarc.simulation.imager import ImagerOptions, run_imager
-from sunarc.simulation.night_options import NightOptions
-from sunarc.simulation.options import SceneOptions
+from sunarc.simulation.options import NightOptions, SceneOptions
 from sunarc.sky.site import Site
 
 

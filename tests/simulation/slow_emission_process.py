@@ -8,7 +8,7 @@ import time
 from sunarc.cameras.aravis import open_aravis
 from sunarc.cameras.options import AravisOptions
 from sunarc.runtime.clock import SystemClock
-from sunarc.simulation import genicam
+from sunarc.simulation import fake_camera as genicam
 
 emitting = threading.Event()
 

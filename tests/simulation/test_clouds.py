@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sunarc.simulation.clouds import cloud_layer
 from sunarc.simulation.kernels import transmittance_towards
 from sunarc.simulation.options import SceneOptions, Weather
 from sunarc.simulation.scene import Scene
+from sunarc.simulation.scene_parts import cloud_layer
 from sunarc.simulation.truth import SGP, true_camera
 
 TINY = replace(true_camera(), width=8, height=8)  # where the sun falls does not matter here

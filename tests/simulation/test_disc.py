@@ -8,9 +8,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from sunarc.optics.forward import project
-from sunarc.optics.stretch import local_stretch
-from sunarc.simulation.disc import disc_points, stamp_of
+from sunarc.optics.forward import local_stretch, project
+from sunarc.simulation.scene_parts import disc_points, stamp_of
 from sunarc.simulation.truth import true_camera
 from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.sun import SOLAR_RADIUS

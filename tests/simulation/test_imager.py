@@ -16,7 +16,7 @@ from tests.fixtures.calibration import small_camera
 from sunarc.cameras.packed import unpack
 from sunarc.errors import OutsideError
 from sunarc.runtime.clock import VirtualClock
-from sunarc.simulation import genicam
+from sunarc.simulation import fake_camera as genicam
 from sunarc.simulation.fake_camera import FakeCamera, Request
 from sunarc.simulation.imager import _DARK_US, _MAX_IMAGES, ImagerOptions, _Imager, _write_truth
 from sunarc.simulation.scene import Scene

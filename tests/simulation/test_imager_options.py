@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from sunarc.errors import ConfigurationError, InputError
-from sunarc.simulation.genicam import genicam_xml
+from sunarc.simulation.fake_camera import genicam_xml
 from sunarc.simulation.imager import ImagerOptions, run_imager, scene_of
 from sunarc.simulation.options import SceneOptions, SensorModel
 from sunarc.simulation.truth import true_camera

@@ -15,14 +15,12 @@ from sunarc.detection.stars.detect import detect_stars
 from sunarc.errors import InputError
 from sunarc.optics.forward import project
 from sunarc.simulation.night import star_directions_by_series
-from sunarc.simulation.night_options import NightOptions
-from sunarc.simulation.options import SceneOptions, SensorModel
+from sunarc.simulation.options import NightOptions, SceneOptions, SensorModel
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP, true_camera
-from sunarc.sky.air import relative_air_mass
 from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.night import night_sky, star_directions, star_table, wanderer_place
-from sunarc.sky.site import Site
+from sunarc.sky.site import Site, relative_air_mass
 from sunarc.sky.sun import sun_angles
 
 NIGHT_US = int(datetime(2013, 5, 13, 7, 0, tzinfo=UTC).timestamp()) * 1_000_000

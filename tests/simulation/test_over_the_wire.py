@@ -18,23 +18,20 @@ import pytest
 from tests.fixtures.archive import new_archive
 from tests.fixtures.board import status_registry
 
-from sunarc.archive.archive import Archive
-from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.archive import Archive, CameraArchive
 from sunarc.cameras.aravis import AravisCamera, open_aravis
 from sunarc.cameras.frame import Frame
 from sunarc.cameras.options import AravisOptions
-from sunarc.detection.options import DiscOptions
+from sunarc.detection.values import DiscOptions
 from sunarc.errors import CameraError, CameraLostError, OutsideError
 from sunarc.runtime.clock import SystemClock, VirtualClock
 from sunarc.simulation.imager import ImagerOptions, run_imager
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP
-from sunarc.workers.bounded_queue import DropOldestQueue
-from sunarc.workers.sensor import SensorOptions
-from sunarc.workers.sightings.detect import DetectWorker
-from sunarc.workers.sightings.frozen_frames import FrozenFrames
-from sunarc.workers.sightings.sun_prediction import SunPredictor
-from sunarc.workers.sightings.write_buffer import SightingWriteBuffer
+from sunarc.workers.detect import DetectWorker, FrozenFrames, SightingWriteBuffer
+from sunarc.workers.loop import DropOldestQueue
+from sunarc.workers.options import SensorOptions
+from sunarc.workers.sun_prediction import SunPredictor
 
 from .conftest import require_aravis, wait_until
 

@@ -19,14 +19,14 @@ from sunarc.detection.stars.detect import detect_stars
 from sunarc.imaging.exposure import SunExposureOptions
 from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation import genicam
+from sunarc.simulation import fake_camera as genicam
 from sunarc.simulation.truth import SGP
 from sunarc.sky.sun import sun_angles
-from sunarc.workers.bounded_queue import DropOldestQueue
-from sunarc.workers.capture.capture import CaptureOptions, CaptureWorker
-from sunarc.workers.capture.sun_exposure_control import SunExposures
+from sunarc.workers.capture import CaptureOptions, CaptureWorker
+from sunarc.workers.clock_watch import FrameTime
+from sunarc.workers.exposures import SunExposures
+from sunarc.workers.loop import DropOldestQueue
 from sunarc.workers.night.exposures import NightCapture, NightExposures
-from sunarc.workers.timing.frame_time import FrameTime
 
 __all__ = ["opened"]
 pytestmark = [pytest.mark.gige, pytest.mark.slow, pytest.mark.timeout(240)]

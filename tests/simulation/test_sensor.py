@@ -13,15 +13,21 @@ from numpy.typing import NDArray
 from sunarc.errors import InputError
 from sunarc.optics.camera import Camera
 from sunarc.optics.pose import rotation_matrix
-from sunarc.simulation.clouds import CLEAR_SKY, cloud_layer
-from sunarc.simulation.disc import Stamp, disc_points, is_covered
-from sunarc.simulation.field import is_blocked, pixel_field
 from sunarc.simulation.kernels import count_light, sky_light, transmittance_towards
 from sunarc.simulation.options import Bump, Obstruction, SceneOptions, SensorModel
 from sunarc.simulation.scene import Scene, _add, behind_mosaic, bumped_camera, run_over
+from sunarc.simulation.scene_parts import (
+    CLEAR_SKY,
+    Stamp,
+    cloud_layer,
+    disc_points,
+    is_blocked,
+    is_covered,
+    pixel_field,
+)
 from sunarc.simulation.truth import SGP
-from sunarc.sky.air import relative_air_mass
 from sunarc.sky.directions import direction_from_angles
+from sunarc.sky.site import relative_air_mass
 from sunarc.sky.sun import SOLAR_RADIUS
 
 NOON_US = round(datetime(2013, 5, 13, 18, 30, tzinfo=UTC).timestamp() * 1e6)

@@ -6,7 +6,7 @@ from typing import cast
 
 import pytest
 
-from sunarc.simulation import genicam
+from sunarc.simulation import fake_camera as genicam
 from sunarc.simulation.fake_camera import FakeCamera
 from sunarc.simulation.imager import halve_speed
 

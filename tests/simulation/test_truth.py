@@ -10,12 +10,11 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from sunarc.calibration.model.covariance import project_with_covariance
+from sunarc.calibration.answers.covariance import project_with_covariance
 from sunarc.calibration.model.document import from_document
 from sunarc.optics.camera import Camera
-from sunarc.optics.forward import decentering_shift, distorted_radius, project
+from sunarc.optics.forward import decentering_shift, distorted_radius, project, rising_limit
 from sunarc.optics.pose import pose_angles
-from sunarc.optics.stretch import rising_limit
 from sunarc.simulation.imager import truth_document
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.directions import direction_from_angles

@@ -12,8 +12,7 @@ import pytest
 from tests.sky.test_night import ARCSEC, MOMENTS, SITES, TIMESCALE
 
 from sunarc.sky.directions import angular_distance, direction_from_angles
-from sunarc.sky.moon import moon_disc
-from sunarc.sky.night import wanderer_place
+from sunarc.sky.night import moon_disc, wanderer_place
 from sunarc.sky.site import Site
 
 api = pytest.importorskip("skyfield.api")

@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 
 import sunarc.sky.sun
 from sunarc.errors import InputError
-from sunarc.sky.air import relative_air_mass
 from sunarc.sky.days import day_bounds_unix_s, solar_date
 from sunarc.sky.directions import angles_from_direction, angular_distance, direction_from_angles
 from sunarc.sky.refraction import ASSUMED_AIR_SD, DAILY_AIR_SD, MEASURED_AIR_SD, raised, refraction_rad, upward
-from sunarc.sky.site import Site
+from sunarc.sky.site import Site, relative_air_mass
 from sunarc.sky.sun import SOLAR_RADIUS, _delta_t_s, hour_angle, sun_angles, sun_directions
 
 FloatArray = NDArray[np.float64]

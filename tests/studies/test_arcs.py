@@ -14,8 +14,7 @@ from sunarc.optics.forward import project
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.days import solar_date
 from sunarc.sky.directions import direction_from_angles
-from sunarc.studies.arcs import LARGEST_ZENITH_DEG, SYNTHETIC_DAY, arcs
-from sunarc.studies.trials import Trial, found_circle, run_trials, true_error
+from sunarc.studies.trials import LARGEST_ZENITH_DEG, SYNTHETIC_DAY, Trial, arcs, found_circle, run_trials, true_error
 
 CAMERA = true_camera(0)
 COARSE = arcs(CAMERA, [SYNTHETIC_DAY], cadence_s=600.0)

@@ -16,10 +16,18 @@ from sunarc.calibration.model.sightings import SunPoints
 from sunarc.optics.forward import project
 from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.sun import sun_directions
-from sunarc.studies.drawing import new_sheet
-from sunarc.studies.residual_plot import _draw_angles, _draw_arrows, _draw_components, _draw_rejected, _headline
+from sunarc.studies.figures import (
+    _draw_angles,
+    _draw_arrows,
+    _draw_components,
+    _draw_rejected,
+    _headline,
+    _within,
+    new_sheet,
+    sky_figure,
+    sky_sigma,
+)
 from sunarc.studies.residuals import Residuals, _used, residuals_of
-from sunarc.studies.sky_plot import _within, sky_figure, sky_sigma
 
 CAMERA = ideal_camera()  # level, 200 px per radian, its centre at (319.5, 239.5)
 NOON_S = 1_368_469_800.0

@@ -8,16 +8,15 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
+from sunarc.calibration.answers.covariance import sigma_deg
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.covariance import sigma_deg
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import SunPoints
 from sunarc.simulation.truth import SGP
 from sunarc.sky.directions import direction_from_angles
-from sunarc.studies.plots import write_calibration_plots
-from sunarc.studies.residual_plot import RESIDUAL_SHEET_PX, residual_figure
+from sunarc.studies.figures import RESIDUAL_SHEET_PX, SKY_SHEET_PX, contour_levels, residual_figure, sky_sigma
+from sunarc.studies.reports import write_calibration_plots
 from sunarc.studies.residuals import residuals_of
-from sunarc.studies.sky_plot import SKY_SHEET_PX, contour_levels, sky_sigma
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc

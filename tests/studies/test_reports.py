@@ -11,12 +11,12 @@ import pytest
 from sunarc.errors import InputError
 from sunarc.optics.pose import pose_angles
 from sunarc.simulation.truth import true_camera
+from sunarc.studies.figures import parameter_figure, rmse_figure
 from sunarc.studies.published import CASES, TRUE_RMSE
 from sunarc.studies.reports import _write_csv, make_folder, writing_into
 from sunarc.studies.tables import COLUMNS, published_row, truth_row
 from sunarc.studies.trials import QUANTITIES
 from sunarc.studies.uncertainty import Uncertainty, distribution_rows, trial_rows, true_values
-from sunarc.studies.uncertainty_plot import parameter_figure, rmse_figure
 
 RNG = np.random.default_rng(0)
 STUDY = Uncertainty(

@@ -14,10 +14,19 @@ from sunarc.optics.forward import project
 from sunarc.optics.inverse import unproject
 from sunarc.sky.directions import angular_distance
 from sunarc.sky.sun import sun_directions
-from sunarc.studies.drawing import key, letter, new_sheet
-from sunarc.studies.residual_plot import _limit, _nice, _some, residual_figure
+from sunarc.studies.figures import (
+    _limit,
+    _nice,
+    _some,
+    contour_levels,
+    key,
+    letter,
+    new_sheet,
+    residual_figure,
+    sky_figure,
+    sky_sigma,
+)
 from sunarc.studies.residuals import residuals_of
-from sunarc.studies.sky_plot import contour_levels, sky_figure, sky_sigma
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 from tests.fixtures.calibration import current_document, small_camera, stated_calibration
 from tests.fixtures.command_line import Sunarc
 
-from sunarc.calibration.model.covariance import sigma_deg
+from sunarc.calibration.answers.covariance import sigma_deg
 from sunarc.sky.directions import direction_from_angles
 from sunarc.studies import shadow as module
 from sunarc.studies.reports import write_shadow

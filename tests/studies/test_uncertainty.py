@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from sunarc.studies.figures import PARAMETER_SHEET_PX, RMSE_SHEET_PX
 from sunarc.studies.reports import write_uncertainty
 from sunarc.studies.trials import QUANTITIES, Trial, run_trials
 from sunarc.studies.uncertainty import Uncertainty, distribution_rows, study_uncertainty, trial_rows
-from sunarc.studies.uncertainty_plot import PARAMETER_SHEET_PX, RMSE_SHEET_PX
 
 if TYPE_CHECKING:
     from .conftest import PngSize

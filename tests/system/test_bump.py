@@ -10,9 +10,9 @@ import pytest
 
 from sunarc.app.service import Service
 from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.schema import upgrade
+from sunarc.archive.database.schema import upgrade
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.model.document import from_document, to_document
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import SunPoints
@@ -25,7 +25,7 @@ from sunarc.simulation.scene import Scene, bumped_camera
 from sunarc.simulation.scene_camera import SceneCamera
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.sun import sun_angles, sun_directions
-from sunarc.workers.capture.capture import CaptureOptions
+from sunarc.workers.capture import CaptureOptions
 
 CADENCE_S = 60.0
 BUMPED_AT = datetime(2013, 5, 14, 18, 30, 30, tzinfo=UTC)

@@ -14,7 +14,7 @@ from tests.workers.long_run import solve_here
 
 from sunarc.app.service import Service
 from sunarc.archive.archive import open_archive
-from sunarc.archive.schema import upgrade
+from sunarc.archive.database.schema import upgrade
 from sunarc.calibration.model.document import from_document
 from sunarc.cameras.frame import SkyCamera
 from sunarc.cameras.options import AravisOptions
@@ -31,8 +31,8 @@ from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles, sun_directions
 from sunarc.workers.calibrating.refit import RefitWorker
-from sunarc.workers.capture.capture import CaptureOptions
-from sunarc.workers.sensor import SensorOptions
+from sunarc.workers.capture import CaptureOptions
+from sunarc.workers.options import SensorOptions
 
 CADENCE_S = 1200.0
 

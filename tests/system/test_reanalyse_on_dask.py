@@ -18,8 +18,8 @@ from tests.offline.reanalysis.made import MADE, analysed, indexed_in, tables_in
 
 from sunarc.detection.values import Detection
 from sunarc.findings import Finding
-from sunarc.offline.reanalysis.cluster import Workers, open_cluster
-from sunarc.offline.reanalysis.look import Answer, Chunk, Item
+from sunarc.reanalysis.cluster import Workers, open_cluster
+from sunarc.reanalysis.look import Answer, Chunk, Item
 from sunarc.runtime.clock import SystemClock
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(600)]

@@ -19,8 +19,8 @@ from tests.fixtures.calibrations import SITE
 from tests.fixtures.ports import free_port
 
 from sunarc.archive.archive import open_archive
-from sunarc.archive.backup import backup_into
-from sunarc.archive.schema import upgrade
+from sunarc.archive.database.backup import backup_into
+from sunarc.archive.database.schema import upgrade
 from sunarc.archive.values import CameraRecord
 from sunarc.calibration.model.document import to_document
 

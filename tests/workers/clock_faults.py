@@ -22,7 +22,7 @@ from tests.fixtures.archive import make_empty
 
 from sunarc.app.service import Service
 from sunarc.archive.archive import open_archive
-from sunarc.archive.seen import sun_point_of
+from sunarc.archive.sightings import sun_point_of
 from sunarc.archive.values import CameraRecord, Event
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.document import from_document, to_document

@@ -11,8 +11,7 @@ from tests.fixtures.board import status_registry
 from tests.fixtures.calibrations import SITE
 from tests.fixtures.cameras import INFO
 
-from sunarc.archive.archive import Archive
-from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.archive import Archive, CameraArchive
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.cameras.frame import CameraCondition, CameraInfo, Frame
 from sunarc.errors import CameraError

@@ -22,12 +22,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.camera_archive import CameraArchive
-from sunarc.archive.schema import upgrade
+from sunarc.archive.archive import Archive, CameraArchive, open_archive
+from sunarc.archive.database.schema import upgrade
 from sunarc.archive.values import CameraRecord, Refit, SunPoint
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance, sigma_px
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.covariance import hemisphere, project_with_covariance, sigma_px
 from sunarc.calibration.model.document import from_document
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
@@ -38,7 +37,7 @@ from sunarc.runtime.status import StatusRegistry
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.days import day_bounds_unix_s
 from sunarc.sky.sun import sun_angles, sun_directions
-from sunarc.workers.calibrating.judge_days import DayJudge
+from sunarc.workers.calibrating.monitor import DayJudge
 from sunarc.workers.calibrating.refit import RefitOptions, RefitWorker
 from sunarc.workers.calibrating.solver_process import Problem
 

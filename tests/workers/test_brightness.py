@@ -9,11 +9,10 @@ from pathlib import Path
 import pytest
 from tests.fixtures.archive import new_archive
 
-from sunarc.archive.archive import Archive
-from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.archive import Archive, CameraArchive
 from sunarc.archive.values import SunPoint
 from sunarc.sky.site import Site
-from sunarc.workers.sightings.sun_prediction import SunPredictor
+from sunarc.workers.sun_prediction import SunPredictor
 
 SITE = Site(latitude=36.604043, longitude=-97.484856, altitude=318.0)
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)

@@ -8,7 +8,7 @@ from itertools import pairwise
 import pytest
 
 from sunarc.runtime.clock import VirtualClock
-from sunarc.workers.timing.frame_time import FrameTime
+from sunarc.workers.clock_watch import FrameTime
 
 
 @pytest.mark.parametrize(

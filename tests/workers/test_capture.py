@@ -16,11 +16,11 @@ from sunarc.errors import CameraError, CameraLostError, CameraTimeoutError
 from sunarc.imaging.exposure import SunExposureOptions
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.workers.bounded_queue import DropOldestQueue
-from sunarc.workers.capture.capture import CaptureOptions, CaptureWorker
-from sunarc.workers.capture.sun_exposure_control import SunExposures
+from sunarc.workers.capture import CaptureOptions, CaptureWorker
+from sunarc.workers.clock_watch import FrameTime
+from sunarc.workers.exposures import SunExposures
+from sunarc.workers.loop import DropOldestQueue
 from sunarc.workers.night.exposures import NightCapture, NightExposures
-from sunarc.workers.timing.frame_time import FrameTime
 
 if TYPE_CHECKING:
     from .conftest import FakeCamera

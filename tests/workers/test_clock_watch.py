@@ -11,20 +11,19 @@ import pytest
 from tests.fixtures.archive import new_archive, store_sun_point
 from tests.fixtures.calibrations import SITE
 
-from sunarc.archive.archive import Archive
-from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.archive import Archive, CameraArchive
 from sunarc.errors import InputError, OutsideError
 from sunarc.runtime.clock import ClockState, VirtualClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.workers.timing.clock_watch import (
+from sunarc.workers.clock_watch import (
     LEAST_ERROR_S,
     SETTLE_S,
     SHOW_STEP_S,
     UNKNOWN_ERROR_S,
     ClockOptions,
     ClockWatch,
+    FrameTime,
 )
-from sunarc.workers.timing.frame_time import FrameTime
 
 from .conftest import NOON
 

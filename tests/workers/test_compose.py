@@ -14,18 +14,16 @@ import pytest
 from PIL import Image as Pictures
 from tests.fixtures.archive import make_empty
 
-from sunarc.archive.archive import open_archive
-from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.archive import CameraArchive, open_archive
 from sunarc.archive.images import DiskOptions, ImageStore
 from sunarc.cameras.frame import Frame
 from sunarc.imaging.hdr import HdrImage
 from sunarc.imaging.metadata import document_of
 from sunarc.sky.site import Site
-from sunarc.workers.bounded_queue import DropOldestQueue
-from sunarc.workers.images.compose import ComposeWorker
-from sunarc.workers.images.image_metadata import image_document
-from sunarc.workers.sensor import SensorOptions
-from sunarc.workers.sightings.sun_prediction import SunPredictor
+from sunarc.workers.compose import ComposeWorker, image_document
+from sunarc.workers.loop import DropOldestQueue
+from sunarc.workers.options import SensorOptions
+from sunarc.workers.sun_prediction import SunPredictor
 
 from .conftest import NOON
 

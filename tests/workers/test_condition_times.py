@@ -15,7 +15,7 @@ from sunarc.archive.archive import Archive
 from sunarc.errors import OutsideError
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import Reason, StatusRegistry
-from sunarc.workers.condition_times import ConditionTimesWorker
+from sunarc.workers.upkeep import ConditionTimesWorker
 
 LOW = Reason(code="disk_low", severity="degraded", text="the disk is full", remedy="free some space")
 LATE = Reason(code="no_sightings", severity="degraded", text="none", remedy="look")

@@ -18,12 +18,11 @@ import pytest
 from tests.api.conftest import LENS, calibration
 from tests.fixtures.calibrations import SITE
 
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.camera_archive import CameraArchive
-from sunarc.archive.schema import check, downgrade, upgrade
-from sunarc.archive.tables import metadata
+from sunarc.archive.archive import Archive, CameraArchive, open_archive
+from sunarc.archive.database.schema import check, downgrade, upgrade
+from sunarc.archive.database.tables import metadata
 from sunarc.archive.values import CameraRecord, Day, Event, Refit, SunPoint
-from sunarc.calibration.change_detection.values import WatchOptions
+from sunarc.calibration.changes.values import WatchOptions
 from sunarc.calibration.model.document import to_document
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import SunPoints
@@ -32,11 +31,10 @@ from sunarc.optics.forward import project
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.sky.sun import sun_directions
-from sunarc.workers.calibrating.judge_days import DayJudge
-from sunarc.workers.calibrating.monitor import WatchWorker
+from sunarc.workers.calibrating.monitor import DayJudge, WatchWorker
 from sunarc.workers.calibrating.provisional_pose import ProvisionalPoseEstimator
 from sunarc.workers.calibrating.refit import RefitOptions, RefitWorker
-from sunarc.workers.sightings.sun_prediction import SunPredictor
+from sunarc.workers.sun_prediction import SunPredictor
 
 if TYPE_CHECKING:
     from sunarc.workers.calibrating.refit import Task

@@ -11,11 +11,11 @@ import pytest
 from tests.fixtures.archive import new_archive
 
 from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.recovery import Recovery
-from sunarc.archive.schema import upgrade
+from sunarc.archive.database.recovery import Recovery
+from sunarc.archive.database.schema import upgrade
 from sunarc.archive.values import CameraRecord, SunPoint
-from sunarc.workers.database_file import DatabaseWorker
-from sunarc.workers.sightings.write_buffer import SightingWriteBuffer
+from sunarc.workers.detect import SightingWriteBuffer
+from sunarc.workers.upkeep import DatabaseWorker
 
 from .conftest import NOON
 

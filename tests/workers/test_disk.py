@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from sunarc.archive.database.store import Reserve
 from sunarc.archive.images import DiskOptions, ImageStore
-from sunarc.archive.space_reserve import Reserve
-from sunarc.workers.disk_space import DiskWorker
+from sunarc.workers.upkeep import DiskWorker
 
 from .conftest import NOON
 

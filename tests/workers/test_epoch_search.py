@@ -15,16 +15,14 @@ from scipy.spatial.transform import Rotation
 from tests.fixtures.archive import new_archive
 from tests.workers.conftest import refit_worker
 
-from sunarc.archive.archive import Archive
-from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.archive import Archive, CameraArchive
 from sunarc.archive.values import Event, Refit, SunPoint
-from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.covariance import project_with_covariance
+from sunarc.calibration.answers.covariance import project_with_covariance
+from sunarc.calibration.calibrate import calibrate, reproduce_calibration
+from sunarc.calibration.changes.step_search import PoseStep, find_pose_steps
 from sunarc.calibration.model.document import from_document
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.pose_step_search import PoseStep, find_pose_steps
-from sunarc.calibration.reproduce import reproduce_calibration
 from sunarc.findings import Finding
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
@@ -33,10 +31,8 @@ from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.sun import sun_angles, sun_directions
-from sunarc.workers.calibrating.epoch_search import SEARCHED, EpochSearch
-from sunarc.workers.calibrating.refit import RefitWorker
-from sunarc.workers.calibrating.solver_process import Problem, SolverDiedError
-from sunarc.workers.fit_input import points_of
+from sunarc.workers.calibrating.refit import SEARCHED, EpochSearch, RefitWorker
+from sunarc.workers.calibrating.solver_process import Problem, SolverDiedError, points_of
 
 FloatArray = NDArray[np.float64]
 SIZE = (1748, 1748)

@@ -11,8 +11,8 @@ import pytest
 from sunarc.cameras.frame import Frame
 from sunarc.errors import CameraLostError, ExposureMismatchError
 from sunarc.runtime.status import StatusRegistry
-from sunarc.workers.capture.exposure_sequence import ExposureSequence
-from sunarc.workers.capture.status import CaptureReport
+from sunarc.workers.capture_status import CaptureReport
+from sunarc.workers.exposures import ExposureSequence
 
 if TYPE_CHECKING:
     from .conftest import FakeCamera

@@ -20,19 +20,18 @@ from tests.fixtures.archive import make_empty
 from tests.fixtures.fleet import NOON, NOW, new_imager, sighting
 from tests.workers.test_webhook import certificate
 
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.camera_archive import CameraArchive
-from sunarc.archive.feed_values import FeedBatch, FeedRow, Refusal, feed_lines, read_feed_lines
-from sunarc.archive.outbox import OutboxPosition
+from sunarc.archive.archive import Archive, CameraArchive, open_archive
+from sunarc.archive.fleet.feed_rows import FeedBatch, FeedRow, Refusal, feed_lines, read_feed_lines
+from sunarc.archive.fleet.outbox import OutboxPosition
 from sunarc.archive.values import Event
 from sunarc.errors import ConfigurationError, InputError, OutsideError
 from sunarc.runtime.clock import SystemClock, VirtualClock
 from sunarc.runtime.status import StatusRegistry
 from sunarc.runtime.supervisor import Supervised, Supervisor, SupervisorOptions
 from sunarc.sky.site import Site
-from sunarc.workers.feeding import feed, hub_connection
-from sunarc.workers.feeding.feed import _LONGEST_WAIT_S, _SILENT_S, FeedWorker
-from sunarc.workers.feeding.hub_connection import HubConnection, HubOptions, HubRefusal
+from sunarc.workers import feed
+from sunarc.workers import feed as hub_connection
+from sunarc.workers.feed import _LONGEST_WAIT_S, _SILENT_S, FeedWorker, HubConnection, HubOptions, HubRefusal
 
 _TICK_S = 0.05
 

@@ -13,15 +13,12 @@ from tests.finding_codes import codes
 from tests.fixtures.archive import make_empty
 from tests.workers.test_watch import DAY, NOON, SIZE, TRUTH, Imager, off_in_sigmas, turned
 
-from sunarc.archive.archive import open_archive
-from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.archive import CameraArchive, open_archive
 from sunarc.archive.values import CameraRecord
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.change_detection.values import WatchOptions
-from sunarc.calibration.lens_library.first_pose import FirstPoseOptions
-from sunarc.calibration.lens_library.frame import frame_of
-from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread, type_camera
-from sunarc.calibration.lens_library.mounting import north_sigma_deg, top_azimuth_deg
+from sunarc.calibration.changes.values import WatchOptions
+from sunarc.calibration.lens_library.first_pose import FirstPoseOptions, north_sigma_deg, top_azimuth_deg
+from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread, frame_of, type_camera
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import SunPoints
@@ -31,9 +28,13 @@ from sunarc.optics.forward import project
 from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.simulation.truth import SGP
 from sunarc.sky.sun import sun_angles, sun_directions
-from sunarc.workers.calibrating.lens_prior_file import FirstPose, LensPriorOptions, read_lens_prior
 from sunarc.workers.calibrating.monitor import WatchWorker
-from sunarc.workers.calibrating.provisional_pose import ProvisionalPoseEstimator
+from sunarc.workers.calibrating.provisional_pose import (
+    FirstPose,
+    LensPriorOptions,
+    ProvisionalPoseEstimator,
+    read_lens_prior,
+)
 
 SPREAD = UnitSpread(focal_length=0.003, center_px=8.0, radial_px=0.4, decentering_px=0.3)
 LEVEL = replace(TRUTH, max_angle=2.0)

@@ -19,18 +19,14 @@ from tests.detection.rendering import read_out as noisy
 from tests.fixtures.archive import new_archive
 from tests.fixtures.calibrations import SITE
 
-from sunarc.archive.archive import Archive
-from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.archive import Archive, CameraArchive
 from sunarc.archive.values import SunPoint
 from sunarc.cameras.frame import Frame
-from sunarc.detection.options import DiscOptions
-from sunarc.detection.values import Expectation
+from sunarc.detection.values import DiscOptions, Expectation
 from sunarc.runtime.status import StatusRegistry
-from sunarc.workers.bounded_queue import DropOldestQueue
-from sunarc.workers.sensor import SensorOptions
-from sunarc.workers.sightings.detect import DetectWorker
-from sunarc.workers.sightings.frozen_frames import FrozenFrames
-from sunarc.workers.sightings.write_buffer import SightingWriteBuffer
+from sunarc.workers.detect import DetectWorker, FrozenFrames, SightingWriteBuffer
+from sunarc.workers.loop import DropOldestQueue
+from sunarc.workers.options import SensorOptions
 
 from .conftest import NOON
 

@@ -6,7 +6,7 @@ import pytest
 
 from sunarc.errors import InputError
 from sunarc.runtime.clock import VirtualClock
-from sunarc.workers.timing.frame_time import FrameTime
+from sunarc.workers.clock_watch import FrameTime
 
 HOST = datetime(2026, 3, 1, 12, tzinfo=UTC)
 SIMULATED = datetime(2013, 5, 13, 18, 0, 7, tzinfo=UTC)

@@ -12,12 +12,10 @@ import numpy as np
 import pytest
 from tests.fixtures.archive import new_archive, store_sun_point
 
-from sunarc.archive.archive import Archive
-from sunarc.archive.camera_archive import CameraArchive
-from sunarc.archive.sighting_revisions import FROZEN
+from sunarc.archive.archive import Archive, CameraArchive
+from sunarc.archive.sightings import FROZEN
 from sunarc.cameras.frame import Frame
-from sunarc.detection.options import DiscOptions
-from sunarc.detection.values import Detection
+from sunarc.detection.values import Detection, DiscOptions
 from sunarc.findings import Finding
 from sunarc.optics.forward import project
 from sunarc.runtime.clock import VirtualClock
@@ -26,12 +24,10 @@ from sunarc.simulation.options import SensorModel
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.sun import sun_directions
-from sunarc.workers.bounded_queue import DropOldestQueue
-from sunarc.workers.sensor import SensorOptions
-from sunarc.workers.sightings.detect import DetectWorker
-from sunarc.workers.sightings.frozen_frames import FrozenFrames
-from sunarc.workers.sightings.sun_prediction import SunPredictor
-from sunarc.workers.sightings.write_buffer import SightingWriteBuffer
+from sunarc.workers.detect import DetectWorker, FrozenFrames, SightingWriteBuffer
+from sunarc.workers.loop import DropOldestQueue
+from sunarc.workers.options import SensorOptions
+from sunarc.workers.sun_prediction import SunPredictor
 
 START = datetime(2013, 5, 13, 18, 0, tzinfo=UTC)
 SIDE = 240

@@ -13,25 +13,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.archive.archive import open_archive
-from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.archive import CameraArchive, open_archive
+from sunarc.archive.database.schema import check, upgrade
+from sunarc.archive.database.store import Reserve
 from sunarc.archive.images import DiskOptions, ImageStore
-from sunarc.archive.schema import check, upgrade
-from sunarc.archive.space_reserve import Reserve
 from sunarc.archive.values import CameraRecord
 from sunarc.cameras.frame import Frame
-from sunarc.detection.options import DiscOptions
+from sunarc.detection.values import DiscOptions
 from sunarc.errors import OutsideError
-from sunarc.runtime.preflight import prepare_state
+from sunarc.runtime.host import prepare_state
 from sunarc.sky.site import Site
-from sunarc.workers.bounded_queue import DropOldestQueue
-from sunarc.workers.disk_space import DiskWorker
-from sunarc.workers.images.compose import ComposeWorker
-from sunarc.workers.sensor import SensorOptions
-from sunarc.workers.sightings.detect import DetectWorker
-from sunarc.workers.sightings.frozen_frames import FrozenFrames
-from sunarc.workers.sightings.sun_prediction import SunPredictor
-from sunarc.workers.sightings.write_buffer import SightingWriteBuffer
+from sunarc.workers.compose import ComposeWorker
+from sunarc.workers.detect import DetectWorker, FrozenFrames, SightingWriteBuffer
+from sunarc.workers.loop import DropOldestQueue
+from sunarc.workers.options import SensorOptions
+from sunarc.workers.sun_prediction import SunPredictor
+from sunarc.workers.upkeep import DiskWorker
 
 from .conftest import NOON
 

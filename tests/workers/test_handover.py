@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import threading
 
-from sunarc.workers.bounded_queue import DropOldestQueue
+from sunarc.workers.loop import DropOldestQueue
 
 
 def test_things_come_out_in_the_order_they_went_in() -> None:

@@ -12,13 +12,12 @@ import pytest
 from tests.fixtures.archive import new_archive
 from tests.fixtures.board import START, board, clock
 
-from sunarc.archive.archive import Archive
-from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.archive import Archive, CameraArchive
 from sunarc.errors import OutsideError
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import CameraStatus, DiskStatus, StatusRegistry
 from sunarc.sky.site import Site
-from sunarc.workers.housekeeping import HousekeepingWorker
+from sunarc.workers.upkeep import HousekeepingWorker
 
 __all__ = ["board", "clock"]
 

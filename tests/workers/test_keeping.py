@@ -13,8 +13,8 @@ from tests.fixtures.archive import new_archive
 from sunarc.archive.archive import Archive
 from sunarc.archive.values import SunPoint
 from sunarc.errors import OutsideError
-from sunarc.workers.sightings import write_buffer as keeping
-from sunarc.workers.sightings.write_buffer import SightingWriteBuffer
+from sunarc.workers import detect as keeping
+from sunarc.workers.detect import SightingWriteBuffer
 
 from .conftest import NOON
 

@@ -16,16 +16,15 @@ import numpy as np
 import pytest
 from tests.finding_codes import codes
 
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.backup import backup
-from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.archive import Archive, CameraArchive, open_archive
+from sunarc.archive.database.backup import backup
 from sunarc.archive.values import Day, SunPoint
 from sunarc.calibration.model.document import from_document
 from sunarc.errors import InputError
-from sunarc.offline.reproduce import solve_again
+from sunarc.offline.calibrate_archive import solve_again
 from sunarc.settings.load import load_settings
 from sunarc.simulation.truth import SGP
-from sunarc.workers.sightings.sun_prediction import SunPredictor
+from sunarc.workers.sun_prediction import SunPredictor
 
 from .long_run import CLEAR, CLOUDY, FIRST_DAY, HEAVY, PARTLY, LongRun, Night, judged_against, worst_rise
 

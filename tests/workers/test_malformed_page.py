@@ -13,14 +13,14 @@ import pytest
 from tests.fixtures.archive import new_archive
 
 from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.backup import backup_into
-from sunarc.archive.recovery import prepare_database
+from sunarc.archive.database.backup import backup_into
+from sunarc.archive.database.recovery import prepare_database
 from sunarc.archive.values import SunPoint
 from sunarc.errors import OutsideError
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.workers.database_file import DatabaseWorker
-from sunarc.workers.sightings.write_buffer import SightingWriteBuffer
+from sunarc.workers.detect import SightingWriteBuffer
+from sunarc.workers.upkeep import DatabaseWorker
 
 NOON = datetime(2013, 5, 13, 18, tzinfo=UTC)
 COUNT, COPIED = 3000, 2000

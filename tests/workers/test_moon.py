@@ -14,23 +14,20 @@ import pytest
 from tests.fixtures.archive import new_archive
 from tests.workers.test_night import CAMERA, calibration_of
 
-from sunarc.archive.archive import Archive
-from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.archive import Archive, CameraArchive
 from sunarc.archive.values import CameraRecord, SunPoint
 from sunarc.cameras.frame import Frame
-from sunarc.detection.moon.cutouts import Cutout, brightest_cutouts
+from sunarc.detection.moon import Cutout, brightest_cutouts
 from sunarc.imaging.exposure import ExposureBounds
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
-from sunarc.simulation.night_options import NightOptions
-from sunarc.simulation.options import SceneOptions
+from sunarc.simulation.options import NightOptions, SceneOptions
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP
-from sunarc.sky.moon import MoonDisc, moon_disc
-from sunarc.sky.night import wanderer_place
+from sunarc.sky.night import MoonDisc, moon_disc, wanderer_place
+from sunarc.workers.night.exposures import MOST_LEVEL, MoonExposures
 from sunarc.workers.night.moon import MoonImages, MoonNight, _level
-from sunarc.workers.night.moon_exposures import MOST_LEVEL, MoonExposures
-from sunarc.workers.sensor import SensorOptions
+from sunarc.workers.options import SensorOptions
 
 HALF = datetime(2013, 5, 18, 3, 20, tzinfo=UTC)
 """The moon half lit, 50 degrees high."""

@@ -13,12 +13,12 @@ from tests.cross_checks.cameras import FIRST_NOON, Neighbour, Wrong, neighbours
 from tests.fixtures.archive import make_empty
 
 from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.cross_check import CrossCheck
+from sunarc.archive.fleet.nightly import CrossCheck
 from sunarc.archive.values import CameraRecord, SunPoint
 from sunarc.calibration.model.document import to_document
 from sunarc.sky.days import solar_date
 from sunarc.sky.site import Site
-from sunarc.workers.neighbours import cross_check_fleet
+from sunarc.workers.nightly import cross_check_fleet
 
 BEGIN = datetime.fromtimestamp(FIRST_NOON, UTC) - timedelta(days=1)
 NAMES = ("gate", "mast", "roof")

@@ -15,8 +15,7 @@ import pytest
 from tests.fixtures.archive import new_archive
 from tests.fixtures.calibrations import chosen_calibration
 
-from sunarc.archive.archive import Archive
-from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.archive import Archive, CameraArchive
 from sunarc.archive.images import ImageStore
 from sunarc.archive.values import CameraRecord, Event, Refit
 from sunarc.array_types import Image
@@ -26,15 +25,14 @@ from sunarc.cameras.frame import Frame
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation.night_options import NightOptions
-from sunarc.simulation.options import SceneOptions, Weather
+from sunarc.simulation.options import NightOptions, SceneOptions, Weather
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.night import STAR, body_directions
-from sunarc.workers.bounded_queue import DropOldestQueue
+from sunarc.workers.loop import DropOldestQueue
 from sunarc.workers.night.exposures import NightCapture, NightExposures
 from sunarc.workers.night.night import NightWorker
-from sunarc.workers.sensor import SensorOptions
+from sunarc.workers.options import SensorOptions
 
 BEGIN = datetime(2013, 5, 13, 5, 0, tzinfo=UTC)
 EXPOSURE_US = 5e6

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sunarc.detection.stars.values import Stars
+from sunarc.detection.values import Stars
 from sunarc.imaging.exposure import ExposureBounds
 from sunarc.workers.night.exposures import NightExposures
 

@@ -20,8 +20,7 @@ from sunarc.archive.values import CameraRecord, Event
 from sunarc.array_types import Image
 from sunarc.cameras.frame import Frame
 from sunarc.optics.forward import project
-from sunarc.simulation.night_options import NightOptions
-from sunarc.simulation.options import SceneOptions
+from sunarc.simulation.options import NightOptions, SceneOptions
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP
 from sunarc.sky.night import body_directions, wanderer_place

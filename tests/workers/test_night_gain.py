@@ -13,13 +13,12 @@ from sunarc.cameras.frame import Frame
 from sunarc.errors import CameraError, CameraLostError
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation.night_options import NightOptions
-from sunarc.simulation.options import SceneOptions
+from sunarc.simulation.options import NightOptions, SceneOptions
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.scene_camera import SceneCamera
 from sunarc.simulation.truth import SGP
-from sunarc.workers.capture.capture import CODE, NightGain
-from sunarc.workers.sensor import SensorOptions, sensor_of
+from sunarc.workers.capture import CODE, NightGain
+from sunarc.workers.options import SensorOptions, sensor_of
 
 NIGHT = datetime(2013, 5, 13, 5, 0, tzinfo=UTC)
 

@@ -15,7 +15,7 @@ from tests.workers.test_night import BEGIN, CAMERA, Bench, clear, frame_at
 
 from sunarc.archive.values import CameraRecord, Event
 from sunarc.cameras.frame import Frame
-from sunarc.detection.stars.trend import NightLimits
+from sunarc.detection.stars.photometry import NightLimits
 from sunarc.findings import Finding
 from sunarc.simulation.truth import SGP
 from sunarc.workers.messages import MESSAGES

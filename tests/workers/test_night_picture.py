@@ -18,9 +18,8 @@ from sunarc.archive.images import DiskOptions, ImageStore
 from sunarc.archive.values import CameraRecord
 from sunarc.optics.forward import project
 from sunarc.simulation.truth import SGP
-from sunarc.sky.night import body_directions
-from sunarc.sky.star_names import title_of
-from sunarc.workers.night.picture import night_picture
+from sunarc.sky.night import body_directions, title_of
+from sunarc.workers.night.images import night_picture
 
 
 @pytest.fixture

@@ -9,8 +9,8 @@ import pytest
 
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.workers.capture.overdue_sightings import OverdueSightings
-from sunarc.workers.timing.frame_time import FrameTime
+from sunarc.workers.capture_status import OverdueSightings
+from sunarc.workers.clock_watch import FrameTime
 
 CADENCE_S = 30.0
 

@@ -12,9 +12,9 @@ from sunarc.cameras.options import ReplayOptions
 from sunarc.cameras.replay import open_replay
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.workers.bounded_queue import DropOldestQueue
-from sunarc.workers.capture.replay import ReplayWorker
-from sunarc.workers.timing.frame_time import FrameTime
+from sunarc.workers.capture import ReplayWorker
+from sunarc.workers.clock_watch import FrameTime
+from sunarc.workers.loop import DropOldestQueue
 
 from .conftest import NOON
 

@@ -13,16 +13,14 @@ from sqlalchemy import event
 from tests.fixtures.archive import new_archive
 from tests.fixtures.calibrations import SITE
 
-from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.archive import CameraArchive
 from sunarc.cameras.frame import Frame
-from sunarc.detection.options import DiscOptions
+from sunarc.detection.values import DiscOptions
 from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.workers.bounded_queue import DropOldestQueue
-from sunarc.workers.sensor import SensorOptions
-from sunarc.workers.sightings.detect import DetectWorker
-from sunarc.workers.sightings.frozen_frames import FrozenFrames
-from sunarc.workers.sightings.write_buffer import SightingWriteBuffer
+from sunarc.workers.detect import DetectWorker, FrozenFrames, SightingWriteBuffer
+from sunarc.workers.loop import DropOldestQueue
+from sunarc.workers.options import SensorOptions
 
 from .conftest import NOON
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sunarc.array_types import FloatArray
-from sunarc.workers.night.offset import radial_offset
+from sunarc.workers.night.named_stars import radial_offset
 
 CENTRE = np.array([870.0, 880.0])
 

@@ -9,7 +9,7 @@ from tests.fixtures.cameras import INFO
 
 from sunarc.detection.values import Detection
 from sunarc.imaging.exposure import SunExposureOptions
-from sunarc.workers.capture.sun_exposure_control import SPOILED_AFTER, SunExposures
+from sunarc.workers.exposures import SPOILED_AFTER, SunExposures
 
 if TYPE_CHECKING:
     from sunarc.runtime.clock import VirtualClock

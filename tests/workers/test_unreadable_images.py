@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from sunarc.archive.database.store import Reserve
 from sunarc.archive.images import DiskOptions, ImageStore
-from sunarc.archive.space_reserve import Reserve
 from sunarc.cameras.frame import Frame
 from sunarc.errors import OutsideError
-from sunarc.runtime.preflight import prepare_state
-from sunarc.workers.bounded_queue import DropOldestQueue
-from sunarc.workers.disk_space import DiskWorker
-from sunarc.workers.images.compose import ComposeWorker
-from sunarc.workers.sensor import SensorOptions
+from sunarc.runtime.host import prepare_state
+from sunarc.workers.compose import ComposeWorker
+from sunarc.workers.loop import DropOldestQueue
+from sunarc.workers.options import SensorOptions
+from sunarc.workers.upkeep import DiskWorker
 
 from .conftest import NOON
 from .test_database import as_nobody

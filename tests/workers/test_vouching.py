@@ -14,10 +14,10 @@ from sunarc.cameras.frame import Frame
 from sunarc.imaging.exposure import SunExposureOptions
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.workers.bounded_queue import DropOldestQueue
-from sunarc.workers.capture.capture import CaptureOptions, CaptureWorker, Cycle, CycleConsistencyFilter
-from sunarc.workers.capture.sun_exposure_control import SunExposures
-from sunarc.workers.timing.frame_time import FrameTime
+from sunarc.workers.capture import CaptureOptions, CaptureWorker, Cycle, CycleConsistencyFilter
+from sunarc.workers.clock_watch import FrameTime
+from sunarc.workers.exposures import SunExposures
+from sunarc.workers.loop import DropOldestQueue
 
 from .conftest import NOON, FakeCamera, StopAfter
 

@@ -19,8 +19,7 @@ from tests.workers.test_warm_pixels import MINUTES
 
 from sunarc.cameras.frame import Frame
 from sunarc.findings import Finding
-from sunarc.workers.night.warm import WarmPixelMap
-from sunarc.workers.night.warm_file import SensorFormat, WarmPixelFile
+from sunarc.workers.night.warm_pixels import SensorFormat, WarmPixelFile, WarmPixelMap
 
 __all__ = ["bench"]
 

@@ -11,14 +11,13 @@ import pytest
 from tests.workers.test_night import CAMERA, calibration_of, frame_at
 
 from sunarc.array_types import Image
-from sunarc.calibration.star_prediction import predict_stars
+from sunarc.calibration.answers.stars import predict_stars
 from sunarc.cameras.frame import Frame
-from sunarc.detection.stars.detect import detect_stars
+from sunarc.detection.stars.detect import detect_stars, outstanding_pixels, repaired, warm_pixels
 from sunarc.detection.stars.matching import StarMatches, match_stars
-from sunarc.detection.stars.warm import outstanding_pixels, repaired, warm_pixels
 from sunarc.simulation.truth import SGP
 from sunarc.sky.night import night_sky
-from sunarc.workers.night.warm import WarmPixelMap
+from sunarc.workers.night.warm_pixels import WarmPixelMap
 
 MINUTES = (0, 20, 40, 60, 80, 100)
 COUNT, LEVEL = 3000, 0.05 * 4095.0

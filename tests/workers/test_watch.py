@@ -14,15 +14,14 @@ from scipy.spatial.transform import Rotation
 from tests.finding_codes import codes
 from tests.fixtures.archive import make_empty
 
-from sunarc.archive.archive import open_archive
-from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.archive import CameraArchive, open_archive
 from sunarc.archive.values import CameraRecord, DayAir, Event, SunPoint
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.change_detection import detect_change
-from sunarc.calibration.change_detection.detect_change import update_window
-from sunarc.calibration.change_detection.values import Change, Sighting, SightingWindow, WatchOptions
+from sunarc.calibration.changes import detect_change
+from sunarc.calibration.changes.detect_change import update_window
+from sunarc.calibration.changes.values import Change, Sighting, SightingWindow, WatchOptions
 from sunarc.calibration.messages import MESSAGES
-from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.model.document import from_document, to_document
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration

@@ -23,9 +23,10 @@ from tests.fixtures.ports import free_port
 from tests.fixtures.pushing import DUSTY, Pushing, pushing, step
 
 from sunarc.errors import ConfigurationError, InputError, OutsideError
-from sunarc.workers.pushing import push, webhook
-from sunarc.workers.pushing.options import PushOptions
-from sunarc.workers.pushing.webhook import Webhook, webhook_name
+from sunarc.workers import push
+from sunarc.workers import push as webhook
+from sunarc.workers.options import PushOptions
+from sunarc.workers.push import Webhook, webhook_name
 
 SECRET = "a secret of enough bytes"  # noqa: S105 - of the test alone
 

@@ -11,11 +11,11 @@ import pytest
 from tests.fixtures.archive import new_archive
 from tests.workers.test_watch import SIZE, TRUTH
 
-from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.archive import CameraArchive
 from sunarc.archive.values import CameraRecord
-from sunarc.calibration.change_detection.values import WatchOptions
+from sunarc.calibration.changes.values import WatchOptions
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.calibration.pose.sun_motion import site_contradiction
+from sunarc.calibration.quality.site_checks import site_contradiction
 from sunarc.cameras.frame import Frame
 from sunarc.optics.forward import project
 from sunarc.runtime.status import StatusRegistry
@@ -24,7 +24,7 @@ from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles, sun_directions
 from sunarc.workers.calibrating.monitor import WatchWorker
 from sunarc.workers.calibrating.provisional_pose import ProvisionalPoseEstimator
-from sunarc.workers.capture.status import CaptureReport
+from sunarc.workers.capture_status import CaptureReport
 
 EVENING = datetime(2013, 5, 13, 23, 30, tzinfo=UTC)
 MORNING = datetime(2013, 5, 13, 14, 30, tzinfo=UTC)

@@ -1,4 +1,4 @@
-"""The application, made of what it is handed."""
+"""The applications of an imager and of a hub, made of what they are handed, and their description."""
 
 from __future__ import annotations
 
@@ -8,56 +8,134 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from fastapi import Depends, FastAPI
+from fastapi.openapi.utils import get_openapi
 from fastapi.responses import FileResponse
 from prometheus_client import CollectorRegistry, ProcessCollector
+from pydantic import BaseModel
+from pydantic.json_schema import JsonSchemaMode, models_json_schema
 from starlette.middleware.cors import CORSMiddleware
 from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
 from starlette.staticfiles import StaticFiles
 
 import sunarc
 from sunarc.api.arrays import MOST_BYTES_AHEAD
-from sunarc.api.compute_slots import ComputeSlots
-from sunarc.api.context import CAMERA_PREFIX, ApiContext, DaySites, SingleFlightCache
-from sunarc.api.fault_log import FaultLog
-from sunarc.api.middleware.allowed_hosts import AllowedHosts, host_names
-from sunarc.api.middleware.authentication import ReadTokenMiddleware, read_token
-from sunarc.api.middleware.head_requests import HeadRequests
+from sunarc.api.bulk import ComputeSlots
+from sunarc.api.context import CAMERA_PREFIX, ApiContext, DaySites, SingleFlightCache, refuse_refit
+from sunarc.api.middleware.admission import (
+    AllowedHosts,
+    ConcurrencyLimit,
+    RateLimit,
+    ReadTokenMiddleware,
+    host_names,
+    read_token,
+)
 from sunarc.api.middleware.holdings import Holdings
-from sunarc.api.middleware.rate_limit import ConcurrencyLimit, RateLimit
-from sunarc.api.middleware.request_bodies import BodyReader
-from sunarc.api.middleware.request_counts import CountRequests, RequestCounts
-from sunarc.api.middleware.request_limits import Boundary
-from sunarc.api.openapi import describe
+from sunarc.api.middleware.request_bodies import BodyReader, Boundary, HeadRequests
 from sunarc.api.options import ApiOptions
-from sunarc.api.problems import FaultGuard, add_problem_handlers
-from sunarc.api.query_names import require_known_names
-from sunarc.api.routes.calibration_actions import decision_routes
-from sunarc.api.routes.calibrations import calibration_routes
-from sunarc.api.routes.cameras import camera_routes
-from sunarc.api.routes.day_air import day_air_routes
-from sunarc.api.routes.days_and_events import record_routes
+from sunarc.api.problems import Fault, FaultGuard, FaultLog, Problem, add_problem_handlers, answers, require_known_names
+from sunarc.api.routes.calibrations import calibration_routes, decision_routes
 from sunarc.api.routes.directions import direction_routes
-from sunarc.api.routes.event_stream import event_stream_routes
-from sunarc.api.routes.geolocation import geolocation_routes
-from sunarc.api.routes.health import health_routes
-from sunarc.api.routes.housekeeping import housekeeping_routes
+from sunarc.api.routes.feed import FeedReceiver, FeedSizes, feed_routes
+from sunarc.api.routes.fleet import FleetCollector, fleet_page, fleet_routes, nightly_routes, pair_routes
+from sunarc.api.routes.geolocation import GeolocateRequest, geolocation_routes
+from sunarc.api.routes.health import camera_routes, health_routes
 from sunarc.api.routes.images import image_routes
-from sunarc.api.routes.maps import map_routes
-from sunarc.api.routes.masks import mask_routes
-from sunarc.api.routes.metrics import StatusCollector
+from sunarc.api.routes.maps import map_routes, mask_routes, remap_routes
+from sunarc.api.routes.metrics import CountRequests, RequestCounts, StatusCollector
 from sunarc.api.routes.nights import night_routes
 from sunarc.api.routes.overlay import overlay_routes
+from sunarc.api.routes.record import day_air_routes, event_stream_routes, housekeeping_routes, record_routes
 from sunarc.api.routes.refits import refit_routes
-from sunarc.api.routes.remap import remap_routes
 from sunarc.api.routes.stored_answers import AnswerFiles
 from sunarc.api.routes.sun import sun_routes
+from sunarc.api.schemas import BackProjectRequest, ProjectRequest
 from sunarc.archive.archive import Archive
 from sunarc.archive.images import ImageStore
 from sunarc.archive.values import Refit
-from sunarc.calibration.ensemble import draw_ensemble
-from sunarc.calibration.model.direction_table import lookup
+from sunarc.calibration.answers.direction_table import lookup
+from sunarc.calibration.answers.error_model import draw_ensemble
 from sunarc.runtime.status import StatusSnapshot
 from sunarc.sky.site import Site
+
+_DESCRIPTION = """Keeps the geometric calibration of an all-sky imager right, from the sun and the stars.
+
+Pixels are (x, y) in px, x right, y down, (0, 0) the centre of the top-left pixel. Zenith and azimuth are in degrees,
+azimuth clockwise from north; directions are apparent (refracted) unit vectors, east-north-up. Times are RFC 3339, UTC.
+A sigma is per axis, an RMSE is of the two-dimensional distance. null means that there is no answer.
+
+Every route below /v1 but /v1/status and /v1/cameras answers for this service's own camera; as /v1/cameras/{camera}/…
+it answers for any camera that /v1/cameras lists (404 for another name)."""
+
+_OTHERS: tuple[tuple[type[BaseModel], JsonSchemaMode], ...] = (
+    (Problem, "serialization"),
+    (Fault, "serialization"),
+    (BackProjectRequest, "validation"),
+    (ProjectRequest, "validation"),
+    (GeolocateRequest, "validation"),
+)
+"""Shapes that no route's signature names."""
+_TAGS = {
+    "health": "whether the service answers, how it is, and its numbers",
+    "cameras": "what the archive knows",
+    "calibrations": "the one that answers, the history, and decisions by hand",
+    "directions": "pixels to directions and back, clouds and shadows",
+    "sun": "where it is, and where it was seen",
+    "images": "composites, maps of them, masks and tables for OpenCV",
+    "record": "days, events as they were and as they happen, the latest image",
+    "refits": "asked for, under way and done",
+    "epochs": "intervals in which the camera did not move",
+    "fleet": "what a hub holds of its cameras, and takes from them",
+    "drawing": "lines and shades to draw over the image",
+}
+_TEXTS = {"text/plain": "string", "application/yaml": "object"}
+"""Type of the content of the media types that are no bytes; YAML is what a reader of it makes of it."""
+
+
+def describe(app: FastAPI) -> None:
+    """Make the application tell its document."""
+
+    def document() -> dict[str, Any]:
+        if app.openapi_schema is None:
+            app.openapi_schema = _document(app)
+        return app.openapi_schema
+
+    app.openapi = document  # type: ignore[method-assign]  # FastAPI's own way to do this
+
+
+def _document(app: FastAPI) -> dict[str, Any]:
+    document = get_openapi(title=app.title, version=app.version, description=_DESCRIPTION, routes=app.routes)
+    template = "#/components/schemas/{model}"
+    _, others = models_json_schema([*_OTHERS], ref_template=template)
+    schemas = document["components"]["schemas"]
+    for name in ("HTTPValidationError", "ValidationError"):
+        schemas.pop(name, None)
+    schemas |= others["$defs"]
+    document["paths"] = {path.replace("{camera}", "", 1): one for path, one in document["paths"].items()}
+    for path in document["paths"].values():
+        for operation in path.values():
+            _only_problems(operation["responses"])
+            _describe_bytes(operation["responses"])
+    used = {tag for path in document["paths"].values() for one in path.values() for tag in one.get("tags", ())}
+    document["tags"] = [{"name": name, "description": _TAGS[name]} for name in sorted(used)]
+    return document
+
+
+def _describe_bytes(responses: dict[str, Any]) -> None:
+    """Give a schema to every content that has none: files and texts."""
+    for answer in responses.values():
+        for media_type, content in answer.get("content", {}).items():
+            of_text = _TEXTS.get(media_type)
+            described = {"type": of_text} if of_text else {"type": "string", "format": "binary"}
+            content.setdefault("schema", described)
+
+
+def _only_problems(responses: dict[str, Any]) -> None:
+    """Replace FastAPI's own answer to what is invalid, and add the ones that any route may give."""
+    if "HTTPValidationError" in str(responses.get("422", "")):
+        responses["422"] = answers(422)[422]
+    for status, answer in answers(400, 401, 421, 422, 429, 500, 503).items():
+        responses.setdefault(str(status), answer)
+
 
 _ENSEMBLES = 4
 """Ensembles that are kept: each of up to 64 draws, 5 MB."""
@@ -246,3 +324,56 @@ def _add_dashboard(app: FastAPI) -> None:
         return FileResponse(STATIC / "docs" / "docs.html")
 
     app.mount("/static", StaticFiles(directory=STATIC))
+
+
+def create_hub_app(
+    *,
+    archive: Archive,
+    status: Callable[[], StatusSnapshot],
+    now: Callable[[], datetime],
+    options: ApiOptions,
+    registry: CollectorRegistry | None = None,
+    stopping: Callable[[], bool] = lambda: False,
+) -> FastAPI:
+    """Return an application that takes the rows of imagers, and answers for each of their cameras.
+
+    What an imager decides is not changed here: routes that change something answer 403.
+
+    Parameters
+    ----------
+    archive : the fleet's.
+    status : returns how the hub is.
+    now : real time.
+    options : limits and the token for reading.
+    registry : where Prometheus's numbers are registered; a new one by default.
+    stopping : returns whether the hub is about to stop: streams of events end then.
+    """
+    context = new_context(
+        archive=archive,
+        camera="",  # the hub has none of its own
+        site=Site(latitude=0.0, longitude=0.0),
+        status=status,
+        request_refit=refuse_refit,
+        frame_clock=now,
+        latest_image=lambda: None,
+        options=options,
+        images=None,
+        stopping=stopping,
+        token=None,
+    )
+    receiver = FeedReceiver(archive, now)
+    numbers = registry or CollectorRegistry()
+    numbers.register(FleetCollector(archive, now, status))
+    app = new_application("sunarc hub")
+    app.include_router(feed_routes(receiver))
+    add_camera_routes(app, context)
+    app.include_router(camera_routes(context))
+    app.include_router(fleet_routes(archive, now, numbers, status))
+    app.include_router(nightly_routes(archive))
+    app.include_router(pair_routes(context))
+    app.include_router(fleet_page(STATIC))
+    app.mount("/static", StaticFiles(directory=STATIC))
+    complete(app, context)
+    count_requests(app, numbers)
+    app.add_middleware(FeedSizes, receiver=receiver)
+    return app

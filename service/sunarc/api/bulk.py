@@ -1,10 +1,13 @@
-"""Requests with many rows: read, computed and written, at once when small, in a thread and by turns when large."""
+"""Answers of many rows, as JSON or .npy: which calibration answers which point, and how many are computed at once."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import asyncio
+from collections import OrderedDict, deque
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from functools import partial
 from http import HTTPStatus
 from typing import Any, TypeVar
@@ -17,15 +20,215 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 
-from sunarc.api.answering import Answering, answering_at, answering_each
 from sunarc.api.arrays import NPY, Rows, bytes_ahead, read_rows, require_few, rows_response
-from sunarc.api.compute_slots import ComputeSlots
 from sunarc.api.context import CALIBRATION, ApiContext, Sampling
-from sunarc.api.middleware.client_address import client_network
+from sunarc.api.middleware.holdings import client_network
 from sunarc.api.problems import Fault, RefusedError
-from sunarc.array_types import FloatArray
-from sunarc.calibration.ensemble import Ensemble
-from sunarc.errors import InputError
+from sunarc.archive.values import CalibrationRecord
+from sunarc.array_types import FloatArray, IntArray
+from sunarc.calibration.answers.direction_table import Lookup
+from sunarc.calibration.answers.error_model import Ensemble
+from sunarc.errors import InputError, NotFoundError
+from sunarc.sky.days import solar_days
+
+_MOST_CALIBRATIONS = 8
+"""Of one request with a time for each point: as many as are kept ready."""
+_MOST_DAYS = 366
+"""Solar days of such a request; each has a site of its own, with the air measured on it."""
+_YEARS = (0.0, 7_258_118_400.0)
+"""Times that are answered for, 1970 to 2199, s since 1970: those of the API's other times."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answering:
+    """What answers a question.
+
+    Attributes
+    ----------
+    context : of the camera that was asked for.
+    record : its calibration.
+    ready : made ready.
+    time : that was asked for; now by the frames' time where none was.
+    each : what answers for the times of points; None where all points have one time.
+    """
+
+    context: ApiContext
+    record: CalibrationRecord
+    ready: Lookup
+    time: datetime
+    each: Timeline | None = None
+
+    @property
+    def calibrations(self) -> tuple[str, ...]:
+        """Return the ids of the calibrations, in the order of time."""
+        return (self.record.id,) if self.each is None else self.each.calibrations
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Timeline:
+    """What answers for each of many times.
+
+    Attributes
+    ----------
+    times : (m,) different times, rising, s since 1970.
+    groups : (m,) which of `answers` does; a group has one calibration and one solar day.
+    answers : in the order of time.
+    asked : (n,) times of the points, as they were asked.
+    """
+
+    times: FloatArray
+    groups: IntArray
+    answers: tuple[Answering, ...]
+    asked: FloatArray
+
+    @property
+    def calibrations(self) -> tuple[str, ...]:
+        """Return the ids of the calibrations, in the order of time."""
+        return tuple(dict.fromkeys(one.record.id for one in self.answers))
+
+    def split(self, times: FloatArray) -> Iterator[tuple[Answering, IntArray]]:
+        """Yield what answers for points of these times, and which points (indices)."""
+        groups = self.groups[np.searchsorted(self.times, times)]
+        for group in np.unique(groups).tolist():
+            yield self.answers[group], np.flatnonzero(groups == group)
+
+    def of_points(self) -> list[str]:
+        """Return the id of the calibration that answers for each of the points."""
+        names = [one.record.id for one in self.answers]
+        return [names[group] for group in self.groups[np.searchsorted(self.times, self.asked)].tolist()]
+
+
+def answering_at(context: ApiContext, request: Request, at: datetime | None) -> Answering:
+    """Return what answers a request for one time, now where there is none."""
+    selected, record = context.answering(request, at)
+    return Answering(
+        context=selected, record=record, ready=selected.ready.get(record), time=at or selected.frame_clock()
+    )
+
+
+def answering_each(context: ApiContext, request: Request, asked: FloatArray) -> Answering:
+    """Return what answers a request whose points have times of their own; by itself it is that of the first time.
+
+    Raises
+    ------
+    NotFoundError
+        No calibration answers for one of the times.
+    RefusedError
+        (413) More than 8 calibrations answer, or the times lie on more than 366 solar days.
+    InputError
+        A time lies outside the years 1970 to 2199.
+    """
+    within = np.isfinite(asked) & (asked >= _YEARS[0]) & (asked < _YEARS[1])
+    if not np.all(within):
+        place = f"at[{int(np.argmin(within))}]"
+        raise InputError(field=place, problem="lies outside the years 1970 to 2199", remedy="give s since 1970, UTC")
+    selected, times = context.of(request), np.unique(asked)
+    days = solar_days(times, longitude=selected.site.longitude)
+    require_few(len(np.unique(days)), most=_MOST_DAYS, field="at", what="solar days")
+    records = _records(selected, times, asked)
+    changes = [k for k in range(len(times)) if k == 0 or days[k] != days[k - 1] or records[k] is not records[k - 1]]
+    answers = tuple(
+        Answering(context=selected, record=records[k], ready=selected.ready.get(records[k]), time=moment(times[k]))
+        for k in changes
+    )
+    groups = np.searchsorted(np.array(changes), np.arange(len(times)), side="right") - 1
+    each = Timeline(times=times, groups=groups, answers=answers, asked=asked)
+    first = answers[groups[np.searchsorted(times, asked[0])]]
+    return Answering(context=selected, record=first.record, ready=first.ready, time=moment(asked[0]), each=each)
+
+
+def _records(context: ApiContext, times: FloatArray, asked: FloatArray) -> list[CalibrationRecord]:
+    """Return what answers at each of rising times.
+
+    A calibration answers for one interval of time (one that is made current again does so as a copy), so that what
+    answers at two times answers between them.
+    """
+    found: dict[int, CalibrationRecord] = {}
+    distinct: dict[str, CalibrationRecord] = {}
+
+    def look(k: int) -> CalibrationRecord:
+        if k not in found:
+            record = context.record_or_none(moment(times[k]))
+            if record is None:
+                place = f"at[{int(np.flatnonzero(asked == times[k])[0])}]"
+                problem = f"no calibration answers for {moment(times[k]).isoformat()}"
+                raise NotFoundError(field=place, problem=problem, remedy="see /v1/calibrations for what there is")
+            found[k] = distinct.setdefault(record.id, record)
+            require_few(len(distinct), most=_MOST_CALIBRATIONS, field="at", what="calibrations")
+        return found[k]
+
+    spans = [(0, len(times) - 1)]
+    while spans:
+        low, high = spans.pop()
+        if look(low) is look(high):
+            found |= dict.fromkeys(range(low, high + 1), found[low])
+        elif high - low > 1:
+            middle = (low + high) // 2
+            spans += [(low, middle), (middle, high)]
+    return [found[k] for k in range(len(times))]
+
+
+def moment(unix_s: float) -> datetime:
+    """Return seconds since 1970 as a time."""
+    return datetime.fromtimestamp(float(unix_s), UTC)
+
+
+class ComputeSlots:
+    """Semaphore of large computations that serves waiting addresses in turn.
+
+    A slot is taken when all that is computed on is there, and left when the numbers are: not while a request is being
+    sent, nor while its answer is being read. Addresses that wait take turns.
+
+    Parameters
+    ----------
+    most : how many run; an address of which more requests wait than that is refused (429).
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._free = most
+        self._waiting: OrderedDict[str | None, deque[asyncio.Future[None]]] = OrderedDict()
+
+    def require_room(self, client: str | None) -> None:
+        """Raise RefusedError (429) where too much of an address waits already. On the event loop alone."""
+        if len(self._waiting.get(client, ())) >= self._most:
+            fault = Fault(field="request", problem="too many large requests at once", remedy="ask again in a second")
+            raise RefusedError(HTTPStatus.TOO_MANY_REQUESTS, fault, headers={"retry-after": "1"})
+
+    @asynccontextmanager
+    async def slot(self, client: str | None) -> AsyncIterator[None]:
+        """Wait for a slot, and hold it. On the event loop alone."""
+        await self._take(client)
+        try:
+            yield
+        finally:
+            self._leave()
+
+    async def _take(self, client: str | None) -> None:
+        if self._free:
+            self._free -= 1
+            return
+        waiter: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._waiting.setdefault(client, deque()).append(waiter)
+        try:
+            await waiter
+        except asyncio.CancelledError:
+            if waiter.done() and not waiter.cancelled():
+                self._leave()  # it was handed a slot in the same moment
+            raise
+
+    def _leave(self) -> None:
+        """Pass the slot on to the next waiting address."""
+        while self._waiting:
+            client, waiters = self._waiting.popitem(last=False)
+            waiter = waiters.popleft()
+            if waiters:
+                self._waiting[client] = waiters
+            if not waiter.done():
+                waiter.set_result(None)
+                return
+        self._free += 1
+
 
 RequestModel = TypeVar("RequestModel", bound=BaseModel)
 

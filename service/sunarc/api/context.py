@@ -18,8 +18,8 @@ from sunarc.api.options import ApiOptions
 from sunarc.archive.archive import Archive
 from sunarc.archive.images import ImageStore
 from sunarc.archive.values import CalibrationRecord, Refit
-from sunarc.calibration.ensemble import Ensemble
-from sunarc.calibration.model.direction_table import Lookup
+from sunarc.calibration.answers.direction_table import Lookup
+from sunarc.calibration.answers.error_model import Ensemble
 from sunarc.calibration.model.result import Calibration
 from sunarc.errors import InputError, NotFoundError
 from sunarc.runtime.status import StatusSnapshot

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import logging
 import re
-from collections.abc import Iterable, Mapping, Sequence
+import threading
+import traceback
+from collections import OrderedDict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from http import HTTPStatus
 from typing import Any
 
 from fastapi import FastAPI, Request
+from fastapi.dependencies.models import Dependant
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel, Field
@@ -17,8 +23,65 @@ from starlette.exceptions import HTTPException
 from starlette.routing import compile_path
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from sunarc.api.fault_log import FaultLog
 from sunarc.errors import ConflictError, InputError, NotFoundError, OutsideError, SunarcError
+
+_WINDOW_S = 300.0  # as long as the log's own filter holds repeats back
+_MAX_KINDS = 256
+
+
+@dataclass(slots=True)
+class _Kind:
+    """When a fault was last logged, and how often it has come since."""
+
+    logged_at_s: float
+    unlogged: int = 0
+
+
+class FaultLog:
+    """Logs faults: the first of a kind with its stack, later ones at most once in five minutes, with their count.
+
+    Faults are of one kind when the exception's type and the line that raised it are.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._kinds: OrderedDict[str, _Kind] = OrderedDict()
+
+    def record(self, error: BaseException, *, request: str, now_s: float) -> str:
+        """Log a fault, or count it; return its name, which the answer and the log share.
+
+        Parameters
+        ----------
+        error : the fault.
+        request : method and path.
+        now_s : seconds that never jump.
+        """
+        name, location = _identify(error)
+        with self._lock:
+            kind = self._kinds.get(name)
+            if kind is not None and now_s - kind.logged_at_s < _WINDOW_S:
+                kind.unlogged += 1
+                return name
+            self._kinds[name] = _Kind(now_s)
+            self._kinds.move_to_end(name)
+            if len(self._kinds) > _MAX_KINDS:
+                self._kinds.popitem(last=False)
+        # Outside the lock: formatting a stack takes milliseconds.
+        if kind is None:
+            _log.error("fault %s: %s failed at %s", name, request, location, exc_info=error)
+        else:
+            again = "fault %s again: %s failed at %s: %s (%d more since it was last logged)"
+            _log.error(again, name, request, location, type(error).__name__, kind.unlogged)
+        return name
+
+
+def _identify(error: BaseException) -> tuple[str, str]:
+    """Return a fault's name, and the line that raised it."""
+    frames = traceback.extract_tb(error.__traceback__)
+    location = f"{frames[-1].filename}:{frames[-1].lineno}" if frames else "an unknown line"
+    identity = f"{type(error).__module__}.{type(error).__qualname__} {location}"
+    return hashlib.sha256(identity.encode()).hexdigest()[:8], location
+
 
 MEDIA_TYPE = "application/problem+json"
 _MOST_FAULTS = 20
@@ -289,3 +352,30 @@ def _sentence(faults: Sequence[Fault]) -> str:
     first = faults[0]
     others = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
     return f"{first.field}: {first.problem}; {first.remedy}{others}"
+
+
+def require_known_names(request: Request) -> None:
+    """Refuse (422) a request whose query has a name that its route does not know.
+
+    Raises
+    ------
+    RefusedError
+        Names the parameter, and those that exist.
+    """
+    given = request.query_params.keys()
+    if not given:
+        return
+    known = set(_names(request.scope["route"].dependant))
+    for name in given:
+        if name not in known:
+            remedy = f"use {', '.join(sorted(known))}" if known else "leave it out; this route has no parameters"
+            fault = Fault(field=name, problem="is not a parameter of this route", remedy=remedy)
+            raise RefusedError(HTTPStatus.UNPROCESSABLE_ENTITY, fault)
+
+
+def _names(dependant: Dependant) -> Iterator[str]:
+    """Yield the names of the query parameters of a route and of what it depends on."""
+    for parameter in dependant.query_params:
+        yield parameter.alias
+    for further in dependant.dependencies:
+        yield from _names(further)

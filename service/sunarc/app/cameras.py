@@ -7,10 +7,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime
 
-from sunarc.app.messages import MESSAGES
+from sunarc.app.status_line import MESSAGES
 from sunarc.archive.archive import Archive
-from sunarc.archive.sighting_revisions import LENS_CHANGED
-from sunarc.archive.sites import require_same_site
+from sunarc.archive.sightings import LENS_CHANGED, require_same_site
 from sunarc.archive.values import CameraRecord, Event
 from sunarc.cameras.aravis import open_aravis
 from sunarc.cameras.frame import CameraInfo, SkyCamera

@@ -7,18 +7,16 @@ import signal
 import socket
 
 import sunarc
-from sunarc.api.hub_app import create_hub_app
+from sunarc.api.app import create_hub_app
 from sunarc.app.pushing import fleet_states, push_workers
-from sunarc.app.recording import hub_recording
-from sunarc.app.serving import LOOP_STALE_S, new_server, stop_on_signals, with_credentials
-from sunarc.app.supervision import running, supervised
+from sunarc.app.service import hub_recording
+from sunarc.app.serving import LOOP_STALE_S, new_server, running, stop_on_signals, supervised, with_credentials
 from sunarc.archive.archive import Archive, open_archive
 from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.daily_job import Schedule
-from sunarc.runtime.heartbeats import Heartbeat, Monitored
-from sunarc.runtime.preflight import listen
+from sunarc.runtime.host import listen, notifier_from
 from sunarc.runtime.status import StatusRegistry
-from sunarc.runtime.systemd import notifier_from
+from sunarc.runtime.supervisor import Heartbeat, Monitored
 from sunarc.settings.model import HubSettings
 from sunarc.workers.nightly import NightlyWork, nightly_jobs
 

@@ -7,18 +7,15 @@ from datetime import datetime
 from functools import partial
 
 from sunarc.api.routes.fleet import members
-from sunarc.archive.archive import Archive
-from sunarc.archive.camera_archive import CameraArchive
-from sunarc.archive.feed_values import FleetCamera
-from sunarc.archive.notices import CameraState
+from sunarc.archive.archive import Archive, CameraArchive
+from sunarc.archive.fleet.feed_rows import FleetCamera
+from sunarc.archive.fleet.notices import CameraState
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import StatusRegistry
 from sunarc.runtime.supervisor import Supervised
-from sunarc.workers.pushing.mqtt import MqttBroker
-from sunarc.workers.pushing.options import PushOptions
-from sunarc.workers.pushing.push import PushWorker, Sink
-from sunarc.workers.pushing.record import NoticeWorker
-from sunarc.workers.pushing.webhook import Webhook, webhook_name
+from sunarc.workers.mqtt import MqttBroker
+from sunarc.workers.options import PushOptions
+from sunarc.workers.push import NoticeWorker, PushWorker, Sink, Webhook, webhook_name
 
 
 def push_workers(

@@ -12,45 +12,80 @@ from typing import TypedDict
 
 import sunarc
 from sunarc.app.cameras import camera_record, note_other_camera, require_same_camera
-from sunarc.app.night import night_capture, night_worker
-from sunarc.archive.archive import Archive
-from sunarc.archive.camera_archive import CameraArchive
+from sunarc.app.status_line import NO_FRAME_YET
+from sunarc.archive.archive import Archive, CameraArchive
+from sunarc.archive.database.recovery import Recovery
+from sunarc.archive.database.store import Reserve
 from sunarc.archive.images import ImageStore
-from sunarc.archive.recovery import Recovery
-from sunarc.archive.sighting_revisions import ELSEWHERE
-from sunarc.archive.space_reserve import Reserve
+from sunarc.archive.sightings import ELSEWHERE
 from sunarc.archive.values import Refit
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
 from sunarc.cameras.frame import Frame, SkyCamera
 from sunarc.detection.values import Detection
 from sunarc.errors import OutsideError
+from sunarc.extras import extra_module
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import StatusRegistry
 from sunarc.runtime.supervisor import Supervised, Worker
 from sunarc.settings.model import Settings
+from sunarc.sky.night import moon_disc
+from sunarc.sky.site import Site
 from sunarc.utc import MICROSECOND
-from sunarc.workers.bounded_queue import DropOldestQueue
-from sunarc.workers.calibrating.judge_days import DayJudge
-from sunarc.workers.calibrating.lens_prior_file import FirstPose
-from sunarc.workers.calibrating.monitor import WatchWorker
-from sunarc.workers.calibrating.provisional_pose import ProvisionalPoseEstimator
+from sunarc.workers.calibrating.monitor import DayJudge, WatchWorker
+from sunarc.workers.calibrating.provisional_pose import FirstPose, ProvisionalPoseEstimator
 from sunarc.workers.calibrating.refit import RefitWorker
-from sunarc.workers.capture.capture import CaptureWorker
-from sunarc.workers.capture.overdue_sightings import OverdueSightings
-from sunarc.workers.capture.replay import ReplayWorker
-from sunarc.workers.capture.sun_exposure_control import SunExposures
-from sunarc.workers.database_file import DatabaseWorker
-from sunarc.workers.disk_space import DiskWorker
-from sunarc.workers.feeding.feed import FeedWorker
-from sunarc.workers.feeding.hub_connection import HubConnection
-from sunarc.workers.images.compose import ComposeWorker
-from sunarc.workers.images.image_metadata import image_document
-from sunarc.workers.sightings.detect import DetectWorker
-from sunarc.workers.sightings.frozen_frames import FrozenFrames
-from sunarc.workers.sightings.sun_prediction import SunPredictor
-from sunarc.workers.sightings.write_buffer import SightingWriteBuffer
-from sunarc.workers.timing.clock_watch import ClockWatch
-from sunarc.workers.timing.frame_time import FrameTime
+from sunarc.workers.capture import CaptureWorker, ReplayWorker
+from sunarc.workers.capture_status import OverdueSightings
+from sunarc.workers.clock_watch import ClockWatch, FrameTime
+from sunarc.workers.compose import ComposeWorker, image_document
+from sunarc.workers.detect import DetectWorker, FrozenFrames, SightingWriteBuffer
+from sunarc.workers.exposures import SunExposures
+from sunarc.workers.feed import FeedWorker, HubConnection
+from sunarc.workers.loop import DropOldestQueue
+from sunarc.workers.night.exposures import MoonCapture, MoonExposures, NightCapture, NightExposures
+from sunarc.workers.night.night import NightWorker
+from sunarc.workers.options import NightOptions
+from sunarc.workers.sun_prediction import SunPredictor
+from sunarc.workers.upkeep import ConditionTimesWorker, DatabaseWorker, DiskWorker, HousekeepingWorker, StoreRoomWorker
+
+_WAITING_FRAMES = 4
+
+
+def night_capture(options: NightOptions, site_at: Callable[[datetime], Site]) -> NightCapture | None:
+    """Return what joins the night's capture and its worker; None where the night is not worked.
+
+    Raises
+    ------
+    InputError : it is, and the extra `night` is not installed.
+    """
+    if not options.enabled:
+        return None
+    extra_module("ephem", extra="night")
+    moon = MoonExposures(lambda time: moon_disc(time.timestamp(), site_at(time)))
+    return NightCapture(
+        NightExposures(),
+        DropOldestQueue(capacity=_WAITING_FRAMES),
+        MoonCapture(moon, DropOldestQueue(capacity=_WAITING_FRAMES)),
+    )
+
+
+def night_worker(service: Service, night: NightCapture) -> NightWorker:
+    """Return the worker that looks at the stars."""
+    return NightWorker(
+        night,
+        camera=service.camera,
+        options=service.settings.sensor,
+        apparent_zenith=lambda: service.predictor.apparent_zenith(service.frame_time.now()),
+        clock_error_s=service.clock_watch.error_s,
+        trusted=service.clock_watch.trusted,
+        now=service.frame_time.now,
+        request_refit=service.request_refit,
+        board=service.board,
+        store=service.images,
+        warm_pixels=service.settings.warm_pixels,
+        resumes=True,
+    )
+
 
 # What the store knows of the time before the service started, so that a restart hides nothing.
 
@@ -397,3 +432,43 @@ class Service:
             board=self.board,
             may_solve=lambda: self.frame_time.is_known and self.clock_watch.trusted(),
         )
+
+
+_OF_THE_HUB = ""
+
+
+def imager_recording(service: Service) -> tuple[Supervised, ...]:
+    """Return the workers of an imager; made before its conditions are set, so that they go on where they were."""
+    frame_time = service.frame_time
+
+    def now() -> datetime | None:
+        return frame_time.now() if frame_time.is_known and service.clock_watch.trusted() else None
+
+    housekeeping = HousekeepingWorker(
+        camera=service.camera,
+        clock=service.clock,
+        now=now,
+        age_from=service.clock_watch.cleaning_time,
+        board=service.board,
+    )
+    conditions = ConditionTimesWorker(
+        archive=service.archive,
+        camera=service.settings.name,
+        board=service.board,
+        clock=service.clock,
+        passing=[NO_FRAME_YET],
+    )
+    return (
+        Supervised(name="housekeeping", make_worker=lambda: housekeeping),
+        Supervised(name="conditions", make_worker=lambda: conditions),
+    )
+
+
+def hub_recording(archive: Archive, board: StatusRegistry, clock: Clock) -> tuple[Supervised, ...]:
+    """Return the workers of a hub's own conditions; whatever its database does, a restart of the hub helps nothing."""
+    conditions = ConditionTimesWorker(archive=archive, camera=_OF_THE_HUB, board=board, clock=clock)
+    room = StoreRoomWorker(archive=archive, clock=clock, board=board)
+    return (
+        Supervised(name="conditions", make_worker=lambda: conditions),
+        Supervised(name="room", make_worker=lambda: room, optional=True),
+    )

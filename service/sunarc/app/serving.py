@@ -10,8 +10,8 @@ import os
 import signal
 import socket
 import sys
-from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from typing import NoReturn, cast
@@ -24,22 +24,62 @@ from sunarc.api.middleware.connection_limit import BoundedConnection
 from sunarc.api.options import ApiOptions
 from sunarc.app.cameras import camera_opener, require_stored_site
 from sunarc.app.pushing import imager_states, push_workers
-from sunarc.app.recording import imager_recording
-from sunarc.app.service import Service
+from sunarc.app.service import Service, imager_recording
 from sunarc.app.status_line import FirstFrame, StatusLine
-from sunarc.app.supervision import running, supervised
 from sunarc.archive.archive import open_archive
+from sunarc.archive.database.recovery import prepare_database
+from sunarc.archive.database.state_folder import lock_state, require_unlocked
+from sunarc.archive.database.store import Reserve
 from sunarc.archive.images import ImageStore
-from sunarc.archive.lock import lock_state, require_unlocked
-from sunarc.archive.recovery import prepare_database
-from sunarc.archive.space_reserve import Reserve
-from sunarc.runtime.clock import SystemClock
+from sunarc.runtime.clock import Clock, SystemClock
 from sunarc.runtime.daily_job import Schedule
-from sunarc.runtime.heartbeats import Heartbeat, Monitored
-from sunarc.runtime.preflight import listen, prepare_state
-from sunarc.runtime.supervisor import Supervised
-from sunarc.runtime.systemd import credential, notifier_from
+from sunarc.runtime.host import credential, listen, notifier_from, prepare_state, watchdog_interval_s
+from sunarc.runtime.status import StatusRegistry
+from sunarc.runtime.supervisor import Heartbeat, Monitored, Supervised, Supervisor
 from sunarc.settings.model import Settings
+
+_STOP_WITHIN_S = 4.0
+
+
+@contextmanager
+def supervised(
+    workers: Sequence[Supervised],
+    *,
+    clock: Clock,
+    board: StatusRegistry,
+    feed: Callable[[], None],
+    on_failed: Callable[[], None],
+    monitored: Sequence[Monitored],
+    on_check: Sequence[Callable[[], None]],
+) -> Iterator[Supervisor]:
+    """Run workers, and stop them at the end; the parameters are those of `Supervisor`."""
+    interval_s = watchdog_interval_s(os.environ, pid=os.getpid())
+    supervisor = Supervisor(
+        workers,
+        clock=clock,
+        board=board,
+        feed=feed,
+        check_every_s=1.0 if interval_s is None else min(interval_s / 3.0, 1.0),
+        on_failed=on_failed,
+        monitored=monitored,
+        on_check=on_check,
+    )
+    supervisor.start()
+    try:
+        yield supervisor
+    finally:
+        supervisor.stop(within_s=_STOP_WITHIN_S)
+
+
+@contextmanager
+def running(schedule: Schedule) -> Iterator[None]:
+    """Run a schedule, and end it."""
+    schedule.start()
+    try:
+        yield
+    finally:
+        schedule.stop(within_s=1.0)
+
 
 _KEEP_ALIVE_S = 20
 LOOP_STALE_S = 30.0  # the web server's loop turns every 0.1 s; its longest step on a busy field computer is seconds

@@ -7,8 +7,7 @@ import threading
 
 from sunarc.simulation.fake_camera import FakeCamera
 from sunarc.simulation.imager import ImagerOptions, halve_speed, run_imager
-from sunarc.simulation.night_options import NightOptions
-from sunarc.simulation.options import SceneOptions, SensorModel
+from sunarc.simulation.options import NightOptions, SceneOptions, SensorModel
 
 __all__ = ["ImagerOptions", "NightOptions", "SceneOptions", "SensorModel", "simulate_imager"]
 

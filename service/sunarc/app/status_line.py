@@ -4,10 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from sunarc.app.messages import MESSAGES
-from sunarc.findings import Finding
+from sunarc.findings import Finding, Message, Messages
+from sunarc.runtime.host import Notifier
 from sunarc.runtime.status import Reason, StatusRegistry, StatusSnapshot
-from sunarc.runtime.systemd import Notifier
+
+MESSAGES = Messages(
+    no_frame_yet=Message(
+        "no frame has come from the camera since the service started",
+        "A service that is restarted again and again before its first frame is never ready.",
+        "wait for the first exposure; if this stays, see the camera's own condition or the log",
+    ),
+    camera_replaced=Message(
+        "camera {model} with serial number {serial} has replaced serial number {serial_before}; calibration "
+        "{calibration} was retired",
+        "The calibration of another camera is not used.",
+        "none: the new camera is calibrated from its own sightings",
+    ),
+)
+
 
 _LEAST_INTERVAL_S = 10.0  # a line is for people; systemd logs none of it, but each is a message on its bus
 _MOST_CODES = 4

@@ -1,37 +1,46 @@
-"""The archive as one object."""
+"""The archive as one object, and as one camera sees it."""
 
 from __future__ import annotations
 
 import sqlite3
+from collections.abc import Mapping
 from datetime import datetime
+from functools import partial
 from pathlib import Path
-from typing import cast
+from types import MappingProxyType
+from typing import Any, cast
 
 from sqlalchemy import URL, Engine, QueuePool
 
-from sunarc.archive.calibration_inputs import UsedSightings
-from sunarc.archive.condition_times import ConditionTimes
-from sunarc.archive.counts import Counts
-from sunarc.archive.day_air import MeasuredAir
-from sunarc.archive.days_and_events import Journal
-from sunarc.archive.engine import create_archive_engine, reading, writing
-from sunarc.archive.epoch_closing import EpochClosing
-from sunarc.archive.feeds import Feeds
-from sunarc.archive.file import DAMAGED, DELETED, EMPTIED, REPLACED, DatabaseFile
-from sunarc.archive.file_sightings import FileSightings
-from sunarc.archive.fleet import FleetRegistry
-from sunarc.archive.housekeeping import HousekeepingRecord
-from sunarc.archive.night_images import NightImages
-from sunarc.archive.nightly import Nightly
-from sunarc.archive.notices import Notices
-from sunarc.archive.outbox import Outbox
-from sunarc.archive.recovery import Recovery, rebuild
-from sunarc.archive.schema import UPGRADE_SERVER, require_file, require_head
-from sunarc.archive.server import create_server_engine, name_of, require_writable
-from sunarc.archive.sighting_revisions import SightingRevisions
-from sunarc.archive.sightings import Sightings
-from sunarc.archive.space_reserve import Room
+from sunarc.archive.calibrations import EpochClosing
+from sunarc.archive.columns import UsedSightings
+from sunarc.archive.database.connections import (
+    DAMAGED,
+    DELETED,
+    EMPTIED,
+    REPLACED,
+    DatabaseFile,
+    create_archive_engine,
+    create_server_engine,
+    name_of,
+    reading,
+    require_writable,
+    writing,
+)
+from sunarc.archive.database.recovery import Recovery, rebuild
+from sunarc.archive.database.schema import UPGRADE_SERVER, require_file, require_head
+from sunarc.archive.database.store import Room
+from sunarc.archive.days import Counts, MeasuredAir, NightImages
+from sunarc.archive.events import ConditionTimes, HousekeepingRecord, Journal
+from sunarc.archive.fleet.feeds import Feeds, FleetRegistry
+from sunarc.archive.fleet.nightly import Nightly
+from sunarc.archive.fleet.notices import Notices
+from sunarc.archive.fleet.outbox import Outbox
+from sunarc.archive.sightings import FileSightings, SightingRevisions, Sightings
+from sunarc.archive.values import Event, EventSeverity
 from sunarc.errors import OutsideError
+from sunarc.findings import Finding, Messages
+from sunarc.sky.site import Site
 
 
 class Archive(
@@ -156,3 +165,64 @@ def _reader(file: DatabaseFile) -> sqlite3.Connection:
     except sqlite3.Error as error:
         raise OutsideError(f"cannot use the database {file.path}: {error}") from error
     return connection
+
+
+class CameraArchive:
+    """The methods of an archive that concern one camera, without its name; see `Archive` for each.
+
+    Parameters
+    ----------
+    archive : open.
+    name : of the camera.
+    site : where it stands.
+    """
+
+    def __init__(self, archive: Archive, *, name: str, site: Site) -> None:
+        self.archive = archive
+        self.name = name
+        self.site = site
+        self.add_housekeeping = partial(archive.add_housekeeping, name)
+        self.current_calibration = partial(archive.current_calibration, name)
+        self.current_epoch = partial(archive.current_epoch, name)
+        self.current_model = partial(archive.current_model, name)
+        self.damaged_calibration = partial(archive.damaged_calibration, name)
+        self.dates_with_points = partial(archive.dates_with_points, name)
+        self.days = partial(archive.days, name)
+        self.epochs = partial(archive.epochs, name)
+        self.events = partial(archive.events, name)
+        self.exclude = partial(archive.exclude, name)
+        self.expire_housekeeping = partial(archive.expire_housekeeping, name)
+        self.last_served = partial(archive.last_served, name)
+        self.add_night_image = partial(archive.add_night_image, name)
+        self.begin_night_verdict = partial(archive.begin_night_verdict, name)
+        self.finish_night = partial(archive.finish_night, name)
+        self.newest_sighting_time = partial(archive.newest_sighting_time, name)
+        self.night_images = partial(archive.night_images, name)
+        self.nights = partial(archive.nights, name)
+        self.observation_times = partial(archive.observation_times, name)
+        self.open_epoch = partial(archive.open_epoch, name)
+        self.readmit = partial(archive.readmit, name)
+        self.record = partial(archive.camera, name)
+        self.refits = partial(archive.refits, name)
+        self.sightings_of_ids = partial(archive.sightings_of_ids, name)
+        self.site_at = partial(archive.site_at, name, site)
+        self.split_epoch = partial(archive.split_epoch, name)
+        self.sun_candidates = partial(archive.sun_candidates, name)
+        self.sun_levels = partial(archive.sun_levels, name)
+        self.sun_point_columns = partial(archive.sun_point_columns, name)
+        self.sun_points = partial(archive.sun_points, name)
+        self.widen_clock_errors = partial(archive.widen_clock_errors, name)
+
+    def add_event(
+        self,
+        finding: Finding,
+        messages: Messages,
+        *,
+        time: datetime,
+        severity: EventSeverity,
+        kind: str | None = None,
+        details: Mapping[str, Any] = MappingProxyType({}),
+    ) -> Event:
+        """Store the event of a finding and return it; `details` are what the finding's data do not say."""
+        event = Event.of(finding, messages, time=time, severity=severity, camera=self.name, kind=kind, details=details)
+        return self.archive.add_event(event)

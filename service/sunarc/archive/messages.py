@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, get_args
 
 from sunarc.calibration import messages
-from sunarc.calibration.change_detection.values import ChangeKind
+from sunarc.calibration.changes.values import ChangeKind
 from sunarc.findings import Message, Messages
 
 MESSAGES = Messages(

@@ -2,36 +2,210 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import asdict, replace
+from collections.abc import Container, Iterable
+from dataclasses import asdict, fields, replace
 from datetime import date, datetime
+from typing import Literal, NamedTuple
 
+import numpy as np
 from sqlalchemy import (
+    BigInteger,
     ColumnElement,
     Connection,
     Engine,
+    and_,
     func,
     insert,
     or_,
     select,
     text,
+    type_coerce,
     update,
 )
 
-from sunarc.archive import tables
-from sunarc.archive.columns import CandidateColumns, listed, read_candidates, read_columns, read_levels, read_times
-from sunarc.archive.file import DatabaseFile
-from sunarc.archive.rows import insert_new, upsert
-from sunarc.archive.sighting_revisions import FROZEN
-from sunarc.archive.store import Store, given, values_of
-from sunarc.archive.tables import sun_point
-from sunarc.archive.validity import SERVED
-from sunarc.archive.values import CameraRecord, PoseEpoch, SunPoint, SunPointColumns
+from sunarc.archive.calibration_rows import SERVED
+from sunarc.archive.columns import (
+    CandidateColumns,
+    keep_sigma,
+    listed,
+    read_candidates,
+    read_columns,
+    read_levels,
+    read_times,
+)
+from sunarc.archive.database import tables
+from sunarc.archive.database.connections import DatabaseFile
+from sunarc.archive.database.store import Store, given, insert_new, upsert, values_of
+from sunarc.archive.database.tables import sun_point
+from sunarc.archive.events import insert_event
+from sunarc.archive.values import CameraRecord, Event, PoseEpoch, SunPoint, SunPointColumns
 from sunarc.array_types import FloatArray, IntArray
+from sunarc.detection.values import Detection
 from sunarc.errors import InputError
 from sunarc.sky.days import SECONDS_PER_DEGREE, day_bounds_unix_s, solar_date
 from sunarc.sky.night import SUN
-from sunarc.utc import DAY_S
+from sunarc.sky.site import Site
+from sunarc.utc import DAY_S, to_microseconds
+
+SUPERSEDED = "another method's sighting of the same image is accepted"
+"""Reason of a sighting that was set aside: an image counts once."""
+NOT_NAMED_AGAIN = "not named when its image was looked at again"
+"""Reason of a star's sighting that was set aside."""
+_STAR = "star"
+ImageKey = tuple[int, float, str]
+"""Time (microseconds since 1970-01-01 UTC), exposure (us, 0 where not known) and file name of an image."""
+_KEY = ("camera", "time", "body", "exposure_us", "method", "file")
+
+
+class FileSighting(NamedTuple):
+    """What the archive holds of an image file by one method; `file` is empty where it is not known (version 0.2)."""
+
+    time_us: int
+    exposure_us: float
+    file: str
+    method: str
+    accepted: bool
+    verdict: str
+    ingest_pass: int | None
+    x_px: float | None = None
+    y_px: float | None = None
+    sigma_px: float | None = None
+    radius_px: float | None = None
+
+    @property
+    def key(self) -> ImageKey:
+        """What tells the image from others."""
+        return self.time_us, self.exposure_us, self.file
+
+
+class FileSightings(Store):
+    """The part of the archive with the sightings of image files."""
+
+    def file_sightings(self, camera: str, *, times_us: Container[int]) -> list[FileSighting]:
+        """Return what is stored of the sun at the given times, microseconds since 1970-01-01 UTC."""
+        c = sun_point.c
+        names = [name for name in FileSighting._fields if name != "time_us"]
+        rows = select(type_coerce(c.time, BigInteger), *(c[name] for name in names)).where(
+            c.camera == camera, c.body == "sun"
+        )
+        with self._reading() as connection:
+            return [FileSighting(*row) for row in connection.execute(rows.order_by(c.id)) if row[0] in times_us]
+
+    def name_files(self, camera: str, keys: Iterable[ImageKey]) -> None:
+        """Give sightings that have no file name, of the keys' times and exposures, the names in the keys."""
+        c = sun_point.c
+        with self._writing() as connection:
+            for time_us, exposure_us, file in keys:
+                unnamed = (c.camera == camera, type_coerce(c.time, BigInteger) == time_us, c.file == "")
+                change = update(sun_point).where(*unnamed, c.exposure_us == exposure_us, c.body == "sun")
+                connection.execute(change.values(file=file))
+
+    def replace_sun_points(self, points: Iterable[SunPoint]) -> None:
+        """Store sightings of image files; one that is there already (see the key) is replaced, and keeps its id.
+
+        Where one is accepted, sightings of the same image by other methods are set aside: an image counts once. So are
+        those of the other images of its stack, which are among the points.
+        """
+        kept = tuple(points)
+        stacked = {point.time for point in kept if point.accepted}
+        self._prepare_months([point.time for point in kept])
+        with self._writing() as connection:
+            for point in kept:
+                upsert(connection, sun_point, asdict(point), key=_KEY)
+                if point.accepted or (point.verdict == "in_stack" and point.time in stacked):
+                    _set_others_aside(connection, point)
+
+    def replace_stars(self, camera: str, points: Iterable[SunPoint]) -> int:
+        """Store the stars of images that were looked at again, and return how many sightings are new.
+
+        Former sightings of stars in these images that are not among them are set aside; those of other images stay.
+        """
+        named = tuple(points)
+        self._prepare_months([point.time for point in named])
+        c = sun_point.c
+        of_images = (c.camera == camera, c.method == _STAR, c.time.in_({point.time for point in named}))
+        count = select(func.count()).where(*of_images)
+        aside = update(sun_point).where(*of_images, c.accepted.is_(True))
+        with self._writing() as connection:
+            before = int(connection.scalar(count) or 0)
+            connection.execute(aside.values(accepted=False, verdict="set_aside", reason=NOT_NAMED_AGAIN))
+            for point in named:
+                upsert(connection, sun_point, asdict(point), key=_KEY)
+            return int(connection.scalar(count) or 0) - before
+
+    def mark_predicted(self, camera: str, keys: Iterable[ImageKey], *, ingest_pass: int) -> None:
+        """Set the `ingest_pass` of the sightings of image files."""
+        c = sun_point.c
+        with self._writing() as connection:
+            for time_us, exposure_us, file in keys:
+                same = (c.camera == camera, type_coerce(c.time, BigInteger) == time_us, c.file == file, c.body == "sun")
+                change = update(sun_point).where(*same, c.exposure_us == exposure_us)
+                connection.execute(change.values(ingest_pass=ingest_pass))
+
+    def methods_of_files(self, camera: str) -> tuple[str, ...]:
+        """Return the methods by which the sun was found in image files."""
+        c = sun_point.c
+        methods = select(c.method).distinct().where(c.camera == camera, c.file != "", c.x_px.is_not(None))
+        with self._reading() as connection:
+            return tuple(connection.scalars(methods.order_by(c.method)))
+
+    def scale_sigma(self, camera: str, *, method: str, factor: float, event: Event) -> int:
+        """Multiply the stated sigma of a method's sightings of image files, and return how many there are.
+
+        Calibrations that rest on them keep the sigma that they were given, so that they can be solved again. The event
+        is stored with it: both are, or neither is.
+        """
+        c = sun_point.c
+        of_series = and_(c.camera == camera, c.method == method, c.file != "", c.sigma_px.is_not(None))
+        with self._writing() as connection:
+            keep_sigma(connection, camera)
+            insert_event(connection, event)
+            return connection.execute(update(sun_point).where(of_series).values(sigma_px=c.sigma_px * factor)).rowcount
+
+
+def _set_others_aside(connection: Connection, point: SunPoint) -> None:
+    c = sun_point.c
+    same_image = (c.camera == point.camera, c.time == point.time, c.body == point.body, c.file == point.file)
+    others = (c.exposure_us == point.exposure_us, c.method != point.method, c.accepted.is_(True))
+    change = update(sun_point).where(*same_image, *others)
+    connection.execute(change.values(accepted=False, verdict="set_aside", reason=SUPERSEDED))
+
+
+def image_key(time: datetime, exposure_us: float | None, file: str) -> ImageKey:
+    """Return the key of an image that was not looked at yet."""
+    return to_microseconds(time), exposure_us or 0.0, file
+
+
+ELSEWHERE = "elsewhere"
+"""Verdict on a clean disc where the sun should not be, as far as the calibration knows."""
+FROZEN: Literal["frozen"] = "frozen"
+"""Verdict on a sighting in an image that the camera had delivered before."""
+MOVED = "the camera had moved"
+"""Reason of a sighting that was found elsewhere and accepted once the camera was known to have moved."""
+LENS_CHANGED = "lens"
+"""Reason of a pose epoch that also has another lens: nothing from before says anything of it."""
+
+
+class SightingRevisions(Store):
+    """The part of the archive that changes whether sightings are accepted; their pixels stay."""
+
+    def exclude(self, camera: str, *, since: datetime, until: datetime | None = None, reason: str) -> int:
+        """Leave accepted sightings with `since` <= time < `until` out of every fit, and return how many."""
+        c = sun_point.c
+        filters = given((c.camera.__eq__, camera), (c.time.__ge__, since), (c.time.__lt__, until))
+        change = update(sun_point).where(*filters, c.accepted.is_(True))
+        with self._writing() as connection:
+            return connection.execute(change.values(accepted=False, verdict="set_aside", reason=reason)).rowcount
+
+    def readmit(self, camera: str, *, since: datetime, until: datetime | None = None, reason: str = MOVED) -> int:
+        """Accept the discs seen elsewhere with `since` <= time < `until`, and return how many: the camera has moved."""
+        c = sun_point.c
+        filters = given((c.camera.__eq__, camera), (c.time.__ge__, since), (c.time.__lt__, until))
+        filters += [c.verdict == ELSEWHERE, c.x_px.is_not(None), c.y_px.is_not(None)]
+        with self._writing() as connection:
+            change = update(sun_point).where(*filters).values(accepted=True, verdict="clear", reason=reason)
+            return connection.execute(change).rowcount
+
 
 _FIRST_OF_EACH_DAY = text(
     """
@@ -337,3 +511,63 @@ def not_closed() -> ColumnElement[bool]:
 def _clock_within(largest_s: float | None) -> list[ColumnElement[bool]]:
     """Return the condition that a sighting's clock error bound, where one is known, is within a limit."""
     return [] if largest_s is None else [func.coalesce(sun_point.c.clock_error_s, 0.0) <= largest_s]
+
+
+_SHARED = {field.name for field in fields(SunPoint)} & {field.name for field in fields(Detection)} - {"exposure_us"}
+"""What both have under the same name; the exposure of a detection may be unknown."""
+
+
+def sun_point_of(
+    detection: Detection,
+    *,
+    camera: str,
+    pose_epoch: str,
+    time: datetime,
+    exposure_us: float = 0.0,
+    clock_error_s: float | None = None,
+    file: str = "",
+    ingest_pass: int | None = None,
+) -> SunPoint:
+    """Return the sighting that a detection amounts to, accepted or not."""
+    return SunPoint(
+        camera=camera,
+        pose_epoch=pose_epoch,
+        time=time,
+        reason=detection.reason,
+        exposure_us=exposure_us,
+        clock_error_s=clock_error_s,
+        file=file,
+        ingest_pass=ingest_pass,
+        **{name: getattr(detection, name) for name in _SHARED},
+    )
+
+
+_EARTH_RADIUS_M = 6_371_000.0
+SITE_LIMIT_M = 500.0
+"""A site that is wrong by this much turns the sun by 0.0045 degrees, about the best accuracy that is stated."""
+
+
+def require_same_site(record: CameraRecord, site: Site) -> None:
+    """Raise `InputError` when the settings name another site than the archive has for the camera.
+
+    Its sightings, poses and calibrations are directions of the sun at the stored site; at another one the same camera
+    would seem to have been turned.
+    """
+    distance = distance_m(record.site, site)
+    if distance > SITE_LIMIT_M:
+        raise InputError(
+            field="site",
+            problem=f"latitude {site.latitude:g}, longitude {site.longitude:g} is {distance / 1e3:.1f} km from "
+            f"{record.latitude:g}, {record.longitude:g}, where the archive has camera {record.name!r} "
+            f"(limit {SITE_LIMIT_M / 1e3:g} km)",
+            remedy="correct [site]; or, at a new site, set `name` to a new one (or `state` to an empty folder)",
+        )
+
+
+def distance_m(first: Site, second: Site) -> float:
+    """Return the great-circle distance of two places in metres (haversine, a sphere)."""
+    a, b = np.radians([first.latitude, second.latitude])
+    east = np.radians(second.longitude - first.longitude)
+    # The haversine stays exact for near places, where the cosine rule loses all its digits.
+    square = np.sin((b - a) / 2.0) ** 2 + np.cos(a) * np.cos(b) * np.sin(east / 2.0) ** 2
+    return float(2.0 * _EARTH_RADIUS_M * np.arcsin(np.sqrt(min(square, 1.0))))

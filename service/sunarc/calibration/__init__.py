@@ -1,10 +1,7 @@
-"""Fit of a camera to sightings of the sun: the camera, its uncertainty and a verdict.
+"""Fit of a camera to sightings of the sun and the night sky: the camera, its uncertainty and a verdict.
 
-`calibrate` the entry · `batch` many fits of one geometry · `model` values · `selection` of sightings ·
-`initial_guess`, `least_squares`, `fit` the robust fit · `paper` the reference method · `quality` verdicts · `pose` a
-known lens in a new pose · `change_detection` comparison of every sighting with the calibration · `ensemble` joint
-draws of the errors · `pose_change_points`, `pose_step_search`, `pose_step_evidence` pose changes within a record ·
-`projection_choice` the projection of an unknown lens · `lens_library` types of lens, joint fits, first poses ·
-`star_prediction` pixels of the stars · `blind_start` a camera by the stars ·
-`reproduce` a stored fit again. The maths: docs/maths.md.
+`calibrate` the entry · `model` values · `answers` what a calibration says of pixels and directions · `selection` and
+`noise` of sightings · `start` a first camera · `solve` least squares · `fit` the robust fit · `paper` the reference
+method · `quality` verdicts · `pose` and `stated_prior` a lens that is known · `changes` of the pose, the clock, the
+site · `projection_choice` the projection of an unknown lens · `lens_library` types of lens. The maths: docs/maths.md.
 """

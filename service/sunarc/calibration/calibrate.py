@@ -1,22 +1,33 @@
-"""From sightings to a calibration."""
+"""From sightings to a calibration: one, many of one geometry, or a stored one again."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from typing import NamedTuple
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
-from sunarc.calibration.fit.assemble import Job, calibration_from_fit, refused
-from sunarc.calibration.fit.night_check import contradiction, without_night
-from sunarc.calibration.fit.robust_fit import RobustFit, fit_robustly
-from sunarc.calibration.fit.robust_result import robust_outcome
-from sunarc.calibration.initial_guess.coarse_search import first_cameras, single_problem
-from sunarc.calibration.least_squares.problem import Observations, observations
-from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Mirrored
+import numpy as np
+
+from sunarc.array_types import FloatArray
+from sunarc.calibration.fit.assemble import Job, calibration_from_fit, refused, robust_outcome, tidied
+from sunarc.calibration.fit.cross_validation import contradiction, without_night
+from sunarc.calibration.fit.marginal_likelihood import HyperparameterGrid, prior_precision
+from sunarc.calibration.fit.robust_fit import RobustFit, fit_robustly, grid_of
+from sunarc.calibration.fit.robust_rounds import robust_camera
+from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances, Mirrored, PaperOptions
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints, filter_sightings
-from sunarc.calibration.paper.stages import fit_as_paper
+from sunarc.calibration.model.sightings import FilteredSightings, SunPoints, filter_sightings
+from sunarc.calibration.noise import Course
+from sunarc.calibration.paper import fit_as_paper
+from sunarc.calibration.quality.acceptance import with_pose_spread
 from sunarc.calibration.quality.fit_checks import Handedness, before_fit, below_horizon
+from sunarc.calibration.robust_loss import robust_sigma
+from sunarc.calibration.solve.levenberg_marquardt import information, most_probable
+from sunarc.calibration.solve.priors import LensPrior, Whitened, lens_prior
+from sunarc.calibration.solve.problem import FitProblem, Observations, observations, problem_for
+from sunarc.calibration.start.initial_guess import camera_from_circle, field_angle, first_cameras, single_problem
+from sunarc.calibration.start.multistart import SMALLEST_SIGMA_PX, distance_sigmas
 from sunarc.errors import InputError
 from sunarc.findings import Finding
 from sunarc.optics.camera import Camera
@@ -149,3 +160,197 @@ def most_plausible_start(observed: Observations, job: Job) -> Start | None:
         return None
     ambiguous = len(found) > 1 and found[1][0] - cost < _AMBIGUOUS
     return Start(cameras, Handedness(mirrored=hand_options.mirrored == "yes", ambiguous=ambiguous), cost)
+
+
+_SETTLING = 3
+_STEPS = 10
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Batch:
+    """What fits of one geometry share.
+
+    Attributes
+    ----------
+    camera : where all fits begin: the true camera of a simulation, or the first fit.
+    options : of the fits.
+    usable, observed : the sightings that count in every set; their detections are those of the first set.
+    n_supplied : how many detections a set has.
+    course, grid : of the robust rounds.
+    prior : of the lens, about the first image circle.
+    circle : that circle, or None: then no set has one.
+    """
+
+    camera: Camera
+    options: CalibrationOptions
+    usable: FilteredSightings
+    observed: Observations
+    n_supplied: int
+    course: Course
+    grid: HyperparameterGrid
+    prior: LensPrior
+    circle: ImageCircle | None
+
+    @classmethod
+    def near(
+        cls,
+        camera: Camera,
+        points: SunPoints,
+        *,
+        site: Site,
+        options: CalibrationOptions | None = None,
+        circle: ImageCircle | None = None,
+    ) -> Batch:
+        """Return what the fits of sightings like these share.
+
+        Parameters
+        ----------
+        camera : near the cameras that are sought: within some px over the sky.
+        points : one set, of one pose.
+        site : where the camera stands.
+        options : how to fit; projection and mirroring are the camera's.
+        circle : the image circle of the first set, where the sets have one.
+
+        Raises
+        ------
+        InputError
+            Where the points are of several poses.
+        """
+        effective = CalibrationOptions() if options is None else options
+        effective = replace(effective, projection=camera.projection, mirrored="yes" if camera.mirrored else "no")
+        usable = filter_sightings(points, site=site)
+        if int(usable.epoch.max(initial=0)) > 0:
+            raise InputError(field="epoch", problem="several poses", remedy="fit the sightings of one pose at a time")
+        observed = observations(usable)
+        prior = lens_prior(
+            camera,
+            tolerances=effective.tolerances,
+            circle=circle,
+            field_angle=field_angle(camera, observed, effective),
+        )
+        return cls(
+            camera=camera.lens_alone(),
+            options=effective,
+            usable=usable,
+            observed=observed,
+            n_supplied=len(points),
+            course=Course.of(usable),
+            grid=grid_of(camera, effective),
+            prior=prior,
+            circle=circle,
+        )
+
+    def fitted(self, pixels: FloatArray, *, circle: ImageCircle | None = None) -> Camera:
+        """Return the camera that a set of detections gives.
+
+        Parameters
+        ----------
+        pixels : (n_supplied, 2) px, in the order of the points; finite.
+        circle : the set's own image circle, in place of the first one.
+
+        Raises
+        ------
+        InputError
+            Where the detections are not those of the geometry, or a circle comes without a first one.
+        """
+        if np.shape(pixels) != (self.n_supplied, 2) or not np.all(np.isfinite(pixels)):
+            raise InputError(
+                field="pixels", problem=f"shape {np.shape(pixels)}", remedy=f"give {self.n_supplied} finite x, y"
+            )
+        if circle is not None and self.circle is None:
+            raise InputError(field="image circle", problem="only of this set", remedy="give the first set one, too")
+        observed = replace(self.observed, pixels=np.asarray(pixels, dtype=np.float64)[self.usable.index])
+        if self.options.method == "paper":
+            usable = replace(self.usable, pixels=observed.pixels)
+            found = fit_as_paper(observed, usable, [self.camera], options=self.options, quickly=True).cameras[0]
+        else:
+            found = self._robust(observed, self._problem(circle))
+        return tidied(found, self.options)
+
+    def _problem(self, circle: ImageCircle | None) -> FitProblem:
+        prior = self.prior
+        if circle is not None:
+            size = self.camera.width, self.camera.height
+            first = camera_from_circle(circle, image_size=size, options=self.options)
+            mean = prior.mean.copy()
+            mean[: Whitened.RADIAL] = *first.focal_length_px, 0.0, *first.principal_point_px
+            prior = replace(prior, mean=mean)
+        return problem_for(self.camera, prior, n_epochs=1, max_angle=np.radians(self.options.max_angle_deg))
+
+    def _robust(self, observed: Observations, problem: FitProblem) -> Camera:
+        plain = self._without_field(observed, problem)
+        found = robust_camera(problem, observed, plain, course=self.course, grid=self.grid, in_its_valley=True)
+        camera = found.problem.camera(found.unknowns)
+        if found.state.field_odds <= 0.0:
+            return camera
+        mean = found.field_mean(found.system(observed, self.course.bins).normal())
+        return camera if mean is None else replace(camera, displacement=found.grid.basis.displacement(mean))
+
+    def _without_field(self, observed: Observations, problem: FitProblem) -> FloatArray:
+        """Return the unknowns of the robust fit from the known camera: the weights by turns with the bins' solution."""
+        tolerances, bins = self.options.tolerances, self.course.bins
+        precision = prior_precision(problem.size, tolerances.radial_px, tolerances.decentering_px)
+        at = problem.unknowns([self.camera])
+        for _ in range(_SETTLING):
+            residual = problem.residuals(at, observed)
+            sigma = robust_sigma(distance_sigmas(problem, observed, at), floor=SMALLEST_SIGMA_PX)
+            gathered, mean = bins.gathered(observed, residual, information(residual, observed, sigma))
+            means = replace(gathered, pixels=gathered.pixels + mean - problem.residuals(at, gathered))
+            at = most_probable(problem, means, at, precision=precision, iterations=_STEPS, tolerance=1e-4).unknowns
+        return at
+
+
+def reproduce_calibration(past: Calibration, points: SunPoints) -> Calibration:
+    """Return the calibration that the evidence of a past one leads to.
+
+    Parameters
+    ----------
+    past : as it was made, or as its document tells it.
+    points : the sightings that it was given.
+
+    Raises
+    ------
+    InputError
+        Where its evidence is not whole: made by hand, or by a version with other options.
+    """
+    evidence = past.evidence
+    try:
+        solved = calibrate(
+            points,
+            site=past.site,
+            image_size=(past.camera.width, past.camera.height),
+            options=_options(evidence.options),
+            circle=None if evidence.circle is None else ImageCircle(**_named(evidence.circle)),
+            start=None if evidence.start is None else Camera(**_named(evidence.start)),
+        )
+    except TypeError as error:
+        raise InputError(
+            field="evidence", problem=f"is of another version ({error})", remedy="use the version that made it"
+        ) from error
+    solved = replace(solved, evidence=replace(solved.evidence, selection=evidence.selection))
+    return with_pose_spread(solved, evidence.pose_spread_deg or (0.0, 0.0, 0.0))
+
+
+def _options(stored: Mapping[str, object]) -> CalibrationOptions:
+    if not stored:
+        raise InputError(field="evidence.options", problem="are empty", remedy="name a calibration that a fit made")
+    named = _named(stored)
+    if named.pop("free", "all") != "all":
+        raise InputError(
+            field="evidence.options.free",
+            problem="only the pose was fitted, with another calibration's lens, or the camera about a stated prior",
+            remedy="solve the calibration that it names as its parent, or name that camera again with --start",
+        )
+    if "lens_prior" in named:
+        raise InputError(
+            field="evidence.options.lens_prior",
+            problem="the fit was given a type of lens, whose file the archive does not hold",
+            remedy="fit the same sightings again with that file and --lens-prior",
+        )
+    lens, paper = LensTolerances(**named.pop("tolerances")), PaperOptions(**named.pop("paper"))
+    return CalibrationOptions(**named, tolerances=lens, paper=paper)
+
+
+def _named(stored: Mapping[str, object]) -> dict[str, Any]:
+    """Return arguments by name; JSON has lists where values have tuples."""
+    return {name: tuple(value) if isinstance(value, list) else value for name, value in stored.items()}

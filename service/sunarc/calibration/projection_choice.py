@@ -14,20 +14,18 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.calibration.calibrate import Start, calibration_of, most_plausible_start, robust_fit
+from sunarc.calibration.changes.change_points import Moved, calibrate_moved
 from sunarc.calibration.fit.assemble import Job
-from sunarc.calibration.fit.hyperparameter_grid import log_evidence, log_weights
-from sunarc.calibration.fit.marginal_likelihood import STRONG_EVIDENCE
+from sunarc.calibration.fit.marginal_likelihood import STRONG_EVIDENCE, log_evidence, log_weights
 from sunarc.calibration.fit.normal_equations import linear_system
 from sunarc.calibration.fit.robust_fit import RobustFit
-from sunarc.calibration.initial_guess.multistart import SMALLEST_SIGMA_PX, distance_sigmas
-from sunarc.calibration.least_squares.problem import Observations, observations
-from sunarc.calibration.least_squares.time_bins import time_bins
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import Verdict
 from sunarc.calibration.model.sightings import FilteredSightings, SunPoints, filter_sightings
-from sunarc.calibration.pose_change_points import Moved, calibrate_moved
 from sunarc.calibration.quality.fit_checks import before_fit, missing_hours
 from sunarc.calibration.robust_loss import robust_sigma, tukey_loss
+from sunarc.calibration.solve.problem import Observations, observations, time_bins
+from sunarc.calibration.start.multistart import SMALLEST_SIGMA_PX, distance_sigmas
 from sunarc.findings import Finding
 from sunarc.optics.projections import PROJECTIONS, Projection
 from sunarc.sky.site import Site

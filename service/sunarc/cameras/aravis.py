@@ -24,7 +24,10 @@ from sunarc.array_types import Image
 from sunarc.cameras.features import (
     BLACK_LEVEL,
     GAIN,
+    PASSED_EVERYWHERE_BYTES,
+    PREFERRED_BUFFER_BYTES,
     SIMULATED_SPEED,
+    Link,
     Pin,
     changed_pins,
     first,
@@ -32,6 +35,7 @@ from sunarc.cameras.features import (
     gain_raise_db,
     has,
     is_usable,
+    link_to,
     pin_settings,
     read,
     serial_of,
@@ -41,10 +45,8 @@ from sunarc.cameras.features import (
     write,
 )
 from sunarc.cameras.frame import CameraCondition, CameraInfo, Frame, full_scale_of, middle_of_exposure
-from sunarc.cameras.link import PASSED_EVERYWHERE_BYTES, PREFERRED_BUFFER_BYTES, Link, link_to
-from sunarc.cameras.options import AravisOptions
+from sunarc.cameras.options import AravisOptions, utc_of_timestamp
 from sunarc.cameras.packed import packed_bytes, packing_of, unpack
-from sunarc.cameras.timestamps import utc_of_timestamp
 from sunarc.errors import (
     CameraError,
     CameraLostError,

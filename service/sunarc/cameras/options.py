@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 from dataclasses import dataclass
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -12,6 +13,7 @@ from annotated_types import Ge, Le
 from sunarc.bounds import require_bounds
 from sunarc.cameras.frame import full_scale_of
 from sunarc.errors import InputError
+from sunarc.utc import EPOCH
 
 Pixels = Annotated[int, Ge(0), Le(100_000)]
 
@@ -95,3 +97,20 @@ def _require_address(address: str) -> None:
         raise InputError(
             field="camera.address", problem=f"{address!r} is no IP address", remedy="give the camera's fixed address"
         ) from None
+
+
+TAI_MINUS_UTC_S = 37.0
+"""Seconds by which TAI is ahead of UTC since 2017-01-01 (IERS Bulletin C 52). Should a leap second change it,
+the comparison with the host's clock shows a difference of 1 s."""
+
+
+def utc_of_timestamp(timestamp_ns: int, options: AravisOptions) -> datetime:
+    """Return the UTC time of a camera's timestamp.
+
+    Parameters
+    ----------
+    timestamp_ns : nanoseconds since 1970-01-01 on the camera's time scale.
+    options : which scale that is, and what is to be added.
+    """
+    added_s = options.timestamp_offset_s - (TAI_MINUS_UTC_S if options.timestamp_scale == "tai" else 0.0)
+    return EPOCH + timedelta(microseconds=timestamp_ns // 1000, seconds=added_s)

@@ -10,8 +10,7 @@ from rich.console import Console
 
 from sunarc.archive.archive import open_archive
 from sunarc.archive.values import CalibrationRecord, PoseEpoch
-from sunarc.cli.options import AsJson, Config
-from sunarc.cli.output import print_json, table
+from sunarc.cli.options import AsJson, Config, print_json, table
 from sunarc.runtime.clock import SystemClock
 from sunarc.settings.load import load_settings
 from sunarc.utc import parse_time

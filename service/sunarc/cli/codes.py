@@ -6,15 +6,14 @@ import re
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from sunarc.app.messages import MESSAGES as OF_APP
+from sunarc.app.status_line import MESSAGES as OF_APP
 from sunarc.archive.messages import MESSAGES as OF_ARCHIVE
 from sunarc.calibration.messages import MESSAGES as OF_CALIBRATION
-from sunarc.cli.options import AsJson
-from sunarc.cli.output import print_json
+from sunarc.cli.options import AsJson, print_json
 from sunarc.detection.messages import MESSAGES as OF_DETECTION
 from sunarc.findings import Messages
-from sunarc.offline.messages import MESSAGES as OF_OFFLINE
-from sunarc.runtime.messages import MESSAGES as OF_RUNTIME
+from sunarc.reanalysis.messages import MESSAGES as OF_REANALYSIS
+from sunarc.runtime.supervisor import MESSAGES as OF_RUNTIME
 from sunarc.workers.messages import MESSAGES as OF_WORKERS
 
 _TABLES: dict[str, Messages] = {
@@ -24,7 +23,7 @@ _TABLES: dict[str, Messages] = {
     "runtime": OF_RUNTIME,
     "workers": OF_WORKERS,
     "app": OF_APP,
-    "offline": OF_OFFLINE,
+    "reanalysis": OF_REANALYSIS,
 }
 _HEAD = """# Codes of findings
 

@@ -11,13 +11,12 @@ from rich.console import Console
 
 from sunarc.api.routes.feed import token_digest
 from sunarc.archive.archive import open_archive
-from sunarc.archive.cross_check import CrossCheck
-from sunarc.cli.options import AsJson, Config
-from sunarc.cli.output import print_json, table
+from sunarc.archive.fleet.nightly import CrossCheck
+from sunarc.cli.options import AsJson, Config, print_json, table
 from sunarc.runtime.clock import SystemClock
 from sunarc.settings.load import load_hub_settings
 from sunarc.utc import rfc3339
-from sunarc.workers.neighbours import cross_check_fleet
+from sunarc.workers.nightly import cross_check_fleet
 
 hub_cli = typer.Typer(no_args_is_help=True, help="The cameras of a fleet: register, and see what was refused.")
 

@@ -10,15 +10,12 @@ from rich.console import Console
 
 from sunarc.cli.calibrate import calibrate_stored
 from sunarc.cli.database import note_running_service
-from sunarc.cli.options import AsJson, Config, DetectionMethod, choice_of
-from sunarc.cli.output import print_json, table
-from sunarc.cli.progress import progress_bars
+from sunarc.cli.options import AsJson, Config, DetectionMethod, choice_of, print_json, progress_bars, table
 from sunarc.errors import InputError
-from sunarc.offline.detect_files import METHODS
-from sunarc.offline.image_names import utc_offset_of
-from sunarc.offline.ingest.image_times import Naming
-from sunarc.offline.ingest.run import IngestOptions, ingest_folder, usable_processors
-from sunarc.offline.ingest.summary import Summary, sentence_of
+from sunarc.reanalysis.detect_files import METHODS
+from sunarc.reanalysis.image_times import Naming, utc_offset_of
+from sunarc.reanalysis.ingest import IngestOptions, ingest_folder, usable_processors
+from sunarc.reanalysis.ingest_summary import Summary, sentence_of
 from sunarc.settings.load import load_settings
 
 _LISTED = 20

@@ -15,7 +15,7 @@ from typer.main import get_group
 
 from sunarc import __version__
 from sunarc.errors import ConfigurationError, InputError, OutsideError, SunarcError
-from sunarc.runtime.threads import one_thread_each
+from sunarc.runtime.child_process import one_thread_each
 
 
 class _Command(NamedTuple):
@@ -38,13 +38,15 @@ _COMMANDS = {
         "Find the sun in a folder of archived images and fill the archive; images that it knows are left as they are.",
     ),
     "export": _Command(
-        "export",
+        "documents",
         "export_calibration",
         "Write a calibration in another format, and say on standard error how far that is from it.",
     ),
-    "compare": _Command("compare", "compare", "Say how far camera B is from camera A over the sky, in px and degrees."),
+    "compare": _Command(
+        "documents", "compare", "Say how far camera B is from camera A over the sky, in px and degrees."
+    ),
     "rectify": _Command(
-        "rectify",
+        "documents",
         "rectify",
         "Map images to a grid of the sky, or of the ground under clouds at a height; north at the top, "
         "east at the right.",

@@ -1,11 +1,18 @@
-"""Options that several commands share."""
+"""Options that several commands share, and what they print: JSON, tables, progress bars."""
 
 from __future__ import annotations
 
+import json
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
 
 from sunarc.errors import InputError
 
@@ -32,3 +39,47 @@ def choice_of(option: str, text: str, choices: tuple[Choice, ...]) -> Choice:
         if text == choice:
             return choice
     raise InputError(field=option, problem=f"{text!r} is unknown", remedy=f"use one of {', '.join(choices)}")
+
+
+_NAME_CHARACTERS = 40  # half of a terminal's usual width
+
+
+def print_json(value: Any) -> None:  # noqa: ANN401 - whatever JSON holds
+    """Print a value as JSON; NaN is a bug."""
+    print(json.dumps(value, indent=1, allow_nan=False))
+
+
+def table(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
+    """Return a table; None is an empty cell, a float has three places.
+
+    The first column names a row; where the names are short (ids), a narrow terminal breaks the other columns first.
+    """
+    cells = [
+        ["" if cell is None else f"{cell:.3f}" if isinstance(cell, float) else str(cell) for cell in row]
+        for row in rows
+    ]
+    made = Table(*columns)
+    for column in made.columns:
+        column.overflow = "fold"  # a narrow terminal breaks a cell, and cuts none
+    if columns and max((len(row[0]) for row in cells), default=0) <= _NAME_CHARACTERS:
+        made.columns[0].no_wrap = True
+        made.columns[0].overflow = "ignore"
+    for row in cells:
+        made.add_row(*row)
+    return made
+
+
+@contextmanager
+def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
+    """Give the function that draws a bar for each stage; it draws none where standard error is no terminal."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    console = Console(stderr=True, soft_wrap=True)
+    with Progress(*columns, console=console, disable=not sys.stderr.isatty()) as bars:
+        tasks = {}
+
+        def update(stage: str, done: int, total: int) -> None:
+            if stage not in tasks:
+                tasks[stage] = bars.add_task(stage, total=total)
+            bars.update(tasks[stage], completed=done, total=total)
+
+        yield update

@@ -9,12 +9,11 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from sunarc.cli.options import AsJson, CalibrationFile, DetectionMethod, choice_of
-from sunarc.cli.output import print_json, table
+from sunarc.cli.options import AsJson, CalibrationFile, DetectionMethod, choice_of, print_json, table
 from sunarc.detection.values import BAYERS
 from sunarc.errors import InputError
-from sunarc.offline.detect_files import METHODS, detect_in_files, draw_overlay
-from sunarc.offline.project_files import project_csv, unproject_csv
+from sunarc.offline.calibration_files import project_csv, unproject_csv
+from sunarc.reanalysis.detect_files import METHODS, detect_in_files, draw_overlay
 
 
 def detect(

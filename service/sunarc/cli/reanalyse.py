@@ -12,22 +12,17 @@ import typer
 from rich.console import Console
 
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.cli.options import SITE, AsJson, DetectionMethod, choice_of
-from sunarc.cli.output import print_json, table
-from sunarc.cli.progress import progress_bars
+from sunarc.cli.options import SITE, AsJson, DetectionMethod, choice_of, print_json, progress_bars, table
 from sunarc.errors import InputError
 from sunarc.findings import significant
-from sunarc.offline.cameras import parse_image_size
-from sunarc.offline.detect_files import METHODS
-from sunarc.offline.image_names import utc_offset_of
-from sunarc.offline.ingest.run import usable_processors
-from sunarc.offline.reanalysis.cameras_file import read_cameras
-from sunarc.offline.reanalysis.cluster import WORKER_BYTES, Cluster, Workers
-from sunarc.offline.reanalysis.index import Indexed, index_archive
-from sunarc.offline.reanalysis.plan import CameraPlan, Selector
-from sunarc.offline.reanalysis.results import Summary, sentence_of
-from sunarc.offline.reanalysis.run import ReanalysisOptions, reanalyse
-from sunarc.offline.sources.times import TimeRules
+from sunarc.reanalysis.cameras import parse_image_size
+from sunarc.reanalysis.cluster import WORKER_BYTES, Cluster, Workers
+from sunarc.reanalysis.detect_files import METHODS
+from sunarc.reanalysis.image_times import TimeRules, utc_offset_of
+from sunarc.reanalysis.index import CameraPlan, Indexed, Selector, index_archive, read_cameras
+from sunarc.reanalysis.ingest import usable_processors
+from sunarc.reanalysis.results import Summary, sentence_of
+from sunarc.reanalysis.run import ReanalysisOptions, reanalyse
 from sunarc.runtime.clock import SystemClock
 from sunarc.sky.site import Site
 

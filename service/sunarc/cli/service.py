@@ -11,8 +11,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from sunarc.cli.options import Altitude, AsJson, Config, Latitude, Longitude, choice_of
-from sunarc.cli.output import print_json, table
+from sunarc.cli.options import Altitude, AsJson, Config, Latitude, Longitude, choice_of, print_json, table
 from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.log_to_journal import start_log
 from sunarc.settings.load import load_hub_settings, load_settings
@@ -103,7 +102,7 @@ def check(
 
     Example: sunarc check --camera --config /etc/sunarc/sunarc.toml
     """
-    from sunarc.diagnostics.checks import run_camera_checks, run_checks
+    from sunarc.diagnostics import run_camera_checks, run_checks
 
     run = run_camera_checks if camera else run_checks
     results = list(run(load_settings(config), clock=SystemClock()))

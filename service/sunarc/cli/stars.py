@@ -10,20 +10,17 @@ import typer
 from rich.console import Console
 
 from sunarc.archive.csv_files import SightingTable, read_sightings
-from sunarc.calibration.blind_start.values import BlindOptions
-from sunarc.calibration.selection.star_selection import MOST_STARS
-from sunarc.cli.options import SITE, Altitude, AsJson, choice_of
-from sunarc.cli.output import print_json, table
+from sunarc.calibration.selection import MOST_STARS
+from sunarc.calibration.start.blind_start import BlindOptions
+from sunarc.cli.options import SITE, Altitude, AsJson, choice_of, print_json, table
 from sunarc.detection.values import BAYERS
 from sunarc.errors import InputError, OutsideError
 from sunarc.extras import extra_module
-from sunarc.offline.blind_stars import find_stars_blind
 from sunarc.offline.calibrate_files import image_circle_of
-from sunarc.offline.files import read_lines
-from sunarc.offline.image_names import utc_offset_of
-from sunarc.offline.ingest.image_times import Naming
-from sunarc.offline.project_files import read_calibration
-from sunarc.offline.star_files import StarImage, StarOptions, find_stars, write_star_sightings
+from sunarc.offline.calibration_files import read_calibration
+from sunarc.offline.stars import StarImage, StarOptions, find_stars, find_stars_blind, write_star_sightings
+from sunarc.reanalysis.files import read_lines
+from sunarc.reanalysis.image_times import Naming, utc_offset_of
 from sunarc.runtime.clock import SystemClock
 from sunarc.sky.site import Site
 

@@ -15,11 +15,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from sunarc.calibration.model.options import Method
-from sunarc.cli.options import AsJson
-from sunarc.cli.output import print_json
+from sunarc.cli.options import AsJson, print_json
 from sunarc.errors import InputError
 from sunarc.extras import extra_module
-from sunarc.offline.project_files import read_calibration
+from sunarc.offline.calibration_files import read_calibration
 from sunarc.studies.published import CASES
 from sunarc.studies.reports import make_folder, write_shadow, write_tables, write_uncertainty
 from sunarc.studies.shadow import SIGMAS_DEG, WIND_M_S, study_shadow, study_shadow_of

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration.change_detection.hypotheses import pole_of
+from sunarc.calibration.changes.detect_change import pole_of
 from sunarc.cross_checks.rotation_steps import RotationStep
 from sunarc.sky.days import SECONDS_PER_DEGREE
 from sunarc.sky.directions import wrapped_deg

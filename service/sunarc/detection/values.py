@@ -1,11 +1,16 @@
-"""Input and output of the detectors."""
+"""What the detection of sun and stars is given, and what it answers."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Annotated, Literal, get_args
 
+import numpy as np
+from annotated_types import Ge, Le
+
+from sunarc.array_types import BoolArray, FloatArray, Image, IntArray, NameArray, picked
+from sunarc.bounds import require_bounds
 from sunarc.detection.messages import reason_of
 from sunarc.errors import InputError
 from sunarc.findings import Finding
@@ -156,3 +161,120 @@ def bayer_of(pixel_format: str) -> Bayer | None:
     """Return the colours of a GenICam pixel format ("BayerRG8", …); None for mono."""
     patterns: dict[str, Bayer] = {"RG": "RGGB", "BG": "BGGR", "GR": "GRBG", "GB": "GBRG"}
     return patterns.get(pixel_format[5:7]) if pixel_format.startswith("Bayer") else None
+
+
+def require_raw(image: Image, sensor: Sensor) -> None:
+    """Raise InputError unless the image is a (rows, columns) array of the sensor's counts."""
+    if image.ndim != 2 or min(image.shape) < 1:
+        raise InputError(
+            field="image", problem=f"its shape is {image.shape}", remedy="give one raw plane: rows and columns"
+        )
+    if image.dtype not in (np.uint8, np.uint16):
+        raise InputError(field="image", problem=f"its type is {image.dtype}", remedy="give uint8 or uint16")
+    if image.dtype == np.uint8 and sensor.full_scale > 255:
+        raise InputError(
+            field="image",
+            problem=f"8 bits cannot hold a full scale of {sensor.full_scale}",
+            remedy="correct full_scale",
+        )
+
+
+def require_photo(image: Image, *, full_scale: int) -> None:
+    """Raise InputError unless the image is a (rows, columns) or (rows, columns, 3) array that holds the full scale."""
+    if image.ndim not in {2, 3} or (image.ndim == 3 and image.shape[2] != 3) or min(image.shape) < 1:
+        raise InputError(
+            field="image", problem=f"its shape is {image.shape}", remedy="give rows, columns (and 3 colours)"
+        )
+    if image.dtype not in (np.uint8, np.uint16) or not 0 < full_scale <= np.iinfo(image.dtype).max:
+        raise InputError(
+            field="image", problem=f"{image.dtype} with full scale {full_scale}", remedy="give uint8 or uint16 counts"
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DiscOptions:
+    """What is known of the sun in microsecond frames; the limits of its detection are constants (`disc.limits`).
+
+    Attributes
+    ----------
+    clear_level_per_us : the clear sun's level over full scale in 1 µs, at the gain in use; 0 where unknown. The
+        reference for the brightness where the prediction has none.
+    """
+
+    clear_level_per_us: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse values out of bounds."""
+        require_bounds(self, section="detection")
+
+
+FWHM = 2.355
+"""Full width at half maximum of a Gaussian, in its sigmas: 2 sqrt(2 ln 2)."""
+MOST_PEAK = 0.9
+"""Share of full scale: a star with a brighter peak may be clipped in part, and many sensors are not linear there."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Stars:
+    """Point sources of one image, the brightest first.
+
+    Attributes
+    ----------
+    pixels : (n, 2) centres, px; (0, 0) is the centre of the top-left pixel.
+    sigma_px : (n,) 1-sigma per axis.
+    flux : (n,) counts above the background.
+    snr : (n,) flux over its standard deviation.
+    peak_fraction : (n,) the brightest pixel over full scale, with the background.
+    width_px : (n,) 1-sigma of the point spread, geometric mean of its axes: the star's own where it is bright enough
+        (20 times the noise), else that of its place in the image.
+    ellipticity : (n,) 1 - minor / major axis, likewise.
+    saturated : (n,) whether pixels of it were clipped; such a centre is pulled along the coma by up to half a pixel.
+    """
+
+    pixels: FloatArray
+    sigma_px: FloatArray
+    flux: FloatArray
+    snr: FloatArray
+    peak_fraction: FloatArray
+    width_px: FloatArray
+    ellipticity: FloatArray
+    saturated: BoolArray
+
+    def __len__(self) -> int:
+        return int(self.flux.size)
+
+    @property
+    def sound(self) -> BoolArray:
+        """Which are neither clipped nor near full scale, (n,)."""
+        return np.asarray(~self.saturated & (self.peak_fraction < MOST_PEAK))
+
+    def select(self, which: BoolArray | IntArray) -> Stars:
+        """Return those that a mask or an index picks."""
+        return picked(self, which)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PredictedStars:
+    """Where the stars above the horizon should be in an image, the brightest first.
+
+    Attributes
+    ----------
+    names : (n,).
+    pixels : (n, 2) px; those outside the image are left out before.
+    sigma_px : (n,) 1-sigma per axis of the prediction.
+    magnitude : (n,) V with the air's extinction.
+    azimuth_deg : (n,).
+    """
+
+    names: NameArray
+    pixels: FloatArray
+    sigma_px: FloatArray
+    magnitude: FloatArray
+    azimuth_deg: FloatArray
+
+    def __len__(self) -> int:
+        return int(self.magnitude.size)
+
+    def select(self, which: BoolArray | IntArray) -> PredictedStars:
+        """Return those that a mask or an index picks."""
+        return picked(self, which)

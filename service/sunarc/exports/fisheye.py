@@ -7,14 +7,17 @@ References: J. Kannala and S. Brandt, PAMI 28 (2006) 1335; COLMAP's documentatio
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from enum import IntEnum
 
+import cv2
 import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray
-from sunarc.exports.sky import sky_of
-from sunarc.exports.view import View, lens_view
+from sunarc.errors import InputError
+from sunarc.exports.view import View, lens_view, sky_of
+from sunarc.extras import extra_module
 from sunarc.optics.camera import Camera
 from sunarc.optics.pose import rotation_matrix
 
@@ -145,3 +148,164 @@ def _rising_limit(parameters: FloatArray) -> float:
     coefficients[1::2] = 1.0, *parameters[list(RADIAL)]
     falls = np.diff(np.polynomial.polynomial.polyval(theta, coefficients)) <= 0.0
     return float(theta[np.argmax(falls)] if np.any(falls) else theta[-1])
+
+
+_MATRIX = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "intrinsic_matrix")
+_DISTORTION = ("distortion_coefficients", "distCoeffs", "Distortion_Coefficients", "D", "dist_coeffs")
+_SIZES = (("image_width", "image_height"), ("image_Width", "image_Height"), ("width", "height"))
+_OPENCV_ROTATION = "rotation_cam_enu"
+
+
+def opencv_yaml(model: FisheyeModel, *, width: int, height: int, notes: dict[str, str]) -> bytes:
+    """Return the file of a model, with its notes."""
+    storage = cv2.FileStorage(".yml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+    for name, text in notes.items():
+        storage.write(name, text)
+    for name, size in (("image_width", width), ("image_height", height)):
+        storage.write(name, size)
+    storage.write("camera_matrix", model.matrix)
+    storage.write("distortion_coefficients", model.distortion[:, None])
+    storage.write(_OPENCV_ROTATION, model.rotation)
+    text = str(storage.releaseAndGetString())
+    return text.replace("\\'", "'").encode()  # OpenCV escapes an apostrophe, which YAML does not know
+
+
+def read_opencv(content: bytes, *, name: str) -> View:
+    """Return the view of a fisheye calibration, YAML, XML or JSON of `cv2.FileStorage`.
+
+    Raises
+    ------
+    InputError
+        It is none: not four distortion coefficients (a calibration of cv2.calibrateCamera has 5 and more), or no size.
+    """
+    try:
+        storage = cv2.FileStorage(content.decode(), cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+        matrix, distortion, rotation = (_first(storage, names) for names in (_MATRIX, _DISTORTION, (_OPENCV_ROTATION,)))
+        sizes = [[int(storage.getNode(one).real()) for one in pair] for pair in _SIZES]
+    except (cv2.error, SystemError, UnicodeDecodeError):  # its constructor fails without saying how
+        raise InputError(field=name, problem="OpenCV cannot read it", remedy="give a cv2.FileStorage file") from None
+    if matrix is None or matrix.shape != (3, 3):
+        raise InputError(field=name, problem="no 3x3 camera matrix", remedy=f"name it {_MATRIX[0]}")
+    if distortion is None or distortion.size != 4:
+        count = "no" if distortion is None else str(distortion.size)
+        raise InputError(
+            field=name,
+            problem=f"{count} distortion coefficients, where cv2.fisheye has 4",
+            remedy="give a calibration of cv2.fisheye; that of cv2.calibrateCamera cannot describe a fisheye lens",
+        )
+    width, height = next((pair for pair in sizes if min(pair) > 0), (0, 0))
+    if width == 0:
+        raise InputError(field=name, problem="no image size", remedy="add image_width and image_height, px")
+    parameters = np.zeros(len(Fisheye))
+    parameters[:4] = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
+    parameters[list(RADIAL)] = distortion.ravel()
+    model = FisheyeModel(parameters=parameters, rotation=np.eye(3) if rotation is None else rotation)
+    return fisheye_view("opencv", model, size=(width, height), has_pose=rotation is not None)
+
+
+def _first(storage: cv2.FileStorage, names: tuple[str, ...]) -> FloatArray | None:
+    """Return the first matrix that a file has of several names."""
+    nodes = (storage.getNode(name) for name in names)
+    return next((np.asarray(node.mat(), dtype=np.float64) for node in nodes if node.isMap()), None)
+
+
+_ROTATION = "rotation_cam_enu, row by row: "
+_COLMAP_ORIGIN_PX = 0.5
+"""COLMAP's (0, 0) is the corner of the top-left pixel."""
+_COLMAP_MODELS = {
+    "THIN_PRISM_FISHEYE": tuple(Fisheye),
+    "OPENCV_FISHEYE": (Fisheye.FX, Fisheye.FY, Fisheye.CX, Fisheye.CY, *RADIAL),
+}
+
+
+def require_no_mirror(camera: Camera, form: str) -> None:
+    """Raise InputError for a mirrored camera, where a format has no mirror."""
+    if camera.mirrored:
+        raise InputError(
+            field="calibration",
+            problem=f"it is of mirrored images, which {form} cannot describe",
+            remedy="use opencv (a negative focal length), or flip the images and calibrate again",
+        )
+
+
+def colmap_text(model: FisheyeModel, *, size: tuple[int, int], notes: list[str]) -> bytes:
+    """Return COLMAP's cameras.txt with one camera of the model THIN_PRISM_FISHEYE."""
+    values = model.parameters.copy()
+    values[[Fisheye.CX, Fisheye.CY]] += _COLMAP_ORIGIN_PX
+    numbers = " ".join(f"{value:.15g}" for value in values)
+    return _commented(model, notes) + f"1 THIN_PRISM_FISHEYE {size[0]} {size[1]} {numbers}\n".encode()
+
+
+def read_colmap(content: bytes, *, name: str) -> View:
+    """Return the view of the first camera of a cameras.txt, THIN_PRISM_FISHEYE or OPENCV_FISHEYE."""
+    lines = [
+        line.split() for line in content.decode(errors="replace").splitlines() if line and not line.startswith("#")
+    ]
+    try:
+        _, kind, width, height, *numbers = lines[0]
+        values = np.array(numbers, dtype=np.float64)
+        size = (int(width), int(height))
+    except (ValueError, IndexError) as error:
+        raise InputError(field=name, problem=f"no camera ({error})", remedy="give COLMAP's cameras.txt") from None
+    places = _COLMAP_MODELS.get(kind, ())
+    if not places or len(values) != len(places):
+        problem = f"a camera {kind} with {len(values)} parameters"
+        raise InputError(field=name, problem=problem, remedy=f"use {' or '.join(_COLMAP_MODELS)}")
+    parameters = np.zeros(len(Fisheye))
+    parameters[list(places)] = values
+    parameters[[Fisheye.CX, Fisheye.CY]] -= _COLMAP_ORIGIN_PX
+    return _text_view("colmap", parameters, content, size)
+
+
+def ros_yaml(model: FisheyeModel, *, size: tuple[int, int], camera: str, notes: list[str]) -> bytes:
+    """Return ROS's camera_info, distortion model `equidistant` (image_proc's fisheye)."""
+
+    def matrix(name: str, values: FloatArray) -> list[str]:
+        rows, columns = np.atleast_2d(values).shape
+        data = ", ".join(f"{value:.15g}" for value in values.ravel())
+        return [f"{name}:", f"  rows: {rows}", f"  cols: {columns}", f"  data: [{data}]"]
+
+    lines = [
+        f"image_width: {size[0]}",
+        f"image_height: {size[1]}",
+        f"camera_name: {re.sub(r'[^A-Za-z0-9_]+', '_', camera)}",
+        *matrix("camera_matrix", model.matrix),
+        "distortion_model: equidistant",
+        *matrix("distortion_coefficients", model.distortion),
+        *matrix("rectification_matrix", np.eye(3)),
+        *matrix("projection_matrix", np.column_stack([model.matrix, np.zeros(3)])),
+    ]
+    return _commented(model, notes) + ("\n".join(lines) + "\n").encode()
+
+
+def read_ros(content: bytes, *, name: str) -> View:
+    """Return the view of a camera_info whose distortion model is `equidistant` (or `fisheye`)."""
+    yaml = extra_module("yaml", extra="formats")
+    try:
+        read = yaml.safe_load(content)
+        size = (int(read["image_width"]), int(read["image_height"]))
+        matrix = np.array(read["camera_matrix"]["data"], dtype=np.float64).reshape(3, 3)
+        distortion = np.array(read["distortion_coefficients"]["data"], dtype=np.float64)
+        kind = read["distortion_model"]
+    except (yaml.YAMLError, KeyError, TypeError, ValueError) as error:
+        raise InputError(field=name, problem=f"no camera_info ({error})", remedy="give ROS's YAML file") from None
+    if kind not in ("equidistant", "fisheye") or distortion.shape != (4,):
+        problem = f"distortion model {kind} with {distortion.size} coefficients"
+        raise InputError(field=name, problem=problem, remedy="give one of the model equidistant, which has 4")
+    parameters = np.zeros(len(Fisheye))
+    parameters[:4] = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
+    parameters[list(RADIAL)] = distortion
+    return _text_view("ros", parameters, content, size)
+
+
+def _commented(model: FisheyeModel, notes: list[str]) -> bytes:
+    rotation = " ".join(f"{value:.15g}" for value in model.rotation.ravel())
+    return "".join(f"# {note}\n" for note in [*notes, _ROTATION + rotation]).encode()
+
+
+def _text_view(form: str, parameters: FloatArray, content: bytes, size: tuple[int, int]) -> View:
+    found = re.search(re.escape(_ROTATION.encode()) + rb"([^\n]+)", content)
+    rotation = np.eye(3) if found is None else np.array(found.group(1).split(), dtype=np.float64).reshape(3, 3)
+    return fisheye_view(
+        form, FisheyeModel(parameters=parameters, rotation=rotation), size=size, has_pose=found is not None
+    )

@@ -9,27 +9,21 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from sunarc.calibration.ensemble import draw_ensemble
-from sunarc.calibration.model.direction_table import lookup
+from sunarc.calibration.answers.direction_table import back_projection_map, lookup
+from sunarc.calibration.answers.error_model import draw_ensemble
 from sunarc.calibration.model.document import from_document
-from sunarc.calibration.model.maps import back_projection_map
 from sunarc.calibration.model.result import Calibration
 from sunarc.errors import InputError
-from sunarc.exports.asi_core_set import asi_core_file
-from sunarc.exports.comparison import compare
-from sunarc.exports.discovery import Table, Variable
-from sunarc.exports.exported import PIXELS, Exported, notes_of
-from sunarc.exports.fisheye import fisheye_model, fisheye_view
+from sunarc.exports.asi_core import asi_core_file
+from sunarc.exports.exported import PIXELS, Exported, Table, Variable, notes_of
+from sunarc.exports.fisheye import colmap_text, fisheye_model, fisheye_view, opencv_yaml, require_no_mirror, ros_yaml
 from sunarc.exports.mrcal import cameramodel, splined_model, splined_view
-from sunarc.exports.ocam import ocam_model, ocam_view
-from sunarc.exports.ocamcalib import calib_results
-from sunarc.exports.opencv import opencv_yaml
+from sunarc.exports.ocam import calib_results, ocam_model, ocam_view
 from sunarc.exports.pixel_maps import fits_file, matlab_file, sixteen_bit_files
 from sunarc.exports.reading import read_view
 from sunarc.exports.remap import remap_table, sky_grid
 from sunarc.exports.tables import calibration_table, map_table, netcdf_bytes, npz_bytes
-from sunarc.exports.text_cameras import colmap_text, require_no_mirror, ros_yaml
-from sunarc.exports.view import camera_view
+from sunarc.exports.view import camera_view, compare
 
 Format = Literal["json", "opencv", "ocamcalib", "asi-core", "mrcal", "netcdf", "npz"]
 FORMATS: tuple[Format, ...] = get_args(Format)

@@ -16,8 +16,7 @@ from scipy.sparse.linalg import spsolve
 
 from sunarc.array_types import FloatArray
 from sunarc.errors import InputError
-from sunarc.exports.sky import sky_of
-from sunarc.exports.view import View, lens_view
+from sunarc.exports.view import View, lens_view, sky_of
 from sunarc.optics.camera import Camera
 from sunarc.optics.pose import rotation_matrix
 

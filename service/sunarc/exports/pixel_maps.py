@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.io.matlab import MatReadError
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration.model.maps import BackProjectionMap
+from sunarc.calibration.answers.direction_table import BackProjectionMap
 from sunarc.errors import InputError
 from sunarc.exports.asi_core import matlab_bytes
 from sunarc.exports.tables import require_directions

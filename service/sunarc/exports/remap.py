@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sunarc.array_types import FloatArray, Image
 from sunarc.errors import InputError
-from sunarc.exports.discovery import Table, Variable
+from sunarc.exports.exported import Table, Variable
 from sunarc.exports.view import View, lens_view
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project

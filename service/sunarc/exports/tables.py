@@ -12,13 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.array_types import IntArray
-from sunarc.calibration.model.direction_table import lookup
-from sunarc.calibration.model.maps import BackProjectionMap
+from sunarc.calibration.answers.direction_table import BackProjectionMap, lookup
 from sunarc.calibration.model.result import Calibration
 from sunarc.errors import InputError
-from sunarc.exports.comparison import Comparison, compare
-from sunarc.exports.discovery import PLACE, Table, Variable, discovery_attributes, discovery_variables
-from sunarc.exports.view import View, camera_view, grid_view
+from sunarc.exports.exported import PLACE, Table, Variable, discovery_attributes, discovery_variables
+from sunarc.exports.view import Comparison, View, camera_view, compare, grid_view
 from sunarc.extras import extra_module
 
 _STEP = 8

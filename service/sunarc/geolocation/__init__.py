@@ -1,4 +1,4 @@
 """Positions of a cloud and its shadow on the ground, with their covariance.
 
-`ellipsoid` WGS 84 · `locate` from directions and a height · `pair_height` from the directions of two cameras.
+`locate` from directions and a height, on WGS 84 · `pair_height` from the directions of two cameras.
 """

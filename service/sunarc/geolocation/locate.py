@@ -1,4 +1,4 @@
-"""From view directions and a cloud base height to where the cloud is, and where its shadow falls.
+"""Positions on the ellipsoid (WGS 84) of a cloud and its shadow from directions and a height.
 
 Rays are straight and directions are apparent ones: what refraction bends below the cloud is left out, which moves a
 cloud seen 10 degrees above the horizon by less than 1 % of its distance.
@@ -6,14 +6,67 @@ cloud seen 10 degrees above the horizon by less than 1 % of its distance.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sunarc.array_types import FloatArray
-from sunarc.geolocation.ellipsoid import SEMI_MAJOR_M, GeodeticPosition, geodetic_position
 from sunarc.sky.site import Site
+
+SEMI_MAJOR_M = 6_378_137.0
+FLATTENING = 1.0 / 298.257223563
+ECCENTRICITY2 = FLATTENING * (2.0 - FLATTENING)
+_LATITUDE_ROUNDS = 4
+
+
+class GeodeticPosition(NamedTuple):
+    """Latitude and longitude in degrees, altitude in metres, each (n,); `up` (n, 3) is the vertical there.
+
+    `up` is in the site's east-north-up.
+    """
+
+    latitude: FloatArray
+    longitude: FloatArray
+    altitude: FloatArray
+    up: FloatArray
+
+
+def geodetic_position(position_m: FloatArray, site: Site) -> GeodeticPosition:
+    """Return the places of points (n, 3), metres east, north and up of a site."""
+    axes, origin = _frame(site)
+    x, y, z = np.moveaxis(position_m @ axes + origin, -1, 0)
+    across = np.hypot(x, y)
+    latitude = np.arctan2(z, across * (1.0 - ECCENTRICITY2))
+    for _ in range(_LATITUDE_ROUNDS):  # each one is a few hundred times closer
+        radius = SEMI_MAJOR_M / np.sqrt(1.0 - ECCENTRICITY2 * np.sin(latitude) ** 2)
+        latitude = np.arctan2(z + ECCENTRICITY2 * radius * np.sin(latitude), across)
+    radius = SEMI_MAJOR_M / np.sqrt(1.0 - ECCENTRICITY2 * np.sin(latitude) ** 2)
+    sine, cosine, longitude = np.sin(latitude), np.cos(latitude), np.arctan2(y, x)
+    altitude = across * cosine + (z + ECCENTRICITY2 * radius * sine) * sine - radius
+    up = np.stack([cosine * np.cos(longitude), cosine * np.sin(longitude), sine], axis=-1) @ axes.T
+    return GeodeticPosition(np.degrees(latitude), np.degrees(longitude), altitude, up)
+
+
+def in_frame_of(site: Site, other: Site) -> tuple[FloatArray, FloatArray]:
+    """Return where another site is, (3,) metres east, north and up of a site, and (3, 3): its axes to the site's."""
+    axes, origin = _frame(site)
+    other_axes, other_origin = _frame(other)
+    return axes @ (other_origin - origin), axes @ other_axes.T
+
+
+def _frame(site: Site) -> tuple[FloatArray, FloatArray]:
+    """Return the (3, 3) rows east, north, up and the site itself, in the Earth's own frame."""
+    latitude, longitude = math.radians(site.latitude), math.radians(site.longitude)
+    sine, cosine = math.sin(latitude), math.cos(latitude)
+    up = np.array([cosine * math.cos(longitude), cosine * math.sin(longitude), sine])
+    east = np.array([-math.sin(longitude), math.cos(longitude), 0.0])
+    radius = SEMI_MAJOR_M / math.sqrt(1.0 - ECCENTRICITY2 * sine**2)
+    origin = (radius + site.altitude) * up - np.array([0.0, 0.0, ECCENTRICITY2 * radius * sine])
+    return np.stack([east, np.cross(up, east), up]), origin
+
 
 _ROUNDS = 5
 _LEVEL = 1e-4

@@ -11,7 +11,7 @@ import numpy as np
 
 from sunarc.array_types import FloatArray
 from sunarc.errors import InputError
-from sunarc.geolocation.ellipsoid import GeodeticPosition, geodetic_position, in_frame_of
+from sunarc.geolocation.locate import GeodeticPosition, geodetic_position, in_frame_of
 from sunarc.sky.site import Site
 
 _STEP = 1e-6

@@ -11,7 +11,7 @@ from annotated_types import Gt, Le, Lt
 
 from sunarc.bounds import require_bounds
 from sunarc.errors import InputError
-from sunarc.sky.air import clear_transmission
+from sunarc.sky.site import clear_transmission
 
 _BRACKET_RATIO = 4.0
 """The two exposures of a bracket are this factor apart: with a band of a factor of 2 they span a factor of 8."""

@@ -1,7 +1,6 @@
 """Functions of the commands that work on files and databases, without a running service.
 
-`detect_files` · `ingest` a folder to sightings · `import_sightings` a CSV file to sightings · `calibrate_files`
-sightings to a calibration · `reproduce` a past calibration again · `project_files` · `export_archive` · `cameras` the
-settings' camera in the archive · `files` · `compile_kernels`. Import the modules: the processes that look at images
-load no more than they need.
+`calibrate_files` CSV files to calibrations · `calibrate_archive` a refit of the archive, and a past one again ·
+`calibration_files` what a calibration's file is asked · `stars` images of the night · `archive_tables` sightings of the
+archive to tables and back · `compile_kernels`. Images of a folder or an archive: `reanalysis`.
 """

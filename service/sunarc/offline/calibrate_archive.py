@@ -1,4 +1,4 @@
-"""The archive's accepted sightings to a calibration, which is stored and served where it is accepted."""
+"""Calibrations of the service's archive: a refit of it, and a past one again."""
 
 from __future__ import annotations
 
@@ -7,20 +7,23 @@ import uuid
 from typing import Any
 
 import sunarc
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.camera_archive import CameraArchive
-from sunarc.archive.lock import lock_state
-from sunarc.archive.recovery import upgrade_present
-from sunarc.archive.schema import require_file
+from sunarc.archive.archive import Archive, CameraArchive, open_archive
+from sunarc.archive.database.recovery import upgrade_present
+from sunarc.archive.database.schema import require_file
+from sunarc.archive.database.state_folder import lock_state
 from sunarc.archive.values import Refit
+from sunarc.calibration.calibrate import reproduce_calibration
+from sunarc.calibration.model.document import from_document, to_document
+from sunarc.calibration.quality.acceptance import distance_px
 from sunarc.errors import InputError
 from sunarc.findings import Finding
-from sunarc.offline.cameras import known_camera
-from sunarc.offline.learned_sigma import ValidCamera, learn_sigma
+from sunarc.reanalysis.cameras import known_camera
+from sunarc.reanalysis.learned_sigma import ValidCamera, learn_sigma
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import StatusRegistry
 from sunarc.settings.model import Settings
 from sunarc.workers.calibrating.refit import RefitWorker
+from sunarc.workers.calibrating.solver_process import points_of
 
 
 def calibrate_archive(settings: Settings, *, clock: Clock) -> tuple[Refit, dict[str, Any] | None]:
@@ -82,3 +85,39 @@ def _carried_out(archive: Archive, settings: Settings, clock: Clock) -> Refit:
         archive.finish_refit(refit.id, state="failed", finished_at=clock.now(), message="", findings=(failed,))
         raise
     return archive.refit(refit.id)
+
+
+_ROUNDING_PX = 1e-6
+
+
+def solve_again(settings: Settings, calibration_id: str) -> dict[str, Any]:
+    """Return what solving a past calibration again led to: whether it is the same, and its document.
+
+    Raises
+    ------
+    NotFoundError : there is no such calibration, or nothing was kept with it.
+    InputError : its sightings were changed or deleted since.
+    """
+    with open_archive(settings.archive) as archive:
+        record = archive.calibration(calibration_id)
+        past = from_document(record.document)
+        points = points_of(archive.sightings_of(calibration_id), site=past.site, latest=record.pose_epoch)
+    solved = reproduce_calibration(past, points)
+    separation_px = distance_px(past, solved)
+    document = to_document(
+        solved,
+        id=f"{calibration_id}-again",
+        camera=record.camera,
+        state="candidate" if solved.verdict.accepted else "refused",
+        created_at=record.created_at,
+        valid_from=record.valid_from,
+        valid_until=record.valid_until,
+        pose_epoch=record.pose_epoch or "",
+        software_version=sunarc.__version__,
+    )
+    return {
+        "same": separation_px <= _ROUNDING_PX,
+        "apart_px": separation_px,
+        "sightings": len(points),
+        "calibration": document,
+    }

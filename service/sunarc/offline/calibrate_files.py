@@ -1,37 +1,111 @@
-"""A file of sightings in, a calibration document out."""
+"""Calibrations from CSV files: of one camera, of several of a lens type, and with a prior of the type."""
 
 from __future__ import annotations
 
+import json
 import math
+import re
+import tomllib
 import uuid
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import sunarc
 from sunarc.archive.csv_files import read_sightings
-from sunarc.calibration.initial_guess.image_circle import find_image_circle
+from sunarc.calibration.changes.change_points import calibrate_moved
 from sunarc.calibration.lens_library.first_pose import calibrate_with_lens
-from sunarc.calibration.lens_library.lens_type import LensType
-from sunarc.calibration.model.document import to_document
-from sunarc.calibration.model.kinds import kinds_of
+from sunarc.calibration.lens_library.joint import Entry, Unit, calibrate_jointly, lens_type_of
+from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread
+from sunarc.calibration.model.document import from_document, to_document
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
-from sunarc.calibration.model.sightings import SunPoints
-from sunarc.calibration.pose.estimate_pose import estimate_pose
-from sunarc.calibration.pose.stated_prior import PriorTolerances, calibrate_with_prior
-from sunarc.calibration.pose_change_points import calibrate_moved
+from sunarc.calibration.model.sightings import SunPoints, kinds_of
+from sunarc.calibration.pose import estimate_pose
 from sunarc.calibration.projection_choice import calibrate_unknown_lens
+from sunarc.calibration.start.initial_guess import find_image_circle
+from sunarc.calibration.stated_prior import PriorTolerances, calibrate_with_prior
 from sunarc.errors import InputError
-from sunarc.exports.start import closest_camera
+from sunarc.exports.reading import closest_camera
 from sunarc.extras import extra_module
-from sunarc.offline.compare_files import read_view_file
-from sunarc.offline.files import read_image, read_lines, require_inside
-from sunarc.offline.lens_priors import require_lens
-from sunarc.offline.project_files import read_calibration
+from sunarc.offline.calibration_files import read_calibration, read_view_file
 from sunarc.optics.camera import Camera
+from sunarc.reanalysis.files import read_file, read_image, read_lines, require_inside
 from sunarc.runtime.clock import Clock
 from sunarc.sky.site import Site
 from sunarc.utc import utc_time
+
+
+def write_lens_prior(path: Path, lens: LensType) -> None:
+    """Write a lens prior file."""
+    content = lens.to_json(software_version=sunarc.__version__)
+    path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def combined_lens(documents: Sequence[dict[str, Any]], files: Sequence[Path], *, spread: UnitSpread | None) -> LensType:
+    """Return what calibration documents, and files of such, say of one type of lens.
+
+    Raises
+    ------
+    InputError
+        Where a file is no calibration document, a calibration is refused or was given a lens prior itself, a camera is
+        named twice, or two are of different types of lens.
+    """
+    units: dict[str, Unit] = {}
+    for document in (*documents, *map(_json, files)):
+        unit = _unit(document)
+        if unit.camera in units:
+            raise InputError(
+                field=unit.camera, problem="two calibrations of one camera", remedy="name its best one, or fit --joint"
+            )
+        units[unit.camera] = unit
+    return lens_type_of(list(units.values()), spread=spread)
+
+
+def require_lens(lens: LensType, *, image_size: tuple[int, int], options: CalibrationOptions, known: bool) -> None:
+    """Raise InputError where a camera cannot be of a type of lens.
+
+    Parameters
+    ----------
+    lens : the type.
+    image_size : of the camera, px.
+    options : of its fit.
+    known : whether the options' projection is stated.
+    """
+    camera = lens.camera
+    hand = "yes" if camera.mirrored else "no"
+    for what, given, stated in (
+        ("image size", image_size, (camera.width, camera.height)),
+        ("projection", options.projection if known else camera.projection, camera.projection),
+        ("mirrored", hand if options.mirrored == "auto" else options.mirrored, hand),
+    ):
+        if given != stated:
+            raise InputError(
+                field="--lens-prior",
+                problem=f"{what} {stated}, where the camera's is {given}",
+                remedy="name the lens prior of this type of lens and sensor",
+            )
+
+
+def _unit(document: dict[str, Any]) -> Unit:
+    calibration = from_document(document)
+    name = str(document.get("camera", ""))
+    if not calibration.verdict.accepted:
+        raise InputError(field=name, problem="the calibration is refused", remedy="name accepted calibrations")
+    if calibration.evidence.options.get("free", "all") != "all" or "lens_prior" in calibration.evidence.options:
+        raise InputError(
+            field=name,
+            problem="the calibration was given its lens, and tells nothing new of it",
+            remedy="name a calibration that was fitted without --pose-only, --lens-within and --lens-prior",
+        )
+    return Unit(name, calibration)
+
+
+def _json(path: Path) -> Any:  # noqa: ANN401 - JSON holds anything
+    try:
+        return json.loads(read_file(path))
+    except ValueError:
+        raise InputError(field=str(path), problem="is not JSON", remedy="name a JSON file of sunarc") from None
 
 
 def calibrate_file(
@@ -78,7 +152,7 @@ def calibrate_file(
             points, site=site, image_size=image_size, options=options, circle=circle, start=begin
         )
     if plots is not None:
-        from sunarc.studies.plots import write_calibration_plots  # noqa: PLC0415 - the plot library is slow to load
+        from sunarc.studies.reports import write_calibration_plots  # noqa: PLC0415 - the plot library is slow to load
 
         write_calibration_plots(solved, points, folder=plots)
     now = clock.now()
@@ -162,3 +236,121 @@ def image_circle_of(text: str) -> ImageCircle:
             ) from None
         return found
     return ImageCircle(x=x, y=y, radius=radius)
+
+
+_SITE = tuple(field.name for field in fields(Site))
+_FIT = ("projection", "mirrored", "level_within_deg")
+_COMMON = {*_SITE, *_FIT, "image_size"}
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._ -]{0,63}")
+LENS_FILE = "lens-prior.json"
+
+
+class JointSpec(NamedTuple):
+    """What a file asks for: the entries, and the stated spread between units; None where it states none."""
+
+    entries: list[Entry]
+    spread: UnitSpread | None
+
+
+def calibrate_joint(path: Path, *, folder: Path, clock: Clock) -> list[dict[str, Any]]:
+    """Fit the entries of a file together, write each's document and the lens prior to a folder, return the documents.
+
+    The files are CAMERA.json, or CAMERA-EPOCH.json where the entry names an epoch, and `lens-prior.json`, which is
+    absent where no entry was accepted.
+
+    Parameters
+    ----------
+    path : TOML: `[[entry]]` tables with `camera`, `file` and, where there are several of a camera, `epoch`; site,
+        `image_size` and `projection` in each or once at the top; `[spread]` between units.
+    folder : made where it is missing.
+    clock : dates the calibrations.
+
+    Raises
+    ------
+    InputError
+        Names the entry or the key that is wrong.
+    """
+    spec = read_joint_spec(path)
+    joint = calibrate_jointly(spec.entries, spread=spec.spread)
+    documents = []
+    folder.mkdir(parents=True, exist_ok=True)
+    now = clock.now()
+    for entry, solved in zip(spec.entries, joint.calibrations, strict=True):
+        times = entry.points.unix_s
+        document = to_document(
+            solved,
+            id=uuid.uuid4().hex,
+            camera=entry.camera,
+            state="candidate" if solved.verdict.accepted else "refused",
+            created_at=now,
+            valid_from=utc_time(float(times.min())) if times.size else now,
+            valid_until=None,
+            pose_epoch=entry.epoch,
+            software_version=sunarc.__version__,
+        )
+        name = "-".join(filter(None, (entry.camera, entry.epoch)))
+        (folder / f"{name}.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        documents.append(document)
+    if joint.lens is not None:
+        write_lens_prior(folder / LENS_FILE, joint.lens)
+    return documents
+
+
+def read_joint_spec(path: Path) -> JointSpec:
+    """Return what a TOML file asks to fit together; InputError names the key that is wrong."""
+    try:
+        tables = tomllib.loads(read_file(path).decode())
+    except ValueError as error:
+        raise InputError(field=str(path), problem=f"is no TOML ({error})", remedy="correct it") from None
+    entries = tables.pop("entry", None)
+    spread = tables.pop("spread", None)
+    _refuse_unknown(path.name, tables, _COMMON)
+    if not isinstance(entries, list) or not entries:
+        raise InputError(field=path.name, problem="names no entry", remedy="give [[entry]] with camera and file")
+    found = [_entry(f"{path.name}, entry {number}", one, tables, path.parent) for number, one in enumerate(entries, 1)]
+    names = [(entry.camera, entry.epoch) for entry in found]
+    for camera, epoch in names:
+        if names.count((camera, epoch)) > 1:
+            raise InputError(
+                field=f"{path.name}, {camera}",
+                problem=f"two entries of the epoch {epoch!r}",
+                remedy="name the epochs differently",
+            )
+    return JointSpec(found, None if spread is None else _converted(f"{path.name}, spread", UnitSpread, spread))
+
+
+def _entry(where: str, given: object, common: Mapping[str, Any], folder: Path) -> Entry:
+    if not isinstance(given, dict):
+        raise InputError(field=where, problem="is no table", remedy="give [[entry]] with camera and file")
+    _refuse_unknown(where, given, _COMMON | {"camera", "epoch", "file"})
+    camera, epoch = (str(given.get(key, "")) for key in ("camera", "epoch"))
+    for key, name in (("camera", camera), ("epoch", epoch or "none")):
+        if not _NAME.fullmatch(name):
+            raise InputError(field=f"{where}, {key}", problem=f"{name!r}", remedy="use letters, numbers, . _ and -")
+    values = {**common, **given}
+    for key in ("file", "latitude", "longitude", "image_size"):
+        if key not in values:
+            raise InputError(field=f"{where}, {key}", problem="missing", remedy="give it here or once for all")
+    size = _converted(f"{where}, image_size", lambda w, h: (int(w), int(h)), values["image_size"])
+    of_site = {"altitude": 0.0} | {key: values[key] for key in _SITE if key in values}
+    of_fit = {key: values[key] for key in _FIT if key in values}
+    site = _converted(where, Site, of_site)
+    options = _converted(where, CalibrationOptions, of_fit)
+    points = read_points(folder / str(values["file"]), size)
+    return Entry(camera=camera, epoch=epoch, points=points, site=site, image_size=size, options=options)
+
+
+def _converted(where: str, convert: Any, given: Any) -> Any:  # noqa: ANN401 - TOML holds anything
+    """Return what a table or a list of TOML means; InputError where it means nothing."""
+    try:
+        return convert(**given) if isinstance(given, dict) else convert(*given)
+    except (TypeError, ValueError) as error:
+        raise InputError(field=where, problem=str(error), remedy="see `sunarc calibrate --help`") from None
+
+
+def _refuse_unknown(where: str, given: Mapping[str, Any], known: set[str]) -> None:
+    unknown = sorted(set(given) - known)
+    if unknown:
+        raise InputError(
+            field=where, problem=f"{', '.join(unknown)} is unknown", remedy=f"use {', '.join(sorted(known))}"
+        )

@@ -8,12 +8,11 @@ from typing import get_args
 import numpy as np
 
 from sunarc.array_types import FloatArray, Image, stacked
+from sunarc.calibration.answers.covariance import hemisphere
+from sunarc.calibration.answers.direction_table import lookup
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.covariance import hemisphere
-from sunarc.calibration.model.direction_table import lookup
-from sunarc.calibration.model.kinds import Kind
 from sunarc.calibration.model.options import CalibrationOptions, Method
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Kind, SunPoints
 from sunarc.detection.disc.detect import detect_sun
 from sunarc.detection.values import Expectation, Sensor
 from sunarc.imaging.hdr import merge_hdr

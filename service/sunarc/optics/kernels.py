@@ -1,4 +1,4 @@
-"""The lens as compiled loops over many directions: pixels and their derivatives, see `block_kernels`.
+"""The lens as compiled loops over many directions: pixels and their derivatives, a block of directions at a time.
 
 Compiled once and kept on disk, without the interpreter's lock (`nogil`), never in parallel by
 themselves: who wants two threads starts two.
@@ -12,19 +12,288 @@ import numpy as np
 
 from sunarc.array_types import FloatArray
 from sunarc.jit import njit
-from sunarc.optics.block_kernels import (
-    BLOCK,
-    N_COLUMNS,
-    PARAMETERS,
-    PIXEL_X,
-    PIXEL_Y,
-    RESIDUAL,
-    WORK,
-    write_block,
-    write_pixels,
-)
 from sunarc.optics.camera import Param
 from sunarc.optics.projections import PROJECTIONS
+
+BLOCK = 64
+"""Directions of a block: their work array stays within the processor's first cache."""
+_ON_AXIS = 1e-12
+_FX, _FY, _SKEW = int(Param.FOCAL_LENGTH_X_PX), int(Param.FOCAL_LENGTH_Y_PX), int(Param.SKEW_PX)
+_X0, _Y0 = int(Param.PRINCIPAL_POINT_X_PX), int(Param.PRINCIPAL_POINT_Y_PX)
+_TRANSLATION, _RADIAL, _RADIALS, _P1 = int(Param.TRANSLATION_X), int(Param.K2), int(Param.P1 - Param.K2), int(Param.P1)
+
+N_LENS, N_NATIVE, N_COLUMNS = 17, 20, 24
+"""Columns of a work array: derivatives by the lens, by the lens and the pose, and all with what stands beside."""
+RESIDUAL = N_NATIVE
+"""The column that is left for residuals, right after the derivatives by lens and pose."""
+PARAMETERS = np.array(
+    [
+        *range(_FX, _FX + 5),
+        *range(_RADIAL, _P1 + 4),
+        *range(int(Param.ROTATION_X), _TRANSLATION),
+        -1,
+        *range(_TRANSLATION, _TRANSLATION + 3),
+    ]
+)
+"""The parameter of each column; -1: the residuals'."""
+
+_PAIR = 2 * BLOCK
+"""A column: the block's derivatives of x, then those of y."""
+_C_FX, _C_FY, _C_SKEW, _C_X0, _C_Y0 = (k * _PAIR for k in range(5))
+_C_RADIAL, _C_P1, _C_POSE, _C_TRANSLATION = 5 * _PAIR, 13 * _PAIR, 17 * _PAIR, 21 * _PAIR
+_COLUMNS_END = N_COLUMNS * _PAIR
+(
+    PIXEL_X, PIXEL_Y, _EAST, _NORTH, _UP, _X, _Y, _Z, _ACROSS, _SQUARE, _HALF, _THETA, _RADIUS, _SLOPE, _U, _V,
+    _PROFILE, _BX, _BY, _GX, _GY, _X_HAT, _Y_HAT, WEIGHT,
+) = range(_COLUMNS_END, _COLUMNS_END + 24 * BLOCK, BLOCK)  # fmt: skip
+WORK = _COLUMNS_END + 24 * BLOCK
+"""Numbers in the work array of a block."""
+
+
+def _arctangent() -> FloatArray:
+    """Return coefficients of atan(t) / t by powers of t² up to t = tan(π / 8), to 1e-16."""
+    edge = math.tan(math.pi / 8.0) ** 2
+
+    def quotient(square: FloatArray) -> FloatArray:
+        root = np.sqrt(np.maximum(square, 1e-30))
+        return np.asarray(np.arctan(root) / root)
+
+    fitted = np.polynomial.Chebyshev.interpolate(quotient, 13, domain=[0.0, edge])
+    return np.ascontiguousarray(fitted.convert(kind=np.polynomial.Polynomial).coef)
+
+
+_ARCTANGENT = _arctangent()
+_TERMS = _ARCTANGENT.size
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def write_block(  # noqa: PLR0917 - compiled functions take positions
+    vector: FloatArray,
+    code: int,
+    mirror: float,
+    max_angle: float,
+    rotation: FloatArray,
+    jacobian: FloatArray,
+    directions: FloatArray,
+    begin: int,
+    size: int,
+    work: FloatArray,
+) -> None:
+    """Write pixels and derivatives of `size` directions (n, 3) from `begin` on to a work array (WORK,).
+
+    Where the lens shows nothing the pixel is NaN and the derivatives are 0. Places beyond the size repeat the last one.
+    The other arguments as of `kernels.pixels_and_rows_of`.
+    """
+    write_pixels(vector, code, mirror, max_angle, rotation, directions, begin, size, work)
+    _write_lens(vector, mirror, work)
+    _write_vector(vector, mirror, work)
+    _write_pose(rotation, jacobian, work)
+    _blank(work)
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def write_pixels(  # noqa: PLR0917 - compiled functions take positions
+    vector: FloatArray,
+    code: int,
+    mirror: float,
+    max_angle: float,
+    rotation: FloatArray,
+    directions: FloatArray,
+    begin: int,
+    size: int,
+    work: FloatArray,
+) -> None:
+    """Write what `write_block` does but for the derivatives."""
+    _place(vector, rotation, directions, begin, size, work)
+    _write_angles(work)
+    _write_ideal(code, work)
+    _distort(vector, work)
+    sign, base = (-1.0, mirror) if mirror >= 0.0 else (1.0, 0.0)
+    ax, ay, skew = sign * vector[_FX], vector[_FY], sign * vector[_SKEW]
+    x0, y0 = base + sign * vector[_X0], vector[_Y0]
+    for i in range(BLOCK):
+        shown = work[_THETA + i] <= max_angle
+        x_hat, y_hat = work[_X_HAT + i], work[_Y_HAT + i]
+        work[PIXEL_X + i] = ax * x_hat + skew * y_hat + x0 if shown else math.nan
+        work[PIXEL_Y + i] = ay * y_hat + y0 if shown else math.nan
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def _place(  # noqa: PLR0917 - compiled functions take positions
+    vector: FloatArray, rotation: FloatArray, directions: FloatArray, begin: int, size: int, work: FloatArray
+) -> None:
+    """Write the directions and R w + t."""
+    for i in range(BLOCK):
+        n = begin + min(i, size - 1)
+        work[_EAST + i], work[_NORTH + i], work[_UP + i] = directions[n, 0], directions[n, 1], directions[n, 2]
+    for row, target in ((0, _X), (1, _Y), (2, _Z)):
+        by_e, by_n, by_u = rotation[row, 0], rotation[row, 1], rotation[row, 2]
+        shift = vector[_TRANSLATION + row]
+        for i in range(BLOCK):
+            work[target + i] = by_e * work[_EAST + i] + by_n * work[_NORTH + i] + by_u * work[_UP + i] + shift
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def _write_angles(work: FloatArray) -> None:
+    """Write the angle off the axis, the tangent of its half, and the azimuth's cosine and sine."""
+    for i in range(BLOCK):
+        x, y, z = work[_X + i], work[_Y + i], work[_Z + i]
+        flat = x * x + y * y
+        square, across = flat + z * z, math.sqrt(flat)
+        acute = across / (math.sqrt(square) + abs(z))
+        quarter = acute / (1.0 + math.sqrt(1.0 + acute * acute))
+        argument, total = quarter * quarter, 0.0
+        for n in range(_TERMS - 1, -1, -1):
+            total = total * argument + _ARCTANGENT[n]
+        angle = 4.0 * quarter * total
+        work[_THETA + i] = angle if z >= 0.0 else math.pi - angle
+        work[_HALF + i] = acute if z >= 0.0 else 1.0 / acute
+        work[_ACROSS + i], work[_SQUARE + i] = across, square
+        off_axis = across > _ON_AXIS
+        work[_U + i] = x / across if off_axis else 1.0
+        work[_V + i] = y / across if off_axis else 0.0
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def _write_ideal(code: int, work: FloatArray) -> None:
+    """Write the ideal radius, in focal lengths, and its derivative by the angle."""
+    if code == 0:
+        for i in range(BLOCK):
+            work[_RADIUS + i] = work[_ACROSS + i] / work[_Z + i]
+            work[_SLOPE + i] = work[_SQUARE + i] / (work[_Z + i] * work[_Z + i])
+    elif code == 1:
+        for i in range(BLOCK):
+            work[_RADIUS + i], work[_SLOPE + i] = work[_THETA + i], 1.0
+    elif code == 2:
+        for i in range(BLOCK):
+            half = work[_HALF + i]
+            cosine = 1.0 / math.sqrt(1.0 + half * half)
+            work[_RADIUS + i], work[_SLOPE + i] = 2.0 * half * cosine, cosine
+    elif code == 3:
+        for i in range(BLOCK):
+            half = work[_HALF + i]
+            work[_RADIUS + i], work[_SLOPE + i] = 2.0 * half, 1.0 + half * half
+    else:
+        for i in range(BLOCK):
+            per_length = 1.0 / math.sqrt(work[_SQUARE + i])
+            work[_RADIUS + i], work[_SLOPE + i] = work[_ACROSS + i] * per_length, work[_Z + i] * per_length
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def _distort(vector: FloatArray, work: FloatArray) -> None:
+    """Add the polynomial of Eq. 9, and write the decentering's profile and bracket, x̂, ŷ and their slopes by r̂."""
+    k2, k3, k4, k5 = vector[_RADIAL], vector[_RADIAL + 1], vector[_RADIAL + 2], vector[_RADIAL + 3]
+    k6, k7, k8, k9 = vector[_RADIAL + 4], vector[_RADIAL + 5], vector[_RADIAL + 6], vector[_RADIAL + 7]
+    p1, p2, p3, p4 = vector[_P1], vector[_P1 + 1], vector[_P1 + 2], vector[_P1 + 3]
+    for i in range(BLOCK):
+        tau = work[_THETA + i] / _RIGHT_ANGLE
+        value = k2 + tau * (k3 + tau * (k4 + tau * (k5 + tau * (k6 + tau * (k7 + tau * (k8 + tau * k9))))))
+        last = 6.0 * k6 + tau * (7.0 * k7 + tau * (8.0 * k8 + tau * 9.0 * k9))
+        rise = 2.0 * k2 + tau * (3.0 * k3 + tau * (4.0 * k4 + tau * (5.0 * k5 + tau * last)))
+        radius = work[_RADIUS + i] + tau * tau * value
+        work[_RADIUS + i] = radius
+        work[_SLOPE + i] += tau * rise / _RIGHT_ANGLE
+        u, v, square = work[_U + i], work[_V + i], radius * radius
+        bx, by = p1 * (1.0 + 2.0 * u * u) + 2.0 * p2 * u * v, 2.0 * p1 * u * v + p2 * (1.0 + 2.0 * v * v)
+        profile = square * (1.0 + square * (p3 + square * p4))
+        work[_X_HAT + i], work[_Y_HAT + i] = radius * u + profile * bx, radius * v + profile * by
+        growth = radius * (2.0 + square * (4.0 * p3 + square * 6.0 * p4))
+        work[_PROFILE + i], work[_BX + i], work[_BY + i] = profile, bx, by
+        work[_GX + i], work[_GY + i] = u + growth * bx, v + growth * by
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def _write_lens(vector: FloatArray, mirror: float, work: FloatArray) -> None:
+    """Write the derivatives by K, k and p."""
+    sign = -1.0 if mirror >= 0.0 else 1.0
+    ax, ay, skew = sign * vector[_FX], vector[_FY], sign * vector[_SKEW]
+    for i in range(BLOCK):
+        x_hat, y_hat = work[_X_HAT + i], work[_Y_HAT + i]
+        work[_C_FX + i], work[_C_FY + BLOCK + i], work[_C_SKEW + i] = sign * x_hat, y_hat, sign * y_hat
+        work[_C_X0 + i], work[_C_Y0 + BLOCK + i] = sign, 1.0
+        work[_C_FX + BLOCK + i] = work[_C_FY + i] = work[_C_SKEW + BLOCK + i] = 0.0
+        work[_C_X0 + BLOCK + i] = work[_C_Y0 + i] = 0.0
+    for i in range(BLOCK):
+        tau = work[_THETA + i] / _RIGHT_ANGLE
+        along = tau * tau * (ax * work[_GX + i] + skew * work[_GY + i])
+        down = tau * tau * ay * work[_GY + i]
+        for k in range(_RADIALS):
+            work[_C_RADIAL + k * _PAIR + i], work[_C_RADIAL + k * _PAIR + BLOCK + i] = along, down
+            along *= tau
+            down *= tau
+    for i in range(BLOCK):
+        radius, u, v, profile = work[_RADIUS + i], work[_U + i], work[_V + i], work[_PROFILE + i]
+        both, first, second = profile * 2.0 * u * v, profile * (1.0 + 2.0 * u * u), profile * (1.0 + 2.0 * v * v)
+        work[_C_P1 + i], work[_C_P1 + BLOCK + i] = ax * first + skew * both, ay * both
+        work[_C_P1 + _PAIR + i], work[_C_P1 + _PAIR + BLOCK + i] = ax * both + skew * second, ay * second
+        square = radius * radius
+        along = square * square * (ax * work[_BX + i] + skew * work[_BY + i])
+        down = square * square * ay * work[_BY + i]
+        work[_C_P1 + 2 * _PAIR + i], work[_C_P1 + 2 * _PAIR + BLOCK + i] = along, down
+        work[_C_P1 + 3 * _PAIR + i], work[_C_P1 + 3 * _PAIR + BLOCK + i] = square * along, square * down
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def _write_vector(vector: FloatArray, mirror: float, work: FloatArray) -> None:
+    """Write the derivatives by the vector in the camera frame, which are those by the translation."""
+    sign = -1.0 if mirror >= 0.0 else 1.0
+    ax, ay, skew = sign * vector[_FX], vector[_FY], sign * vector[_SKEW]
+    p1, p2 = vector[_P1], vector[_P1 + 1]
+    for i in range(BLOCK):
+        z, across, slope, u, v = work[_Z + i], work[_ACROSS + i], work[_SLOPE + i], work[_U + i], work[_V + i]
+        gx, gy = work[_GX + i], work[_GY + i]
+        on_axis = across <= _ON_AXIS
+        per_norm = slope / z if on_axis else work[_RADIUS + i] / across
+        twist = 0.0 if on_axis else work[_PROFILE + i] / across
+        sin2, cos2 = 2.0 * u * v, u * u - v * v
+        hx = -v * per_norm + twist * (-2.0 * p1 * sin2 + 2.0 * p2 * cos2)
+        hy = u * per_norm + twist * (2.0 * p1 * cos2 + 2.0 * p2 * sin2)
+        tilt = slope / work[_SQUARE + i]
+        by_x, by_y, by_z = tilt * z * u, tilt * z * v, -tilt * across
+        cx, cy, dx, dy = gx * by_x - hx * v, gy * by_x - hy * v, gx * by_y + hx * u, gy * by_y + hy * u
+        work[_C_TRANSLATION + i] = ax * cx + skew * cy
+        work[_C_TRANSLATION + BLOCK + i] = ay * cy
+        work[_C_TRANSLATION + _PAIR + i] = ax * dx + skew * dy
+        work[_C_TRANSLATION + _PAIR + BLOCK + i] = ay * dy
+        work[_C_TRANSLATION + 2 * _PAIR + i] = (ax * gx + skew * gy) * by_z
+        work[_C_TRANSLATION + 2 * _PAIR + BLOCK + i] = ay * gy * by_z
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def _write_pose(rotation: FloatArray, jacobian: FloatArray, work: FloatArray) -> None:
+    """Write the derivatives by the rotation vector: d(R w) = R (J dr × w)."""
+    r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
+    r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
+    r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
+    j00, j01, j02 = jacobian[0, 0], jacobian[0, 1], jacobian[0, 2]
+    j10, j11, j12 = jacobian[1, 0], jacobian[1, 1], jacobian[1, 2]
+    j20, j21, j22 = jacobian[2, 0], jacobian[2, 1], jacobian[2, 2]
+    for c in range(2):
+        for i in range(BLOCK):
+            k = c * BLOCK + i
+            vx, vy = work[_C_TRANSLATION + k], work[_C_TRANSLATION + _PAIR + k]
+            vz = work[_C_TRANSLATION + 2 * _PAIR + k]
+            e, north, up = work[_EAST + i], work[_NORTH + i], work[_UP + i]
+            wx, wy, wz = vx * r00 + vy * r10 + vz * r20, vx * r01 + vy * r11 + vz * r21, vx * r02 + vy * r12 + vz * r22
+            mx, my, mz = north * wz - up * wy, up * wx - e * wz, e * wy - north * wx
+            work[_C_POSE + k] = mx * j00 + my * j10 + mz * j20
+            work[_C_POSE + _PAIR + k] = mx * j01 + my * j11 + mz * j21
+            work[_C_POSE + 2 * _PAIR + k] = mx * j02 + my * j12 + mz * j22
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def _blank(work: FloatArray) -> None:
+    """Write 0 for the derivatives where there is no finite pixel."""
+    seen = 0
+    for i in range(BLOCK):
+        seen += int(abs(work[PIXEL_X + i]) + abs(work[PIXEL_Y + i]) < math.inf)
+    if seen == BLOCK:
+        return
+    for i in range(BLOCK):
+        if not abs(work[PIXEL_X + i]) + abs(work[PIXEL_Y + i]) < math.inf:
+            for k in range(N_COLUMNS):
+                work[k * _PAIR + i], work[k * _PAIR + BLOCK + i] = 0.0, 0.0
+
 
 PROJECTION_CODES = {name: code for code, name in enumerate(PROJECTIONS)}
 """The projections by number, as the kernels know them."""

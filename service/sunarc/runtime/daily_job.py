@@ -13,9 +13,8 @@ from apscheduler.triggers.base import BaseTrigger
 
 from sunarc.findings import Data, Finding
 from sunarc.runtime.clock import Clock
-from sunarc.runtime.heartbeats import Heartbeat
-from sunarc.runtime.messages import MESSAGES
 from sunarc.runtime.status import Reason, StatusRegistry
+from sunarc.runtime.supervisor import MESSAGES, Heartbeat
 
 _log = logging.getLogger(__name__)
 

@@ -9,24 +9,22 @@ from pydantic import BaseModel, ConfigDict, field_validator
 from sqlalchemy import URL
 
 from sunarc.api.options import ApiOptions
+from sunarc.archive.database.connections import server_url
 from sunarc.archive.images import DiskOptions
-from sunarc.archive.server import server_url
-from sunarc.calibration.change_detection.values import WatchOptions
+from sunarc.calibration.changes.values import WatchOptions
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.cameras.options import AravisOptions, ReplayOptions
-from sunarc.detection.options import DiscOptions
+from sunarc.detection.values import DiscOptions
 from sunarc.imaging.exposure import SunExposureOptions
 from sunarc.runtime.supervisor import SupervisorOptions
 from sunarc.sky.site import Site
-from sunarc.workers.calibrating.lens_prior_file import LensPriorOptions
+from sunarc.workers.calibrating.provisional_pose import LensPriorOptions
 from sunarc.workers.calibrating.refit import RefitOptions
-from sunarc.workers.capture.capture import CaptureOptions
-from sunarc.workers.feeding.hub_connection import HubOptions
-from sunarc.workers.night.options import NightOptions
+from sunarc.workers.capture import CaptureOptions
+from sunarc.workers.clock_watch import ClockOptions
+from sunarc.workers.feed import HubOptions
 from sunarc.workers.nightly import NightlyOptions
-from sunarc.workers.pushing.options import PushOptions
-from sunarc.workers.sensor import SensorOptions
-from sunarc.workers.timing.clock_watch import ClockOptions
+from sunarc.workers.options import NightOptions, PushOptions, SensorOptions
 
 
 class _WithStore(BaseModel):

@@ -12,6 +12,7 @@ import logging
 import socket
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
@@ -20,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.errors import ConfigurationError, OutsideError
-from sunarc.simulation import genicam
 
 _log = logging.getLogger(__name__)
 
@@ -72,13 +72,11 @@ class FakeCamera:
 
     def request(self) -> Request:
         """Return the settings of a frame that is triggered now."""
-        return Request(
-            self.read(genicam.EXPOSURE), self.read(genicam.GAIN), self.read(genicam.PIXEL_FORMAT), self._region()
-        )
+        return Request(self.read(EXPOSURE), self.read(GAIN), self.read(PIXEL_FORMAT), self._region())
 
     def _region(self) -> tuple[int, int, int, int]:
         """Return x, y, width and height."""
-        x, y, width, height = map(self.read, (genicam.OFFSET_X, genicam.OFFSET_Y, genicam.WIDTH, genicam.HEIGHT))
+        x, y, width, height = map(self.read, (OFFSET_X, OFFSET_Y, WIDTH, HEIGHT))
         return x, y, width, height
 
     def lose_packets(self, share: float) -> None:
@@ -119,8 +117,8 @@ class FakeCamera:
 
     def _write_frame(self, buffer: int, image: NDArray[np.uint8], timestamp_ns: int) -> None:
         # the library has compared the buffer with what the registers say; a larger image would end the process
-        bits = self.read(genicam.PIXEL_FORMAT) >> 16 & 0xFF
-        expected = self.read(genicam.WIDTH) * self.read(genicam.HEIGHT) * bits // 8
+        bits = self.read(PIXEL_FORMAT) >> 16 & 0xFF
+        expected = self.read(WIDTH) * self.read(HEIGHT) * bits // 8
         if image.nbytes < expected or image.nbytes > expected + 1:
             raise ValueError(f"a frame of {image.nbytes} bytes where {expected} are due")
         target = self._library.arv_buffer_get_data(buffer, ctypes.byref(ctypes.c_size_t()))
@@ -142,7 +140,7 @@ def fake_camera(*, address: str, serial: str, description: str) -> Iterator[Fake
     library = _load()
     _require_free_port(address)
     with TemporaryDirectory(prefix="sunarc-imager-") as folder:
-        path = Path(folder) / "genicam.xml"
+        path = Path(folder) / "xml"
         path.write_text(description, encoding="utf-8")
         handle = library.arv_gv_fake_camera_new_full(address.encode(), serial.encode(), str(path).encode())
         try:
@@ -199,3 +197,208 @@ def _load() -> ctypes.CDLL:
         function = getattr(library, name)
         function.restype, function.argtypes = result, arguments
     return library
+
+
+WIDTH, HEIGHT, GAIN, SENSOR_HEIGHT, SENSOR_WIDTH = 0x100, 0x104, 0x110, 0x118, 0x11C
+EXPOSURE, PIXEL_FORMAT, OFFSET_X, OFFSET_Y = 0x120, 0x128, 0x130, 0x134
+VENDOR, MODEL, SERIAL = 0x48, 0x68, 0xD8
+BINNING_X, BINNING_Y, ACQUISITION, TRIGGER_MODE, TRIGGER_SOURCE = 0x108, 0x10C, 0x124, 0x300, 0x304
+TRIGGER_SOFTWARE, EXPOSE = 0x30C, 0xB140
+"""What has Aravis send a frame at once; and a register of ours, after which the exposure takes its time first."""
+CONTROL_PRIVILEGE, PACKET_SIZE = 0xA00, 0xD04
+TEMPERATURE, DELAY, LOSS, FREEZE, WRONG_EXPOSURE = 0xB000, 0xB100, 0xB104, 0xB108, 0xB10C
+STALE_EXPOSURE, POWER_CYCLE, DROP_CONTROL, CLOCK_DRIFT = 0xB110, 0xB114, 0xB118, 0xB11C
+ALL_EXPOSURES, SPEED = 0xB120, 0xB124
+REPEAT_FRAME, BLACK, CLOCK_OFFSET = 0xB130, 0xB134, 0xB138
+FOREIGN_PACKETS, BAD_AFTER_START = 0xB150, 0xB154
+EXPOSURE_AUTO, GAIN_AUTO, BLACK_LEVEL, GAMMA, FRAME_RATE, EXPOSURE_MODE = 0xB200, 0xB204, 0xB208, 0xB20C, 0xB210, 0xB214
+
+PIXEL_FORMATS = {
+    "Mono8": 0x01080001,
+    "Mono10": 0x01100003,
+    "Mono12": 0x01100005,
+    "Mono16": 0x01100007,
+    "BayerRG8": 0x01080009,
+    "BayerRG10": 0x0110000D,
+    "BayerRG12": 0x01100011,
+    "BayerRG16": 0x0110002F,
+    "Mono10Packed": 0x010C0004,
+    "Mono12Packed": 0x010C0006,
+    "Mono10p": 0x010A0046,
+    "Mono12p": 0x010C0047,
+}
+GAIN_STEPS_PER_DB = 10
+TEMPERATURE_STEPS_PER_DEGREE = 10
+
+_HEADER = """<?xml version="1.0" encoding="utf-8"?>
+<RegisterDescription ModelName="SimulatedSky" VendorName="sunarc" StandardNameSpace="None" SchemaMajorVersion="1"
+ SchemaMinorVersion="0" SchemaSubMinorVersion="1" MajorVersion="1" MinorVersion="0" SubMinorVersion="0"
+ ToolTip="Simulated all-sky imager" ProductGuid="0" VersionGuid="0"
+ xmlns="http://www.genicam.org/GenApi/Version_1_0">"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Feature:
+    """A feature and its nodes in XML."""
+
+    name: str
+    category: str
+    nodes: str
+
+
+def genicam_xml(*, exposure_min_us: int, exposure_max_us: int, trigger: int = TRIGGER_SOFTWARE) -> str:
+    """Return the description of a camera with these exposure bounds; `trigger` is the register of its trigger."""
+    acquisition = _acquisition(exposure_min_us, exposure_max_us, trigger=trigger)
+    features = [*_identity(), *_image_format(), *acquisition, *_faults()]
+    categories: dict[str, list[str]] = {}
+    for feature in features:
+        categories.setdefault(feature.category, []).append(feature.name)
+    parts = [_HEADER, _category("Root", list(categories))]
+    parts += [_category(name, members) for name, members in categories.items()]
+    parts += [feature.nodes for feature in features]
+    return "\n".join([*parts, '<Port Name="Device"/>', "</RegisterDescription>", ""])
+
+
+def _identity() -> list[Feature]:
+    temperature = _scaled("DeviceTemperature", TEMPERATURE, steps=TEMPERATURE_STEPS_PER_DEGREE, low=-99, high=99)
+    return [
+        _string("DeviceVendorName", VENDOR, 32),
+        _string("DeviceModelName", MODEL, 32),
+        _string("DeviceSerialNumber", SERIAL, 16),
+        Feature(name="DeviceTemperature", category="DeviceControl", nodes=temperature),
+    ]
+
+
+def _image_format() -> list[Feature]:
+    category = "ImageFormatControl"
+    payload = (
+        '<IntSwissKnife Name="PayloadSize"><pVariable Name="W">Width</pVariable><pVariable Name="H">Height</pVariable>'
+        '<pVariable Name="F">PixelFormat</pVariable><Formula>W * H * ((F&gt;&gt;16)&amp;0xFF) / 8</Formula>'
+        "</IntSwissKnife>"
+    )
+    return [
+        _integer("SensorWidth", SENSOR_WIDTH, category),
+        _integer("SensorHeight", SENSOR_HEIGHT, category),
+        _integer("BinningHorizontal", BINNING_X, category, "<Min>1</Min><Max>4</Max>"),
+        _integer("BinningVertical", BINNING_Y, category, "<Min>1</Min><Max>4</Max>"),
+        _quotient("WidthMax", "SensorWidth", "BinningHorizontal", category),
+        _quotient("HeightMax", "SensorHeight", "BinningVertical", category),
+        _integer("Width", WIDTH, category, "<Min>1</Min><pMax>WidthMax</pMax>"),
+        _integer("Height", HEIGHT, category, "<Min>1</Min><pMax>HeightMax</pMax>"),
+        _integer("OffsetX", OFFSET_X, category, "<Min>0</Min><pMax>WidthMax</pMax>"),
+        _integer("OffsetY", OFFSET_Y, category, "<Min>0</Min><pMax>HeightMax</pMax>"),
+        _enumeration("PixelFormat", PIXEL_FORMAT, category, PIXEL_FORMATS),
+        Feature(name="PayloadSize", category="TransportLayerControl", nodes=payload),
+    ]
+
+
+def _acquisition(exposure_min_us: int, exposure_max_us: int, *, trigger: int) -> list[Feature]:
+    category = "AcquisitionControl"
+    exposure = _scaled("ExposureTime", EXPOSURE, steps=1, low=exposure_min_us, high=exposure_max_us)
+    selector = (
+        '<Enumeration Name="TriggerSelector"><EnumEntry Name="FrameStart"><Value>0</Value></EnumEntry>'
+        "<pValue>TriggerSelectorValue</pValue></Enumeration>"
+        '<Integer Name="TriggerSelectorValue"><Value>0</Value></Integer>'
+    )
+    return [
+        _enumeration("AcquisitionMode", 0x12C, category, {"Continuous": 1, "SingleFrame": 2, "MultiFrame": 3}),
+        _command("AcquisitionStart", ACQUISITION, category, 1),
+        _command("AcquisitionStop", ACQUISITION, category, 0),
+        Feature(name="TriggerSelector", category=category, nodes=selector),
+        _enumeration("TriggerMode", TRIGGER_MODE, category, {"Off": 0, "On": 1}),
+        _enumeration("TriggerSource", TRIGGER_SOURCE, category, {"Line0": 0, "Software": 1}),
+        _enumeration("TriggerActivation", 0x308, category, {"RisingEdge": 0}),
+        _command("TriggerSoftware", trigger, category, 1),
+        Feature(name="ExposureTime", category=category, nodes=exposure),
+        _enumeration("ExposureMode", EXPOSURE_MODE, category, {"Timed": 0, "TriggerWidth": 1}),
+        _enumeration("ExposureAuto", EXPOSURE_AUTO, category, {"Off": 0, "Continuous": 1}),
+        _boolean("AcquisitionFrameRateEnable", FRAME_RATE, category),
+        Feature(
+            name="Gain",
+            category="AnalogControl",
+            nodes=_scaled("Gain", GAIN, steps=GAIN_STEPS_PER_DB, low=0, high=24),
+        ),
+        _enumeration("GainAuto", GAIN_AUTO, "AnalogControl", {"Off": 0, "Continuous": 1}),
+        _integer("BlackLevelRaw", BLACK_LEVEL, "AnalogControl", "<Min>0</Min><Max>255</Max>"),
+        _boolean("GammaEnable", GAMMA, "AnalogControl"),
+    ]
+
+
+def _faults() -> list[Feature]:
+    category = "SimulationControl"
+    return [
+        _integer("SimDelayMs", DELAY, category),
+        _integer("SimLossPermille", LOSS, category, "<Min>0</Min><Max>1000</Max>"),
+        _integer("SimFreezeMs", FREEZE, category),
+        _integer("SimWrongExposurePercent", WRONG_EXPOSURE, category),
+        _integer("SimAllExposuresPercent", ALL_EXPOSURES, category),
+        _integer("SimStaleExposure", STALE_EXPOSURE, category, "<Min>0</Min><Max>1</Max>"),
+        _integer("SimPowerCycle", POWER_CYCLE, category, "<Min>0</Min><Max>1</Max>"),
+        _integer("SimDropControl", DROP_CONTROL, category, "<Min>0</Min><Max>1</Max>"),
+        _integer("SimClockDriftPpm", CLOCK_DRIFT, category),
+        _integer("SimRepeatFrame", REPEAT_FRAME, category, "<Min>0</Min><Max>1</Max>"),
+        _integer("SimBlack", BLACK, category, "<Min>0</Min><Max>1</Max>"),
+        _integer("SimClockOffsetMs", CLOCK_OFFSET, category),
+        _integer("SimForeignPackets", FOREIGN_PACKETS, category),
+        _integer("SimBadAfterStart", BAD_AFTER_START, category),
+        _integer("SimSpeedPermille", SPEED, category, "<Min>1</Min>"),
+    ]
+
+
+def _category(name: str, members: list[str]) -> str:
+    return f'<Category Name="{name}">' + "".join(f"<pFeature>{m}</pFeature>" for m in members) + "</Category>"
+
+
+def _register(name: str, address: int, access: str = "RW") -> str:
+    return (
+        f'<IntReg Name="{name}Register"><Address>{address:#x}</Address><Length>4</Length><AccessMode>{access}'
+        "</AccessMode><pPort>Device</pPort><Sign>Unsigned</Sign><Endianess>BigEndian</Endianess></IntReg>"
+    )
+
+
+def _integer(name: str, address: int, category: str, bounds: str = "") -> Feature:
+    nodes = f'<Integer Name="{name}"><pValue>{name}Register</pValue>{bounds}</Integer>{_register(name, address)}'
+    return Feature(name=name, category=category, nodes=nodes)
+
+
+def _boolean(name: str, address: int, category: str) -> Feature:
+    nodes = f'<Boolean Name="{name}"><pValue>{name}Register</pValue></Boolean>{_register(name, address)}'
+    return Feature(name=name, category=category, nodes=nodes)
+
+
+def _quotient(name: str, over: str, under: str, category: str) -> Feature:
+    nodes = (
+        f'<IntSwissKnife Name="{name}"><pVariable Name="A">{over}</pVariable><pVariable Name="B">{under}</pVariable>'
+        "<Formula>A / B</Formula></IntSwissKnife>"
+    )
+    return Feature(name=name, category=category, nodes=nodes)
+
+
+def _scaled(name: str, address: int, *, steps: int, low: int, high: int) -> str:
+    """Return a float feature kept as an integer number of steps per unit."""
+    return (
+        f'<Float Name="{name}"><pValue>{name}Converter</pValue><Min>{low}</Min><Max>{high}</Max>'
+        f"<Inc>{1 / steps:g}</Inc></Float>"
+        f'<Converter Name="{name}Converter"><FormulaTo>FROM * {steps}</FormulaTo>'
+        f"<FormulaFrom>TO / {steps}.0</FormulaFrom><pValue>{name}Register</pValue></Converter>"
+        f"{_register(name, address)}"
+    )
+
+
+def _enumeration(name: str, address: int, category: str, entries: dict[str, int]) -> Feature:
+    listed = "".join(f'<EnumEntry Name="{n}"><Value>{v}</Value></EnumEntry>' for n, v in entries.items())
+    nodes = f'<Enumeration Name="{name}">{listed}<pValue>{name}Register</pValue></Enumeration>'
+    return Feature(name=name, category=category, nodes=nodes + _register(name, address))
+
+
+def _command(name: str, address: int, category: str, value: int) -> Feature:
+    nodes = f'<Command Name="{name}"><pValue>{name}Register</pValue><CommandValue>{value}</CommandValue></Command>'
+    return Feature(name=name, category=category, nodes=nodes + _register(name, address, "WO"))
+
+
+def _string(name: str, address: int, length: int) -> Feature:
+    nodes = (
+        f'<StringReg Name="{name}"><Address>{address:#x}</Address><Length>{length}</Length>'
+        "<AccessMode>RO</AccessMode><pPort>Device</pPort></StringReg>"
+    )
+    return Feature(name=name, category="DeviceControl", nodes=nodes)

@@ -24,9 +24,8 @@ from sunarc.array_types import Image
 from sunarc.bounds import require_bounds
 from sunarc.calibration.model.backward import fit_backward
 from sunarc.calibration.model.document import to_document
-from sunarc.calibration.model.metrics import Metrics
 from sunarc.calibration.model.residual_field import Field, WaveBasis
-from sunarc.calibration.model.result import Calibration, Provenance, Verdict
+from sunarc.calibration.model.result import Calibration, Metrics, Provenance, Verdict
 from sunarc.cameras.frame import full_scale_of
 from sunarc.cameras.packed import pack, packing_of
 from sunarc.detection.values import bayer_of
@@ -35,7 +34,7 @@ from sunarc.findings import Finding
 from sunarc.optics.camera import Camera
 from sunarc.optics.pose import pose_angles
 from sunarc.runtime.clock import Clock, SystemClock
-from sunarc.simulation import genicam
+from sunarc.simulation import fake_camera as genicam
 from sunarc.simulation.fake_camera import FakeCamera, Request, fake_camera
 from sunarc.simulation.options import WEATHERS, SceneOptions, SensorModel, Weather
 from sunarc.simulation.scene import Scene

@@ -13,18 +13,13 @@ from sunarc.array_types import FloatArray
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix
-from sunarc.simulation.clouds import CloudLayer
-from sunarc.simulation.disc import disc_points
-from sunarc.simulation.field import is_blocked
-from sunarc.simulation.kernels import transmittance_towards
-from sunarc.simulation.night_kernels import add_glow, add_points
-from sunarc.simulation.night_options import NightOptions
-from sunarc.simulation.options import Obstruction
-from sunarc.sky.air import relative_air_mass
+from sunarc.simulation.kernels import add_glow, add_points, transmittance_towards
+from sunarc.simulation.options import NightOptions, Obstruction
+from sunarc.simulation.scene_parts import CloudLayer, disc_points, is_blocked
 from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.night import FAINTEST_V, WANDERERS, WandererPlace, star_table, wanderer_place
 from sunarc.sky.refraction import apparent_elevation
-from sunarc.sky.site import Site
+from sunarc.sky.site import Site, relative_air_mass
 from sunarc.sky.sun import sun_angles
 from sunarc.utc import DAY_S
 

@@ -14,16 +14,22 @@ from sunarc.jit import njit
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector
-from sunarc.simulation.clouds import CloudLayer, cloud_layer
-from sunarc.simulation.disc import Stamp, disc_points, is_covered, stamp_of
-from sunarc.simulation.field import is_blocked, pixel_field
 from sunarc.simulation.kernels import count_light, sky_light, transmittance_towards
 from sunarc.simulation.night import NightLight
 from sunarc.simulation.options import Bump, SceneOptions, SensorModel, Weather
-from sunarc.sky.air import clear_transmission
+from sunarc.simulation.scene_parts import (
+    CloudLayer,
+    Stamp,
+    cloud_layer,
+    disc_points,
+    is_blocked,
+    is_covered,
+    pixel_field,
+    stamp_of,
+)
 from sunarc.sky.days import solar_date
 from sunarc.sky.directions import direction_from_angles
-from sunarc.sky.site import Site
+from sunarc.sky.site import Site, clear_transmission
 from sunarc.sky.sun import sun_angles
 
 Region = tuple[int, int, int, int]

@@ -20,7 +20,7 @@ import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray, IntArray, NameArray, picked
 from sunarc.extras import extra_module
-from sunarc.sky.directions import direction_from_angles
+from sunarc.sky.directions import angles_from_direction, direction_from_angles
 from sunarc.sky.refraction import apparent_elevation
 from sunarc.sky.site import Site
 
@@ -277,3 +277,94 @@ def _apparent(elevation: FloatArray, azimuth: FloatArray, site: Site) -> FloatAr
     """Return apparent directions (n, 3) of true elevations and azimuths, radians."""
     raised = apparent_elevation(np.degrees(elevation), site)
     return direction_from_angles(zenith_deg=90.0 - raised, azimuth_deg=np.degrees(azimuth))
+
+
+MOON_RADIUS_KM = 1737.4
+"""Mean radius; IAU Working Group on Cartographic Coordinates and Rotational Elements (2015)."""
+_AU_KM = 149_597_870.7
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MoonDisc:
+    """The moon at one moment.
+
+    Attributes
+    ----------
+    direction : (3,) apparent unit vector, east-north-up, of the disc's centre.
+    edges : (3, 2) from there to the middle of the lit limb, and to the limb a quarter of the circle onwards, radians;
+        the refraction of the horizon flattens them.
+    cos_phase : cosine of the phase angle (sun, moon, site): 1 is full, 0 half, -1 new.
+    magnitude : V, outside the atmosphere.
+    """
+
+    direction: FloatArray
+    edges: FloatArray
+    cos_phase: float
+    magnitude: float
+
+    @property
+    def lit(self) -> float:
+        """Share of the disc that is lit, 0 to 1."""
+        return 0.5 * (1.0 + self.cos_phase)
+
+
+def moon_disc(unix_s: float, site: Site) -> MoonDisc:
+    """Return the moon's disc at one moment, seen from the site.
+
+    Raises
+    ------
+    InputError : ephem is not installed (extra `night`).
+    """
+    moon, sun = true_place("moon", unix_s, site), true_place("sun", unix_s, site)
+    distance_km = MOON_RADIUS_KM / np.sin(moon.radius)
+    to_sun = sun.direction * sun.distance_au * _AU_KM - moon.direction * distance_km
+    to_sun /= np.linalg.norm(to_sun)
+    along = to_sun - (to_sun @ moon.direction) * moon.direction
+    along /= max(float(np.linalg.norm(along)), 1e-12)
+    tangents = np.stack([along, np.cross(moon.direction, along)])
+    limbs = [_apparent_directions(moon.direction + side * moon.radius * tangents, site) for side in (1.0, -1.0)]
+    return MoonDisc(
+        direction=_apparent_directions(moon.direction[None], site)[0],
+        edges=np.asarray(0.5 * (limbs[0] - limbs[1]).T),
+        cos_phase=float(np.clip(-to_sun @ moon.direction, -1.0, 1.0)),
+        magnitude=moon.magnitude,
+    )
+
+
+def _apparent_directions(directions: FloatArray, site: Site) -> FloatArray:
+    """Return the apparent directions (n, 3) of true ones."""
+    zenith, azimuth = angles_from_direction(directions / np.linalg.norm(directions, axis=-1, keepdims=True))
+    return direction_from_angles(zenith_deg=90.0 - apparent_elevation(90.0 - zenith, site), azimuth_deg=azimuth)
+
+
+# fmt: off
+_NAMES = {
+    677: "Alpheratz", 746: "Caph", 1067: "Algenib", 2081: "Ankaa", 3179: "Schedar", 3419: "Diphda", 5447: "Mirach",
+    7588: "Achernar", 9640: "Almach", 9884: "Hamal", 11767: "Polaris", 13847: "Acamar", 14135: "Menkar", 14576:
+    "Algol", 15863: "Mirfak", 17499: "Electra", 17531: "Taygeta", 17573: "Maia", 17608: "Merope", 17702: "Alcyone",
+    17847: "Atlas", 18543: "Zaurak", 21421: "Aldebaran", 24436: "Rigel", 24608: "Capella", 25336: "Bellatrix",
+    25428: "Elnath", 25606: "Nihal", 25930: "Mintaka", 25985: "Arneb", 26311: "Alnilam", 26727: "Alnitak", 27366:
+    "Saiph", 27989: "Betelgeuse", 28360: "Menkalinan", 30324: "Mirzam", 30438: "Canopus", 31681: "Alhena", 32349:
+    "Sirius", 33579: "Adhara", 34444: "Wezen", 36850: "Castor", 37279: "Procyon", 37826: "Pollux", 39429: "Naos",
+    41037: "Avior", 44816: "Suhail", 45238: "Miaplacidus", 46390: "Alphard", 49669: "Regulus", 50583: "Algieba",
+    53910: "Merak", 54061: "Dubhe", 57632: "Denebola", 58001: "Phecda", 59316: "Minkar", 59774: "Megrez", 59803:
+    "Gienah", 60718: "Acrux", 61084: "Gacrux", 62434: "Mimosa", 62956: "Alioth", 63608: "Vindemiatrix", 65378:
+    "Mizar", 65474: "Spica", 65477: "Alcor", 67301: "Alkaid", 68702: "Hadar", 68756: "Thuban", 68933: "Menkent",
+    69673: "Arcturus", 71683: "Rigil Kentaurus", 72105: "Izar", 72607: "Kochab", 72622: "Zubenelgenubi", 76267:
+    "Alphecca", 77070: "Unukalhai", 80763: "Antares", 82273: "Atria", 84012: "Sabik", 84345: "Rasalgethi", 85927:
+    "Shaula", 86032: "Rasalhague", 86742: "Cebalrai", 87833: "Eltanin", 90185: "Kaus Australis", 91262: "Vega",
+    92420: "Sheliak", 92855: "Nunki", 93194: "Sulafat", 95241: "Arkab Prior", 95294: "Arkab Posterior", 95347:
+    "Rukbat", 95947: "Albireo", 97278: "Tarazed", 97649: "Altair", 98036: "Alshain", 100453: "Sadr", 100751:
+    "Peacock", 102098: "Deneb", 105199: "Alderamin", 106032: "Alfirk", 107315: "Enif", 109074: "Sadalmelik", 109268:
+    "Alnair", 113368: "Fomalhaut", 113881: "Scheat", 113963: "Markab",
+}
+"""Names of the working group on star names of the IAU, of the stars that ephem lists, matched within 40 arcseconds."""
+# fmt: on
+
+
+def title_of(body: str) -> str:
+    """Return what a person calls a body: Sirius, HIP 12345, Venus."""
+    if not body.startswith(STAR):
+        return body.capitalize()
+    number = int(body.removeprefix(STAR))
+    return _NAMES.get(number, f"HIP {number}")

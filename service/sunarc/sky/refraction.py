@@ -6,12 +6,34 @@ References: G. Bennett, "The calculation of astronomical refraction in marine na
 
 from __future__ import annotations
 
+from functools import cache
+from importlib.machinery import PathFinder
+from importlib.util import find_spec, module_from_spec
+from types import ModuleType
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sunarc.array_types import FloatArray
-from sunarc.sky.algorithm import load_spa
 from sunarc.sky.site import PA_PER_HPA, Site
+
+
+@cache
+def load_spa() -> ModuleType:
+    """Return `pvlib.spa`, loaded by itself: it needs numpy alone, its package imports pandas and most of scipy.
+
+    Raises
+    ------
+    ModuleNotFoundError : pvlib is not installed.
+    """
+    package = find_spec("pvlib")
+    spec = None if package is None else PathFinder.find_spec("spa", package.submodule_search_locations)
+    if spec is None or spec.loader is None:
+        raise ModuleNotFoundError("No module named 'pvlib.spa'", name="pvlib.spa")
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
 
 ASSUMED_AIR_SD = 0.04
 """1-sigma of the refraction of a record, as a share of it, where the air is the site's annual mean: 10 K of temperature

@@ -1,12 +1,16 @@
-"""Position of the camera, and the air above it."""
+"""Position of the camera, and the air above it: pressure, temperature, air mass, transmission of a clear sky."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Annotated
 
+import numpy as np
 from annotated_types import Ge, Le
+from numpy.typing import ArrayLike
 
+from sunarc.array_types import FloatArray
 from sunarc.bounds import require_bounds
 
 TEMPERATURE_BOUNDS_C = (-60.0, 60.0)
@@ -60,3 +64,27 @@ class Site:
 def _standard_pressure_pa(altitude: float) -> float:
     """Return the standard atmosphere's pressure at an altitude in metres, by the constants of pvlib's `alt2pres`."""
     return float(100.0 * ((44_331.514 - altitude) / 11_880.516) ** (1.0 / 0.1902632))
+
+
+CLEAR_OPTICAL_DEPTH = 0.2
+"""Vertical optical depth of a clear sky in the visible: Rayleigh scattering 0.1 at 550 nm and as much of aerosol."""
+
+
+def clear_transmission(apparent_zenith: float) -> float:
+    """Return the share of the sun's light that a clear sky lets through, the sun at an apparent zenith (degrees)."""
+    return math.exp(-CLEAR_OPTICAL_DEPTH * float(relative_air_mass(apparent_zenith)))
+
+
+def relative_air_mass(apparent_zenith: ArrayLike) -> FloatArray:
+    """Return the air mass relative to the zenith's, (...); 38 at the horizon and below it.
+
+    Parameters
+    ----------
+    apparent_zenith : (...) degrees.
+
+    References
+    ----------
+    F. Kasten and A. T. Young, "Revised optical air mass tables and approximation formula", Applied Optics 28 (1989).
+    """
+    elevation = np.clip(90.0 - np.asarray(apparent_zenith, dtype=np.float64), 0.0, 90.0)
+    return np.asarray(1.0 / (np.sin(np.radians(elevation)) + 0.50572 * (elevation + 6.07995) ** -1.6364))

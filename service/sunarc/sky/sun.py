@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sunarc.array_types import FloatArray
-from sunarc.sky.algorithm import load_spa
 from sunarc.sky.directions import direction_from_angles
-from sunarc.sky.refraction import REFRACTION_AT_HORIZON_DEG
+from sunarc.sky.refraction import REFRACTION_AT_HORIZON_DEG, load_spa
 from sunarc.sky.site import Site
 
 # The sun's geocentric place at many times, from a few of them: it moves so slowly that a cubic between hours is exact.

@@ -8,8 +8,11 @@ from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints
 from sunarc.errors import InputError
 from sunarc.extras import extra_module
+from sunarc.studies.residuals import residuals_of
 from sunarc.studies.shadow import ShadowRow
 from sunarc.studies.tables import COLUMNS, TableRow
 from sunarc.studies.uncertainty import Uncertainty, distribution_rows, trial_rows
@@ -44,8 +47,7 @@ def make_folder(folder: Path) -> None:
 def write_uncertainty(study: Uncertainty, *, folder: Path) -> tuple[Path, ...]:
     """Write `uncertainty.csv` (distributions), `uncertainty_trials.csv` (every fit), and two figures."""
     extra_module("matplotlib", extra="studies")  # loaded when something is drawn
-    from sunarc.studies.drawing import save_png  # noqa: PLC0415 - same
-    from sunarc.studies.uncertainty_plot import parameter_figure, rmse_figure  # noqa: PLC0415 - same
+    from sunarc.studies.figures import parameter_figure, rmse_figure, save_png  # noqa: PLC0415 - same
 
     with writing_into(folder):
         distributions, trials = distribution_rows(study), trial_rows(study)
@@ -60,8 +62,7 @@ def write_uncertainty(study: Uncertainty, *, folder: Path) -> tuple[Path, ...]:
 def write_shadow(rows: Sequence[ShadowRow], *, folder: Path) -> tuple[Path, ...]:
     """Write `shadow.csv`, and `shadow.png` where there is more than one size of the error to draw."""
     extra_module("matplotlib", extra="studies")
-    from sunarc.studies.drawing import save_png  # noqa: PLC0415 - loaded when something is drawn
-    from sunarc.studies.shadow_plot import shadow_figure  # noqa: PLC0415 - same
+    from sunarc.studies.figures import save_png, shadow_figure  # noqa: PLC0415 - same
 
     with writing_into(folder):
         table = [asdict(row) for row in rows]
@@ -87,3 +88,32 @@ def _write_csv(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, s
 
 def _cell(value: str | float) -> str:
     return f"{value:.{_DIGITS}g}" if isinstance(value, float) else str(value)
+
+
+def write_calibration_plots(calibration: Calibration, points: SunPoints, *, folder: Path) -> tuple[Path, ...]:
+    """Write what a calibration leaves over and how sure it is, as PNG.
+
+    Parameters
+    ----------
+    calibration : accepted or refused.
+    points : the sightings that it was made from.
+    folder : where to; made where it is missing.
+
+    Returns
+    -------
+    The files: `residuals.png` and `sky.png`.
+
+    Raises
+    ------
+    InputError
+        Where they cannot be written.
+    """
+    extra_module("matplotlib", extra="studies")  # loaded when something is drawn
+    from sunarc.studies.figures import residual_figure, save_png, sky_figure  # noqa: PLC0415 - same
+
+    residuals = residuals_of(calibration, points)
+    with writing_into(folder):
+        return (
+            save_png(residual_figure(calibration, residuals), folder / "residuals.png"),
+            save_png(sky_figure(calibration, residuals), folder / "sky.png"),
+        )

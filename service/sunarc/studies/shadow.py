@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration.ensemble import draw_ensemble
+from sunarc.calibration.answers.error_model import draw_ensemble
 from sunarc.calibration.model.result import Calibration
 from sunarc.optics.forward import project
 from sunarc.sky.directions import direction_from_angles

@@ -10,11 +10,10 @@ from itertools import accumulate
 import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray
+from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.covariance import hemisphere
-from sunarc.calibration.model.metrics import measures
 from sunarc.calibration.model.options import CalibrationOptions, Method
-from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.result import Calibration, measures
 from sunarc.calibration.model.sightings import SunPoints
 from sunarc.calibration.quality.day_quality import measure_day
 from sunarc.optics.camera import Camera
@@ -22,9 +21,8 @@ from sunarc.optics.forward import project
 from sunarc.optics.pose import pose_angles
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.days import solar_date
-from sunarc.studies.arcs import Arc, arcs
 from sunarc.studies.published import CASES, Case
-from sunarc.studies.trials import found_circle, true_error
+from sunarc.studies.trials import Arc, arcs, found_circle, true_error
 
 TableRow = dict[str, str | int | float]
 

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.linalg import null_space, solve_triangular
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration.least_squares.priors import prior_knowledge
-from sunarc.calibration.model.covariance import hemisphere
+from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.model.options import ImageCircle, LensTolerances, Method
+from sunarc.calibration.solve.priors import prior_knowledge
 from sunarc.optics.camera import FOCAL_LENGTH, PARAMETER_NAMES, RADIAL, RADIAL_ORDERS, Camera, Param
 from sunarc.optics.forward import project_with_jacobian
 from sunarc.optics.projections import ideal_radius

@@ -5,8 +5,8 @@ from __future__ import annotations
 from sunarc.calibration import messages as calibration
 from sunarc.detection import messages as detection
 from sunarc.findings import Finding, Message, Messages
-from sunarc.runtime.messages import worker_code
 from sunarc.runtime.status import Reason, Severity
+from sunarc.runtime.supervisor import worker_code
 
 _BY_OTHERS = "Days are evaluated by the other slots."
 _NO_NOTICE = "a restart ends this notice"

@@ -10,11 +10,10 @@ import numpy as np
 import population as pop
 import pytest
 
-from sunarc.calibration.blind_start.start import blind_start
-from sunarc.calibration.blind_start.values import BlindOptions, BlindStart, NightImage
-from sunarc.calibration.model.covariance import hemisphere
+from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.model.options import ImageCircle
-from sunarc.detection.stars.values import Stars
+from sunarc.calibration.start.blind_start import BlindOptions, BlindStart, NightDetections, blind_start
+from sunarc.detection.values import Stars
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles
@@ -35,21 +34,21 @@ NIGHT = nights.Night(sigma_px=0.15, faint=120, hot_pixels=60)
 
 def images_of(
     camera: Camera, night: nights.Night, *, hours: tuple[float, ...] = (0.0, 1.0, 2.0), late_s: float = 0.0
-) -> list[NightImage]:
+) -> list[NightDetections]:
     """Return what a camera sees in a night, beside the sky of a clock that is late."""
     rng, found = np.random.default_rng(4), []
     for hour in hours:
         when = nights.MIDNIGHT + 3600.0 * hour
         stars, _ = nights.detections(rng, camera, nights.sky_of(when), night)
         inside = np.all((stars.pixels > 0.0) & (stars.pixels < [camera.width - 1.0, camera.height - 1.0]), axis=-1)
-        found.append(NightImage(unix_s=when, stars=stars.select(inside), sky=nights.sky_of(when + late_s)))
+        found.append(NightDetections(unix_s=when, stars=stars.select(inside), sky=nights.sky_of(when + late_s)))
     return found
 
 
 CIRCLE = BlindOptions(circle=ImageCircle(x=506.0, y=443.0, radius=310.0 * math.sqrt(2.0)))
 
 
-def started(images: list[NightImage], options: BlindOptions | None = CIRCLE) -> BlindStart:
+def started(images: list[NightDetections], options: BlindOptions | None = CIRCLE) -> BlindStart:
     return blind_start(images, pop.SGP, image_size=(CAMERA.width, CAMERA.height), options=options)
 
 
@@ -123,7 +122,7 @@ def test_what_does_not_turn_gives_no_camera() -> None:
     nothing = np.zeros(0)
     columns = dict.fromkeys(Stars.__dataclass_fields__, nothing)
     none = Stars(**{**columns, "pixels": np.zeros((0, 2)), "saturated": np.zeros(0, dtype=bool)})
-    empty = [NightImage(unix_s=3600.0 * hour, stars=none, sky=_no_sky()) for hour in range(3)]
+    empty = [NightDetections(unix_s=3600.0 * hour, stars=none, sky=_no_sky()) for hour in range(3)]
     assert [finding.code for finding in started(empty).findings] == ["blind_few_images"]
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from sunarc.calibration.blind_start.lens_family import (
+from sunarc.calibration.start.sky_turn import (
     angle_of_radius,
     nearest_projection,
     radial_for,

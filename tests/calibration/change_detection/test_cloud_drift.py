@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 from scipy.special import gamma, kv, logsumexp
 from tests.fixtures.calibration import small_camera, stated_calibration, sun_arc
 
-from sunarc.calibration.change_detection import hypotheses as module
-from sunarc.calibration.change_detection.detect_change import update_window
-from sunarc.calibration.change_detection.hypotheses import Drift, drift_evidence
-from sunarc.calibration.change_detection.residual_model import ResidualModel, window_of
-from sunarc.calibration.change_detection.values import Sighting, SightingWindow, WatchOptions
-from sunarc.calibration.pose.gaussian_conditioning import fit_inlier_mixture, log_evidence
+from sunarc.calibration.changes import detect_change as module
+from sunarc.calibration.changes.detect_change import Drift, ResidualModel, drift_evidence, update_window, window_of
+from sunarc.calibration.changes.values import Sighting, SightingWindow, WatchOptions
+from sunarc.calibration.pose import fit_inlier_mixture, log_evidence
 from sunarc.optics.forward import project
 from sunarc.simulation.truth import SGP
 

@@ -11,12 +11,12 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sunarc.calibration.change_detection.detect_change import distrusted, update_window
-from sunarc.calibration.change_detection.values import Change, Sighting, SightingWindow, WatchOptions
+from sunarc.calibration.changes.detect_change import distrusted, update_window
+from sunarc.calibration.changes.values import Change, Sighting, SightingWindow, WatchOptions
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import SunPoints
-from sunarc.calibration.pose.estimate_pose import estimate_pose
+from sunarc.calibration.pose import estimate_pose
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector

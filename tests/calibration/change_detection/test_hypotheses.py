@@ -12,13 +12,19 @@ from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
 from tests.fixtures.calibration import SGP, small_camera, stated_calibration
 
-from sunarc.calibration.change_detection import hypotheses as module
-from sunarc.calibration.change_detection.hypotheses import best_hypothesis, describe_change, pole_of
-from sunarc.calibration.change_detection.residual_model import ResidualModel, errors_at, window_of
-from sunarc.calibration.change_detection.values import Change, ChangeKind, SightingWindow, WatchOptions
+from sunarc.calibration.answers.error_model import at_every_angle, joined, predicted, rotated
+from sunarc.calibration.changes import detect_change as module
+from sunarc.calibration.changes.detect_change import (
+    ResidualModel,
+    best_hypothesis,
+    describe_change,
+    errors_at,
+    pole_of,
+    window_of,
+)
+from sunarc.calibration.changes.values import Change, ChangeKind, SightingWindow, WatchOptions
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.pose.error_model import at_every_angle, joined, predicted, rotated
-from sunarc.calibration.pose.gaussian_conditioning import fit_inlier_mixture
+from sunarc.calibration.pose import fit_inlier_mixture
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix

@@ -8,8 +8,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from sunarc.calibration.change_detection.hypotheses import describe_change
-from sunarc.calibration.change_detection.values import Change
+from sunarc.calibration.changes.detect_change import describe_change
+from sunarc.calibration.changes.values import Change
 
 TIMES = 1000.0 + 60.0 * np.arange(10)
 

@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 from scipy.special import gamma, kv
 from tests.fixtures.calibration import SGP, small_camera, stated_calibration, sun_arc
 
-from sunarc.calibration.change_detection.residual_model import errors_at, wandering, window_of
-from sunarc.calibration.change_detection.values import SightingWindow, WatchOptions
+from sunarc.calibration.answers.error_model import joint_covariance
+from sunarc.calibration.changes.detect_change import errors_at, wandering, window_of
+from sunarc.calibration.changes.values import SightingWindow, WatchOptions
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.pose.error_model import joint_covariance
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector
 from sunarc.sky.refraction import raised, refraction_rad

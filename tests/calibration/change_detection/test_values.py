@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sunarc.calibration.change_detection.values import Sighting, SightingWindow, WatchOptions
+from sunarc.calibration.changes.values import Sighting, SightingWindow, WatchOptions
 from sunarc.errors import InputError
 
 

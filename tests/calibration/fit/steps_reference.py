@@ -5,13 +5,13 @@ from __future__ import annotations
 from sunarc.array_types import FloatArray
 from sunarc.calibration.fit.marginal_likelihood import MarginalFit, Scales, marginal_fit, penalty
 from sunarc.calibration.fit.normal_equations import LinearSystem
-from sunarc.calibration.least_squares.problem import Problem
+from sunarc.calibration.solve.problem import FitProblem
 
 STEPS, HALVINGS, REST = 8, 6, 1e-3
 
 
 def converged_reference(
-    problem: Problem, system: LinearSystem, scales: Scales
+    problem: FitProblem, system: LinearSystem, scales: Scales
 ) -> tuple[FloatArray, MarginalFit, float]:
     """Return the unknowns, the linear fit and the gain that `irls_converged` returns."""
     normal = system.normal()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tests.fixtures.calibration import random_covariance
 
-from sunarc.calibration.fit.choices_kernel import _exponential, add_moments, write_inverses
+from sunarc.calibration.fit.kernels import _exponential, add_moments, write_inverses
 from sunarc.calibration.fit.marginal_likelihood import RIDGE, general_inverses
 
 

@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 from tests.fixtures.calibration import observed, small_camera, small_problem, spread_directions
 
 from sunarc.calibration.fit.cross_validation import doubts, held_out
-from sunarc.calibration.fit.hyperparameter_grid import scale_grid
-from sunarc.calibration.fit.hyperparameter_marginalisation import PosteriorCovariance
-from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit
+from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit, scale_grid
 from sunarc.calibration.fit.normal_equations import irls_converged, linear_system
+from sunarc.calibration.fit.posterior import PosteriorCovariance
 from sunarc.calibration.fit.robust_fit import RobustFit
-from sunarc.calibration.least_squares.time_bins import Bins
 from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.sightings import FilteredSightings
+from sunarc.calibration.solve.problem import Bins
 
 FloatArray = NDArray[np.float64]
 

@@ -9,14 +9,12 @@ import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibration import observed, random_covariance, small_camera, small_problem, sun_arc
 
-from sunarc.calibration.fit import decentering_mixture as module
-from sunarc.calibration.fit.decentering_mixture import BilinearSums, mixed_over_decentering
-from sunarc.calibration.fit.hyperparameter_marginalisation import PosteriorCovariance
+from sunarc.calibration.fit import posterior as module
 from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit, penalty
 from sunarc.calibration.fit.normal_equations import LinearSystem, converged_in_axes, irls_converged, linear_system
-from sunarc.calibration.least_squares.problem import Problem
-from sunarc.calibration.least_squares.time_bins import Bins
+from sunarc.calibration.fit.posterior import BilinearSums, PosteriorCovariance, mixed_over_decentering
 from sunarc.calibration.model.residual_field import Field, wave_basis
+from sunarc.calibration.solve.problem import Bins, FitProblem
 
 FloatArray = NDArray[np.float64]
 
@@ -25,17 +23,17 @@ HIGHER = [15, 16]
 
 
 @pytest.fixture(scope="module")
-def problem() -> Problem:
+def problem() -> FitProblem:
     return small_problem(small_camera())
 
 
 @pytest.fixture(scope="module")
-def at(problem: Problem) -> FloatArray:
+def at(problem: FitProblem) -> FloatArray:
     return problem.unknowns([replace(small_camera(), decentering=(1.5e-3, -1.9e-3, 0.0, 0.0))])
 
 
 @pytest.fixture(scope="module")
-def system(problem: Problem, at: FloatArray) -> LinearSystem:
+def system(problem: FitProblem, at: FloatArray) -> LinearSystem:
     basis = wave_basis(width=640, height=480, shortest_px=120.0, longest_px=160.0)
     seen = observed(problem.camera(at), sun_arc(60, widest_deg=40.0), sigma_px=0.05)
     bins = Bins(member=np.arange(60) // 4, count=15)
@@ -43,7 +41,7 @@ def system(problem: Problem, at: FloatArray) -> LinearSystem:
 
 
 @pytest.fixture(scope="module")
-def fitted(problem: Problem) -> LinearSystem:
+def fitted(problem: FitProblem) -> LinearSystem:
     """Return the equations about the fit of a lens of 0.1 px of decentering, over which all else is linear."""
     start = problem.unknowns([replace(small_camera(), decentering=(1.5e-4, -1.9e-4, 0.0, 0.0))])
     basis = wave_basis(width=640, height=480, shortest_px=120.0, longest_px=160.0)
@@ -60,7 +58,7 @@ def _posterior(system: LinearSystem) -> PosteriorCovariance:
 
 
 def test_known_coefficients_leave_the_covariance_as_it_is(
-    system: LinearSystem, problem: Problem, at: FloatArray
+    system: LinearSystem, problem: FitProblem, at: FloatArray
 ) -> None:
     posterior = _posterior(system)
     known = posterior.covariance.copy()
@@ -71,7 +69,7 @@ def test_known_coefficients_leave_the_covariance_as_it_is(
 
 
 def test_unknown_coefficients_only_add_to_the_covariance(
-    system: LinearSystem, problem: Problem, at: FloatArray
+    system: LinearSystem, problem: FitProblem, at: FloatArray
 ) -> None:
     posterior = _posterior(system)
     assert np.sqrt(np.max(np.diag(posterior.covariance)[HIGHER])) > 0.15
@@ -89,7 +87,7 @@ def test_the_places_hold_nearly_all_of_the_prior() -> None:
     assert 0.96 < mass.sum() < 1.0
 
 
-def _held_at(problem: Problem, place: FloatArray) -> Problem:
+def _held_at(problem: FitProblem, place: FloatArray) -> FitProblem:
     """Return the problem with p3 and p4 known: in its prior's mean, and no longer in its basis."""
     basis = problem.prior.basis.copy()
     mean = problem.prior.mean + basis[:, HIGHER] @ place
@@ -99,7 +97,7 @@ def _held_at(problem: Problem, place: FloatArray) -> Problem:
 
 @pytest.mark.parametrize("place", [(0.0, 0.0), (1.0, -2.0), (-2.0, 2.0)])
 def test_a_conditional_fit_is_that_of_the_lens_with_p3_and_p4_known(
-    fitted: LinearSystem, problem: Problem, place: tuple[float, float]
+    fitted: LinearSystem, problem: FitProblem, place: tuple[float, float]
 ) -> None:
     """Against Gauss-Newton on the whole lens, whose prior has p3 and p4 at the place."""
     at = fitted.at
@@ -131,7 +129,7 @@ def test_a_conditional_fit_is_that_of_the_lens_with_p3_and_p4_known(
     )
 
 
-def test_the_free_fit_is_the_marginal_fit(fitted: LinearSystem, problem: Problem) -> None:
+def test_the_free_fit_is_the_marginal_fit(fitted: LinearSystem, problem: FitProblem) -> None:
     at = fitted.at
     found = BilinearSums.about(problem, fitted, at, SCALES).free()
     expected = marginal_fit(fitted.normal(), fitted.basis, SCALES)
@@ -141,7 +139,7 @@ def test_the_free_fit_is_the_marginal_fit(fitted: LinearSystem, problem: Problem
 
 
 def test_the_fits_of_the_whole_lens_are_the_linear_ones_where_it_is_linear(
-    fitted: LinearSystem, problem: Problem
+    fitted: LinearSystem, problem: FitProblem
 ) -> None:
     sums = BilinearSums.about(problem, fitted, fitted.at, SCALES)
     linear, whole = sums.conditional(module._NODES), module._of_whole_lens(problem, fitted, fitted.at, SCALES)
@@ -155,7 +153,7 @@ def test_the_fits_of_the_whole_lens_are_the_linear_ones_where_it_is_linear(
 
 
 def test_a_linear_fit_is_doubted_where_the_whole_lens_is_less_probable(
-    fitted: LinearSystem, system: LinearSystem, problem: Problem, at: FloatArray
+    fitted: LinearSystem, system: LinearSystem, problem: FitProblem, at: FloatArray
 ) -> None:
     """A lens of 0.1 px of decentering is linear about its fit; one of 1 px, from a start that is off, is not."""
     sums = BilinearSums.about(problem, fitted, fitted.at, SCALES)
@@ -171,7 +169,7 @@ def test_a_linear_fit_is_doubted_where_the_whole_lens_is_less_probable(
 
 
 def test_a_fit_far_beyond_the_places_is_mixed_by_fits_of_the_whole_lens(
-    fitted: LinearSystem, problem: Problem, monkeypatch: pytest.MonkeyPatch
+    fitted: LinearSystem, problem: FitProblem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     far = fitted.at.copy()
     far[15] = 3.1
@@ -185,7 +183,7 @@ def test_a_fit_far_beyond_the_places_is_mixed_by_fits_of_the_whole_lens(
 
 
 def test_the_mean_of_the_conditional_evidences_is_about_the_free_one(
-    system: LinearSystem, problem: Problem, at: FloatArray
+    system: LinearSystem, problem: FitProblem, at: FloatArray
 ) -> None:
     """Where the sightings hardly depend on p3 and p4, integrating them out on the grid changes nothing."""
     small = at.copy()

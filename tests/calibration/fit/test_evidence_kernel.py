@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibration import random_covariance
 
-from sunarc.calibration.fit.evidence_kernel import evidence_terms
-from sunarc.cholesky import factored
+from sunarc.calibration.fit.kernels import evidence_terms
+from sunarc.compiled_math import factored
 
 FloatArray = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.calibration.fit.field_axes import BasisProducts
+from sunarc.calibration.fit.marginal_likelihood import BasisProducts
 from sunarc.calibration.model.residual_field import WaveBasis, wave_basis
 
 FloatArray = NDArray[np.float64]

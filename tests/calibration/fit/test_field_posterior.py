@@ -7,12 +7,11 @@ import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibration import observed, small_camera, small_problem, spread_directions, sun_arc
 
-from sunarc.calibration.fit.field_posterior import joint_covariance, prediction_variance, seen_field
 from sunarc.calibration.fit.marginal_likelihood import Scales, field_at, marginal_fit
 from sunarc.calibration.fit.normal_equations import LinearSystem, linear_system
-from sunarc.calibration.least_squares.problem import Problem
-from sunarc.calibration.least_squares.time_bins import Bins
+from sunarc.calibration.fit.posterior import joint_covariance, prediction_variance, seen_field
 from sunarc.calibration.model.residual_field import Field, wave_basis
+from sunarc.calibration.solve.problem import Bins, FitProblem
 
 FloatArray = NDArray[np.float64]
 
@@ -21,12 +20,12 @@ COUNT = 60
 
 
 @pytest.fixture(scope="module")
-def problem() -> Problem:
+def problem() -> FitProblem:
     return small_problem(small_camera())
 
 
 @pytest.fixture(scope="module")
-def system(problem: Problem) -> LinearSystem:
+def system(problem: FitProblem) -> LinearSystem:
     basis = wave_basis(width=640, height=480, shortest_px=120.0, longest_px=120.0)
     seen = observed(small_camera(), sun_arc(COUNT, widest_deg=60.0), sigma_px=0.05)
     bins = Bins(member=np.arange(COUNT), count=COUNT)
@@ -95,7 +94,7 @@ def test_the_mean_where_the_parameters_are_is_that_of_the_residuals_alone(system
 
 
 def test_the_covariance_of_a_prediction_is_that_of_the_joint_posterior(
-    system: LinearSystem, problem: Problem, joint: Joint, field: Field
+    system: LinearSystem, problem: FitProblem, joint: Joint, field: Field
 ) -> None:
     """On the arc and all over the sky; what is known has a floor."""
     fit = marginal_fit(system.normal(), system.basis, SCALES)
@@ -119,7 +118,7 @@ def test_the_covariance_of_a_prediction_is_that_of_the_joint_posterior(
 
 
 def test_predictions_have_together_the_covariance_of_the_joint_posterior(
-    system: LinearSystem, problem: Problem, joint: Joint, field: Field
+    system: LinearSystem, problem: FitProblem, joint: Joint, field: Field
 ) -> None:
     fit = marginal_fit(system.normal(), system.basis, SCALES)
     seen = observed(small_camera(), spread_directions(20, seed=8), sigma_px=0.0)
@@ -135,7 +134,7 @@ def test_predictions_have_together_the_covariance_of_the_joint_posterior(
 
 
 def test_the_variance_of_a_prediction_is_the_trace_of_its_covariance(
-    system: LinearSystem, problem: Problem, field: Field
+    system: LinearSystem, problem: FitProblem, field: Field
 ) -> None:
     """With the field's mean in the prediction, and without it, where the whole field is an error."""
     fit = marginal_fit(system.normal(), system.basis, SCALES)

@@ -10,16 +10,19 @@ import pytest
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from sunarc.calibration.fit.hyperparameter_grid import (
+from sunarc.calibration.fit.marginal_likelihood import (
     HyperparameterGrid,
+    NormalEquations,
+    Scales,
     likely_scales,
     log_evidence,
+    log_evidences,
     log_odds_of_a_field,
     log_weights,
+    normal_sums,
     normalised,
     scale_grid,
 )
-from sunarc.calibration.fit.marginal_likelihood import NormalEquations, Scales, log_evidences, normal_sums
 
 FloatArray = NDArray[np.float64]
 

@@ -10,14 +10,20 @@ import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibration import observed, random_covariance, small_camera, small_problem, sun_arc
 
-from sunarc.calibration.fit import hyperparameter_marginalisation as module
-from sunarc.calibration.fit.hyperparameter_grid import HyperparameterGrid, log_weights, normalised, scale_grid
-from sunarc.calibration.fit.hyperparameter_marginalisation import PosteriorCovariance, marginalised_covariance
-from sunarc.calibration.fit.marginal_likelihood import NormalEquations, Scales, marginal_fit
+from sunarc.calibration.answers.covariance import hemisphere
+from sunarc.calibration.fit import posterior as module
+from sunarc.calibration.fit.marginal_likelihood import (
+    HyperparameterGrid,
+    NormalEquations,
+    Scales,
+    log_weights,
+    marginal_fit,
+    normalised,
+    scale_grid,
+)
 from sunarc.calibration.fit.normal_equations import LinearSystem, linear_system
-from sunarc.calibration.least_squares.problem import Problem
-from sunarc.calibration.least_squares.time_bins import Bins
-from sunarc.calibration.model.covariance import hemisphere
+from sunarc.calibration.fit.posterior import PosteriorCovariance, marginalised_covariance
+from sunarc.calibration.solve.problem import Bins, FitProblem
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 
@@ -32,24 +38,26 @@ def grid() -> HyperparameterGrid:
 
 
 @pytest.fixture(scope="module")
-def problem() -> Problem:
+def problem() -> FitProblem:
     return small_problem(small_camera())
 
 
 @pytest.fixture(scope="module")
-def at(problem: Problem) -> FloatArray:
+def at(problem: FitProblem) -> FloatArray:
     return problem.unknowns([small_camera()])
 
 
 @pytest.fixture(scope="module")
-def system(problem: Problem, at: FloatArray, grid: HyperparameterGrid) -> LinearSystem:
+def system(problem: FitProblem, at: FloatArray, grid: HyperparameterGrid) -> LinearSystem:
     seen = observed(small_camera(), sun_arc(60), sigma_px=0.2)
     bins = Bins(member=np.arange(60) // 4, count=15)
     return linear_system(problem, seen, bins, at, information=np.full(60, 25.0), basis=grid.basis)
 
 
 @pytest.fixture(scope="module")
-def posterior(system: LinearSystem, grid: HyperparameterGrid, problem: Problem, at: FloatArray) -> PosteriorCovariance:
+def posterior(
+    system: LinearSystem, grid: HyperparameterGrid, problem: FitProblem, at: FloatArray
+) -> PosteriorCovariance:
     return marginalised_covariance(system.normal(), grid, problem, at)
 
 
@@ -70,7 +78,7 @@ def _mixture(normal: NormalEquations, grid: HyperparameterGrid, at: FloatArray) 
 
 
 def test_with_one_amplitude_it_is_the_mixture_s_covariance(
-    system: LinearSystem, grid: HyperparameterGrid, problem: Problem, at: FloatArray
+    system: LinearSystem, grid: HyperparameterGrid, problem: FitProblem, at: FloatArray
 ) -> None:
     one = _one_amplitude(grid)
     found = marginalised_covariance(system.normal(), one, problem, at)
@@ -82,7 +90,9 @@ def test_with_one_amplitude_it_is_the_mixture_s_covariance(
     assert grid.lengths[0] <= found.field.length_px <= grid.lengths[-1]
 
 
-def test_with_one_choice_it_is_that_fit_s_own(system: LinearSystem, grid: HyperparameterGrid, problem: Problem) -> None:
+def test_with_one_choice_it_is_that_fit_s_own(
+    system: LinearSystem, grid: HyperparameterGrid, problem: FitProblem
+) -> None:
     single = replace(
         grid,
         amplitudes=grid.amplitudes[5:6],
@@ -99,7 +109,7 @@ def test_with_one_choice_it_is_that_fit_s_own(system: LinearSystem, grid: Hyperp
 
 
 def test_a_fit_that_is_off_is_charged_with_its_distance(
-    system: LinearSystem, grid: HyperparameterGrid, problem: Problem, at: FloatArray
+    system: LinearSystem, grid: HyperparameterGrid, problem: FitProblem, at: FloatArray
 ) -> None:
     one = _one_amplitude(grid)
     off = np.zeros(at.size)
@@ -153,7 +163,7 @@ def test_the_coverage_is_that_of_numpy_for_all_shapes_and_sizes() -> None:
 
 
 def test_the_stated_95_percent_hold_95_percent_of_the_mixture(
-    system: LinearSystem, grid: HyperparameterGrid, problem: Problem, at: FloatArray
+    system: LinearSystem, grid: HyperparameterGrid, problem: FitProblem, at: FloatArray
 ) -> None:
     choices = module._plausible(system.normal(), grid, at)
     moments = module._at_probes(choices, grid.basis, problem, at)
@@ -188,7 +198,7 @@ def test_the_plausible_choices_hold_nearly_all_probability(
     assert largest[:kept].sum() > 0.95
 
 
-def test_probes_are_the_sky_that_the_image_shows(problem: Problem, at: FloatArray, grid: HyperparameterGrid) -> None:
+def test_probes_are_the_sky_that_the_image_shows(problem: FitProblem, at: FloatArray, grid: HyperparameterGrid) -> None:
     rows, waves = module.sky_rows(problem, at, grid.basis)
     assert 20 < rows.shape[0] < 60
     assert rows.shape[1:] == (2, at.size)

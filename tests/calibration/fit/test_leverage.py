@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 from tests.fixtures.calibration import observed, small_camera, small_problem, spread_directions
 
-from sunarc.calibration.fit.hyperparameter_grid import scale_grid
-from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit
+from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit, scale_grid
 from sunarc.calibration.fit.normal_equations import linear_system
 from sunarc.calibration.fit.robust_rounds import leverage_of
-from sunarc.calibration.least_squares.time_bins import Bins
+from sunarc.calibration.solve.problem import Bins
 
 COUNT, NIGHT = 60, 40
 SCALES = Scales(amplitude_px=0.3, length_px=120.0, radial_px=2.0, decentering_px=0.7)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.stats import multivariate_normal
 
-from sunarc.calibration.fit.field_axes import BasisProducts
 from sunarc.calibration.fit.marginal_likelihood import (
+    BasisProducts,
     NormalEquations,
     Scales,
     Turned,

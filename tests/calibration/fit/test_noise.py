@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from sunarc.calibration.fit.noise import growth_rate, inflation, lag_one, neighbours
+from sunarc.calibration.noise import growth_rate, inflation, lag_one, neighbours
 
 FloatArray = NDArray[np.float64]
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.calibration.fit.noise_by_sort import Course, Noise, measured_noise
-from sunarc.calibration.least_squares.problem import Observations
-from sunarc.calibration.least_squares.time_bins import Bins
+from sunarc.calibration.noise import Course, Noise, measured_noise
+from sunarc.calibration.solve.problem import Bins, Observations
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

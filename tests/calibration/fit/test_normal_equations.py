@@ -19,10 +19,9 @@ from sunarc.calibration.fit.normal_equations import (
     linear_system,
     system_about,
 )
-from sunarc.calibration.least_squares.priors import LENS, precisions
-from sunarc.calibration.least_squares.problem import Observations, Problem
-from sunarc.calibration.least_squares.time_bins import Bins
 from sunarc.calibration.model.residual_field import WaveBasis, wave_basis
+from sunarc.calibration.solve.priors import LENS, precisions
+from sunarc.calibration.solve.problem import Bins, FitProblem, Observations
 
 FloatArray = NDArray[np.float64]
 
@@ -36,7 +35,7 @@ def basis() -> WaveBasis:
 
 
 @pytest.fixture(scope="module")
-def problem() -> Problem:
+def problem() -> FitProblem:
     return small_problem(small_camera())
 
 
@@ -46,19 +45,19 @@ def seen() -> Observations:
 
 
 @pytest.fixture(scope="module")
-def at(problem: Problem) -> FloatArray:
+def at(problem: FitProblem) -> FloatArray:
     unknowns = problem.unknowns([small_camera()])
     unknowns[17:20] += 0.002
     return unknowns
 
 
 @pytest.fixture
-def system(problem: Problem, seen: Observations, at: FloatArray, basis: WaveBasis) -> LinearSystem:
+def system(problem: FitProblem, seen: Observations, at: FloatArray, basis: WaveBasis) -> LinearSystem:
     return linear_system(problem, seen, BINS, at, information=np.full(60, 25.0), basis=basis)
 
 
 def test_a_bin_has_the_mean_residual_of_its_sightings(
-    system: LinearSystem, problem: Problem, seen: Observations, at: FloatArray
+    system: LinearSystem, problem: FitProblem, seen: Observations, at: FloatArray
 ) -> None:
     expected = problem.residuals(at, seen).reshape(15, 4, 2).mean(axis=1)
     np.testing.assert_allclose(system.residual, expected, atol=1e-12)
@@ -67,7 +66,7 @@ def test_a_bin_has_the_mean_residual_of_its_sightings(
 
 
 def test_the_rows_are_the_derivatives_at_the_bin_s_direction(
-    system: LinearSystem, problem: Problem, at: FloatArray
+    system: LinearSystem, problem: FitProblem, at: FloatArray
 ) -> None:
     expected = numerical_derivative(lambda x: -problem.residuals(x, system.observed), at, step=1e-5)
     np.testing.assert_allclose(system.rows, expected, rtol=1e-5, atol=2e-5)
@@ -81,7 +80,7 @@ def test_the_waves_are_taken_where_the_model_sees_the_sun(system: LinearSystem, 
 
 
 def test_the_system_about_other_unknowns_has_their_residuals(
-    system: LinearSystem, problem: Problem, at: FloatArray
+    system: LinearSystem, problem: FitProblem, at: FloatArray
 ) -> None:
     other = at.copy()
     other[18] += 0.01
@@ -103,7 +102,7 @@ def test_the_sums_of_all_bins_are_those_of_parts_together(system: LinearSystem) 
         )
 
 
-def test_the_solve_lowers_the_penalty_to_a_stationary_point(system: LinearSystem, problem: Problem) -> None:
+def test_the_solve_lowers_the_penalty_to_a_stationary_point(system: LinearSystem, problem: FitProblem) -> None:
     rest = irls_converged(problem, system, SCALES)
     found, waves = rest.unknowns, rest.fit.coefficients
     rested = system.moved(problem, found)
@@ -126,7 +125,7 @@ def test_the_solve_lowers_the_penalty_to_a_stationary_point(system: LinearSystem
 @pytest.mark.parametrize("amplitude_px", [1e-3, 0.2, 5.0])
 @pytest.mark.parametrize("off", [0.0, 0.02, 0.3])
 def test_the_compiled_steps_are_those_of_numpy(
-    system: LinearSystem, problem: Problem, at: FloatArray, amplitude_px: float, off: float
+    system: LinearSystem, problem: FitProblem, at: FloatArray, amplitude_px: float, off: float
 ) -> None:
     begin = at.copy()
     begin[17:20] += [off, 0.0, -off]
@@ -144,7 +143,7 @@ def test_the_compiled_steps_are_those_of_numpy(
 
 
 def test_the_log_evidence_is_that_of_the_grid_but_for_a_constant(
-    system: LinearSystem, problem: Problem, at: FloatArray
+    system: LinearSystem, problem: FitProblem, at: FloatArray
 ) -> None:
     in_axes = system.in_field_axes(SCALES)[0]
     differences = []
@@ -161,7 +160,7 @@ def test_the_log_evidence_is_that_of_the_grid_but_for_a_constant(
     np.testing.assert_allclose(np.diff(differences), 0.0, atol=1e-6)
 
 
-def test_a_solve_from_its_own_answer_stays(system: LinearSystem, problem: Problem) -> None:
+def test_a_solve_from_its_own_answer_stays(system: LinearSystem, problem: FitProblem) -> None:
     found = irls_converged(problem, system, SCALES).unknowns
     again = irls_converged(problem, system.moved(problem, found), SCALES)
     np.testing.assert_array_equal(again.unknowns, found)
@@ -169,7 +168,7 @@ def test_a_solve_from_its_own_answer_stays(system: LinearSystem, problem: Proble
 
 
 @pytest.mark.parametrize("off", [0.02, 0.3])
-def test_a_start_far_off_is_brought_back(system: LinearSystem, problem: Problem, at: FloatArray, off: float) -> None:
+def test_a_start_far_off_is_brought_back(system: LinearSystem, problem: FitProblem, at: FloatArray, off: float) -> None:
     begin = at.copy()
     begin[17:20] += [off, 0.0, -off]
     found = irls_converged(problem, system.moved(problem, begin), SCALES).unknowns
@@ -180,7 +179,7 @@ def test_a_start_far_off_is_brought_back(system: LinearSystem, problem: Problem,
         assert costs[0] == pytest.approx(costs[1], abs=0.05)
 
 
-def test_unknown_air_is_among_the_equations(problem: Problem, seen: Observations, basis: WaveBasis) -> None:
+def test_unknown_air_is_among_the_equations(problem: FitProblem, seen: Observations, basis: WaveBasis) -> None:
     with_air = replace(problem, n_air=1)
     sd = np.full((60, 1), 1e-3)
     unknowns = with_air.unknowns([small_camera()])
@@ -194,7 +193,7 @@ def test_unknown_air_is_among_the_equations(problem: Problem, seen: Observations
     assert 0.1 < np.max(np.linalg.norm(system.rows[..., -1], axis=-1)) < 0.3
 
 
-def test_coverage_of_the_stated_95_percent_of_a_small_fit(problem: Problem, basis: WaveBasis) -> None:
+def test_coverage_of_the_stated_95_percent_of_a_small_fit(problem: FitProblem, basis: WaveBasis) -> None:
     """Lenses drawn from the prior, 40 noisy arcs: the pose's stated error is neither too small nor too large."""
     camera, directions = small_camera(), sun_arc(60)
     scales = Scales(1e-4, 120.0, 2.0, 0.7)
@@ -222,7 +221,7 @@ def test_coverage_of_the_stated_95_percent_of_a_small_fit(problem: Problem, basi
 
 @pytest.mark.parametrize(("turned", "shared"), [(1e-5, True), (1e-3, False)])
 def test_equations_nearby_share_the_field_s_products_and_others_do_not(
-    system: LinearSystem, problem: Problem, at: FloatArray, *, turned: float, shared: bool
+    system: LinearSystem, problem: FitProblem, at: FloatArray, *, turned: float, shared: bool
 ) -> None:
     other = at.copy()
     other[17] += turned

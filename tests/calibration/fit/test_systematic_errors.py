@@ -9,14 +9,14 @@ import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibration import filtered_sightings, observed, small_camera, small_problem, spread_directions
 
-from sunarc.calibration.fit.systematic_errors import (
+from sunarc.calibration.fit.robust_fit import (
     DECENTRED_PX,
     N_OFFSET,
     OFFSET_PX,
     POSE_DIFFERENCE_DEG,
     with_systematic_errors,
 )
-from sunarc.calibration.model.kinds import Kind, kinds_of
+from sunarc.calibration.model.sightings import Kind, kinds_of
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector
 

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from tests.fixtures.calibration import ideal_camera, observed, small_camera, spread_directions, sun_arc
 
-from sunarc.calibration.initial_guess.candidates import (
+from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
+from sunarc.calibration.start.initial_guess import (
     as_far_as_it_rises,
     camera_from_circle,
     camera_from_size,
@@ -19,7 +20,6 @@ from sunarc.calibration.initial_guess.candidates import (
     tilt,
     wahba,
 )
-from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.optics.forward import project
 from sunarc.optics.inverse import unproject
 from sunarc.optics.pose import rotation_matrix

@@ -10,10 +10,10 @@ import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibration import ideal_camera, observed, small_camera, small_problem, spread_directions, sun_arc
 
-from sunarc.calibration.initial_guess.coarse_search import _misfit, field_angle, first_cameras, single_problem
-from sunarc.calibration.least_squares.problem import Observations
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.robust_loss import robust_sigma
+from sunarc.calibration.solve.problem import Observations
+from sunarc.calibration.start.initial_guess import _misfit, field_angle, first_cameras, single_problem
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 

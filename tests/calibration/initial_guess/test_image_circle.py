@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.calibration.initial_guess.image_circle import _circle_through, _grey, _refined, find_image_circle
+from sunarc.calibration.start.initial_guess import _circle_through, _grey, _refined, find_image_circle
 from sunarc.errors import InputError
 
 

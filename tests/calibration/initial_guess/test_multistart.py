@@ -10,9 +10,13 @@ import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibration import loose_precision, observed, small_camera, small_problem, sun_arc
 
-from sunarc.calibration.initial_guess import multistart
-from sunarc.calibration.initial_guess.decentering_starts import best_of_starts
-from sunarc.calibration.initial_guess.multistart import (
+from sunarc.calibration.robust_loss import UNSEEN_PX, robust_sigma, tukey_loss
+from sunarc.calibration.solve.levenberg_marquardt import most_probable
+from sunarc.calibration.solve.priors import DECENTERING, HIGHER, LENS, RADIAL, Whitened
+from sunarc.calibration.solve.problem import FitProblem, Observations
+from sunarc.calibration.start import multistart
+from sunarc.calibration.start.multistart import (
+    best_of_starts,
     best_start,
     distance_sigmas,
     least_squares,
@@ -21,10 +25,6 @@ from sunarc.calibration.initial_guess.multistart import (
     staged_least_squares,
     undistorted,
 )
-from sunarc.calibration.least_squares.priors import DECENTERING, HIGHER, LENS, RADIAL, Whitened
-from sunarc.calibration.least_squares.problem import Observations, Problem
-from sunarc.calibration.least_squares.solve import most_probable
-from sunarc.calibration.robust_loss import UNSEEN_PX, robust_sigma, tukey_loss
 from sunarc.optics.camera import PARAMETER_NAMES
 from sunarc.optics.pose import rotation_matrix
 
@@ -32,22 +32,22 @@ FloatArray = NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")
-def problem() -> Problem:
+def problem() -> FitProblem:
     return small_problem(small_camera())
 
 
 @pytest.fixture(scope="module")
-def precision(problem: Problem) -> FloatArray:
+def precision(problem: FitProblem) -> FloatArray:
     return loose_precision(problem)
 
 
 @pytest.fixture(scope="module")
-def truth(problem: Problem) -> FloatArray:
+def truth(problem: FitProblem) -> FloatArray:
     return problem.unknowns([replace(small_camera(), focal_length_px=(220.5, 220.5), skew_px=0.0)])
 
 
 @pytest.fixture(scope="module")
-def seen(problem: Problem, truth: FloatArray) -> Observations:
+def seen(problem: FitProblem, truth: FloatArray) -> Observations:
     return observed(problem.camera(truth), sun_arc(120), sigma_px=0.05)
 
 
@@ -57,7 +57,7 @@ def test_the_indices_of_the_decentering_are_those_of_the_lens() -> None:
 
 
 def test_a_sighting_beyond_the_angle_that_the_camera_answers_is_missed(
-    problem: Problem, truth: FloatArray, seen: Observations
+    problem: FitProblem, truth: FloatArray, seen: Observations
 ) -> None:
     axis = rotation_matrix(truth[problem.pose_slice(0)])[2]
     limit = float(np.median(np.arccos(seen.directions @ axis)))
@@ -68,13 +68,13 @@ def test_a_sighting_beyond_the_angle_that_the_camera_answers_is_missed(
     np.testing.assert_allclose(distance[~beyond], distance_sigmas(problem, seen, truth)[~beyond])
 
 
-def test_distances_are_in_relative_sigmas(problem: Problem, truth: FloatArray, seen: Observations) -> None:
+def test_distances_are_in_relative_sigmas(problem: FitProblem, truth: FloatArray, seen: Observations) -> None:
     heavier = seen.weighted(np.full(120, 4.0))
     expected = 2.0 * np.linalg.norm(problem.residuals(truth, seen), axis=-1)
     np.testing.assert_allclose(distance_sigmas(problem, heavier, truth), expected)
 
 
-def test_an_ideal_lens_has_neither_radial_distortion_nor_decentering(problem: Problem, truth: FloatArray) -> None:
+def test_an_ideal_lens_has_neither_radial_distortion_nor_decentering(problem: FitProblem, truth: FloatArray) -> None:
     plain = problem.camera(undistorted(truth))
     np.testing.assert_allclose(plain.radial, 0.0, atol=1e-12)
     np.testing.assert_allclose(plain.decentering[:2], 0.0, atol=1e-12)
@@ -82,14 +82,14 @@ def test_an_ideal_lens_has_neither_radial_distortion_nor_decentering(problem: Pr
     assert np.any(truth[5:13])
 
 
-def test_loosened_precisions_hold_skew_and_aspect_alone(problem: Problem) -> None:
+def test_loosened_precisions_hold_skew_and_aspect_alone(problem: FitProblem) -> None:
     found = loosened(problem)
     np.testing.assert_allclose(found[[1, 2]], 1.0)
     np.testing.assert_allclose(np.delete(found[:17], [1, 2]), 1e-4)
     np.testing.assert_allclose(found[17:], 1e-9)
 
 
-def test_least_squares_goes_below_the_noise(problem: Problem, truth: FloatArray, seen: Observations) -> None:
+def test_least_squares_goes_below_the_noise(problem: FitProblem, truth: FloatArray, seen: Observations) -> None:
     begin = truth.copy()
     begin[17:20] += 0.01
     found = least_squares(problem, seen, begin)
@@ -98,7 +98,7 @@ def test_least_squares_goes_below_the_noise(problem: Problem, truth: FloatArray,
 
 
 def test_the_lowest_is_by_one_scale_for_all(
-    problem: Problem, precision: FloatArray, truth: FloatArray, seen: Observations
+    problem: FitProblem, precision: FloatArray, truth: FloatArray, seen: Observations
 ) -> None:
     """A camera that misses everything alike has a scale of its own at which it would look good."""
     shifted = truth.copy()
@@ -107,7 +107,7 @@ def test_the_lowest_is_by_one_scale_for_all(
     assert lowest(problem, seen, [truth, shifted], precision=precision) is truth
 
 
-def test_the_lowest_counts_the_prior_too(problem: Problem, truth: FloatArray, seen: Observations) -> None:
+def test_the_lowest_counts_the_prior_too(problem: FitProblem, truth: FloatArray, seen: Observations) -> None:
     other = truth + 0.0
     other[17] += 1e-7
     held = np.zeros(problem.size)
@@ -123,7 +123,7 @@ def test_the_lowest_counts_the_prior_too(problem: Problem, truth: FloatArray, se
 
 
 def test_a_start_comes_to_rest_at_the_minimum(
-    problem: Problem, precision: FloatArray, truth: FloatArray, seen: Observations
+    problem: FitProblem, precision: FloatArray, truth: FloatArray, seen: Observations
 ) -> None:
     begin = truth.copy()
     begin[17:20] += [0.01, 0.0, -0.01]
@@ -137,7 +137,7 @@ def test_a_start_comes_to_rest_at_the_minimum(
 
 
 def test_least_squares_in_stages_frees_the_radial_then_the_decentering_distortion(
-    problem: Problem, truth: FloatArray, seen: Observations, monkeypatch: pytest.MonkeyPatch
+    problem: FitProblem, truth: FloatArray, seen: Observations, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fixed: list[tuple[bool, bool]] = []
     solve = most_probable
@@ -154,7 +154,7 @@ def test_least_squares_in_stages_frees_the_radial_then_the_decentering_distortio
 
 
 def test_the_best_of_the_starts_is_the_truth_s_among_outliers(
-    problem: Problem, precision: FloatArray, truth: FloatArray, seen: Observations
+    problem: FitProblem, precision: FloatArray, truth: FloatArray, seen: Observations
 ) -> None:
     pixels = seen.pixels.copy()
     pixels[80:110] += [4.0, -3.0]  # an episode, alike for a quarter of the arc
@@ -165,7 +165,7 @@ def test_the_best_of_the_starts_is_the_truth_s_among_outliers(
     assert np.median(off) < 0.1
 
 
-def test_the_sign_of_the_decentering_is_found(problem: Problem, precision: FloatArray, seen: Observations) -> None:
+def test_the_sign_of_the_decentering_is_found(problem: FitProblem, precision: FloatArray, seen: Observations) -> None:
     """From the opposite decentering the fit does not stay in the valley that it begins in."""
     truth = problem.unknowns([replace(small_camera(), focal_length_px=(220.5, 220.5), skew_px=0.0)])
     begin = truth.copy()
@@ -179,7 +179,7 @@ def test_the_sign_of_the_decentering_is_found(problem: Problem, precision: Float
 
 
 def test_starts_that_image_every_sighting_alike_are_one(
-    problem: Problem, truth: FloatArray, seen: Observations
+    problem: FitProblem, truth: FloatArray, seen: Observations
 ) -> None:
     slightly, far = truth.copy(), truth.copy()
     slightly[Whitened.CENTER_X] += 1e-5

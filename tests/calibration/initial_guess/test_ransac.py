@@ -9,31 +9,30 @@ import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibration import loose_precision, observed, small_camera, small_problem, sun_arc
 
-from sunarc.calibration.initial_guess import multistart as module
-from sunarc.calibration.initial_guess.multistart import ransac_start
-from sunarc.calibration.initial_guess.ransac_kernels import trial_steps
-from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.robust_loss import WELL_BEHAVED, robust_scale, robust_sigma
+from sunarc.calibration.solve.problem import FitProblem, Observations
+from sunarc.calibration.start import multistart as module
+from sunarc.calibration.start.multistart import ransac_start, trial_steps
 
 FloatArray = NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")
-def problem() -> Problem:
+def problem() -> FitProblem:
     return small_problem(small_camera())
 
 
 @pytest.fixture(scope="module")
-def precision(problem: Problem) -> FloatArray:
+def precision(problem: FitProblem) -> FloatArray:
     return loose_precision(problem)
 
 
 @pytest.fixture(scope="module")
-def truth(problem: Problem) -> FloatArray:
+def truth(problem: FitProblem) -> FloatArray:
     return problem.unknowns([small_camera()])
 
 
-def _seen(problem: Problem, truth: FloatArray, *, false: float) -> Observations:
+def _seen(problem: FitProblem, truth: FloatArray, *, false: float) -> Observations:
     seen = observed(problem.camera(truth), sun_arc(200), sigma_px=0.05)
     rng = np.random.default_rng(2)
     wrong = rng.random(200) < false
@@ -48,7 +47,7 @@ def _pose_off(truth: FloatArray) -> FloatArray:
 
 @pytest.mark.parametrize("false", [0.0, 0.3, 0.45])
 def test_the_majority_s_camera_is_found(
-    problem: Problem, precision: FloatArray, truth: FloatArray, false: float
+    problem: FitProblem, precision: FloatArray, truth: FloatArray, false: float
 ) -> None:
     seen = _seen(problem, truth, false=false)
     start = _pose_off(truth)
@@ -60,7 +59,7 @@ def test_the_majority_s_camera_is_found(
 
 
 def test_a_start_that_is_right_is_kept_about_as_it_is(
-    problem: Problem, precision: FloatArray, truth: FloatArray
+    problem: FitProblem, precision: FloatArray, truth: FloatArray
 ) -> None:
     seen = _seen(problem, truth, false=0.2)
     found = ransac_start(problem, seen, truth, precision=precision)
@@ -68,7 +67,7 @@ def test_a_start_that_is_right_is_kept_about_as_it_is(
     assert np.max(np.abs(change)) < 0.2
 
 
-def test_the_start_is_the_answer_where_nothing_is_better(problem: Problem) -> None:
+def test_the_start_is_the_answer_where_nothing_is_better(problem: FitProblem) -> None:
     camera = small_camera()
     exact = observed(camera, sun_arc(50))
     start = problem.unknowns([camera])
@@ -78,7 +77,7 @@ def test_the_start_is_the_answer_where_nothing_is_better(problem: Problem) -> No
 
 
 def test_the_answer_does_not_change_from_call_to_call(
-    problem: Problem, precision: FloatArray, truth: FloatArray
+    problem: FitProblem, precision: FloatArray, truth: FloatArray
 ) -> None:
     seen = _seen(problem, truth, false=0.3)
     first, second = (ransac_start(problem, seen, _pose_off(truth), precision=precision) for _ in range(2))
@@ -118,14 +117,16 @@ def test_tightening_ends_at_the_weighted_fixed_point() -> None:
     assert np.linalg.norm(found - [0.5, -1.0]) < 0.5 * np.linalg.norm(plain - [0.5, -1.0]) + 0.02
 
 
-def test_disagreement_is_the_sum_of_logarithms(problem: Problem, truth: FloatArray) -> None:
+def test_disagreement_is_the_sum_of_logarithms(problem: FitProblem, truth: FloatArray) -> None:
     seen = _seen(problem, truth, false=0.0)
     distance = np.linalg.norm(problem.residuals(truth, seen), axis=-1)
     expected = float(np.sum(np.log(1.0 + (distance / 0.1) ** 2)))
     assert module._disagreement(problem, seen, truth, 0.1) == pytest.approx(expected)
 
 
-def test_the_disagreement_is_cauchys_loss_of_distances_in_their_own_sigmas(problem: Problem, truth: FloatArray) -> None:
+def test_the_disagreement_is_cauchys_loss_of_distances_in_their_own_sigmas(
+    problem: FitProblem, truth: FloatArray
+) -> None:
     seen = observed(problem.camera(truth), sun_arc(3))
     off = np.array([[3.0, 4.0], [0.0, 0.0], [0.6, 0.8]])
     seen = replace(seen, pixels=seen.pixels + off, information=np.array([1.0 / 25.0, 1.0, 4.0]))
@@ -134,11 +135,13 @@ def test_the_disagreement_is_cauchys_loss_of_distances_in_their_own_sigmas(probl
     assert module._disagreement(problem, seen, truth, 0.5) == pytest.approx(expected, rel=1e-6)
 
 
-def _lines(problem: Problem, truth: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _lines(problem: FitProblem, truth: FloatArray) -> tuple[FloatArray, FloatArray]:
     return problem.linearised(_pose_off(truth), _seen(problem, truth, false=0.3))
 
 
-def test_trials_are_those_of_linear_least_squares(problem: Problem, precision: FloatArray, truth: FloatArray) -> None:
+def test_trials_are_those_of_linear_least_squares(
+    problem: FitProblem, precision: FloatArray, truth: FloatArray
+) -> None:
     (residual, rows), start = _lines(problem, truth), _pose_off(truth)
     picks = np.random.default_rng(3).integers(0, 200, (5, 7))
     found = trial_steps(residual, rows, picks, start, precision, 0.7)
@@ -148,7 +151,7 @@ def test_trials_are_those_of_linear_least_squares(problem: Problem, precision: F
         np.testing.assert_allclose(step, expected, rtol=1e-4, atol=1e-4 * np.max(np.abs(expected)))
 
 
-def test_a_step_is_refined_as_in_numpy(problem: Problem, precision: FloatArray, truth: FloatArray) -> None:
+def test_a_step_is_refined_as_in_numpy(problem: FitProblem, precision: FloatArray, truth: FloatArray) -> None:
     (residual, rows), start = _lines(problem, truth), _pose_off(truth)
     flat, right, step = rows.reshape(-1, rows.shape[-1]), residual.ravel(), np.zeros(problem.size)
     found = module._tightened(step, residual, rows, start, precision, WELL_BEHAVED)

@@ -8,21 +8,22 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from sunarc.array_types import BoolArray, FloatArray
-from sunarc.calibration.least_squares.kernels import (
+from sunarc.calibration.robust_loss import tukey_loss
+from sunarc.calibration.solve.levenberg_marquardt import (
     DAMPING_FALLS,
     DAMPING_GROWS,
     FIRST_DAMPING,
     LARGEST_DAMPING,
     RIDGE,
     SMALLEST_DAMPING,
+    Solution,
+    information,
 )
-from sunarc.calibration.least_squares.problem import Observations, Problem
-from sunarc.calibration.least_squares.solve import Solution, information
-from sunarc.calibration.robust_loss import tukey_loss
+from sunarc.calibration.solve.problem import FitProblem, Observations
 
 
 def most_probable_reference(
-    problem: Problem,
+    problem: FitProblem,
     observed: Observations,
     start: FloatArray,
     *,

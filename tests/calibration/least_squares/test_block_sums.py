@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.calibration.least_squares.block_sums import add_products, block_size, reach_of, weigh
 from sunarc.calibration.robust_loss import UNSEEN_PX, tukey_loss, tukey_weights
-from sunarc.optics.block_kernels import BLOCK, N_COLUMNS, PIXEL_X, PIXEL_Y, RESIDUAL, WORK
+from sunarc.calibration.solve.row_kernels import add_products, block_size, reach_of, weigh
+from sunarc.optics.kernels import BLOCK, N_COLUMNS, PIXEL_X, PIXEL_Y, RESIDUAL, WORK
 
 FloatArray = NDArray[np.float64]
 

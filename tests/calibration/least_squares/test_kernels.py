@@ -19,10 +19,16 @@ from tests.fixtures.calibration import (
     spread_directions,
 )
 
-from sunarc.calibration.least_squares.kernels import Goal, damped_step_of, equations
-from sunarc.calibration.least_squares.problem import Observations, Problem
-from sunarc.calibration.least_squares.solve import as_lens, as_seen, most_probable
 from sunarc.calibration.robust_loss import UNSEEN_PX
+from sunarc.calibration.solve.levenberg_marquardt import (
+    Goal,
+    as_lens,
+    as_seen,
+    damped_step_of,
+    equations,
+    most_probable,
+)
+from sunarc.calibration.solve.problem import FitProblem, Observations
 from sunarc.optics.projections import PROJECTIONS, Projection
 
 FloatArray = NDArray[np.float64]
@@ -30,7 +36,7 @@ FloatArray = NDArray[np.float64]
 
 def _case(
     projection: Projection = "equidistant", *, mirrored: bool = False, epochs: int = 1
-) -> tuple[Problem, Observations, FloatArray]:
+) -> tuple[FitProblem, Observations, FloatArray]:
     """Return a problem of so many poses, sightings with a gross error, and unknowns off the answer."""
     camera = small_camera(projection, mirrored=mirrored)
     problem = small_problem(camera, n_epochs=epochs)

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from tests.fixtures.calibration import ideal_camera, small_camera
 
-from sunarc.calibration.least_squares.priors import (
+from sunarc.calibration.model.options import ImageCircle, LensTolerances
+from sunarc.calibration.solve.priors import (
     DECENTERING,
     FREE,
     FREE_NAMES,
@@ -22,7 +23,6 @@ from sunarc.calibration.least_squares.priors import (
     prior_knowledge,
     radial_basis,
 )
-from sunarc.calibration.model.options import ImageCircle, LensTolerances
 from sunarc.optics.camera import PARAMETER_NAMES, POSE, Camera, Param
 from sunarc.optics.forward import distorted_radius, project
 from sunarc.optics.projections import Projection, ideal_radius

@@ -18,9 +18,9 @@ from tests.fixtures.calibration import (
     spread_directions,
 )
 
-from sunarc.calibration.least_squares.priors import N_LENS
-from sunarc.calibration.least_squares.problem import Observations, by_elevation, observations, problem_for
 from sunarc.calibration.model.sightings import SunPoints, filter_sightings
+from sunarc.calibration.solve.priors import N_LENS
+from sunarc.calibration.solve.problem import Observations, by_elevation, observations, problem_for
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project, project_with_rows_fast
 from sunarc.optics.projections import Projection, angle_limit

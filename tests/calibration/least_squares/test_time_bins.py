@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.calibration.least_squares.problem import Observations
-from sunarc.calibration.least_squares.time_bins import Bins, time_bins
 from sunarc.calibration.model.sightings import FilteredSightings
+from sunarc.calibration.solve.problem import Bins, Observations, time_bins
 
 FloatArray = NDArray[np.float64]
 

@@ -10,11 +10,10 @@ import pytest
 from tests.calibration.conftest import SGP, TRUTH, FloatArray, simulate
 
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.least_squares.priors import LENS
-from sunarc.calibration.lens_library.frame import frame_of
-from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread, type_camera
+from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread, frame_of, type_camera
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.solve.priors import LENS
 from sunarc.optics.camera import Camera
 from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles
 

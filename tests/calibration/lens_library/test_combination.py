@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.calibration.least_squares.priors import N_LENS
-from sunarc.calibration.lens_library.combination import (
+from sunarc.calibration.lens_library.joint import (
     Unit,
     _log_evidences,
     estimated_spread,
     further_unit,
     lens_type_of,
 )
-from sunarc.calibration.lens_library.frame import Information, frame_of, usual_precision
-from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread
+from sunarc.calibration.lens_library.lens_type import Information, LensType, UnitSpread, frame_of, usual_precision
+from sunarc.calibration.solve.priors import N_LENS
 from sunarc.errors import InputError
 
 if TYPE_CHECKING:

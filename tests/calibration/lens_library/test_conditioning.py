@@ -9,15 +9,20 @@ import numpy as np
 import pytest
 from tests.calibration.conftest import SGP
 
-from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.calibrate import calibrate, reproduce_calibration
 from sunarc.calibration.lens_library import conditioning
 from sunarc.calibration.lens_library.conditioning import conditioned_lens, with_lens
-from sunarc.calibration.lens_library.frame import frame_of, gaussian_of, information_of, prior_precision_of
-from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread
-from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.lens_library.lens_type import (
+    LensType,
+    UnitSpread,
+    frame_of,
+    gaussian_of,
+    information_of,
+    prior_precision_of,
+)
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.reproduce import reproduce_calibration
 from sunarc.errors import InputError
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project

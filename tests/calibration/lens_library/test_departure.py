@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sunarc.calibration.lens_library.departure import departure_of, largest_departure
+from sunarc.calibration.lens_library.conditioning import departure_of, largest_departure
 
 
 def test_one_determined_quantity_is_judged_by_its_normal_distribution() -> None:

@@ -9,10 +9,17 @@ import numpy as np
 import pytest
 from tests.calibration.conftest import SGP, simulate
 
-from sunarc.calibration.lens_library.first_pose import FirstPoseOptions, calibrate_with_lens, first_pose
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.lens_library.first_pose import (
+    FirstPoseOptions,
+    calibrate_with_lens,
+    first_pose,
+    level,
+    levelling,
+    north_sigma_deg,
+    top_azimuth_deg,
+)
 from sunarc.calibration.lens_library.lens_type import LensType
-from sunarc.calibration.lens_library.mounting import level, levelling, north_sigma_deg, top_azimuth_deg
-from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.errors import InputError

@@ -10,14 +10,13 @@ import pytest
 from scipy.optimize import least_squares
 from tests.calibration.conftest import SGP, simulate
 
-from sunarc.calibration.least_squares.priors import LENS, N_LENS
-from sunarc.calibration.lens_library.frame import IN_FREE, frame_of, usual_precision
+from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.lens_library.joint import Entry, calibrate_jointly
-from sunarc.calibration.lens_library.lens_type import LensType
-from sunarc.calibration.model.covariance import hemisphere
+from sunarc.calibration.lens_library.lens_type import IN_FREE, LensType, frame_of, usual_precision
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.solve.priors import LENS, N_LENS
 from sunarc.errors import InputError
 from sunarc.optics.camera import POSE, Camera
 from sunarc.optics.forward import project, project_fast

@@ -11,22 +11,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.least_squares import time_bins as bins_module
-from sunarc.calibration.model.backward import back_project
-from sunarc.calibration.model.covariance import (
+from sunarc.calibration.answers.covariance import (
     hemisphere,
     project_with_covariance,
     sigma_deg,
     sigma_px,
     unproject_with_sigma,
 )
-from sunarc.calibration.model.direction_table import lookup
+from sunarc.calibration.answers.direction_table import back_projection_map, lookup
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.backward import back_project
 from sunarc.calibration.model.document import from_document, to_document
-from sunarc.calibration.model.maps import back_projection_map
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import SunPoints
 from sunarc.calibration.quality.acceptance import accept
+from sunarc.calibration.solve import problem as bins_module
 from sunarc.errors import InputError
 from sunarc.optics.forward import project
 from sunarc.optics.inverse import unproject

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.calibration.model.covariance import hemisphere, project_with_covariance, sigma_px, unproject_with_sigma
-from sunarc.calibration.model.direction_table import Lookup, lookup
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance, sigma_px, unproject_with_sigma
+from sunarc.calibration.answers.direction_table import Lookup, lookup
 from sunarc.sky.directions import angles_from_direction
 
 if TYPE_CHECKING:

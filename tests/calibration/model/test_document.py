@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.fixtures.calibration import current_document, distinctive_calibration
 
-from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.model.document import _field, from_document
 from sunarc.calibration.model.residual_field import Field, wave_basis
 from sunarc.errors import InputError

@@ -18,9 +18,9 @@ import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibration import SGP, current_document, distinctive_calibration, small_camera
 
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.backward import back_project
-from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.model.document import from_document
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import SunPoints

@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 from tests.fixtures.calibration import ideal_camera, small_camera, small_errors, spread_directions, stated_calibration
 
-from sunarc.calibration.model import direction_table as module
-from sunarc.calibration.model.covariance import project_with_covariance, sigma_deg
-from sunarc.calibration.model.direction_table import Lookup, lookup
-from sunarc.calibration.model.maps import back_projection_map
-from sunarc.optics.cubic_spline import spline_weights
+from sunarc.calibration.answers import direction_table as module
+from sunarc.calibration.answers.covariance import project_with_covariance, sigma_deg
+from sunarc.calibration.answers.direction_table import Lookup, back_projection_map, lookup
 from sunarc.optics.forward import project
 from sunarc.optics.inverse import unproject
+from sunarc.optics.inverse_table import spline_weights
 from sunarc.sky.directions import angles_from_direction
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.fixtures.calibration import small_camera, spread_directions
 
-from sunarc.calibration.model.metrics import NO_METRICS, fit_metrics, measures, residual_angles
+from sunarc.calibration.model.result import NO_METRICS, fit_metrics, measures, residual_angles
 from sunarc.optics.forward import project
 
 RESIDUAL = np.array([[3.0, 4.0], [0.0, 1.0], [0.0, -5.0], [8.0, 6.0]])

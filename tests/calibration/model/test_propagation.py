@@ -20,8 +20,7 @@ from tests.fixtures.calibration import (
     stated_calibration,
 )
 
-from sunarc.calibration.least_squares.priors import FREE
-from sunarc.calibration.model.covariance import (
+from sunarc.calibration.answers.covariance import (
     direction_covariance,
     hemisphere,
     pose_error,
@@ -35,6 +34,7 @@ from sunarc.calibration.model.covariance import (
 )
 from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.solve.priors import FREE
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.inverse import unproject

@@ -8,15 +8,14 @@ import numpy as np
 import pytest
 from tests.fixtures.calibration import ideal_camera
 
-from sunarc.calibration.model.direction_table import (
+from sunarc.calibration.answers.direction_table import (
     _RINGS,
     _SPOKES,
     _in_image,
     polar_spline,
     ring_and_spoke,
 )
-from sunarc.optics.cubic_spline import spline_weights
-from sunarc.optics.fast import inverse_table
+from sunarc.optics.inverse_table import inverse_table, spline_weights
 
 CONSTANTS = inverse_table(ideal_camera()).constants
 RINGS, SPOKES = 20, 36

@@ -11,7 +11,7 @@ from scipy.integrate import quad
 from tests.fixtures.calibration import ideal_camera, numerical_derivative, penalties, small_camera
 
 from sunarc.calibration.model.options import PaperOptions
-from sunarc.calibration.paper.stages import Penalties
+from sunarc.calibration.paper import Penalties
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import distorted_radius
 from sunarc.optics.projections import ideal_radius

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from tests.fixtures.calibration import ideal_camera, observed, small_camera, spread_directions
 
-from sunarc.calibration.least_squares.problem import Observations
-from sunarc.calibration.paper.stages import _left_null_spaces, direct_linear_pose
+from sunarc.calibration.paper import _left_null_spaces, direct_linear_pose
+from sunarc.calibration.solve.problem import Observations
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from tests.fixtures.calibration import observed, small_camera, spread_directions
 
-from sunarc.calibration.least_squares.solve import as_seen
 from sunarc.calibration.model.options import CalibrationOptions, EllipseScope, PaperOptions
-from sunarc.calibration.paper.kernels import Optics, equations
-from sunarc.calibration.paper.stages import _penalties, _unlimited
-from sunarc.calibration.paper.stages import equations as equations_in_numpy
+from sunarc.calibration.paper import PaperOptics, _penalties, _unlimited, compiled_equations
+from sunarc.calibration.paper import compiled_equations as equations_in_numpy
+from sunarc.calibration.solve.levenberg_marquardt import as_seen
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import kernel_lens
 
@@ -23,8 +22,8 @@ def _compiled(camera: Camera, options: CalibrationOptions, count: int = 50) -> t
     seen = observed(small_camera(mirrored=camera.mirrored), spread_directions(count), sigma_px=0.5)
     _, code, mirror, max_angle = kernel_lens(_unlimited(camera))
     normal, gradient = np.empty((23, 23)), np.empty(23)
-    cost = equations(
-        Optics(code, mirror, max_angle),
+    cost = compiled_equations(
+        PaperOptics(code, mirror, max_angle),
         as_seen(seen.weighted(np.linspace(0.5, 3.0, count))),
         _penalties(camera, options).weighed(),
         camera.to_vector(),
@@ -59,10 +58,10 @@ def test_a_sighting_that_the_lens_cannot_show_costs_and_pulls_nothing() -> None:
     behind = observed(small_camera(), -spread_directions(3), sigma_px=0.0)
     _, code, mirror, max_angle = kernel_lens(_unlimited(camera))
     normal, gradient = np.empty((23, 23)), np.empty(23)
-    args = Optics(code, mirror, max_angle), _penalties(camera, options).weighed()
+    args = PaperOptics(code, mirror, max_angle), _penalties(camera, options).weighed()
     empty = behind.select(slice(0, 0))
-    none = equations(args[0], as_seen(empty), args[1], camera.to_vector(), normal, gradient)
+    none = compiled_equations(args[0], as_seen(empty), args[1], camera.to_vector(), normal, gradient)
     alone = gradient.copy()
-    cost = equations(args[0], as_seen(behind), args[1], camera.to_vector(), normal, gradient)
+    cost = compiled_equations(args[0], as_seen(behind), args[1], camera.to_vector(), normal, gradient)
     assert cost - none == pytest.approx(3 * 2 * 1e8)
     np.testing.assert_array_equal(gradient, alone)

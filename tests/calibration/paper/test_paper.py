@@ -11,12 +11,11 @@ import pytest
 from tests.fixtures.calibration import penalties
 
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.initial_guess.candidates import wahba
-from sunarc.calibration.least_squares.problem import Observations
-from sunarc.calibration.model.metrics import measures
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, PaperOptions
-from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.paper.stages import direct_linear_pose
+from sunarc.calibration.model.result import Calibration, measures
+from sunarc.calibration.paper import direct_linear_pose
+from sunarc.calibration.solve.problem import Observations
+from sunarc.calibration.start.initial_guess import wahba
 from sunarc.optics.forward import project
 from sunarc.optics.pose import pose_angles
 

@@ -17,11 +17,11 @@ from tests.fixtures.calibration import (
     spread_directions,
 )
 
-from sunarc.calibration.fit.assemble import Fitted
-from sunarc.calibration.least_squares.problem import Observations
+from sunarc.calibration.fit.assemble import FitOutcome
 from sunarc.calibration.model.options import CalibrationOptions, PaperOptions
 from sunarc.calibration.model.sightings import FilteredSightings
-from sunarc.calibration.paper.stages import _inverse, _start, fit_as_paper
+from sunarc.calibration.paper import _inverse, _start, fit_as_paper
+from sunarc.calibration.solve.problem import Observations
 from sunarc.optics.camera import PARAMETER_NAMES
 from sunarc.optics.forward import project
 
@@ -52,12 +52,12 @@ def seen() -> Observations:
 
 
 @pytest.fixture(scope="module")
-def fitted(seen: Observations) -> Fitted:
+def fitted(seen: Observations) -> FitOutcome:
     start = replace(small_camera(), focal_length_px=(215.0, 215.0), radial=(0.0,) * 8, decentering=(0.0,) * 4)
     return fit_as_paper(seen, _usable(seen), [start], options=OPTIONS)
 
 
-def test_the_residuals_are_those_of_the_camera(fitted: Fitted, seen: Observations) -> None:
+def test_the_residuals_are_those_of_the_camera(fitted: FitOutcome, seen: Observations) -> None:
     expected = seen.pixels - project(fitted.cameras[0], seen.directions)
     np.testing.assert_allclose(fitted.residual, expected, atol=1e-6)
     assert np.all(fitted.used)
@@ -65,14 +65,14 @@ def test_the_residuals_are_those_of_the_camera(fitted: Fitted, seen: Observation
     assert fitted.held_out is None
 
 
-def test_the_noise_is_found_with_the_degrees_of_freedom(fitted: Fitted) -> None:
+def test_the_noise_is_found_with_the_degrees_of_freedom(fitted: FitOutcome) -> None:
     # 160 numbers, 20 parameters: the relative error of sigma is 1 / sqrt(2 * 140) = 6 %
     assert fitted.sigma_px == pytest.approx(0.1, rel=0.2)
     expected = math.sqrt(float(np.sum(fitted.residual**2)) / (160 - 20))
     assert fitted.sigma_px == pytest.approx(expected)
 
 
-def test_the_cost_is_stationary(fitted: Fitted, seen: Observations) -> None:
+def test_the_cost_is_stationary(fitted: FitOutcome, seen: Observations) -> None:
     camera = fitted.cameras[0]
     moving = [PARAMETER_NAMES.index(name) for name in fitted.parameter_names]
 
@@ -91,7 +91,7 @@ def test_the_cost_is_stationary(fitted: Fitted, seen: Observations) -> None:
     assert np.max(np.abs(gradient)) < 0.05 * 0.1
 
 
-def test_without_a_translation_it_has_none_and_with_one_it_is_among_the_names(fitted: Fitted) -> None:
+def test_without_a_translation_it_has_none_and_with_one_it_is_among_the_names(fitted: FitOutcome) -> None:
     assert "translation_x" not in fitted.parameter_names
     assert len(fitted.parameter_names) == 20
     assert fitted.cameras[0].translation == (0.0, 0.0, 0.0)

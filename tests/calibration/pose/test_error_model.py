@@ -18,9 +18,8 @@ from tests.fixtures.calibration import (
     stated_calibration,
 )
 
-from sunarc.calibration.model.covariance import project_with_covariance
-from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.pose.error_model import (
+from sunarc.calibration.answers.covariance import project_with_covariance
+from sunarc.calibration.answers.error_model import (
     at_every_angle,
     error_model_of,
     joined,
@@ -31,6 +30,7 @@ from sunarc.calibration.pose.error_model import (
     with_coefficients,
     with_parameters,
 )
+from sunarc.calibration.model.result import Calibration
 from sunarc.errors import InputError
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project

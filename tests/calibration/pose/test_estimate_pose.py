@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.changes.step_search import daily_pose_offset
 from sunarc.calibration.model.document import from_document, to_document
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import SunPoints
-from sunarc.calibration.pose.daily_offset import daily_pose_offset
-from sunarc.calibration.pose.estimate_pose import estimate_pose
+from sunarc.calibration.pose import estimate_pose
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector

@@ -11,10 +11,10 @@ from scipy.integrate import dblquad
 from scipy.stats import multivariate_normal
 from tests.fixtures.calibration import random_covariance, small_camera, spread_directions, stated_calibration
 
+from sunarc.calibration.answers.error_model import CameraErrorModel, error_model_of, joint_covariance, predicted
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.pose.error_model import CameraErrorModel, error_model_of, joint_covariance, predicted
-from sunarc.calibration.pose.gaussian_conditioning import (
-    Sightings,
+from sunarc.calibration.pose import (
+    PixelResiduals,
     conditioned,
     false_density,
     fit_inlier_mixture,
@@ -25,9 +25,9 @@ from sunarc.calibration.pose.gaussian_conditioning import (
 FloatArray = NDArray[np.float64]
 
 
-def _seen(residual: FloatArray, *, variance: float = 0.04, log_false: float = -12.0) -> Sightings:
+def _seen(residual: FloatArray, *, variance: float = 0.04, log_false: float = -12.0) -> PixelResiduals:
     n = residual.shape[0]
-    return Sightings(residual=residual, variance=np.full(n, variance), false_density=np.full(n, log_false))
+    return PixelResiduals(residual=residual, variance=np.full(n, variance), false_density=np.full(n, log_false))
 
 
 def _drawn(n: int, covariance: FloatArray, *, seed: int, variance: float = 0.04) -> FloatArray:
@@ -137,7 +137,7 @@ def test_where_nothing_is_plausible_the_first_classes_stay() -> None:
 
 
 def test_a_selection_keeps_the_columns_together() -> None:
-    seen = Sightings(
+    seen = PixelResiduals(
         residual=np.arange(6.0).reshape(3, 2),
         variance=np.array([1.0, 2.0, 3.0]),
         false_density=np.array([4.0, 5.0, 6.0]),
@@ -236,7 +236,7 @@ def test_a_sighting_is_an_inlier_where_that_is_likelier_by_the_shares(offset: fl
     density = float(multivariate_normal(np.zeros(2), 0.54 * np.eye(2)).logpdf([1.0, 0.0]))
     equal = density + math.log(0.8) - math.log(0.2)
     beside = np.array([[0.0, 0.0], [1.0, 0.0]])
-    both = Sightings(residual=beside, variance=np.full(2, 0.04), false_density=np.array([-50.0, equal + offset]))
+    both = PixelResiduals(residual=beside, variance=np.full(2, 0.04), false_density=np.array([-50.0, equal + offset]))
     apart = np.asarray(np.kron(np.eye(2), covariance), dtype=np.float64)
     found = fit_inlier_mixture(apart, both, np.ones(2, dtype=bool))
     assert found.inlier.tolist() == [True, offset < 0.0]

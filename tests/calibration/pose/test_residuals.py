@@ -10,7 +10,7 @@ import pytest
 from tests.fixtures.calibration import small_camera, stated_calibration, sun_arc
 
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.pose.residuals import MOST, PredictedSightings, gathered, inflation, noise_px
+from sunarc.calibration.pose import MOST, PredictedSightings, gathered, inflation, noise_px
 from sunarc.calibration.robust_loss import finite
 from sunarc.optics.forward import project
 

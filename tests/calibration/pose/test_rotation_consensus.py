@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from tests.fixtures.calibration import ideal_camera, small_camera, spread_directions
 
-from sunarc.calibration.pose import rotation_consensus as module
-from sunarc.calibration.pose.error_model import at_every_angle, rotated
-from sunarc.calibration.pose.rotation_consensus import ransac_rotation
+from sunarc.calibration.answers.error_model import at_every_angle, rotated
+from sunarc.calibration.start import initial_guess as module
+from sunarc.calibration.start.initial_guess import ransac_rotation
 from sunarc.optics.forward import project
 
 FloatArray = NDArray[np.float64]

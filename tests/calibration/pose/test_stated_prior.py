@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.least_squares.priors import FREE
-from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.answers.error_model import rotated
+from sunarc.calibration.calibrate import calibrate, reproduce_calibration
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.pose.error_model import rotated
-from sunarc.calibration.pose.stated_prior import PriorTolerances, _basis, calibrate_with_prior
-from sunarc.calibration.reproduce import reproduce_calibration
+from sunarc.calibration.solve.priors import FREE
+from sunarc.calibration.stated_prior import PriorTolerances, _basis, calibrate_with_prior
 from sunarc.errors import InputError
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tests.finding_codes import codes
 
-from sunarc.calibration.model.covariance import hemisphere
+from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.model.result import Verdict
 from sunarc.calibration.model.sightings import SunPoints
 from sunarc.calibration.quality import acceptance

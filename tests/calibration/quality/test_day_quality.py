@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.calibration.initial_guess.image_circle import find_image_circle
 from sunarc.calibration.model.sightings import SunPoints
 from sunarc.calibration.quality.day_quality import days_left_out, decide_day, measure_day, smooth_arc
+from sunarc.calibration.start.initial_guess import find_image_circle
 from sunarc.errors import InputError
 from sunarc.sky.site import Site
 

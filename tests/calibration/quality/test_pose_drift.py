@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
-from sunarc.calibration.quality.acceptance import accept
-from sunarc.calibration.quality.pose_drift import pose_spread_deg, with_pose_spread
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.quality.acceptance import accept, pose_spread_deg, with_pose_spread
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector
 

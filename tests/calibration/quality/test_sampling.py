@@ -13,7 +13,7 @@ import pytest
 from tests.finding_codes import codes
 
 from sunarc.calibration.model.sightings import SunPoints
-from sunarc.calibration.quality.day_quality import DayVerdict, Sampling, decide_day, measure_day, sampling_of
+from sunarc.calibration.quality.day_quality import DaySampling, DayVerdict, decide_day, measure_day, sampling_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -83,22 +83,22 @@ def test_too_few_observed_slots_do_not_make_a_clear_day_and_the_reason_says_so(c
 @pytest.mark.parametrize(
     ("sampling", "n_on_arc", "low", "high"),
     [
-        (Sampling(n_observed=400, n_span=400, n_periods=80), 320, 0.8, 0.8),  # all observed: nothing to infer
-        (Sampling(n_observed=200, n_span=400, n_periods=80), 170, 0.78, 0.81),
-        (Sampling(n_observed=45, n_span=400, n_periods=40), 45, 0.93, 0.95),
-        (Sampling(n_observed=60, n_span=800, n_periods=2), 60, 0.3, 0.5),  # two bursts are two samples
-        (Sampling(n_observed=0, n_span=0, n_periods=0), 0, 0.0, 0.0),
+        (DaySampling(n_observed=400, n_span=400, n_periods=80), 320, 0.8, 0.8),  # all observed: nothing to infer
+        (DaySampling(n_observed=200, n_span=400, n_periods=80), 170, 0.78, 0.81),
+        (DaySampling(n_observed=45, n_span=400, n_periods=40), 45, 0.93, 0.95),
+        (DaySampling(n_observed=60, n_span=800, n_periods=2), 60, 0.3, 0.5),  # two bursts are two samples
+        (DaySampling(n_observed=0, n_span=0, n_periods=0), 0, 0.0, 0.0),
     ],
 )
 def test_the_lower_bound_knows_how_many_independent_samples_there_are(
-    sampling: Sampling, n_on_arc: int, low: float, high: float
+    sampling: DaySampling, n_on_arc: int, low: float, high: float
 ) -> None:
     assert low <= sampling.lowest_share(n_on_arc) <= high
 
 
 def test_exposures_of_one_slot_count_once_and_unknown_times_not_at_all() -> None:
     found = sampling_of(np.array([30.5, 31.0, np.nan, 95.0, 1000.0]), cadence_s=30.0, n_possible=20)
-    assert found == Sampling(n_observed=3, n_span=20, n_periods=2)
+    assert found == DaySampling(n_observed=3, n_span=20, n_periods=2)
 
 
 def test_false_and_right_clear_days_of_the_study(study: ModuleType) -> None:

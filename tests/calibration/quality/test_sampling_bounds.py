@@ -9,12 +9,12 @@ import pytest
 from scipy.optimize import brentq
 from scipy.stats import norm
 
-from sunarc.calibration.quality.day_quality import PERIOD_S, Sampling, fully_observed, sampling_of
+from sunarc.calibration.quality.day_quality import PERIOD_S, DaySampling, fully_observed, sampling_of
 
 
 def test_the_bound_is_where_the_score_test_rejects() -> None:
     """Wilson (1927): the p at which (share - p) / sqrt(p (1 - p) f / n) is the 95 % quantile, f for what was missed."""
-    sampling = Sampling(n_observed=40, n_span=200, n_periods=60)
+    sampling = DaySampling(n_observed=40, n_span=200, n_periods=60)
     share, factor = 30.0 / 40.0, 1.0 - 40.0 / 200.0
 
     def score(p: float) -> float:
@@ -24,19 +24,19 @@ def test_the_bound_is_where_the_score_test_rejects() -> None:
 
 
 def test_periods_bound_the_independent_samples() -> None:
-    many, few = (Sampling(n_observed=100, n_span=1000, n_periods=n) for n in (100, 5))
+    many, few = (DaySampling(n_observed=100, n_span=1000, n_periods=n) for n in (100, 5))
     assert few.lowest_share(80) < many.lowest_share(80) - 0.1
-    expected = Sampling(n_observed=5, n_span=50, n_periods=5)
+    expected = DaySampling(n_observed=5, n_span=50, n_periods=5)
     assert few.lowest_share(80) == pytest.approx(expected.lowest_share(4))
 
 
 @pytest.mark.parametrize("n_on_arc", [0, 30, 50, 70])
 def test_where_all_was_observed_the_share_is_the_bound(n_on_arc: int) -> None:
-    assert Sampling(n_observed=50, n_span=50, n_periods=9).lowest_share(n_on_arc) == min(n_on_arc / 50.0, 1.0)
+    assert DaySampling(n_observed=50, n_span=50, n_periods=9).lowest_share(n_on_arc) == min(n_on_arc / 50.0, 1.0)
 
 
 def test_nothing_observed_has_no_share() -> None:
-    assert Sampling(n_observed=0, n_span=0, n_periods=0).lowest_share(0) == 0.0
+    assert DaySampling(n_observed=0, n_span=0, n_periods=0).lowest_share(0) == 0.0
 
 
 def test_the_bound_holds_in_95_percent_of_simulated_days() -> None:
@@ -44,7 +44,7 @@ def test_the_bound_holds_in_95_percent_of_simulated_days() -> None:
     for _ in range(1500):
         clear = rng.random(300) < 0.8
         seen = rng.choice(300, 60, replace=False)
-        sampling = Sampling(n_observed=60, n_span=300, n_periods=60)
+        sampling = DaySampling(n_observed=60, n_span=300, n_periods=60)
         held.append(sampling.lowest_share(int(clear[seen].sum())) <= clear.mean())
     assert 0.93 < np.mean(held) < 0.985
 

@@ -7,10 +7,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.calibration.model.covariance import hemisphere
+from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.model.sightings import SunPoints
-from sunarc.calibration.selection.selection import Candidates, SelectionOptions, _grade, select_sightings
-from sunarc.calibration.selection.sky_grid import sky_patches, solid_angle_sr
+from sunarc.calibration.selection import (
+    Candidates,
+    SelectionOptions,
+    _grade,
+    select_sightings,
+    sky_patches,
+    solid_angle_sr,
+)
 from sunarc.errors import InputError
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions

@@ -9,8 +9,7 @@ import numpy as np
 from tests.detection.rendering import FloatArray
 
 from sunarc.detection.disc.fit import DiscFit
-from sunarc.detection.disc.model import Prior, Problem, make_problem
-from sunarc.detection.disc.template import VALUE, SunSources, render_disc, sun_sources
+from sunarc.detection.disc.model import VALUE, Prior, Problem, SunSources, make_problem, render_disc, sun_sources
 from sunarc.detection.disc.window import Window
 from sunarc.detection.values import Sensor
 

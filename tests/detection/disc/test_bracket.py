@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from sunarc.detection.disc.bracket import beside, combine
+from sunarc.detection.disc.series import beside, combine
 from sunarc.detection.values import Detection
 from sunarc.errors import InputError
 from sunarc.findings import Finding

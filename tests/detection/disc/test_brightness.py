@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sunarc.detection.disc.brightness import ClearSun, clear_sun
-from sunarc.sky.air import relative_air_mass
+from sunarc.detection.disc.series import ClearSun, clear_sun
+from sunarc.sky.site import relative_air_mass
 
 ZENITH = np.linspace(20.0, 88.0, 400)
 

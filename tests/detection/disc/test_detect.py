@@ -20,8 +20,7 @@ from tests.detection.rendering import (
 
 from sunarc.detection.disc import detect
 from sunarc.detection.disc.detect import detect_sun
-from sunarc.detection.options import DiscOptions
-from sunarc.detection.values import Detection, Expectation, Sensor, Verdict
+from sunarc.detection.values import Detection, DiscOptions, Expectation, Sensor, Verdict
 from sunarc.errors import InputError
 
 SENSOR = Sensor.from_full_well(full_scale=4095)

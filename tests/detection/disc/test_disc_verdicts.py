@@ -12,8 +12,7 @@ from tests.detection.sunless import KINDS, accepted_of
 from tests.finding_codes import codes
 
 from sunarc.detection.disc.detect import detect_sun
-from sunarc.detection.options import DiscOptions
-from sunarc.detection.values import Detection, Expectation, Sensor
+from sunarc.detection.values import Detection, DiscOptions, Expectation, Sensor
 from sunarc.errors import InputError
 
 SENSOR = Sensor.from_full_well(full_scale=4095)

@@ -26,8 +26,7 @@ from tests.detection.disc.fitting import (
 from tests.detection.rendering import FloatArray
 
 from sunarc.detection.disc.fit import DiscFit, fit_disc
-from sunarc.detection.disc.model import Prior, State, evaluate, normal_equations
-from sunarc.detection.disc.template import VALUE, WING_PSF, render_disc
+from sunarc.detection.disc.model import VALUE, WING_PSF, Prior, State, evaluate, normal_equations, render_disc
 from sunarc.detection.disc.window import Window
 from sunarc.detection.values import Sensor
 

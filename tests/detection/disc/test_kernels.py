@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tests.detection.rendering import FloatArray
 
-from sunarc.detection.disc import kernels
+from sunarc.detection.disc import model as kernels
 
 ROWS, COLUMNS, GAIN, READ = 5, 6, 5.0, 2.0
 GLARE = (0.4, 0.1, 0.5, 2.2, 1.8)

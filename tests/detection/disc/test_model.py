@@ -25,6 +25,8 @@ from tests.detection.rendering import FloatArray
 
 from sunarc.detection.disc.model import (
     PSF,
+    VALUE,
+    WING_PSF,
     WINGS,
     Evaluation,
     Problem,
@@ -32,11 +34,11 @@ from sunarc.detection.disc.model import (
     evaluate,
     inverse,
     normal_equations,
+    render_disc,
     unevenness,
     with_levels,
     without,
 )
-from sunarc.detection.disc.template import VALUE, WING_PSF, render_disc
 
 AROUND = np.array([0.4, -0.3, 0.002, 15.0])
 

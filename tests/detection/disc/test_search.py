@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import sqrtm
 from tests.detection.rendering import FloatArray, Image
 
-from sunarc.detection.disc.search import _moments, brightest_spots, measure_spot, semi_axes, symmetric_root
+from sunarc.detection.disc.detect import _moments, brightest_spots, measure_spot, semi_axes, symmetric_root
 from sunarc.robust_statistics import median_of
 
 

@@ -10,8 +10,8 @@ from scipy.integrate import quad
 from scipy.stats import norm
 from tests.detection.rendering import SOLAR_RADIUS, FloatArray, Scene, disc_image, equisolid_stretch
 
-from sunarc.detection.disc import template
-from sunarc.detection.disc.template import Sources, disc_sources, render_disc, sun_sources
+from sunarc.detection.disc import model as template
+from sunarc.detection.disc.model import Sources, disc_sources, render_disc, sun_sources
 
 STRETCH = np.array([[2.9, 0.25], [0.25, 2.4]])
 SOURCES = disc_sources(radius_px=2.7, psf_px=0.7, limb_darkening=0.6)

@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 from tests.detection.moon.rendering import FloatArray, Moon, render
 
-from sunarc.detection.moon.cutouts import brightest_cutouts, cutout_around
-from sunarc.detection.moon.detect import detect_moon
-from sunarc.detection.moon.values import MoonDetection, MoonExpectation
+from sunarc.detection.moon import MoonDetection, MoonExpectation, brightest_cutouts, cutout_around, detect_moon
 from sunarc.detection.values import Sensor
 
 PX_PER_DEG = 600.0 * math.radians(1.0)

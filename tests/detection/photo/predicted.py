@@ -25,11 +25,10 @@ import cv2
 import numpy as np
 from tests.detection.photo.facts import KINDS, SUNLESS, Photo, sun_photo, sunless_photo
 
-from sunarc.detection.photo.candidates import candidates_in
+from sunarc.detection.photo.candidates import candidates_in, whole_part
 from sunarc.detection.photo.ordinary_image import best_of, detect_sun_in_photo
-from sunarc.detection.photo.part import whole_part
 from sunarc.detection.values import Detection, Expectation, Verdict
-from sunarc.offline.ingest.image_checks import checked_image
+from sunarc.reanalysis.image_files import checked_image
 
 Place = tuple[float, float]
 _SIGMA_PX = 2.0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.detection.rendering import FloatArray
 
-from sunarc.detection.photo.blob import Mask, blobs_of, opened, thickest
+from sunarc.detection.photo.plateau import Mask, blobs_of, opened, thickest
 
 
 def mask_of(*discs: tuple[float, float, float], size: int = 120) -> Mask:

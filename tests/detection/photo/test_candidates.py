@@ -9,9 +9,8 @@ import pytest
 from tests.detection.photo.suns import glare_image
 
 from sunarc.array_types import Image
-from sunarc.detection.photo.candidates import Candidate, candidates_near, window_step
+from sunarc.detection.photo.candidates import Candidate, candidates_near, part_near, plane_of, whole_part, window_step
 from sunarc.detection.photo.candidates import candidates_in as candidates_in_part
-from sunarc.detection.photo.part import part_near, plane_of, whole_part
 from sunarc.detection.values import Bayer, Expectation
 
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from sunarc.array_types import FloatArray
-from sunarc.detection.photo.circle_kernels import circles_through, crossings, fitted_rim, most_followed
+from sunarc.detection.photo.rim import circles_through, crossings, fitted_rim, most_followed
 from sunarc.robust_statistics import MAD_TO_SIGMA, biweights
 
 RNG = np.random.default_rng(6)

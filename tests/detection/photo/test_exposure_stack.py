@@ -9,8 +9,7 @@ import pytest
 from tests.detection.photo.suns import SUN, exposed
 from tests.finding_codes import codes
 
-from sunarc.detection.photo.exposure_stack import Exposure, detect_sun_in_stack
-from sunarc.detection.photo.ordinary_image import detect_sun_in_photo
+from sunarc.detection.photo.ordinary_image import Exposure, detect_sun_in_photo, detect_sun_in_stack
 from sunarc.errors import InputError
 
 

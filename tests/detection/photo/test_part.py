@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sunarc.detection.photo.part import part_near, plane_of, whole_part
+from sunarc.detection.photo.candidates import part_near, plane_of, whole_part
 from sunarc.detection.values import Bayer, Expectation
 
 RNG = np.random.default_rng(2)

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from sunarc.detection.photo.candidates import Candidate
-from sunarc.detection.photo.exposure_stack import _agrees, _mean
+from sunarc.detection.photo.ordinary_image import _agrees, _mean
 from sunarc.detection.photo.rim import Rim
 from sunarc.detection.values import Detection
 

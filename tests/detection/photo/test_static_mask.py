@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from tests.detection.photo.suns import glare_image, with_text
 
-from sunarc.detection.photo.static_mask import static_mask
+from sunarc.detection.photo.plateau import static_mask
 from sunarc.errors import InputError
 
 

@@ -13,8 +13,8 @@ from tests.detection.rendering import FloatArray, Image
 
 from sunarc.detection.photo import urquhart2016
 from sunarc.detection.photo import urquhart2016 as centroids
-from sunarc.detection.photo.blob import Blob
 from sunarc.detection.photo.ordinary_image import Lens, radial_bias_px
+from sunarc.detection.photo.plateau import Blob
 from sunarc.detection.photo.urquhart2016 import (
     Estimates,
     Plane,

@@ -18,7 +18,7 @@ from tests.detection.stars.rendering import (
 )
 
 from sunarc.detection.stars.detect import detect_stars
-from sunarc.detection.stars.values import Stars
+from sunarc.detection.values import Stars
 from sunarc.errors import InputError
 
 FloatArray = NDArray[np.float64]

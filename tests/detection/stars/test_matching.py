@@ -9,9 +9,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.detection.stars.matching import StarMatches, match_stars, on_cloud, share_where_clear
-from sunarc.detection.stars.still import sky_motion, standing_still
-from sunarc.detection.stars.values import PredictedStars, Stars
+from sunarc.detection.stars.matching import (
+    StarMatches,
+    match_stars,
+    on_cloud,
+    share_where_clear,
+    sky_motion,
+    standing_still,
+)
+from sunarc.detection.values import PredictedStars, Stars
 
 FloatArray = NDArray[np.float64]
 RADIUS = 850.0

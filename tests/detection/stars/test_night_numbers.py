@@ -8,12 +8,21 @@ import numpy as np
 import pytest
 
 from sunarc.array_types import FloatArray, Image, picked
-from sunarc.detection.stars.completeness import ZENITH_BANDS_DEG, limiting_magnitude, zenith_bands
 from sunarc.detection.stars.detect import detect_stars
-from sunarc.detection.stars.extinction import StarLight, extinction_of
-from sunarc.detection.stars.halo import star_halo
-from sunarc.detection.stars.trend import NightLimits, NightTrend, dew_suspected, focus_ratio, trend_of
-from sunarc.sky.air import relative_air_mass
+from sunarc.detection.stars.photometry import (
+    ZENITH_BANDS_DEG,
+    NightLimits,
+    NightTrend,
+    StarLight,
+    dew_suspected,
+    extinction_of,
+    focus_ratio,
+    limiting_magnitude,
+    star_halo,
+    trend_of,
+    zenith_bands,
+)
+from sunarc.sky.site import relative_air_mass
 
 LIMITS = NightLimits()
 

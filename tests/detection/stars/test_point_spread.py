@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sunarc.detection.stars.point_spread import Stamps, fit_point_spreads
+from sunarc.detection.stars.detect import Stamps, fit_point_spreads
 
 SIZE = 9
 X, Y = (axis.ravel() for axis in np.meshgrid(np.arange(SIZE, dtype=float), np.arange(SIZE, dtype=float)))

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from sunarc.offline.reanalysis.cluster import Done, Workers
-from sunarc.offline.reanalysis.look import Answer, Chunk, look_at, still_parts
+from sunarc.reanalysis.cluster import Done, Workers
+from sunarc.reanalysis.look import Answer, Chunk, look_at, still_parts
 
 
 class InProcess:
@@ -43,4 +43,4 @@ def use(cluster: InProcess, patch: pytest.MonkeyPatch) -> None:
     def opened(*_: object, **__: object) -> Iterator[InProcess]:
         yield cluster
 
-    patch.setattr("sunarc.offline.reanalysis.run.open_cluster", opened)
+    patch.setattr("sunarc.reanalysis.run.open_cluster", opened)

@@ -7,11 +7,9 @@ from pathlib import Path
 import pytest
 from tests.offline.reanalysis.in_process import InProcess, use
 
-from sunarc.offline.reanalysis.cameras_file import read_cameras
-from sunarc.offline.reanalysis.index import Indexed, index_archive
-from sunarc.offline.reanalysis.plan import CameraPlan, Selector
-from sunarc.offline.reanalysis.results import Summary
-from sunarc.offline.reanalysis.run import ReanalysisOptions, reanalyse
+from sunarc.reanalysis.index import CameraPlan, Indexed, Selector, index_archive, read_cameras
+from sunarc.reanalysis.results import Summary
+from sunarc.reanalysis.run import ReanalysisOptions, reanalyse
 from sunarc.runtime.clock import SystemClock
 from sunarc.simulation.made_archive import FOUR_CAMERAS, MadeArchive, write_archive
 from sunarc.simulation.truth import SGP

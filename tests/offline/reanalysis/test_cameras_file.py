@@ -8,9 +8,8 @@ from pathlib import Path
 import pytest
 
 from sunarc.errors import InputError
-from sunarc.offline.reanalysis.cameras_file import read_cameras
-from sunarc.offline.reanalysis.plan import CameraPlan, Selector
-from sunarc.offline.sources.times import TimeRules
+from sunarc.reanalysis.image_times import TimeRules
+from sunarc.reanalysis.index import CameraPlan, Selector, read_cameras
 from sunarc.simulation.truth import SGP
 
 COMMON = CameraPlan(

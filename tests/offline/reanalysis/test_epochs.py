@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sunarc.offline.reanalysis.epochs import _cause, likeliest_path, with_true_clock
-from sunarc.offline.reanalysis.states import State
+from sunarc.reanalysis.states import State, _cause, likeliest_path, with_true_clock
 
 
 def state(*, lens: int = 0, pose: int = 0, clock: float = 0.0) -> State:

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 
 from sunarc.detection.values import Expectation
-from sunarc.offline.reanalysis.horizon import HIDDEN, SEEN, UNKNOWN, learn_horizon
-from sunarc.offline.reanalysis.passes import Looked, Sun
-from sunarc.offline.reanalysis.plan import ArchiveImage
+from sunarc.reanalysis.index import ArchiveImage
+from sunarc.reanalysis.passes import Looked, Sun
+from sunarc.reanalysis.results import HIDDEN, SEEN, UNKNOWN, learn_horizon
 from sunarc.utc import DAY_S
 
 SIZE = (480, 480)

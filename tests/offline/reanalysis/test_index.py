@@ -10,10 +10,9 @@ import pytest
 from tests.offline.sources.archives import GREY, encoded, folder_of, zip_of
 
 from sunarc.errors import InputError
-from sunarc.offline.reanalysis import index as index_module
-from sunarc.offline.reanalysis.index import Indexed, index_archive
-from sunarc.offline.reanalysis.plan import CameraPlan, Selector
-from sunarc.offline.sources.times import TimeRules
+from sunarc.reanalysis import index as index_module
+from sunarc.reanalysis.image_times import TimeRules
+from sunarc.reanalysis.index import CameraPlan, Indexed, Selector, index_archive
 from sunarc.simulation.truth import SGP
 from sunarc.sky.site import Site
 

@@ -11,8 +11,8 @@ from tests.fixtures.postgresql import Server, postgresql
 from sunarc.detection.values import Detection
 from sunarc.errors import OutsideError
 from sunarc.findings import Finding
-from sunarc.offline.ingest.packed_mask import pack_mask
-from sunarc.offline.reanalysis.ledger import ImageId, KeptMask, Known, Ledger
+from sunarc.reanalysis.ledger import ImageId, KeptMask, Known, Ledger
+from sunarc.reanalysis.look import pack_mask
 
 __all__ = ["postgresql"]
 

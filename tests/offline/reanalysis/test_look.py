@@ -11,8 +11,8 @@ from tests.offline.sources.archives import encoded, folder_of
 
 from sunarc.detection.values import Detection, Expectation
 from sunarc.findings import Finding
-from sunarc.offline.reanalysis import look
-from sunarc.offline.reanalysis.look import Answer, Chunk, Item, key_of, look_at, still_parts
+from sunarc.reanalysis import look
+from sunarc.reanalysis.look import Answer, Chunk, Item, key_of, look_at, still_parts
 from sunarc.simulation.made_archive import photograph
 
 SIZE = 240

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from sunarc.detection.values import Expectation
-from sunarc.offline.reanalysis.epochs import Epoch
-from sunarc.offline.reanalysis.look import Item
-from sunarc.offline.reanalysis.passes import CHUNK, _rounded, chunks_of, epoch_at
-from sunarc.offline.reanalysis.plan import ArchiveImage, CameraImages, CameraPlan, Selector
+from sunarc.reanalysis.index import ArchiveImage, CameraImages, CameraPlan, Selector
+from sunarc.reanalysis.look import Item
+from sunarc.reanalysis.passes import CHUNK, _rounded, chunks_of, epoch_at
+from sunarc.reanalysis.states import Epoch
 from sunarc.simulation.truth import SGP
 from sunarc.utc import DAY_S
 

@@ -16,11 +16,11 @@ from tests.offline.reanalysis.in_process import InProcess
 from tests.offline.reanalysis.made import MADE, analysed, indexed_in, tables_in
 
 from sunarc.archive.csv_files import read_sightings
-from sunarc.archive.lock import lock_state
+from sunarc.archive.database.state_folder import lock_state
 from sunarc.calibration.model.document import from_document
 from sunarc.errors import InputError, OutsideError
-from sunarc.offline.reanalysis import look
-from sunarc.offline.reanalysis.results import Summary, exports_of
+from sunarc.reanalysis import look
+from sunarc.reanalysis.results import Summary, exports_of
 from sunarc.simulation.made_archive import true_times
 
 __all__ = ["postgresql"]

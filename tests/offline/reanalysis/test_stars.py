@@ -19,17 +19,15 @@ from tests.offline.test_star_files import CAMERA, SIZE, night_image
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import SunPoints
 from sunarc.findings import Finding
-from sunarc.offline.reanalysis import stars as stars_module
-from sunarc.offline.reanalysis.analysis import Final, Sightings, Starry, starry_analysis
-from sunarc.offline.reanalysis.epochs import Epoch
-from sunarc.offline.reanalysis.fit import better_of, document_of, fit_poses
-from sunarc.offline.reanalysis.ledger import Ledger
-from sunarc.offline.reanalysis.look import Chunk, NamedStars
-from sunarc.offline.reanalysis.passes import Passes
-from sunarc.offline.reanalysis.plan import ArchiveImage, CameraImages, CameraPlan, Selector
-from sunarc.offline.reanalysis.stars import Nights, NightsLooked, name_stars, nights_of, star_points
-from sunarc.offline.reanalysis.states import Camera, State
 from sunarc.optics.forward import project
+from sunarc.reanalysis import nights as stars_module
+from sunarc.reanalysis.fit import Final, Sightings, Starry, better_of, document_of, fit_poses, starry_analysis
+from sunarc.reanalysis.index import ArchiveImage, CameraImages, CameraPlan, Selector
+from sunarc.reanalysis.ledger import Ledger
+from sunarc.reanalysis.look import Chunk, NamedStars
+from sunarc.reanalysis.nights import Nights, NightsLooked, name_stars, nights_of, star_points
+from sunarc.reanalysis.passes import Passes
+from sunarc.reanalysis.states import Camera, Epoch, State
 from sunarc.sky.night import STAR, body_directions
 from sunarc.sky.sun import sun_directions
 from sunarc.utc import DAY_S

@@ -11,9 +11,9 @@ import pytest
 from sunarc.array_types import FloatArray
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import SunPoints
-from sunarc.offline.reanalysis.analysis import Final, Rough, Sightings, final_analysis, first_analysis
-from sunarc.offline.reanalysis.states import Camera
 from sunarc.optics.forward import project
+from sunarc.reanalysis.fit import Final, Rough, Sightings, final_analysis, first_analysis
+from sunarc.reanalysis.states import Camera
 from sunarc.simulation.made_archive import Change, MadeArchive, MadeCamera, camera_at, true_times
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions

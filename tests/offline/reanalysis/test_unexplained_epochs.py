@@ -14,8 +14,8 @@ from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import SunPoints
-from sunarc.offline.reanalysis.analysis import Sightings, final_analysis
-from sunarc.offline.reanalysis.states import Camera, State
+from sunarc.reanalysis.fit import Sightings, final_analysis
+from sunarc.reanalysis.states import Camera, State
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles
 

@@ -18,10 +18,9 @@ from tests.offline.sources.archives import DEEP, GREY, encoded, folder_of, zip_o
 
 from sunarc.array_types import Image
 from sunarc.findings import Finding
-from sunarc.offline.messages import RefusedImageError
-from sunarc.offline.sources.fits_file import fits_bayer
-from sunarc.offline.sources.frames import frames_in, images_in
-from sunarc.offline.sources.opening import open_source
+from sunarc.reanalysis.image_files import fits_bayer, frames_in, images_in
+from sunarc.reanalysis.messages import RefusedImageError
+from sunarc.reanalysis.sources import open_source
 
 SIZE = (24, 20)
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)

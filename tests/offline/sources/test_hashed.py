@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 from tests.offline.sources.archives import contents, folder_of, zip_of
 
-from sunarc.offline.sources.hashed import HashedSource
-from sunarc.offline.sources.opening import open_source
+from sunarc.reanalysis.sources import HashedSource, open_source
 
 
 @pytest.mark.parametrize("make", [folder_of, lambda files, path: zip_of(files, path / "images.zip")])

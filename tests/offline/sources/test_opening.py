@@ -11,7 +11,7 @@ import pytest
 from tests.offline.sources.archives import contents, folder_of, tar_of, zip_of
 
 from sunarc.errors import InputError
-from sunarc.offline.sources.opening import open_source
+from sunarc.reanalysis.sources import open_source
 
 
 def in_memory(folder: Path) -> str:

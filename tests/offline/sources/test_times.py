@@ -11,11 +11,18 @@ from tests.offline.sources.archives import GREY, encoded, folder_of
 from tests.offline.test_ingest_times import TAKEN, ZONE, with_exif
 
 from sunarc.errors import InputError
-from sunarc.offline.image_names import ambiguous_dates, time_in_name, utc_offset_of
-from sunarc.offline.ingest.image_times import Naming, taken
-from sunarc.offline.messages import RefusedImageError
-from sunarc.offline.sources.opening import open_source
-from sunarc.offline.sources.times import TimedFrame, TimeRules, timed_frames
+from sunarc.reanalysis.image_times import (
+    Naming,
+    TimedFrame,
+    TimeRules,
+    ambiguous_dates,
+    taken,
+    time_in_name,
+    timed_frames,
+    utc_offset_of,
+)
+from sunarc.reanalysis.messages import RefusedImageError
+from sunarc.reanalysis.sources import open_source
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 NAMES = {

@@ -1,4 +1,4 @@
-"""Bodies of requests, read whole before anything is done with them: how large, how slow, how much memory."""
+"""Bodies of requests (size, rate, memory), answers to HEAD, and the security headers of every answer."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import asyncio
 from functools import partial
 from http import HTTPStatus
 
+from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from sunarc.api.middleware.client_address import client_network
-from sunarc.api.middleware.holdings import Holding, Holdings, answer_held
+from sunarc.api.middleware.holdings import Holding, Holdings, answer_held, client_network
 from sunarc.api.options import MIN_RATE_BYTES_PER_S
 from sunarc.api.problems import Fault, RefusedError, UnreadError, refusal_response
 
@@ -132,3 +132,92 @@ def too_large(most: int) -> UnreadError:
 
 def _refused(status: HTTPStatus, problem: str) -> UnreadError:
     return UnreadError(status, Fault(field="body", problem=problem, remedy="send it in parts"))
+
+
+_HEADERS = {
+    "content-security-policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; "
+        "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    ),
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "permissions-policy": "camera=(), geolocation=(), microphone=()",
+    "referrer-policy": "no-referrer",
+    "x-content-type-options": "nosniff",
+    "x-frame-options": "DENY",
+}
+
+
+class Boundary:
+    """Refuses bodies that announce themselves as too large, and adds the headers that keep browsers strict.
+
+    Parameters
+    ----------
+    app : what is behind it.
+    max_body_bytes : a larger body is refused (413), before it is read.
+    max_array_bytes : likewise, of .npy.
+    """
+
+    def __init__(self, app: ASGIApp, *, max_body_bytes: int, max_array_bytes: int) -> None:
+        self._app = app
+        self._max_body_bytes = max_body_bytes
+        self._max_array_bytes = max_array_bytes
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on, or refuse it."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        guarded = _with_headers(send)
+        most = self._max_array_bytes if is_array(scope) else self._max_body_bytes
+        if _announced_bytes(scope) > most:
+            await too_large(most).response(scope["path"])(scope, receive, guarded)
+            return
+        await self._app(scope, receive, guarded)
+
+
+def _announced_bytes(scope: Scope) -> int:
+    length = Headers(scope=scope).get("content-length", "")
+    return int(length) if length.isdecimal() else 0
+
+
+def _with_headers(send: Send) -> Send:
+    async def sending(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            headers = MutableHeaders(scope=message)
+            for name, value in _HEADERS.items():
+                headers.setdefault(name, value)
+        await send(message)
+
+    return sending
+
+
+_BY_HEAD = "sunarc.head"
+
+
+def asked_by_head(scope: Scope) -> bool:
+    """Return whether a request was HEAD: an endless answer need not begin."""
+    return bool(scope.get(_BY_HEAD))
+
+
+class HeadRequests:
+    """Answers HEAD with the status and the headers of GET, and no body (RFC 9110, section 9.3.2).
+
+    Parameters
+    ----------
+    app : what is behind it.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on, HEAD as GET."""
+        if scope["type"] != "http" or scope["method"] != "HEAD":
+            await self._app(scope, receive, send)
+            return
+
+        async def without_body(message: Message) -> None:
+            await send({**message, "body": b""} if message["type"] == "http.response.body" else message)
+
+        await self._app({**scope, "method": "GET", _BY_HEAD: True}, receive, without_body)

@@ -1,23 +1,24 @@
-"""Routes: the calibration that answers, and the history."""
+"""Routes: the calibration that answers, the history, and what a person decides about it."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Callable
 from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
-from fastapi import APIRouter, Query, Request
+from fastapi import APIRouter, Depends, Path, Query, Request
 from fastapi.responses import Response
 
 from sunarc.api.context import ApiContext, SingleFlightCache
+from sunarc.api.middleware.admission import require_write_token
+from sunarc.api.parameters import BY_CALIBRATION, At, CalibrationId, Cursor, IfNoneMatch, page_at, row_limit
 from sunarc.api.problems import answers
-from sunarc.api.routes.choice import BY_CALIBRATION
-from sunarc.api.schemas.paging import Cursor, page_at
-from sunarc.api.schemas.parameters import At, CalibrationId, IfNoneMatch, row_limit
-from sunarc.api.schemas.record import Calibrations, CalibrationSummary
+from sunarc.api.schemas import Calibrations, CalibrationSummary, ClosedEpoch, Decision
 from sunarc.archive.values import CalibrationRecord, CalibrationState
+from sunarc.errors import NotFoundError
 from sunarc.exports.exported import Exported
 from sunarc.exports.formats import FILE_NAMES, FORMATS, MEDIA_TYPES, Format, export
 
@@ -192,3 +193,52 @@ def matches(if_none_match: str | None, tag: str) -> bool:
     """Return whether a client that sent this If-None-Match has what the tag names."""
     tags = {one.strip().removeprefix("W/") for one in (if_none_match or "").split(",")}
     return tag in tags or "*" in tags
+
+
+EpochId = Annotated[
+    str, Path(description="Id of a pose epoch, as events and calibrations name it.", examples=["imager-2"])
+]
+
+
+def decision_routes(context: ApiContext) -> APIRouter:
+    """Return the routes that let a person decide which calibration answers."""
+    routes = APIRouter(
+        dependencies=[Depends(require_write_token(context.token))], responses=answers(400, 403, 404, 408, 413, 415, 422)
+    )
+    of_calibrations: dict[str, Any] = {"tags": ["calibrations"], "responses": answers(409)}
+
+    def decide(
+        change: Callable[..., CalibrationRecord], request: Request, calibration_id: str, decision: Decision
+    ) -> CalibrationSummary:
+        record = context.of(request).calibration(calibration_id)
+        return summary(change(record.id, at=context.frame_clock(), reason=decision.reason))
+
+    @routes.post("/calibrations/{calibration_id}/activate", **of_calibrations)
+    def activate(request: Request, calibration_id: CalibrationId, decision: Decision) -> CalibrationSummary:
+        """Make any calibration of the record the current one, from now on; of one that answered before, a copy."""
+        return decide(context.archive.reinstate, request, calibration_id, decision)
+
+    @routes.post("/calibrations/{calibration_id}/pin", **of_calibrations)
+    def pin(request: Request, calibration_id: CalibrationId, decision: Decision) -> CalibrationSummary:
+        """Keep the current calibration, whatever a refit finds, until it is unpinned or another is activated."""
+        return decide(context.archive.pin, request, calibration_id, decision)
+
+    @routes.post("/calibrations/{calibration_id}/unpin", **of_calibrations)
+    def unpin(request: Request, calibration_id: CalibrationId, decision: Decision) -> CalibrationSummary:
+        """Let refits replace the current calibration again."""
+        return decide(context.archive.unpin, request, calibration_id, decision)
+
+    @routes.post("/epochs/{epoch_id}/close", tags=["epochs"])
+    def close_epoch(request: Request, epoch_id: EpochId, decision: Decision) -> ClosedEpoch:
+        """Undo a pose epoch begun by mistake: the one before continues, and its calibration is current again."""
+        selected = context.of(request)
+        if epoch_id not in {epoch.id for epoch in selected.archive.epochs(selected.camera)}:
+            raise NotFoundError(
+                field="id",
+                problem=f"there is no open pose epoch {epoch_id} of camera {selected.camera}",
+                remedy="see `sunarc epochs list`",
+            )
+        current = selected.archive.close_epoch(epoch_id, at=selected.frame_clock(), reason=decision.reason)
+        return ClosedEpoch(id=epoch_id, calibration=current)
+
+    return routes

@@ -8,18 +8,15 @@ import numpy as np
 from fastapi import APIRouter, Request
 from fastapi.responses import Response
 
-from sunarc.api.answering import Answering
 from sunarc.api.arrays import Rows, require_few
-from sunarc.api.bulk import Computation, Question, body_of, compute, parsed_body, row_responses
-from sunarc.api.compute_slots import ComputeSlots
+from sunarc.api.bulk import Answering, Computation, ComputeSlots, Question, body_of, compute, parsed_body, row_responses
 from sunarc.api.context import ApiContext
+from sunarc.api.parameters import BY_CALIBRATION, At, Draws, Seed
 from sunarc.api.problems import answers
-from sunarc.api.routes.choice import BY_CALIBRATION
-from sunarc.api.schemas.calibration import BackProjectAnswer, BackProjectRequest, ProjectAnswer, ProjectRequest
-from sunarc.api.schemas.parameters import At, Draws, Seed
+from sunarc.api.schemas import BackProjectAnswer, BackProjectRequest, ProjectAnswer, ProjectRequest
 from sunarc.array_types import FloatArray
-from sunarc.calibration.ensemble import Ensemble
-from sunarc.calibration.model.direction_table import BACK_PROJECTED, PROJECTED
+from sunarc.calibration.answers.direction_table import BACK_PROJECTED, PROJECTED
+from sunarc.calibration.answers.error_model import Ensemble
 from sunarc.sky.directions import angles_from_direction, direction_from_angles
 
 

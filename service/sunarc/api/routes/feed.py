@@ -19,11 +19,11 @@ from pydantic import BaseModel
 from starlette.concurrency import run_in_threadpool
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from sunarc.api.middleware.authentication import FEED_PATH
+from sunarc.api.middleware.admission import FEED_PATH
 from sunarc.api.problems import Fault, RefusedError, answers
 from sunarc.archive.archive import Archive
-from sunarc.archive.feed_values import FeedBatch, Reason, Refusal, read_feed_lines
-from sunarc.archive.schema import head_revision
+from sunarc.archive.database.schema import head_revision
+from sunarc.archive.fleet.feed_rows import FeedBatch, Reason, Refusal, read_feed_lines
 from sunarc.errors import InputError, OutsideError
 from sunarc.json_fields import described
 

@@ -11,9 +11,10 @@ from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_l
 from sunarc.api.context import ApiContext
 from sunarc.api.problems import Fault, answers, problem_response
 from sunarc.api.routes.calibrations import summary
-from sunarc.api.routes.days_and_events import days_out
-from sunarc.api.schemas.calibration import (
+from sunarc.api.routes.record import days_out
+from sunarc.api.schemas import (
     Alive,
+    Cameras,
     Readiness,
     Status,
 )
@@ -91,3 +92,15 @@ def _status(context: ApiContext) -> Status:
         last_day=days[0] if days else None,
         image_size=None if camera is None else list(camera.image_size),
     )
+
+
+def camera_routes(context: ApiContext) -> APIRouter:
+    """Return the routes that tell which cameras there are."""
+    routes = APIRouter(tags=["cameras"])
+
+    @routes.get("/v1/cameras")
+    def cameras() -> Cameras:
+        """Tell the cameras of the archive; every route of one camera also stands under /v1/cameras/{camera}/."""
+        return Cameras(default=context.camera, cameras=list(context.archive.cameras()))
+
+    return routes

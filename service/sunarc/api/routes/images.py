@@ -13,18 +13,33 @@ from fastapi import APIRouter, Query, Request
 from fastapi import Path as InPath
 from fastapi.responses import FileResponse, Response
 from numpy.typing import NDArray
+from pydantic import BaseModel, Field
 
 from sunarc.api.context import ApiContext
+from sunarc.api.parameters import AnsweringId, Cursor, IfNoneMatch, Next, Since, Until, page_at, row_limit
 from sunarc.api.problems import Fault, RefusedError, answers
 from sunarc.api.routes.calibrations import decimal, matches
 from sunarc.api.routes.stored_answers import RANGED, byte_range
-from sunarc.api.schemas.images import Composite, Images
-from sunarc.api.schemas.paging import Cursor, page_at
-from sunarc.api.schemas.parameters import IfNoneMatch, Since, Until, row_limit
 from sunarc.errors import NotFoundError, OutsideError
 from sunarc.imaging.metadata import document_of
 from sunarc.json_fields import Time
 from sunarc.utc import rfc3339
+
+
+class Composite(BaseModel):
+    """One cycle's composite."""
+
+    time: Annotated[Time, Field(description="Of its first exposure; names it in /v1/images/{time}.")]
+    calibration: AnsweringId
+    bytes: int = Field(description="Size of the 16 bit PNG, bytes.", examples=[5_200_000])
+
+
+class Images(BaseModel):
+    """Composites, the newest first."""
+
+    images: list[Composite] = Field(description="The page.")
+    next: Next
+
 
 Kind = Literal["png", "jpeg"]
 

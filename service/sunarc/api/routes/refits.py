@@ -7,11 +7,10 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Path, Request, Response
 
 from sunarc.api.context import ApiContext
-from sunarc.api.middleware.authentication import require_write_token
+from sunarc.api.middleware.admission import require_write_token
+from sunarc.api.parameters import Cursor, page_at, row_limit
 from sunarc.api.problems import answers
-from sunarc.api.schemas.paging import Cursor, page_at
-from sunarc.api.schemas.parameters import row_limit
-from sunarc.api.schemas.record import RefitRequest, Refits
+from sunarc.api.schemas import RefitRequest, Refits
 from sunarc.archive.values import Refit
 from sunarc.errors import NotFoundError
 

@@ -19,9 +19,8 @@ from fastapi.responses import Response
 from starlette.concurrency import run_in_threadpool
 from starlette.types import Receive, Scope, Send
 
-from sunarc.api.compute_slots import ComputeSlots
-from sunarc.api.middleware.client_address import client_network
-from sunarc.api.middleware.holdings import Holding, Holdings
+from sunarc.api.bulk import ComputeSlots
+from sunarc.api.middleware.holdings import Holding, Holdings, client_network
 from sunarc.api.problems import Fault, RefusedError
 from sunarc.api.routes.calibrations import matches
 from sunarc.errors import OutsideError

@@ -12,15 +12,12 @@ import numpy as np
 from fastapi import APIRouter, Query, Request
 
 from sunarc.api.context import ApiContext
+from sunarc.api.parameters import BY_CALIBRATION, At, Cursor, Since, Until, page_at, row_limit
 from sunarc.api.problems import answers
-from sunarc.api.routes.choice import BY_CALIBRATION
-from sunarc.api.schemas.calibration import Residual, Sun, SunPoints, SunPointWithResidual, SunTrack
-from sunarc.api.schemas.paging import Cursor, page_at
-from sunarc.api.schemas.parameters import At, Since, Until, row_limit
-from sunarc.api.schemas.record import SightingsByDay
+from sunarc.api.schemas import Residual, SightingsByDay, Sun, SunPoints, SunPointWithResidual, SunTrack
 from sunarc.archive.values import SunPoint
+from sunarc.calibration.answers.covariance import sigma_px, sun_with_covariance
 from sunarc.calibration.model.backward import camera_sees
-from sunarc.calibration.model.covariance import sigma_px, sun_with_covariance
 from sunarc.calibration.model.result import Calibration
 from sunarc.json_fields import SolarDate
 from sunarc.optics.forward import project

@@ -11,21 +11,31 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray
-from sunarc.calibration.fit.cross_validation import Doubts, HeldOut
-from sunarc.calibration.initial_guess.candidates import camera_from_circle, camera_from_size
-from sunarc.calibration.least_squares.priors import FREE, FREE_NAMES, LENS, lens_prior, precisions
+from sunarc.calibration.answers.covariance import pose_error, sky_sigma_deg
+from sunarc.calibration.fit.cross_validation import Doubts, HeldOut, doubts, held_out
+from sunarc.calibration.fit.robust_fit import N_OFFSET, N_RADIAL, OFFSET_PX, POSE_DIFFERENCE_DEG, RobustFit
 from sunarc.calibration.model.backward import NO_BACKWARD, fit_backward
-from sunarc.calibration.model.covariance import pose_error, sky_sigma_deg
-from sunarc.calibration.model.metrics import NO_METRICS, Metrics, fit_metrics, residual_angles
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.residual_field import Field, wave_basis
-from sunarc.calibration.model.result import Calibration, NightDifference, Provenance, Verdict
+from sunarc.calibration.model.result import (
+    NO_METRICS,
+    Calibration,
+    Metrics,
+    NightDifference,
+    Provenance,
+    Verdict,
+    fit_metrics,
+    residual_angles,
+)
 from sunarc.calibration.model.sightings import FilteredSightings, SunPoints
 from sunarc.calibration.quality.fit_checks import Handedness, fit_verdict
+from sunarc.calibration.solve.priors import FREE, FREE_NAMES, LENS, N_LENS, lens_prior, precisions
+from sunarc.calibration.start.initial_guess import camera_from_circle, camera_from_size
 from sunarc.findings import Finding
-from sunarc.optics.camera import POSE, Camera
-from sunarc.optics.pose import pose_angles, rotation_matrix, rotation_vector
-from sunarc.optics.stretch import rising_limit
+from sunarc.optics.camera import POSE, Camera, Param
+from sunarc.optics.displacement import Displacement
+from sunarc.optics.forward import rising_limit
+from sunarc.optics.pose import pose_angles, right_jacobian, rotation_matrix, rotation_vector
 from sunarc.sky.days import date_of_day
 from sunarc.sky.site import Site
 
@@ -46,7 +56,7 @@ class Job(NamedTuple):
     parts: bool = True
 
 
-class Fitted(NamedTuple):
+class FitOutcome(NamedTuple):
     """What every method hands over.
 
     cameras: one an epoch. parameter_names, covariance (p, p), cross (2, p, m): of the last one, errors that no residual
@@ -69,7 +79,7 @@ class Fitted(NamedTuple):
     doubts: Doubts | None = None
 
 
-def calibration_from_fit(fitted: Fitted, job: Job, handedness: Handedness) -> Calibration:
+def calibration_from_fit(fitted: FitOutcome, job: Job, handedness: Handedness) -> Calibration:
     """Return the calibration that a fit makes."""
     usable, options = job.usable, job.options
     cameras = [tidied(camera, options) for camera in fitted.cameras]
@@ -119,7 +129,7 @@ def tidied(camera: Camera, options: CalibrationOptions) -> Camera:
     )
 
 
-def _metrics(fitted: Fitted, usable: FilteredSightings, cameras: list[Camera]) -> Metrics:
+def _metrics(fitted: FitOutcome, usable: FilteredSightings, cameras: list[Camera]) -> Metrics:
     angle = np.full(len(usable), np.nan)
     for epoch, camera in enumerate(cameras):
         in_epoch = usable.epoch == epoch
@@ -134,7 +144,7 @@ def _metrics(fitted: Fitted, usable: FilteredSightings, cameras: list[Camera]) -
     )
 
 
-def _used(fitted: Fitted, job: Job) -> BoolArray:
+def _used(fitted: FitOutcome, job: Job) -> BoolArray:
     used = np.zeros(len(job.points), dtype=bool)
     used[job.usable.index] = fitted.used
     return used
@@ -212,3 +222,72 @@ def no_field(camera: Camera, *, size: int) -> Field:
     basis = wave_basis(width=camera.width, height=camera.height, shortest_px=length, longest_px=length)
     cross = np.zeros((2, size, len(basis.orders)))
     return Field(amplitude_px=0.0, length_px=float(length), basis=basis, cross=cross)
+
+
+def robust_outcome(
+    fit: RobustFit, usable: FilteredSightings, options: CalibrationOptions, *, parts: bool = True
+) -> FitOutcome:
+    """Return the cameras of all epochs, and the covariance and field of the last one's.
+
+    `parts`: whether parts of the sightings are held against the fit; its covariance is widened where they ask for it.
+    """
+    last = fit.problem.n_epochs - 1
+    displacement = None if fit.field_mean is None else fit.grid.basis.displacement(fit.field_mean)
+    cameras = [replace(fit.problem.camera(fit.unknowns, epoch), displacement=displacement) for epoch in range(last + 1)]
+    selected = np.r_[np.arange(N_LENS), np.arange(fit.problem.size)[fit.problem.pose_slice(last)]]
+    to_parameters = np.zeros((len(Param), N_LENS + 3))
+    to_parameters[LENS, :N_LENS] = fit.problem.prior.basis
+    to_parameters[POSE, N_LENS:] = _rotation_derivative(cameras[last], tidied(cameras[last], options))
+    to_parameters = to_parameters[FREE]
+    found = doubts(fit, usable) if parts else None
+    widening = 1.0 if found is None else found.widening
+    field = fit.posterior.field
+    field = replace(field, cross=np.stack([to_parameters @ part[selected] for part in field.cross]))
+    covariance = to_parameters @ fit.posterior.covariance[np.ix_(selected, selected)] @ to_parameters.T
+    return FitOutcome(
+        cameras=cameras,
+        parameter_names=FREE_NAMES,
+        covariance=widening**2 * covariance,
+        field=field.widened(widening),
+        residual=fit.residual if displacement is None else _beside(fit.residual, displacement, usable.pixels),
+        used=fit.weight > 0.0,
+        sigma_px=fit.sigma_px,
+        inflation=float(np.mean(fit.inflation)) if fit.inflation.size else math.nan,
+        radial_px=fit.scales.radial_px,
+        held_out=held_out(fit, usable),
+        log_odds=fit.log_odds,
+        night=_night_difference(fit, usable),
+        doubts=found,
+    )
+
+
+def _night_difference(fit: RobustFit, usable: FilteredSightings) -> NightDifference | None:
+    """Return the systematic errors of the night, as found."""
+    if fit.problem.n_systematic == 0:
+        return None
+    part = fit.problem.systematic_slice
+    offset, turn = np.split(fit.unknowns[part], [N_OFFSET])
+    covariance = fit.posterior.covariance[part, part]
+    sigma = np.sqrt(np.diag(covariance)[N_OFFSET:])
+    return NightDifference(
+        n=int(np.sum((fit.weight > 0.0) & usable.night)),
+        pose_difference_deg=_three(POSE_DIFFERENCE_DEG * turn),
+        pose_sigma_deg=_three(POSE_DIFFERENCE_DEG * sigma),
+        star_offset_px=OFFSET_PX * float(np.sum(offset[:N_RADIAL])),
+        star_offset_sigma_px=OFFSET_PX * math.sqrt(float(np.sum(covariance[:N_RADIAL, :N_RADIAL]))),
+    )
+
+
+def _three(values: FloatArray) -> tuple[float, float, float]:
+    x, y, z = values.tolist()
+    return x, y, z
+
+
+def _beside(residual: FloatArray, displacement: Displacement, pixels: FloatArray) -> FloatArray:
+    """Return what the lens leaves over (n, 2) without the displacement there."""
+    return np.asarray(residual - displacement.at(pixels - residual))
+
+
+def _rotation_derivative(fitted: Camera, tidy: Camera) -> FloatArray:
+    """Return the derivative of the tidied rotation vector by the fitted one: both turn the camera alike."""
+    return np.asarray(np.linalg.solve(right_jacobian(tidy.rotation_cam_enu), right_jacobian(fitted.rotation_cam_enu)))

@@ -10,17 +10,98 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg.lapack import dpstrf
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration.fit.choices_kernel import write_inverses
-from sunarc.calibration.fit.evidence_kernel import evidence_terms
-from sunarc.calibration.fit.field_axes import BasisProducts, FieldAxes
-from sunarc.calibration.least_squares.priors import DECENTERING, N_LENS, RADIAL, precisions
-from sunarc.calibration.model.residual_field import WaveBasis
+from sunarc.calibration.fit.kernels import evidence_terms, write_inverses
+from sunarc.calibration.model.residual_field import WaveBasis, wave_basis
+from sunarc.calibration.solve.priors import DECENTERING, N_LENS, RADIAL, precisions
+
+_BEYOND_ANY_FIELD_PX = 64.0
+"""px; far beyond any field that is tried."""
+_NEGLIGIBLE = 1e-13
+"""Share of a coefficient's prior variance that sightings must take away for it to matter at that amplitude."""
+
+
+class FieldAxes(NamedTuple):
+    """The axes for one length and unit amplitude.
+
+    transform (m, r) takes turned coefficients back; power (r,) is what the sightings tell of each. Those of which they
+    tell nothing are left out: products with derivatives and residuals are 0 there.
+    """
+
+    transform: FloatArray
+    power: FloatArray
+
+    def shrinkage(self, amplitudes: FloatArray) -> FloatArray:
+        """Return (amplitudes, r): prior variance over one plus what is known, of each turned coefficient."""
+        square = amplitudes[:, None] ** 2
+        return np.asarray(square / (1.0 + square * self.power))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BasisProducts:
+    """Products of the basis functions over the sightings, and their axes, each length's made once.
+
+    Attributes
+    ----------
+    matrix : (m, m); the same for every camera.
+    """
+
+    matrix: FloatArray
+    _axes: dict[float, FieldAxes] = field(default_factory=dict)
+
+    def axes(self, basis: WaveBasis, length_px: float) -> FieldAxes:
+        """Return the axes of a field of some length in px."""
+        if length_px not in self._axes:
+            shorter = [length for length in self._axes if length < length_px]
+            self._axes[length_px] = (
+                _longer(self._axes[max(shorter)], basis, max(shorter), length_px)
+                if shorter
+                else _field_axes(self.matrix, basis, length_px)
+            )
+        return self._axes[length_px]
+
+
+def _field_axes(products: FloatArray, basis: WaveBasis, length_px: float) -> FieldAxes:
+    spread = np.sqrt(basis.variances(length_px=length_px))
+    return _axes_of(spread, _factor(products * spread[:, None] * spread))
+
+
+def _longer(axes: FieldAxes, basis: WaveBasis, length_px: float, longer_px: float) -> FieldAxes:
+    """Return the axes of a longer field from those of one of `length_px`, which has more of every short wave.
+
+    With S and T the spreads of the two, S P S = V diag(p) V' gives T P T = B B', B = T S⁻¹ V diag(√p), and what P has
+    beside that the longer field has still less of.
+    """
+    spread, longer = (np.sqrt(basis.variances(length_px=length)) for length in (length_px, longer_px))
+    return _axes_of(longer, (longer / spread**2)[:, None] * axes.transform * np.sqrt(axes.power))
+
+
+def _axes_of(spread: FloatArray, factor: FloatArray) -> FieldAxes:
+    """Return the axes where the products in units of the spread (m,) are B B' of a factor (m, few)."""
+    # not by B' B: the axes that sightings tell little of would not be orthogonal, and exact sightings then no evidence
+    vectors, roots, _ = np.linalg.svd(factor, full_matrices=False)
+    power = roots**2
+    rounding = spread.size * np.finfo(np.float64).eps * float(np.max(power, initial=0.0))
+    informative = power > max(rounding, _NEGLIGIBLE / _BEYOND_ANY_FIELD_PX**2)
+    return FieldAxes(spread[:, None] * vectors[:, informative], power[informative])
+
+
+def _factor(products: FloatArray) -> FloatArray:
+    """Return B (m, few) with B B' a matrix of products of low rank: Cholesky's, the largest left over first."""
+    largest = float(np.max(np.diag(products), initial=0.0))
+    if largest <= 0.0:
+        return np.zeros((products.shape[0], 0))
+    lower, order, rank, _ = dpstrf(products, lower=1, tol=np.finfo(np.float64).eps * largest)
+    factor = np.empty((products.shape[0], rank))
+    factor[order - 1] = np.tril(lower)[:, :rank]
+    return factor
+
 
 _POSE_PRECISION = 1e-8
 """Poses are unknown; 1 / 10⁴ rad² keeps the equations solvable with the poorest data."""
@@ -252,3 +333,113 @@ class Turned(NamedTuple):
         p = self.rows.shape[1]
         both = (np.sqrt(shrink)[..., None, None, :] * self.rows).swapaxes(-3, -2).reshape(*shrink.shape[:-1], p, -1)
         return np.asarray(both @ both.swapaxes(-1, -2))
+
+
+_LENGTH_FRACTIONS = (0.16, 0.24, 0.36)
+"""Lengths tried, as fractions of the image's shorter side."""
+_LARGEST_AMPLITUDE_PX = 8.0
+_AMPLITUDES = 16
+_RADIALS_PX = np.array([0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 8.0, 16.0, 32.0, 64.0])
+RADIAL_LOG_SIGMA = math.log(2.5)
+_DECENTERING_FACTORS = np.array([0.5, 1.0, 2.0, 4.0, 10.0])
+DECENTERING_LOG_SIGMA = math.log(1.6)
+"""1-sigma of the logarithms of the two scales about their tolerances."""
+_USUAL_FIELD_PX = 0.3
+_FIELD_LOG_SIGMA = math.log(3.0)
+"""Where a lens is not as modelled, it is by tenths of px: the paper's own data miss the model by 0.5 to 1.2 px."""
+_LARGEST_FIELD_PX = 1.5
+"""1-sigma, px, of a Gaussian bound on the amplitude. A displacement of several px is a matter of the lens's own
+parameters; without the bound, a large field beside a lens that fits nothing can be the more probable explanation of a
+lens with a strong radial residual."""
+_NO_FIELD = 1.5
+"""Odds, before the sightings are looked at, that there is no field but the floor's."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class HyperparameterGrid:
+    """The scales that are tried.
+
+    Attributes
+    ----------
+    amplitudes (i,), lengths (j,) of the field; lens_scales (k, 2) of radial distortion and decentering; px.
+    log_prior : (i, j, k) how plausible they are before the sightings.
+    basis : the field's basis functions.
+    """
+
+    amplitudes: FloatArray
+    lengths: FloatArray
+    lens_scales: FloatArray
+    log_prior: FloatArray
+    basis: WaveBasis
+
+    def up_to(self, amplitude_px: float) -> HyperparameterGrid:
+        """Return the grid without larger fields than this; the smallest one always stays."""
+        count = max(int(np.sum(self.amplitudes <= amplitude_px)), 1)
+        return replace(self, amplitudes=self.amplitudes[:count], log_prior=self.log_prior[:count])
+
+
+def scale_grid(
+    *, width: int, height: int, floor_px: float, radial_px: float, decentering_px: float
+) -> HyperparameterGrid:
+    """Return the grid of scales for an image size.
+
+    Parameters
+    ----------
+    width, height : px.
+    floor_px : the smallest field that is ever assumed.
+    radial_px, decentering_px : the usual scales of the residual radial distortion and of the decentering.
+    """
+    lengths = np.array(_LENGTH_FRACTIONS) * min(width, height)
+    amplitudes = np.geomspace(max(floor_px, 1e-4), _LARGEST_AMPLITUDE_PX, _AMPLITUDES)
+    radial, decentering = np.meshgrid(0.5 * _RADIALS_PX, _DECENTERING_FACTORS, indexing="ij")
+    # the grid's steps differ: each place counts by the interval of the logarithm that it stands for
+    of_lens = np.log(np.gradient(np.log(_RADIALS_PX)))[:, None] + np.log(np.gradient(np.log(_DECENTERING_FACTORS)))
+    of_lens = of_lens - 0.5 * (np.log(radial) / RADIAL_LOG_SIGMA) ** 2
+    of_lens = of_lens - 0.5 * (np.log(decentering) / DECENTERING_LOG_SIGMA) ** 2
+    of_amplitude = -0.5 * (np.log(amplitudes / _USUAL_FIELD_PX) / _FIELD_LOG_SIGMA) ** 2
+    of_amplitude -= 0.5 * (amplitudes / _LARGEST_FIELD_PX) ** 2
+    # the floor stands for no field, too: its prior odds are added to it
+    of_amplitude[0] = np.logaddexp(of_amplitude[0], math.log(_NO_FIELD) + np.logaddexp.reduce(of_amplitude))
+    return HyperparameterGrid(
+        amplitudes=amplitudes,
+        lengths=lengths,
+        lens_scales=np.stack([radial_px * radial.ravel(), decentering_px * decentering.ravel()], axis=-1),
+        log_prior=of_amplitude[:, None, None] + np.zeros((1, lengths.size, 1)) + of_lens.ravel(),
+        basis=wave_basis(width=width, height=height, shortest_px=float(lengths[0]), longest_px=float(lengths[-1])),
+    )
+
+
+def log_weights(normal: NormalEquations, grid: HyperparameterGrid) -> FloatArray:
+    """Return the log of prior times evidence of each choice of scales, (i, j, k), but for one constant."""
+    return grid.log_prior + log_evidences(
+        normal, grid.basis, amplitudes=grid.amplitudes, lengths=grid.lengths, lens_scales=grid.lens_scales
+    )
+
+
+def log_evidence(log_weight: FloatArray) -> float:
+    """Return the log evidence over all scales together, but for a constant that depends on the sightings alone."""
+    return float(np.logaddexp.reduce(log_weight, axis=None))
+
+
+def normalised(log_weight: FloatArray) -> FloatArray:
+    """Return how probable each choice of scales is, (i, j, k)."""
+    weight = np.exp(log_weight - np.max(log_weight))
+    return np.asarray(weight / weight.sum())
+
+
+def likely_scales(weight: FloatArray, grid: HyperparameterGrid) -> Scales:
+    """Return the scales to fit with: the mean amplitude, and the mean logarithms of the others.
+
+    Parameters
+    ----------
+    weight : (i, j, k), see `normalised`.
+    """
+    radial, decentering = np.exp(np.sum(weight, axis=(0, 1)) @ np.log(grid.lens_scales))
+    moment = np.sum(weight, axis=2) * grid.amplitudes[:, None]
+    length = math.exp(float(np.sum(moment * np.log(grid.lengths)) / moment.sum()))
+    return Scales(float(moment.sum()), length, float(radial), float(decentering))
+
+
+def log_odds_of_a_field(log_weight: FloatArray) -> float:
+    """Return the log odds that there is a field larger than the floor; -inf where none larger is tried."""
+    return float(np.logaddexp.reduce(log_weight[1:], axis=None) - np.logaddexp.reduce(log_weight[0], axis=None))

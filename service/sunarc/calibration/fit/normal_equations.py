@@ -8,10 +8,12 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray, IntArray
-from sunarc.calibration.fit.field_axes import BasisProducts, FieldAxes
+from sunarc.calibration.fit.kernels import LensBasis, Sums, Weighing, rested
 from sunarc.calibration.fit.marginal_likelihood import (
     RIDGE,
     ROUNDING,
+    BasisProducts,
+    FieldAxes,
     MarginalFit,
     NormalEquations,
     Scales,
@@ -19,10 +21,8 @@ from sunarc.calibration.fit.marginal_likelihood import (
     normal_sums,
     prior_precision,
 )
-from sunarc.calibration.fit.steps_kernel import LensBasis, Sums, Weighing, rested
-from sunarc.calibration.least_squares.problem import Observations, Problem
-from sunarc.calibration.least_squares.time_bins import Bins
 from sunarc.calibration.model.residual_field import WaveBasis
+from sunarc.calibration.solve.problem import Bins, FitProblem, Observations
 
 _STEPS = 8
 _HALVINGS = 6
@@ -88,14 +88,14 @@ class LinearSystem:
         products = BasisProducts(matrix=np.diag(own.power), _axes={scales.length_px: own})
         return replace(self, basis_values=self.basis_values @ transform, basis_products=products), transform
 
-    def moved(self, problem: Problem, at: FloatArray) -> LinearSystem:
+    def moved(self, problem: FitProblem, at: FloatArray) -> LinearSystem:
         """Return the system about other unknowns."""
         residual, rows = problem.linearised(at, self.observed)
         return replace(self, residual=residual, rows=rows, at=at, n_unit=problem.n_unit)
 
 
 def linear_system(
-    problem: Problem,
+    problem: FitProblem,
     observed: Observations,
     bins: Bins,
     unknowns: FloatArray,
@@ -126,7 +126,7 @@ def linear_system(
 
 
 def system_about(
-    problem: Problem, observed: Observations, bins: Bins, system: LinearSystem, unknowns: FloatArray
+    problem: FitProblem, observed: Observations, bins: Bins, system: LinearSystem, unknowns: FloatArray
 ) -> LinearSystem:
     """Return the equations about other unknowns, the sightings' information as of a system that is there.
 
@@ -150,14 +150,14 @@ class AtRest(NamedTuple):
     log_evidence: float
 
 
-def irls_converged(problem: Problem, system: LinearSystem, scales: Scales) -> AtRest:
+def irls_converged(problem: FitProblem, system: LinearSystem, scales: Scales) -> AtRest:
     """Return the most probable unknowns and field: Gauss-Newton with halved steps."""
     in_axes, transform = system.in_field_axes(scales)
     rest = converged_in_axes(problem, in_axes, scales, system.at)
     return rest._replace(fit=rest.fit.with_coefficients_on(transform))
 
 
-def _weighing(problem: Problem, system: LinearSystem, scales: Scales) -> Weighing:
+def _weighing(problem: FitProblem, system: LinearSystem, scales: Scales) -> Weighing:
     """Return how the bins of a system in the field's axes count under some scales."""
     root = np.sqrt(system.observed.information)
     return Weighing(
@@ -176,7 +176,7 @@ def _spread(system: LinearSystem, scales: Scales) -> FloatArray:
 
 
 def converged_in_axes(
-    problem: Problem,
+    problem: FitProblem,
     system: LinearSystem,
     scales: Scales,
     start: FloatArray,

@@ -1,4 +1,4 @@
-"""A fit that is given what is known of its type of lens.
+"""A fit that is given what is known of its type of lens, and how far it went from that.
 
 The fit of the sightings alone is made first: it decides which sightings count, how noisy they are, and what no lens
 model describes. The type then takes the place of the fit's own prior of the lens; pose and field follow by their
@@ -9,38 +9,103 @@ sightings worse is left out.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import chdtri
 
-from sunarc.array_types import BoolArray
+from sunarc.array_types import BoolArray, FloatArray, IntArray
+from sunarc.calibration.answers.covariance import sky_sigma_deg
 from sunarc.calibration.fit.assemble import tidied
-from sunarc.calibration.fit.least_squares_reference import allowed_level
-from sunarc.calibration.least_squares.priors import FREE, N_LENS, LensPrior
-from sunarc.calibration.least_squares.problem import observations, problem_for
-from sunarc.calibration.least_squares.solve import most_probable
-from sunarc.calibration.lens_library.departure import Departure, largest_departure
-from sunarc.calibration.lens_library.frame import (
+from sunarc.calibration.fit.robust_rounds import allowed_level
+from sunarc.calibration.lens_library.lens_type import (
     IN_FREE,
     PARTS,
     Gaussian,
+    LensType,
     gaussian_of,
     information_of,
 )
-from sunarc.calibration.lens_library.lens_type import LensType
 from sunarc.calibration.model.backward import fit_backward
-from sunarc.calibration.model.covariance import sky_sigma_deg
-from sunarc.calibration.model.metrics import fit_metrics, residual_angles
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.calibration.model.result import Calibration, Verdict
+from sunarc.calibration.model.result import Calibration, Verdict, fit_metrics, residual_angles
 from sunarc.calibration.model.sightings import FilteredSightings, SunPoints, filter_sightings
 from sunarc.calibration.quality.fit_checks import Handedness, fit_verdict
 from sunarc.calibration.robust_loss import finite
+from sunarc.calibration.solve.levenberg_marquardt import most_probable
+from sunarc.calibration.solve.priors import FREE, N_LENS, LensPrior
+from sunarc.calibration.solve.problem import observations, problem_for
 from sunarc.findings import Finding
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project_fast
 from sunarc.optics.pose import pose_angles
+
+_FALSE_ALARMS = 0.001
+"""Share of right priors that each test refuses; the five of a lens together 0.5 % at most (Bonferroni)."""
+
+
+class Departure(NamedTuple):
+    """RMS departure in the prior's sigmas over what the sightings determine, the largest that is none, and of what."""
+
+    rms: float
+    limit: float
+    part: str = "lens"
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether a right prior leads to this once in a thousand cases at most."""
+        return self.rms > self.limit
+
+
+def largest_departure(
+    change: FloatArray, prior: FloatArray, posterior: FloatArray, *, parts: Mapping[str, IntArray]
+) -> Departure:
+    """Return the departure that is the largest in its own limit, of all coordinates or of those of one part.
+
+    Parameters
+    ----------
+    change : (p,) posterior minus prior mean.
+    prior, posterior : (p, p) covariances.
+    parts : places of the coordinates of each part.
+    """
+    every = {"lens": np.arange(change.size), **parts}
+    return max(
+        (_departure_in(change, prior, posterior, places)._replace(part=name) for name, places in every.items()),
+        key=lambda one: one.rms / one.limit,
+    )
+
+
+def _departure_in(change: FloatArray, prior: FloatArray, posterior: FloatArray, places: IntArray) -> Departure:
+    """Return the departure of some coordinates, whatever the others are."""
+    block = np.ix_(places, places)
+    root = np.linalg.cholesky(prior[block])
+    remaining = np.linalg.solve(root, np.linalg.solve(root, posterior[block]).T)
+    return departure_of(np.linalg.solve(root, change[places]), remaining)
+
+
+def departure_of(change: FloatArray, remaining: FloatArray) -> Departure:
+    """Return the departure of a posterior.
+
+    Parameters
+    ----------
+    change : (p,) posterior minus prior mean, in coordinates in which the prior's covariance is 1.
+    remaining : (p, p) the posterior's covariance in these.
+    """
+    # under a right prior the change has the covariance that the sightings took away
+    determined = np.clip(np.linalg.eigvalsh(np.eye(change.size) - remaining), 0.0, 1.0)
+    total = max(float(determined.sum()), 1e-9)
+    return Departure(math.sqrt(float(change @ change) / total), math.sqrt(_largest_square(determined) / total))
+
+
+def _largest_square(weights: FloatArray) -> float:
+    """Return what a sum of squares of normals with these variances exceeds rarely (Satterthwaite)."""
+    first, second = float(weights.sum()), float(weights @ weights)
+    if second < 1e-12:
+        return math.inf
+    return second / first * float(chdtri(first**2 / second, _FALSE_ALARMS))
+
 
 _COST_RATIO = 1.05
 """Robust cost and median residual over those of the fit alone that the type may cost it: priors and correlated noise

@@ -1,4 +1,4 @@
-"""The pose of a camera that was never calibrated, from its first sightings: its type of lens is known, and it is level.
+"""The pose of a camera that was never calibrated, from its first sightings: its lens is known, and it is level.
 
 A handful of sightings of one hour say where the sun was and which way it went. With the lens known within the spread
 of its type and the camera level within some degrees, that is a pose: poses at all azimuths are tried, the most
@@ -18,18 +18,7 @@ from annotated_types import Ge, Gt, Le
 
 from sunarc.array_types import BoolArray, FloatArray
 from sunarc.bounds import require_bounds
-from sunarc.calibration.fit.assemble import Job, calibration_from_fit, no_field, refused
-from sunarc.calibration.least_squares.priors import FREE, FREE_NAMES, N_LENS
-from sunarc.calibration.lens_library.conditioning import contradicted, lens_finding, with_finding, with_lens
-from sunarc.calibration.lens_library.departure import Departure, largest_departure
-from sunarc.calibration.lens_library.frame import IN_FREE, PARTS
-from sunarc.calibration.lens_library.lens_type import LensType
-from sunarc.calibration.lens_library.mounting import apart_rad, level, levelling, north_sigma_deg, top_azimuth_deg
-from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Mirrored
-from sunarc.calibration.model.residual_field import Field, wave_basis
-from sunarc.calibration.model.result import Calibration, Verdict
-from sunarc.calibration.model.sightings import FilteredSightings, SunPoints, filter_sightings
-from sunarc.calibration.pose.error_model import (
+from sunarc.calibration.answers.error_model import (
     CameraErrorModel,
     at_every_angle,
     error_model_of,
@@ -38,18 +27,84 @@ from sunarc.calibration.pose.error_model import (
     predicted,
     rotated,
 )
-from sunarc.calibration.pose.estimate_pose import PoseFit, conditioned_pose, handed_over, settled, thinned
-from sunarc.calibration.pose.gaussian_conditioning import Sightings, false_density, fit_inlier_mixture
-from sunarc.calibration.pose.residuals import PredictedSightings, noise_px
-from sunarc.calibration.pose.rotation_consensus import ransac_rotation
-from sunarc.calibration.pose_change_points import Moved, calibrate_moved
+from sunarc.calibration.changes.change_points import Moved, calibrate_moved
+from sunarc.calibration.fit.assemble import Job, calibration_from_fit, no_field, refused
+from sunarc.calibration.lens_library.conditioning import (
+    Departure,
+    contradicted,
+    largest_departure,
+    lens_finding,
+    with_finding,
+    with_lens,
+)
+from sunarc.calibration.lens_library.lens_type import IN_FREE, PARTS, LensType
+from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Mirrored
+from sunarc.calibration.model.residual_field import Field, wave_basis
+from sunarc.calibration.model.result import Calibration, Verdict
+from sunarc.calibration.model.sightings import FilteredSightings, SunPoints, filter_sightings
+from sunarc.calibration.pose import (
+    PixelResiduals,
+    PoseFit,
+    PredictedSightings,
+    conditioned_pose,
+    false_density,
+    fit_inlier_mixture,
+    handed_over,
+    noise_px,
+    settled,
+    thinned,
+)
 from sunarc.calibration.quality.fit_checks import Handedness
 from sunarc.calibration.robust_loss import finite
+from sunarc.calibration.solve.priors import FREE, FREE_NAMES, N_LENS
+from sunarc.calibration.start.initial_guess import ransac_rotation
 from sunarc.findings import Finding
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project_fast
+from sunarc.optics.inverse import unproject
+from sunarc.optics.pose import rotation_matrix, rotation_vector
 from sunarc.sky.directions import wrapped_deg
 from sunarc.sky.site import Site
+
+
+def level(camera: Camera, azimuth_rad: float) -> Camera:
+    """Return a camera that looks at the zenith, the top of its image towards an azimuth (clockwise from north)."""
+    sine, cosine = math.sin(azimuth_rad), math.cos(azimuth_rad)
+    # rows: image right, down and out of the lens in east, north, up; looking up, east is left of north
+    matrix = np.array([[-cosine, sine, 0.0], [-sine, -cosine, 0.0], [0.0, 0.0, 1.0]])
+    return replace(camera, rotation_cam_enu=rotation_vector(matrix))
+
+
+def levelling(camera: Camera) -> FloatArray:
+    """Return the smallest rotation (3,) about a camera's own axes, radians, that points it at the zenith."""
+    zenith = rotation_matrix(camera.rotation_cam_enu) @ np.array([0.0, 0.0, 1.0])
+    axis = np.cross(zenith, [0.0, 0.0, 1.0])
+    sine = float(np.linalg.norm(axis))
+    return np.asarray(axis * (math.atan2(sine, float(zenith[2])) / max(sine, 1e-12)))
+
+
+def apart_rad(first: Camera, second: Camera) -> float:
+    """Return the angle between two poses, radians."""
+    turn = rotation_matrix(first.rotation_cam_enu) @ rotation_matrix(second.rotation_cam_enu).T
+    return float(np.linalg.norm(rotation_vector(turn)))
+
+
+def top_azimuth_deg(camera: Camera) -> float:
+    """Return the azimuth at the top of the image, degrees clockwise from north: that of 30 degrees off the axis."""
+    focal = camera.focal_length_px[1]
+    x, y = camera.principal_point_px
+    x = camera.width - 1.0 - x if camera.mirrored else x
+    east, north, _ = unproject(camera, np.array([x, y - 0.5 * focal]))
+    return math.degrees(math.atan2(east, north)) % 360.0
+
+
+def north_sigma_deg(calibration: Calibration) -> float:
+    """Return the 1-sigma of the camera's rotation about the vertical, degrees."""
+    error_model = error_model_of(calibration)
+    about_up = rotation_matrix(calibration.camera.rotation_cam_enu) @ np.array([0.0, 0.0, 1.0])
+    covariance = error_model.covariance[np.ix_(error_model.rotation, error_model.rotation)]
+    return math.degrees(math.sqrt(max(float(about_up @ covariance @ about_up), 0.0)))
+
 
 FEWEST_SIGHTINGS = 4
 _AZIMUTHS = 48
@@ -94,7 +149,7 @@ class FirstPoseOptions:
         require_bounds(self, section="first_pose")
 
 
-class _Found(NamedTuple):
+class _FoundPose(NamedTuple):
     """A pose, its prior's camera and error model, the log evidence, and the log odds against other azimuths."""
 
     fit: PoseFit
@@ -242,7 +297,7 @@ def _agreeing(camera: Camera, thin: PredictedSightings) -> BoolArray:
     return np.asarray(np.linalg.norm(finite(off), axis=-1) < _CLOSE * tolerance)
 
 
-def _most_probable(start: Calibration, sightings: PredictedSightings, close: BoolArray, tilt_rad: float) -> _Found:
+def _most_probable(start: Calibration, sightings: PredictedSightings, close: BoolArray, tilt_rad: float) -> _FoundPose:
     """Return the most probable pose at any azimuth of a camera that is level within a 1-sigma per axis."""
     error_model, camera = error_model_of(start), at_every_angle(start.camera)
     some = np.flatnonzero(close)
@@ -259,13 +314,13 @@ def _most_probable(start: Calibration, sightings: PredictedSightings, close: Boo
     spread[2] = _AZIMUTH_RAD
     prior = error_model.with_free_rotation(levelling(base), sigma_rad=spread)
     fit = conditioned_pose([prior], np.zeros(1), base, sightings, close, inflation=1.0)
-    return _Found(fit, base, prior, evidence, evidence - max(rivals, default=-math.inf))
+    return _FoundPose(fit, base, prior, evidence, evidence - max(rivals, default=-math.inf))
 
 
 def _rough_evidence(cell: CameraErrorModel, base: Camera, coarse: PredictedSightings) -> float:
     """Return the log evidence of a level camera, by equations that are good to some px."""
     at = predicted(cell, base, coarse.directions)
-    about = Sightings(
+    about = PixelResiduals(
         residual=finite(coarse.pixels - at.pixels),
         variance=coarse.variance + _NONLINEAR_PX**2,
         false_density=coarse.false_density,
@@ -283,7 +338,9 @@ def _refined(cell: CameraErrorModel, base: Camera, coarse: PredictedSightings) -
     return mixture.log_evidence, moved(base, after, after.mean)
 
 
-def _judged(result: Calibration, found: _Found, other: _Found, lens: LensType, known: FirstPoseOptions) -> Calibration:
+def _judged(
+    result: Calibration, found: _FoundPose, other: _FoundPose, lens: LensType, known: FirstPoseOptions
+) -> Calibration:
     """Return the calibration with a verdict that says what is known of its pose, and why it is not served."""
     north = {"north_sigma_deg": north_sigma_deg(result), "top_azimuth_deg": top_azimuth_deg(result.camera)}
     against = _against(found, other, known, north)
@@ -297,7 +354,7 @@ def _judged(result: Calibration, found: _Found, other: _Found, lens: LensType, k
     return with_finding(described, lens_finding("lens_prior_used", lens))
 
 
-def _against(found: _Found, other: _Found, known: FirstPoseOptions, north: dict[str, float]) -> list[Finding]:
+def _against(found: _FoundPose, other: _FoundPose, known: FirstPoseOptions, north: dict[str, float]) -> list[Finding]:
     """Return what speaks against serving a pose."""
     hand = found.log_evidence - other.log_evidence
     if hand < -_DECIDED:
@@ -315,7 +372,7 @@ def _against(found: _Found, other: _Found, known: FirstPoseOptions, north: dict[
     return [Finding("north_not_as_mounted", {**north, **expected})]
 
 
-def _departure(found: _Found, lens: LensType) -> Departure:
+def _departure(found: _FoundPose, lens: LensType) -> Departure:
     """Return how far lens and tilt are from what was known of them."""
     prior, after = found.prior, found.fit.error_model
     vector = found.fit.camera.to_vector() - found.base.to_vector()

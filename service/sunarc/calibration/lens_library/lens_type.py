@@ -1,21 +1,133 @@
-"""What is known of a type of lens: the mean of its units, and how far a unit may be from it; and its JSON."""
+"""What is known of a type of lens: its mean, how far a unit may be from it, the coordinates of both; its JSON."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from annotated_types import Gt, Le
 
 from sunarc.array_types import FloatArray
 from sunarc.bounds import require_bounds
-from sunarc.calibration.least_squares.priors import LENS, N_LENS, LensPrior
-from sunarc.calibration.lens_library.frame import LENS_NAMES, Gaussian, frame_of, spread_scales
+from sunarc.calibration.model.options import ImageCircle, LensTolerances
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.solve.priors import (
+    DECENTERING,
+    FREE,
+    HIGHER,
+    LENS,
+    N_LENS,
+    RADIAL,
+    LensPrior,
+    Whitened,
+    lens_prior,
+    precisions,
+)
 from sunarc.errors import InputError
-from sunarc.optics.camera import Camera
+from sunarc.optics.camera import PARAMETER_NAMES, Camera
+
+LENS_NAMES = tuple(PARAMETER_NAMES[i] for i in LENS)
+"""Names of a lens's 17 parameters, in order."""
+IN_FREE = np.isin(FREE, LENS)
+"""Which of a calibration's 20 parameters are the lens's."""
+_RIGHT_ANGLE = math.pi / 2
+_BROAD = [Whitened.FOCAL_LENGTH, Whitened.CENTER_X, Whitened.CENTER_Y]
+"""What a fit's prior says next to nothing of, or says by the image circle, which was measured."""
+PARTS = {
+    "focal length": np.array([Whitened.FOCAL_LENGTH]),
+    "centre": np.array([Whitened.CENTER_X, Whitened.CENTER_Y]),
+    "radial distortion": np.arange(RADIAL.start, RADIAL.stop),
+    "decentering": np.arange(DECENTERING.start, HIGHER.stop),
+}
+"""Places of the coordinates whose spread between units has a scale of its own; skew and aspect have none."""
+
+
+class Gaussian(NamedTuple):
+    """A lens in the coordinates of a frame: mean (17,) and covariance (17, 17)."""
+
+    mean: FloatArray
+    covariance: FloatArray
+
+
+class Information(NamedTuple):
+    """What sightings say of a lens: matrix (17, 17), the inverse covariance, and its product with the mean, (17,)."""
+
+    matrix: FloatArray
+    vector: FloatArray
+
+
+def frame_of(camera: Camera) -> LensPrior:
+    """Return the frame about a lens, by its projection and focal length; all are px or usual tolerances."""
+    tolerances = LensTolerances(circle_center_px=1.0, circle_focal_length_px=1.0)
+    # a circle of 1 px makes both absolute; its place and radius do not count
+    circle = ImageCircle(x=(camera.width - 1) / 2.0, y=(camera.height - 1) / 2.0, radius=1.0)
+    return lens_prior(camera, tolerances=tolerances, circle=circle, field_angle=_RIGHT_ANGLE)
+
+
+def gaussian_of(calibration: Calibration, frame: LensPrior) -> Gaussian:
+    """Return a calibration's lens in a frame."""
+    indices = [calibration.parameter_names.index(name) for name in LENS_NAMES]
+    in_parameters = calibration.covariance[np.ix_(indices, indices)]
+    covariance = np.linalg.solve(frame.basis, np.linalg.solve(frame.basis, in_parameters).T)
+    return Gaussian(frame.whitened(calibration.camera), 0.5 * (covariance + covariance.T))
+
+
+def usual_precision(radial_px: float) -> FloatArray:
+    """Return (17,): the precisions of a lens about the ideal one before any sighting, by its radial distortion's scale.
+
+    Of NaN, the usual scale.
+    """
+    usual = LensTolerances()
+    result = precisions(radial_px if radial_px > 0.0 else usual.radial_px, usual.decentering_px)
+    result[_BROAD] = 0.0
+    return result
+
+
+def prior_precision_of(posterior: Gaussian, radial_px: float) -> FloatArray:
+    """Return (17,): the precisions of the prior that a fit had, as its posterior allows them.
+
+    The scales of radial distortion and decentering are averaged over in a fit, and not all of that is in its document:
+    where a posterior is wider than the usual prior, the prior was at least as wide.
+    """
+    result = usual_precision(radial_px)
+    for group in (RADIAL, slice(DECENTERING.start, HIGHER.stop), slice(Whitened.ASPECT, Whitened.SKEW + 1)):
+        root = np.sqrt(result[group])
+        wider = np.linalg.eigvalsh(posterior.covariance[group, group] * root * root[:, None])[-1]
+        result[group] /= max(float(wider), 1.0)
+    return result
+
+
+def information_of(posterior: Gaussian, radial_px: float) -> Information:
+    """Return what the sightings of a fit say: its posterior without its prior about the ideal lens.
+
+    Directions in which a posterior is no narrower than the prior have no information.
+
+    Parameters
+    ----------
+    posterior : the lens of the fit.
+    radial_px : the scale of its residual radial distortion, as found; NaN takes the usual one.
+    """
+    precision = prior_precision_of(posterior, radial_px)
+    factor = np.linalg.cholesky(posterior.covariance)
+    # in the posterior's own units the sightings' share of what is known lies between 0 and 1
+    share, vectors = np.linalg.eigh(np.eye(N_LENS) - (factor.T * precision) @ factor)
+    axes = np.linalg.solve(factor.T, vectors)
+    mean = (axes.T @ posterior.mean) * (share > 0.0)
+    return Information((axes * np.clip(share, 0.0, 1.0)) @ axes.T, axes @ mean)
+
+
+def spread_scales(focal_px: float, center_px: float, radial_px: float, decentering_px: float) -> FloatArray:
+    """Return (17,): 1-sigma of the coordinates between units of a lens."""
+    result = np.ones(N_LENS)
+    result[Whitened.FOCAL_LENGTH] = focal_px
+    result[[Whitened.CENTER_X, Whitened.CENTER_Y]] = center_px
+    result[RADIAL] = radial_px
+    result[DECENTERING] = decentering_px
+    return result
+
 
 LENS_SCHEMA = "sunarc.lens-prior/1"
 

@@ -11,11 +11,10 @@ from numpy.typing import ArrayLike
 
 from sunarc.array_types import BoolArray, FloatArray
 from sunarc.optics.camera import Camera
-from sunarc.optics.forward import decentering_shift, decentering_slopes, project
+from sunarc.optics.forward import decentering_shift, decentering_slopes, project, rising_limit
 from sunarc.optics.inverse import calibrated
 from sunarc.optics.pose import rotation_matrix
 from sunarc.optics.projections import ideal_angle, ideal_radius
-from sunarc.optics.stretch import rising_limit
 
 _ORDERS = np.arange(2, 10)
 _ANGLES = 46

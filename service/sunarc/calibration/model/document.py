@@ -12,9 +12,8 @@ import numpy as np
 
 from sunarc.array_types import FloatArray
 from sunarc.calibration.model.backward import BackwardModel
-from sunarc.calibration.model.metrics import Metrics
 from sunarc.calibration.model.residual_field import Field, WaveBasis
-from sunarc.calibration.model.result import Calibration, Move, NightDifference, Provenance, Verdict
+from sunarc.calibration.model.result import Calibration, Metrics, Move, NightDifference, Provenance, Verdict
 from sunarc.errors import InputError
 from sunarc.findings import Finding, from_json
 from sunarc.optics.camera import PARAMETER_NAMES, Camera

@@ -5,19 +5,51 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, field, fields, replace
+from enum import IntEnum
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sunarc.array_types import BoolArray, FloatArray, IntArray, Rows, picked
-from sunarc.calibration.model.kinds import Kind, at_night
+from sunarc.array_types import BoolArray, FloatArray, IntArray, NameArray, Rows, picked
 from sunarc.errors import InputError
 from sunarc.findings import Finding
 from sunarc.sky.days import solar_days
+from sunarc.sky.night import STAR, SUN, WANDERERS
 from sunarc.sky.refraction import ASSUMED_AIR_SD, DAILY_AIR_SD, MEASURED_AIR_SD, refraction_rad
 from sunarc.sky.site import Site
-from sunarc.sky.sun import sun_directions
+from sunarc.sky.sun import sun_angles, sun_directions
+
+MOON = "moon"
+_NIGHT_ZENITH_DEG = 96.0
+"""Of the sun: civil dusk, when the ground has been without the sun's heat for half an hour."""
+
+
+class Kind(IntEnum):
+    """The kind of a body: the sun (or a direction without a known body), a point of light, the moon."""
+
+    SUN = 0
+    STAR = 1
+    MOON = 2
+
+
+def kinds_of(bodies: NameArray) -> IntArray:
+    """Return the kinds (n,) of bodies by their names (n,); planets are points of light as stars are."""
+    kinds = np.full(bodies.shape, Kind.SUN, dtype=np.int64)
+    rows = np.flatnonzero(bodies != SUN)  # few of millions
+    other = bodies[rows]
+    star = np.char.startswith(other, STAR) | np.isin(other, [name for name in WANDERERS if name != MOON])
+    kinds[rows] = np.where(other == MOON, Kind.MOON, np.where(star, Kind.STAR, Kind.SUN))
+    return kinds
+
+
+def at_night(unix_s: FloatArray, kind: IntArray, site: Site) -> BoolArray:
+    """Return (n,) which sightings are not of the sun, with the sun 6 degrees below the horizon or more."""
+    other = kind != Kind.SUN
+    night = np.zeros(kind.shape, dtype=np.bool_)
+    night[other] = sun_angles(unix_s[other], site).apparent_zenith > _NIGHT_ZENITH_DEG
+    return night
+
 
 # Positions that stay where they are while the sun moves: text overlays, reflections at the dome, hot pixels.
 #

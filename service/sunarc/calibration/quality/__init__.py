@@ -1,1 +1,1 @@
-"""Checks of data and of fits: day quality, fit verdict, acceptance, pose drift."""
+"""Checks of data and of fits: days, fit verdict, acceptance, clock and site."""

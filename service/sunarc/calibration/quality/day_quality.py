@@ -1,21 +1,23 @@
-"""How smooth a day's arc is (Eq. 20), how much of it was seen, and what kind of day that makes."""
+"""How smooth a day's arc is (Eq. 20), what kind of day that makes, and whether a fit explains its days."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from datetime import date
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from sunarc.array_types import FloatArray
-from sunarc.calibration.model.metrics import measures
-from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, FilteredSightings, SunPoints, filter_sightings
+from sunarc.array_types import BoolArray, FloatArray, IntArray
+from sunarc.calibration.answers.covariance import project_with_covariance
+from sunarc.calibration.model.result import Calibration, measures
+from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, FilteredSightings, Kind, SunPoints, filter_sightings
 from sunarc.calibration.robust_loss import robust_sigma, tukey_weights
-from sunarc.calibration.selection.sky_grid import solid_angle_sr
+from sunarc.calibration.selection import solid_angle_sr
 from sunarc.findings import Finding
+from sunarc.optics.forward import project
 from sunarc.robust_statistics import cauchy_weights
 from sunarc.sky.days import date_of_day, day_bounds_unix_s, day_of_date, solar_date
 from sunarc.sky.directions import angular_distance
@@ -31,7 +33,7 @@ _QUANTILE = 1.645  # of the normal distribution: one-sided 95 %
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sampling:
+class DaySampling:
     """The slots of a day in which sun exposures were taken.
 
     Attributes
@@ -61,7 +63,7 @@ class Sampling:
         return (share + 0.5 * square - spread) / (1.0 + square)
 
 
-def sampling_of(observed_unix_s: FloatArray, *, cadence_s: float, n_possible: int) -> Sampling:
+def sampling_of(observed_unix_s: FloatArray, *, cadence_s: float, n_possible: int) -> DaySampling:
     """Return the sampling of a day from the times of its sun exposures.
 
     Parameters
@@ -73,16 +75,16 @@ def sampling_of(observed_unix_s: FloatArray, *, cadence_s: float, n_possible: in
     times = observed_unix_s[np.isfinite(observed_unix_s)]
     slots = np.unique(np.floor(times / cadence_s))
     span = int(slots[-1] - slots[0]) + 1 if slots.size else 0
-    return Sampling(
+    return DaySampling(
         n_observed=int(slots.size),
         n_span=max(min(span, n_possible), int(slots.size)),
         n_periods=int(np.unique(np.floor(times / PERIOD_S)).size),
     )
 
 
-def fully_observed(n_possible: int) -> Sampling:
+def fully_observed(n_possible: int) -> DaySampling:
     """Return the sampling of a day of which every possible slot counts as observed."""
-    return Sampling(n_observed=n_possible, n_span=n_possible, n_periods=n_possible)
+    return DaySampling(n_observed=n_possible, n_span=n_possible, n_periods=n_possible)
 
 
 DayKind = Literal["clear", "partly", "cloudy", "unusable"]
@@ -283,7 +285,7 @@ def _possible(points: SunPoints, site: Site, cadence_s: float) -> int:
     return int(np.sum(sun_angles(frames, site).apparent_zenith < _HORIZON_DEG))
 
 
-def _sampling(points: SunPoints, observed_unix_s: FloatArray | None, n_possible: int, cadence_s: float) -> Sampling:
+def _sampling(points: SunPoints, observed_unix_s: FloatArray | None, n_possible: int, cadence_s: float) -> DaySampling:
     """Return which slots were observed: those of every sun exposure, and of every sighting."""
     if observed_unix_s is None:
         return fully_observed(n_possible)
@@ -314,3 +316,138 @@ def arc_length_deg(directions: FloatArray) -> float:
     """
     step = angular_distance(directions[1:], directions[:-1])
     return math.degrees(float(np.sum(np.minimum(step, _LARGEST_GAP))))
+
+
+_FEWEST_TO_JUDGE = 20
+"""Sightings of a day that show whether it was clear (see `day_quality`); fewer are taken to be of a clear one."""
+_FEWEST_OF_HALF = 6
+_SHORTEST_HALF_S = 9000.0
+"""From the first to the last sighting of a half-day that is judged: twice as long as cloud draws them aside."""
+_FEWEST_FOR_SHARE = 12
+_SMOOTH_SHARE = 0.8
+"""Share of a clear day's sightings that run smoothly about the fit."""
+_CLEAR_SIGMA_PX = 1.0
+_CLEAR_SIGMAS = 3.0
+"""Largest scatter of a clear day, px per axis, or in that of the fit where that is larger."""
+_FLOOR_PX = 0.05
+_MISFIT_PX = 0.3
+"""1-sigma by which lens, air and mount may be wrong all through a half-day, px; the fit's scatter if larger."""
+_FAR = 5.0
+"""Sigmas: as far off as a single sighting that counts nothing."""
+_FEW_HALF_DAYS = 0.05
+"""Share of the half-days of a long record that may be so far off: smoke, a ladder on the mast. Of ten days none may."""
+_LARGEST_CORRELATION = 0.995
+_MEDIAN = 1.2533
+"""1-sigma of a median over that of a mean: the root of π / 2."""
+
+
+class _HalfDay(NamedTuple):
+    """How far off a half-day lies, px, in how many of its sigmas, and the day, counted from 1970."""
+
+    off_px: float
+    sigmas: float
+    day: int
+
+
+def unexplained_days(calibration: Calibration, usable: FilteredSightings, limit: float) -> Finding | None:
+    """Return by how much a fit fails to explain the days of its sightings; None where it explains them.
+
+    Of the sun's track alone. A day is clear where its sightings run smoothly about the fit, however far off they lie:
+    false sightings scatter, and those of another lens do not.
+
+    Parameters
+    ----------
+    calibration : the fit, with the sightings that it used.
+    usable : the sightings that it was given.
+    limit : largest share of the sightings of clear days that may be left out, of all and of the last epoch.
+    """
+    if calibration.used is None:
+        return None
+    track = (usable.kind == Kind.SUN) & ~usable.alone
+    residual = _residuals(calibration, usable)
+    used = calibration.used[usable.index]
+    clear, halves = track.copy(), list[_HalfDay]()
+    for rows in _days(usable, track):
+        if rows.size < _FEWEST_OF_HALF:
+            continue
+        _, rough, weight = smooth_arc(residual[rows], hour_angle(usable.unix_s[rows], calibration.site))
+        largest = max(_CLEAR_SIGMA_PX, _CLEAR_SIGMAS * calibration.evidence.sigma_px)
+        smooth = float(np.mean(weight > 0.0)) >= _SMOOTH_SHARE
+        few = rows.size < _FEWEST_TO_JUDGE
+        clear[rows] = few or (smooth and robust_sigma(np.linalg.norm(rough, axis=-1), floor=_FLOOR_PX) <= largest)
+        if clear[rows[0]]:
+            halves += _half_days(calibration, usable, rows, residual[rows], rough)
+    share, n = max(_left_out(clear, used), _left_out(clear & (usable.epoch == usable.epoch.max(initial=0)), used))
+    far = [one for one in halves if one.sigmas > _FAR]
+    if share <= limit and len(far) <= _FEW_HALF_DAYS * len(halves):
+        return None
+    worst = max(halves, key=lambda one: one.sigmas, default=_HalfDay(0.0, 0.0, int(usable.day[0])))
+    return Finding(
+        "epoch_does_not_explain_its_days",
+        {
+            "share": share,
+            "n": n,
+            "limit": limit,
+            "n_far": len(far),
+            "n_half_days": len(halves),
+            "far": _FAR,
+            "off_px": worst.off_px,
+            "sigmas": worst.sigmas,
+            "day": date_of_day(worst.day).isoformat(),
+        },
+    )
+
+
+def _residuals(calibration: Calibration, usable: FilteredSightings) -> FloatArray:
+    """Return (n, 2): observed minus predicted by the pose of each sighting's epoch, as far as the lens is defined."""
+    residual = np.zeros(usable.pixels.shape)
+    last = len(calibration.poses) - 1
+    for epoch in np.unique(usable.epoch).tolist():
+        rows = usable.epoch == epoch
+        pose = calibration.poses[min(epoch, last)]
+        camera = replace(calibration.camera, rotation_cam_enu=pose, max_angle=np.pi)
+        residual[rows] = usable.pixels[rows] - project(camera, usable.directions[rows])
+    return np.nan_to_num(residual)
+
+
+def _days(usable: FilteredSightings, track: BoolArray) -> Iterator[IntArray]:
+    """Yield the rows of each day of each epoch, in the order of time."""
+    for epoch in np.unique(usable.epoch[track]).tolist():
+        for day in np.unique(usable.day[track & (usable.epoch == epoch)]).tolist():
+            yield np.flatnonzero(track & (usable.epoch == epoch) & (usable.day == day))
+
+
+def _left_out(counted: BoolArray, used: BoolArray) -> tuple[float, int]:
+    """Return the share of some sightings that was left out, and how many they are; 0 of too few."""
+    n = int(counted.sum())
+    return (float(np.mean(~used[counted])), n) if n >= _FEWEST_FOR_SHARE else (0.0, n)
+
+
+def _half_days(
+    calibration: Calibration, usable: FilteredSightings, rows: IntArray, residual: FloatArray, rough: FloatArray
+) -> Iterator[_HalfDay]:
+    """Yield the halves of a day, `rough` being the residuals (n, 2) about their own smooth course."""
+    afternoon = np.sin(hour_angle(usable.unix_s[rows], calibration.site)) > 0.0
+    for half in (~afternoon, afternoon):
+        n = int(half.sum())
+        seen = rows[half]
+        if n < _FEWEST_OF_HALF or np.ptp(usable.unix_s[seen]) < _SHORTEST_HALF_S:
+            continue
+        noise = robust_sigma(np.linalg.norm(rough[half], axis=-1), share=0.5, floor=_FLOOR_PX)
+        alike = _inflation(rough[half])
+        off = np.median(residual[half], axis=0)
+        _, stated = project_with_covariance(calibration, usable.directions[seen])
+        variance = np.nan_to_num(np.mean(stated, axis=0)) + np.eye(2) * (
+            _MEDIAN**2 * noise**2 * alike / n + max(_MISFIT_PX, calibration.evidence.sigma_px) ** 2
+        )
+        yield _HalfDay(
+            float(np.linalg.norm(off)), float(np.sqrt(off @ np.linalg.solve(variance, off))), int(usable.day[seen[0]])
+        )
+
+
+def _inflation(rough: FloatArray) -> float:
+    """Return by how much the variance of a mean of residuals (n, 2) grows because neighbours err alike."""
+    power = float(np.sum(rough**2))
+    correlation = float(np.sum(rough[1:] * rough[:-1])) / power if power > 0.0 else 0.0
+    correlation = min(max(correlation, 0.0), _LARGEST_CORRELATION)
+    return (1.0 + correlation) / (1.0 - correlation)

@@ -8,13 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.calibration.model.kinds import Kind
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration, Verdict
-from sunarc.calibration.model.sightings import FilteredSightings
-from sunarc.calibration.quality.day_quality import arc_length_deg
-from sunarc.calibration.quality.explained_days import unexplained_days
-from sunarc.calibration.quality.tilt import tilt_question
+from sunarc.calibration.model.sightings import FilteredSightings, Kind
+from sunarc.calibration.quality.day_quality import arc_length_deg, unexplained_days
+from sunarc.calibration.quality.site_checks import tilt_question
 from sunarc.findings import Finding
 from sunarc.sky.days import date_of_day, day_bounds_unix_s
 from sunarc.sky.site import Site

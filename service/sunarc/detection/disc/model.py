@@ -7,16 +7,274 @@ Gaussian likelihood. Each colour of a Bayer mosaic has its own disc brightness a
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.array_types import BoolArray, FloatArray
-from sunarc.detection.disc import kernels, template
-from sunarc.detection.disc.template import Sources, SunSources
 from sunarc.detection.disc.window import Window
 from sunarc.detection.values import Sensor
+from sunarc.jit import njit
+
+Indices = NDArray[np.intp]
+Compared = tuple[float, FloatArray, FloatArray, FloatArray]
+
+_STEPPED = 0.1  # counts² of noise below which it does not blur the steps of rounding
+
+
+@njit(nogil=True)
+def compared(  # noqa: PLR0917 - compiled functions take positions
+    planes: FloatArray,
+    moved: Indices,
+    scale: FloatArray,
+    glare: tuple[float, float, float, float, float],
+    pixels: tuple[Indices, FloatArray, Indices, FloatArray],
+    flux: FloatArray,
+    background: FloatArray,
+    around: FloatArray,
+    noise: tuple[float, float],
+    by_counts: bool,  # noqa: FBT001 - as above
+    binning: int,
+    clip: float,
+) -> Compared:
+    """Compare a disc's model with the pixels.
+
+    Parameters
+    ----------
+    planes : (k, binning rows, binning columns) the disc of unit flux, first its value, on the sensor's pixels.
+    moved, scale : the planes that are derivatives by the free nonlinear parameters, and what each is multiplied by.
+    glare : u and v are (a dx - b dy, c dy - b dx) and dx, dy are what a pixel is off (x, y): a, b, c, x, y.
+    pixels : of the pixels used flat position, counts, colour, and offset (n, 2).
+    flux, background : one per colour. around : the background's slope in x and y, smear of the columns, glare.
+    noise : read noise in counts, electrons per count.
+    by_counts : take the variance that the counts tell, not the model.
+    binning, clip : each pixel is the mean of binning² of the sensor's, which are clipped at so many counts.
+
+    Returns
+    -------
+    Twice the negative log likelihood, residual (n,), weight (n,) and Jacobian (n, p), its columns the free nonlinear
+    parameters, flux and background of each colour, slope in x and y, smear and glare.
+    """
+    pixel, counts, colour, offset = pixels
+    a, b, c, x, y = glare
+    columns, share = planes.shape[2] // binning, 1.0 / binning**2
+    nonlinear, colours = moved.size, flux.size
+    smear = np.zeros(columns)
+    for j in range(planes.shape[1]):
+        for i in range(columns * binning):
+            smear[i // binning] += planes[0, j, i] * share
+    first = nonlinear + 2 * colours
+    jacobian = np.zeros((pixel.size, first + 4))
+    residual, weight, misfit = np.empty(pixel.size), np.empty(pixel.size), 0.0
+    for i in range(pixel.size):
+        channel, (j, k) = colour[i], divmod(pixel[i], columns)
+        dx, dy = offset[i, 0] - x, offset[i, 1] - y
+        u, v = a * dx - b * dy, c * dy - b * dx
+        jacobian[i, first], jacobian[i, first + 1] = offset[i, 0], offset[i, 1]
+        jacobian[i, first + 2], jacobian[i, first + 3] = smear[k], 1.0 / (1.0 + u * u + v * v)
+        beside, model, unclipped = background[channel], 0.0, 0.0
+        for m in range(4):
+            beside += around[m] * jacobian[i, first + m]
+        for row in range(j * binning, (j + 1) * binning):
+            for column in range(k * binning, (k + 1) * binning):
+                value = flux[channel] * planes[0, row, column] + beside
+                if value >= clip:  # more light changes nothing
+                    model += clip * share
+                    continue
+                model, unclipped = model + value * share, unclipped + share
+                for m in range(nonlinear):
+                    jacobian[i, m] += share * flux[channel] * scale[m] * planes[moved[m], row, column]
+                jacobian[i, nonlinear + channel] += share * planes[0, row, column]
+        jacobian[i, nonlinear + colours + channel] = unclipped
+        for m in range(4):
+            jacobian[i, first + m] *= unclipped
+        variance = noise[0] ** 2 + max(counts[i] if by_counts else model, 0.0) / noise[1]
+        variance = 0.25 if variance < _STEPPED else variance + 1.0 / 12.0
+        residual[i], weight[i] = counts[i] - model, 1.0 / variance
+        misfit += residual[i] * residual[i] / variance + math.log(variance)
+    return misfit, residual, weight, jacobian
+
+
+@njit(nogil=True)
+def normal_of(jacobian: FloatArray, weight: FloatArray, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the normal matrix (p, p) and the gradient (p,) of weighted least squares."""
+    n, p = jacobian.shape
+    matrix, gradient = np.zeros((p, p)), np.zeros(p)
+    for i in range(n):
+        for a in range(p):
+            weighted = weight[i] * jacobian[i, a]
+            if weighted != 0.0:
+                gradient[a] += weighted * residual[i]
+                for b in range(a, p):
+                    matrix[a, b] += weighted * jacobian[i, b]
+    for a in range(p):
+        for b in range(a):
+            matrix[a, b] = matrix[b, a]
+    return matrix, gradient
+
+
+@njit(nogil=True)
+def information_sums(
+    jacobian: FloatArray, weight: FloatArray, residual: FloatArray, covariance: FloatArray
+) -> FloatArray:
+    """Return three sums over the pixels of their information on the first two parameters.
+
+    They are the sum, the sum of squares, and the sum times each pixel's chi². A pixel's chi² is divided by one minus
+    its leverage.
+    """
+    n, p = jacobian.shape
+    sums, row = np.zeros(3), np.empty(p)
+    for i in range(n):
+        leverage = 0.0
+        for a in range(p):
+            row[a] = 0.0
+            for b in range(p):
+                row[a] += covariance[a, b] * jacobian[i, b]
+            leverage += row[a] * jacobian[i, a] * weight[i]
+        information = (row[0] * row[0] + row[1] * row[1]) * weight[i]
+        sums[0] += information
+        sums[1] += information * information
+        sums[2] += information * weight[i] * residual[i] * residual[i] / max(1.0 - leverage, 0.05)
+    return sums
+
+
+VALUE, BY_X, BY_Y, BY_PSF, SLOPE_U, SLOPE_V, BEND_UU, BEND_UV, BY_S11, BY_S12, BY_S22 = range(11)
+"""Planes of `render_disc`."""
+
+_MOST_RINGS = 24
+_DENSITIES = 8.0  # steps per unit of radius over point spread in which sources are made and kept
+_REACH = 5.0  # point-spread widths beyond which a source is dark
+
+
+class Sources(NamedTuple):
+    """Point sources on the unit disc: positions (k, 2), weights (k,) that sum to 1, mean over central brightness."""
+
+    positions: FloatArray
+    weights: FloatArray
+    mean_level: float
+
+
+class SunSources(NamedTuple):
+    """The same disc seen through the core of the point spread and through its wings."""
+
+    core: Sources
+    wings: Sources
+
+
+WING_PSF = 3.0
+"""The wings' point spread over the core's."""
+
+
+def sun_sources(*, radius_px: float, psf_px: float, limb_darkening: float) -> SunSources:
+    """Return the sources of a disc of this radius for a core of this point spread and its wings."""
+    core, wings = (
+        disc_sources(radius_px=radius_px, psf_px=psf, limb_darkening=limb_darkening)
+        for psf in (psf_px, WING_PSF * psf_px)
+    )
+    return SunSources(core, wings)
+
+
+def disc_sources(*, radius_px: float, psf_px: float, limb_darkening: float) -> Sources:
+    """Return sources dense enough that a disc of this radius shows no grain through this point spread."""
+    return _sources(math.ceil(_DENSITIES * radius_px / psf_px) / _DENSITIES, limb_darkening)
+
+
+@lru_cache(maxsize=64)
+def _sources(radius_in_psf: float, limb_darkening: float) -> Sources:
+    # Rings 0.7 of the point spread apart: a coarser disc would show them, a finer one costs time a source.
+    rings = min(max(4, math.ceil(1.4 * radius_in_psf)), _MOST_RINGS)
+    nodes, node_weights = np.polynomial.legendre.leggauss(rings)
+    radii = 0.5 * (nodes + 1.0)
+    ring_weights = node_weights * radii * (1.0 - limb_darkening * (1.0 - np.sqrt(1.0 - radii**2)))
+    counts = np.maximum(6, np.ceil(2.0 * math.pi * radii * radius_in_psf / 1.1)).astype(int)
+    ring = np.repeat(np.arange(rings), counts)
+    within = np.arange(ring.size) - np.repeat(np.cumsum(counts) - counts, counts)
+    # Every other ring is turned by half a step, so that sources of neighbouring rings do not line up.
+    angle = 2.0 * math.pi * (within + 0.5 * (ring % 2)) / counts[ring]
+    positions = np.ascontiguousarray(radii[ring, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
+    weights = ring_weights[ring] / counts[ring]
+    weights /= weights.sum()
+    # The cache gives the same arrays to every caller and thread.
+    positions.flags.writeable = weights.flags.writeable = False
+    return Sources(positions, weights, 1.0 - limb_darkening / 3.0)
+
+
+@njit(nogil=True)
+def _spread(first: int, last: int, center: float, psf: float, out: FloatArray) -> None:
+    """Fill out (3, …) for pixels first … last: the share of a source, and its derivatives by center and psf."""
+    root = math.sqrt(0.5)
+    norm = 1.0 / math.sqrt(2.0 * math.pi)
+    z = (first - 0.5 - center) / psf
+    below, density = math.erf(z * root), norm * math.exp(-0.5 * z * z)
+    for i in range(first, last + 1):
+        z_next = (i + 0.5 - center) / psf
+        above, density_next = math.erf(z_next * root), norm * math.exp(-0.5 * z_next * z_next)
+        out[0, i] = 0.5 * (above - below)
+        out[1, i] = (density - density_next) / psf
+        out[2, i] = (z * density - z_next * density_next) / psf
+        z, below, density = z_next, above, density_next
+
+
+@njit(nogil=True)
+def render_disc(  # noqa: PLR0917 - numba compiles no keyword-only arguments
+    shape: tuple[int, int],
+    x: float,
+    y: float,
+    psf: float,
+    stretch: FloatArray,
+    positions: FloatArray,
+    weights: FloatArray,
+) -> FloatArray:
+    """Return the image of a disc of unit flux and its derivatives.
+
+    Parameters
+    ----------
+    shape : rows and columns of the window.
+    x, y : the disc's centre in the window, px.
+    psf : standard deviation of the point spread, px.
+    stretch : (2, 2) px, takes the unit disc to the sun's image; the derivatives take it as symmetric.
+    positions, weights : the sources on the unit disc.
+
+    Returns
+    -------
+    (11, rows, columns): the planes named VALUE … BY_S22; SLOPE_… and BEND_… are the image of a disc whose brightness
+    is multiplied by u, v, u² - v² and uv, the coordinates on the unit disc.
+    """
+    rows, columns = shape
+    out = np.zeros((11, rows, columns))
+    across, down = np.zeros((3, columns)), np.zeros((3, rows))
+    # The half pixel keeps a pixel whose near edge is within reach though its centre is not.
+    reach = _REACH * psf + 0.5
+    for k in range(weights.size):
+        u, v, weight = positions[k, 0], positions[k, 1], weights[k]
+        uu, uv = u * u - v * v, u * v
+        px = x + stretch[0, 0] * u + stretch[0, 1] * v
+        py = y + stretch[1, 0] * u + stretch[1, 1] * v
+        i0, i1 = max(0, math.ceil(px - reach)), min(columns - 1, math.floor(px + reach))
+        j0, j1 = max(0, math.ceil(py - reach)), min(rows - 1, math.floor(py + reach))
+        if i1 < i0 or j1 < j0:
+            continue
+        _spread(i0, i1, px, psf, across)
+        _spread(j0, j1, py, psf, down)
+        for j in range(j0, j1 + 1):
+            d0, d1, d2 = weight * down[0, j], weight * down[1, j], weight * down[2, j]
+            for i in range(i0, i1 + 1):
+                value, by_x, by_y = d0 * across[0, i], d0 * across[1, i], d1 * across[0, i]
+                out[0, j, i] += value
+                out[1, j, i] += by_x
+                out[2, j, i] += by_y
+                out[3, j, i] += d0 * across[2, i] + d2 * across[0, i]
+                out[4, j, i] += u * value
+                out[5, j, i] += v * value
+                out[6, j, i] += uu * value
+                out[7, j, i] += uv * value
+                out[8, j, i] += u * by_x
+                out[9, j, i] += v * by_x + u * by_y
+                out[10, j, i] += v * by_y
+    return out
+
 
 PSF, WINGS, STRETCH = 2, 3, slice(4, 7)
 """Where ln psf, the wings' share and the stretch (s11, s12, s22) stand among the nonlinear parameters x, y, …"""
@@ -25,9 +283,9 @@ PSF, WINGS, STRETCH = 2, 3, slice(4, 7)
 _GLARE_CORE = 2.0  # solar radii within which scattered light is flat
 
 _BY_WINGS = 11  # the plane after the template's own
-_MOVED = (template.BY_X, template.BY_Y, template.BY_PSF, _BY_WINGS, template.BY_S11, template.BY_S12, template.BY_S22)
-_BY_LENGTH = [template.BY_X, template.BY_Y, template.BY_PSF, template.BY_S11, template.BY_S12, template.BY_S22]
-_UNEVEN = (template.SLOPE_U, template.SLOPE_V, template.BEND_UU, template.BEND_UV)
+_MOVED = (BY_X, BY_Y, BY_PSF, _BY_WINGS, BY_S11, BY_S12, BY_S22)
+_BY_LENGTH = [BY_X, BY_Y, BY_PSF, BY_S11, BY_S12, BY_S22]
+_UNEVEN = (SLOPE_U, SLOPE_V, BEND_UU, BEND_UV)
 
 
 class Prior(NamedTuple):
@@ -119,7 +377,7 @@ def with_levels(problem: Problem, nonlinear: FloatArray) -> tuple[State, Evaluat
     # The model is not known yet, so that the variance comes from the counts themselves.
     misfit = _compared(problem, dark, planes, moved=(), by_counts=True)
     linear = problem.window.linear.ravel()[problem.pixel]
-    matrix, gradient = kernels.normal_of(misfit[3], misfit[2] * linear, misfit[1])
+    matrix, gradient = normal_of(misfit[3], misfit[2] * linear, misfit[1])
     levels = inverse(matrix) @ gradient
     # A dark hole would give a negative flux, which is no disc.
     flux = np.maximum(levels[:colours], 1e-3)
@@ -148,8 +406,8 @@ def _planes(problem: Problem, state: State) -> FloatArray:
     core = _rendered(problem, state, sources.core, psf=psf)
     if not problem.prior.free_wings:
         return core
-    wings = _rendered(problem, state, sources.wings, psf=template.WING_PSF * psf)
-    wings[template.BY_PSF] *= template.WING_PSF  # by the core's point spread, of which the wings' is a multiple
+    wings = _rendered(problem, state, sources.wings, psf=WING_PSF * psf)
+    wings[BY_PSF] *= WING_PSF  # by the core's point spread, of which the wings' is a multiple
     more = wings - core
     return np.concatenate([core + state.nonlinear[WINGS] * more, more[:1]])
 
@@ -158,7 +416,7 @@ def _rendered(problem: Problem, state: State, sources: Sources, *, psf: float) -
     """Return the disc's planes on the sensor's own pixels; derivatives are by the image's, which are `binning` wide."""
     n, (rows, columns) = problem.sensor.binning, problem.window.counts.shape
     x, y = (n * state.nonlinear[:2] + 0.5 * (n - 1)).tolist()
-    planes: FloatArray = template.render_disc(
+    planes: FloatArray = render_disc(
         (n * rows, n * columns), x, y, n * psf, n * state.stretch, sources.positions, sources.weights
     )
     if n > 1:
@@ -176,16 +434,16 @@ def _evaluated(problem: Problem, state: State, planes: FloatArray) -> Evaluation
 
 def _compared(
     problem: Problem, state: State, planes: FloatArray, *, moved: tuple[int, ...], by_counts: bool = False
-) -> kernels.Compared:
+) -> Compared:
     psf, (x, y) = math.exp(state.nonlinear[PSF]), (state.nonlinear[:2] - problem.origin).tolist()
     a, b, d = state.nonlinear[STRETCH].tolist()
     # (d, b, a) / det is the inverse of the symmetric stretch: pixels to solar radii, over the glare's core.
     core = _GLARE_CORE * max(abs(a * d - b * b), 1e-9)
     gain = problem.sensor.gain_e_per_count
-    answer: kernels.Compared = kernels.compared(
+    answer: Compared = compared(
         planes,
         np.array(moved, dtype=np.intp),
-        np.array([psf if plane == template.BY_PSF else 1.0 for plane in moved]),
+        np.array([psf if plane == BY_PSF else 1.0 for plane in moved]),
         (d / core, b / core, a / core, x, y),
         (problem.pixel, problem.counts, problem.colour, problem.offset),
         state.flux,
@@ -216,7 +474,7 @@ def normal_equations(problem: Problem, state: State, evaluation: Evaluation) -> 
     """Return the normal matrix and the gradient, with the prior of the point spread."""
     matrix: FloatArray
     gradient: FloatArray
-    matrix, gradient = kernels.normal_of(evaluation.jacobian, evaluation.weight, evaluation.residual)
+    matrix, gradient = normal_of(evaluation.jacobian, evaluation.weight, evaluation.residual)
     pulls, sigmas = _pulls(problem.prior, state), (problem.prior.log_psf_sigma, problem.prior.wings_sigma)
     for k in (PSF, WINGS)[: 1 + problem.prior.free_wings]:
         matrix[k, k] += sigmas[k - PSF] ** -2

@@ -8,6 +8,7 @@ smallest and the roundest.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import cv2
@@ -15,7 +16,56 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.array_types import BoolArray, Image
-from sunarc.detection.photo.blob import thickest
+from sunarc.errors import InputError
+
+
+class Blob(NamedTuple):
+    """A connected bright region.
+
+    x, y : centroid, px. diameter : of the circle of the same area. box : x, y, width, height.
+    """
+
+    x: float
+    y: float
+    diameter: float
+    box: tuple[int, int, int, int]
+
+
+def blobs_of(mask: Mask, *, most: int) -> list[Blob]:
+    """Return the largest connected regions of a mask, largest first."""
+    x, y, width, height = cv2.boundingRect(mask)
+    part = np.ascontiguousarray(mask[y : y + height, x : x + width])
+    if part.size == 0:
+        return []
+    count, _, stats, centroids = cv2.connectedComponentsWithStats(part, connectivity=8)
+    order = np.argsort(stats[1:count, cv2.CC_STAT_AREA], kind="stable")[::-1][:most] + 1
+    found = []
+    for (left, top, wide, high, area), (cx, cy) in zip(stats[order].tolist(), centroids[order].tolist(), strict=True):
+        diameter = 2.0 * math.sqrt(area / math.pi)
+        found.append(Blob(cx + x, cy + y, diameter, (left + x, top + y, wide, high)))
+    return found
+
+
+def thickest(mask: Mask, *, most: int, least_radius: float) -> list[tuple[float, float, float]]:
+    """Return centre and radius of the largest circles within a mask, largest first, no two in one another."""
+    left, top, width, height = cv2.boundingRect(mask)
+    padded = np.pad(mask[top : top + height, left : left + width], 1)
+    distance = np.asarray(cv2.distanceTransform(padded, cv2.DIST_L2, 5), dtype=np.float32)
+    found: list[tuple[float, float, float]] = []
+    while len(found) < most:
+        _, radius, _, (column, row) = cv2.minMaxLoc(distance)
+        if radius < least_radius:
+            break
+        found.append((float(left + column - 1), float(top + row - 1), float(radius)))
+        cv2.circle(distance, (column, row), math.ceil(2.0 * radius), 0.0, thickness=-1)
+    return found
+
+
+def opened(mask: Mask, diameter: int) -> Mask:
+    """Return the mask without what is thinner than a disc of this diameter."""
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (max(diameter, 1), max(diameter, 1)))
+    return np.asarray(cv2.morphologyEx(mask, cv2.MORPH_OPEN, kernel), dtype=np.uint8)
+
 
 Plane = NDArray[np.float32]
 Mask = NDArray[np.uint8]
@@ -196,3 +246,46 @@ def _box(region: Mask) -> tuple[slice, slice]:
     """Return the rows and columns in which a mask has something."""
     left, top, width, height = cv2.boundingRect(region)
     return slice(top, top + max(height, 1)), slice(left, left + max(width, 1))
+
+
+_BRIGHT = 0.5  # of full scale: what is darker is no plateau beside a sun
+_STILL = 0.06  # of full scale: JPEG's own changes from image to image
+_MARGIN = 0.006  # of the smaller side: the width of a digit, for those that change beside those that do not
+_LEAST_IMAGES = 3
+
+
+def static_mask(images: Iterable[Image], *, full_scale: int) -> BoolArray | None:
+    """Return where a bright level stands still in a series, (rows, columns); None where the series cannot tell.
+
+    Parameters
+    ----------
+    images : of one camera, (rows, columns) or (rows, columns, 3), in one size, full or reduced; three at least, over
+        hours: the sun must have left every place that it saturates (it moves by 15 degrees in an hour, and its glare
+        may be 20 degrees wide).
+    full_scale : their largest count.
+
+    Raises
+    ------
+    InputError : images of several sizes.
+    """
+    lowest: Image | None = None
+    highest: Image | None = None
+    count = 0
+    for image in images:
+        plane = faintest_colour(image)
+        if lowest is None or highest is None:
+            lowest, highest = plane.copy(), plane.copy()
+        elif plane.shape != lowest.shape:
+            raise InputError(
+                field="images", problem=f"sizes {lowest.shape} and {plane.shape}", remedy="give images of one size"
+            )
+        else:
+            np.minimum(lowest, plane, out=lowest)
+            np.maximum(highest, plane, out=highest)
+        count += 1
+    if lowest is None or highest is None or count < _LEAST_IMAGES:
+        return None
+    still = (lowest >= _BRIGHT * full_scale) & (highest - lowest <= _STILL * full_scale)
+    size = 2 * max(1, round(_MARGIN * min(lowest.shape))) + 1
+    grown = cv2.dilate(still.astype(np.uint8), np.ones((size, size), np.uint8))
+    return np.asarray(grown, dtype=np.bool_)

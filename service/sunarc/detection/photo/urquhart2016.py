@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.array_types import FloatArray, Image
-from sunarc.detection.frames import require_photo
-from sunarc.detection.photo.blob import Blob, blobs_of, opened
+from sunarc.detection.photo.plateau import Blob, blobs_of, opened
+from sunarc.detection.values import require_photo
 from sunarc.robust_statistics import mad_sigma
 
 # The five estimators of the paper's Appendix A, each on the V-image (the largest of red, green and blue).

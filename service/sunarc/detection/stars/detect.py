@@ -1,22 +1,283 @@
-"""Detection of stars in one image."""
+"""Detection of stars in one image: background, matched filter, fit of the point spread; warm pixels."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from sunarc.array_types import BoolArray, FloatArray, Image
-from sunarc.detection.frames import require_photo
-from sunarc.detection.stars.background import Background, Plane, background_of
-from sunarc.detection.stars.maxima import FAINTEST_SNR, MOST, maxima_of, plane_of
-from sunarc.detection.stars.point_spread import Fitted, Stamps, axes_of, fit_point_spreads, inverse_shape, width_of
-from sunarc.detection.stars.values import Stars
-from sunarc.detection.values import Bayer
-from sunarc.robust_statistics import biweights, mad_sigma
+from sunarc.array_types import BoolArray, FloatArray, Image, IntArray
+from sunarc.detection.values import Bayer, Stars, require_photo
+from sunarc.robust_statistics import MAD_TO_SIGMA, biweights, mad_sigma
+
+Plane = NDArray[np.float32]
+
+_TILE_PX = 32
+"""Large beside a star (a dozen px), small beside the gradients of glow and of the Milky Way (hundreds)."""
+
+
+class Background(NamedTuple):
+    """Level and 1-sigma noise of every pixel, counts, each (rows, columns)."""
+
+    level: Plane
+    noise: Plane
+
+
+def background_of(plane: Plane, *, least_noise: float) -> Background:
+    """Return the background of an image and its noise, without its stars.
+
+    The median of each tile of 32 px, and the scatter about it by the median absolute deviation from the smooth level,
+    both interpolated between the tiles' centres.
+
+    Parameters
+    ----------
+    plane : (rows, columns) counts.
+    least_noise : counts; a flat or clipped patch has no less.
+    """
+    tiles, shape = _tiles(plane)
+    median = _smoothed(np.median(tiles, axis=-1).reshape(shape))
+    level = _spread(median, plane)
+    deviation, _ = _tiles(np.abs(plane - level))
+    noise = MAD_TO_SIGMA * np.median(deviation, axis=-1).reshape(shape)
+    return Background(level, np.maximum(_spread(_smoothed(noise), plane), np.float32(least_noise)))
+
+
+def _tiles(plane: Plane) -> tuple[Plane, tuple[int, int]]:
+    """Return the pixels of each tile, (tiles, pixels), and how many tiles there are down and across."""
+    rows, columns = (-(-size // _TILE_PX) for size in plane.shape)
+    padded = np.pad(
+        plane, ((0, rows * _TILE_PX - plane.shape[0]), (0, columns * _TILE_PX - plane.shape[1])), mode="reflect"
+    )
+    parts = padded.reshape(rows, _TILE_PX, columns, _TILE_PX).swapaxes(1, 2)
+    return parts.reshape(rows * columns, -1), (rows, columns)
+
+
+def _smoothed(grid: Plane) -> Plane:
+    """Return a grid of tiles with the median of each tile and its neighbours: a bright star leaves no hill."""
+    return np.asarray(cv2.medianBlur(grid.astype(np.float32), 3), dtype=np.float32)
+
+
+def _spread(grid: Plane, plane: Plane) -> Plane:
+    """Return a grid of tiles interpolated to the pixels."""
+    rows, columns = grid.shape
+    whole = cv2.resize(grid, (columns * _TILE_PX, rows * _TILE_PX), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(whole[: plane.shape[0], : plane.shape[1]], dtype=np.float32)
+
+
+FAINTEST_SNR = 5.0
+"""Over noise that is normal, 5 sigma leave one false maximum in about a million pixels."""
+MOST = 2000
+"""Stars of one image; the catalogue has 1400 above the horizon."""
+_CLIPPED = 0.97
+"""Of full scale; JPEG's blocks take a clipped level down by so much."""
+_COLOURS = {
+    "RGGB": cv2.COLOR_BayerRGGB2RGB,
+    "BGGR": cv2.COLOR_BayerBGGR2RGB,
+    "GRBG": cv2.COLOR_BayerGRBG2RGB,
+    "GBRG": cv2.COLOR_BayerGBRG2RGB,
+}
+
+
+def plane_of(image: Image, full_scale: int, bayer: Bayer | None) -> tuple[Plane, BoolArray]:
+    """Return the light of an image, counts, and where it is clipped in any colour, or beside such a pixel."""
+    colours = cv2.cvtColor(image, _COLOURS[bayer]) if bayer is not None and image.ndim == 2 else image
+    top = colours.max(axis=-1) if colours.ndim == 3 else colours
+    clipped = cv2.dilate((top >= _CLIPPED * full_scale).astype(np.uint8), np.ones((3, 3), dtype=np.uint8)) > 0
+    light = colours.mean(axis=-1, dtype=np.float32) if colours.ndim == 3 else colours.astype(np.float32)
+    return light, np.asarray(clipped)
+
+
+def maxima_of(plane: Plane, ground: Background, clipped: BoolArray, usable: BoolArray, width: float) -> FloatArray:
+    """Return the places (n, 2) where a Gaussian of a width stands out by 5 sigma, the brightest first."""
+    ratio = (plane - ground.level) / ground.noise
+    ratio[~usable] = 0.0
+    size = 2 * math.ceil(3.0 * width) + 1
+    kernel = cv2.getGaussianKernel(size, width)
+    response = cv2.sepFilter2D(ratio, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_REFLECT) / float(
+        np.sum(kernel**2)
+    )
+    apart = 2 * round(1.5 * width) + 1
+    highest = cv2.dilate(response.astype(np.float32), np.ones((apart, apart), dtype=np.uint8))
+    is_top = (response >= highest) & (response > FAINTEST_SNR) & usable
+    edge = math.ceil(width) + 1
+    is_top[:edge] = is_top[-edge:] = False
+    is_top[:, :edge] = is_top[:, -edge:] = False
+    rows, columns = np.nonzero(is_top)
+    # a clipped plateau has many equal maxima: the first of each counts
+    order = np.argsort(-response[rows, columns], kind="stable")[: 2 * MOST]
+    places = np.stack([columns, rows], axis=-1)[order].astype(np.float64)
+    return _single(places, apart * (1.0 + np.any(clipped)))
+
+
+def _single(places: FloatArray, apart: float) -> FloatArray:
+    """Return places without those close to a brighter one."""
+    if places.shape[0] < 2:
+        return places
+    dropped = np.zeros(places.shape[0], dtype=bool)
+    for first, second in sorted(cKDTree(places).query_pairs(apart)):
+        dropped[second] |= not dropped[first]
+    return places[~dropped][:MOST]
+
+
+_ROUNDS = 12
+"""Levenberg-Marquardt steps; a star converges in four to eight."""
+_CONVERGED_PX = 1e-4
+_PLACE = 4
+"""The first parameters: x, y, height, background; the shape follows."""
+
+
+class Stamps(NamedTuple):
+    """Pixels around stars.
+
+    x, y : (n, m) of each pixel, px. value : (n, m) counts above the background. variance : (n, m) of the background,
+    counts²; infinite where a pixel takes no part (clipped, outside, another star's).
+    """
+
+    x: FloatArray
+    y: FloatArray
+    value: FloatArray
+    variance: FloatArray
+
+
+class Fitted(NamedTuple):
+    """Results of a fit.
+
+    parameters : (n, 7) x, y, height, background, and the inverse covariance of the point spread: xx, xy, yy.
+    position_variance : (n,) of the centre per axis, px². height_variance : (n,) counts². Infinite where the pixels do
+        not determine them.
+    chi2 : (n,) reduced.
+    """
+
+    parameters: FloatArray
+    position_variance: FloatArray
+    height_variance: FloatArray
+    chi2: FloatArray
+
+
+def fit_point_spreads(stamps: Stamps, start: FloatArray, *, gain_e: float | None, shape: bool) -> Fitted:
+    """Fit a Gaussian and a constant to each stamp, by weighted least squares.
+
+    Parameters
+    ----------
+    stamps : the pixels.
+    start : (n, 7) parameters to begin at.
+    gain_e : electrons per count, for the shot noise of the star itself; None where unknown, and where counts are not
+        proportional to light.
+    shape : fit the shape too; otherwise it stays as it is in `start`.
+    """
+    free = start.shape[1] if shape else _PLACE
+    now = start.copy()
+    damping = np.full(now.shape[0], 1e-3)
+    for _ in range(_ROUNDS):
+        weight = _weights(stamps, now, gain_e)
+        cost, normal, gradient = _equations(stamps, now, weight, free)
+        step = _solved(normal + damping[:, None, None] * _diagonal(normal), gradient)
+        tried = now.copy()
+        tried[:, :free] += step
+        with np.errstate(over="ignore", invalid="ignore"):  # a step may lead anywhere, and is then not taken
+            better = (_cost(stamps, tried, weight) < cost) & _is_shape(tried)
+        now[better] = tried[better]
+        damping = np.where(better, 0.2 * damping, 8.0 * damping)
+        if np.all(np.abs(step[:, :2]) < _CONVERGED_PX):
+            break
+    weight = _weights(stamps, now, gain_e)
+    cost, normal, _ = _equations(stamps, now, weight, free)
+    variance = np.asarray(np.linalg.pinv(normal, hermitian=True), dtype=np.float64)
+    return Fitted(
+        parameters=now,
+        position_variance=0.5 * (_positive(variance[:, 0, 0]) + _positive(variance[:, 1, 1])),
+        height_variance=_positive(variance[:, 2, 2]),
+        chi2=cost / np.maximum(np.sum(weight > 0.0, axis=-1) - free, 1),
+    )
+
+
+def _positive(variance: FloatArray) -> FloatArray:
+    """Return variances, infinite where the pseudo-inverse of a singular matrix has 0 or a rounded negative number."""
+    return np.where(variance > 0.0, variance, np.inf)
+
+
+def inverse_shape(shape: FloatArray) -> FloatArray:
+    """Return the inverses of symmetric 2x2 matrices given as (..., 3) xx, xy, yy."""
+    xx, xy, yy = np.moveaxis(shape, -1, 0)
+    return np.asarray(np.stack([yy, -xy, xx], axis=-1) / (xx * yy - xy**2)[..., None])
+
+
+def axes_of(shape: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the minor and the major 1-sigma axis, (...) px, of covariances (..., 3) px²."""
+    xx, xy, yy = np.moveaxis(shape, -1, 0)
+    half, apart = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
+    return np.sqrt(np.maximum(half - apart, 0.0)), np.sqrt(np.maximum(half + apart, 0.0))
+
+
+def _weights(stamps: Stamps, at: FloatArray, gain_e: float | None) -> FloatArray:
+    """Return 1 over the variance of each pixel, (n, m), with the shot noise of the star where the gain is known."""
+    if gain_e is None:
+        return np.asarray(1.0 / stamps.variance)
+    light = _model(stamps, at, 0)[0] - at[:, 3:4]
+    return np.asarray(1.0 / (stamps.variance + np.maximum(light, 0.0) / gain_e))
+
+
+def _cost(stamps: Stamps, at: FloatArray, weight: FloatArray) -> FloatArray:
+    """Return chi² (n,)."""
+    residual = stamps.value - _model(stamps, at, 0)[0]
+    return np.asarray(np.sum(residual**2 * weight, axis=-1))
+
+
+def width_of(shape: FloatArray) -> FloatArray:
+    """Return the geometric mean of the 1-sigma axes, (...) px, of covariances (..., 3) px²."""
+    minor, major = axes_of(shape)
+    width: FloatArray = np.sqrt(minor * major)
+    return width
+
+
+def _equations(
+    stamps: Stamps, at: FloatArray, weight: FloatArray, free: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return chi² (n,), the normal matrices (n, k, k) and gradients (n, k) of the first `free` parameters."""
+    model, slopes = _model(stamps, at, free)
+    residual = stamps.value - model
+    weighted = np.swapaxes(slopes * weight[..., None], 1, 2)
+    cost = np.sum(residual**2 * weight, axis=-1)
+    return cost, weighted @ slopes, (weighted @ residual[..., None])[..., 0]
+
+
+def _model(stamps: Stamps, at: FloatArray, free: int) -> tuple[FloatArray, FloatArray]:
+    """Return the model (n, m) and its derivatives (n, m, free)."""
+    x, y, height, level, xx, xy, yy = (column[:, None] for column in at.T)
+    dx, dy = stamps.x - x, stamps.y - y
+    bell = np.exp(-0.5 * np.clip(xx * dx**2 + 2.0 * xy * dx * dy + yy * dy**2, 0.0, 60.0))
+    light = height * bell
+    if free == 0:
+        return light + level, np.empty((0, 0, 0))
+    slopes = [light * (xx * dx + xy * dy), light * (xy * dx + yy * dy), bell, np.ones_like(bell)]
+    if free > _PLACE:
+        slopes += [-0.5 * light * dx**2, -light * dx * dy, -0.5 * light * dy**2]
+    return light + level, np.stack(slopes, axis=-1)
+
+
+def _diagonal(matrices: FloatArray) -> FloatArray:
+    """Return the diagonals of matrices (n, k, k) as matrices; nowhere 0."""
+    size = matrices.shape[-1]
+    return np.asarray((np.einsum("nii->ni", matrices) + 1e-12)[..., None] * np.eye(size))
+
+
+def _solved(matrices: FloatArray, right: FloatArray) -> FloatArray:
+    # in units of the diagonal, since heights and positions differ by powers of ten
+    scale = 1.0 / np.sqrt(np.einsum("nii->ni", matrices))
+    unit = matrices * scale[:, :, None] * scale[:, None, :] + 1e-9 * np.eye(matrices.shape[-1])
+    return np.asarray(np.linalg.solve(unit, (right * scale)[..., None])[..., 0] * scale)
+
+
+def _is_shape(parameters: FloatArray) -> BoolArray:
+    """Return (n,): whether the inverse covariance is positive."""
+    xx, xy, yy = parameters[:, 4:].T
+    return np.asarray((xx > 0.0) & (yy > 0.0) & (xx * yy > xy**2))
+
 
 # Stars that are clipped so widely that no point spread can be fitted: where they are, roughly.
 
@@ -262,3 +523,65 @@ def shape_at(known: FloatArray, shape: FloatArray, places: FloatArray, size: tup
 def _quadratic(places: FloatArray, size: tuple[int, ...]) -> FloatArray:
     x, y = (2.0 * places / np.array(size[::-1]) - 1.0).T
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
+
+
+_OUTSTANDING = 6.0
+"""Noises above the median of the neighbours: in 4 million pixels a normal noise leaves none."""
+_MOST = 20_000
+"""Of an image: half a percent of 4 million; the brightest count."""
+_SHARE = 0.7
+"""Of the images in which a warm pixel stands out; a star leaves a pixel after 10 minutes, Polaris after 30."""
+
+
+def outstanding_pixels(image: Image, *, bayer: Bayer | None = None) -> IntArray:
+    """Return the pixels that stand out over their eight neighbours (of the same colour), as flat indices, ascending.
+
+    Stars of a sharp lens are among them.
+
+    Parameters
+    ----------
+    image : (rows, columns) counts.
+    bayer : colours of a raw mosaic.
+    """
+    excess = image.astype(np.int32) - _calm(image, bayer)
+    sampled = excess[::4, ::4]
+    noise = max(MAD_TO_SIGMA * float(np.median(np.abs(sampled - np.median(sampled)))), 0.5)
+    found = np.flatnonzero(excess.ravel() > _OUTSTANDING * noise)
+    if found.size > _MOST:
+        found = found[np.argsort(-excess.ravel()[found], kind="stable")[:_MOST]]
+    return np.sort(found)
+
+
+def warm_pixels(outstanding: Sequence[IntArray]) -> IntArray:
+    """Return the pixels that stand out in 70 % of images of a turning sky, as flat indices, ascending.
+
+    Parameters
+    ----------
+    outstanding : of each image, over an hour and a half at least: Polaris moves by 3 px at 600 px a radian.
+    """
+    if not outstanding:
+        return np.zeros(0, dtype=np.int64)
+    pixels, count = np.unique(np.concatenate(list(outstanding)), return_counts=True)
+    return np.asarray(pixels[count >= _SHARE * len(outstanding)], dtype=np.int64)
+
+
+def repaired(image: Image, warm: IntArray, *, bayer: Bayer | None = None) -> Image:
+    """Return an image with the median of the neighbours (of the same colour) in place of warm pixels."""
+    whole: Image = image.copy()
+    whole.ravel()[warm] = _calm(image, bayer).ravel()[warm]
+    return whole
+
+
+def _calm(image: Image, bayer: Bayer | None) -> Image:
+    """Return the median of each pixel and its eight neighbours, in a mosaic those of its colour."""
+    if bayer is None:
+        return _median(image)
+    calm = np.empty(image.shape, dtype=np.uint16)
+    for row in (0, 1):
+        for column in (0, 1):
+            calm[row::2, column::2] = _median(image[row::2, column::2])
+    return calm
+
+
+def _median(plane: Image) -> Image:
+    return np.asarray(cv2.medianBlur(plane.copy(), 3), dtype=np.uint16)

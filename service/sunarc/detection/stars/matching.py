@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, cKDTree
 
 from sunarc.array_types import BoolArray, FloatArray, IntArray
-from sunarc.detection.stars.values import PredictedStars, Stars
+from sunarc.detection.values import PredictedStars, Stars
 from sunarc.findings import Finding
 from sunarc.robust_statistics import MAD_TO_SIGMA, biweights, mad_sigma
 
@@ -336,3 +336,33 @@ def share_where_clear(pixels: FloatArray, seen: BoolArray) -> float:
     about = seen[beside].sum(axis=1)
     clear = [about >= least for least in _NEIGHBOURS_SEEN]
     return max((float(np.mean(seen[part])) for part in clear if part.sum() >= _FEWEST_CLEAR_SKY), default=0.0)
+
+
+LEAST_MOTION_PX = 3.0
+"""Of the sky between two images, for which a detection that stays is no star; a star's own centre errs by a tenth."""
+
+
+def standing_still(first: Stars, second: Stars, *, moved_px: FloatArray) -> BoolArray:
+    """Return (n,): which detections of an image stand where another has one, though the sky has turned: no stars.
+
+    Parameters
+    ----------
+    first, second : detections of two images of one camera.
+    moved_px : (n,) by how much the sky moved between them at each detection of the first, px. Where that is less than
+        3 px (about the pole), nothing is said.
+    """
+    if len(first) == 0 or len(second) == 0:
+        return np.zeros(len(first), dtype=bool)
+    apart = np.asarray(cKDTree(second.pixels).query(first.pixels)[0])
+    return np.asarray((apart < 3.0 * np.hypot(first.sigma_px, 0.2)) & (np.asarray(moved_px) > LEAST_MOTION_PX))
+
+
+def sky_motion(stars: Stars, then: PredictedStars, later: PredictedStars) -> FloatArray:
+    """Return by how much the sky moves at each detection, (n,) px, between two predictions: the nearest star's."""
+    place = {name: row for row, name in enumerate(later.names)}
+    both = np.array([row for row, name in enumerate(then.names) if name in place], dtype=np.int64)
+    if both.size == 0 or len(stars) == 0:
+        return np.zeros(len(stars))
+    shift = later.pixels[[place[name] for name in then.names[both]]] - then.pixels[both]
+    nearest = np.asarray(cKDTree(then.pixels[both]).query(stars.pixels)[1])
+    return np.asarray(np.linalg.norm(shift, axis=-1)[nearest])

@@ -1,28 +1,80 @@
-"""Provisional pose of an epoch without a full fit, from its first sightings on, updated with every few more.
+"""The pose before a fit: from a lens prior file, or after the camera moved.
 
 The lens is that of an earlier calibration, or, where there is none, of its type as the settings' lens prior file says.
 """
 
 from __future__ import annotations
 
+import json
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import NamedTuple
 
 import sunarc
-from sunarc.archive.camera_archive import CameraArchive
-from sunarc.archive.sighting_revisions import LENS_CHANGED
+from sunarc.archive.archive import CameraArchive
+from sunarc.archive.sightings import LENS_CHANGED
 from sunarc.archive.values import CalibrationRecord, PoseEpoch
-from sunarc.calibration.lens_library.first_pose import first_pose
+from sunarc.bounds import require_bounds
+from sunarc.calibration.lens_library.first_pose import FirstPoseOptions, first_pose
+from sunarc.calibration.lens_library.lens_type import LensType, lens_type_from_json
 from sunarc.calibration.model.document import to_document
 from sunarc.calibration.model.options import CalibrationOptions, Mirrored
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, SunPoints
-from sunarc.calibration.pose.estimate_pose import estimate_pose
+from sunarc.calibration.pose import estimate_pose
 from sunarc.errors import InputError
-from sunarc.workers.calibrating.lens_prior_file import FirstPose
-from sunarc.workers.fit_input import points_of
+from sunarc.workers.calibrating.solver_process import points_of
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LensPriorOptions(FirstPoseOptions):
+    """What is known of lens and pose before the first full fit.
+
+    Attributes
+    ----------
+    lens_prior : file of the type of lens (`sunarc calibrate --write-lens-prior`); unset: no pose before the first fit.
+    """
+
+    lens_prior: Path | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what is no pose."""
+        require_bounds(self, section="first_pose")
+
+
+class FirstPose(NamedTuple):
+    """A type of lens, and what is known of the pose."""
+
+    lens: LensType
+    pose: FirstPoseOptions
+
+    @classmethod
+    def of(cls, options: LensPriorOptions) -> FirstPose | None:
+        """Return what the settings name; None where they name no lens prior file.
+
+        Raises
+        ------
+        InputError
+            Where the file is none.
+        """
+        return None if options.lens_prior is None else cls(read_lens_prior(options.lens_prior), options)
+
+
+def read_lens_prior(path: Path) -> LensType:
+    """Return the type of lens of a lens prior file; InputError names what is wrong with it."""
+    remedy = "name a file of sunarc calibrate --write-lens-prior"
+    try:
+        return lens_type_from_json(json.loads(path.read_bytes()))
+    except OSError as error:
+        raise InputError(field=str(path), problem=error.strerror or str(error), remedy=remedy) from None
+    except ValueError:
+        raise InputError(field=str(path), problem="is not JSON", remedy=remedy) from None
+    except InputError as error:
+        raise InputError(field=f"{path.name}, {error.field}", problem=error.problem, remedy=error.remedy) from None
+
 
 _log = logging.getLogger(__name__)
 _GROWTH = 1.3

@@ -1,4 +1,4 @@
-"""Solving in a child process, so that a fit never delays a frame."""
+"""The input of a solve, and solving in a child process, so that a fit never delays a frame."""
 
 from __future__ import annotations
 
@@ -11,16 +11,19 @@ from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 from typing import TypeVar
 
+import numpy as np
+
+from sunarc.archive.values import SunPointColumns
 from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.changes.step_search import PoseStep, find_pose_steps
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints
-from sunarc.calibration.pose_step_search import PoseStep, find_pose_steps
+from sunarc.calibration.model.sightings import SunPoints, kinds_of
 from sunarc.findings import Finding
 from sunarc.jit import set_aside_after_exit
-from sunarc.runtime.child_process import answer_call
+from sunarc.runtime.child_process import answer_call, one_thread_each
 from sunarc.runtime.clock import Clock
-from sunarc.runtime.threads import one_thread_each
+from sunarc.sky.night import SUN, body_directions
 from sunarc.sky.site import Site
 from sunarc.workers.messages import text_of
 
@@ -178,3 +181,32 @@ def _exit_code(process: SpawnProcess) -> int | None:
 
 def _end(exit_code: int | None) -> str:
     return f"signal {-exit_code}" if exit_code is not None and exit_code < 0 else f"exit code {exit_code}"
+
+
+def points_of(columns: SunPointColumns, *, site: Site | None = None, latest: str | None = None) -> SunPoints:
+    """Return the sightings of an archive's columns.
+
+    Parameters
+    ----------
+    columns : sightings in the order of time.
+    site : where the camera stands, for the directions of stars and planets; None where all are of the sun.
+    latest : the pose epoch that is numbered last, so that a fit is of it; the last in time where None or not present.
+    """
+    epoch = columns.epoch
+    if latest in columns.epoch_ids[:-1]:
+        index = columns.epoch_ids.index(latest)
+        epoch = np.where(epoch == index, len(columns.epoch_ids) - 1, epoch - (epoch > index))
+    if site is None and np.any(columns.body != SUN):
+        raise ValueError("sightings of stars without a site")
+    air = {"temperature": columns.temperature, "pressure": columns.pressure}
+    directions = None if site is None else body_directions(columns.body, columns.unix_s, site, **air)
+    return SunPoints(
+        unix_s=columns.unix_s,
+        pixels=columns.pixels,
+        sigma_px=columns.sigma_px,
+        epoch=epoch,
+        clock_error_s=columns.clock_error_s,
+        kind=kinds_of(columns.body),
+        **air,
+        **({} if directions is None else {"directions": directions}),
+    )

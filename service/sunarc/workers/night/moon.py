@@ -9,21 +9,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.archive import CameraArchive
 from sunarc.archive.values import SunPoint
-from sunarc.calibration.model.covariance import project_with_covariance
+from sunarc.calibration.answers.covariance import project_with_covariance
 from sunarc.calibration.model.result import Calibration
 from sunarc.cameras.frame import Frame
-from sunarc.detection.moon.cutouts import Cutout, brightest_cutouts, cutout_around
-from sunarc.detection.moon.detect import detect_moon
-from sunarc.detection.moon.values import MoonDetection, MoonExpectation
+from sunarc.detection.moon import Cutout, MoonDetection, MoonExpectation, brightest_cutouts, cutout_around, detect_moon
 from sunarc.detection.values import Sensor
 from sunarc.findings import Finding
-from sunarc.sky.moon import MoonDisc, moon_disc
-from sunarc.workers.bounded_queue import DropOldestQueue
+from sunarc.sky.night import MoonDisc, moon_disc
 from sunarc.workers.messages import text_of
-from sunarc.workers.night.moon_exposures import LEAST_LIT, LOWEST_DEG, MOST_LEVEL, MoonExposures
-from sunarc.workers.sensor import SensorOptions, sensor_of
+from sunarc.workers.night.exposures import LEAST_LIT, LOWEST_DEG, MOST_LEVEL, MoonExposures
+from sunarc.workers.options import SensorOptions, sensor_of
 
 _MOST_IMAGES = 200
 _NEIGHBOURHOOD, _STUCK = 3, 2
@@ -35,13 +32,6 @@ _FEWEST = 2
 """Of a night: one alone is not compared with any other."""
 _SCATTER_SIGMAS, _SEEING_PX = 4.0, 0.3
 _SEARCH_SIGMAS = 4.0
-
-
-class MoonCapture(NamedTuple):
-    """How the moon's exposures are chosen, and where the frames of each slot go."""
-
-    exposures: MoonExposures
-    frames: DropOldestQueue[tuple[Frame, ...]]
 
 
 class MoonNight(NamedTuple):

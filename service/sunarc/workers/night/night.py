@@ -14,17 +14,16 @@ from typing import Any, Literal
 
 import numpy as np
 
-from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.archive import CameraArchive
 from sunarc.archive.images import ImageStore
 from sunarc.archive.values import Event, Refit, SunPoint
+from sunarc.calibration.answers.stars import MatchedView, StarView, match_views
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
-from sunarc.calibration.star_views import MatchedView, StarView, match_views
 from sunarc.cameras.frame import Frame
 from sunarc.detection.stars.detect import detect_stars
-from sunarc.detection.stars.halo import star_halo
-from sunarc.detection.stars.trend import NightLimits, NightTrend, dew_suspected, focus_ratio
-from sunarc.detection.stars.values import FWHM, Stars
+from sunarc.detection.stars.photometry import NightLimits, NightTrend, dew_suspected, focus_ratio, star_halo
+from sunarc.detection.values import FWHM, Stars
 from sunarc.findings import Finding
 from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.sky.days import solar_date
@@ -32,15 +31,30 @@ from sunarc.sky.night import wanderer_place
 from sunarc.utc import DAY_S, rfc3339
 from sunarc.workers.messages import MESSAGES, condition, text_of
 from sunarc.workers.night.exposures import DARK_ZENITH_DEG, NightCapture
-from sunarc.workers.night.kept_images import FrameNote, KeptImages, KeptMoon, KeptStars
+from sunarc.workers.night.images import (
+    FrameNote,
+    KeptImages,
+    KeptMoon,
+    KeptStars,
+    NightPicture,
+    better,
+    named_bodies,
+    night_picture,
+    store_picture,
+)
 from sunarc.workers.night.moon import MoonImages
-from sunarc.workers.night.named_stars import BENT_PX, star_view, surest_named
-from sunarc.workers.night.numbers import TakenImage, cloud_fraction, limit_of, numbers_of
-from sunarc.workers.night.offset import offset_of
-from sunarc.workers.night.picture import NightPicture, better, named_bodies, night_picture, store_picture
-from sunarc.workers.night.warm import WarmPixelMap
-from sunarc.workers.night.warm_file import WarmPixelFile
-from sunarc.workers.sensor import SensorOptions, sensor_of
+from sunarc.workers.night.named_stars import (
+    BENT_PX,
+    TakenImage,
+    cloud_fraction,
+    limit_of,
+    numbers_of,
+    offset_of,
+    star_view,
+    surest_named,
+)
+from sunarc.workers.night.warm_pixels import WarmPixelFile, WarmPixelMap
+from sunarc.workers.options import SensorOptions, sensor_of
 
 # What a night was like, by its images.
 

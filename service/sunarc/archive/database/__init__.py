@@ -1,0 +1,1 @@
+"""The database itself: connections, transactions, tables, revisions, copies and recovery."""

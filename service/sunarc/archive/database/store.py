@@ -1,0 +1,351 @@
+"""Base of the parts of the archive: one writer at a time, rows as values, and the space that writes need."""
+
+from __future__ import annotations
+
+import base64
+import errno
+import logging
+import os
+import sqlite3
+import tempfile
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any, Self, TypeVar
+
+from sqlalchemy import Column, ColumnElement, Connection, Engine, Select, Table, TypeDecorator, insert, text
+from sqlalchemy.dialects import postgresql, sqlite
+
+from sunarc.archive.database.connections import (
+    DatabaseFile,
+    Months,
+    SnapshotVersion,
+    json_text,
+    outside_errors,
+    reading,
+    writing,
+)
+from sunarc.archive.database.tables import quarantine
+from sunarc.archive.images import replacing
+from sunarc.errors import InputError, OutsideError, StoreFullError
+
+_log = logging.getLogger(__name__)
+
+_UNREADABLE = "\ufffd"
+"""Stands in a text for what is no UTF-8; a key that has it would find no row."""
+
+Value = TypeVar("Value")
+
+_REBUILT_WITHIN_S = 60.0
+"""A read waits no longer for a database that is being put back."""
+
+
+class Store:
+    """Reads and writes of one database; safe to use from any thread.
+
+    Parameters
+    ----------
+    engine : an engine of `create_archive_engine`, on a database of the head revision.
+    file : its file, as it was opened; None on PostgreSQL.
+    """
+
+    def __init__(self, engine: Engine, file: DatabaseFile | None) -> None:
+        self._engine = engine
+        self._file = file
+        self._changes = SnapshotVersion(engine) if file is None else Changes(engine, file)
+        self._months = Months(engine) if file is None else None
+        self._usable = threading.Event()
+        self._usable.set()
+        self._lock = threading.Lock()  # our own threads queue here, fairly; other processes wait in SQLite
+        self._full: str | None = None
+        """What the last write said that found the disk full; None when there was room since (see `Room`)."""
+        self._room_tried_at: datetime | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the connections that are not in use."""
+        self._changes.close()
+        self._engine.dispose()
+
+    def revision(self) -> int:
+        """Return a number that is another one after anything was written, by whomever; takes microseconds."""
+        self._usable.wait(_REBUILT_WITHIN_S)
+        return self._changes.count()
+
+    @contextmanager
+    def _reading(self) -> Iterator[Connection]:
+        self._usable.wait(_REBUILT_WITHIN_S)
+        with reading(self._engine) as connection:
+            yield connection
+
+    @contextmanager
+    def _writing(self, *, camera: str | None = None) -> Iterator[Connection]:
+        # On PostgreSQL rows of different cameras are written at the same time.
+        with self._noticing_room(), nullcontext() if camera is not None and self._file is None else self._lock:
+            # A deleted file stays writable in the connections that are open, and is lost with the process.
+            if self._file is not None:
+                self._file.require_in_place()
+            with writing(self._engine, camera=camera) as connection:
+                yield connection
+
+    def _prepare_months(self, times: Sequence[datetime]) -> None:
+        """Make the partitions that sightings of these times go to; SQLite has none."""
+        if self._months is not None:
+            with self._noticing_room():
+                self._months.require(times)
+
+    @contextmanager
+    def _noticing_room(self) -> Iterator[None]:
+        """Remember that a write found the disk full."""
+        try:
+            yield
+        except StoreFullError as error:
+            if self._full is None:
+                self._room_tried_at = None
+            self._full = str(error)
+            raise
+
+    def _values(self, statement: Select[Any], kind: type[Value]) -> tuple[Value, ...]:
+        with self._reading() as connection:
+            return values_of(connection, statement, kind)
+
+
+def values_of(connection: Connection, statement: Select[Any], kind: type[Value]) -> tuple[Value, ...]:
+    """Return one value per row; the columns carry the names of its fields.
+
+    A row whose required values cannot be read (see `types`) is left out, and logged.
+    """
+    result = connection.execute(statement)
+    columns = tuple(statement.selected_columns)
+    names = [str(column.key) for column in columns]
+    needed = [number for number, column in enumerate(columns) if _required(column)]
+    keys = [number for number, column in enumerate(columns) if getattr(column, "primary_key", False)]
+    rows = result.all()
+    complete = [
+        row
+        for row in rows
+        if all(row[number] is not None for number in needed) and not any(_UNREADABLE in str(row[key]) for key in keys)
+    ]
+    made = (_made(kind, dict(zip(names, row, strict=True))) for row in complete)
+    found = tuple(value for value in made if value is not None)
+    if len(found) < len(rows):
+        lost, name = len(rows) - len(found), kind.__name__
+        _log.warning("left out %d damaged rows of kind %s; sunarc db check lists what else is wrong", lost, name)
+    return found
+
+
+def _made(kind: type[Value], fields: dict[str, Any]) -> Value | None:
+    """Return the value of a row; None where its fields contradict one another."""
+    try:
+        return kind(**fields)
+    except InputError:
+        return None
+
+
+def _required(column: ColumnElement[Any]) -> bool:
+    return isinstance(column, Column) and not column.nullable and isinstance(column.type, TypeDecorator)
+
+
+def given(*filters: tuple[Callable[[Any], Any], object | None]) -> list[ColumnElement[bool]]:
+    """Return the conditions whose argument is given: `given((column.__eq__, None))` filters nothing."""
+    return [compare(argument) for compare, argument in filters if argument is not None]
+
+
+# Detection of writes in microseconds, so that query results can be cached until the next one.
+
+
+class Changes:
+    """A connection of its own to a database, which sees every commit of all others.
+
+    Parameters
+    ----------
+    engine : names the database in errors.
+    file : its file.
+    """
+
+    def __init__(self, engine: Engine, file: DatabaseFile) -> None:
+        self._engine = engine
+        self._file = file
+        self._lock = threading.Lock()
+        self._connection: sqlite3.Connection | None = None
+        self._opened = 0
+
+    def count(self) -> int:
+        """Return a number that is another one after any commit, of this process or another."""
+        with self._lock, outside_errors(self._engine):
+            if self._connection is None:
+                try:
+                    self._connection = self._file.connect()
+                except sqlite3.Error as error:
+                    raise OutsideError(f"cannot use the database {self._file.path}: {error}") from error
+                self._opened += 1  # each connection counts from the start
+            # SQLite counts commits of other connections only: this one writes nothing, so that it sees them all.
+            (version,) = self._connection.execute("PRAGMA data_version").fetchone()
+            return int(version) + (self._opened << 32)
+
+    def close(self) -> None:
+        """Close the connection; the next question opens another."""
+        with self._lock:
+            if self._connection is not None:
+                self._connection.close()
+            self._connection = None
+
+
+def _insert(connection: Connection, table: Table) -> sqlite.Insert | postgresql.Insert:
+    return sqlite.insert(table) if connection.dialect.name == "sqlite" else postgresql.insert(table)
+
+
+def insert_new(connection: Connection, table: Table, rows: Sequence[Mapping[str, Any]]) -> int:
+    """Insert rows and return how many were new; one whose key is there already is left as it is."""
+    statement = _insert(connection, table).on_conflict_do_nothing()
+    if connection.dialect.name == "sqlite":
+        return connection.execute(statement, list(rows)).rowcount
+    # psycopg does not count the rows of many statements; RETURNING makes one statement of many rows besides
+    return len(connection.execute(statement.returning(next(iter(table.primary_key))), list(rows)).all())
+
+
+def upsert(
+    connection: Connection, table: Table, row: Mapping[str, Any], *, key: Sequence[str], of: str | None = None
+) -> int:
+    """Insert a row, or write it over the one of the same key, and return how many rows were written.
+
+    Parameters
+    ----------
+    connection, table, row : where to, and the columns' values by their keys.
+    key : the columns of the unique key.
+    of : a column that must have the same value in the row that is there; else nothing is written.
+    """
+    statement = _insert(connection, table).values(row)
+    same = None if of is None else table.c[of] == row[of]
+    statement = statement.on_conflict_do_update(index_elements=key, set_=dict(row), where=same)
+    return connection.execute(statement.execution_options(preserve_rowcount=True)).rowcount
+
+
+def upsert_all(connection: Connection, table: Table, rows: Sequence[Mapping[str, Any]], *, key: Sequence[str]) -> None:
+    """Insert rows that have the same columns, each over the one of the same key, in their order."""
+    if not rows:
+        return
+    statement = _insert(connection, table)
+    written = {name: statement.excluded[name] for name in rows[0] if name not in key}
+    connection.execute(statement.on_conflict_do_update(index_elements=key, set_=written), list(rows))
+
+
+def upsert_records(
+    connection: Connection,
+    table: Table,
+    rows: Sequence[Mapping[str, Any]],
+    *,
+    columns: Sequence[str],
+    key: Sequence[str],
+) -> None:
+    """Do what `upsert_all` does, on PostgreSQL, in one statement, with rows whose values are as JSON has them.
+
+    It takes half the processor time, here and in the server. Of rows of one key the last is stored, in the place of
+    the first.
+    """
+    last = {tuple(row.get(name) for name in key): row for row in rows}
+    names = ", ".join(columns)
+    written = ", ".join(f"{name} = excluded.{name}" for name in columns if name not in key)
+    statement = text(
+        f"INSERT INTO {table.name} ({names}) "  # noqa: S608 - names of the table's own columns
+        f"SELECT {names} FROM json_populate_recordset(NULL::{table.name}, CAST(:rows AS json)) "
+        f"ON CONFLICT ({', '.join(key)}) DO UPDATE SET {written}"
+    )
+    connection.execute(statement, {"rows": json_text(list(last.values()))})
+
+
+_TRIED_EVERY, _TRIED_AGAIN_AFTER = timedelta(minutes=1), timedelta(seconds=5)
+_TRIED_BYTES, _NEEDED_BYTES = 32_768, 1_048_576
+"""Stored to see whether there is room; and after a write that found none, when a page that is left is no room."""
+_WITHOUT_CAMERA = ""
+
+
+class Reserve:
+    """A file that occupies space until the database needs it.
+
+    Parameters
+    ----------
+    path : the file.
+    size_bytes : how much it holds; 0 holds nothing.
+    """
+
+    def __init__(self, path: Path, *, size_bytes: int) -> None:
+        self._path = path
+        self.size_bytes = size_bytes
+
+    def held(self) -> bool:
+        """Return whether the reserve is allocated, or needs no space."""
+        return self.size_bytes == 0 or self._path.exists()
+
+    def hold(self) -> bool:
+        """Allocate the reserve, and return whether there was enough space."""
+        if self.held():
+            return True
+        try:
+            with replacing(self._path) as file:
+                # Blocks are taken, not a hole: a sparse file would set nothing aside.
+                os.posix_fallocate(file.fileno(), 0, self.size_bytes)
+        except OSError:
+            return False
+        return True
+
+    def balance(self, free_bytes: int) -> None:
+        """Release the reserve when less than a quarter of its size is free; allocate it again above twice its size."""
+        if free_bytes < self.size_bytes / 4:
+            self.release()
+        elif free_bytes > 2 * self.size_bytes:
+            self.hold()
+
+    def release(self) -> None:
+        """Delete the reserve's file, so that its space is free."""
+        self._path.unlink(missing_ok=True)
+
+
+class Room(Store):
+    """The part of the archive that tells whether a row can be stored."""
+
+    def require_room(self, *, now: datetime) -> None:
+        """Find out whether a row can be stored: once a minute, and every 5 s after a write that found the disk full.
+
+        Raises
+        ------
+        StoreFullError : it cannot. The first call after such a write only says so.
+        OutsideError : the database does not answer.
+        """
+        tried_at, full = self._room_tried_at, self._full
+        waits = tried_at is not None and timedelta(0) <= now - tried_at < (_TRIED_AGAIN_AFTER if full else _TRIED_EVERY)
+        if full is not None and (waits or tried_at is None):
+            self._room_tried_at = tried_at or now
+            raise StoreFullError(full)
+        if waits:
+            return
+        self._room_tried_at = now
+        self._try_to_store(_NEEDED_BYTES if full else _TRIED_BYTES)
+        self._full = None
+
+    def _try_to_store(self, count: int) -> None:
+        """Store so many bytes, and take them back."""
+        if self._file is not None:
+            try:
+                with tempfile.TemporaryFile(dir=self._file.path.parent) as file:
+                    os.posix_fallocate(file.fileno(), 0, count)
+            except OSError as error:
+                if error.errno not in {errno.ENOSPC, errno.EDQUOT}:
+                    raise OutsideError(f"cannot write beside the database {self._file.path}: {error}") from error
+                self._full = f"the disk of the database {self._file.path} is full: {error}"
+                raise StoreFullError(self._full) from error
+            return
+        text = base64.b85encode(os.urandom(count)).decode()  # compressed by the server, it would be no smaller
+        words = dict.fromkeys(("installation", "reason", "kind", "text"), "")
+        row = {**words, "camera": _WITHOUT_CAMERA, "seq": 0, "data": text, "n": 0}
+        time = self._room_tried_at
+        with self._writing(camera=_WITHOUT_CAMERA) as connection, connection.begin_nested() as tried:
+            connection.execute(insert(quarantine).values(**row, first_at=time, last_at=time))
+            tried.rollback()

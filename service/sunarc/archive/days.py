@@ -1,0 +1,276 @@
+"""Days and nights: the air that was measured, counts of sightings, and the images of the present night."""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from datetime import date, datetime, timedelta
+from typing import Any, Literal
+
+import numpy as np
+from sqlalchemy import BigInteger, Column, Connection, Select, delete, func, select, type_coerce, update
+
+from sunarc.archive.database.store import Store, given, upsert, values_of
+from sunarc.archive.database.tables import camera as cameras
+from sunarc.archive.database.tables import day, day_air, night_image, refit, sun_point
+from sunarc.archive.events import insert_event
+from sunarc.archive.values import DayAir, Event, SightingCounts, SunPoint
+from sunarc.array_types import FloatArray
+from sunarc.errors import InputError, NotFoundError
+from sunarc.sky.days import SECONDS_PER_DEGREE, day_bounds_unix_s, day_of_date, solar_date, solar_days
+from sunarc.sky.night import SUN
+from sunarc.sky.site import PA_PER_HPA, PRESSURE_BOUNDS_HPA, PRESSURE_BOUNDS_PA, TEMPERATURE_BOUNDS_C, Site
+from sunarc.utc import DAY_S
+
+
+class MeasuredAir(Store):
+    """The part of the archive with the measured air of days."""
+
+    def set_day_air(self, air: DayAir) -> DayAir:
+        """Write a day's air in place of an earlier one, and return what is kept; with neither value, remove it.
+
+        The same values again change nothing, `set_at` included.
+
+        Raises
+        ------
+        InputError : a value is out of bounds.
+        NotFoundError : the archive does not know the camera.
+        """
+        _require_within("temperature_c", air.temperature_c, TEMPERATURE_BOUNDS_C)
+        _require_within("pressure_hpa", air.pressure_hpa, PRESSURE_BOUNDS_HPA)
+        c = day_air.c
+        this = (c.camera == air.camera, c.date == air.date)
+        with self._writing() as connection:
+            if connection.scalar(select(cameras.c.name).where(cameras.c.name == air.camera)) is None:
+                raise NotFoundError(
+                    field="camera",
+                    problem=f"the archive has no camera {air.camera}",
+                    remedy="wait until it has answered once, or import sightings of it",
+                )
+            stored = values_of(connection, select(day_air).where(*this), DayAir)
+            if stored and _values(stored[0]) == _values(air):
+                return stored[0]
+            if _values(air) == (None, None):
+                connection.execute(delete(day_air).where(*this))
+            else:
+                upsert(connection, day_air, asdict(air), key=["camera", "date"])
+        return air
+
+    def day_air(self, camera: str, *, since: date | None = None, until: date | None = None) -> tuple[DayAir, ...]:
+        """Return the measured air of the days with `since` <= date < `until`, the first one first."""
+        with self._reading() as connection:
+            return _read(connection, camera, since=since, until=until)
+
+    def air_of(self, camera: str, points: Sequence[SunPoint]) -> tuple[FloatArray, FloatArray]:
+        """Return temperature (°C) and pressure (Pa) at sightings, (n,) each: their own, else their day's, else NaN."""
+        unix_s = np.array([point.time.timestamp() for point in points], dtype=np.float64)
+        with self._reading() as connection:
+            of_day = air_of_days(connection, camera, unix_s)
+        measured = _numbers(points)
+        temperature, pressure = (np.where(np.isnan(own), day, own) for own, day in zip(measured, of_day, strict=True))
+        return temperature, pressure
+
+    def site_on(self, camera: str, site: Site, day: date) -> Site:
+        """Return a camera's site in the measured air of a solar day; in the site's own where nothing was measured."""
+        with self._reading() as connection:
+            found = values_of(
+                connection, select(day_air).where(day_air.c.camera == camera, day_air.c.date == day), DayAir
+            )
+        if not found:
+            return site
+        temperature, pressure = _numbers(found)
+        return site.with_air(temperature=_or_none(temperature[0]), pressure=_or_none(pressure[0]))
+
+    def site_at(self, camera: str, site: Site, time: datetime) -> Site:
+        """Return a camera's site in the measured air of the solar day of a moment, as `site_on`."""
+        return self.site_on(camera, site, solar_date(time.timestamp(), longitude=site.longitude))
+
+
+def air_of_days(connection: Connection, camera: str, unix_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return temperature (°C) and pressure (Pa) of the solar days of times (n,), (n,) each; NaN where not measured."""
+    unknown = np.full((2, unix_s.size), np.nan)
+    longitude = connection.scalar(select(cameras.c.longitude).where(cameras.c.name == camera))
+    of_days = _read(connection, camera) if unix_s.size else ()
+    if not of_days or longitude is None:
+        return unknown[0], unknown[1]
+    day = solar_days(unix_s, longitude=longitude)
+    days = np.array([day_of_date(air.date) for air in of_days])
+    # A day after the last known one would be beyond the end; it differs from the last, and is NaN below.
+    index = np.minimum(np.searchsorted(days, day), days.size - 1)
+    temperature, pressure = _numbers(of_days)
+    is_measured = days[index] == day
+    return np.where(is_measured, temperature[index], np.nan), np.where(is_measured, pressure[index], np.nan)
+
+
+def within_or_nan(values: FloatArray, bounds: tuple[float, float]) -> FloatArray:
+    """Return values (n,), NaN for those out of bounds: what was written by hand must not stop a fit."""
+    return np.where((values >= bounds[0]) & (values <= bounds[1]), values, np.nan)
+
+
+def _read(
+    connection: Connection, camera: str, *, since: date | None = None, until: date | None = None
+) -> tuple[DayAir, ...]:
+    c = day_air.c
+    filters = given((c.camera.__eq__, camera), (c.date.__ge__, since), (c.date.__lt__, until))
+    return values_of(connection, select(day_air).where(*filters).order_by(c.date), DayAir)
+
+
+def _numbers(measured: Sequence[DayAir | SunPoint]) -> tuple[FloatArray, FloatArray]:
+    """Return temperature (°C) and pressure (Pa), (n,) each; NaN where not measured."""
+    numbers = np.array(
+        [(_number(air.temperature_c), _number(air.pressure_hpa)) for air in measured], dtype=np.float64
+    ).reshape(-1, 2)
+    temperature = within_or_nan(numbers[:, 0], TEMPERATURE_BOUNDS_C)
+    return temperature, within_or_nan(PA_PER_HPA * numbers[:, 1], PRESSURE_BOUNDS_PA)
+
+
+def _number(value: object) -> float:
+    return float(value) if isinstance(value, int | float) else np.nan
+
+
+def _or_none(value: float) -> float | None:
+    return None if np.isnan(value) else float(value)
+
+
+def _values(air: DayAir) -> tuple[float | None, float | None]:
+    return air.temperature_c, air.pressure_hpa
+
+
+def _require_within(field: str, value: float | None, bounds: tuple[float, float]) -> None:
+    low, high = bounds
+    if value is not None and not low <= value <= high:  # NaN is not
+        raise InputError(
+            field=field, problem=f"{value:g} is not within {low:g} to {high:g}", remedy="give °C and hPa, or null"
+        )
+
+
+class Counts(Store):
+    """The part of the archive that counts."""
+
+    def count_sightings(self, camera: str, *, since: datetime, until: datetime) -> Mapping[str, int]:
+        """Return how many sightings with `since` <= time < `until` have each verdict."""
+        c = sun_point.c
+        return self._counted(
+            select(c.verdict, func.count()).where(c.camera == camera, c.time >= since, c.time < until), c.verdict
+        )
+
+    def count_days(self, camera: str) -> Mapping[str, int]:
+        """Return how many days have each verdict."""
+        return self._counted(select(day.c.verdict, func.count()).where(day.c.camera == camera), day.c.verdict)
+
+    def count_refits(self, camera: str) -> Mapping[str, int]:
+        """Return how many refits are in each state."""
+        return self._counted(select(refit.c.state, func.count()).where(refit.c.camera == camera), refit.c.state)
+
+    def sightings_by_day(
+        self, camera: str, *, longitude: float, since: date, until: date
+    ) -> tuple[SightingCounts, ...]:
+        """Return the counts of the looks at the sun on solar dates with `since` <= date < `until`, the newest first."""
+        c, ahead = sun_point.c, round(1e6 * longitude * SECONDS_PER_DEGREE)
+        begin, end = (round(1e6 * day_bounds_unix_s(one, longitude=longitude)[0]) for one in (since, until))
+        time = type_coerce(c.time, BigInteger)
+        number = ((time + ahead) // round(1e6 * DAY_S)).label("day")
+        counts = select(number, c.verdict, c.accepted, func.count(), func.max(c.clock_error_s))
+        of_days = counts.where(c.camera == camera, c.body == SUN, time >= begin, time < end)
+        with self._reading() as connection:
+            rows = connection.execute(of_days.group_by(number, c.verdict, c.accepted)).all()
+        by_day: dict[int, list[tuple[str, bool, int, float | None]]] = {}
+        for day_number, *row in rows:
+            by_day.setdefault(int(day_number), []).append((row[0], row[1], row[2], row[3]))
+        return tuple(_of_day(one, by_day[one]) for one in sorted(by_day, reverse=True))
+
+    def _counted(self, statement: Select[Any], by: Column[str]) -> Mapping[str, int]:
+        with self._reading() as connection:
+            rows = connection.execute(statement.group_by(by)).all()
+        return {str(name): int(n) for name, n in rows if name is not None}
+
+
+def _of_day(day: int, rows: list[tuple[str, bool, int, float | None]]) -> SightingCounts:
+    verdicts: Counter[str] = Counter()
+    for verdict, _, count, _ in rows:
+        verdicts[verdict] += count
+    return SightingCounts(
+        date=date(1970, 1, 1) + timedelta(days=day),
+        verdicts=dict(sorted(verdicts.items())),
+        accepted=sum(count for _, accepted, count, _ in rows if accepted),
+        clock_error_s=max((error for *_, error in rows if error is not None), default=None),
+    )
+
+
+_log = logging.getLogger(__name__)
+
+NightImageKind = Literal["stars", "moon"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NightImage:
+    """An image of the night without its pixels.
+
+    Attributes
+    ----------
+    time, kind : middle of the exposure; whether its stars or its moon were looked for.
+    exposure_us, gain_db, pixel_format, full_scale, binning : of the frame.
+    width, height : of the frame, px.
+    serial : of the camera.
+    clock_error_s : bound of the error of `time` when the image was taken, seconds.
+    halo : light about the bright stars; None without.
+    digest : checksum of the frame's counts.
+    n_repeated : frames of the night until then that were the one before once more.
+    measured : arrays in NumPy's npz.
+    picture : JPEG of the best image until then; None where a former one is better.
+    """
+
+    time: datetime
+    kind: NightImageKind
+    exposure_us: float
+    gain_db: float
+    pixel_format: str
+    full_scale: int
+    width: int
+    height: int
+    binning: int
+    serial: str
+    clock_error_s: float
+    measured: bytes
+    halo: float | None = None
+    digest: int = 0
+    n_repeated: int = 0
+    picture: bytes | None = None
+
+
+_COLUMNS = [column for column in night_image.c if column.name not in {"camera", "n_tries"}]
+
+
+class NightImages(Store):
+    """The part of the archive with the images of nights that have no verdict yet."""
+
+    def add_night_image(self, camera: str, image: NightImage, *, keep_since: datetime) -> None:
+        """Store an image of the night, and remove those of its kind from before `keep_since`."""
+        c = night_image.c
+        row = {"camera": camera, "n_tries": 0, **asdict(image)}
+        with self._writing(camera=camera) as connection:
+            upsert(connection, night_image, row, key=["camera", "time", "kind"])
+            connection.execute(delete(night_image).where(c.camera == camera, c.kind == image.kind, c.time < keep_since))
+
+    def night_images(self, camera: str) -> tuple[NightImage, ...]:
+        """Return the images of a camera's nights without a verdict, the oldest first."""
+        c = night_image.c
+        return self._values(select(*_COLUMNS).where(c.camera == camera).order_by(c.time, c.kind), NightImage)
+
+    def begin_night_verdict(self, camera: str) -> int:
+        """Count that the verdict of the stored images is begun, and return how often it was, this time included."""
+        c = night_image.c
+        with self._writing(camera=camera) as connection:
+            connection.execute(update(night_image).where(c.camera == camera).values(n_tries=c.n_tries + 1))
+            tries = select(func.max(c.n_tries)).where(c.camera == camera)
+            return int(connection.scalar(tries) or 0)
+
+    def finish_night(self, camera: str, event: Event | None) -> None:
+        """Store the event of a night's verdict and remove the night's images: both are done, or neither is."""
+        with self._writing() as connection:
+            stored = None if event is None else insert_event(connection, event)
+            connection.execute(delete(night_image).where(night_image.c.camera == camera))
+        if stored is not None:
+            _log.info("%s: %s", stored.kind, stored.text, extra={"event_id": stored.id, "event_kind": stored.kind})

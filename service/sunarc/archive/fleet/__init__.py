@@ -1,0 +1,1 @@
+"""What imagers and hubs exchange: outbox, feeds, notices, and a hub's nightly work."""

@@ -1,0 +1,294 @@
+"""Rows as an imager sends them to a hub: which tables, under which keys, and the values as JSON.
+
+A value is as in the table: times as whole microseconds since 1970-01-01 UTC, JSON columns as JSON, dates as ISO 8601.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import date
+from functools import cache
+from typing import Annotated, Any, Literal
+
+from sqlalchemy import JSON, Boolean, Column, Date, Float, Integer, Table, Text, TypeDecorator
+from sqlalchemy.types import TypeEngine
+
+from sunarc.archive.database import tables
+from sunarc.archive.database.connections import parsed_json
+from sunarc.archive.database.tables import CalendarDate, FindingTuple, NumberTuple, UtcTime
+from sunarc.errors import InputError
+from sunarc.findings import from_json
+from sunarc.json_fields import EXAMPLE_TIME, Returned, Time, described
+from sunarc.utc import from_microseconds
+
+FED: Mapping[str, tuple[Table, tuple[str, ...]]] = {
+    "camera": (tables.camera, ("name",)),
+    "pose_epoch": (tables.pose_epoch, ("id",)),
+    "sun_point": (tables.sun_point, ("camera", "time", "body", "exposure_us", "method", "file")),
+    "day": (tables.day, ("camera", "date")),
+    "day_air": (tables.day_air, ("camera", "date")),
+    "calibration": (tables.calibration, ("id",)),
+    "refit": (tables.refit, ("id",)),
+    "event": (tables.event, ("camera", "time", "kind", "text")),
+    "housekeeping": (tables.housekeeping, ("camera", "step", "time")),
+}
+"""The tables that are sent, each after those that it refers to, with what makes a row of it another one."""
+
+STATUS = "status"
+"""Kind of what the imager tells of itself; the hub keeps the newest."""
+REMOVED = ".removed"
+"""Ending of the kind of a row that is there no more, or not under that key."""
+_NUMBERED = frozenset({"sun_point", "event"})
+"""Tables whose `id` is the archive's own, and another one at the hub."""
+
+
+@cache
+def columns_of(kind: str) -> Mapping[str, Column[Any]]:
+    """Return the columns that are sent of a table, by their names."""
+    columns = FED[kind][0].columns
+    return {column.name: column for column in columns if not (kind in _NUMBERED and column.name == "id")}
+
+
+def plain_type(column: Column[Any]) -> TypeEngine[Any]:
+    """Return how a column is stored."""
+    return column.type.impl_instance if isinstance(column.type, TypeDecorator) else column.type
+
+
+def from_trigger(kind: str, stored: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the JSON values of a row that a trigger of `outbox` wrote: there a number is a text of all its digits."""
+    types = {column.name: plain_type(column) for column in FED[kind.removesuffix(REMOVED)][0].columns}
+    return {name: _value(types[name], value) for name, value in stored.items()}
+
+
+def _value(kind: TypeEngine[Any], stored: Any) -> Any:  # noqa: ANN401 - of many types
+    if stored is None:
+        return None
+    if isinstance(kind, Float):
+        return _number(str(stored))
+    if isinstance(kind, Boolean):
+        return bool(stored)
+    return parsed_json(str(stored)) if isinstance(kind, JSON) else stored
+
+
+def _number(text: str) -> float | None:
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def _is_integer(value: object) -> bool:
+    return type(value) is int and -(2**63) < value < 2**63
+
+
+def _is_unicode(text: str) -> bool:
+    """Whether both engines can store a text: PostgreSQL stores no NUL, and half of a surrogate pair is no character."""
+    return "\0" not in text and (text.isascii() or not any("\ud800" <= character <= "\udfff" for character in text))
+
+
+_FITS: tuple[tuple[type[TypeEngine[Any]], Callable[[Any], bool]], ...] = (
+    (Float, lambda value: math.isfinite(value) if type(value) is float else _is_integer(value)),
+    (Boolean, lambda value: type(value) is bool),
+    (Integer, _is_integer),
+    (Text, lambda value: type(value) is str and _is_unicode(value)),
+    (Date, lambda value: type(value) is str and _is_unicode(value)),
+    (JSON, lambda value: type(value) is dict or type(value) is list),
+)
+"""Whether a value that was read from JSON fits a column. Thousands of rows pass in a second, each with 23 of them."""
+
+
+@cache
+def _checks(kind: str, only_key: bool) -> tuple[tuple[str, bool, Callable[[Any], bool]], ...]:  # noqa: FBT001
+    """Return each column's name, whether a row must have it, and what its value must fit."""
+    columns = columns_of(kind)
+    names = FED[kind][1] if only_key else tuple(columns)
+    return tuple(
+        (
+            name,
+            # an event without a camera concerns all that an imager has: at the hub it is the camera's
+            not columns[name].nullable and (only_key or columns[name].server_default is None),
+            next(fits for base, fits in _FITS if isinstance(plain_type(columns[name]), base)),
+        )
+        for name in names
+    )
+
+
+def problem_of(kind: str, data: Mapping[str, Any], *, only_key: bool = False) -> str | None:
+    """Return what is wrong with the form of a row that was sent; None where nothing is."""
+    checks = _checks(kind, only_key)
+    unknown = data.keys() - {name for name, _, _ in checks}
+    if unknown:
+        return f"column {min(unknown)} is unknown"
+    for name, required, fits in checks:
+        value = data.get(name)
+        if value is None:
+            if required:
+                return f"{name} is missing"
+        elif not fits(value):
+            return f"{name} is no {type(plain_type(columns_of(kind)[name])).__name__}"
+    return None
+
+
+def typed(kind: str, data: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of a row that has no problem, by the keys of its columns, as the table takes them.
+
+    Raises
+    ------
+    ValueError, OverflowError : a date or a time that there is not.
+    """
+    values = dict(data)
+    for name, key, convert in _conversions(kind):
+        if name in values:
+            value = values.pop(name)
+            values[key] = None if value is None else convert(value)
+    return values
+
+
+@cache
+def _conversions(kind: str) -> tuple[tuple[str, str, Callable[[Any], Any]], ...]:
+    """Return the columns whose values are not what JSON has: name, key and conversion."""
+    found = ((name, column, _conversion(column)) for name, column in columns_of(kind).items())
+    return tuple((name, column.key, convert) for name, column, convert in found if convert is not None)
+
+
+def _conversion(column: Column[Any]) -> Callable[[Any], Any] | None:
+    if isinstance(column.type, UtcTime):
+        return from_microseconds
+    if isinstance(column.type, CalendarDate):
+        return date.fromisoformat
+    if isinstance(column.type, FindingTuple):
+        return lambda value: tuple(from_json(one) for one in value) if isinstance(value, list) else ()
+    if isinstance(column.type, NumberTuple):
+        return lambda value: tuple(value) if isinstance(value, list) else None
+    return None
+
+
+Reason = Literal[
+    "unknown_camera",
+    "forged_token",
+    "second_installation",
+    "newer_imager",
+    "gap",
+    "body_too_large",
+    "malformed",
+    "other_camera",
+    "future_clock",
+    "newer_document",
+    "damaged_document",
+    "contradiction",
+    "refused_by_database",
+]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FeedRow:
+    """A row as it is sent.
+
+    Attributes
+    ----------
+    seq : its number in the outbox.
+    kind : the table, with ".removed" where the row is there no more; or "status".
+    data : the columns; None where they were too large to be sent.
+    """
+
+    seq: int
+    kind: str
+    data: Mapping[str, Any] | None
+
+
+def feed_lines(rows: Sequence[FeedRow]) -> bytes:
+    """Return rows as newline-delimited JSON."""
+    lines = (json.dumps({"seq": row.seq, "kind": row.kind, "data": row.data}, allow_nan=False) for row in rows)
+    return "".join(f"{line}\n" for line in lines).encode()
+
+
+def read_feed_lines(body: bytes, *, after: int) -> tuple[FeedRow, ...]:
+    """Return the rows of newline-delimited JSON.
+
+    Raises
+    ------
+    InputError : a line is no row, or the numbers do not rise from `after` on; it names the line.
+    """
+    rows: list[FeedRow] = []
+    for number, line in enumerate(body.splitlines(), 1):
+        row = _row(line)
+        if row is None or row.seq <= max(after, rows[-1].seq if rows else after):
+            problem = "is no row" if row is None else f"has number {row.seq}, which is not after the one before"
+            raise InputError(field=f"body, line {number}", problem=problem, remedy='send {"seq", "kind", "data"}')
+        rows.append(row)
+    return tuple(rows)
+
+
+def _row(line: bytes) -> FeedRow | None:
+    try:
+        found = json.loads(line, parse_constant=lambda _: None)  # NaN and infinities: no JSON, and no value
+        seq, kind, data = found["seq"], found["kind"], found["data"]
+    except (ValueError, TypeError, KeyError, RecursionError):
+        return None
+    formed = type(seq) is int and 0 < seq < 2**63 and isinstance(kind, str) and isinstance(data, dict | None)
+    return FeedRow(seq=seq, kind=kind, data=data) if formed else None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FeedBatch:
+    """Rows of one camera's imager, in their order.
+
+    Attributes
+    ----------
+    camera, installation : whose.
+    after : the imager has nothing between this number and the first row's.
+    rows : their numbers rise.
+    """
+
+    camera: str
+    installation: str
+    after: int
+    rows: tuple[FeedRow, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Refusal:
+    """Why something was not taken."""
+
+    reason: Reason
+    text: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Quarantined(Returned):
+    """Something that an imager sent, and the hub refused or set apart."""
+
+    camera: Annotated[str, described("Name it was sent under.", "imager")]
+    installation: Annotated[str, described("Id of the imager's database; empty where not known.", "5f1d")]
+    reason: Annotated[Reason, described("Why, in a word.")]
+    seq: Annotated[int, described("Number of the row; 0 for what was refused as a whole.", 4711)]
+    kind: Annotated[str, described("Kind of the row; empty for what was refused as a whole.", "sun_point")]
+    text: Annotated[str, described("Why, in a sentence.", "dated 2099-01-01T00:00:00+00:00, later than now")]
+    data: Annotated[str, described("The row as it was sent, JSON; empty where there is none.", "{}")]
+    n: Annotated[int, described("How often it came, a count.", 1)]
+    first_at: Time
+    last_at: Time
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FleetCamera(Returned):
+    """A camera as the hub sees it."""
+
+    camera: Annotated[str, described("Its name.", "imager")]
+    latitude: Annotated[float | None, described("Degrees, north positive; null until it sent it.", 36.604)] = None
+    longitude: Annotated[float | None, described("Degrees, east positive; null until it sent it.", -97.485)] = None
+    altitude: Annotated[float | None, described("Metres above sea level; null until it sent it.", 318.0)] = None
+    received_at: Annotated[Time | None, described("When it last sent something; null: never.", EXAMPLE_TIME)] = None
+    last_sighting_at: Annotated[Time | None, described("Time of its newest sighting.", EXAMPLE_TIME)] = None
+    calibration: Annotated[str | None, described("Id of its current calibration.", "20130514T150508Z-52ee44")] = None
+    calibrated_at: Annotated[Time | None, described("When that was made.", EXAMPLE_TIME)] = None
+    sky_rms_deg: Annotated[float | None, described("Its 1-sigma over the sky (RMS), degrees.", 0.01)] = None
+    status: Annotated[Mapping[str, Any] | None, described("What it last reported of itself.", {"health": "ready"})] = (
+        field(default_factory=dict)
+    )
+    status_at: Annotated[Time | None, described("When that came.", EXAMPLE_TIME)] = None
+    n_quarantined: Annotated[int, described("How many things of it are in quarantine.", 0)] = 0

@@ -1,0 +1,423 @@
+"""The hub's part: what imagers send, each row stored once; its cameras, their tokens, and what is in quarantine."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from itertools import groupby
+from typing import Any
+
+from sqlalchemy import Connection, Table, and_, delete, func, insert, or_, select, update
+from sqlalchemy.exc import DataError, DBAPIError, IntegrityError, StatementError
+
+from sunarc.archive.database.connections import is_of_row, json_text
+from sunarc.archive.database.store import Store, given, upsert, upsert_all, upsert_records
+from sunarc.archive.database.tables import calibration, camera, event, feed, feed_token, fleet, pose_epoch, quarantine
+from sunarc.archive.fleet.feed_rows import (
+    FED,
+    REMOVED,
+    STATUS,
+    FeedBatch,
+    FeedRow,
+    FleetCamera,
+    Quarantined,
+    Refusal,
+    problem_of,
+    typed,
+)
+from sunarc.calibration.model.document import READ_SCHEMAS
+from sunarc.errors import NotFoundError
+from sunarc.utc import from_microseconds, to_microseconds
+
+FUTURE = timedelta(minutes=10)
+"""A row dated later than now by more than this is set apart: clocks differ by seconds, time zones by hours."""
+_DATED = {
+    "pose_epoch": "started_at",
+    "sun_point": "time",
+    "day": "decided_at",
+    "day_air": "set_at",
+    "calibration": "created_at",
+    "refit": "requested_at",
+    "event": "time",
+    "housekeeping": "time",
+}
+_OF_ONE_CAMERA = frozenset({"pose_epoch", "calibration", "refit"})
+"""Tables whose key is an id: a row of another camera must not be written over, nor removed."""
+_REFERENCES: Mapping[str, Mapping[str, Table]] = {
+    "sun_point": {"pose_epoch": pose_epoch},
+    "calibration": {"pose_epoch": pose_epoch, "parent": calibration},
+    "refit": {"calibration": calibration},
+}
+"""Columns that name a row by its id: it must be one of the same camera."""
+_MOST_UNKNOWN = 100
+_OTHERS = "(others)"
+"""Stands for cameras that nobody registered, beyond the first so many: names cost a stranger nothing."""
+_LATEST_US = to_microseconds(datetime(2200, 1, 1, tzinfo=UTC))
+WHOLE = 0
+"""The `seq` of what was refused as a whole."""
+
+
+class Feeds(Store):
+    """The part of the archive that a hub fills with what imagers send."""
+
+    def take_feed(self, batch: FeedBatch, *, now: datetime) -> int | Refusal:
+        """Store a batch, and return the number up to which the hub has this imager's rows.
+
+        Rows and number are written in one transaction: a batch that comes twice is stored once. A batch that does not
+        begin where the hub stands is left alone; the number that is returned says where to go on.
+
+        Parameters
+        ----------
+        batch : of one camera.
+        now : real time.
+
+        Returns
+        -------
+        The number; or why the batch was refused as a whole, which is also in quarantine.
+        """
+        dated = [time for time in map(_sighting_time, batch.rows) if time is not None]
+        self._prepare_months([time for time in dated if time <= now + FUTURE])
+        with self._writing(camera=batch.camera) as connection:
+            position = _position(connection, batch, now)
+            if isinstance(position, Refusal):
+                _set_apart(connection, batch, position, now=now)
+                return position
+            if batch.after != position:
+                if batch.after > position:
+                    text = f"rows after {batch.after} came, rows after {position} were expected; all are sent again"
+                    _set_apart(connection, batch, Refusal(reason="gap", text=text), now=now)
+                return position
+            _store_batch(connection, batch, now)
+            committed = batch.rows[-1].seq if batch.rows else position
+            this = and_(feed.c.camera == batch.camera, feed.c.installation == batch.installation)
+            connection.execute(update(feed).where(this).values(committed=committed, last_at=now))
+        return committed
+
+    def refuse_feed(self, *, camera: str, installation: str, refusal: Refusal, now: datetime) -> None:
+        """Write into quarantine that something was refused as a whole."""
+        batch = FeedBatch(camera=camera, installation=installation, after=0, rows=())
+        with self._writing(camera=camera) as connection:
+            if refusal.reason == "unknown_camera":
+                batch = replace(batch, camera=_bounded(connection, camera), installation="")
+            _set_apart(connection, batch, refusal, now=now)
+
+
+def _bounded(connection: Connection, name: str) -> str:
+    """Return a name for what came from a camera that nobody registered."""
+    q = quarantine.c
+    known = connection.scalars(select(q.camera).where(q.reason == "unknown_camera")).all()
+    return name if name in known or len(known) < _MOST_UNKNOWN else _OTHERS
+
+
+def _position(connection: Connection, batch: FeedBatch, now: datetime) -> int | Refusal:
+    """Return up to which number the hub has an installation's rows; a camera's first installation is taken."""
+    rows = {row.installation: row for row in connection.execute(select(feed).where(feed.c.camera == batch.camera))}
+    found = rows.get(batch.installation)
+    if found is None and any(row.accepted for row in rows.values()):
+        other = next(row for row in rows.values() if row.accepted)
+        text = f"installation {batch.installation} sends as {batch.camera}, which installation {other.installation} is"
+        return Refusal(reason="second_installation", text=text)
+    if found is None:
+        row = {"camera": batch.camera, "installation": batch.installation, "committed": 0, "accepted": True}
+        connection.execute(insert(feed).values(**row, first_at=now, last_at=now))
+        return 0
+    if not found.accepted:
+        return Refusal(reason="second_installation", text=f"installation {batch.installation} was replaced by another")
+    return int(found.committed)
+
+
+def _sighting_time(row: FeedRow) -> datetime | None:
+    """Return the time of a sighting; None of another row, and where there is none in its place."""
+    time = row.data.get("time") if row.kind == "sun_point" and row.data is not None else None
+    return from_microseconds(time) if type(time) is int and 0 <= time < _LATEST_US else None
+
+
+def _store_batch(connection: Connection, batch: FeedBatch, now: datetime) -> None:
+    """Store the rows in their order; rows that cannot be stored are set apart, and what follows is stored."""
+    for kind, group in groupby(batch.rows, key=lambda row: row.kind):
+        rows = []
+        for row in group:
+            refusal = _refusal(batch.camera, row, now)
+            if refusal is not None:
+                _set_apart(connection, batch, refusal, row=row, now=now)
+            else:
+                rows.append(row)
+        if kind == STATUS or not rows:
+            continue
+        for row, refusal in _stored(connection, batch.camera, kind, rows):
+            _set_apart(connection, batch, refusal, row=row, now=now)
+    _note_in_fleet(connection, batch, now)
+
+
+def _refusal(camera: str, row: FeedRow, now: datetime) -> Refusal | None:
+    """Return why a row is not stored, as far as it says itself."""
+    kind = row.kind.removesuffix(REMOVED)
+    if row.data is None:
+        return Refusal(reason="body_too_large", text=f"a row of kind {row.kind} was too large to be sent")
+    if row.kind == STATUS:
+        return None
+    if kind not in FED:
+        return Refusal(reason="malformed", text=f"kind {row.kind} is unknown")
+    problem = problem_of(kind, row.data, only_key=row.kind != kind)
+    if problem is not None:
+        return Refusal(reason="malformed", text=problem)
+    named = row.data.get("name" if kind == "camera" else "camera", camera)
+    if named != camera and not (kind == "event" and named is None):
+        return Refusal(reason="other_camera", text=f"the row is of camera {named}")
+    return _refusal_of_value(kind, row, row.data, now)
+
+
+def _refusal_of_value(kind: str, row: FeedRow, data: Mapping[str, Any], now: datetime) -> Refusal | None:
+    try:
+        values = typed(kind, data)
+    except (ValueError, OverflowError) as error:
+        return Refusal(reason="malformed", text=str(error))
+    if row.kind != kind:
+        return None  # removed: its time says when it was made
+    dated: datetime | None = values.get(_DATED.get(kind, ""))
+    if dated is not None and dated > now + FUTURE:
+        return Refusal(reason="future_clock", text=f"dated {dated.isoformat()}, later than now")
+    if dated is not None and dated.year < 1970:
+        return Refusal(reason="malformed", text=f"dated {dated.isoformat()}, before 1970")
+    return _refusal_of_document(data) if kind == "calibration" else None
+
+
+def _refusal_of_document(data: Mapping[str, Any]) -> Refusal | None:
+    document = data["document"]
+    schema = document.get("schema") if isinstance(document, dict) else None
+    if schema not in READ_SCHEMAS:
+        return Refusal(
+            reason="newer_document", text=f"document {data['id']} is {schema}, none of {', '.join(READ_SCHEMAS)}"
+        )
+    if hashlib.sha256(json_text(document).encode()).hexdigest() != data["document_sha256"]:
+        return Refusal(reason="damaged_document", text=f"document {data['id']} does not match its checksum")
+    return None
+
+
+def _stored(
+    connection: Connection, camera: str, kind: str, rows: Sequence[FeedRow]
+) -> Iterable[tuple[FeedRow, Refusal]]:
+    """Store rows of one kind together, or one by one where the database refuses one of them; yield those left out."""
+    if _refused_by_database(connection, camera, kind, rows) is None:
+        return
+    for row in rows:
+        refusal = _refused_by_database(connection, camera, kind, [row])
+        if refusal is not None:
+            yield row, refusal
+
+
+def _refused_by_database(connection: Connection, camera: str, kind: str, rows: Sequence[FeedRow]) -> Refusal | None:
+    """Store rows or none of them, and return why not; an error that is of no row (server, disk, locks) is raised."""
+    try:
+        with connection.begin_nested():
+            _require_own_references(connection, camera, kind, rows)
+            _write(connection, camera, kind, rows)
+    except StatementError as error:
+        if isinstance(error, DBAPIError) and not is_of_row(connection, error):
+            raise
+        text = str(error.orig).strip().partition("\n")[0]
+        contradicts = isinstance(error, IntegrityError | DataError)
+        return Refusal(reason="contradiction" if contradicts else "refused_by_database", text=text)
+    return None
+
+
+def _require_own_references(connection: Connection, camera_name: str, kind: str, rows: Sequence[FeedRow]) -> None:
+    for column, table in _REFERENCES.get(kind, {}).items():
+        named = {(row.data or {}).get(column) for row in rows} - {None}
+        others = select(table.c.id).where(table.c.id.in_(named), table.c.camera != camera_name)
+        found = connection.scalar(others.limit(1)) if named else None
+        if found is not None:
+            raise _another_cameras(f"{column} {found}")
+
+
+def _another_cameras(what: str) -> IntegrityError:
+    return IntegrityError(None, None, ValueError(f"{what} is another camera's"))
+
+
+def _write(connection: Connection, camera_name: str, kind: str, rows: Sequence[FeedRow]) -> None:
+    if kind.endswith(REMOVED):
+        _remove(connection, camera_name, kind.removesuffix(REMOVED), rows)
+        return
+    table, key = FED[kind]
+    if kind == "sun_point" and connection.dialect.name == "postgresql":
+        for columns, alike in groupby((row.data or {} for row in rows), key=tuple):
+            upsert_records(connection, table, list(alike), columns=columns, key=key)
+        return
+    values_of_rows = [typed(kind, row.data or {}) for row in rows]
+    if kind == "event":
+        _write_events(connection, camera_name, values_of_rows)
+    elif kind in _OF_ONE_CAMERA:
+        for values in values_of_rows:
+            if kind == "calibration" and values["state"] == "current":
+                _make_room(connection, values)
+            if not upsert(connection, table, values, key=key, of="camera"):
+                raise _another_cameras(f"{kind} {values['id']}")
+    else:
+        for _, alike in groupby(values_of_rows, key=lambda values: values.keys()):
+            upsert_all(connection, table, list(alike), key=key)
+
+
+def _remove(connection: Connection, camera_name: str, kind: str, rows: Sequence[FeedRow]) -> None:
+    """Remove rows of a camera; one that is not there is nothing to do."""
+    table, key = FED[kind]
+    owner = table.c["name" if kind == "camera" else "camera"]
+    for row in rows:
+        values = typed(kind, row.data or {}) | {owner.name: camera_name}
+        this = [table.c[name] == values[name] for name in key]
+        found = connection.scalar(select(owner).where(*this).limit(1))
+        if found not in {None, camera_name}:
+            raise _another_cameras(f"{kind} {values['id']}")
+        if found is not None:
+            connection.execute(delete(table).where(*this, owner == camera_name))
+
+
+def _make_room(connection: Connection, values: Mapping[str, Any]) -> None:
+    """Retire what is current: rows that are sent again come in another order than that of the changes."""
+    c = calibration.c
+    others = (c.camera == values["camera"], c.id != values["id"], c.state == "current")
+    connection.execute(update(calibration).where(*others).values(state="retired"))
+
+
+def _write_events(connection: Connection, camera_name: str, rows: Sequence[dict[str, Any]]) -> None:
+    """Insert events that are not there; what concerns all of an imager concerns at the hub its camera."""
+    c = event.c
+    for row in rows:
+        values = {**row, "camera": row.get("camera") or camera_name}
+        same = [event.c[name] == values[name] for name in ("camera", "time", "kind", "text")]
+        if connection.scalar(select(c.id).where(*same).limit(1)) is None:
+            connection.execute(insert(event).values(values))
+
+
+def _set_apart(
+    connection: Connection, batch: FeedBatch, refusal: Refusal, *, now: datetime, row: FeedRow | None = None
+) -> None:
+    """Write into quarantine, once a row, and once an installation for what was refused as a whole; count."""
+    values = {
+        "camera": batch.camera,
+        "installation": batch.installation,
+        "reason": refusal.reason,
+        "seq": WHOLE if row is None else row.seq,
+        "kind": "" if row is None else _plain(row.kind),
+        "text": _plain(refusal.text),
+        "data": "" if row is None else json_text(row.data),
+    }
+    q = quarantine.c
+    this = [q[name] == values[name] for name in ("camera", "installation", "reason", "seq")]
+    again = update(quarantine).where(*this).values(n=q.n + 1, last_at=now, text=values["text"])
+    if not connection.execute(again).rowcount:
+        connection.execute(insert(quarantine).values(**values, n=1, first_at=now, last_at=now))
+
+
+def _plain(text: str) -> str:
+    """Return a text as both engines store it: without NUL and halves of characters."""
+    return text.replace("\0", "?").encode("utf-8", "replace").decode()
+
+
+def _note_in_fleet(connection: Connection, batch: FeedBatch, now: datetime) -> None:
+    """Keep what the fleet page shows of a camera, so that it reads one row of each."""
+    found = connection.execute(select(fleet).where(fleet.c.camera == batch.camera)).mappings().one_or_none()
+    values: dict[str, Any] = dict(found or {"camera": batch.camera, "status": {}}) | {"received_at": now}
+    for row in batch.rows:
+        if row.kind == STATUS and isinstance(row.data, Mapping):
+            values |= {"status": dict(row.data), "status_at": now}
+    times = [time for time in map(_sighting_time, batch.rows) if time is not None and time <= now + FUTURE]
+    values["last_sighting_at"] = max([*times, *_listed(values.get("last_sighting_at"))], default=None)
+    if any(row.kind == "calibration" for row in batch.rows):
+        values |= _served(connection, batch.camera)
+    upsert(connection, fleet, values, key=["camera"])
+
+
+def _listed(time: datetime | None) -> list[datetime]:
+    """Return a list of a time, empty where there is none."""
+    return [] if time is None else [time]
+
+
+def _served(connection: Connection, camera_name: str) -> dict[str, Any]:
+    c = calibration.c
+    current = select(c.id, c.created_at, c.document).where(c.camera == camera_name, c.state == "current")
+    row = connection.execute(current).one_or_none()
+    if row is None:
+        return {"calibration": None, "calibrated_at": None, "sky_rms_deg": None}
+    return {"calibration": row.id, "calibrated_at": row.created_at, "sky_rms_deg": sky_rms_of(row.document)}
+
+
+def sky_rms_of(document: object) -> float | None:
+    """Return the 1-sigma over the sky (RMS, degrees) that a stored calibration document states."""
+    stated = document.get("uncertainty") if isinstance(document, Mapping) else None
+    rms = stated.get("sky_rms_deg") if isinstance(stated, Mapping) else None
+    return float(rms) if isinstance(rms, int | float) else None
+
+
+class FleetRegistry(Store):
+    """The part of the archive with the cameras of a fleet."""
+
+    def quarantine(self, camera: str | None = None, *, limit: int | None = None) -> tuple[Quarantined, ...]:
+        """Return what was refused or set apart, the newest first."""
+        c = quarantine.c
+        statement = select(quarantine).where(*given((c.camera.__eq__, camera)))
+        return self._values(statement.order_by(c.last_at.desc(), c.camera, c.seq).limit(limit), Quarantined)
+
+    def fleet(self) -> tuple[FleetCamera, ...]:
+        """Return every camera that was registered or fed, with how many things of it are in quarantine."""
+        apart = select(quarantine.c.camera, func.count().label("n")).group_by(quarantine.c.camera).subquery()
+        known = select(feed_token.c.camera).union(select(fleet.c.camera)).subquery()
+        f = fleet.c
+        columns = [column for column in f if column.name != "camera"]
+        site = (camera.c.latitude, camera.c.longitude, camera.c.altitude)
+        statement = (
+            select(known.c.camera, *columns, *site, func.coalesce(apart.c.n, 0).label("n_quarantined"))
+            .select_from(known)
+            .outerjoin(fleet, f.camera == known.c.camera)
+            .outerjoin(camera, camera.c.name == known.c.camera)
+            .outerjoin(apart, apart.c.camera == known.c.camera)
+            .order_by(known.c.camera)
+        )
+        with self._reading() as connection:
+            return tuple(FleetCamera(**row) for row in connection.execute(statement).mappings())
+
+    def add_feed_token(self, camera: str, digest: str, *, now: datetime, former_until: datetime) -> None:
+        """Register a camera by the digest of its token; tokens that it has end at `former_until`."""
+        c = feed_token.c
+        former = update(feed_token).where(c.camera == camera, or_(c.expires_at.is_(None), c.expires_at > former_until))
+        with self._writing() as connection:
+            connection.execute(former.values(expires_at=former_until))
+            connection.execute(insert(feed_token).values(digest=digest, camera=camera, created_at=now))
+            connection.execute(
+                delete(quarantine).where(quarantine.c.camera == camera, quarantine.c.reason == "unknown_camera")
+            )
+
+    def end_feed_tokens(self, camera: str, *, now: datetime) -> int:
+        """End all tokens of a camera, and return how many there were."""
+        c = feed_token.c
+        valid = update(feed_token).where(c.camera == camera, or_(c.expires_at.is_(None), c.expires_at > now))
+        with self._writing() as connection:
+            return connection.execute(valid.values(expires_at=now)).rowcount
+
+    def feed_tokens(self, camera: str, *, now: datetime) -> tuple[str, ...] | None:
+        """Return the digests of a camera's valid tokens; None where the camera was never registered."""
+        c = feed_token.c
+        with self._reading() as connection:
+            rows = connection.execute(select(c.digest, c.expires_at).where(c.camera == camera)).all()
+        valid = tuple(row.digest for row in rows if row.expires_at is None or row.expires_at > now)
+        return valid if rows else None
+
+    def accept_installation(self, camera: str, installation: str, *, now: datetime) -> None:
+        """Take what an installation sends from now on, in place of the one that was taken before."""
+        c = feed.c
+        with self._writing() as connection:
+            connection.execute(update(feed).where(c.camera == camera).values(accepted=False))
+            row = {"camera": camera, "installation": installation, "committed": 0, "accepted": True}
+            upsert(connection, feed, {**row, "first_at": now, "last_at": now}, key=["camera", "installation"])
+            q = quarantine.c
+            here = (q.camera == camera, q.installation == installation, q.reason == "second_installation")
+            connection.execute(delete(quarantine).where(*here))
+
+    def ask_again(self, camera: str) -> None:
+        """Have all rows of a camera sent again, and clear what is set apart of it."""
+        with self._writing() as connection:
+            done = connection.execute(update(feed).where(feed.c.camera == camera).values(committed=-1))
+            connection.execute(delete(quarantine).where(quarantine.c.camera == camera))
+        if not done.rowcount:
+            raise NotFoundError(field="camera", problem=f"camera {camera} sent nothing yet", remedy="see /v1/fleet")

@@ -1,0 +1,205 @@
+"""The outbox: every change of a row that a hub is to know, written by triggers in the transaction of the change."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import chain
+from typing import Any
+
+from sqlalchemy import JSON, Column, Connection, Date, Float, Text, delete, func, insert, select, text, update
+
+from sunarc.archive.database.connections import json_text, parsed_json
+from sunarc.archive.database.store import Store
+from sunarc.archive.database.tables import outbox, outbox_position
+from sunarc.archive.fleet.feed_rows import FED, REMOVED, STATUS, FeedRow, columns_of, from_trigger, plain_type
+from sunarc.errors import ConfigurationError
+
+_CHANGES = ("insert", "update", "delete")
+_TRIGGERS = "SELECT name, sql FROM sqlite_master WHERE type = 'trigger' AND name LIKE 'outbox!_%' ESCAPE '!'"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OutboxPosition:
+    """How far an imager's rows came.
+
+    Attributes
+    ----------
+    installation : id of this database's outbox; a database that was put back to an earlier state needs another.
+    committed : the hub has everything up to this number.
+    sent : nothing beyond this number was ever sent.
+    """
+
+    installation: str
+    committed: int
+    sent: int
+
+
+class Outbox(Store):
+    """The part of the archive that an imager sends to a hub."""
+
+    def enable_outbox(self) -> bool:
+        """Begin to write changes to the outbox; with all rows that there are, unless it went on without a break.
+
+        A migration that makes a table anew takes its triggers away: they are compared with what they should be, and
+        where one differs all rows are queued again. Sent twice, a row is stored once. Of a kind that a former version
+        did not send the rows are queued, and no others.
+
+        Returns
+        -------
+        Whether all rows were queued.
+        """
+        if self._file is None:
+            raise ConfigurationError("hub.url: only an archive in SQLite is sent to a hub; unset `store` or `hub.url`")
+        wanted = dict(_triggers())
+        with self._writing() as connection:
+            present = {str(name): str(sql) for name, sql in connection.execute(text(_TRIGGERS))}
+            begun = connection.scalar(select(func.count()).select_from(outbox_position)) == 1
+            new = [kind for kind in FED if not present.keys() & _names(kind)]
+            others = {name: sql for name, sql in wanted.items() if not any(name in _names(kind) for kind in new)}
+            if begun and present and present == others:
+                for name in wanted.keys() - others.keys():
+                    connection.exec_driver_sql(wanted[name])
+                _queue(connection, new)
+                return False
+            _drop(connection, present)
+            for sql in wanted.values():
+                connection.exec_driver_sql(sql)
+            _queue_all(connection)
+            _set_position(connection, OutboxPosition(installation=uuid.uuid4().hex, committed=0, sent=0))
+        return True
+
+    def disable_outbox(self) -> None:
+        """End the outbox, with all that waits in it."""
+        if self._file is None:
+            return
+        with self._reading() as connection:
+            present = [str(name) for name, _ in connection.execute(text(_TRIGGERS))]
+        if present:
+            with self._writing() as connection:
+                _drop(connection, present)
+                connection.execute(delete(outbox))
+                connection.execute(delete(outbox_position))
+
+    def outbox_enabled(self) -> bool:
+        """Return whether changes are written to the outbox."""
+        with self._reading() as connection:
+            return connection.scalar(select(func.count()).select_from(outbox_position)) == 1
+
+    def outbox_position(self) -> OutboxPosition:
+        """Return how far the outbox came; it has to be enabled."""
+        with self._reading() as connection:
+            return OutboxPosition(**connection.execute(select(outbox_position)).mappings().one())
+
+    def outbox_waiting(self) -> int:
+        """Return how many rows wait."""
+        with self._reading() as connection:
+            return connection.scalar(select(func.count()).select_from(outbox)) or 0
+
+    def outbox_rows(self, *, most: int, most_bytes: int) -> tuple[FeedRow, ...]:
+        """Return the next rows in their order: at most so many, and so many bytes, but at least one."""
+        with self._reading() as connection:
+            stored = connection.execute(select(outbox).order_by(outbox.c.seq).limit(most)).all()
+        rows: list[FeedRow] = []
+        size = 0
+        for seq, kind, data in stored:
+            size += len(data)
+            if rows and size > most_bytes:
+                break
+            values = parsed_json(data) or {}
+            rows.append(FeedRow(seq=seq, kind=kind, data=values if kind == STATUS else from_trigger(kind, values)))
+        return tuple(rows)
+
+    def queue_status(self, status: Mapping[str, Any]) -> None:
+        """Queue what the imager tells of itself, in place of what was not sent yet."""
+        with self._writing() as connection:
+            sent = select(outbox_position.c.sent).scalar_subquery()
+            connection.execute(delete(outbox).where(outbox.c.kind == STATUS, outbox.c.seq > sent))
+            connection.execute(insert(outbox).values(kind=STATUS, data=json_text(status)))
+
+    def mark_sent(self, seq: int) -> None:
+        """Remember, before rows are sent, that the hub may have them up to a number."""
+        c = outbox_position.c
+        with self._writing() as connection:
+            connection.execute(update(outbox_position).where(c.sent < seq).values(sent=seq))
+
+    def acknowledge(self, seq: int) -> None:
+        """Forget the rows up to a number: the hub has them."""
+        with self._writing() as connection:
+            connection.execute(delete(outbox).where(outbox.c.seq <= seq))
+            connection.execute(update(outbox_position).values(committed=seq))
+
+    def send_again(self, *, committed: int) -> None:
+        """Queue all rows again: the hub has less than it once confirmed."""
+        with self._writing() as connection:
+            _queue_all(connection)
+            connection.execute(update(outbox_position).values(committed=committed))
+
+    def begin_installation(self) -> str:
+        """Begin a feed of its own with all rows, and return its id: another one went on under the former id."""
+        new = OutboxPosition(installation=uuid.uuid4().hex, committed=0, sent=0)
+        with self._writing() as connection:
+            _queue_all(connection)
+            _set_position(connection, new)
+        return new.installation
+
+
+def _set_position(connection: Connection, position: OutboxPosition) -> None:
+    connection.execute(delete(outbox_position))
+    values = {"installation": position.installation, "committed": position.committed, "sent": position.sent}
+    connection.execute(insert(outbox_position).values(values))
+
+
+def _drop(connection: Connection, names: Mapping[str, str] | list[str]) -> None:
+    for name in names:
+        connection.exec_driver_sql(f'DROP TRIGGER "{name}"')
+
+
+def _queue_all(connection: Connection) -> None:
+    """Queue every row as it is now, in the order of the tables' references and in which rows were made."""
+    connection.execute(delete(outbox))
+    _queue(connection, FED)
+
+
+def _queue(connection: Connection, kinds: Iterable[str]) -> None:
+    for kind in kinds:
+        values = _object(kind, kind)
+        # constants of this module, and names of tables
+        rows = f'SELECT \'{kind}\', {values} FROM "{kind}" ORDER BY "{kind}".rowid'  # noqa: S608
+        connection.exec_driver_sql(f"INSERT INTO outbox (kind, data) {rows}")
+
+
+def _triggers() -> Iterator[tuple[str, str]]:
+    for kind, (_, key) in FED.items():
+        changed = " OR ".join(f'OLD."{column.name}" IS NOT NEW."{column.name}"' for column in columns_of(kind).values())
+        moved = " OR ".join(f'OLD."{name}" IS NOT NEW."{name}"' for name in key)
+        stored = f"INSERT INTO outbox (kind, data) VALUES ('{kind}', {_object(kind, 'NEW')});"  # noqa: S608 - constants
+        removed = f"INSERT INTO outbox (kind, data) SELECT '{kind}{REMOVED}', {_object(kind, 'OLD', only=key)}"
+        for event, condition, actions in (
+            ("insert", "", stored),
+            ("update", f"WHEN {changed} ", f"{removed} WHERE {moved}; {stored}"),
+            ("delete", "", f"{removed};"),
+        ):
+            name = f"outbox_{kind}_{event}"
+            yield name, f'CREATE TRIGGER "{name}" AFTER {event.upper()} ON "{kind}" {condition}BEGIN {actions} END'
+
+
+def _names(kind: str) -> set[str]:
+    """Return the names of a table's triggers."""
+    return {f"outbox_{kind}_{event}" for event in _CHANGES}
+
+
+def _object(kind: str, row: str, *, only: tuple[str, ...] | None = None) -> str:
+    """Return the expression of a row's JSON object."""
+    columns = [column for column in columns_of(kind).values() if only is None or column.name in only]
+    pairs = chain.from_iterable((f"'{column.name}'", _expression(column, f'"{row}"')) for column in columns)
+    return f"json_object({', '.join(pairs)})"
+
+
+def _expression(column: Column[Any], row: str) -> str:
+    """Return the expression of a column in a row; it fails with no value, or the change itself would fail."""
+    kind, value = plain_type(column), f'{row}."{column.name}"'
+    if isinstance(kind, Float):
+        return f"quote({value})"  # SQLite's JSON has 15 digits, its literals have all
+    return f"CAST({value} AS {'TEXT' if isinstance(kind, Text | JSON | Date) else 'INTEGER'})"

@@ -1,0 +1,240 @@
+"""How sure one is of a direction or a pixel.
+
+The truth is camera plus field, the prediction is the camera with the field's mean as its displacement. The errors of
+both are jointly Gaussian: the covariance of the prediction's error is J C J' + (cross terms) + (what is not known of
+the field), see `Field`. Where the field has no part in the prediction it is unknown by its whole amplitude: the
+estimate's error is uncorrelated with the data, so only the field's own block stays the prior's.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sunarc.array_types import BoolArray, FloatArray
+from sunarc.calibration.model.backward import camera_sees
+from sunarc.calibration.model.residual_field import Field
+from sunarc.optics import pose
+from sunarc.optics.camera import PARAMETER_NAMES, Camera
+from sunarc.optics.forward import by_direction, project, project_with_rows_fast, tangent_basis
+from sunarc.optics.inverse import unproject
+from sunarc.sky.refraction import ASSUMED_AIR_SD, DAILY_AIR_SD, MEASURED_AIR_SD, raised, refraction_rad
+from sunarc.sky.site import Site
+
+_CHUNK = 4096
+_EARTH_RADIUS_M = 6_371_000.0
+_EARTH_RATE = 7.292e-5
+"""Radians a second."""
+_HEMISPHERE = 1500
+_FURTHEST_DEG = 180.0
+_POLAR = 1.55
+"""Latitude in radians beyond which east has no meaning."""
+
+
+class Uncertain(Protocol):
+    """A camera, and how sure one is of it."""
+
+    @property
+    def camera(self) -> Camera:
+        """The camera."""
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the covariance's rows, in order."""
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(p, p) of the parameters."""
+
+    @property
+    def field(self) -> Field:
+        """The discrepancy field."""
+
+
+def project_with_covariance(calibration: Uncertain, directions: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Project directions and say how sure one is of the pixels.
+
+    Parameters
+    ----------
+    calibration : the calibration.
+    directions : (..., 3) unit vectors, east-north-up.
+
+    Returns
+    -------
+    pixels : (..., 2) px; NaN beyond the camera's field.
+    covariance : (..., 2, 2) px²; NaN there too.
+    """
+    direction = np.asarray(directions, dtype=np.float64)
+    flat, shape = direction.reshape(-1, 3), direction.shape[:-1]
+    pixels, covariance, _ = _predicted(calibration, flat)
+    return pixels.reshape(*shape, 2), covariance.reshape(*shape, 2, 2)
+
+
+def sun_with_covariance(
+    calibration: Uncertain, directions: ArrayLike, *, site: Site, measured: bool
+) -> tuple[FloatArray, FloatArray]:
+    """Pixels of the sun, with the covariance of the camera and of the refraction.
+
+    Parameters
+    ----------
+    calibration : the calibration.
+    directions : (..., 3) apparent unit vectors, east-north-up.
+    site : gives pressure and temperature of the refraction.
+    measured : whether these were measured on the day; else they are annual means.
+
+    Returns
+    -------
+    pixels : (..., 2) px; NaN beyond the camera's field.
+    covariance : (..., 2, 2) px²; NaN there too.
+    """
+    pixels, covariance = project_with_covariance(calibration, directions)
+    share = MEASURED_AIR_SD if measured else math.hypot(ASSUMED_AIR_SD, DAILY_AIR_SD)
+    # the refraction changes slowly with elevation: a shift by one standard deviation is linear enough
+    shift = project(calibration.camera, raised(directions, share * refraction_rad(directions, site))) - pixels
+    return pixels, covariance + shift[..., :, None] * shift[..., None, :]
+
+
+def _predicted(calibration: Uncertain, directions: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return pixels (n, 2), their covariance (n, 2, 2), and derivatives by the direction (n, 2, 3)."""
+    pixels, covariance = np.empty((directions.shape[0], 2)), np.empty((directions.shape[0], 2, 2))
+    by_direction = np.empty((directions.shape[0], 2, 3))
+    for begin in range(0, directions.shape[0], _CHUNK):
+        part = slice(begin, begin + _CHUNK)
+        pixels[part], covariance[part], by_direction[part] = _chunk(calibration, directions[part])
+    return pixels, covariance, by_direction
+
+
+def _chunk(calibration: Uncertain, directions: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    pixels, by_parameters = project_with_rows_fast(calibration.camera, directions)
+    indices = [PARAMETER_NAMES.index(name) for name in calibration.parameter_names]
+    rows = np.ascontiguousarray(by_parameters[..., indices])
+    size, field = len(indices), calibration.field
+    # one large matrix product is several times faster than an einsum over all three factors
+    weighted = (rows.reshape(2 * rows.shape[0], size) @ calibration.covariance).reshape(rows.shape)
+    visible = np.all(np.isfinite(pixels), axis=-1)
+    if field.amplitude_px > 0.0 and np.any(visible):
+        both = field.covariance(rows, field.basis.values(np.where(visible[:, None], pixels, 0.0)))
+    else:
+        both = np.zeros((1, 2, 2))
+    covariance = np.einsum("nap,nbp->nab", weighted, rows) + both
+    # what the camera cannot see has no error either; zeros here would look like certainty
+    covariance[~visible] = np.nan
+    return pixels, covariance, by_direction(calibration.camera, by_parameters)
+
+
+def unproject_with_sigma(calibration: Uncertain, pixels: ArrayLike) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Say where pixels look, and how sure one is.
+
+    Parameters
+    ----------
+    calibration : the calibration.
+    pixels : (..., 2) px.
+
+    Returns
+    -------
+    directions : (..., 3) unit vectors, east-north-up; NaN where no direction lands on the pixel.
+    sigma_deg : (...) 1-sigma per axis on the sphere: the root of half the trace of the 2×2 covariance, degrees.
+    inside : (...) whether the pixel lies within the image and the camera's field.
+    """
+    pixel = np.asarray(pixels, dtype=np.float64)
+    directions = unproject(calibration.camera, pixel)
+    inside = np.all(np.isfinite(directions), axis=-1) & camera_sees(calibration.camera, pixel)
+    sigma = np.full(pixel.shape[:-1], np.nan)
+    valid = np.all(np.isfinite(directions), axis=-1)
+    if np.any(valid):
+        sigma[valid] = sigma_deg(calibration, directions[valid])
+    return directions, sigma, inside
+
+
+def sigma_deg(calibration: Uncertain, directions: FloatArray) -> FloatArray:
+    """Return (n,): 1-sigma per axis on the sphere of directions (n, 3), degrees."""
+    return uncertainties(calibration, directions)[1]
+
+
+def uncertainties(calibration: Uncertain, directions: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return covariances (n, 2, 2) in px² and 1-sigma per axis on the sphere (n,) in degrees of directions (n, 3)."""
+    _, covariance, by_direction = _predicted(calibration, directions)
+    on_sky = _on_sky(covariance, by_direction @ tangent_basis(directions))
+    with np.errstate(invalid="ignore"):
+        half_trace = np.maximum(0.5 * np.trace(on_sky, axis1=-2, axis2=-1), 0.0)
+    return covariance, np.degrees(np.sqrt(half_trace))
+
+
+def direction_covariance(camera: Camera, directions: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Return (n, 3, 3): covariances of unit vectors (n, 3), whose pixels have the covariances (n, 2, 2) px²."""
+    _, by_parameters = project_with_rows_fast(camera, directions)
+    basis = tangent_basis(directions)
+    stretch = by_direction(camera, by_parameters) @ basis
+    return np.asarray(basis @ _on_sky(covariance, stretch) @ np.swapaxes(basis, -1, -2))
+
+
+def _on_sky(covariance: FloatArray, stretch: FloatArray) -> FloatArray:
+    """Return (n, 2, 2) rad² on the tangent plane, from px² and px per radian; NaN where the lens hardly stretches."""
+    (a, b), (c, d) = np.moveaxis(stretch, 0, -1)
+    determinant = a * d - b * c
+    with np.errstate(invalid="ignore", divide="ignore"):
+        inverse = np.moveaxis(np.array([[d, -b], [-c, a]]), -1, 0) / determinant[:, None, None]
+        on_sky = inverse @ covariance @ np.swapaxes(inverse, -1, -2)
+        return np.where((np.abs(determinant) > 1e-9)[:, None, None], on_sky, np.nan)
+
+
+def sigma_px(covariance: FloatArray) -> FloatArray:
+    """Return (...): 1-sigma per axis, the root of half the trace of covariances (..., 2, 2)."""
+    return np.asarray(np.sqrt(np.maximum(0.5 * np.trace(covariance, axis1=-2, axis2=-1), 0.0)))
+
+
+def hemisphere(count: int = _HEMISPHERE) -> FloatArray:
+    """Return directions spread evenly over the upper hemisphere, (count, 3)."""
+    i = np.arange(count) + 0.5
+    up = 1.0 - i / count
+    # the golden angle: no two turns align, so the directions have no rows
+    azimuth = math.pi * (1.0 + math.sqrt(5.0)) * i
+    horizontal = np.sqrt(1.0 - up**2)
+    return np.stack([horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), up], axis=-1)
+
+
+def sky_sigma_deg(calibration: Uncertain) -> tuple[float, float]:
+    """Return the root mean square and the maximum 1-sigma over the part of the sky that the camera sees, degrees.
+
+    Neither is above 180: no direction can be further off, and a linear error may say so.
+    """
+    directions = hemisphere()
+    pixels = project(calibration.camera, directions)
+    visible = np.all(np.isfinite(pixels), axis=-1) & camera_sees(calibration.camera, pixels)
+    sigma = sigma_deg(calibration, directions[visible]) if np.any(visible) else np.array([np.nan])
+    sigma = sigma[np.isfinite(sigma)]
+    if sigma.size == 0:
+        return math.nan, math.nan
+    sigma = np.minimum(sigma, _FURTHEST_DEG)
+    return float(np.sqrt(np.mean(sigma**2))), float(np.max(sigma))
+
+
+def pose_error(camera: Camera, site: Site, *, clock_error_s: float, site_error_m: float) -> FloatArray:
+    """Return (3, 3): covariance of the rotation vector from errors that no residual shows.
+
+    A clock that is wrong turns the sky about the pole; a position that is wrong tilts the ground. Both are taken up
+    by the pose without trace.
+
+    Parameters
+    ----------
+    camera : gives the pose.
+    site : where it stands.
+    clock_error_s : 1-sigma of the clock, s.
+    site_error_m : 1-sigma of the position along each axis, m.
+    """
+    latitude = math.radians(site.latitude)
+    pole = np.array([0.0, math.cos(latitude), math.sin(latitude)])
+    enu_covariance = (_EARTH_RATE * clock_error_s) ** 2 * np.outer(pole, pole)
+    # an eastward error turns about the pole: up by tan(latitude) of what it turns about north
+    eastward = np.array([0.0, 1.0, math.tan(latitude) if abs(latitude) < _POLAR else 0.0])
+    enu_covariance += (site_error_m / _EARTH_RADIUS_M) ** 2 * (np.diag([1.0, 0.0, 0.0]) + np.outer(eastward, eastward))
+    return rotation_covariance(camera, enu_covariance)
+
+
+def rotation_covariance(camera: Camera, enu_covariance: FloatArray) -> FloatArray:
+    """Return (3, 3): covariance of the rotation vector where that of small turns about east, north and up is given."""
+    to_vector = np.linalg.inv(pose.right_jacobian(camera.rotation_cam_enu))
+    return np.asarray(to_vector @ enu_covariance @ to_vector.T)

@@ -1,0 +1,345 @@
+"""The errors of a calibration as one Gaussian of lens, pose and field, and joint draws of them.
+
+The errors of the lens's parameters, a small turn of the camera *in its own frame*, and the field's coefficients are
+jointly Gaussian. In that frame a camera that is turned as a whole keeps its errors: what of a tilt may be a shifted
+principal point stays so, wherever the camera now looks.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sunarc.array_types import FloatArray, IntArray, Rows, picked
+from sunarc.calibration.answers.direction_table import polar_directions, polar_spline, ring_and_spoke
+from sunarc.calibration.model.residual_field import Field, WaveBasis
+from sunarc.calibration.model.result import Calibration
+from sunarc.errors import InputError
+from sunarc.jit import njit
+from sunarc.optics.camera import PARAMETER_NAMES, POSE, Camera
+from sunarc.optics.forward import project_fast, project_with_rows_fast
+from sunarc.optics.inverse_table import InverseConstants, InverseTable, inverse_table, spline_weights
+from sunarc.optics.pose import right_jacobian, rotation_matrix, rotation_vector
+from sunarc.optics.projections import angle_limit
+
+_SHORTEST_LENGTH_PX = 16.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CameraErrorModel:
+    """Gaussian prior or posterior of a camera's errors.
+
+    Attributes
+    ----------
+    selected : (p,) which of the camera's 23 parameters it speaks of.
+    rotation : (3,) where among those the small turn about the camera's own axes stands, radians.
+    mean : (p,) expected error of the estimate (true minus estimated).
+    covariance : (p, p) of the errors.
+    field : on all the waves that it needs.
+    """
+
+    selected: IntArray
+    rotation: IntArray
+    mean: FloatArray
+    covariance: FloatArray
+    field: Field
+
+    @property
+    def variances(self) -> FloatArray:
+        """(m,) of the field's coefficients before any sighting."""
+        return self.field.amplitude_px**2 * self.field.basis.variances(length_px=self.field.length_px)
+
+    def with_free_rotation(self, mean: FloatArray, *, sigma_rad: float | FloatArray) -> CameraErrorModel:
+        """Return the error model after a rotation by `mean` (3,), radians, with a 1-sigma of all axes or of each."""
+        covariance, at = self.covariance.copy(), self.mean.copy()
+        covariance[np.ix_(self.rotation, self.rotation)] += sigma_rad**2 * np.eye(3)
+        at[self.rotation] += mean
+        return replace(self, covariance=covariance, mean=at)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Predicted:
+    """Where a camera sees directions, and how that changes.
+
+    Attributes
+    ----------
+    pixels : (n, 2) px, NaN where it sees nothing.
+    rows : (n, 2, p) derivatives by the parameters of an error model.
+    basis_values : (n, m) of its field.
+    """
+
+    pixels: FloatArray
+    rows: FloatArray
+    basis_values: FloatArray
+
+    def select(self, which: Rows) -> Predicted:
+        """Return those that a slice, an index or a mask picks."""
+        return picked(self, which)
+
+
+def joined(first: Predicted, second: Predicted) -> Predicted:
+    """Return the one after the other."""
+    return Predicted(
+        pixels=np.concatenate([first.pixels, second.pixels]),
+        rows=np.concatenate([first.rows, second.rows]),
+        basis_values=np.concatenate([first.basis_values, second.basis_values]),
+    )
+
+
+def error_model_of(calibration: Calibration) -> CameraErrorModel:
+    """Return the error model that a calibration states.
+
+    Raises
+    ------
+    InputError
+        Where it says nothing of the pose.
+    """
+    names = calibration.parameter_names
+    if any(name not in names for name in PARAMETER_NAMES[POSE]):
+        raise InputError(
+            field="uncertainty.parameters", problem="the pose is missing", remedy="give a calibration with its pose"
+        )
+    rotation = np.array([names.index(name) for name in PARAMETER_NAMES[POSE]])
+    to_rotation = np.eye(len(names))
+    to_rotation[np.ix_(rotation, rotation)] = right_jacobian(-np.array(calibration.camera.rotation_cam_enu))
+    stated = calibration.field
+    length = max(stated.length_px, _SHORTEST_LENGTH_PX)
+    basis = stated.basis.completed(length_px=length) if stated.amplitude_px > 0.0 else _none(stated.basis)
+    return CameraErrorModel(
+        selected=np.array([PARAMETER_NAMES.index(name) for name in names]),
+        rotation=rotation,
+        mean=np.zeros(len(names)),
+        covariance=to_rotation @ calibration.covariance @ to_rotation.T,
+        field=Field(
+            amplitude_px=stated.amplitude_px,
+            length_px=length,
+            basis=basis,
+            cross=to_rotation @ stated.basis.spread(stated.cross, basis),
+            known=stated.basis.spread(stated.known, basis),
+            coupling=stated.basis.spread(stated.coupling, basis),
+        ),
+    )
+
+
+def _none(basis: WaveBasis) -> WaveBasis:
+    return replace(basis, orders=np.zeros((0, 2), dtype=np.int64))
+
+
+def predicted(error_model: CameraErrorModel, camera: Camera, directions: FloatArray) -> Predicted:
+    """Return where a camera sees directions (n, 3), and the derivatives by the parameters of an error model."""
+    pixels, rows = project_with_rows_fast(camera, directions)
+    to_rotation = np.linalg.inv(right_jacobian(-np.array(camera.rotation_cam_enu)))
+    selected = np.ascontiguousarray(rows[..., error_model.selected])
+    selected[..., error_model.rotation] = selected[..., error_model.rotation] @ to_rotation
+    return Predicted(pixels=pixels, rows=selected, basis_values=error_model.field.basis.values(np.nan_to_num(pixels)))
+
+
+def joint_covariance(error_model: CameraErrorModel, prediction: Predicted) -> FloatArray:
+    """Return (2n, 2n): the covariance of the prediction's errors at all places at once, px²; x, y of each in turn."""
+    n = prediction.rows.shape[0]
+    flat = prediction.rows.reshape(2 * n, prediction.rows.shape[-1])
+    result = flat @ error_model.covariance @ flat.T
+    if error_model.field.amplitude_px > 0.0:
+        mixed = (flat @ _with_field(error_model, prediction)).reshape(2 * n, 2 * n)
+        result += mixed + mixed.T
+        separation = prediction.pixels[:, None] - prediction.pixels
+        smooth = error_model.field.amplitude_px**2 * np.exp(
+            -0.5 * np.sum(separation**2, axis=-1) / error_model.field.length_px**2
+        )
+        reduction = error_model.field.reduction(prediction.basis_values)
+        coupled = _coupled(error_model, prediction)
+        result += np.kron(smooth - reduction @ reduction.T, np.eye(2)) + coupled @ coupled.T
+    return np.asarray(result)
+
+
+def field_and_parameters(error_model: CameraErrorModel) -> FloatArray:
+    """Return (p + 2m, p + 2m): the covariance of the errors of the parameters and of the coefficients, x before y."""
+    cross = np.concatenate(list(error_model.field.cross), axis=-1)
+    coupling = np.concatenate(list(error_model.field.coupling), axis=-1)
+    own = np.diag(error_model.variances) - error_model.field.known.T @ error_model.field.known
+    field = np.kron(np.eye(2), own) + coupling.T @ coupling
+    return np.block([[error_model.covariance, cross], [cross.T, field]])
+
+
+def with_parameters(error_model: CameraErrorModel, prediction: Predicted) -> FloatArray:
+    """Return (p, 2n): the covariance of the parameters' errors with the prediction's."""
+    flat = prediction.rows.reshape(-1, prediction.rows.shape[-1])
+    result = error_model.covariance @ flat.T
+    return np.asarray(result + _with_field(error_model, prediction) if error_model.field.amplitude_px > 0.0 else result)
+
+
+def with_coefficients(error_model: CameraErrorModel, prediction: Predicted, axis: int) -> FloatArray:
+    """Return (2n, m): the covariance of the prediction's errors with the coefficients of one component of the field."""
+    result = prediction.rows.reshape(-1, prediction.rows.shape[-1]) @ error_model.field.cross[axis]
+    values = prediction.basis_values
+    result[axis::2] += values * error_model.variances - (values @ error_model.field.known.T) @ error_model.field.known
+    return np.asarray(result + _coupled(error_model, prediction) @ error_model.field.coupling[axis])
+
+
+def _coupled(error_model: CameraErrorModel, prediction: Predicted) -> FloatArray:
+    """Return (2n, q): what the parameters' errors leave open in the field, where the sun was seen."""
+    both = np.stack([prediction.basis_values @ error_model.field.coupling[axis].T for axis in (0, 1)], axis=1)
+    return both.reshape(2 * both.shape[0], both.shape[2])
+
+
+def _with_field(error_model: CameraErrorModel, prediction: Predicted) -> FloatArray:
+    """Return (p, 2n): the covariance of the parameters' errors with the field where the sun was seen."""
+    both = np.stack([error_model.field.cross[axis] @ prediction.basis_values.T for axis in (0, 1)], axis=-1)
+    return both.reshape(both.shape[0], 2 * both.shape[1])
+
+
+def at_every_angle(camera: Camera) -> Camera:
+    """Return the camera answering at every angle that its projection has."""
+    return replace(camera, max_angle=angle_limit(camera.projection) * (1.0 - 1e-6))
+
+
+def moved(camera: Camera, error_model: CameraErrorModel, change: FloatArray) -> Camera:
+    """Return a camera changed by (p,): its parameters, and its turn about its own axes."""
+    vector = camera.to_vector()
+    vector[error_model.selected] += change
+    vector[POSE] = rotated(camera, change[error_model.rotation]).rotation_cam_enu
+    return camera.with_parameters(vector)
+
+
+def rotated(camera: Camera, rotation: FloatArray) -> Camera:
+    """Return a camera after a turn (3,) about its own axes, radians."""
+    matrix = Rotation.from_rotvec(rotation).as_matrix() @ rotation_matrix(camera.rotation_cam_enu)
+    return replace(camera, rotation_cam_enu=rotation_vector(matrix))
+
+
+MOST_DRAWS = 64
+"""Draws that one question may ask for: a standard deviation from so many is known to 9 %, 1 / √(2 · 64)."""
+_RINGS, _SPOKES = 48, 96
+"""Nodes of the displacements: 20 px apart along the radius of a 2000 px image; the field's length is 200 px or more."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Ensemble:
+    """Draws of one calibration; the first k are those of an ensemble of k.
+
+    Attributes
+    ----------
+    table : the estimated camera and its inverse.
+    sheets_px : (draws, rings, spokes, 2) spline coefficients of the displacements, true minus estimated pixel.
+    rings_per_radius : rings per unit of the radius, in focal lengths.
+    common : (draws,) standard normal numbers, independent of the rest: for an error that is the same in all directions,
+        such as a cloud base height's.
+    """
+
+    table: InverseTable
+    sheets_px: FloatArray
+    rings_per_radius: float
+    common: FloatArray
+
+    def __len__(self) -> int:
+        """Return the number of draws."""
+        return int(self.sheets_px.shape[0])
+
+    def displacement(self, draw: int, pixels: FloatArray) -> FloatArray:
+        """Return (n, 2): by how much one draw displaces what is estimated to be at pixels (n, 2), px.
+
+        Beyond the camera's field it is that of the field's edge; NaN for a pixel that is NaN.
+        """
+        result = np.empty((pixels.shape[0], 2))
+        sheet, rings_per_radius = self.sheets_px[draw], self.rings_per_radius
+        _write_displacement(self.table.constants, sheet, rings_per_radius, np.ascontiguousarray(pixels), result)
+        return result
+
+    def project(self, draw: int, directions: FloatArray) -> FloatArray:
+        """Return (n, 2): the pixels of unit vectors (n, 3), east-north-up, by one draw; NaN beyond its field."""
+        pixels = project_fast(self.table.camera, directions)
+        return np.asarray(pixels + self.displacement(draw, pixels))
+
+    def back_project(self, draw: int, pixels: FloatArray) -> FloatArray:
+        """Return (n, 3): the unit vectors, east-north-up, of pixels (n, 2) by one draw; NaN where none lands there."""
+        result = np.empty((pixels.shape[0], 3))
+        estimated = pixels - self.displacement(draw, pixels)
+        # the displacement belongs to where the estimate is, which one round more finds to second order
+        estimated = pixels - self.displacement(draw, estimated)
+        self.table.write_directions(np.ascontiguousarray(estimated), result)
+        return result
+
+    def __iter__(self) -> Iterator[int]:
+        """Return the numbers of the draws."""
+        return iter(range(len(self)))
+
+
+def draw_ensemble(calibration: Calibration, *, draws: int, seed: int, calibration_id: str) -> Ensemble:
+    """Return joint draws of the errors of a calibration's lens, pose and field.
+
+    Parameters
+    ----------
+    calibration : the estimate and its covariance.
+    draws : how many.
+    seed : with the id it decides the draws: the same two give the same ones, whatever is asked of them.
+    calibration_id : id of the calibration.
+
+    Raises
+    ------
+    InputError
+        Where the calibration says nothing of its pose.
+
+    Notes
+    -----
+    The parameters' errors e and those of the field's coefficients are jointly Gaussian (`field_and_parameters`). The
+    displacement is J e + f, with J the derivatives of the projection by the parameters and f the field of the errors.
+    """
+    table = inverse_table(calibration.camera)
+    radius = np.linspace(0.0, table.constants.limit, _RINGS)
+    azimuth = np.linspace(0.0, 2.0 * math.pi, _SPOKES, endpoint=False)
+    errors = error_model_of(calibration)
+    at = predicted(errors, calibration.camera, polar_directions(table, radius, azimuth))
+    sheets = np.empty((draws, _RINGS + 2, _SPOKES + 3, 2))
+    normal = _normals(calibration_id, seed, draws, errors.mean.size + 2 * errors.variances.size + 1)
+    parameters, coefficients = _drawn(errors, normal[:, :-1])
+    for k in range(draws):
+        moved = at.rows @ parameters[k] + at.basis_values @ coefficients[k].T
+        moved = np.nan_to_num(moved).reshape(_RINGS, _SPOKES, 2)
+        sheets[k] = np.stack([polar_spline(moved[..., axis]) for axis in (0, 1)], axis=-1)
+    return Ensemble(table=table, sheets_px=sheets, rings_per_radius=float(1.0 / radius[1]), common=normal[:, -1].copy())
+
+
+def _normals(calibration_id: str, seed: int, draws: int, size: int) -> FloatArray:
+    """Return (draws, size) standard normal numbers; more draws begin with the same ones."""
+    of_id = int.from_bytes(hashlib.sha256(calibration_id.encode()).digest()[:8], "big")
+    return np.random.Generator(np.random.PCG64([of_id, seed])).standard_normal((draws, size))
+
+
+def _drawn(errors: CameraErrorModel, normal: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return parameters' errors (k, p) and coefficients (k, 2, m) from standard normal numbers (k, p + 2m)."""
+    size = errors.mean.size
+    drawn = normal @ _root(field_and_parameters(errors)).T
+    return drawn[:, :size], drawn[:, size:].reshape(len(normal), 2, -1)
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    """Return F with F Fᵀ the covariance (p, p); what rounding made negative counts as 0."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(np.float64).tiny))
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+@njit(nogil=True)
+def _write_displacement(
+    constants: InverseConstants, sheet: FloatArray, rings_per_radius: float, pixels: FloatArray, result: FloatArray
+) -> None:
+    rings, spokes = sheet.shape[0] - 2, sheet.shape[1] - 3
+    for i in range(pixels.shape[0]):
+        x, y = pixels[i, 0], pixels[i, 1]
+        if math.isnan(x) or math.isnan(y):
+            result[i, :] = np.nan
+            continue
+        ring, spoke = ring_and_spoke(constants, rings, spokes, rings_per_radius, x, y)
+        a, a0, a1, a2, a3 = spline_weights(ring, rings - 2)
+        b, b0, b1, b2, b3 = spline_weights(spoke, spokes - 1)
+        along_x, along_y = 0.0, 0.0
+        for k, along in enumerate((a0, a1, a2, a3)):
+            for m, around in enumerate((b0, b1, b2, b3)):
+                weight, node = along * around, sheet[a + k, b + m]
+                along_x, along_y = along_x + weight * node[0], along_y + weight * node[1]
+        result[i, 0], result[i, 1] = along_x, along_y

@@ -1,0 +1,111 @@
+"""Where a calibration sees the stars, and which detections of a night's images they are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sunarc.array_types import FloatArray
+from sunarc.calibration.answers.covariance import project_with_covariance, sigma_px
+from sunarc.calibration.model.backward import camera_sees
+from sunarc.calibration.model.result import Calibration
+from sunarc.detection.stars.matching import StarMatches, match_stars, sky_motion, standing_still
+from sunarc.detection.values import PredictedStars, Stars
+from sunarc.optics.camera import Camera
+from sunarc.sky.directions import angles_from_direction
+from sunarc.sky.night import NightSky
+from sunarc.sky.site import relative_air_mass
+
+_EXTINCTION = 0.25
+"""Magnitudes an air mass, of a clear sky in the visible: Rayleigh scattering 0.1, and as much and more of aerosol."""
+
+
+def predict_stars(
+    calibration: Calibration, sky: NightSky, *, within_px: float = 0.0, furthest_deg: float = 85.0
+) -> PredictedStars:
+    """Return where a calibration sees the stars of a moment.
+
+    Parameters
+    ----------
+    calibration : the camera, and how sure one is of it.
+    sky : stars and planets above the horizon.
+    within_px : 1-sigma that is added to the prediction's, px.
+    furthest_deg : stars further from the zenith are left out: the refraction of the horizon, and trees.
+
+    Returns
+    -------
+    Those within the image, as in `sky`: the brightest first.
+    """
+    pixels, covariance = project_with_covariance(calibration, sky.directions)
+    sigma = np.hypot(sigma_px(covariance), within_px)
+    return stars_in_image(calibration.camera, sky, pixels, sigma, furthest_deg=furthest_deg)
+
+
+def stars_in_image(
+    camera: Camera, sky: NightSky, pixels: FloatArray, sigma: FloatArray, *, furthest_deg: float = 85.0
+) -> PredictedStars:
+    """Return the stars within a camera's image, of their pixels (n, 2) and 1-sigmas (n,) px; the brightest first."""
+    zenith, azimuth = angles_from_direction(sky.directions)
+    inside = np.all((pixels > -0.5) & (pixels < np.array([camera.width, camera.height]) - 0.5), axis=-1)
+    visible = inside & camera_sees(camera, pixels) & (zenith < furthest_deg)
+    magnitude = sky.magnitude + _EXTINCTION * (relative_air_mass(zenith) - 1.0)
+    return PredictedStars(
+        names=sky.names,
+        pixels=pixels,
+        sigma_px=sigma,
+        magnitude=magnitude,
+        azimuth_deg=azimuth,
+    ).select(visible)
+
+
+_LONGEST_NIGHT_S = 6.0 * 3600.0
+"""Between two images that are compared: later the stars of one have set in the other."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StarView:
+    """The detections of one image, the sky at its moment, and where a calibration predicts the stars."""
+
+    unix_s: float
+    sky: NightSky
+    stars: Stars
+    predicted: PredictedStars
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MatchedView:
+    """The detections of an image that move with the sky, and which stars they are."""
+
+    stars: Stars
+    matches: StarMatches
+
+    def names(self, view: StarView) -> list[str]:
+        """Return the names of the matches, in their order."""
+        names: list[str] = view.predicted.names[self.matches.star].tolist()
+        return names
+
+    def directions(self, view: StarView) -> FloatArray:
+        """Return the apparent directions of the matches, (m, 3)."""
+        return np.asarray(view.sky.directions[view.sky.rows_of(self.names(view))])
+
+
+def match_views(views: Sequence[StarView]) -> list[MatchedView]:
+    """Return the matches of each image, without the detections that stand still between it and another of the night."""
+    return [_matched(view, views) for view in views]
+
+
+def _matched(view: StarView, every: Sequence[StarView]) -> MatchedView:
+    stars, other = view.stars, _furthest(view, every)
+    if other is not None:
+        moved = sky_motion(stars, view.predicted, other.predicted)
+        stars = stars.select(~standing_still(stars, other.stars, moved_px=moved))
+    return MatchedView(stars=stars, matches=match_stars(stars, view.predicted))
+
+
+def _furthest(view: StarView, every: Sequence[StarView]) -> StarView | None:
+    """Return the image of the same night that is furthest in time; None where there is none."""
+    apart = [(abs(view.unix_s - one.unix_s), index) for index, one in enumerate(every)]
+    same_night = [pair for pair in apart if 0.0 < pair[0] < _LONGEST_NIGHT_S]
+    return every[max(same_night)[1]] if same_night else None

@@ -1,1 +1,0 @@
-"""Initial values of a fit: image circle, coarse search, RANSAC, multistart."""

@@ -1,0 +1,503 @@
+"""A known lens in a new pose, from as few as three sightings, some of which may be false.
+
+What the calibration says of its lens, its field and its pose is the prior; the camera may since have turned by any
+angle, whose scale is sought in the sightings too. What they cannot tell (after a few minutes the turn about the sun's
+own direction) thus stays as uncertain as turns of that size are.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cho_solve, cholesky
+
+from sunarc.array_types import BoolArray, FloatArray, Rows, picked
+from sunarc.calibration.answers.error_model import (
+    CameraErrorModel,
+    Predicted,
+    at_every_angle,
+    error_model_of,
+    joint_covariance,
+    moved,
+    predicted,
+    rotated,
+    with_coefficients,
+    with_parameters,
+)
+from sunarc.calibration.fit.assemble import FitOutcome, Job, calibration_from_fit, refused
+from sunarc.calibration.model.options import CalibrationOptions, Mirrored
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import FilteredSightings, SunPoints, filter_sightings
+from sunarc.calibration.quality.fit_checks import Handedness
+from sunarc.calibration.robust_loss import finite, robust_sigma
+from sunarc.calibration.solve.problem import Bins, Observations
+from sunarc.calibration.start.initial_guess import ransac_rotation
+from sunarc.findings import Finding
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project_fast
+from sunarc.optics.pose import right_jacobian
+from sunarc.sky.site import Site
+
+MOST = 80
+"""Sightings, or means of neighbours, that are looked at together."""
+_UNKNOWN_SIGMA_PX = 0.5
+_SMALLEST_SIGMA_PX = 0.005
+_LARGEST_INFLATION = 25.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PredictedSightings:
+    """Where the sun was, and where it was seen, in the order of time.
+
+    Attributes
+    ----------
+    directions, pixels : (n, 3), (n, 2) px.
+    variance : (n,) of each axis of a true sighting, px².
+    false_density : (n,) logarithm of how likely a false one is to be there, px⁻².
+    """
+
+    directions: FloatArray
+    pixels: FloatArray
+    variance: FloatArray
+    false_density: FloatArray
+
+    def select(self, which: Rows) -> PredictedSightings:
+        """Return those that a slice, an index or a mask picks."""
+        return picked(self, which)
+
+
+def noise_px(start: Calibration, sigma_px: FloatArray) -> FloatArray:
+    """Return (n,): 1-sigma per axis of sightings, never below what the calibration's own came to."""
+    fit_sigma_px = start.evidence.sigma_px
+    usual = fit_sigma_px if math.isfinite(fit_sigma_px) and fit_sigma_px > 0.0 else _UNKNOWN_SIGMA_PX
+    estimated_sigma_px = np.where(np.isfinite(sigma_px) & (sigma_px > 0.0), sigma_px, usual)
+    return np.maximum(estimated_sigma_px, max(usual, _SMALLEST_SIGMA_PX))
+
+
+def inflation(start: Calibration) -> float:
+    """Return by how much a sighting's variance grows because its neighbours err alike."""
+    found = start.evidence.inflation
+    return min(max(found, 1.0), _LARGEST_INFLATION) if math.isfinite(found) else 1.0
+
+
+def gathered(
+    camera: Camera, sightings: PredictedSightings, inlier: BoolArray, *, inflation: float
+) -> PredictedSightings:
+    """Return the inliers, neighbours averaged so that there are not too many."""
+    true = sightings.select(np.flatnonzero(inlier))
+    # rounded up, so that no more than MOST groups remain
+    each = -(-true.variance.size // MOST)
+    member = np.arange(true.variance.size) // max(each, 1)
+    bins = Bins(member=member, count=int(member[-1]) + 1 if member.size else 0)
+    observed = Observations(
+        directions=true.directions, pixels=true.pixels, information=1.0 / true.variance, epoch=0 * member
+    )
+    residual = finite(true.pixels - project_fast(camera, true.directions))
+    one, mean = bins.gathered(observed, residual, observed.information)
+    pixels = project_fast(camera, one.directions) + mean
+    density = np.zeros(bins.count)
+    return PredictedSightings(
+        directions=one.directions, pixels=pixels, variance=inflation / one.information, false_density=density
+    )
+
+
+_EXCLUDED_PX2 = 1e6
+"""Variance of a sighting that is left out: it stays in the equations, without information."""
+_FALSE_SHARE = 0.2
+_HALO_PX = 15.0
+_SWEEPS = 8
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PixelResiduals:
+    """Residuals of sightings about a prediction.
+
+    Attributes
+    ----------
+    residual : (n, 2) seen minus predicted, px.
+    variance : (n,) of each axis, px².
+    false_density : (n,) logarithm of how likely a false sighting is to be just there, px⁻².
+    """
+
+    residual: FloatArray
+    variance: FloatArray
+    false_density: FloatArray
+
+    def select(self, which: Rows) -> PixelResiduals:
+        """Return those that a slice, an index or a mask picks."""
+        return picked(self, which)
+
+
+def false_density(distance_px: FloatArray, *, area_px2: float) -> FloatArray:
+    """Return the logarithm of how likely a false sighting is to be where it is: half of them near, half anywhere.
+
+    Parameters
+    ----------
+    distance_px : (n, 2) from where the sun was expected before anything was known of a change.
+    area_px2 : of the image.
+    """
+    square = np.sum(finite(distance_px) ** 2, axis=-1) / _HALO_PX**2
+    near = np.exp(-0.5 * square) / (2.0 * math.pi * _HALO_PX**2)
+    return np.asarray(np.log(0.5 * near + 0.5 / area_px2))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MixtureFit:
+    """Fit of an inlier mixture to sightings.
+
+    Attributes
+    ----------
+    inlier : (n,) which of them are inliers.
+    log_evidence : of all of them.
+    loo_residual : (n, 2) residual of each about its prediction from all other inliers (leave one out), px.
+    loo_covariance : (n, 2, 2) of that, px².
+    """
+
+    inlier: BoolArray
+    log_evidence: float
+    loo_residual: FloatArray
+    loo_covariance: FloatArray
+
+    @property
+    def surprise(self) -> FloatArray:
+        """Return (n,): squared leave-one-out residual in its own sigmas; 2 on average for true sightings."""
+        return np.asarray(
+            np.einsum("ni,nij,nj->n", self.loo_residual, np.linalg.inv(self.loo_covariance), self.loo_residual)
+        )
+
+
+def fit_inlier_mixture(covariance: FloatArray, sightings: PixelResiduals, inlier: BoolArray) -> MixtureFit:
+    """Return the inliers among sightings, and the log evidence of all.
+
+    Parameters
+    ----------
+    covariance : (2n, 2n) of the prediction's errors at the sightings, px².
+    sightings : the sightings, their residuals about the error model's mean.
+    inlier : (n,) initial inliers; then each is classified by the prediction from the others, until nothing changes.
+    """
+    for _ in range(_SWEEPS):
+        loo_residual, spread = _leave_one_out(covariance, sightings, inlier)
+        true = _log_density(loo_residual, spread) + math.log(1.0 - _FALSE_SHARE)
+        next_ = true > sightings.false_density + math.log(_FALSE_SHARE)
+        if np.array_equal(next_, inlier) or not np.any(next_):
+            break
+        inlier = next_
+    return MixtureFit(
+        inlier=inlier,
+        log_evidence=log_evidence(covariance, sightings, inlier),
+        loo_residual=loo_residual,
+        loo_covariance=spread,
+    )
+
+
+def log_evidence(covariance: FloatArray, sightings: PixelResiduals, inliers: BoolArray) -> float:
+    """Return the log likelihood of all sightings: inliers jointly normal, the others false (`fit_inlier_mixture`)."""
+    false = sightings.false_density[~inliers] + math.log(_FALSE_SHARE)
+    return (
+        log_normal(covariance, sightings, inliers)
+        + int(inliers.sum()) * math.log(1.0 - _FALSE_SHARE)
+        + float(false.sum())
+    )
+
+
+def _leave_one_out(
+    covariance: FloatArray, sightings: PixelResiduals, inlier: BoolArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return leave-one-out residuals (n, 2) by the other inliers, and their covariances (n, 2, 2)."""
+    n = inlier.size
+    variance = np.where(inlier, sightings.variance, _EXCLUDED_PX2)
+    inverse = np.linalg.inv(covariance + np.diag(np.repeat(variance, 2)))
+    # the inverse's diagonal blocks give every leave-one-out residual at the price of one inversion
+    loo_covariance = np.linalg.inv(inverse.reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n)])
+    loo_residual = np.einsum("nij,nj->ni", loo_covariance, (inverse @ sightings.residual.ravel()).reshape(n, 2))
+    spread = loo_covariance + (sightings.variance - variance)[:, None, None] * np.eye(2)
+    spread[~inlier] += 1e-3 * sightings.variance[~inlier, None, None] * np.eye(2)
+    return loo_residual, 0.5 * (spread + np.swapaxes(spread, -1, -2))
+
+
+def _log_density(loo_residual: FloatArray, spread: FloatArray) -> FloatArray:
+    determinant = np.maximum(np.linalg.det(spread), 1e-20)
+    square = np.einsum("ni,nij,nj->n", loo_residual, np.linalg.inv(spread), loo_residual)
+    return np.asarray(-0.5 * square - 0.5 * np.log(determinant) - math.log(2.0 * math.pi))
+
+
+def log_normal(covariance: FloatArray, sightings: PixelResiduals, inlier: BoolArray) -> float:
+    """Return the log density of the inliers together; 0 where there are none."""
+    if not np.any(inlier):
+        return 0.0
+    both = np.repeat(inlier, 2)
+    total = covariance[np.ix_(both, both)] + np.diag(np.repeat(sightings.variance[inlier], 2))
+    factor = _factored(total)
+    residual = sightings.residual[inlier].ravel()
+    square = float(residual @ cho_solve((factor, True), residual))
+    return -0.5 * square - float(np.sum(np.log(np.diag(factor)))) - 0.5 * residual.size * math.log(2.0 * math.pi)
+
+
+def _factored(covariance: FloatArray) -> FloatArray:
+    """Return the lower Cholesky factor; LinAlgError also where a direction has no pixel and its covariance is NaN."""
+    if not np.all(np.isfinite(covariance)):
+        raise np.linalg.LinAlgError("a sighting is where the camera has no pixel")
+    return np.asarray(cholesky(covariance, lower=True))
+
+
+def conditioned(error_model: CameraErrorModel, at: Predicted, sightings: PixelResiduals) -> CameraErrorModel:
+    """Return the error model conditioned on sightings that are all inliers, their residuals about an unchanged camera.
+
+    Without any sighting it is unchanged.
+    """
+    if sightings.variance.size == 0:
+        return error_model
+    total = joint_covariance(error_model, at) + np.diag(np.repeat(sightings.variance, 2))
+    factor = (_factored(total), True)
+    shared = with_parameters(error_model, at)
+    # the Kalman gain, all sightings at once
+    gain = cho_solve(factor, shared.T).T
+    residual = sightings.residual.ravel() - at.rows.reshape(sightings.residual.size, -1) @ error_model.mean
+    covariance = error_model.covariance - gain @ shared.T
+    field = error_model.field
+    cross = np.stack([field.cross[axis] - gain @ with_coefficients(error_model, at, axis) for axis in (0, 1)])
+    return replace(
+        error_model,
+        mean=error_model.mean + gain @ residual,
+        covariance=0.5 * (covariance + covariance.T),
+        field=replace(field, cross=cross),
+    )
+
+
+FEWEST = 3
+_ROUNDS = 3
+_SCALES_RAD = np.radians([0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 60.0])
+"""How far a camera may have turned, 1-sigma. All scales are as likely before the sightings, not all their powers of
+ten: a turn that is taken for smaller than it is breaks its promise."""
+_ENOUGH_FOR_SCALE = 12
+_CLOSE = 6.0
+_SMALLEST_WEIGHT = 1e-4
+
+
+def estimate_pose(
+    points: SunPoints,
+    *,
+    start: Calibration,
+    site: Site,
+    options: CalibrationOptions | None = None,
+    wander_deg: float = 0.0,
+) -> Calibration:
+    """Return a calibration of the same camera in a new pose; its covariance holds the lens's own uncertainty.
+
+    Poor data give a calibration whose verdict is refused and says why; they never raise.
+
+    Parameters
+    ----------
+    points : sightings of one pose epoch.
+    start : the calibration of an earlier pose; its lens is kept, within what it says of itself.
+    site : where the camera stands.
+    options : what makes the answer acceptable.
+    wander_deg : 1-sigma per axis by which the pose wanders about its mean (mast, heat); it widens the uncertainty.
+    """
+    hand: Mirrored = "yes" if start.camera.mirrored else "no"
+    effective = CalibrationOptions() if options is None else options
+    effective = replace(effective, method="robust", projection=start.camera.projection, mirrored=hand)
+    size = (start.camera.width, start.camera.height)
+    usable = filter_sightings(points, site=site, image_size=size)
+    job = Job(points=points, usable=usable, site=site, image_size=size, options=effective, circle=None, free="pose")
+    if len(usable) < FEWEST:
+        return refused(job, (Finding("too_few_sightings", {"n": len(usable), "least": FEWEST}),))
+    fit = fit_pose(start, usable.directions, usable.pixels, noise_px(start, points.sigma_px[usable.index]))
+    fitted = handed_over(fit, start, usable, wander_rad=math.radians(wander_deg))
+    return calibration_from_fit(fitted, job, Handedness(mirrored=start.camera.mirrored, ambiguous=False))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PoseFit:
+    """A known lens, posed.
+
+    Attributes
+    ----------
+    camera : the most probable one.
+    error_model : of it; its mean is 0.
+    inlier : (n,) which sightings are inliers.
+    sigma_px : noise of a sighting, px per axis (median).
+    """
+
+    camera: Camera
+    error_model: CameraErrorModel
+    inlier: BoolArray
+    sigma_px: float
+
+
+def fit_pose(
+    start: Calibration,
+    directions: FloatArray,
+    pixels: FloatArray,
+    sigma_px: FloatArray,
+    *,
+    turned_rad: float | None = None,
+) -> PoseFit:
+    """Return a lens in the pose that sightings ask for.
+
+    Parameters
+    ----------
+    start : lens, former pose and what is known of both.
+    directions, pixels : (n, 3) where the sun was, (n, 2) where it was seen, in the order of time.
+    sigma_px : (n,) 1-sigma per axis of a sighting.
+    turned_rad : 1-sigma of the rotation about each axis since the former pose; None where the camera may have turned
+        by any angle.
+    """
+    error_model, camera = error_model_of(start), at_every_angle(start.camera)
+    density = false_density(pixels - project_fast(camera, directions), area_px2=float(camera.width * camera.height))
+    sightings = PredictedSightings(directions=directions, pixels=pixels, variance=sigma_px**2, false_density=density)
+    thin = thinned(sightings)
+    tolerance = tolerance_px(error_model, camera, thin)
+    rotation = ransac_rotation(camera, thin.directions, thin.pixels, tolerance)
+    scales = _scales_for(float(np.linalg.norm(rotation))) if turned_rad is None else np.array([turned_rad])
+    base = rotated(camera, rotation)
+    close = np.linalg.norm(finite(thin.pixels - project_fast(base, thin.directions)), axis=-1) < _CLOSE * tolerance
+    # how far the camera turned is a hyperparameter: each scale is conditioned, then all are averaged
+    priors = [error_model.with_free_rotation(-rotation, sigma_rad=float(scale)) for scale in scales]
+    return conditioned_pose(priors, np.log(scales), base, sightings, close, inflation=inflation(start))
+
+
+def thinned(sightings: PredictedSightings) -> PredictedSightings:
+    """Return at most `MOST` sightings, spread over time."""
+    return sightings.select(np.unique(np.linspace(0, sightings.variance.size - 1, MOST).astype(int)))
+
+
+def conditioned_pose(
+    priors: list[CameraErrorModel],
+    log_prior: FloatArray,
+    base: Camera,
+    sightings: PredictedSightings,
+    close: BoolArray,
+    *,
+    inflation: float,
+) -> PoseFit:
+    """Return a camera conditioned on sightings, outliers left out, averaged over priors of its errors.
+
+    Parameters
+    ----------
+    priors : of the camera's errors about `base`; the second one, where there are several, finds the outliers.
+    log_prior : (k,) log probability of each.
+    base : the camera that the equations are first made about.
+    sightings : all of them, in the order of time.
+    close : of `thinned(sightings)`, which are taken to be inliers at first.
+    inflation : by how much a sighting's variance grows because its neighbours err alike.
+    """
+    rough, mixture = settled(priors[min(1, len(priors) - 1)], base, thinned(sightings), close)
+    worse = _excess_noise(mixture)
+    stated_px = float(np.median(np.sqrt(sightings.variance)))
+    sightings = replace(sightings, variance=sightings.variance * worse**2)
+    inlier = _inliers(rough, moved(base, rough, rough.mean), sightings)
+    together = gathered(moved(base, rough, rough.mean), sightings, inlier, inflation=inflation)
+    fits = [_given_inliers(prior, base, together) for prior in priors]
+    final = _mixed([fit for fit, _ in fits], np.array([evidence for _, evidence in fits]) + log_prior)
+    return PoseFit(
+        camera=moved(base, final, final.mean),
+        error_model=replace(final, mean=0.0 * final.mean),
+        inlier=inlier,
+        sigma_px=stated_px * worse,
+    )
+
+
+def _scales_for(angle_rad: float) -> FloatArray:
+    """Return the scales that a turn may have been drawn from: none of which it would be more than four sigmas."""
+    return _SCALES_RAD[min(int(np.searchsorted(_SCALES_RAD, 0.25 * angle_rad)), _SCALES_RAD.size - 1) :]
+
+
+def tolerance_px(error_model: CameraErrorModel, camera: Camera, sightings: PredictedSightings) -> FloatArray:
+    """Return (n,): how far a true sighting may lie off where the camera has not turned, 1-sigma, px."""
+    at = predicted(error_model, camera, sightings.directions)
+    model_variance = np.nan_to_num(np.diag(joint_covariance(error_model, at)).reshape(-1, 2).mean(axis=1))
+    return np.asarray(np.sqrt(sightings.variance + model_variance))
+
+
+def settled(
+    error_model: CameraErrorModel, base: Camera, sightings: PredictedSightings, inlier: BoolArray
+) -> tuple[CameraErrorModel, MixtureFit]:
+    """Return the error model conditioned on sightings with outliers, linearised anew in every round."""
+    after = replace(error_model, mean=0.0 * error_model.mean)
+    for _ in range(_ROUNDS):
+        at = predicted(error_model, moved(base, error_model, after.mean), sightings.directions)
+        about = PixelResiduals(
+            residual=finite(sightings.pixels - at.pixels) + at.rows @ (after.mean - error_model.mean),
+            variance=sightings.variance,
+            false_density=sightings.false_density,
+        )
+        mixture = fit_inlier_mixture(joint_covariance(error_model, at), about, inlier)
+        inlier = mixture.inlier
+        unchanged = replace(about, residual=about.residual + at.rows @ error_model.mean).select(inlier)
+        after = conditioned(error_model, at.select(inlier), unchanged)
+    return after, mixture
+
+
+def _excess_noise(mixture: MixtureFit) -> float:
+    """Return by how much the sightings scatter more than they say, at least 1."""
+    if mixture.inlier.sum() < _ENOUGH_FOR_SCALE:
+        return 1.0
+    return max(1.0, robust_sigma(np.sqrt(np.maximum(mixture.surprise, 0.0))))
+
+
+def _inliers(after: CameraErrorModel, camera: Camera, sightings: PredictedSightings) -> BoolArray:
+    """Return which sightings agree with a fit of some of them."""
+    at = predicted(after, camera, sightings.directions)
+    square = np.empty(sightings.variance.size)
+    for part in np.array_split(np.arange(square.size), max(square.size // MOST, 1)):
+        blocks = joint_covariance(after, at.select(part)).reshape(part.size, 2, part.size, 2)
+        row = np.arange(part.size)
+        spread = blocks[row, :, row] + sightings.variance[part, None, None] * np.eye(2)
+        gap = finite(sightings.pixels[part] - at.pixels[part])
+        square[part] = np.einsum("ni,nij,nj->n", gap, np.linalg.inv(spread), gap)
+    return np.asarray(square < 25.0)
+
+
+def _given_inliers(
+    error_model: CameraErrorModel, base: Camera, sightings: PredictedSightings
+) -> tuple[CameraErrorModel, float]:
+    """Return the error model conditioned on inliers, and their log evidence."""
+    after = replace(error_model, mean=0.0 * error_model.mean)
+    everyone = np.ones(sightings.variance.size, dtype=bool)
+    for _ in range(_ROUNDS):
+        at = predicted(error_model, moved(base, error_model, after.mean), sightings.directions)
+        residual = finite(sightings.pixels - at.pixels) + at.rows @ after.mean
+        about = PixelResiduals(residual=residual, variance=sightings.variance, false_density=sightings.false_density)
+        after = conditioned(error_model, at, about)
+    shifted = replace(about, residual=residual - at.rows @ error_model.mean)
+    return after, log_normal(joint_covariance(error_model, at), shifted, everyone)
+
+
+def _mixed(fits: list[CameraErrorModel], log_weight: FloatArray) -> CameraErrorModel:
+    """Return the one Gaussian with the mean and the covariance of all, by how probable their scales are."""
+    weight = np.exp(log_weight - log_weight.max())
+    weight[weight < _SMALLEST_WEIGHT] = 0.0
+    weight /= weight.sum()
+    mean = np.einsum("k,kp->p", weight, np.array([fit.mean for fit in fits]))
+    difference = np.array([fit.mean - mean for fit in fits])
+    covariance = np.einsum("k,kpq->pq", weight, np.array([fit.covariance for fit in fits]))
+    covariance += np.einsum("k,kp,kq->pq", weight, difference, difference)
+    cross = np.einsum("k,kapm->apm", weight, np.array([fit.field.cross for fit in fits]))
+    return replace(fits[0], mean=mean, covariance=covariance, field=replace(fits[0].field, cross=cross))
+
+
+def handed_over(fit: PoseFit, start: Calibration, usable: FilteredSightings, *, wander_rad: float) -> FitOutcome:
+    """Return what every method hands over; the turn's axes become those of the rotation vector."""
+    error_model, size = fit.error_model, fit.error_model.mean.size
+    covariance = error_model.covariance.copy()
+    covariance[np.ix_(error_model.rotation, error_model.rotation)] += wander_rad**2 * np.eye(3)
+    to_vector = np.eye(size)
+    to_vector[np.ix_(error_model.rotation, error_model.rotation)] = np.linalg.inv(
+        right_jacobian(-np.array(fit.camera.rotation_cam_enu))
+    )
+    residual = finite(usable.pixels - project_fast(fit.camera, usable.directions))
+    return FitOutcome(
+        cameras=[fit.camera],
+        parameter_names=start.parameter_names,
+        covariance=to_vector @ covariance @ to_vector.T,
+        field=replace(error_model.field, length_px=start.field.length_px, cross=to_vector @ error_model.field.cross),
+        residual=residual,
+        used=fit.inlier,
+        sigma_px=fit.sigma_px,
+        inflation=inflation(start),
+        radial_px=start.evidence.radial_px,
+        held_out=None,
+    )

@@ -1,0 +1,225 @@
+"""Whether clock and site are as stated: by the first sightings' motion, and by a tilt that may be none.
+
+A wrong zone or longitude turns the sky about its pole, a wrong latitude turns it about the east, and the fit turns the
+camera with it. No residual tells these from a tilt; how cameras are mounted and how often such mistakes are made does.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from sunarc.array_types import FloatArray
+from sunarc.calibration.model.options import Mirrored
+from sunarc.findings import Finding
+from sunarc.optics.camera import Camera
+from sunarc.optics.pose import rotation_matrix
+from sunarc.robust_statistics import mad_sigma
+from sunarc.sky.directions import angles_from_direction, wrapped_deg
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_angles, sun_directions
+
+_TURN_DEG_PER_H = 15.0
+_LARGEST_ZONE_H = 14.0
+_QUESTIONED_DEG = 5.0
+"""degrees; a mount that was levelled by hand and eye is level to 2."""
+_LEVELLED_DEG = 2.0
+_TILTED_ON_PURPOSE = 0.05
+_STEEPEST_DEG = 75.0
+"""1-sigma of a levelled mount about each axis; share of mounts that were not levelled: any tilt up to the steepest."""
+_WRONG_ZONE, _WRONG_SIGN, _WRONG_COORDINATE = 0.02, 0.005, 0.001
+"""Shares of sites whose times are of another zone (steps of half an hour), one of whose coordinates has the wrong sign,
+or is wrong by any amount. Chosen, not measured."""
+_NO_MISTAKE = 1.0 - _WRONG_ZONE - 2.0 * (_WRONG_SIGN + _WRONG_COORDINATE)
+_STEP_DEG = 0.5
+_HALF_HOURS = 0.1
+"""How much rarer zones of half an hour are than those of whole ones."""
+_NOT_WORTH_ASKING = 0.01
+"""Odds."""
+
+
+class _Explanation(NamedTuple):
+    """What makes the camera level: by how many degrees the sky is turned about an axis, and how probable that is."""
+
+    code: str
+    density: float
+    turn_deg: float
+
+
+def tilt_question(camera: Camera, site: Site) -> Finding | None:
+    """Return what else than a tilt may be behind a tilted camera, with its odds; None where it is level to 5 degrees.
+
+    The data are `tilt_deg`; the `hours` that the clocks are ahead and the `longitude`, either of which makes the
+    camera level, or the `latitude` that does; and `odds`, how much more probable that is than a real tilt: 0 where
+    nothing simple makes it level.
+    """
+    axis = rotation_matrix(camera.rotation_cam_enu)[2]
+    tilt_deg = float(angles_from_direction(axis)[0])
+    if tilt_deg <= _QUESTIONED_DEG:
+        return None
+    best = max(_explanations(axis, site), key=lambda one: one.density)
+    odds = best.density / (_NO_MISTAKE * float(_mounted(axis)))
+    if odds < _NOT_WORTH_ASKING:
+        return Finding("camera_tilted", {"tilt_deg": tilt_deg, "odds": 0.0})
+    if best.code == "camera_tilted_by_latitude":
+        level = {"latitude": site.latitude + best.turn_deg}
+    else:  # a turn about the pole is one thing to a camera, whichever of the two is wrong
+        hours, longitude = best.turn_deg / _TURN_DEG_PER_H, float(wrapped_deg(site.longitude - best.turn_deg))
+        level = {"hours": hours, "longitude": longitude}
+    return Finding(best.code, {**level, "tilt_deg": tilt_deg, "odds": odds})
+
+
+def _explanations(axis: FloatArray, site: Site) -> tuple[_Explanation, ...]:
+    latitude = math.radians(site.latitude)
+    pole, east = np.array([0.0, math.cos(latitude), math.sin(latitude)]), np.array([1.0, 0.0, 0.0])
+    hours = np.arange(-_LARGEST_ZONE_H, _LARGEST_ZONE_H + 0.25, 0.5)
+    hours = hours[hours != 0.0]
+    zones = np.where(np.mod(hours, 1.0) == 0.0, 1.0, _HALF_HOURS)
+    around = np.arange(-180.0, 180.0, _STEP_DEG)
+    to_poles = np.arange(-90.0, 90.0, _STEP_DEG) - site.latitude
+    return (
+        _explained("camera_tilted_by_clock", axis, pole, _TURN_DEG_PER_H * hours, _WRONG_ZONE * zones / zones.sum()),
+        _explained("camera_tilted_by_longitude", axis, pole, *_any_or(around, 2.0 * site.longitude)),
+        _explained("camera_tilted_by_latitude", axis, east, *_any_or(to_poles, -2.0 * site.latitude)),
+    )
+
+
+def _any_or(turns_deg: FloatArray, of_other_sign: float) -> tuple[FloatArray, FloatArray]:
+    """Return turns with that of a wrong sign among them, and the shares of sites that have them."""
+    evenly = np.full(turns_deg.size, _WRONG_COORDINATE / turns_deg.size)
+    return np.append(turns_deg, of_other_sign), np.append(evenly, _WRONG_SIGN)
+
+
+def _explained(
+    code: str, axis: FloatArray, about: FloatArray, turns_deg: FloatArray, shares: FloatArray
+) -> _Explanation:
+    """Return the explanation of the optical axis by turns of the sky, with the one that counts most."""
+    turned = rotation_matrix(np.radians(turns_deg)[:, None] * about) @ axis
+    densities = shares * _mounted(turned)
+    return _Explanation(code, float(densities.sum()), float(turns_deg[np.argmax(densities)]))
+
+
+def _mounted(axis: FloatArray) -> FloatArray:
+    """Return (...): how probable it is that a mount holds the optical axis in directions (..., 3), per steradian."""
+    tilt_deg, sigma = angles_from_direction(axis)[0], math.radians(_LEVELLED_DEG)
+    levelled = np.exp(-0.5 * (tilt_deg / _LEVELLED_DEG) ** 2) / (2.0 * math.pi * sigma**2)
+    cap = 2.0 * math.pi * (1.0 - math.cos(math.radians(_STEEPEST_DEG)))
+    on_purpose = np.where(tilt_deg <= _STEEPEST_DEG, 1.0, 0.01) / cap
+    return np.asarray((1.0 - _TILTED_ON_PURPOSE) * levelled + _TILTED_ON_PURPOSE * on_purpose)
+
+
+FEWEST_IN_MOTION = 4
+_SHORTEST_S = 60.0
+_LEAST_WAY = 8.0
+"""Way of the sun on the sensor over the scatter about it, and in px at least a quarter of that."""
+_BELOW_DEG = 91.0
+"""Zenith angle from which on no refraction shows the sun."""
+_TILT_DEG, _CENTRE_SHARE = 15.0, 0.05
+"""What a camera is tilted by, and its principal point is off the image's centre by (of the longer side), at most."""
+_LENS_DEG = 25.0
+"""By which projections turn the direction of the motion: their scales along and across the radius differ."""
+_NEAR_ZENITH = 0.9
+"""Sine of the doubt about which way is outwards, from which on it says nothing."""
+_ELEVATION_DEG = 50.0
+"""By which the zenith angle from the scale of the motion is off at most, for all projections and that tilt."""
+
+
+def site_contradiction(
+    unix_s: FloatArray, pixels: FloatArray, *, site: Site, image_size: tuple[int, int], mirrored: Mirrored
+) -> Finding | None:
+    """Return what of the first sightings the stated site, clock and handedness do not allow; None where they do.
+
+    Parameters
+    ----------
+    unix_s, pixels : (n,) and (n, 2) px, of one pose; a few may be false.
+    site : where the camera is said to stand.
+    image_size : width and height, px.
+    mirrored : what is known of the handedness.
+    """
+    zenith = sun_angles(unix_s, site).apparent_zenith
+    if unix_s.size >= FEWEST_IN_MOTION and float(np.median(zenith)) > _BELOW_DEG:
+        return Finding("sun_seen_below_horizon", {"n": int(unix_s.size), "zenith_deg": float(np.median(zenith))})
+    motion = _motion(unix_s, pixels)
+    if motion is None:
+        return None
+    due = _due(motion.unix_s, site)
+    outwards = motion.middle - (np.array(image_size) - 1.0) / 2.0
+    radius = float(np.linalg.norm(outwards))
+    px_per_rad = float(np.linalg.norm(motion.velocity)) / due.rad_per_s
+    doubt = (math.sin(math.radians(_TILT_DEG)) * px_per_rad + _CENTRE_SHARE * max(image_size)) / max(radius, 1e-9)
+    if doubt >= _NEAR_ZENITH:
+        return None
+    seen = _seen_angles(outwards / radius, motion.velocity, mirrored)
+    off = min(abs(float(wrapped_deg(one - due.way_deg))) for one in seen)
+    allowed = math.degrees(math.asin(doubt)) + _LENS_DEG
+    seen_zenith = math.degrees(radius / px_per_rad)
+    if off <= allowed and abs(seen_zenith - due.zenith_deg) <= _ELEVATION_DEG:
+        return None
+    data: dict[str, float | str] = {
+        "off_deg": off,
+        "limit_deg": allowed,
+        "seen_zenith_deg": seen_zenith,
+        "zenith_deg": due.zenith_deg,
+        "seen": _word(seen[0]),
+        "expected": _word(due.way_deg),
+    }
+    return Finding("sun_contradicts_site", data)
+
+
+class _Motion(NamedTuple):
+    """Time, place (px) and velocity (px/s) in the middle of sightings."""
+
+    unix_s: float
+    middle: FloatArray
+    velocity: FloatArray
+
+
+class _Due(NamedTuple):
+    """The sun over the stated site: zenith angle, the direction of its way, and its speed.
+
+    The direction is from outwards (away from the zenith) towards a growing azimuth.
+    """
+
+    zenith_deg: float
+    way_deg: float
+    rad_per_s: float
+
+
+def _motion(unix_s: FloatArray, pixels: FloatArray) -> _Motion | None:
+    """Return the motion by medians over pairs; None where too little moved."""
+    if unix_s.size < FEWEST_IN_MOTION or np.ptp(unix_s) < _SHORTEST_S:
+        return None
+    first, second = np.triu_indices(unix_s.size, k=1)
+    apart_s = unix_s[second] - unix_s[first]
+    far = np.abs(apart_s) > 0.2 * np.ptp(unix_s)
+    velocity = np.median((pixels[second] - pixels[first])[far] / apart_s[far, None], axis=0)
+    at_s = float(np.median(unix_s))
+    at_middle = pixels - (unix_s - at_s)[:, None] * velocity
+    middle = np.median(at_middle, axis=0)
+    scatter = mad_sigma(np.linalg.norm(at_middle - middle, axis=-1))
+    way = float(np.linalg.norm(velocity)) * float(np.ptp(unix_s))
+    return _Motion(at_s, middle, velocity) if way > _LEAST_WAY * max(scatter, 0.25) else None
+
+
+def _due(unix_s: float, site: Site) -> _Due:
+    times = np.array([unix_s - 30.0, unix_s + 30.0])
+    angles, (before, after) = sun_angles(times, site), sun_directions(times, site)
+    first, last = np.radians(angles.apparent_zenith).tolist()
+    turned = math.radians(float(wrapped_deg(angles.azimuth[1] - angles.azimuth[0])))
+    way = math.atan2(math.sin(0.5 * (first + last)) * turned, last - first)
+    apart = 2.0 * math.asin(0.5 * float(np.linalg.norm(after - before)))
+    return _Due(math.degrees(0.5 * (first + last)), math.degrees(way), apart / 60.0)
+
+
+def _word(way_deg: float) -> str:
+    return "sets" if math.cos(math.radians(way_deg)) > 0.0 else "rises"
+
+
+def _seen_angles(outwards: FloatArray, velocity: FloatArray, mirrored: Mirrored) -> list[float]:
+    """Return the motion's angle from outwards to counter-clockwise (that of a growing azimuth), for each handedness."""
+    along = float(velocity @ outwards)
+    across = float(velocity @ np.array([outwards[1], -outwards[0]]))
+    hands = {"no": (1.0,), "yes": (-1.0,), "auto": (1.0, -1.0)}[mirrored]
+    return [math.degrees(math.atan2(hand * across, along)) for hand in hands]

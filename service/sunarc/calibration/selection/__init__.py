@@ -1,1 +1,0 @@
-"""Selection of the sightings that a fit uses, by sky cell."""

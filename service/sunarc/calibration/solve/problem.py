@@ -1,0 +1,349 @@
+"""The unknowns of a fit and what they predict: one lens, a pose for every epoch; sightings in bins of time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from sunarc.array_types import BoolArray, FloatArray, IntArray, Rows, picked
+from sunarc.calibration.model.sightings import FilteredSightings
+from sunarc.calibration.robust_loss import UNSEEN_PX
+from sunarc.calibration.solve.priors import LENS, N_LENS, LensPrior
+from sunarc.calibration.solve.row_kernels import (
+    Optics,
+    Sighted,
+    residuals_and_columns_of,
+    residuals_of,
+    vectors_of,
+)
+from sunarc.optics.camera import POSE, Camera, Param
+from sunarc.optics.forward import by_direction, kernel_lens
+from sunarc.optics.pose import rotation_matrix
+from sunarc.optics.projections import angle_limit
+from sunarc.sky.refraction import raised, upward
+
+_RIGHT_ANGLE = math.pi / 2
+
+
+def _no_refraction() -> FloatArray:
+    return np.zeros((1, 1))
+
+
+def _no_systematic_errors() -> FloatArray:
+    return np.zeros((1, 2, 0))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Observations:
+    """Where the sun was detected, and the information of each sighting.
+
+    Attributes
+    ----------
+    directions : (n, 3) unit vectors, east-north-up.
+    pixels : (n, 2) px.
+    information : (n,) inverse variance of each axis, px⁻²; relative where the scale is still sought.
+    epoch : (n,) pose epochs, 0, 1, ….
+    refraction_sd : (n, k) 1-sigma of the refraction by its causes, rad, see `FilteredSightings`; 0 unless given.
+    systematic_px : (n, 2, s) displacements by s errors that many sightings share, each at its 1-sigma, px; none unless
+        given.
+    """
+
+    directions: FloatArray
+    pixels: FloatArray
+    information: FloatArray
+    epoch: IntArray
+    refraction_sd: FloatArray = field(default_factory=_no_refraction)
+    systematic_px: FloatArray = field(default_factory=_no_systematic_errors)
+
+    def __post_init__(self) -> None:
+        """Give every observation its refraction and its systematic errors."""
+        for name in ("refraction_sd", "systematic_px"):
+            given: FloatArray = getattr(self, name)
+            object.__setattr__(self, name, np.broadcast_to(given, (self.information.size, *given.shape[1:])))
+
+    def __len__(self) -> int:
+        return int(self.information.size)
+
+    def select(self, which: Rows) -> Observations:
+        """Return the observations that a slice, an index or a mask picks."""
+        return picked(self, which)
+
+    def weighted(self, information: FloatArray) -> Observations:
+        """Return the same observations with other information."""
+        return replace(self, information=information)
+
+
+def observations(usable: FilteredSightings) -> Observations:
+    """Return the usable sightings with their relative information."""
+    return Observations(
+        directions=usable.directions,
+        pixels=usable.pixels,
+        information=usable.sigma_px**-2.0,
+        epoch=usable.epoch,
+        refraction_sd=usable.refraction_sd,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FitProblem:
+    """A camera whose parameters are sought.
+
+    Attributes
+    ----------
+    template : projection, image size and handedness; its parameters do not count.
+    prior : what is known of the lens.
+    n_epochs : number of poses.
+    n_systematic : how many unknowns after the poses are sizes of `Observations.systematic_px`, in units of it.
+    n_air : 0 where the air is as it is assumed; else how many of the last unknowns are departures of the refraction,
+        one for each cause, in units of `Observations.refraction_sd`.
+    max_angle : rad, how far off the axis the fitted camera will answer; the fit itself has no such limit.
+    """
+
+    template: Camera
+    prior: LensPrior
+    n_epochs: int
+    n_systematic: int = 0
+    n_air: int = 0
+    max_angle: float = math.pi
+
+    @property
+    def size(self) -> int:
+        """The number of unknowns: the lens's, three for each pose, those of systematic errors and of the refraction."""
+        return N_LENS + 3 * self.n_epochs + self.n_unit
+
+    @property
+    def n_unit(self) -> int:
+        """The number of unknowns of unit prior variance, the last ones."""
+        return self.n_systematic + self.n_air
+
+    @property
+    def systematic_slice(self) -> slice:
+        """Where the unknowns hold the sizes of systematic errors."""
+        start = N_LENS + 3 * self.n_epochs
+        return slice(start, start + self.n_systematic)
+
+    def pose_slice(self, epoch: int) -> slice:
+        """Return where the unknowns hold an epoch's rotation."""
+        start = N_LENS + 3 * epoch
+        return slice(start, start + 3)
+
+    def camera(self, unknowns: FloatArray, epoch: int = 0) -> Camera:
+        """Return the camera of an epoch."""
+        return self.template.with_parameters(self._vector(unknowns, epoch))
+
+    def _vector(self, unknowns: FloatArray, epoch: int) -> FloatArray:
+        vector = np.zeros(len(Param))
+        vector[LENS] = self.prior.lens(unknowns[:N_LENS])
+        vector[POSE] = unknowns[self.pose_slice(epoch)]
+        return vector
+
+    def unknowns(self, cameras: list[Camera]) -> FloatArray:
+        """Return the unknowns of cameras that share a lens, one an epoch."""
+        poses = [camera.rotation_cam_enu for camera in cameras]
+        return np.concatenate([self.prior.whitened(cameras[0]), *poses, np.zeros(self.n_unit)])
+
+    def directions(self, unknowns: FloatArray, observed: Observations) -> FloatArray:
+        """Return (n, 3): apparent directions, by the refraction that is sought."""
+        if self.n_air == 0:
+            return observed.directions
+        return raised(observed.directions, np.sum(observed.refraction_sd * unknowns[-self.n_air :], axis=-1))
+
+    def residuals(self, unknowns: FloatArray, observed: Observations) -> FloatArray:
+        """Return observed minus predicted pixels, (n, 2)."""
+        optics, vectors, air = self.optics(), self._vectors(unknowns), self.air(unknowns)
+        residual = np.empty(observed.pixels.shape)
+        for epoch in range(self.n_epochs):
+            in_epoch = slice(None) if self.n_epochs == 1 else observed.epoch == epoch
+            part = observed if self.n_epochs == 1 else observed.select(in_epoch)
+            residual[in_epoch] = residuals_of(optics, vectors[epoch], self.sighted(part), air)
+        if self.n_systematic == 0:
+            return residual
+        return np.where(residual == UNSEEN_PX, residual, residual - self.displaced(unknowns, observed))
+
+    def displaced(self, unknowns: FloatArray, observed: Observations) -> FloatArray | float:
+        """Return by how much systematic errors displace the detections, (n, 2) px; 0 where there are none."""
+        if self.n_systematic == 0:
+            return 0.0
+        return np.asarray(observed.systematic_px @ unknowns[self.systematic_slice])
+
+    def beyond(self, unknowns: FloatArray, observed: Observations) -> BoolArray:
+        """Return (n,): which directions lie further off the axis than the fitted camera will answer."""
+        cosine = np.empty(len(observed))
+        for epoch in range(self.n_epochs):
+            in_epoch = self._of(epoch, observed)
+            axis = rotation_matrix(unknowns[self.pose_slice(epoch)])[2]
+            cosine[in_epoch] = observed.directions[in_epoch] @ axis
+        return np.asarray(cosine < math.cos(self.max_angle))
+
+    def linearised(self, unknowns: FloatArray, observed: Observations) -> tuple[FloatArray, FloatArray]:
+        """Return the residuals (n, 2) and the derivatives of the prediction by the unknowns (n, 2, size)."""
+        residual, columns = residuals_and_columns_of(
+            self.optics(),
+            self._vectors(unknowns),
+            self.sighted(observed),
+            np.ascontiguousarray(unknowns[self.systematic_slice], dtype=np.float64),
+            self.air(unknowns),
+            np.ascontiguousarray(self.prior.basis),
+        )
+        return np.ascontiguousarray(residual.T), np.ascontiguousarray(np.moveaxis(columns, -1, 0))
+
+    def air(self, unknowns: FloatArray) -> FloatArray:
+        """Return (n_air,): the unknowns of the refraction."""
+        return np.ascontiguousarray(unknowns[self.size - self.n_air :], dtype=np.float64)
+
+    def sighted(self, observed: Observations) -> Sighted:
+        """Return the sightings as the kernels take them, with a 1-sigma of the refraction for each of its unknowns."""
+        refraction_sd = observed.refraction_sd
+        if self.n_air:
+            refraction_sd = np.broadcast_to(refraction_sd, (len(observed), self.n_air))
+        return Sighted(
+            directions=_constant(observed.directions),
+            pixels=_constant(observed.pixels),
+            refraction_sd=_constant(refraction_sd),
+            systematic_px=_constant(observed.systematic_px[:, :, : self.n_systematic]),
+            epoch=_constant(observed.epoch, np.int64),
+        )
+
+    def optics(self) -> Optics:
+        """Return the numbers of the template that the kernels take; its displacement does not count."""
+        _, code, mirror, max_angle = kernel_lens(self.template)
+        return Optics(code, mirror, max_angle)
+
+    def _vectors(self, unknowns: FloatArray) -> FloatArray:
+        at, prior = np.asarray(unknowns, dtype=np.float64), self.prior
+        return np.asarray(vectors_of(prior.mean, np.ascontiguousarray(prior.basis), at, self.n_epochs))
+
+    def _of(self, epoch: int, observed: Observations) -> slice | BoolArray:
+        """Return which observations belong to an epoch."""
+        return slice(None) if self.n_epochs == 1 else observed.epoch == epoch
+
+
+def _constant(column: NDArray[Any], dtype: DTypeLike = np.float64) -> NDArray[Any]:
+    """Return a contiguous read-only view: numba compiles a kernel once more for an array that may be written to."""
+    view = np.ascontiguousarray(column, dtype=dtype).view()
+    view.flags.writeable = False
+    return view
+
+
+def by_elevation(camera: Camera, directions: FloatArray, by_parameters: FloatArray) -> FloatArray:
+    """Return (n, 2): px by which the image of directions (n, 3) moves per radian that they rise.
+
+    Parameters
+    ----------
+    by_parameters : (n, 2, 23) derivatives at these directions, see `project_with_rows_fast`.
+    """
+    return np.asarray(np.einsum("nai,ni->na", by_direction(camera, by_parameters), upward(directions)))
+
+
+def problem_for(template: Camera, prior: LensPrior, *, n_epochs: int, max_angle: float = math.pi) -> FitProblem:
+    """Return the problem of fitting a camera like the template, at any angle that its projection has.
+
+    Parameters
+    ----------
+    max_angle : rad, see `Problem`; the sun is always allowed to be a right angle off the axis.
+    """
+    widest = angle_limit(template.projection) * (1.0 - 1e-6)
+    template = replace(template, max_angle=widest)
+    return FitProblem(template=template, prior=prior, n_epochs=n_epochs, max_angle=max(max_angle, _RIGHT_ANGLE))
+
+
+_MOST = 16
+_SECONDS = 360.0
+"""A bin spans at most 6 minutes, in which the sun moves 1.5 degrees."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Bins:
+    """Which sightings go together.
+
+    Attributes
+    ----------
+    member : (n,) the bin of each sighting; bins are runs in time.
+    count : the number of bins.
+    """
+
+    member: IntArray
+    count: int
+
+    def select(self, which: BoolArray) -> Bins:
+        """Return the bins of the sightings that a mask picks, numbered anew."""
+        fresh, member = np.unique(self.member[which], return_inverse=True)
+        return Bins(member=member, count=fresh.size)
+
+    def gathered(
+        self, observed: Observations, residual: FloatArray, information: FloatArray
+    ) -> tuple[Observations, FloatArray]:
+        """Return one observation a bin (its pixels: those of the heaviest share) and the mean residuals (bins, 2)."""
+        total = self._sums(information)
+        safe = np.where(total > 0.0, total, 1.0)
+        share = information / safe[self.member]
+        # the mean of directions within a bin is shorter than 1 by 1e-4 at most; it is made a unit vector below
+        direction = np.stack([self._sums(share * observed.directions[:, i]) for i in range(3)], axis=-1)
+        norm = np.linalg.norm(direction, axis=-1, keepdims=True)
+        pixels = np.stack([self._sums(share * observed.pixels[:, i]) for i in range(2)], axis=-1)
+        mean = np.stack([self._sums(share * residual[:, i]) for i in range(2)], axis=-1)
+        refraction = np.stack([self._sums(share * column) for column in observed.refraction_sd.T], axis=-1)
+        first = np.searchsorted(self.member, np.arange(self.count))
+        # a bin of outliers alone still needs a direction: its weight of 0 keeps it out of the sums
+        empty = total <= 0.0
+        direction[empty], norm[empty], pixels[empty] = (
+            observed.directions[first[empty]],
+            1.0,
+            observed.pixels[first[empty]],
+        )
+        gathered = Observations(
+            directions=direction / norm,
+            pixels=pixels,
+            information=total,
+            epoch=observed.epoch[first],
+            refraction_sd=refraction,
+            systematic_px=self._mean_of(observed.systematic_px, share),
+        )
+        return gathered, mean
+
+    def observations(
+        self, observed: Observations, problem: FitProblem, unknowns: FloatArray, *, information: FloatArray
+    ) -> Observations:
+        """Return one observation a bin, its pixel such that its residual is the bin's mean one at some unknowns.
+
+        A sighting where the lens sees nothing takes no part.
+        """
+        residuals = problem.residuals(unknowns, observed)
+        shown = np.any(residuals != UNSEEN_PX, axis=-1)
+        gathered, residual = self.gathered(observed, residuals, information * shown)
+        return replace(gathered, pixels=gathered.pixels + residual - problem.residuals(unknowns, gathered))
+
+    def _mean_of(self, columns: FloatArray, share: FloatArray) -> FloatArray:
+        """Return the means (bins, ...) of columns (n, ...), each sighting by its share (n,) of its bin."""
+        means = np.empty((self.count, math.prod(columns.shape[1:])))
+        for number, column in enumerate(columns.reshape(columns.shape[0], means.shape[1]).T):
+            means[:, number] = self._sums(share * column)
+        return means.reshape(self.count, *columns.shape[1:])
+
+    def _sums(self, values: FloatArray) -> FloatArray:
+        return np.asarray(np.bincount(self.member, weights=values, minlength=self.count))
+
+
+def _begin(first: BoolArray) -> IntArray:
+    """Return (n,): the row that begins the part which each belongs to; a mask (n,) marks those that begin one."""
+    return np.asarray(np.maximum.accumulate(np.where(first, np.arange(first.size), 0)))
+
+
+def time_bins(usable: FilteredSightings) -> Bins:
+    """Return bins of consecutive sightings of one day and epoch, at most 16 sightings and 6 minutes each.
+
+    One that is alone has a bin of its own.
+    """
+    n = len(usable)
+    if n == 0:
+        return Bins(member=np.zeros(0, dtype=np.int64), count=0)
+    run = np.r_[True, (np.diff(usable.day) != 0) | (np.diff(usable.epoch) != 0) | np.diff(usable.alone)]
+    slot = np.floor((usable.unix_s - usable.unix_s[_begin(run)]) / _SECONDS).astype(np.int64)
+    part = run | usable.alone | np.r_[True, np.diff(slot) != 0]
+    fresh = part | ((np.arange(n) - _begin(part)) % _MOST == 0)
+    member = np.cumsum(fresh) - 1
+    return Bins(member=member, count=int(member[-1]) + 1)

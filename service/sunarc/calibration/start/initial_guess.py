@@ -1,0 +1,434 @@
+"""Where a fit starts: focal length and centre from the image circle or by search, the pose by Wahba's problem.
+
+Reference: G. Wahba, "A least squares estimate of satellite attitude", SIAM Review 7 (1965); solved by the singular
+value decomposition.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from sunarc.array_types import FloatArray, IntArray
+from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
+from sunarc.calibration.robust_loss import robust_sigma
+from sunarc.calibration.solve.levenberg_marquardt import most_probable
+from sunarc.calibration.solve.priors import N_LENS, Whitened, lens_prior, precisions
+from sunarc.calibration.solve.problem import FitProblem, Observations, problem_for
+from sunarc.errors import InputError
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import rising_limit
+from sunarc.optics.inverse import unproject
+from sunarc.optics.pose import rotation_matrix, rotation_vector
+from sunarc.optics.projections import angle_limit, ideal_radius
+from sunarc.robust_statistics import cauchy_weights
+
+LARGEST_TILT = math.radians(75.0)
+_SEARCHED_SIGHTINGS = 160
+_FOCAL_FACTORS = np.geomspace(0.35, 4.0, 22)
+_CENTER_STEPS = (-0.08, 0.0, 0.08)
+
+
+def camera_from_circle(circle: ImageCircle, *, image_size: tuple[int, int], options: CalibrationOptions) -> Camera:
+    """Return K0 (Eqs. 21, 22): a level camera, its x axis to the east, from the image circle."""
+    mirrored = options.mirrored == "yes"
+    angle = math.radians(circle.angle_deg)
+    limit = math.radians(80.0) if options.projection == "perspective" else math.pi / 2
+    focal = circle.radius / float(ideal_radius(options.projection, min(angle, limit) if angle > limit else angle))
+    x = image_size[0] - 1.0 - circle.x if mirrored else circle.x
+    return _level(image_size, options, focal, (x, circle.y), mirrored=mirrored)
+
+
+def camera_from_size(*, image_size: tuple[int, int], options: CalibrationOptions) -> Camera:
+    """Return a level camera whose field is 180 degrees (perspective: 120) across the image's shorter side."""
+    angle = math.radians(60.0) if options.projection == "perspective" else math.pi / 2
+    focal = 0.5 * min(image_size) / float(ideal_radius(options.projection, angle))
+    center = ((image_size[0] - 1) / 2.0, (image_size[1] - 1) / 2.0)
+    return _level(image_size, options, focal, center, mirrored=options.mirrored == "yes")
+
+
+def _level(
+    image_size: tuple[int, int],
+    options: CalibrationOptions,
+    focal: float,
+    center: tuple[float, float],
+    *,
+    mirrored: bool,
+) -> Camera:
+    return Camera(
+        width=image_size[0],
+        height=image_size[1],
+        projection=options.projection,
+        focal_length_px=(focal, focal),
+        principal_point_px=center,
+        rotation_cam_enu=(0.0, 0.0, 0.0),
+        mirrored=mirrored,
+        max_angle=math.radians(options.max_angle_deg),
+    )
+
+
+def wahba(camera: Camera, observed: Observations, *, rounds: int = 4) -> tuple[Camera, float]:
+    """Return the camera turned so that its rays meet the sun's directions, and how well they do.
+
+    Parameters
+    ----------
+    camera : a lens; its pose does not count.
+    observed : sightings of one pose epoch.
+    rounds : rotations found in turn, sightings that lie off counting less and less.
+
+    Returns
+    -------
+    The turned camera, and the median angle left over in radians; infinite where too few pixels have a ray.
+    """
+    rays = unproject(as_far_as_it_rises(camera), observed.pixels)
+    matrices, misfits = _turns(rays[None], observed.directions, rounds=rounds)
+    misfit = float(misfits[0])
+    turned = replace(camera, rotation_cam_enu=rotation_vector(matrices[0])) if math.isfinite(misfit) else camera
+    return turned, misfit
+
+
+def _turns(rays: FloatArray, world: FloatArray, *, rounds: int = 4) -> tuple[FloatArray, FloatArray]:
+    """Return the rotations (c, 3, 3) of cameras, and how well their rays (c, n, 3) then meet directions (n, 3).
+
+    That is the median angle left over in radians, (c,); infinite where too few rays are finite.
+    """
+    good = np.all(np.isfinite(rays), axis=-1)
+    count = np.sum(good, axis=1)
+    rays = np.where(good[..., None], rays, 0.0)
+    weight, matrix, middle = good.astype(np.float64), np.empty((len(rays), 3, 3)), np.empty(len(rays))
+    for _ in range(rounds):
+        left, _, right = np.linalg.svd(np.swapaxes(weight[..., None] * rays, 1, 2) @ world)
+        # Kabsch: without the sign a plane of directions is explained as well by a reflection
+        left[..., 2] *= (np.linalg.det(left) * np.linalg.det(right))[:, None]
+        matrix = left @ right
+        chord = np.linalg.norm(rays - world @ np.swapaxes(matrix, 1, 2), axis=-1)
+        middle = _medians(np.where(good, chord, 3.0), count)  # no chord is longer than 2
+        weight = good * cauchy_weights(chord, scale=np.maximum(middle, 1e-9)[:, None])
+    return matrix, np.where(count < max(3.0, 0.5 * len(world)), math.inf, middle)
+
+
+def _medians(values: FloatArray, count: IntArray) -> FloatArray:
+    """Return the medians (c,) of the smallest so many of the values (c, n)."""
+    ordered, row, known = np.sort(values, axis=1), np.arange(len(values)), np.maximum(count, 1)
+    return np.asarray(0.5 * (ordered[row, (known - 1) // 2] + ordered[row, known // 2]))
+
+
+def as_far_as_it_rises(camera: Camera) -> Camera:
+    """Return the camera level, answering at every angle up to which its radius rises."""
+    return replace(camera, rotation_cam_enu=(0.0, 0.0, 0.0), max_angle=rising_limit(camera, up_to=math.pi))
+
+
+def candidates(observed: Observations, guess: Camera, *, known: bool, best: int) -> list[Camera]:
+    """Return turned cameras to try, the most promising first.
+
+    Parameters
+    ----------
+    observed : sightings of one pose epoch.
+    guess : focal length and centre to search around.
+    known : whether the guess comes from an image circle: then it is taken as it is.
+    best : how many at most.
+    """
+    thin = observed.select(np.unique(np.linspace(0, len(observed) - 1, _SEARCHED_SIGHTINGS).astype(int)))
+    factors = np.array([1.0]) if known else _FOCAL_FACTORS
+    steps = (0.0,) if known else _CENTER_STEPS
+    size = min(guess.width, guess.height)
+    level = as_far_as_it_rises(guess)  # up to the same angle at any focal length
+    lenses = []
+    for factor, dx, dy in itertools.product(factors, steps, steps):
+        focal = guess.focal_length_px[0] * float(factor)
+        center = (guess.principal_point_px[0] + dx * size, guess.principal_point_px[1] + dy * size)
+        lenses.append(replace(level, focal_length_px=(focal, focal), principal_point_px=center))
+    matrices, misfits = _turns(np.stack([unproject(lens, thin.pixels) for lens in lenses]), thin.directions)
+    upright = np.isfinite(misfits) & (matrices[:, 2, 2] >= math.cos(LARGEST_TILT))
+    order = [int(k) for k in np.argsort(misfits, kind="stable") if upright[k]]
+    return [
+        replace(lenses[k], rotation_cam_enu=rotation_vector(matrices[k]), max_angle=guess.max_angle)
+        for k in order[:best]
+    ]
+
+
+def tilt(camera: Camera) -> float:
+    """Return the angle between the optical axis and the vertical in radians."""
+    x, y, z = camera.rotation_cam_enu
+    angle = math.sqrt(x * x + y * y + z * z)
+    if angle < 1e-12:
+        return 0.0
+    lean = (1.0 - math.cos(angle)) * (x * x + y * y) / angle**2
+    return math.acos(max(-1.0, min(1.0, 1.0 - lean)))
+
+
+_TRIED = 10
+_THIN = 120
+_POLISHED = 3
+_TILT_SIGMA = math.radians(25.0)
+_SEARCH_RADIAL_PX = 20.0
+_SEARCH_DECENTERING_PX = 3.0
+
+
+def first_cameras(
+    observed: Observations,
+    *,
+    image_size: tuple[int, int],
+    options: CalibrationOptions,
+    circle: ImageCircle | None,
+    start: Camera | None,
+) -> tuple[list[Camera], float]:
+    """Return a camera for every epoch, one lens, and the cost of the epoch that the lens was found from.
+
+    The epoch with the most sightings gives the lens; the others' poses follow from it.
+    """
+    epochs = np.unique(observed.epoch)
+    counts = [int(np.sum(observed.epoch == e)) for e in epochs]
+    main = int(epochs[int(np.argmax(counts))])
+    one = _of_epoch(observed, main)
+    lens, cost = _best_single(one, image_size=image_size, options=options, circle=circle, start=start)
+    cameras = [lens if e == main else wahba(lens, _of_epoch(observed, int(e)))[0] for e in range(int(epochs[-1]) + 1)]
+    return cameras, cost
+
+
+def _of_epoch(observed: Observations, epoch: int) -> Observations:
+    in_epoch = observed.select(observed.epoch == epoch)
+    return replace(in_epoch, epoch=np.zeros(len(in_epoch), dtype=np.int64))
+
+
+def _best_single(
+    observed: Observations,
+    *,
+    image_size: tuple[int, int],
+    options: CalibrationOptions,
+    circle: ImageCircle | None,
+    start: Camera | None,
+) -> tuple[Camera, float]:
+    if start is not None:
+        guess, known = start, True
+    elif circle is not None:
+        guess, known = camera_from_circle(circle, image_size=image_size, options=options), True
+    else:
+        guess, known = camera_from_size(image_size=image_size, options=options), False
+    tried = candidates(observed, guess, known=known, best=_TRIED)
+    if not tried:
+        return guess, math.inf
+    thin = observed.select(np.unique(np.linspace(0, len(observed) - 1, _THIN).astype(int)))
+    rough = [_polished(thin, camera, options, circle, stage=1) for camera in tried]
+    rough.sort(key=lambda pair: pair[1])
+    finer = [_polished(thin, camera, options, circle, stage=3) for camera, _ in rough[:_POLISHED]]
+    return min(finer, key=lambda pair: pair[1])
+
+
+def _polished(
+    observed: Observations, camera: Camera, options: CalibrationOptions, circle: ImageCircle | None, *, stage: int
+) -> tuple[Camera, float]:
+    """Fit one candidate: stage 1 focal length, centre and pose; stage 3 everything, the radial part loosely."""
+    problem = single_problem(observed, camera, options, circle)
+    unknowns = problem.unknowns([camera])
+    precision = np.concatenate([precisions(_SEARCH_RADIAL_PX, _SEARCH_DECENTERING_PX), np.full(3, 1e-12)])
+    free = np.ones(problem.size, dtype=bool)
+    if stage == 1:
+        free[:N_LENS] = False
+        free[[Whitened.FOCAL_LENGTH, Whitened.CENTER_X, Whitened.CENTER_Y]] = True
+    for _ in range(3):
+        distance = np.linalg.norm(problem.residuals(unknowns, observed), axis=-1)
+        sigma = robust_sigma(distance, share=0.5, floor=0.3)
+        unknowns = most_probable(
+            problem, observed, unknowns, precision=precision, sigma=sigma, free=free, iterations=12, tolerance=1e-3
+        ).unknowns
+    found = problem.camera(unknowns)
+    return replace(found, max_angle=camera.max_angle), _misfit(problem, unknowns, precision, observed, found)
+
+
+def _misfit(
+    problem: FitProblem, unknowns: FloatArray, precision: FloatArray, observed: Observations, camera: Camera
+) -> float:
+    """Return how implausible a candidate is, in half squares: scatter, prior, tilt."""
+    residual = problem.residuals(unknowns, observed)
+    distance = np.linalg.norm(residual, axis=-1) * np.sqrt(observed.information)
+    scale = robust_sigma(distance, share=0.5, floor=0.05)
+    scatter = 0.3 * len(observed) * math.log(scale**2 + float(np.median(distance)) ** 2 / 1.386)
+    prior = 0.5 * float(np.sum(precision * unknowns**2))
+    lean = tilt(camera)
+    beyond = math.inf if lean > LARGEST_TILT or camera.focal_length_px[0] <= 0.0 else 0.0
+    return scatter + prior + 0.5 * (lean / _TILT_SIGMA) ** 2 + beyond
+
+
+def single_problem(
+    observed: Observations,
+    camera: Camera,
+    options: CalibrationOptions,
+    circle: ImageCircle | None,
+    *,
+    n_epochs: int = 1,
+) -> FitProblem:
+    """Return the problem of fitting a camera near one that is known."""
+    prior = lens_prior(
+        camera, tolerances=options.tolerances, circle=circle, field_angle=field_angle(camera, observed, options)
+    )
+    return problem_for(camera, prior, n_epochs=n_epochs, max_angle=math.radians(options.max_angle_deg))
+
+
+def field_angle(camera: Camera, observed: Observations, options: CalibrationOptions) -> float:
+    """Return the largest angle off the axis, in radians, that the lens shows or the sun was seen at."""
+    limit = min(angle_limit(camera.projection) * 0.999, math.radians(max(options.max_angle_deg, 30.0)))
+    cosine = unproject(as_far_as_it_rises(camera), observed.pixels)[:, 2]
+    cosine = cosine[np.isfinite(cosine)]
+    furthest = math.acos(float(np.clip(np.min(cosine, initial=1.0), -1.0, 1.0)))
+    if camera.projection == "perspective":
+        return min(max(furthest * 1.05, math.radians(20.0)), math.radians(80.0))
+    return min(max(furthest, math.pi / 2), limit)
+
+
+_WORKING_SIZE = 480
+_RAYS = 360
+_ROUNDS = 8
+
+
+def find_image_circle(image: ArrayLike, *, angle_deg: float = 90.0) -> ImageCircle | None:
+    """Return the image circle, or None where the frame shows none.
+
+    Parameters
+    ----------
+    image : (h, w) or (h, w, channels), any unsigned type; bright sky inside, dark outside.
+    angle_deg : the angle off the axis that the lens shows at the circle's edge.
+
+    Returns
+    -------
+    The circle to about a pixel: the Hough transform's, then a least-squares circle through the edge's steepest points.
+    """
+    grey = _grey(image)
+    shrink = min(1.0, _WORKING_SIZE / min(grey.shape))
+    small = cv2.resize(grey, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
+    blurred = cv2.medianBlur(small, 5)
+    least, most = 0.3 * min(small.shape), 0.75 * max(small.shape)
+    circles = cv2.HoughCircles(
+        blurred,
+        cv2.HOUGH_GRADIENT,
+        dp=2,
+        minDist=float(max(small.shape)),
+        param1=60,
+        param2=30,
+        minRadius=int(least),
+        maxRadius=int(most),
+    )
+    if circles is None:
+        return None
+    x, y, radius = (float(v) / shrink for v in np.asarray(circles).reshape(-1, 3)[0])
+    x, y, radius = _refined(grey.astype(np.float64), x, y, radius)
+    return ImageCircle(x=x, y=y, radius=radius, angle_deg=angle_deg)
+
+
+def _grey(image: ArrayLike) -> NDArray[np.uint8]:
+    array = np.asarray(image)
+    if array.ndim not in (2, 3) or array.size == 0 or min(array.shape[:2]) < 32:
+        raise InputError(field="image", problem=f"shape {array.shape}", remedy="give a frame of at least 32 × 32 px")
+    values = array.astype(np.float64)
+    values = values.mean(axis=-1) if values.ndim == 3 else values
+    top = max(float(np.percentile(values, 99.0)), 1.0)
+    return np.asarray(np.clip(255.0 * np.sqrt(np.clip(values, 0.0, None) / top), 0.0, 255.0), dtype=np.uint8)
+
+
+def _refined(grey: FloatArray, x: float, y: float, radius: float) -> tuple[float, float, float]:
+    """Fit a circle through the steepest outward drop along rays, those that lie off counting less and less."""
+    angle = np.linspace(0.0, 2.0 * np.pi, _RAYS, endpoint=False)
+    offset = np.arange(-0.06 * radius, 0.06 * radius, 0.5)
+    for _ in range(_ROUNDS):
+        reach = radius + offset
+        px = x + np.cos(angle)[:, None] * reach
+        py = y + np.sin(angle)[:, None] * reach
+        inside = (px > 1) & (px < grey.shape[1] - 2) & (py > 1) & (py < grey.shape[0] - 2)
+        values = cv2.remap(grey.astype(np.float32), px.astype(np.float32), py.astype(np.float32), cv2.INTER_LINEAR)
+        # a drop within 2 px: lens flare and vignetting fall more slowly
+        drop = np.where(inside[:, 4:] & inside[:, :-4], values[:, :-4] - values[:, 4:], 0.0)
+        best = np.argmax(drop, axis=1)
+        strong = drop[np.arange(_RAYS), best] > 0.25 * float(np.max(drop, initial=0.0))
+        if strong.sum() < 24:
+            break
+        edge = reach[best + 2][strong]
+        x, y, radius = _circle_through(x + np.cos(angle[strong]) * edge, y + np.sin(angle[strong]) * edge)
+    return x, y, radius
+
+
+def _circle_through(px: FloatArray, py: FloatArray) -> tuple[float, float, float]:
+    weight = np.ones_like(px)
+    for _ in range(10):
+        rows = np.stack([2.0 * px, 2.0 * py, np.ones_like(px)], axis=-1) * weight[:, None]
+        cx, cy, c = np.linalg.lstsq(rows, (px**2 + py**2) * weight)[0]
+        radius = float(np.sqrt(max(c + cx**2 + cy**2, 1.0)))
+        off = np.abs(np.hypot(px - cx, py - cy) - radius)
+        weight = cauchy_weights(off, scale=max(float(np.median(off)), 0.1))
+    return float(cx), float(cy), radius
+
+
+_MAX_SIGHTINGS = 64
+_PAIRS = 400
+_CLOSE_SIGMAS = 4.0
+_SMALL_ROTATION = 0.5
+"""How many agreeing sightings a turn ten times as large must bring."""
+_LEAST_SEPARATION = 1e-4
+"""Radians; two directions that are nearer span no plane that a rotation could be read from."""
+_SEED = 20130513
+
+
+def ransac_rotation(camera: Camera, directions: FloatArray, pixels: FloatArray, sigma_px: FloatArray) -> FloatArray:
+    """Return the turn (3,) of a camera about its own axes, radians, that sightings ask for; 0 where they ask for none.
+
+    Parameters
+    ----------
+    camera : its lens and its pose so far.
+    directions, pixels : (n, 3) where the sun was, (n, 2) where it was seen.
+    sigma_px : (n,) how far a true sighting may lie off for other reasons.
+    """
+    rays = unproject(as_far_as_it_rises(camera), pixels)
+    world = directions @ rotation_matrix(camera.rotation_cam_enu).T
+    good = np.flatnonzero(np.all(np.isfinite(rays), axis=-1))
+    if good.size == 0:
+        return np.zeros(3)
+    thin = good[np.unique(np.linspace(0, good.size - 1, _MAX_SIGHTINGS).astype(int))]
+    focal = 0.5 * (camera.focal_length_px[0] + camera.focal_length_px[1])
+    turns = np.concatenate([np.zeros((1, 3)), _smallest(world[thin], rays[thin]), _of_pairs(world[thin], rays[thin])])
+    matrices = Rotation.from_rotvec(turns).as_matrix()
+    separation = np.linalg.norm(np.einsum("kij,nj->kni", matrices, world[thin]) - rays[thin], axis=-1)
+    off = separation / (_CLOSE_SIGMAS * sigma_px[thin] / focal)
+    # a soft count: 1 for a sighting close by, 1/2 at the limit, nothing far off
+    agreed = np.sum(1.0 / (1.0 + off**4), axis=1)
+    size = np.log(np.maximum(np.linalg.norm(turns, axis=-1), 1e-4))
+    return np.asarray(turns[int(np.argmax(agreed - _SMALL_ROTATION * size / np.log(10.0)))])
+
+
+def _smallest(world: FloatArray, rays: FloatArray) -> FloatArray:
+    """Return (n, 3): the smallest turn that takes each expected ray to the one seen."""
+    axis = np.cross(world, rays)
+    sine, cosine = np.linalg.norm(axis, axis=-1), np.sum(world * rays, axis=-1)
+    angle = np.arctan2(sine, cosine)
+    return np.asarray(axis * (angle / np.maximum(sine, 1e-12))[:, None])
+
+
+def _of_pairs(world: FloatArray, rays: FloatArray) -> FloatArray:
+    """Return (k, 3): the rotations that pairs of sightings name."""
+    pairs = np.array(list(itertools.combinations(range(world.shape[0]), 2)), dtype=np.int64).reshape(-1, 2)
+    if pairs.shape[0] > _PAIRS:
+        pairs = np.random.default_rng(_SEED).choice(pairs, _PAIRS, replace=False)
+    separation = np.minimum(_distance(world, pairs), _distance(rays, pairs))  # a frozen camera sees one pixel for all
+    pairs = pairs[separation > _LEAST_SEPARATION]
+    if pairs.shape[0] == 0:
+        return np.zeros((0, 3))
+    matrix = _triads(rays, pairs) @ np.swapaxes(_triads(world, pairs), -1, -2)
+    return np.asarray(Rotation.from_matrix(matrix).as_rotvec())
+
+
+def _distance(vectors: FloatArray, pairs: IntArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(vectors[pairs[:, 0]] - vectors[pairs[:, 1]], axis=-1))
+
+
+def _triads(vectors: FloatArray, pairs: IntArray) -> FloatArray:
+    """Return (k, 3, 3): right-handed axes that each pair spans, its middle first."""
+    first, second = vectors[pairs[:, 0]], vectors[pairs[:, 1]]
+    middle = first + second
+    normal = np.cross(first, second)
+    middle = middle / np.maximum(np.linalg.norm(middle, axis=-1, keepdims=True), 1e-12)
+    normal = normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
+    return np.stack([middle, normal, np.cross(middle, normal)], axis=-1)

@@ -1,0 +1,405 @@
+"""Several starts of the robust fit, among them by RANSAC, compared on all sightings by one robust cost.
+
+A redescending loss has many local minima: which one a fit ends in depends on the first residuals. So several starts are
+each brought to rest, and the lowest cost decides. All costs are taken at one scale, that of the candidate which the
+better half of the sightings fits best: with a scale of its own, a camera that follows a third of the arc closely and
+misses the rest would be rated above one that fits everything.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from sunarc.array_types import FloatArray, IntArray
+from sunarc.calibration.robust_loss import UNSEEN_PX, robust_scale, robust_sigma, surely_well_behaved, tukey_loss
+from sunarc.calibration.solve.levenberg_marquardt import damped_step_of, most_probable
+from sunarc.calibration.solve.priors import DECENTERING, HIGHER, N_LENS, RADIAL, Whitened
+from sunarc.calibration.solve.problem import FitProblem, Observations
+from sunarc.jit import njit
+
+RIDGE = 1e-12
+"""Share of the diagonal that is added to it: a camera far from the sightings has derivatives of any size, and rounding
+makes a matrix singular."""
+
+
+@njit(nogil=True)
+def trial_steps(  # noqa: PLR0917 - compiled functions take positions
+    residual: FloatArray, rows: FloatArray, picks: IntArray, start: FloatArray, precision: FloatArray, trust_px: float
+) -> FloatArray:
+    """Return the steps (t, p) that samples of sightings lead to, each by linear least squares with the prior.
+
+    Parameters
+    ----------
+    residual, rows : (n, 2), (n, 2, p) about the start (p,), of prior precisions (p,).
+    picks : (t, s) the sightings of each sample.
+    trust_px : 1-sigma of a sighting, px.
+    """
+    p, weight = start.size, 1.0 / trust_px**2
+    steps, moving = np.empty((picks.shape[0], p)), np.arange(p)
+    normal, gradient, work = np.empty((p, p)), np.empty(p), np.empty((p, p))
+    for t in range(picks.shape[0]):
+        _write_prior(start, precision, normal, gradient)
+        for n in picks[t]:
+            for c in range(2):
+                _add_row(rows[n, c], residual[n, c], weight, normal, gradient)
+        damped_step_of(normal, gradient, moving, RIDGE, work, steps[t])
+    return steps
+
+
+@njit(nogil=True)
+def _write_prior(start: FloatArray, precision: FloatArray, normal: FloatArray, gradient: FloatArray) -> None:
+    normal[:] = 0.0
+    for i in range(start.size):
+        normal[i, i] = precision[i]
+        gradient[i] = -precision[i] * start[i]
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def _add_row(row: FloatArray, residual: float, weight: float, normal: FloatArray, gradient: FloatArray) -> None:
+    """Add one line of the equations to the lower half of the sums."""
+    for i in range(row.size):
+        share, line = weight * row[i], normal[i]
+        gradient[i] += share * residual
+        for j in range(i + 1):
+            line[j] += share * row[j]
+
+
+@njit(nogil=True)
+def tightened(  # noqa: PLR0917 - compiled functions take positions
+    step: FloatArray,
+    residual: FloatArray,
+    columns: FloatArray,
+    start: FloatArray,
+    precision: FloatArray,
+    cuts: FloatArray,
+    share: float,
+    floor: float,
+) -> FloatArray:
+    """Return a step (p,) refined on all sightings, those far off counting less and less.
+
+    Parameters
+    ----------
+    residual : (2, n) px, x and y. columns : (p, 2 n) their derivatives, likewise.
+    cuts : (rounds,) distances, in the scale found, at which a sighting counts a quarter.
+    share : of the sightings that is surely well-behaved.
+    floor : px, smallest scale.
+    """
+    p, n = start.size, residual.shape[1]
+    found, moving, root = step.copy(), np.arange(p), np.empty(n)
+    normal, gradient, work = np.empty((p, p)), np.empty(p), np.empty((p, p))
+    weighted, right = np.empty_like(columns), np.empty(2 * n)
+    for cut in cuts:
+        after = residual.copy().reshape(2 * n)
+        after -= np.dot(found, columns)
+        distance = np.sqrt(after[:n] ** 2 + after[n:] ** 2)
+        sigma = robust_scale(distance, share, floor)
+        root[:] = 1.0 / ((1.0 + (distance / (sigma * cut)) ** 2) * sigma)
+        for i in range(p):
+            weighted[i, :n] = columns[i, :n] * root
+            weighted[i, n:] = columns[i, n:] * root
+        right[:n], right[n:] = residual[0] * root, residual[1] * root
+        np.dot(weighted, weighted.T, normal)
+        np.dot(weighted, right, gradient)
+        for i in range(p):
+            normal[i, i] += precision[i]
+            gradient[i] -= precision[i] * start[i]
+        damped_step_of(normal, gradient, moving, RIDGE, work, found)
+    return found
+
+
+SMALLEST_SIGMA_PX = 1e-4
+"""px; exact (simulated) sightings must not make a scale of 0."""
+
+_FEW = 600
+"""Sightings, at least, that the starts are brought to rest on, of more: they only lead into a valley."""
+_FEWER = 300
+"""Sightings, at least, of more, that plain least squares begins with."""
+_THINNED = (1, 2, 3)
+"""Every first, second and third of them: subsets in which an episode of outliers weighs differently."""
+_FOCAL_STEPS = (-0.5, 0.5)
+"""Further focal lengths, in prior sigmas: 15 % shorter and longer where no image circle is known."""
+_SETTLING = 3
+_SAME_SIGMAS = 0.01
+"""Starts that image no sighting further apart, in sigmas of the inliers, are one. With 0.3 such went lost as differ in
+the decentering alone: a part of a day's arc hardly shows it, and the sky beside the arc does."""
+_NEAR = 1e-3
+"""Share of the cost that a step of plain least squares must gain: its answers are where robust fits begin."""
+_SETTLED = 1e-5
+"""The same of a robust fit: with 1e-4 it stops in the slow valley of the decentering's coefficients."""
+_CENTRAL_SHARE = 0.5
+_LOOSENED = 1e-4
+"""Prior precisions of plain least squares: the paper's method has no prior."""
+_FIXED = 1e8
+"""Prior precision of what a stage leaves out: 1e-4 of the prior's sigma."""
+
+
+def best_start(problem: FitProblem, observed: Observations, start: FloatArray, *, precision: FloatArray) -> FloatArray:
+    """Return the unknowns of the lowest robust cost that the starts lead to.
+
+    Parameters
+    ----------
+    problem : the camera sought.
+    observed : all sightings, in the order of time within each epoch.
+    start : (p,) unknowns from the coarse search.
+    precision : (p,) prior precisions of the unknowns.
+    """
+    few = observed.select(slice(None, None, max(len(observed) // _FEW, 1)))
+    starts = [ransac_start(problem, observed, start, precision=precision), *_plain_starts(problem, few, start)]
+    for _ in range(_SETTLING):
+        # those that have come to one place go on as one
+        distinct = _distinct(problem, few, starts)
+        starts = [_settled(problem, few, at, precision=precision, tolerance=_SETTLED) for at in distinct]
+    return lowest(problem, observed, _distinct(problem, few, starts), precision=precision)
+
+
+def least_squares(
+    problem: FitProblem, observed: Observations, start: FloatArray, *, tolerance: float = 1e-6
+) -> FloatArray:
+    """Return the unknowns (p,) of least squares over all sightings, none weighted down, hardly any prior."""
+    return _loose_fit(problem, observed, start, loosened(problem), tolerance)
+
+
+def staged_least_squares(
+    problem: FitProblem, observed: Observations, start: FloatArray, *, tolerance: float = 1e-6
+) -> FloatArray:
+    """Return the unknowns (p,) of `least_squares` in the paper's three stages (section 4.2), from an ideal lens.
+
+    First without distortion, then with the radial polynomial, then with decentering too: all at once, a distorted lens
+    beside a wrong tilt is a local minimum on a tilted camera's short arc.
+    """
+    unknowns = undistorted(start)
+    precision = loosened(problem)
+    precision[RADIAL] = precision[DECENTERING] = _FIXED
+    for freed in (RADIAL, DECENTERING):
+        unknowns = _loose_fit(problem, observed, unknowns, precision, tolerance)
+        precision[freed] = _LOOSENED
+    return least_squares(problem, observed, unknowns, tolerance=tolerance)
+
+
+def _loose_fit(
+    problem: FitProblem, observed: Observations, start: FloatArray, precision: FloatArray, tolerance: float
+) -> FloatArray:
+    return most_probable(problem, observed, start, precision=precision, iterations=25, tolerance=tolerance).unknowns
+
+
+def loosened(problem: FitProblem) -> FloatArray:
+    """Return precisions (p,) that hardly hold anything but skew and aspect, which the paper's penalties hold, too."""
+    precision = np.full(problem.size, 1e-9)
+    precision[:N_LENS] = _LOOSENED
+    precision[[Whitened.ASPECT, Whitened.SKEW]] = 1.0
+    return precision
+
+
+def undistorted(unknowns: FloatArray) -> FloatArray:
+    """Return the unknowns of the same camera with an ideal lens."""
+    plain = unknowns.copy()
+    plain[RADIAL] = plain[DECENTERING] = 0.0
+    return plain
+
+
+def _settled(
+    problem: FitProblem, observed: Observations, start: FloatArray, *, precision: FloatArray, tolerance: float = 1e-6
+) -> FloatArray:
+    """Return the robust fit from one start at the scale that it leaves over."""
+    sigma = _widest_scatter(problem, start, observed)
+    return most_probable(
+        problem, observed, start, precision=precision, sigma=sigma, iterations=20, tolerance=tolerance
+    ).unknowns
+
+
+def lowest(
+    problem: FitProblem, observed: Observations, candidates: Sequence[FloatArray], *, precision: FloatArray
+) -> FloatArray:
+    """Return the candidate of the lowest robust cost, prior included, at one scale for all."""
+    distances = [distance_sigmas(problem, observed, at) for at in candidates]
+    share = surely_well_behaved(len(observed), problem.size, _CENTRAL_SHARE)
+    sigma = min(robust_sigma(d, share=share, floor=SMALLEST_SIGMA_PX) for d in distances)
+    costs = [
+        float(np.sum(tukey_loss(distance, sigma=sigma))) + 0.5 * float(np.sum(precision * at**2))
+        for distance, at in zip(distances, candidates, strict=True)
+    ]
+    return candidates[int(np.argmin(costs))]
+
+
+def distance_sigmas(problem: FitProblem, observed: Observations, unknowns: FloatArray) -> FloatArray:
+    """Return (n,): distances between seen and modelled pixels, px, divided by the sightings' relative sigma.
+
+    A sighting further off the axis than the camera will answer is missed (`UNSEEN_PX`): a camera that is tilted away
+    from part of the sun's track must not win by meeting it where it does not answer.
+    """
+    residual = problem.residuals(unknowns, observed)
+    distance = np.hypot(residual[:, 0], residual[:, 1]) * np.sqrt(observed.information)
+    return np.where(problem.beyond(unknowns, observed), UNSEEN_PX, distance)
+
+
+def _plain_starts(problem: FitProblem, few: Observations, start: FloatArray) -> list[FloatArray]:
+    """Return least-squares answers from an ideal lens: thinned, from other focal lengths, and in stages."""
+    plain = undistorted(start)
+    few = few.select(slice(None, None, max(len(few) // _FEWER, 1)))
+    found = [least_squares(problem, few.select(slice(None, None, step)), plain, tolerance=_NEAR) for step in _THINNED]
+    for step in _FOCAL_STEPS:
+        other = plain.copy()
+        other[Whitened.FOCAL_LENGTH] += step
+        found.append(least_squares(problem, few, other, tolerance=_NEAR))
+    return [*found, staged_least_squares(problem, few, start, tolerance=_NEAR)]
+
+
+def _distinct(problem: FitProblem, observed: Observations, starts: list[FloatArray]) -> list[FloatArray]:
+    """Return the starts without those that image all sightings where an earlier one does: they end in one valley."""
+    root = np.sqrt(observed.information)[:, None]
+    residuals = [problem.residuals(at, observed) * root for at in starts]
+    sigma = min(robust_sigma(np.hypot(one[:, 0], one[:, 1]), floor=SMALLEST_SIGMA_PX) for one in residuals)
+    found: list[int] = []
+    for k, residual in enumerate(residuals):
+        if all(np.max(np.abs(residual - residuals[other])) > _SAME_SIGMAS * sigma for other in found):
+            found.append(k)
+    return [starts[k] for k in found]
+
+
+def _widest_scatter(problem: FitProblem, at: FloatArray, observed: Observations) -> float:
+    """Return the scale of the pose that fits worst so far: by one that fits already, it would be left out whole."""
+    distance = np.linalg.norm(problem.residuals(at, observed), axis=-1) * np.sqrt(observed.information)
+    share = surely_well_behaved(len(observed), problem.size)
+    epochs = np.unique(observed.epoch)
+    return max(
+        robust_sigma(distance[observed.epoch == epoch], share=share, floor=SMALLEST_SIGMA_PX) for epoch in epochs
+    )
+
+
+# A start that half of the sightings may lie about: fits of few, well-spread ones, judged by how many agree closely.
+#
+# Reference: M. Fischler and R. Bolles, "Random sample consensus", Communications of the ACM 24 (1981). The trials are
+# linear: the first camera is near enough for its derivatives to serve.
+
+_TRIALS = 240
+_SAMPLE = 7
+_MAX_SIGHTINGS = 420
+_ROUNDS = 12
+_FEW_STEP = 4
+"""Every fourth sighting of the thinned ones shows which trials are good."""
+_GOOD = 24
+"""So many of these are judged by all of them."""
+_SEED = 20160830
+_TRUST_PX = 0.7
+_LARGEST_SQUARE = 1e60
+"""Bound of squared sigmas, so that products of four stay finite: far from the sightings residuals have any size."""
+_CUTS = np.repeat([3.0, 1.5], [4, _ROUNDS - 4])
+"""Distances, in the scale found, at which a sighting counts a quarter in each round: fewer and fewer count."""
+_FLOOR_PX = 1e-3
+
+
+def ransac_start(
+    problem: FitProblem, observed: Observations, start: FloatArray, *, precision: FloatArray
+) -> FloatArray:
+    """Return the unknowns that most sightings agree on closely, or the start where nothing is better.
+
+    Parameters
+    ----------
+    problem : the camera sought.
+    observed : sightings, in the order of time within each epoch.
+    start : unknowns within some tens of px of the truth.
+    precision : prior precisions of the unknowns.
+    """
+    thin = observed.select(np.unique(np.linspace(0, len(observed) - 1, _MAX_SIGHTINGS).astype(int)))
+    residual, rows = problem.linearised(start, thin)
+    steps = _trials(residual, rows, start, precision)
+    steps = np.concatenate([np.zeros((1, start.size)), steps])
+    share = surely_well_behaved(len(thin), problem.size)
+    close = max(
+        min(robust_sigma(d, share=share) for d in _distances(residual, rows, steps[:40], thin.information)), 0.02
+    )
+    weight = thin.information / close**2
+    # most trials are poor, and a part of the sightings shows it
+    few = slice(None, None, _FEW_STEP)
+    good = np.argsort(_disagreements(_after(residual[few], rows[few], steps), weight[few].copy()))[:_GOOD]
+    steps = steps[np.sort(good)]
+    agreed = _disagreements(_after(residual, rows, steps), weight)
+    best = [_tightened(steps[k], residual, rows, start, precision, share) for k in np.argsort(agreed)[:3]]
+    return min([start, *(start + step for step in best)], key=lambda at: _disagreement(problem, thin, at, close))
+
+
+def _after(residual: FloatArray, rows: FloatArray, steps: FloatArray) -> FloatArray:
+    """Return (k, 2 n): the residuals after steps (k, p), x and y by turns."""
+    return np.asarray(residual.ravel() - steps @ rows.reshape(-1, steps.shape[-1]).T)
+
+
+def _distances(residual: FloatArray, rows: FloatArray, steps: FloatArray, information: FloatArray) -> FloatArray:
+    """Return (k, n): distances after steps (k, p), in relative sigmas."""
+    after = _after(residual, rows, steps)
+    return np.asarray(np.hypot(after[:, ::2], after[:, 1::2]) * np.sqrt(information))
+
+
+def _trials(residual: FloatArray, rows: FloatArray, start: FloatArray, precision: FloatArray) -> FloatArray:
+    """Return the steps (trials, p) that samples of sightings ask for, one out of each stretch of time."""
+    rng = np.random.default_rng(_SEED)
+    # one sighting of each stretch of the arc: random ones would often be neighbours
+    edges = np.linspace(0, residual.shape[0], _SAMPLE + 1).astype(int)
+    picks = np.stack([rng.integers(a, max(b, a + 1), _TRIALS) for a, b in itertools.pairwise(edges)], axis=-1)
+    return np.asarray(trial_steps(residual, rows, picks, start, precision, _TRUST_PX))
+
+
+def _tightened(  # noqa: PLR0917 - the kernel takes positions
+    step: FloatArray, residual: FloatArray, rows: FloatArray, start: FloatArray, precision: FloatArray, share: float
+) -> FloatArray:
+    """Return the step refined on all sightings, those far off counting less and less."""
+    columns = np.ascontiguousarray(np.moveaxis(rows, -1, 0).swapaxes(1, 2)).reshape(rows.shape[-1], -1)
+    return np.asarray(
+        tightened(step, np.ascontiguousarray(residual.T), columns, start, precision, _CUTS, share, _FLOOR_PX)
+    )
+
+
+@njit(nogil=True)
+def _disagreements(after: FloatArray, information: FloatArray) -> FloatArray:
+    """Return (k,): Cauchy's loss of residuals (k, 2 n), in which it hardly counts how far off one is.
+
+    The logarithms of four sightings are taken together, as that of their product.
+    """
+    result = np.zeros(after.shape[0])
+    for k in range(after.shape[0]):
+        product = 1.0
+        for n in range(information.size):
+            dx, dy = after[k, 2 * n], after[k, 2 * n + 1]
+            product *= 1.0 + min((dx * dx + dy * dy) * information[n], _LARGEST_SQUARE)
+            if n % 4 == 3:
+                result[k] += math.log(product)
+                product = 1.0
+        result[k] += math.log(product)
+    return result
+
+
+def _disagreement(problem: FitProblem, observed: Observations, at: FloatArray, close: float) -> float:
+    distance = np.linalg.norm(problem.residuals(at, observed), axis=-1) * np.sqrt(observed.information)
+    return float(np.sum(np.log1p((distance / close) ** 2)))
+
+
+_STARTS = tuple(itertools.product((-1.5, 1.5), (-2.0, 0.0, 2.0)))
+_LET_GO = 2
+
+
+def best_of_starts(
+    problem: FitProblem, observed: Observations, start: FloatArray, *, precision: FloatArray
+) -> FloatArray:
+    """Return the unknowns at the bottom of the deepest valley that was found.
+
+    Parameters
+    ----------
+    problem : the camera sought.
+    observed : sightings with their information, outliers gone.
+    start : unknowns near the truth but for the decentering.
+    precision : prior precisions of the unknowns.
+    """
+    free = np.ones(problem.size, dtype=bool)
+    free[HIGHER] = False
+    tried = [most_probable(problem, observed, start, precision=precision, iterations=15)]
+    for decentering in _STARTS:
+        at = start.copy()
+        at[DECENTERING] = 0.0
+        at[HIGHER] = decentering
+        tried.append(most_probable(problem, observed, at, precision=precision, free=free, iterations=4, tolerance=1e-4))
+    promising = sorted(tried[1:], key=lambda one: one.cost)[:_LET_GO]
+    freed = [most_probable(problem, observed, one.unknowns, precision=precision, iterations=15) for one in promising]
+    return min([tried[0], *freed], key=lambda one: one.cost).unknowns

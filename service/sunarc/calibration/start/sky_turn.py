@@ -1,0 +1,416 @@
+"""Lens, pole and handedness of a camera by what turns between images of one night; no star is named here.
+
+Between two images the sky turns by a known angle about the pole. A hypothesis (focal length, shape of the lens, pole,
+hand) maps the detections of one image into the other; the right one puts them on detections. The pole is looked for
+where a camera near the zenith has it, over a grid as fine as the turn asks, then by least squares.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from sunarc.array_types import FloatArray, IntArray
+from sunarc.jit import njit
+from sunarc.optics.forward import tangent_basis
+from sunarc.optics.projections import Projection, ideal_radius
+from sunarc.sky.site import Site
+
+_CELLS = 128
+
+
+class Turns(NamedTuple):
+    """Poles (k, 3), unit vectors in the camera's frame, and the angles of the turns about them (k,), radians."""
+
+    poles: FloatArray
+    angles: FloatArray
+
+
+@njit()
+def _counts(  # noqa: PLR0917 - numba takes no names
+    rays: FloatArray, near: FloatArray, half: float, poles: FloatArray, angles: FloatArray, shape: float, largest: float
+) -> FloatArray:
+    """Return (k,): the share of the mapped rays in the image that fall on marked cells; 0 where few are in it."""
+    n = near.shape[0]
+    found = np.zeros(poles.shape[0])
+    for k in range(poles.shape[0]):
+        px, py, pz = poles[k]
+        cosine, sine = math.cos(angles[k]), math.sin(angles[k])
+        hits, inside = 0.0, 0
+        for i in range(rays.shape[0]):
+            x, y, z = rays[i]
+            along = (px * x + py * y + pz * z) * (1.0 - cosine)
+            u = x * cosine + (py * z - pz * y) * sine + px * along
+            v = y * cosine + (pz * x - px * z) * sine + py * along
+            w = z * cosine + (px * y - py * x) * sine + pz * along
+            across = math.hypot(u, v)
+            theta = math.atan2(across, w)
+            if theta > largest:
+                continue
+            if shape > 1e-6:
+                radius = math.tan(min(shape * theta, 1.5)) / shape
+            elif shape < -1e-6:
+                radius = math.sin(min(-shape * theta, 0.5 * math.pi)) / -shape
+            else:
+                radius = theta
+            scale = radius / max(across, 1e-12)
+            column, row = int((u * scale / half + 1.0) * 0.5 * n), int((v * scale / half + 1.0) * 0.5 * n)
+            inside += 1
+            if 0 <= column < n and 0 <= row < n:
+                hits += near[row, column]
+        found[k] = hits / max(inside, rays.shape[0] // 3)
+    return found
+
+
+@njit()
+def _marked(onto: FloatArray, half: float, reach: float, n: int) -> tuple[FloatArray, float]:
+    """Return (n, n) cells over -half to half, 1 where a detection is near, and the share of those in the disc."""
+    near = np.zeros((n, n))
+    cell = 2.0 * half / n
+    for k in range(onto.shape[0]):
+        x, y = onto[k]
+        for row in range(max(int((y - reach + half) / cell), 0), min(int((y + reach + half) / cell) + 1, n)):
+            for column in range(max(int((x - reach + half) / cell), 0), min(int((x + reach + half) / cell) + 1, n)):
+                apart = math.hypot((column + 0.5) * cell - half - x, (row + 0.5) * cell - half - y)
+                if apart <= reach:
+                    near[row, column] = 1.0
+    marked, inside = 0.0, 0
+    for row in range(n):
+        for column in range(n):
+            if math.hypot((column + 0.5) * cell - half, (row + 0.5) * cell - half) <= half:
+                marked += near[row, column]
+                inside += 1
+    return near, marked / inside
+
+
+def count_on_detections(
+    rays: FloatArray,
+    onto: FloatArray,
+    turns: Turns,
+    *,
+    shape: float,
+    reach: float,
+    largest: float,
+) -> FloatArray:
+    """Return (k,): the share of rays that come near a detection when they turn about a pole, less chance's share.
+
+    Parameters
+    ----------
+    rays : (n, 3) unit vectors in the camera's frame.
+    onto : (m, 2) detections, focal lengths from the axis.
+    turns : poles and angles.
+    shape : of the lens (`lens_family`).
+    reach : what is near, focal lengths.
+    largest : angle off the axis to which rays count, radians.
+    """
+    half = float(np.quantile(np.max(np.abs(onto), axis=-1), 0.98)) + 2.0 * reach
+    near, chance = _marked(np.ascontiguousarray(onto), half, reach, _CELLS)
+    counts = _counts(
+        np.ascontiguousarray(rays), near, half, np.ascontiguousarray(turns.poles), turns.angles, shape, largest
+    )
+    return np.asarray((counts - chance) / max(1.0 - chance, 0.1))
+
+
+SIDEREAL_RATE = 2.0 * math.pi / 86_164.0905
+"""Radians a second."""
+MAX_ANGLE = math.radians(95.0)
+"""Off the axis, to which stars are looked for."""
+
+
+def pole_enu(site: Site) -> FloatArray:
+    """Return the direction of the north celestial pole, east-north-up; below the horizon in the south."""
+    latitude = math.radians(site.latitude)
+    return np.array([0.0, math.cos(latitude), math.sin(latitude)])
+
+
+def turned(rays: FloatArray, pole: FloatArray, angle: float) -> FloatArray:
+    """Return rays (n, 3) turned about poles (..., 3) by an angle in radians, (..., n, 3): Rodrigues' formula."""
+    axis = pole[..., None, :]
+    along = np.sum(rays * axis, axis=-1, keepdims=True)
+    across = np.cross(axis, rays)
+    return np.asarray(rays * math.cos(angle) + across * math.sin(angle) + axis * along * (1.0 - math.cos(angle)))
+
+
+_FLAT = 1e-6
+_SHAPES: dict[Projection, float] = {
+    "orthographic": -1.0, "equisolid": -0.5, "equidistant": 0.0, "stereographic": 0.5, "perspective": 1.0,
+}  # fmt: skip
+_POWERS = (2, 3, 4, 5)
+
+
+def angle_of_radius(radius: FloatArray, shape: float) -> FloatArray:
+    """Return angles off the axis (rad) of radii in focal lengths; of those beyond the lens's end its largest."""
+    if abs(shape) < _FLAT:
+        return radius
+    if shape > 0.0:
+        return np.asarray(np.arctan(shape * radius) / shape)
+    return np.asarray(np.arcsin(np.minimum(-shape * radius, 1.0)) / -shape)
+
+
+def radius_of_angle(angle: FloatArray, shape: float) -> FloatArray:
+    """Return radii in focal lengths of angles off the axis (rad)."""
+    if abs(shape) < _FLAT:
+        return angle
+    if shape > 0.0:
+        return np.asarray(np.tan(np.minimum(shape * angle, 0.49 * math.pi)) / shape)
+    return np.asarray(np.sin(np.minimum(-shape * angle, 0.5 * math.pi)) / -shape)
+
+
+def nearest_projection(shape: float) -> Projection:
+    """Return the ideal projection that is nearest to a shape."""
+    return min(_SHAPES, key=lambda name: abs(_SHAPES[name] - shape))
+
+
+def radial_for(shape: float, projection: Projection) -> tuple[float, ...]:
+    """Return k2 … k9 of a camera of an ideal projection that has this shape, by least squares to 90 degrees."""
+    angle = np.linspace(0.05, min(MAX_ANGLE, 0.5 * math.pi), 60)
+    design = np.stack([(angle / (0.5 * math.pi)) ** power for power in _POWERS], axis=-1)
+    difference = radius_of_angle(angle, shape) - ideal_radius(projection, angle)
+    found = np.linalg.lstsq(design, difference, rcond=None)[0]
+    return (*(float(value) for value in found), *(0.0,) * (8 - len(_POWERS)))
+
+
+_REACH = 0.02
+"""Tolerance of the search, focal lengths: 1.1 degrees."""
+_SHAPES_TRIED = (-0.5, 0.0, 0.5)
+_FOCAL_STEP = 1.06
+_MAPPED, _MAPPED_ONTO = 60, 160
+"""Brightest detections of an image that are mapped, and those onto which: some are behind cloud or set in the other."""
+_LEAST_TURN, _MOST_TURN = math.radians(3.0), math.radians(45.0)
+_PAIRS = 3
+_KEPT = 4
+"""Hypotheses of each hand that are refined."""
+_DISTINCT = math.radians(6.0)
+_REFINED_BY, _FEWEST, _ROUNDS, _EVALUATIONS = 120, 10, 6, 6
+_CLOSE_PX = 3.0
+_LIKELY, _CONFORMAL = 0.3, 0.25
+_OTHER_FOCAL, _FOCAL_FIXED = (0.8, 0.86, 0.93, 1.07, 1.15), 0.005
+_PRIOR_PX = 4.0
+"""What a 1-sigma departure from the hypothesis counts: a stereographic lens turns alike about many centres."""
+
+
+class Pair(NamedTuple):
+    """Two images: pixels (n, 2) of the first, (m, 2) of the second, and the turn between them, radians."""
+
+    first: FloatArray
+    second: FloatArray
+    turn: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Turning:
+    """A lens and the pole in its frame (x right, y down, z out of the lens, after the mirror).
+
+    Attributes
+    ----------
+    mirrored : the hand.
+    focal_px, shape : of the lens (`lens_family`).
+    centre : (2,) px.
+    pole : (3,) of the north celestial pole.
+    width : of the image, px.
+    share : of the mapped detections that come onto others, less what chance would bring.
+    """
+
+    mirrored: bool
+    focal_px: float
+    shape: float
+    centre: FloatArray
+    pole: FloatArray
+    width: int
+    share: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SearchRange:
+    """Where the camera is looked for.
+
+    centre: px; radius_px: least and greatest of 90 degrees off the axis; polar_rad: least and greatest angle of the
+    pole off the axis; width: of the image, px.
+    """
+
+    centre: tuple[float, float]
+    radius_px: tuple[float, float]
+    polar_rad: tuple[float, float]
+    width: int
+
+
+def pairs_of(unix_s: Sequence[float], pixels: Sequence[FloatArray]) -> list[Pair]:
+    """Return pairs of images between which the sky turned by 3 to 45 degrees, those nearest to 15 first."""
+    found = []
+    for first in range(len(unix_s)):
+        for second in range(len(unix_s)):
+            turn = SIDEREAL_RATE * (unix_s[second] - unix_s[first])
+            if _LEAST_TURN <= turn <= _MOST_TURN and min(len(pixels[first]), len(pixels[second])) >= 15:
+                found.append((abs(math.log(turn / math.radians(15.0))), first, second, turn))
+    found.sort()
+    used: dict[int, int] = {}
+    chosen: list[Pair] = []
+    for _, first, second, turn in found:
+        # each image in two pairs at most: a cloudy one spoils no more
+        if len(chosen) < _PAIRS and used.get(first, 0) < 2 and used.get(second, 0) < 2:
+            used[first], used[second] = used.get(first, 0) + 1, used.get(second, 0) + 1
+            chosen.append(Pair(pixels[first], pixels[second], turn))
+    return chosen
+
+
+def turnings(pairs: Sequence[Pair], field: SearchRange) -> list[Turning]:
+    """Return the refined hypotheses of both hands, the best first."""
+    found = [one for mirrored in (False, True) for one in _of_hand(pairs, field, mirrored=mirrored)]
+    return sorted(found, key=lambda one: -one.share)
+
+
+def _of_hand(pairs: Sequence[Pair], field: SearchRange, *, mirrored: bool) -> list[Turning]:
+    flipped = [
+        one._replace(
+            first=unmirrored(one.first, field.width, mirrored=mirrored),
+            second=unmirrored(one.second, field.width, mirrored=mirrored),
+        )
+        for one in pairs
+    ]
+    centre = np.array([field.width - 1.0 - field.centre[0] if mirrored else field.centre[0], field.centre[1]])
+    poles = _poles(field, step=min(0.5 * _REACH / math.sin(0.5 * min(one.turn for one in pairs)), math.radians(5.0)))
+    grid = [(focal, shape) for shape in _SHAPES_TRIED for focal in _focal_lengths(field, shape)]
+    share = np.stack([_shares(flipped, centre, focal, shape, poles) for focal, shape in grid])
+    kept: list[tuple[FloatArray, float, float]] = []
+    for place in np.argsort(-share, axis=None, kind="stable")[:400].tolist():
+        row, column = divmod(place, poles.shape[0])
+        pole, (focal, shape) = poles[column], grid[row]
+        if all(np.arccos(np.clip(pole @ other, -1.0, 1.0)) > _DISTINCT for other, _, _ in kept):
+            kept.append((pole, focal, shape))
+        if len(kept) == _KEPT:
+            break
+    hand = (mirrored, field.width)
+    found = [_refined(flipped, centre, pole, (focal, shape), hand) for pole, focal, shape in kept]
+    best = max(found, key=lambda one: one.share)
+    if best.share > _LIKELY and best.shape > _CONFORMAL:
+        # these turn alike with many focal lengths, each with a centre and a pole of its own: the stars decide
+        for ratio in _OTHER_FOCAL:
+            rough = (ratio * best.focal_px, best.shape)
+            found.append(_refined(flipped, best.centre, best.pole, rough, hand, focal_within=_FOCAL_FIXED))
+    return found
+
+
+def unmirrored(pixels: FloatArray, width: int, *, mirrored: bool) -> FloatArray:
+    """Return pixels (n, 2) of an image as a camera that is not mirrored has them."""
+    return np.stack([width - 1.0 - pixels[:, 0], pixels[:, 1]], axis=-1) if mirrored else pixels
+
+
+def _focal_lengths(field: SearchRange, shape: float) -> list[float]:
+    least, greatest = (radius / float(radius_of_angle(np.array(0.5 * math.pi), shape)) for radius in field.radius_px)
+    count = max(math.ceil(math.log(greatest / least) / math.log(_FOCAL_STEP)), 1) + 1
+    values: list[float] = np.geomspace(least, greatest, count).tolist()
+    return values
+
+
+def _poles(field: SearchRange, *, step: float) -> FloatArray:
+    """Return directions (k, 3) in the camera's frame on rings about the axis, a step apart."""
+    least, greatest = max(field.polar_rad[0], 0.0), min(field.polar_rad[1], math.pi)
+    rings = []
+    for polar in np.linspace(least, greatest, max(math.ceil((greatest - least) / step), 1) + 1).tolist():
+        count = max(math.ceil(2.0 * math.pi * math.sin(polar) / step), 1)
+        around = 2.0 * math.pi * np.arange(count) / count
+        ring = [math.sin(polar) * np.cos(around), math.sin(polar) * np.sin(around), np.full(count, math.cos(polar))]
+        rings.append(np.stack(ring, axis=-1))
+    return np.concatenate(rings)
+
+
+def _shares(pairs: Sequence[Pair], centre: FloatArray, focal: float, shape: float, poles: FloatArray) -> FloatArray:
+    """Return (k,): the share of mapped detections on others less that of chance, the mean of the pairs."""
+    total = np.zeros(poles.shape[0])
+    for one in pairs:
+        rays = _rays(one.first[:_MAPPED], centre, focal, shape)
+        onto = (one.second[:_MAPPED_ONTO] - centre) / focal
+        angles = np.full(poles.shape[0], -one.turn)
+        total += count_on_detections(rays, onto, Turns(poles, angles), shape=shape, reach=_REACH, largest=MAX_ANGLE)
+    return total / len(pairs)
+
+
+def _rays(pixels: FloatArray, centre: FloatArray, focal: float, shape: float) -> FloatArray:
+    """Return unit vectors (n, 3) in the camera's frame."""
+    away = (pixels - centre) / focal
+    radius = np.hypot(*away.T)
+    angle = np.minimum(angle_of_radius(radius, shape), math.pi)
+    scale = np.sin(angle) / np.maximum(radius, 1e-12)
+    return np.stack([away[:, 0] * scale, away[:, 1] * scale, np.cos(angle)], axis=-1)
+
+
+def _pixels(rays: FloatArray, centre: FloatArray, focal: float, shape: float) -> FloatArray:
+    across = np.hypot(rays[:, 0], rays[:, 1])
+    radius = radius_of_angle(np.arctan2(across, rays[:, 2]), shape)
+    return np.asarray(centre + focal * rays[:, :2] * (radius / np.maximum(across, 1e-12))[:, None])
+
+
+def _refined(
+    pairs: Sequence[Pair],
+    centre: FloatArray,
+    pole: FloatArray,
+    rough: tuple[float, float],
+    hand: tuple[bool, int],
+    *,
+    focal_within: float = 0.1,
+) -> Turning:
+    """Return a hypothesis by least squares of the distances from the nearest detections, ever closer ones."""
+    from scipy.optimize import least_squares  # noqa: PLC0415 - the command line loads without it
+
+    some = [Pair(one.first[:_REFINED_BY], one.second, one.turn) for one in pairs]
+    start = np.array([math.log(rough[0]), *centre, 0.0, 0.0, rough[1]])
+    spread = np.array([focal_within, 0.05 * rough[0], 0.05 * rough[0], 0.1, 0.1, 0.4])
+    unknowns, reach = start, 1.5 * _REACH * rough[0]
+    trees = [cKDTree(one.second) for one in some]
+    for _ in range(_ROUNDS):
+        found = _nearest(trees, _mapped(some, pole, unknowns))
+        near = [apart < reach for apart, _ in found]
+        if sum(int(mask.sum()) for mask in near) < _FEWEST:
+            break
+        goal = [one.second[row[mask]] for one, (_, row), mask in zip(some, found, near, strict=True)]
+        part = [Pair(one.first[mask], aim, one.turn) for one, mask, aim in zip(some, near, goal, strict=True)]
+
+        def residual(at: FloatArray, part: list[Pair] = part) -> FloatArray:
+            apart = [there - one.second for one, there in zip(part, _mapped(part, pole, at), strict=True)]
+            return np.asarray(np.r_[np.concatenate(apart).ravel(), _PRIOR_PX * (at - start) / spread])
+
+        unknowns = least_squares(
+            residual,
+            unknowns,
+            loss="soft_l1",
+            f_scale=max(0.2 * reach, 0.5),
+            x_scale=spread,
+            max_nfev=_EVALUATIONS,
+        ).x
+        reach = max(0.5 * reach, _CLOSE_PX)
+    lens, now = _lens(unknowns), _pole_at(pole, unknowns)
+    close = np.concatenate(
+        [tree.query(there)[0] for tree, there in zip(trees, _mapped(some, pole, unknowns), strict=True)]
+    )
+    # within the search's reach, and as near as the right lens brings stars
+    share = 0.5 * float(_shares(pairs, *lens, now[None])[0]) + 0.5 * float(np.mean(close < _CLOSE_PX))
+    return Turning(
+        mirrored=hand[0], focal_px=lens[1], shape=lens[2], centre=lens[0], pole=now, width=hand[1], share=share
+    )
+
+
+def _nearest(trees: Sequence[cKDTree], there: Sequence[FloatArray]) -> list[tuple[FloatArray, IntArray]]:
+    """Return distances (px) to the nearest detections, and their rows, of places in each second image."""
+    found = [tree.query(places) for tree, places in zip(trees, there, strict=True)]
+    return [(np.asarray(apart), np.asarray(row, dtype=np.int64)) for apart, row in found]
+
+
+def _mapped(pairs: Sequence[Pair], pole: FloatArray, unknowns: FloatArray) -> list[FloatArray]:
+    """Return where the detections of the first images are in the second, (n, 2) px each."""
+    lens, now = _lens(unknowns), _pole_at(pole, unknowns)
+    return [_pixels(turned(_rays(one.first, *lens), now, -one.turn), *lens) for one in pairs]
+
+
+def _lens(unknowns: FloatArray) -> tuple[FloatArray, float, float]:
+    """Return centre, focal length and shape."""
+    return unknowns[1:3], math.exp(unknowns[0]), float(unknowns[5])
+
+
+def _pole_at(pole: FloatArray, unknowns: FloatArray) -> FloatArray:
+    moved = pole + tangent_basis(pole) @ unknowns[3:5]
+    return np.asarray(moved / np.linalg.norm(moved))

@@ -1,0 +1,179 @@
+"""A camera that another program or another instrument stated, corrected by sightings within stated tolerances."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, replace
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Gt, Le
+
+from sunarc.array_types import FloatArray
+from sunarc.bounds import require_bounds
+from sunarc.calibration.answers.error_model import at_every_angle, error_model_of
+from sunarc.calibration.fit.assemble import Job, calibration_from_fit, no_field, refused
+from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances, Mirrored
+from sunarc.calibration.model.result import Calibration, Verdict
+from sunarc.calibration.model.sightings import SunPoints, filter_sightings
+from sunarc.calibration.pose import FEWEST, MOST, PredictedSightings, fit_pose, handed_over, noise_px, tolerance_px
+from sunarc.calibration.quality.fit_checks import Handedness
+from sunarc.calibration.robust_loss import finite
+from sunarc.calibration.solve.priors import FREE, FREE_NAMES, LENS, N_LENS, lens_prior, precisions
+from sunarc.findings import Finding
+from sunarc.optics.camera import POSE, Camera
+from sunarc.optics.forward import project_fast
+from sunarc.optics.pose import pose_angles, rotation_matrix, rotation_vector
+from sunarc.optics.projections import ideal_radius
+from sunarc.sky.site import Site
+
+_LARGEST_DEPARTURE = 3.0
+"""RMS departure from the prior in its own sigmas, over what the sightings determine: with one such quantity a right
+prior exceeds it in 0.3 % of all cases, with more in fewer."""
+_DECENTERING_SHARE = 0.35
+"""Decentering over residual radial distortion: that of the usual tolerances, `LensTolerances`."""
+_RIGHT_ANGLE = math.pi / 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PriorTolerances:
+    """How far a stated camera may be off: 1-sigma.
+
+    Attributes
+    ----------
+    lens_px : by which a direction near the horizon may be imaged elsewhere, px, by the focal length (unless
+        `focal_length` says otherwise), the principal point and the residual radial distortion alike; the decentering
+        is a third of it.
+    pose_deg : of the rotation about each axis; None where the pose is not known: it is then sought at any angle.
+    focal_length : relative, of the focal length.
+    """
+
+    lens_px: Annotated[float, Gt(0.0), Le(20.0)]
+    pose_deg: Annotated[float, Gt(0.0), Le(10.0)] | None = None
+    focal_length: Annotated[float, Gt(0.0), Le(0.2)] | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse tolerances that are none, or so wide that the equations about the stated camera do not hold."""
+        require_bounds(self, section="prior")
+
+
+def calibrate_with_prior(
+    points: SunPoints, *, prior: Camera, tolerances: PriorTolerances, site: Site, options: CalibrationOptions
+) -> Calibration:
+    """Return the most probable camera given a stated one and sightings of one pose, from three sightings on.
+
+    All 20 parameters are estimated; what the sightings do not determine keeps the prior's value and its uncertainty.
+    Where they contradict the prior, or are too few, the verdict is refused and says why.
+
+    Parameters
+    ----------
+    points : sightings; their sigma is 0.5 px where they do not state it.
+    prior : the stated camera.
+    tolerances : how far it may be off.
+    site : where the camera stands.
+    options : what makes the answer acceptable; its projection and handedness are the prior's.
+    """
+    prior = prior.lens_alone()
+    hand: Mirrored = "yes" if prior.mirrored else "no"
+    options = replace(options, method="robust", projection=prior.projection, mirrored=hand)
+    size = (prior.width, prior.height)
+    usable = filter_sightings(points, site=site, image_size=size)
+    job = Job(
+        points=points,
+        usable=usable,
+        site=site,
+        image_size=size,
+        options=options,
+        circle=None,
+        start=prior,
+        free="prior",
+    )
+    if len(usable) < FEWEST:
+        return refused(job, (Finding("too_few_sightings", {"n": len(usable), "least": FEWEST}),))
+    basis = _basis(prior, tolerances)
+    start = _stated(prior, basis, job)
+    sigma_px = noise_px(start, points.sigma_px[usable.index])
+    turned_rad = None if tolerances.pose_deg is None else math.radians(tolerances.pose_deg)
+    distance = _distance(start, usable.directions, usable.pixels, sigma_px, turned_rad)
+    if distance > _LARGEST_DEPARTURE:
+        return refused(job, (_contradicted(distance),))
+    fit = fit_pose(start, usable.directions, usable.pixels, sigma_px, turned_rad=turned_rad)
+    fitted = handed_over(fit, start, usable, wander_rad=0.0)
+    result = calibration_from_fit(fitted, job, Handedness(mirrored=prior.mirrored, ambiguous=False))
+    options_of = {**result.evidence.options, "prior": asdict(tolerances)}
+    result = replace(result, evidence=replace(result.evidence, options=options_of))
+    departure = _departure(prior, basis, turned_rad, fit.camera, fit.error_model.covariance)
+    if departure <= _LARGEST_DEPARTURE:
+        return result
+    others = () if result.verdict.accepted else result.verdict.findings
+    return replace(result, verdict=Verdict(accepted=False, findings=(_contradicted(departure), *others)))
+
+
+def _contradicted(departure: float) -> Finding:
+    return Finding("prior_contradicted", {"departure": departure, "limit": _LARGEST_DEPARTURE})
+
+
+def _basis(prior: Camera, tolerances: PriorTolerances) -> FloatArray:
+    """Return (20, 17): the lens's parameters among `FREE` per 1 sigma of each of its whitened coordinates."""
+    focal = float(np.mean(prior.focal_length_px))
+    edge = float(ideal_radius(prior.projection, _RIGHT_ANGLE if prior.projection != "perspective" else 1.0))
+    relative = tolerances.focal_length or tolerances.lens_px / (focal * edge)
+    usual = LensTolerances(circle_center_px=tolerances.lens_px, circle_focal_length_px=relative * focal)
+    # the circle has no other use than to make both tolerances absolute
+    circle = ImageCircle(x=0.0, y=0.0, radius=focal * edge)
+    lens = lens_prior(prior, tolerances=usual, circle=circle, field_angle=_RIGHT_ANGLE)
+    scaled = lens.basis / np.sqrt(precisions(tolerances.lens_px, _DECENTERING_SHARE * tolerances.lens_px))
+    result = np.zeros((FREE.size, N_LENS))
+    result[np.isin(FREE, LENS)] = scaled
+    return result
+
+
+def _stated(prior: Camera, basis: FloatArray, job: Job) -> Calibration:
+    """Return the calibration that a camera within its tolerances is; its pose is free of error, see `fit_pose`.
+
+    Its noise is what the sightings state of themselves.
+    """
+    stated, without_fit = job.usable.stated_sigma_px, refused(job, ())
+    return replace(
+        without_fit,
+        evidence=replace(without_fit.evidence, sigma_px=stated),
+        camera=prior,
+        poses=(prior.rotation_cam_enu,),
+        pose=pose_angles(prior.rotation_cam_enu),
+        covariance=basis @ basis.T,
+        field=no_field(prior, size=FREE.size),
+        parameter_names=FREE_NAMES,
+    )
+
+
+def _distance(
+    start: Calibration, directions: FloatArray, pixels: FloatArray, sigma_px: FloatArray, turned_rad: float | None
+) -> float:
+    """Return the median distance of sightings from where the prior images the sun, in its sigmas and theirs; per axis.
+
+    0 where the pose is not known.
+    """
+    if turned_rad is None:
+        return 0.0
+    model, camera = error_model_of(start), at_every_angle(start.camera)
+    predicted = PredictedSightings(
+        directions=directions, pixels=pixels, variance=sigma_px**2, false_density=np.zeros(sigma_px.size)
+    ).select(np.unique(np.linspace(0, sigma_px.size - 1, MOST).astype(int)))
+    tolerance = tolerance_px(model.with_free_rotation(np.zeros(3), sigma_rad=turned_rad), camera, predicted)
+    off = np.linalg.norm(finite(predicted.pixels - project_fast(camera, predicted.directions)), axis=-1)
+    return float(np.median(off / tolerance)) / math.sqrt(2.0)
+
+
+def _departure(
+    prior: Camera, basis: FloatArray, turned_rad: float | None, found: Camera, covariance: FloatArray
+) -> float:
+    """Return how far a camera went from its prior: RMS in the prior's sigmas over what the sightings determined."""
+    lens = np.linalg.pinv(basis)
+    change = lens @ (found.to_vector() - prior.to_vector())[FREE]
+    remaining = lens @ covariance @ lens.T
+    squares, determined = change**2, 1.0 - np.diag(remaining)
+    if turned_rad is not None:
+        turn = rotation_matrix(found.rotation_cam_enu) @ rotation_matrix(prior.rotation_cam_enu).T
+        squares = np.append(squares, (np.array(rotation_vector(turn)) / turned_rad) ** 2)
+        determined = np.append(determined, 1.0 - np.diag(covariance)[POSE] / turned_rad**2)
+    return math.sqrt(float(np.sum(squares)) / max(float(np.sum(np.clip(determined, 0.0, 1.0))), 1.0))

@@ -1,0 +1,198 @@
+"""The commands `sunarc export`, `sunarc compare` and `sunarc rectify`: parse, call, print."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+from sunarc.cli.options import AsJson, CalibrationFile, print_json, table
+from sunarc.errors import InputError, OutsideError
+from sunarc.exports.asi_core import asi_core_set
+from sunarc.exports.exported import Exported
+from sunarc.exports.formats import FILE_FORMATS, FORMATS, MAP_FORMATS, export, export_draws, export_file, export_map
+from sunarc.exports.reading import READ_FORMATS
+from sunarc.exports.remap import Grid
+from sunarc.offline.calibration_files import compare_files, rectify_files
+from sunarc.reanalysis.files import read_file
+
+_YAML = (".yaml", ".yml")
+_MAPS = tuple(f"map-{name}" for name in MAP_FORMATS)
+_ALL = (*FORMATS, *FILE_FORMATS, *_MAPS)
+
+
+def export_calibration(
+    calibration: Annotated[
+        Path, typer.Option("--calibration", help="A calibration document (JSON); for asi-core also a folder of them.")
+    ],
+    *,
+    format_: Annotated[str, typer.Option("--format", help=f"{', '.join(_ALL)}.")],
+    target: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="File (asi-core, azimuth-zenith: folder) to write; else standard output."),
+    ] = None,
+    draws: Annotated[
+        int, typer.Option(help="Draws of the calibration's errors to add (netcdf and npz): `direction_draw`.", min=0)
+    ] = 0,
+    seed: Annotated[int, typer.Option(help="With the calibration's id it decides the draws.", min=0)] = 0,
+) -> None:
+    """Write a calibration in another format, and say on standard error how far that is from it.
+
+    Example: sunarc export --calibration calibration.json --format opencv -o fisheye.yml
+    """
+    if format_ == "asi-core" and target is not None and target.suffix not in _YAML:
+        _write_set(asi_core_set(_documents(calibration)), target)
+        return
+    made = _made(_document(calibration), format_, draws=draws, seed=seed)
+    if format_.startswith("azimuth-zenith") and target is not None:
+        _write_set([made], target)
+    elif target is None:
+        sys.stdout.buffer.write(made.content)
+    else:
+        _write(target, made.content)
+        for name, content in made.beside.items():
+            _write(target.parent / name, content)
+            print(f"{format_}: wrote {name} beside it", file=sys.stderr)
+    print(f"{format_}: {made.error}", file=sys.stderr)
+
+
+def _write_set(made: list[Exported], folder: Path) -> None:
+    """Write a set of files into a folder; what is there of the same name is replaced."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutsideError(f"cannot make the folder {folder}: {error.strerror}") from error
+    for one in made:
+        for name, content in one.files.items():
+            _write(folder / name, content)
+        print(f"{one.name}: {one.error}", file=sys.stderr)
+
+
+def _documents(path: Path) -> list[dict[str, object]]:
+    """Return the document of a file, or those of all JSON files of a folder."""
+    return [_document(one) for one in sorted(path.glob("*.json"))] if path.is_dir() else [_document(path)]
+
+
+def _made(document: dict[str, object], format_: str, *, draws: int, seed: int) -> Exported:
+    if draws:
+        return _drawn(document, format_, draws=draws, seed=seed)
+    for name in MAP_FORMATS:
+        if format_ == f"map-{name}":
+            return Exported(content=export_map(document, name), error="in single precision")
+    for known in FORMATS:
+        if format_ == known:
+            return export(document, known)
+    for other in FILE_FORMATS:
+        if format_ == other:
+            return export_file(document, other)
+    choices = ", ".join(_ALL)
+    raise InputError(field="--format", problem=f"{format_!r} is unknown", remedy=f"use one of {choices}")
+
+
+def _drawn(document: dict[str, object], format_: str, *, draws: int, seed: int) -> Exported:
+    for name in MAP_FORMATS:
+        if format_ == name:
+            content = export_draws(document, name, draws=draws, seed=seed)
+            return Exported(content=content, error=f"{draws} draws of its errors, in single precision")
+    choices = " or ".join(MAP_FORMATS)
+    raise InputError(field="--draws", problem=f"{format_!r} has no draws", remedy=f"use --format {choices}")
+
+
+def _document(path: Path) -> dict[str, object]:
+    try:
+        found = json.loads(read_file(path))
+    except ValueError:
+        found = None
+    if not isinstance(found, dict):
+        raise InputError(field=str(path), problem="is no JSON object", remedy="give a calibration document")
+    return found
+
+
+def _write(path: Path, content: bytes) -> None:
+    try:
+        path.write_bytes(content)
+    except OSError as error:
+        raise OutsideError(f"cannot write {path}: {error.strerror}") from error
+
+
+def compare(
+    first: Annotated[Path, typer.Argument(metavar="A", help=f"A camera: {', '.join(READ_FORMATS)}.")],
+    second: Annotated[Path, typer.Argument(metavar="B", help="Another one, of images of the same size.")],
+    *,
+    differences: Annotated[
+        Path | None, typer.Option("--differences", help="Write every compared direction here: .nc or .npz.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Say how far camera B is from camera A over the sky, in px and degrees.
+
+    Example: sunarc compare calibration.json camera.yaml --json
+    """
+    found = compare_files(first, second, differences=differences)
+    if as_json:
+        print_json(found)
+        return
+    rows: list[list[Any]] = [_row("whole sky", found)]
+    rows += [_row("zenith angle {:.0f}-{:.0f}°".format(*one["zenith_deg"]), one) for one in found["by_zenith"]]
+    columns = ("", "n", "RMS px", "max px", "RMS °", "max °")
+    console = Console(soft_wrap=True)
+    console.print(table(columns, rows))
+    vector = "({:.4f}, {:.4f}, {:.4f})".format(*found["rotation_vector_deg"])
+    print(
+        f"best rotation {found['rotation_deg']:.4f}° about east, north, up {vector}; "
+        f"{found['rms_rotated_deg']:.4f}° RMS are left"
+    )
+    if found["rotated_before"]:
+        print("one of the two has no pose: the differences are those after this rotation")
+    if found["undescribed"]:
+        print(
+            f"{second.name} cannot describe {100.0 * found['undescribed']:.2f} % of the sky in the image, "
+            f"from zenith angle {found['described_to_deg']:.1f}° on"
+        )
+
+
+def _row(name: str, one: dict[str, Any]) -> list[Any]:
+    sizes = (one[key] for key in ("rms_px", "max_px", "rms_deg", "max_deg"))
+    return [name, one["n"], *("" if value is None else f"{value:.4g}" for value in sizes)]
+
+
+_GRIDS: dict[str, Grid] = {"sky": "sky", "ground": "ground"}
+
+
+def rectify(
+    images: Annotated[list[Path], typer.Argument(metavar="IMAGE…", help="Images of the camera.")],
+    calibration: CalibrationFile,
+    *,
+    folder: Annotated[Path, typer.Option("--output", "-o", help="Folder to write into.")],
+    grid: Annotated[str, typer.Option(help="sky (PNG, equidistant) or ground (GeoTIFF, under a cloud layer).")] = "sky",
+    size: Annotated[int, typer.Option(help="Pixels along a side.")] = 1024,
+    cloud_height: Annotated[float | None, typer.Option(help="Of the layer above the camera, m; for ground.")] = None,
+    half_width: Annotated[
+        float | None, typer.Option(help="Of the ground grid, m; what lies within 78° of zenith angle unless given.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Map images to a grid of the sky, or of the ground under clouds at a height; north at the top, east at the right.
+
+    Example: sunarc rectify noon.png --calibration calibration.json --grid ground --cloud-height 1500 -o maps/
+    """
+    if grid not in _GRIDS:
+        raise InputError(field="--grid", problem=f"{grid!r} is unknown", remedy="use sky or ground")
+    found = rectify_files(
+        images,
+        calibration,
+        grid=_GRIDS[grid],
+        size=size,
+        cloud_height_m=cloud_height,
+        half_width_m=half_width,
+        folder=folder,
+    )
+    if as_json:
+        print_json(found)
+        return
+    for row in found:
+        print(f"{row['written']}: {100.0 * row['seen']:.0f} % of the grid is in the image")

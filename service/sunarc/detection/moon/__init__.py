@@ -1,1 +1,0 @@
-"""The moon in its own short exposure: a fit of its lit part, which gives the centre of the whole disc."""

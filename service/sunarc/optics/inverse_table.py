@@ -1,0 +1,347 @@
+"""The lens's inverse for many pixels at once, from tables: cubic pieces over the radius, splines over the image."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.ndimage import spline_filter
+
+from sunarc.array_types import FloatArray
+from sunarc.jit import njit
+from sunarc.optics.camera import Camera
+from sunarc.optics.displacement import Displacement
+from sunarc.optics.forward import decentering_shift, distorted_radius, mirror_of, radius_slope, rising_limit
+from sunarc.optics.inverse import largest_angle, unproject
+from sunarc.optics.pose import rotation_matrix
+
+
+@njit(nogil=True)
+def spline_weights(position: float, last: int) -> tuple[int, float, float, float, float]:
+    """Return the first of four nodes and the weights of a cubic spline."""
+    node = min(int(position), last)
+    s = position - node
+    t = 1.0 - s
+    third = (-3.0 * s * s * s + 3.0 * s * s + 3.0 * s + 1.0) / 6.0
+    return node, t * t * t / 6.0, (3.0 * s * s * s - 6.0 * s * s + 4.0) / 6.0, third, s * s * s / 6.0
+
+
+_BLOCK = 512
+"""Pixels taken together, so that the simple loops run in vector registers."""
+
+
+class InverseConstants(NamedTuple):
+    """Numbers of a camera's inverse, as the kernels take them.
+
+    per_fx, per_fy : inverse focal lengths, 1/px. skew, x0, y0 : px. mirror : see `pixels_of`. p1 … p4 : decentering.
+    per_radius : pieces of the table per unit of the radius. limit : largest radius. exact_from : radius from which on
+    the table is too coarse.
+    """
+
+    per_fx: float
+    per_fy: float
+    skew: float
+    x0: float
+    y0: float
+    mirror: float
+    p1: float
+    p2: float
+    p3: float
+    p4: float
+    per_radius: float
+    limit: float
+    exact_from: float
+
+
+@njit(nogil=True)
+def calibrated_of(constants: InverseConstants, x: float, y: float) -> tuple[float, float]:
+    """Return (x̂, ŷ) of a pixel: in focal lengths from the axis, the decentering still in it."""
+    y_hat = (y - constants.y0) * constants.per_fy
+    column = constants.mirror - x if constants.mirror >= 0.0 else x
+    return (column - constants.x0 - constants.skew * y_hat) * constants.per_fx, y_hat
+
+
+@njit(nogil=True, fastmath={"contract", "reassoc", "arcp", "nsz"})
+def decentering_of(constants: InverseConstants, x: float, y: float) -> tuple[float, float]:
+    """Return the shift of Eq. 12 at a point in focal lengths."""
+    xx, yy, xy = x * x, y * y, 2.0 * x * y
+    square = xx + yy
+    profile = 1.0 + square * (constants.p3 + square * constants.p4)
+    p1, p2 = constants.p1, constants.p2
+    return profile * (p1 * (square + 2.0 * xx) + p2 * xy), profile * (p1 * xy + p2 * (square + 2.0 * yy))
+
+
+@njit(nogil=True, fastmath={"contract", "reassoc", "arcp", "nsz"})
+def directions_of(  # noqa: PLR0917 - one loop, compiled; functions take positions
+    constants: InverseConstants,
+    rotation: FloatArray,
+    table: FloatArray,
+    rounds: int,
+    pixels: FloatArray,
+    result: FloatArray,
+) -> bool:
+    """Write the directions (n, 3) that pixels (n, 2) look at, from a table of cubic pieces (see `InverseTable`).
+
+    Infinite where the table is too coarse; returned is whether it is anywhere.
+    """
+    coarse = False
+    last = table.shape[0] - 1.0
+    xe, xn, xu = rotation[0, 0], rotation[0, 1], rotation[0, 2]
+    ye, yn, yu = rotation[1, 0], rotation[1, 1], rotation[1, 2]
+    ze, zn, zu = rotation[2, 0], rotation[2, 1], rotation[2, 2]
+    x_hat, y_hat = np.empty(_BLOCK), np.empty(_BLOCK)
+    x, y, radius = np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK)
+    for begin in range(0, pixels.shape[0], _BLOCK):
+        size = min(_BLOCK, pixels.shape[0] - begin)
+        for k in range(size):
+            x_hat[k], y_hat[k] = calibrated_of(constants, pixels[begin + k, 0], pixels[begin + k, 1])
+            x[k], y[k] = x_hat[k], y_hat[k]
+        for _ in range(rounds):
+            for k in range(size):
+                shift_x, shift_y = decentering_of(constants, x[k], y[k])
+                x[k], y[k] = x_hat[k] - shift_x, y_hat[k] - shift_y
+        for k in range(size):
+            radius[k] = math.sqrt(x[k] * x[k] + y[k] * y[k])
+        for k in range(size):
+            i = begin + k
+            if not radius[k] <= constants.limit:
+                result[i, 0], result[i, 1], result[i, 2] = np.nan, np.nan, np.nan
+                continue
+            if radius[k] > constants.exact_from:
+                result[i, 0], coarse = np.inf, True
+                continue
+            position = radius[k] * constants.per_radius
+            piece = np.uint64(min(position, last))
+            s = position - piece
+            scale = table[piece, 0] + s * (table[piece, 1] + s * (table[piece, 2] + s * table[piece, 3]))
+            z = table[piece, 4] + s * (table[piece, 5] + s * (table[piece, 6] + s * table[piece, 7]))
+            result[i, 0] = scale * (xe * x[k] + ye * y[k]) + ze * z
+            result[i, 1] = scale * (xn * x[k] + yn * y[k]) + zn * z
+            result[i, 2] = scale * (xu * x[k] + yu * y[k]) + zu * z
+    return coarse
+
+
+# The displacement taken out of many pixels at once, from cubic splines on a grid over the image.
+
+_PER_HALF_WAVE = 32.0
+"""Nodes a half wave of the shortest: a cubic spline is then off by (pi / 32)⁴ / 384 of its amplitude, 2e-7."""
+_MARGIN = 4
+"""Nodes beyond the image on each side: the spline's edge does not reach back further."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DisplacementTable:
+    """A displacement's inverse, ready for many pixels.
+
+    Attributes
+    ----------
+    displacement : answers beyond the grid.
+    origin_px, step_px : of the grid, along x and y.
+    coefficients : (rows, columns, 2) of the splines of the displacement, as a function of the displaced pixel, px.
+    """
+
+    displacement: Displacement
+    origin_px: tuple[float, float]
+    step_px: tuple[float, float]
+    coefficients: FloatArray
+
+    def taken_out(self, pixels: FloatArray) -> FloatArray:
+        """Return (n, 2): what `Displacement.taken_out` returns for pixels (n, 2), to 1e-6 px."""
+        pixel = np.ascontiguousarray(pixels, dtype=np.float64)
+        result = np.empty(pixel.shape)
+        if _write_taken_out(self.coefficients, self.origin_px, self.step_px, pixel, result):
+            beyond = np.isinf(result[:, 0])
+            result[beyond] = self.displacement.taken_out(pixel[beyond])
+        return result
+
+
+def displacement_table(displacement: Displacement, *, width: int, height: int) -> DisplacementTable:
+    """Return the table of a displacement over an image of `width` by `height` px."""
+    orders = np.max(np.array(displacement.orders), axis=0, initial=1)
+    steps = [2.0 * half / (_PER_HALF_WAVE * order) for half, order in zip(displacement.half_px, orders, strict=True)]
+    counts = [math.ceil(size / step) + 1 + 2 * _MARGIN for size, step in zip((width, height), steps, strict=True)]
+    origin = (-0.5 - _MARGIN * steps[0], -0.5 - _MARGIN * steps[1])
+    axes = [origin[a] + steps[a] * np.arange(counts[a]) for a in (0, 1)]
+    nodes = np.stack(np.meshgrid(*axes, indexing="xy"), axis=-1)
+    shift = nodes - displacement.taken_out(nodes.reshape(-1, 2)).reshape(nodes.shape)
+    coefficients = np.stack([spline_filter(shift[..., a], order=3, mode="mirror") for a in (0, 1)], axis=-1)
+    return DisplacementTable(
+        displacement=displacement,
+        origin_px=origin,
+        step_px=(steps[0], steps[1]),
+        coefficients=np.ascontiguousarray(coefficients),
+    )
+
+
+@njit(nogil=True)
+def _write_taken_out(
+    coefficients: FloatArray,
+    origin: tuple[float, float],
+    step: tuple[float, float],
+    pixels: FloatArray,
+    result: FloatArray,
+) -> bool:
+    """Write the pixels without the displacement; infinite beyond the grid, and whether any is."""
+    rows, columns = coefficients.shape[0], coefficients.shape[1]
+    any_beyond = False
+    for i in range(pixels.shape[0]):
+        x, y = pixels[i, 0], pixels[i, 1]
+        across, down = (x - origin[0]) / step[0] - 1.0, (y - origin[1]) / step[1] - 1.0
+        if math.isnan(across) or math.isnan(down):
+            result[i, 0], result[i, 1] = np.nan, np.nan
+            continue
+        if not (0.0 <= across < columns - 3.0 and 0.0 <= down < rows - 3.0):
+            result[i, 0], any_beyond = np.inf, True
+            continue
+        a, a0, a1, a2, a3 = spline_weights(across, columns - 4)
+        b, b0, b1, b2, b3 = spline_weights(down, rows - 4)
+        shift_x, shift_y = 0.0, 0.0
+        for k, weight in enumerate((b0, b1, b2, b3)):
+            for m, along in enumerate((a0, a1, a2, a3)):
+                shift_x += weight * along * coefficients[b + k, a + m, 0]
+                shift_y += weight * along * coefficients[b + k, a + m, 1]
+        result[i, 0], result[i, 1] = x - shift_x, y - shift_y
+    return any_beyond
+
+
+_PIECES = 1024
+_NEWTON = 12
+_TABLE_ERROR = 3e-10
+_SMALLEST_ERROR = 1e-10
+_MOST_ROUNDS = 60
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class InverseTable:
+    """A camera's inverse, ready for many pixels: cubic pieces of sin(θ)/r and cos(θ) over the radius r.
+
+    Attributes
+    ----------
+    camera : the camera.
+    constants : its numbers; from the radius `exact_from` on the lens hardly rises, and the exact inverse answers.
+    rotation : (3, 3) from east-north-up to the camera.
+    pieces : (n, 8) coefficients.
+    rounds : fixed-point rounds that take out the decentering; None where they do not converge and the exact inverse
+        answers everywhere.
+    displacement : takes out the camera's displacement, where it has one.
+    """
+
+    constants: InverseConstants
+    camera: Camera
+    rotation: FloatArray
+    pieces: FloatArray
+    rounds: int | None
+    displacement: DisplacementTable | None
+
+    def directions(self, pixels: ArrayLike) -> FloatArray:
+        """Return what `unproject` returns for pixels (..., 2), to about 1e-8 px."""
+        pixel = np.ascontiguousarray(pixels, dtype=np.float64)
+        result = np.empty((*pixel.shape[:-1], 3))
+        self.write_directions(pixel, result)
+        return result
+
+    def write_directions(self, pixels: FloatArray, result: FloatArray) -> None:
+        """Write into `result` (..., 3) what `directions` returns; both arrays are contiguous."""
+        flat, into = pixels.reshape(-1, 2), result.reshape(-1, 3)
+        if self.displacement is not None:
+            flat = self.displacement.taken_out(flat)
+        if self.rounds is None:
+            into[:] = unproject(self.camera.lens_alone(), flat)
+        elif directions_of(self.constants, self.rotation, self.pieces, self.rounds, flat, into):
+            coarse = np.isinf(into[:, 0])
+            into[coarse] = unproject(self.camera.lens_alone(), flat[coarse])
+
+
+def inverse_table(camera: Camera) -> InverseTable:
+    """Return the table of a camera."""
+    limit = rising_limit(camera, up_to=largest_angle(camera))
+    largest = float(distorted_radius(camera, limit))
+    radius = np.linspace(0.0, largest, _PIECES + 1)
+    theta = _angles(camera, radius, limit)
+    slope = 1.0 / radius_slope(camera, theta)
+    safe = np.where(radius > 0.0, radius, 1.0)
+    scale = np.where(radius > 0.0, np.sin(theta) / safe, slope[0])
+    scale_slope = np.where(radius > 0.0, (np.cos(theta) * slope - scale) / safe, 0.0)
+    scale_slope[0] = _first_slope(camera, slope[0])
+    cosine, cosine_slope = np.cos(theta), -np.sin(theta) * slope
+    step = largest / _PIECES
+    pieces = np.concatenate([_cubic(scale, scale_slope * step), _cubic(cosine, cosine_slope * step)], axis=1)
+    p1, p2, p3, p4 = camera.decentering
+    beside = camera.displacement
+    constants = InverseConstants(
+        1.0 / camera.focal_length_px[0],
+        1.0 / camera.focal_length_px[1],
+        camera.skew_px,
+        *camera.principal_point_px,
+        mirror_of(camera),
+        p1,
+        p2,
+        p3,
+        p4,
+        1.0 / step,
+        largest * (1.0 + 1e-12),
+        _exact_from(camera, pieces, radius, limit),
+    )
+    return InverseTable(
+        camera=camera,
+        constants=constants,
+        rotation=rotation_matrix(camera.rotation_cam_enu),
+        pieces=np.ascontiguousarray(pieces),
+        rounds=_rounds(camera, largest),
+        displacement=None if beside is None else displacement_table(beside, width=camera.width, height=camera.height),
+    )
+
+
+def _exact_from(camera: Camera, pieces: FloatArray, radius: FloatArray, limit: float) -> float:
+    """Return the radius of the first piece whose middle is off by more than `_TABLE_ERROR`; infinite without one."""
+    middle = 0.5 * (radius[1:] + radius[:-1])
+    half = 0.5 ** np.arange(4)
+    theta = _angles(camera, middle, limit)
+    off = np.abs(pieces[:, :4] @ half * middle - np.sin(theta)) + np.abs(pieces[:, 4:] @ half - np.cos(theta))
+    coarse = np.flatnonzero(off > _TABLE_ERROR)
+    return float(radius[coarse[0]]) if coarse.size else math.inf
+
+
+def _angles(camera: Camera, radius: FloatArray, limit: float) -> FloatArray:
+    grid = np.linspace(0.0, limit, 1025)
+    theta = np.interp(radius, distorted_radius(camera, grid), grid)
+    for _ in range(_NEWTON):
+        theta = theta - (distorted_radius(camera, theta) - radius) / radius_slope(camera, theta)
+        theta = np.clip(theta, 0.0, limit)
+    return np.asarray(theta)
+
+
+def _first_slope(camera: Camera, inverse_slope: float) -> float:
+    """Return d(sin θ / r)/dr on the axis, where r = aθ + bθ² + …: -b / a³."""
+    quadratic = camera.radial[0] / (math.pi / 2) ** 2
+    return -quadratic * inverse_slope**3
+
+
+def _cubic(value: FloatArray, slope: FloatArray) -> FloatArray:
+    """Return (n, 4): the Hermite cubics between knots, for a place from 0 to 1."""
+    rise = value[1:] - value[:-1]
+    return np.stack(
+        [value[:-1], slope[:-1], 3.0 * rise - 2.0 * slope[:-1] - slope[1:], slope[:-1] + slope[1:] - 2.0 * rise],
+        axis=1,
+    )
+
+
+def _rounds(camera: Camera, largest: float) -> int | None:
+    """Return how many fixed-point rounds bring the decentering's error below 1e-10 focal lengths, as tried out."""
+    if not any(camera.decentering[:2]):
+        return 0
+    radius, azimuth = np.meshgrid(np.linspace(0.1, 1.0, 7) * largest, np.linspace(0.0, 2.0 * math.pi, 24))
+    x_hat, y_hat = radius * np.cos(azimuth), radius * np.sin(azimuth)
+    x, y = x_hat, y_hat
+    with np.errstate(over="ignore", invalid="ignore"):  # rounds that diverge do so to infinity
+        for number in range(_MOST_ROUNDS):
+            r = np.hypot(x, y)
+            shift_x, shift_y = decentering_shift(camera.decentering, r, x / r, y / r)
+            change = float(np.max(np.hypot(x_hat - shift_x - x, y_hat - shift_y - y)))
+            if change < _SMALLEST_ERROR:
+                return number
+            x, y = x_hat - shift_x, y_hat - shift_y
+    return None

@@ -1,0 +1,254 @@
+"""Epochs and calibrations of a camera: the lens from all sightings of its lens, the pose from those of its own."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import sunarc
+from sunarc.array_types import IntArray, stacked
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.changes.step_search import find_pose_steps
+from sunarc.calibration.model.document import to_document
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.pose import estimate_pose
+from sunarc.calibration.quality.site_checks import tilt_question
+from sunarc.calibration.robust_loss import robust_sigma
+from sunarc.calibration.selection import select_sightings, surest_of_epochs
+from sunarc.findings import Finding
+from sunarc.reanalysis.look import key_of
+from sunarc.reanalysis.states import Camera, Epoch, State, find_epochs, find_states, joined, with_true_clock
+from sunarc.utc import utc_time
+
+_FEWEST_FOR_STEPS = 150
+"""Sightings of a pose in which small steps are searched for: a step that few show is as large as a state of its own."""
+
+
+class Fitted(NamedTuple):
+    """A calibration of a pose, the rows of the suns that it was given, and the stars beside them."""
+
+    calibration: Calibration
+    rows: IntArray
+    stars: SunPoints | None = None
+
+
+def with_small_steps(points: SunPoints, path: IntArray, states: Sequence[State], camera: Camera) -> list[State]:
+    """Return states with those of small steps of the pose, which no single sighting shows."""
+    together = joined(points, path, states)
+    refined = list(states)
+    for pose in np.unique(together.epoch).tolist():
+        rows = np.flatnonzero(together.epoch == pose)
+        if rows.size < _FEWEST_FOR_STEPS:
+            continue
+        of_pose = replace(together.select(rows), epoch=np.zeros(rows.size, dtype=np.int64))
+        number, state = next((n, one) for n, one in enumerate(states) if one.pose == pose)
+        steps = find_pose_steps(
+            of_pose, site=camera.site, image_size=camera.size, options=camera.loosely(), lens=state.calibration
+        )
+        if steps:
+            bounds = [-math.inf, *(0.5 * (step.before_unix_s + step.after_unix_s) for step in steps), math.inf]
+            parts = [(of_pose.unix_s >= low) & (of_pose.unix_s < high) for low, high in itertools.pairwise(bounds)]
+            posed = [_posed(state, of_pose.select(part), camera) for part in parts]
+            refined[number] = posed[0]._replace(pose=pose)
+            free = 1 + max(one.pose for one in refined)
+            refined += [one._replace(pose=free + k) for k, one in enumerate(posed[1:])]
+    return refined
+
+
+def _posed(state: State, points: SunPoints, camera: Camera) -> State:
+    posed = estimate_pose(points, start=state.calibration, site=camera.site, options=camera.loosely())
+    return state._replace(calibration=posed)
+
+
+def fit_poses(
+    points: SunPoints,
+    path: IntArray,
+    states: Sequence[State],
+    camera: Camera,
+    *,
+    stars: SunPoints | None = None,
+) -> dict[int, Fitted]:
+    """Return the calibration of each pose that has sightings, by its number.
+
+    Parameters
+    ----------
+    points, path : sightings of the sun at their stated times, and the state of each.
+    states, camera : see there.
+    stars : of the night, at their true times, with poses as epochs; with them, only the poses whose lens has some.
+    """
+    together = joined(points, path, states)
+    lens_of = {state.pose: state.lens for state in states}
+    lenses = np.array([lens_of[int(pose)] for pose in together.epoch], dtype=np.int64)
+    fitted = {}
+    for pose in np.unique(together.epoch).tolist():
+        rows = np.flatnonzero(lenses == lens_of[pose])
+        of_lens = together.select(rows)
+        # the calibration is of the last epoch: this pose goes last, the others before it in any order
+        order = [*(one for one in np.unique(of_lens.epoch).tolist() if one != pose), pose]
+        ordered = _numbered(of_lens, order)
+        beside = None if stars is None else _stars_beside(stars, order, camera)
+        if stars is not None and beside is None:
+            continue
+        selection = select_sightings(ordered, site=camera.site, slot_s=1.0)
+        selected = ordered.select(selection.index)
+        given = selected if beside is None else _merged(selected, beside)
+        solved = calibrate(given, site=camera.site, image_size=camera.size, options=camera.options)
+        evidence = replace(solved.evidence, selection=selection.counts())
+        fitted[int(pose)] = Fitted(replace(solved, evidence=evidence), rows[selection.index], beside)
+    return fitted
+
+
+def _numbered(points: SunPoints, order: Sequence[int]) -> SunPoints:
+    """Return sightings whose epochs are the places of their poses in an order."""
+    number = {one: place for place, one in enumerate(order)}
+    return replace(points, epoch=np.array([number[one] for one in points.epoch.tolist()], dtype=np.int64))
+
+
+def _stars_beside(stars: SunPoints, order: Sequence[int], camera: Camera) -> SunPoints | None:
+    """Return the stars that a fit of some poses uses, the last pose's first; None where they have none."""
+    of_lens = stars.select(np.isin(stars.epoch, np.array(order)))
+    if len(of_lens) == 0:
+        return None
+    numbered = _numbered(of_lens, order)
+    return numbered.select(surest_of_epochs(numbered.pixels, numbered.sigma_px, numbered.epoch, camera.size))
+
+
+def _merged(suns: SunPoints, stars: SunPoints) -> SunPoints:
+    """Return sightings of both in the order of time."""
+    merged = stacked([suns, stars])
+    return merged.select(np.argsort(merged.unix_s, kind="stable"))
+
+
+def better_of(fitted: Mapping[int, Fitted], both: Mapping[int, Fitted]) -> dict[int, Fitted]:
+    """Return the calibrations by suns and stars, that by suns alone of a pose where the other is refused or not there.
+
+    Parameters
+    ----------
+    fitted : by suns alone, by pose.
+    both : by suns and stars.
+    """
+    return {
+        pose: both[pose] if pose in both and not _is_worse(both[pose], one) else one for pose, one in fitted.items()
+    }
+
+
+def _is_worse(both: Fitted, one: Fitted) -> bool:
+    return one.calibration.verdict.accepted and not both.calibration.verdict.accepted
+
+
+def document_of(
+    fitted: Fitted, points: SunPoints, epoch: Epoch, *, camera: str, name: str, evidence: Mapping[str, object]
+) -> dict[str, Any]:
+    """Return the calibration document of an epoch, valid from its first to its last sighting.
+
+    Its id is made of the sightings, so that the same archive gives the same one.
+    """
+    solved, offset = fitted.calibration, points
+    rows = fitted.rows
+    stars = fitted.stars
+    beside = () if stars is None else (stars.unix_s.tobytes(), stars.pixels.tobytes())
+    identity = key_of((camera, name, offset.unix_s[rows].tobytes(), offset.pixels[rows].tobytes(), *beside))
+    selection = {**solved.evidence.selection, **evidence, **({} if stars is None else {"n_stars": len(stars)})}
+    last = utc_time(epoch.end_unix_s)
+    return to_document(
+        replace(solved, evidence=replace(solved.evidence, selection=selection)),
+        id=identity,
+        camera=camera,
+        state="candidate" if solved.verdict.accepted else "refused",
+        created_at=last,
+        valid_from=utc_time(epoch.start_unix_s),
+        valid_until=last,
+        pose_epoch=name,
+        software_version=sunarc.__version__,
+    )
+
+
+def doubts(calibration: Calibration, camera: Camera) -> tuple[Finding, ...]:
+    """Return what a camera's first fit says against the site or the times that were given."""
+    found = []
+    wanted = camera.options.mirrored
+    if wanted != "auto" and calibration.camera.mirrored != (wanted == "yes"):
+        found.append(Finding("camera_mirrored", {"mirrored": "yes" if calibration.camera.mirrored else "no"}))
+    tilted = tilt_question(calibration.camera, camera.site)
+    return (*found, tilted) if tilted is not None else tuple(found)
+
+
+_SIGMA_FLOOR_PX = 0.05
+
+
+class Sightings(NamedTuple):
+    """Accepted sightings of a camera at their stated times, and the states that are known so far."""
+
+    points: SunPoints
+    camera: Camera
+    states: tuple[State, ...] = ()
+
+
+class Rough(NamedTuple):
+    """States and epochs after the first pass, and what is doubtful or why there are none."""
+
+    states: tuple[State, ...] = ()
+    epochs: tuple[Epoch, ...] = ()
+    findings: tuple[Finding, ...] = ()
+
+
+class Final(NamedTuple):
+    """States, epochs, the state of each sighting (n,), and the calibration of each pose by its number."""
+
+    states: tuple[State, ...]
+    epochs: tuple[Epoch, ...]
+    path: IntArray
+    fitted: dict[int, Fitted]
+
+
+def first_analysis(given: Sightings) -> Rough:
+    """Return the states and epochs of a camera by its first pass."""
+    found = find_states(given.points, given.camera)
+    if found.finding is not None:
+        return Rough(findings=(found.finding,))
+    epochs, path = find_epochs(given.points, found.states, given.camera)
+    states = with_true_clock(found.states, path)
+    largest = states[max(range(len(states)), key=lambda number: int((path == number).sum()))]
+    return Rough(tuple(states), tuple(epochs), doubts(largest.calibration, given.camera))
+
+
+def final_analysis(given: Sightings) -> Final:
+    """Return the epochs and calibrations of a camera by its second pass."""
+    points, camera = given.points, given.camera
+    _, path = find_epochs(points, given.states, camera)
+    states = with_small_steps(points, path, given.states, camera)
+    _, path = find_epochs(points, states, camera)
+    fitted = fit_poses(points, path, states, camera)
+    refined = [_refined(state, fitted, points.select(path == number), camera) for number, state in enumerate(states)]
+    epochs, path = find_epochs(points, refined, camera)
+    return Final(tuple(refined), tuple(epochs), path, fitted)
+
+
+class Starry(NamedTuple):
+    """Accepted sightings of a camera, what came of them, and the stars of its nights."""
+
+    given: Sightings
+    final: Final
+    stars: SunPoints
+
+
+def starry_analysis(of: Starry) -> Final:
+    """Return epochs and calibrations with those calibrations that are better fitted to suns and stars."""
+    final, given = of.final, of.given
+    both = fit_poses(given.points, final.path, final.states, given.camera, stars=of.stars)
+    return final._replace(fitted=better_of(final.fitted, both))
+
+
+def _refined(state: State, fitted: dict[int, Fitted], points: SunPoints, camera: Camera) -> State:
+    """Return a state with the calibration that was fitted to all of its sightings."""
+    found = fitted.get(state.pose)
+    if found is None or found.calibration.evidence.n_used == 0 or len(points) == 0:
+        return state
+    distance = camera.distances_of(found.calibration, points, state.clock_offset_s)
+    return state._replace(calibration=found.calibration, sigma_px=robust_sigma(distance, floor=_SIGMA_FLOOR_PX))

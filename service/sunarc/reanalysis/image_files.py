@@ -1,0 +1,568 @@
+"""The images in a file: one in a picture or FITS file, many in NetCDF or a video; what cannot be used is refused."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import os
+import re
+import struct
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
+from pathlib import Path, PurePosixPath
+from typing import Any, Literal, NamedTuple, Protocol
+
+import cv2
+import numpy as np
+from PIL import ExifTags
+from PIL import Image as Pictures
+
+from sunarc.array_types import Image
+from sunarc.detection.values import BAYERS, Bayer
+from sunarc.errors import InputError
+from sunarc.extras import extra_module
+from sunarc.findings import Finding
+from sunarc.imaging.metadata import document_of
+from sunarc.reanalysis.files import read_file
+from sunarc.reanalysis.messages import RefusedImageError
+from sunarc.utc import parse_time
+
+
+class SourceFile(NamedTuple):
+    """A file of a source: its name below the source, its size in bytes, and what changes with its content."""
+
+    name: str
+    size: int
+    stamp: str
+
+
+class ImageSource(Protocol):
+    """Files that can be listed and read, in any number of processes at once.
+
+    Attributes
+    ----------
+    address : what `open_source` opens it by.
+    """
+
+    @property
+    def address(self) -> str:
+        """What `open_source` opens it by."""
+
+    def files(self) -> Iterator[SourceFile]:
+        """Yield all files, in the order of their names."""
+
+    def read(self, name: str) -> bytes:
+        """Return a file's content.
+
+        Raises
+        ------
+        OSError : it cannot be read.
+        """
+
+    def path(self, name: str) -> Path | None:
+        """Return where a file is on this disk; None where it is within another file, or elsewhere."""
+
+
+_FORMATS = ("JPEG", "PNG", "TIFF", "JPEG2000")  # a JPEG of several images (MPO) opens as JPEG
+_ONE_IMAGE = ("JPEG", "MPO")  # further images of an MPO are previews
+_UPRIGHT = 1
+_START_OF_SCAN, _END_OF_IMAGE = 0xDA, b"\xff\xd9"
+
+
+def image_size(path: Path) -> tuple[int, int] | None:
+    """Return width and height that a file's header states, px; None where it has none."""
+    try:
+        with Pictures.open(path, formats=_FORMATS) as picture:
+            return picture.size
+    except (OSError, ValueError, SyntaxError, Pictures.DecompressionBombError):
+        return None
+
+
+def read_checked_image(path: Path, *, size: tuple[int, int] | None = None) -> Image:
+    """Read an image file, (rows, columns) or (rows, columns, 3), uint8 or uint16, as it is stored.
+
+    Parameters
+    ----------
+    path : PNG, JPEG, TIFF or JPEG 2000.
+    size : width and height that it must have, px.
+
+    Raises
+    ------
+    RefusedImageError : it is truncated, animated, transparent, for print, to be rotated, of another size, or no image.
+    """
+    try:
+        encoded = read_file(path)
+    except InputError as error:
+        raise _unreadable(path.name, error.problem) from None
+    return checked_image(encoded, path.name, size=size)
+
+
+def checked_image(encoded: bytes, name: str, *, size: tuple[int, int] | None = None) -> Image:
+    """Return the image of a file's content; see `read_checked_image`."""
+    fault = _header_fault(encoded, size)
+    if fault is not None:
+        raise RefusedImageError(name, fault)
+    try:
+        image = cv2.imdecode(np.frombuffer(encoded, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        image = None
+    if image is not None and image.dtype == np.uint8:
+        return _opaque(image.astype(np.uint8, copy=False), name)
+    if image is not None and image.dtype == np.uint16:
+        return _opaque(image.astype(np.uint16, copy=False), name)
+    raise _unreadable(name, "no image of 8 or 16 bits")
+
+
+def _unreadable(name: str, error: str) -> RefusedImageError:
+    return RefusedImageError(name, Finding("file_not_image", {"error": error}))
+
+
+def _opaque(image: Image, name: str) -> Image:
+    """Return an image without its alpha channel; one that is not opaque everywhere is refused."""
+    if image.ndim == 2 or image.shape[2] == 3:
+        return image
+    if image.shape[2] != 4:
+        raise _unreadable(name, f"{image.shape[2]} channels")
+    transparent = float(np.mean(image[..., 3] < np.iinfo(image.dtype).max))
+    if transparent > 0.0:
+        raise RefusedImageError(name, Finding("file_transparent", {"share": transparent}))
+    return image[..., :3]
+
+
+class _Header(NamedTuple):
+    kind: str
+    size: tuple[int, int]
+    mode: str
+    frames: int
+    orientation: int
+
+
+def _header_fault(encoded: bytes, size: tuple[int, int] | None) -> Finding | None:
+    """Return what is wrong with an image, by its header and its end."""
+    try:
+        header = _header_of(encoded)
+    except (OSError, ValueError, TypeError, SyntaxError, Pictures.DecompressionBombError) as error:
+        return Finding("file_not_image", {"error": f"no PNG, JPEG, TIFF or JPEG 2000 image ({type(error).__name__})"})
+    width, height = header.size
+    wanted = size or header.size
+    faults = (
+        (_is_truncated(encoded, header.kind), Finding("file_truncated")),
+        (header.frames > 1, Finding("file_animated", {"frames": header.frames})),
+        (header.mode == "CMYK", Finding("file_cmyk")),
+        (header.orientation != _UPRIGHT, Finding("file_rotated", {"orientation": header.orientation})),
+        (
+            header.size != wanted,
+            Finding(
+                "file_size_differs",
+                {"width": width, "height": height, "camera_width": wanted[0], "camera_height": wanted[1]},
+            ),
+        ),
+    )
+    return next((finding for is_so, finding in faults if is_so), None)
+
+
+def _header_of(encoded: bytes) -> _Header:
+    with Pictures.open(io.BytesIO(encoded), formats=_FORMATS) as picture:
+        kind = str(picture.format)
+        frames = 1 if kind in _ONE_IMAGE else int(getattr(picture, "n_frames", 1))
+        orientation = picture.getexif().get(ExifTags.Base.Orientation, _UPRIGHT)
+        return _Header(kind, picture.size, picture.mode, frames, int(orientation))
+
+
+def _is_truncated(encoded: bytes, kind: str) -> bool:
+    """Return whether the marks at the end of the image data are missing; a decoder would fill in grey."""
+    if kind == "PNG":
+        return b"IEND" not in encoded
+    if kind in _ONE_IMAGE:
+        return _END_OF_IMAGE not in encoded[_scan_start(encoded) :]
+    return False
+
+
+def _scan_start(jpeg: bytes) -> int:
+    """Return where a JPEG's image data begin: its thumbnail, before them, has an end mark of its own."""
+    at = 2
+    while at + 4 <= len(jpeg) and jpeg[at] == 0xFF:
+        if jpeg[at + 1] == _START_OF_SCAN:
+            return at
+        at += 2 + int.from_bytes(jpeg[at + 2 : at + 4], "big")
+    return len(jpeg)
+
+
+Kind = Literal["picture", "fits", "netcdf", "video"]
+_KINDS: dict[str, Kind] = {
+    **dict.fromkeys((".png", ".jpg", ".jpeg", ".tif", ".tiff", ".jp2"), "picture"),
+    **dict.fromkeys((".fits", ".fit", ".fts"), "fits"),
+    **dict.fromkeys((".nc", ".nc4"), "netcdf"),
+    **dict.fromkeys((".mp4", ".m4v", ".mov", ".avi"), "video"),
+}
+MOST_BYTES = 1 << 30
+"""Size of a file that is still read: larger ones are no images, and would take a worker's memory."""
+_HEAD_BYTES = 1 << 17
+
+
+class Frame(NamedTuple):
+    """An image in a file: its number there, its mid-exposure time (aware, UTC) and exposure, None where not known."""
+
+    number: int
+    time: datetime | None = None
+    exposure_us: float | None = None
+
+
+def kind_of(name: str) -> Kind | None:
+    """Return the kind of a file by its name; None for one that holds no images."""
+    return _KINDS.get(PurePosixPath(name).suffix.lower())
+
+
+def frames_in(source: ImageSource, name: str, *, sidecar: Callable[[], bytes | None]) -> list[Frame]:
+    """Return the images in a file; a picture is not read for that.
+
+    Parameters
+    ----------
+    source, name : the file.
+    sidecar : reads the JSON file beside it; None where there is none.
+
+    Raises
+    ------
+    RefusedImageError : it cannot be read, or does not tell when its images were taken.
+    """
+    kind = kind_of(name)
+    if kind == "fits":
+        return [fits_frame(_content(source, name), name)]
+    if kind == "netcdf":
+        return netcdf_frames(source.path(name) or _content(source, name), name)
+    if kind == "video":
+        return video_frames(source.path(name) or _content(source, name), name, sidecar=sidecar())
+    return [Frame(0)]
+
+
+def images_in(
+    source: ImageSource, name: str, numbers: Sequence[int], *, size: tuple[int, int] | None
+) -> Iterator[tuple[int, Image | Finding]]:
+    """Yield images of a file, each with its number; one that cannot be used gives the finding why.
+
+    Parameters
+    ----------
+    source, name : the file.
+    numbers : of the images, ascending.
+    size : width and height that they must have, px; None for any.
+    """
+    try:
+        yield from _images(source, name, numbers, size)
+    except RefusedImageError as error:
+        yield from ((number, error.finding) for number in numbers)
+    except InputError as error:  # an extra is missing
+        unread = Finding("file_not_image", {"error": f"{error.problem}; {error.remedy}"})
+        yield from ((number, unread) for number in numbers)
+
+
+def _images(
+    source: ImageSource, name: str, numbers: Sequence[int], size: tuple[int, int] | None
+) -> Iterator[tuple[int, Image | Finding]]:
+    kind = kind_of(name)
+    if kind == "fits":
+        yield numbers[0], fits_image(_content(source, name), name, size=size)
+    elif kind == "netcdf":
+        yield from netcdf_images(source.path(name) or _content(source, name), name, numbers, size=size)
+    elif kind == "video":
+        yield from video_images(source.path(name) or _content(source, name), name, numbers, size=size)
+    else:
+        content = _content(source, name)
+        if (document_of(content[:_HEAD_BYTES]) or {}).get("preview"):
+            raise RefusedImageError(name, Finding("file_preview"))
+        yield numbers[0], checked_image(content, name, size=size)
+
+
+def _content(source: ImageSource, name: str) -> bytes:
+    try:
+        return source.read(name)
+    except OSError as error:
+        unread = Finding("file_not_image", {"error": error.strerror or str(error)})
+        raise RefusedImageError(name, unread) from None
+
+
+def require_size(shape: tuple[int, ...], name: str, size: tuple[int, int] | None) -> None:
+    """Refuse an image, (rows, columns[, colours]), that has another size than it must have.
+
+    Raises
+    ------
+    RefusedImageError : it has.
+    """
+    height, width = shape[:2]
+    if size is not None and (width, height) != size:
+        sizes = {"width": width, "height": height, "camera_width": size[0], "camera_height": size[1]}
+        raise RefusedImageError(name, Finding("file_size_differs", sizes))
+
+
+_EXPOSURES = ("EXPTIME", "EXPOSURE")
+_MEAN = "AVEPIXEL"
+"""The mean of 256 frames in the files of RMS, whose first image is the maximum."""
+
+
+def fits_frame(content: bytes, name: str) -> Frame:
+    """Return the time and exposure that a FITS file's header states."""
+    merged = _fits_cards(content, name)
+    exposure_s = next((_number(merged[key]) for key in _EXPOSURES if key in merged), math.nan)
+    exposure_us = 1e6 * exposure_s if exposure_s > 0.0 else None
+    middle, begin = _fits_time(merged, "DATE-AVG"), _fits_time(merged, "DATE-OBS")
+    if middle is None and begin is not None:
+        middle = begin + timedelta(seconds=0.5 * exposure_s if exposure_us is not None else 0.0)
+    return Frame(0, middle, exposure_us)
+
+
+def fits_image(content: bytes, name: str, *, size: tuple[int, int] | None) -> Image:
+    """Return the image of a FITS file, (rows, columns) or (rows, columns, 3).
+
+    Raises
+    ------
+    RefusedImageError : it has none of 8 or 16 bits, or of another size.
+    """
+    images = [hdu for hdu in _fits_units(content, name) if len(hdu.shape) in {2, 3}]
+    images.sort(key=lambda hdu: hdu.name != _MEAN)
+    if not images:
+        raise _unreadable(name, "no image in it")
+    shape = images[0].shape
+    planes = len(shape) == 3
+    if planes and shape[0] != 3:
+        raise _unreadable(name, f"axes {shape}, of which the first is no three colours")
+    require_size(shape[1:] if planes else shape, name, size)
+    if images[0].fileinfo()["datLoc"] + images[0].size > len(content):
+        raise RefusedImageError(name, Finding("file_truncated"))
+    try:
+        data = np.asarray(images[0].data)
+    except (OSError, ValueError, TypeError) as error:
+        raise _unreadable(name, f"its pixels cannot be read ({type(error).__name__})") from None
+    if data.dtype.newbyteorder("=") == np.dtype(np.int16) and data.size and data.min() >= 0:
+        data = data.astype(np.uint16)  # of cameras that write counts below 32768 without an offset
+    if data.dtype.newbyteorder("=") not in {np.dtype(np.uint8), np.dtype(np.uint16)}:
+        raise _unreadable(name, f"pixels are {data.dtype.name}, not 8 or 16 bits")
+    native = data.astype(data.dtype.newbyteorder("="))
+    # OpenCV's order of colours, as all images here
+    return np.ascontiguousarray(np.moveaxis(native, 0, -1)[..., ::-1]) if planes else native
+
+
+def fits_bayer(content: bytes, name: str) -> Bayer | None:
+    """Return the colours of a raw mosaic as the header states them (BAYERPAT, of its first stored row); None: none."""
+    merged = _fits_cards(content, name)
+    stated = str(merged.get("BAYERPAT", "")).strip().upper()
+    rows = [stated[:2], stated[2:]]
+    if _odd(merged.get("XBAYROFF")):
+        rows = [row[::-1] for row in rows]
+    if _odd(merged.get("YBAYROFF")):
+        rows = rows[::-1]
+    return next((bayer for bayer in BAYERS if bayer == "".join(rows)), None)
+
+
+def _fits_cards(content: bytes, name: str) -> dict[str, Any]:
+    """Return the cards of all headers by their names, those of the first before those of the others."""
+    merged: dict[str, Any] = {}
+    for hdu in reversed(_fits_units(content, name)):
+        merged.update(hdu.header)
+    return merged
+
+
+def _odd(value: object) -> bool:
+    return isinstance(value, int) and value % 2 == 1
+
+
+def _fits_units(content: bytes, name: str) -> list[Any]:
+    fits = extra_module("astropy.io.fits", extra="fits")
+    try:
+        with warnings.catch_warnings():  # of headers beside the standard, and of truncation, which is looked at here
+            warnings.simplefilter("ignore")
+            return [hdu for hdu in fits.open(io.BytesIO(content), uint=True, memmap=False) if hdu.is_image]
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise _unreadable(name, f"no FITS file ({error})") from None
+
+
+def _fits_time(header: dict[str, Any], key: str) -> datetime | None:
+    text, clock = str(header.get(key, "")), header.get("TIME-OBS")
+    if clock is not None and len(text) == len("2013-05-13"):
+        text = f"{text}T{clock}"
+    try:
+        time = datetime.fromisoformat(text.removesuffix("Z")[:26]) if "T" in text else None
+    except ValueError:
+        return None
+    scale = str(header.get("TIMESYS", "UTC")).strip().upper()
+    return time.replace(tzinfo=UTC) if time is not None and scale in {"UTC", "UT"} else None
+
+
+def _number(value: object) -> float:
+    return float(value) if isinstance(value, int | float) else math.nan
+
+
+_UNITS = re.compile(
+    r"^(\w+) since (\d{4}-\d{1,2}-\d{1,2})[T ]?(\d{1,2}:\d{2}(?::\d{2}(?:\.\d+)?)?)?\s*(Z|UTC|[+-]0?0:?00|0:00)?$"
+)
+_SECONDS = {"days": 86_400.0, "hours": 3600.0, "minutes": 60.0, "seconds": 1.0, "milliseconds": 1e-3}
+
+
+def netcdf_frames(file: Path | bytes, name: str) -> list[Frame]:
+    """Return the images of a NetCDF file, with the times of their coordinate (CF conventions, section 4.4).
+
+    Raises
+    ------
+    RefusedImageError : it is none, has no images, or no times in UTC.
+    """
+    with _netcdf(file, name) as opened:
+        images = _netcdf_images(opened, name)
+        times = opened.variables[images.dimensions[0]]
+        values = np.asarray(times[...], dtype=np.float64)
+        begin, unit_s = _units(str(_text(times.attrs.get("units", ""))), name)
+        return [Frame(n, begin + timedelta(seconds=unit_s * float(value))) for n, value in enumerate(values.tolist())]
+
+
+def netcdf_images(
+    file: Path | bytes, name: str, numbers: Sequence[int], *, size: tuple[int, int] | None
+) -> Iterator[tuple[int, Image | Finding]]:
+    """Yield images of a NetCDF file by their numbers."""
+    with _netcdf(file, name) as opened:
+        images = _netcdf_images(opened, name)
+        require_size(images.shape[1:], name, size)
+        for number in numbers:
+            image = np.asarray(images[number])
+            # RGB, as is usual in files for viewers, to OpenCV's order
+            yield number, np.ascontiguousarray(image[..., ::-1]) if image.ndim == 3 else image
+
+
+def _netcdf(file: Path | bytes, name: str) -> Any:  # noqa: ANN401 - h5netcdf's file
+    legacy = extra_module("h5netcdf", extra="netcdf")
+    try:
+        return legacy.File(io.BytesIO(file) if isinstance(file, bytes) else file, "r")
+    except (OSError, ValueError, TypeError) as error:
+        raise _unreadable(name, f"no NetCDF-4 file ({error})") from None
+
+
+def _netcdf_images(opened: Any, name: str) -> Any:  # noqa: ANN401 - h5netcdf's variables
+    found = [
+        variable
+        for variable in opened.variables.values()
+        if variable.ndim in {3, 4}
+        and variable.dtype in {np.dtype(np.uint8), np.dtype(np.uint16)}
+        and variable.dimensions[0] in opened.variables
+        and (variable.ndim == 3 or variable.shape[-1] == 3)
+    ]
+    if not found:
+        raise _unreadable(name, "no variable (time, rows, columns[, 3]) of 8 or 16 bits with its times")
+    return max(found, key=lambda variable: int(np.prod(variable.shape)))
+
+
+def _units(units: str, name: str) -> tuple[datetime, float]:
+    match = _UNITS.match(units.strip())
+    if match is None or match[1] not in _SECONDS:
+        raise RefusedImageError(name, Finding("file_time_units", {"units": units}))
+    try:
+        year, month, day = (int(part) for part in match[2].split("-"))
+        clock = f"{match[3] or '00:00:00'}".zfill(5)
+        return parse_time(f"{year:04d}-{month:02d}-{day:02d}T{clock}Z", where=name).astimezone(UTC), _SECONDS[match[1]]
+    except (InputError, ValueError):
+        raise RefusedImageError(name, Finding("file_time_units", {"units": units})) from None
+
+
+def _text(value: object) -> str:
+    return value.decode() if isinstance(value, bytes) else str(value)
+
+
+_SINCE_1904 = datetime(1904, 1, 1, tzinfo=UTC)
+"""Epoch of the times in MPEG-4 containers (ISO/IEC 14496-12, 8.2.2)."""
+_REAL_TIME_S = 1.0
+"""Interval of a container's frames from which it is taken for that of the images: a time-lapse plays many a second."""
+
+
+def video_frames(file: Path | bytes, name: str, *, sidecar: bytes | None) -> list[Frame]:
+    """Return the images of a video with their times.
+
+    Parameters
+    ----------
+    file, name : the video.
+    sidecar : JSON with `times_utc`, one a frame, or with `start_utc` and `interval_s`; None without one.
+
+    Raises
+    ------
+    RefusedImageError : it is no video, or nothing tells when its images were taken.
+    """
+    with _video(file, name) as video:
+        count = int(video.get(cv2.CAP_PROP_FRAME_COUNT))
+        rate = float(video.get(cv2.CAP_PROP_FPS))
+    if count < 1:
+        raise RefusedImageError(name, Finding("file_not_image", {"error": "no video with frames"}))
+    if sidecar is not None:
+        times = _sidecar_times(sidecar, name, count)
+    elif rate > 0.0 and 1.0 / rate >= _REAL_TIME_S and (created := _created(file)) is not None:
+        times = [created + timedelta(seconds=number / rate) for number in range(count)]
+    else:
+        raise RefusedImageError(name, Finding("file_video_times", {"frames": count, "frames_per_s": rate}))
+    return [Frame(number, time) for number, time in enumerate(times)]
+
+
+def video_images(
+    file: Path | bytes, name: str, numbers: Sequence[int], *, size: tuple[int, int] | None
+) -> Iterator[tuple[int, Image | Finding]]:
+    """Yield frames of a video by their numbers; it is decoded from its beginning, since seeking misses frames."""
+    wanted = set(numbers)
+    with _video(file, name) as video:
+        for number in range(max(numbers) + 1):
+            done = video.grab()
+            if number not in wanted:
+                continue
+            image = video.retrieve()[1] if done else None
+            if image is None:
+                yield number, Finding("file_truncated")
+                continue
+            require_size(image.shape, name, size)
+            yield number, image.astype(np.uint8, copy=False)
+
+
+@contextmanager
+def _video(file: Path | bytes, name: str) -> Iterator[cv2.VideoCapture]:
+    with _path(file, name) as path:
+        video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+        try:
+            if not video.isOpened():
+                raise RefusedImageError(name, Finding("file_not_image", {"error": "no video that can be decoded"}))
+            yield video
+        finally:
+            video.release()
+
+
+@contextmanager
+def _path(file: Path | bytes, name: str) -> Iterator[Path]:
+    """Give a path of a video; one within an archive is laid into memory, never onto the disk."""
+    if isinstance(file, Path):
+        yield file
+        return
+    descriptor = os.memfd_create(Path(name).name)
+    try:
+        os.write(descriptor, file)
+        yield Path(f"/proc/self/fd/{descriptor}")
+    finally:
+        os.close(descriptor)
+
+
+def _sidecar_times(text: bytes, name: str, count: int) -> list[datetime]:
+    try:
+        sidecar = json.loads(text)
+        if "times_utc" in sidecar:
+            times = [parse_time(str(one), where=name) for one in sidecar["times_utc"]]
+        else:
+            start, interval_s = parse_time(str(sidecar["start_utc"]), where=name), float(sidecar["interval_s"])
+            times = [start + timedelta(seconds=number * interval_s) for number in range(count)]
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, InputError):
+        error = "no JSON with times_utc, or with start_utc and interval_s"
+        raise RefusedImageError(name, Finding("file_sidecar", {"error": error})) from None
+    if len(times) != count:
+        raise RefusedImageError(name, Finding("file_sidecar", {"error": f"{len(times)} times for {count} frames"}))
+    return times
+
+
+def _created(file: Path | bytes) -> datetime | None:
+    """Return when a container says that its recording began: the `mvhd` box; None where it does not say."""
+    content = file if isinstance(file, bytes) else file.read_bytes()
+    at = content.find(b"mvhd")
+    if at < 0 or at + 16 > len(content):
+        return None
+    version = content[at + 4]
+    (seconds,) = struct.unpack_from(">Q" if version == 1 else ">I", content, at + 8)
+    return _SINCE_1904 + timedelta(seconds=seconds) if seconds else None

@@ -1,0 +1,209 @@
+"""What was found already: an answer for each image and pass, so that a run goes on where it was.
+
+A database of its own, in the output folder or at an address of SQLAlchemy: it is a cache of what workers answered.
+Another version of the software looks at the images again, so that nothing has to be migrated.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from types import TracebackType
+from typing import Any, NamedTuple, Self
+
+from sqlalchemy import (
+    Column,
+    Engine,
+    Integer,
+    LargeBinary,
+    MetaData,
+    String,
+    Table,
+    Text,
+    create_engine,
+    delete,
+    func,
+    insert,
+    select,
+)
+from sqlalchemy.exc import SQLAlchemyError
+
+from sunarc.detection.values import Detection
+from sunarc.errors import OutsideError
+from sunarc.findings import Finding, from_json
+from sunarc.reanalysis.look import NamedStars, PackedMask
+
+_METADATA = MetaData()
+_ANSWER = Table(
+    "image_answer",
+    _METADATA,
+    Column("camera", String(200), primary_key=True),
+    Column("address", String(500), primary_key=True),
+    Column("file", String(500), primary_key=True),
+    Column("number", Integer, primary_key=True),
+    Column("stage", Integer, primary_key=True),
+    Column("key", String(24), nullable=False),
+    Column("stamp", String(24), nullable=False),
+    Column("content", String(32)),
+    Column("found", Text, nullable=False),
+)
+_CHUNK = Table(
+    "chunk",
+    _METADATA,
+    Column("id", Integer, primary_key=True),
+    Column("camera", String(200), nullable=False),
+    Column("stage", Integer, nullable=False),
+    Column("images", Integer, nullable=False),
+    Column("version", String(40), nullable=False),
+)
+_MASK = Table(
+    "mask",
+    _METADATA,
+    Column("camera", String(200), primary_key=True),
+    Column("version", String(40), nullable=False),
+    Column("rows", Integer),
+    Column("columns", Integer),
+    Column("compressed", LargeBinary),
+)
+_AT_ONCE = 1000
+"""Rows that are held at once while a camera's answers are read."""
+_FIELDS = [name for name in Detection.__slots__ if name != "findings"]
+
+
+class ImageId(NamedTuple):
+    """Which image: the source's address, the file, the number of the frame."""
+
+    address: str
+    file: str
+    number: int
+
+
+class Known(NamedTuple):
+    """An answer of a former run.
+
+    Attributes
+    ----------
+    key : of what decided it beside the file: version, method, mask, prediction.
+    found : what it was.
+    stamp : of the file's size and time when it was last read, or of its checksum in an archive.
+    content : hash of the file's bytes; None where the file was not read as a whole.
+    """
+
+    key: str
+    found: Detection | NamedStars | Finding
+    stamp: str = ""
+    content: str | None = None
+
+
+class KeptMask(NamedTuple):
+    """What stands still in a camera's images, as it was seen once; None where nothing does."""
+
+    mask: PackedMask | None
+
+
+class Ledger:
+    """The database of answers.
+
+    Parameters
+    ----------
+    address : of SQLAlchemy: `sqlite:///…` or `postgresql+psycopg://…`.
+
+    Raises
+    ------
+    OutsideError : it cannot be opened.
+    """
+
+    def __init__(self, address: str) -> None:
+        self._engine: Engine = create_engine(address)
+        try:
+            if self._engine.dialect.name == "sqlite":
+                with self._engine.connect() as connection:
+                    connection.exec_driver_sql("PRAGMA journal_mode=WAL")
+            _METADATA.create_all(self._engine)
+        except SQLAlchemyError as error:
+            raise OutsideError(f"{address} cannot be used: {error}") from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, at: TracebackType | None) -> None:
+        self._engine.dispose()
+
+    def answers(self, camera: str, *, stage: int) -> Iterator[tuple[ImageId, Known]]:
+        """Yield the answers for a camera's images in a pass."""
+        c = _ANSWER.c
+        columns = (c.address, c.file, c.number, c.key, c.stamp, c.content, c.found)
+        rows = select(*columns).where(c.camera == camera, c.stage == stage)
+        with self._engine.connect() as connection:
+            for row in connection.execution_options(yield_per=_AT_ONCE).execute(rows):
+                known = Known(row.key, _read(json.loads(row.found)), row.stamp, row.content)
+                yield ImageId(row.address, row.file, row.number), known
+
+    def store(self, camera: str, stage: int, answers: Iterable[tuple[ImageId, Known]], *, version: str) -> None:
+        """Store the answers of a finished chunk, in one transaction, in place of former ones."""
+        rows = [
+            {
+                **image._asdict(),
+                **known._asdict(),
+                "camera": camera,
+                "stage": stage,
+                "found": json.dumps(_written(known.found)),
+            }
+            for image, known in answers
+        ]
+        c = _ANSWER.c
+        with self._engine.begin() as connection:
+            for row in rows:
+                same = (c.camera == camera, c.address == row["address"], c.file == row["file"])
+                connection.execute(delete(_ANSWER).where(*same, c.number == row["number"], c.stage == stage))
+            if rows:
+                connection.execute(insert(_ANSWER), rows)
+            count = {"camera": camera, "stage": stage, "images": len(rows), "version": version}
+            connection.execute(insert(_CHUNK), [count])
+
+    def mask(self, camera: str, *, version: str) -> KeptMask | None:
+        """Return the mask of a camera that was kept; None where none was, or by another version."""
+        c = _MASK.c
+        rows = select(c.rows, c.columns, c.compressed).where(c.camera == camera, c.version == version)
+        with self._engine.connect() as connection:
+            row = connection.execute(rows).first()
+        if row is None:
+            return None
+        return KeptMask(None if row.compressed is None else PackedMask((row.rows, row.columns), bytes(row.compressed)))
+
+    def keep_mask(self, camera: str, mask: PackedMask | None, *, version: str) -> None:
+        """Keep the mask of a camera."""
+        rows, columns = (None, None) if mask is None else mask.shape
+        compressed = None if mask is None else mask.compressed
+        row = {"camera": camera, "version": version, "rows": rows, "columns": columns, "compressed": compressed}
+        with self._engine.begin() as connection:
+            connection.execute(delete(_MASK).where(_MASK.c.camera == camera))
+            connection.execute(insert(_MASK), [row])
+
+    def chunks(self) -> int:
+        """Return how many chunks were ever finished."""
+        with self._engine.connect() as connection:
+            return int(connection.scalar(select(func.count()).select_from(_CHUNK)) or 0)
+
+
+def _written(found: Detection | NamedStars | Finding) -> dict[str, Any]:
+    if isinstance(found, Finding):
+        return {"refused": found.as_json()}
+    if isinstance(found, NamedStars):
+        return {"stars": found.rows}
+    fields = {name: _plain(getattr(found, name)) for name in _FIELDS}
+    return {**fields, "findings": [finding.as_json() for finding in found.findings]}
+
+
+def _read(stored: Mapping[str, Any]) -> Detection | NamedStars | Finding:
+    if "refused" in stored:
+        return from_json(stored["refused"])
+    if "stars" in stored:
+        return NamedStars(tuple((name, x, y, sigma) for name, x, y, sigma in stored["stars"]))
+    fields = {name: stored[name] for name in _FIELDS}
+    return Detection(**fields, findings=tuple(from_json(one) for one in stored["findings"]))
+
+
+def _plain(value: Any) -> Any:  # noqa: ANN401 - a field of any type
+    """Return a value as JSON has it: numpy's numbers are Python's."""
+    return value.item() if hasattr(value, "item") else value

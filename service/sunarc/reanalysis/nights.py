@@ -1,0 +1,260 @@
+"""Images of the night: which belong to one night, with which calibration their stars are named, and the stars."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import replace
+from datetime import date
+from typing import NamedTuple, Protocol, TypeVar
+
+import cv2
+import numpy as np
+
+from sunarc.array_types import Image, evenly_spread
+from sunarc.calibration.answers.stars import MatchedView, StarView, match_views
+from sunarc.calibration.model.sightings import SunPoints, kinds_of
+from sunarc.cameras.frame import Frame
+from sunarc.detection.messages import reason_of
+from sunarc.detection.stars.detect import detect_stars
+from sunarc.findings import Finding
+from sunarc.reanalysis.detect_files import full_scale_of
+from sunarc.reanalysis.image_files import images_in
+from sunarc.reanalysis.index import ArchiveImage, CameraImages
+from sunarc.reanalysis.look import Answer, Chunk, Item, NamedStars, StarNaming, key_of
+from sunarc.reanalysis.passes import Looked, Work, epoch_at
+from sunarc.reanalysis.sources import open_source
+from sunarc.reanalysis.states import Epoch, State
+from sunarc.sky.days import solar_date
+from sunarc.sky.night import body_directions
+from sunarc.utc import DAY_S, utc_time
+from sunarc.workers.night.named_stars import star_view, surest_named
+from sunarc.workers.night.warm_pixels import WarmPixelMap
+
+MOST_IMAGES = 60
+"""Of a night, evenly over it: more say nothing new of the camera."""
+_UNSTATED_US = 1e6
+"""Exposure of a file that states none: a second, so that the night's zero point is that of one exposure."""
+
+
+class Timed(Protocol):
+    """What has a time."""
+
+    @property
+    def unix_s(self) -> float:
+        """Seconds since 1970-01-01 UTC."""
+
+
+Taken = TypeVar("Taken", bound=Timed)
+
+
+def by_night(images: Iterable[Taken], *, longitude: float) -> list[tuple[date, list[Taken]]]:
+    """Return images by the solar date of the evening before them, nights and images in the order of their times.
+
+    Parameters
+    ----------
+    images : in any order.
+    longitude : of the camera, degrees, east positive.
+    """
+    nights: dict[date, list[Taken]] = defaultdict(list)
+    for image in sorted(images, key=lambda one: one.unix_s):
+        nights[solar_date(image.unix_s - 0.5 * DAY_S, longitude=longitude)].append(image)
+    return sorted(nights.items())
+
+
+def evenly(images: Sequence[Taken]) -> list[Taken]:
+    """Return at most 60 of a night's images, spread over it."""
+    return [images[row] for row in evenly_spread(len(images), most=MOST_IMAGES).tolist()]
+
+
+def frame_of(image: Image, unix_s: float, exposure_us: float | None, number: int) -> Frame:
+    """Return an image of a file as a frame of a camera.
+
+    Parameters
+    ----------
+    image : pixels, of 8 or 16 bits.
+    unix_s, exposure_us : when it was taken, and for how long; None where that is not stated.
+    number : among those of the night.
+    """
+    return Frame(
+        image=image,
+        time=utc_time(unix_s),
+        exposure_us=exposure_us or _UNSTATED_US,
+        gain_db=0.0,
+        pixel_format="Mono8" if image.dtype == np.uint8 else "Mono16",
+        full_scale=full_scale_of(image),
+        frame_id=number,
+    )
+
+
+_DIGITS = 4
+
+
+class Night(NamedTuple):
+    """A night of a camera: what names its stars, and the images that are looked at."""
+
+    naming: StarNaming
+    images: tuple[ArchiveImage, ...]
+    epoch: int
+
+    @property
+    def key(self) -> str:
+        """Hash of all that the names rest on: of a night all images are looked at again, or none."""
+        calibration, camera = self.naming.calibration, self.naming.calibration.camera
+        model = (camera, calibration.covariance.tobytes(), self.naming.site, self.naming.clock_offset_s)
+        return key_of((model, self.images))
+
+
+class Nights(NamedTuple):
+    """The nights of a camera, and its images of nights that no calibration is for."""
+
+    camera: CameraImages
+    nights: tuple[Night, ...]
+    left_out: tuple[ArchiveImage, ...]
+
+    @property
+    def images(self) -> tuple[ArchiveImage, ...]:
+        """Those that are looked at, night by night."""
+        return tuple(image for night in self.nights for image in night.images)
+
+    def work(self) -> Work:
+        """Return the images as the passes take them: a night of which one image waits is looked at as a whole."""
+        items = [_item(one) for one in self.images]
+        keys = [key for night in self.nights for key in [night.key] * len(night.images)]
+        camera = replace(self.camera, images=self.images)
+        return Work(camera, list(enumerate(items)), None, keys=keys, chunks=self._chunks)
+
+    def _chunks(self, waiting: Collection[int]) -> list[Chunk]:
+        """Return a unit of work for each night of which images wait, by their number among the images."""
+        plan, begin, chunks = self.camera.plan, 0, list[Chunk]()
+        for night in self.nights:
+            rows = range(begin, begin + len(night.images))
+            begin = rows.stop
+            if any(row in waiting for row in rows):
+                ordered = sorted(night.images, key=lambda image: (image.file, image.number))
+                items = tuple(_item(one) for one in ordered)
+                chunks.append(
+                    Chunk(plan.name, ordered[0].address, plan.method, self.camera.size, items, None, night.naming)
+                )
+        return chunks
+
+
+class NightImage(NamedTuple):
+    """An image of a night, and the stars that were named in it."""
+
+    night: Night
+    image: ArchiveImage
+    stars: NamedStars
+
+
+class NightsLooked(NamedTuple):
+    """The nights of a camera, and what was found in their images, in the order of `nights.images`."""
+
+    nights: Nights
+    looked: Looked
+
+    def named(self) -> Iterator[NightImage]:
+        """Yield the images whose stars were named."""
+        nights = (night for night in self.nights.nights for _ in night.images)
+        for night, image, one in zip(nights, self.looked.images, self.looked.found, strict=True):
+            if isinstance(one, NamedStars):
+                yield NightImage(night, image, one)
+
+
+def nights_of(camera: CameraImages, states: Sequence[State], epochs: Sequence[Epoch]) -> Nights:
+    """Return the nights of a camera, each with the calibration of its epoch, and 60 of its images at most.
+
+    Images between the last sighting of an epoch and the first of the next are left out: which pose they were taken in
+    is not known. Without an epoch all are.
+    """
+    nights, left_out = list[Night](), list[ArchiveImage]()
+    for _, every in by_night(camera.nights, longitude=camera.plan.site.longitude):
+        first, last = every[0].unix_s, every[-1].unix_s
+        number = epoch_at(epochs, first) if epochs else 0
+        if not epochs or epoch_at(epochs, last) != number or _between(epochs, number, last):
+            left_out += every
+            continue
+        state = states[epochs[number].state]
+        naming = StarNaming(state.calibration, camera.plan.site, state.clock_offset_s)
+        nights += [Night(naming, tuple(evenly(part)), number) for part in _by_source(every)]
+    return Nights(camera, tuple(nights), tuple(left_out))
+
+
+def _item(image: ArchiveImage) -> Item:
+    return Item(image.file, image.number, image.exposure_us, unix_s=image.unix_s)
+
+
+def _between(epochs: Sequence[Epoch], number: int, unix_s: float) -> bool:
+    """Return whether a time lies after the last sighting of its epoch and before the first of the next."""
+    return number + 1 < len(epochs) and unix_s > epochs[number].end_unix_s
+
+
+def _by_source(images: Sequence[ArchiveImage]) -> list[list[ArchiveImage]]:
+    addresses = dict.fromkeys(image.address for image in images)
+    return [[image for image in images if image.address == address] for address in addresses]
+
+
+def name_stars(chunk: Chunk) -> list[Answer]:
+    """Return the named stars of each image of a night, or the finding why there are none."""
+    cv2.setNumThreads(1)
+    naming = chunk.night
+    if naming is None:
+        raise ValueError("a chunk of the day")
+    found: dict[Item, NamedStars | Finding] = {}
+    views: dict[Item, StarView] = {}
+    warm, source = WarmPixelMap(), open_source(chunk.address)
+    for item in sorted(chunk.items, key=lambda one: one.unix_s):
+        for _, image in images_in(source, item.file, [item.number], size=chunk.size):
+            if isinstance(image, Finding):
+                found[item] = image
+                continue
+            try:
+                views[item] = _view(image, item, naming, warm)
+            except Exception as error:  # noqa: BLE001 - whatever an image does to a detector, the others go on
+                found[item] = Finding("image_failed", {"error": f"{type(error).__name__}: {error}"})
+    clean = [replace(view, stars=warm.without_warm(view.stars)) for view in views.values()]
+    for item, view, one in zip(views, clean, match_views(clean), strict=True):
+        accepted = one.matches.accepted
+        found[item] = _rows(view, one, chunk.size) if accepted else _not_named(one.matches.findings)
+    return [Answer(item.file, item.number, found[item]) for item in chunk.items]
+
+
+def _view(image: Image, item: Item, naming: StarNaming, warm: WarmPixelMap) -> StarView:
+    """Return the detections of an image, beside the stars that are predicted at the time that its clock truly meant."""
+    unix_s = item.unix_s - naming.clock_offset_s
+    frame = frame_of(image, unix_s, item.exposure_us, item.number)
+    stars = detect_stars(warm.repair(frame, None), full_scale=frame.full_scale)
+    return star_view(stars, unix_s, site=naming.site, calibration=naming.calibration)
+
+
+def _rows(view: StarView, found: MatchedView, size: tuple[int, int]) -> NamedStars:
+    names, stars = surest_named(view, found, size)
+    columns = np.column_stack([stars.pixels, stars.sigma_px]).round(_DIGITS).tolist()
+    return NamedStars(tuple((str(name), x, y, sigma) for name, (x, y, sigma) in zip(names, columns, strict=True)))
+
+
+def _not_named(findings: Sequence[Finding]) -> Finding:
+    return Finding("stars_not_named", {"error": reason_of(findings)})
+
+
+def star_points(found: NightsLooked, states: Sequence[State], epochs: Sequence[Epoch]) -> SunPoints | None:
+    """Return the named stars of a camera's nights as sightings at their true times, with poses as epochs.
+
+    None without one.
+    """
+    rows = [
+        (one.image.unix_s - one.night.naming.clock_offset_s, states[epochs[one.night.epoch].state].pose, *star)
+        for one in found.named()
+        for star in one.stars.rows
+    ]
+    if not rows:
+        return None
+    unix_s, pose, body, x, y, sigma = (np.array(column) for column in zip(*rows, strict=True))
+    return SunPoints(
+        unix_s=unix_s,
+        pixels=np.column_stack([x, y]),
+        sigma_px=sigma,
+        epoch=pose,
+        directions=body_directions(body, unix_s, found.nights.camera.plan.site),
+        kind=kinds_of(body),
+    )

@@ -1,0 +1,398 @@
+"""What a run is written as: tables, calibrations, masks and exports; the same archive gives the same bytes."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import shutil
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol, TypeVar
+
+import cv2
+import numpy as np
+
+from sunarc.calibration.messages import MESSAGES as OF_CALIBRATION
+from sunarc.detection.values import Expectation
+from sunarc.errors import InputError, OutsideError
+from sunarc.exports.formats import FILE_FORMATS, FILE_NAMES, FORMATS, export, export_file, export_map
+from sunarc.findings import Finding
+from sunarc.optics.forward import project
+from sunarc.reanalysis.fit import Final, Rough, document_of
+from sunarc.reanalysis.index import CameraImages, Failure, Indexed
+from sunarc.reanalysis.learned_sigma import sigma_factor
+from sunarc.reanalysis.messages import MESSAGES
+from sunarc.reanalysis.nights import NightsLooked
+from sunarc.reanalysis.passes import Looked, Sun
+from sunarc.reanalysis.states import Epoch
+from sunarc.sky.sun import sun_directions
+from sunarc.utc import DAY_S, rfc3339, utc_time
+
+_CELLS = 48
+"""Cells across the shorter side: wider than the sun's glare in most images, narrower than a tree."""
+_FEWEST_DAYS = 3
+"""Clear days on which the sun has to pass a cell unseen: clouds hide it at the same place on one day, not on three."""
+_CLEAR_SHARE = 0.4
+SEEN, UNKNOWN, HIDDEN = 255, 128, 0
+"""Values of the mask: the sun was seen here, never passed here on enough clear days, passes here and is never seen."""
+
+
+class Horizon(NamedTuple):
+    """A mask as a PNG, and how many cells of it the sun was seen in, and how many hide it."""
+
+    png: bytes
+    seen: int
+    hidden: int
+
+
+def learn_horizon(looked: Looked, expected: Sequence[Expectation | None], size: tuple[int, int]) -> Horizon:
+    """Return what hides the sun in a camera's images.
+
+    Parameters
+    ----------
+    looked : the images, and what was found in them.
+    expected : where the sun should have been in each.
+    size : width and height of the images, px.
+    """
+    cell = min(size) / _CELLS
+    shape = int(np.ceil(size[1] / cell)), int(np.ceil(size[0] / cell))
+    rows = [row for row, one in enumerate(expected) if one is not None]
+    pixels = np.array([_pixel(expected[row]) for row in rows]).reshape(-1, 2)
+    days = np.array([looked.images[row].unix_s // DAY_S for row in rows])
+    seen = np.array([_is_seen(looked, row) for row in rows], dtype=bool)
+    state = np.full(shape, UNKNOWN, dtype=np.uint8)
+    place = np.clip((pixels[:, ::-1] / cell).astype(int), 0, np.array(shape) - 1)
+    clear = {day: float(np.mean(seen[days == day])) >= _CLEAR_SHARE for day in np.unique(days).tolist()}
+    for row, column in np.unique(place, axis=0).tolist():
+        here = np.all(place == (row, column), axis=1)
+        if np.any(seen[here]):
+            state[row, column] = SEEN
+        elif sum(clear[day] for day in np.unique(days[here]).tolist()) >= _FEWEST_DAYS:
+            state[row, column] = HIDDEN
+    whole = cv2.resize(state, size, interpolation=cv2.INTER_NEAREST)
+    png = cv2.imencode(".png", whole)[1].tobytes()
+    return Horizon(png, int(np.count_nonzero(state == SEEN)), int(np.count_nonzero(state == HIDDEN)))
+
+
+def _pixel(one: Expectation | None) -> tuple[float, float]:
+    return (0.0, 0.0) if one is None else (one.x_px, one.y_px)
+
+
+def _is_seen(looked: Looked, row: int) -> bool:
+    found = looked.found[row]
+    return isinstance(found, Sun) and found.accepted
+
+
+_HEADER = ("camera", "time_utc", "file", "x_px", "y_px", "sigma_px", "body", "verdict", "epoch")
+_TABLES = (MESSAGES, OF_CALIBRATION)
+Given = TypeVar("Given")
+Made = TypeVar("Made")
+Document = dict[str, Any]
+
+
+class Each(Protocol):
+    """Has a function called with each of some values, somewhere; None for those that it could not be done with."""
+
+    def __call__(self, run: Callable[[Given], Made], given: Sequence[Given], /) -> list[Made | None]:
+        """Return the results."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraResult:
+    """What came of a camera.
+
+    Attributes
+    ----------
+    camera : with its images.
+    searched, looked : what was found in them without a prediction, and in the end.
+    rough, final : states and epochs after the first pass, and after the second; None where there was none.
+    horizon : what hides the sun; None without epochs.
+    nights : images of the night, and the stars that were named in them.
+    """
+
+    camera: CameraImages
+    searched: Looked
+    looked: Looked
+    rough: Rough
+    final: Final | None
+    horizon: Horizon | None
+    nights: NightsLooked
+
+    @property
+    def name(self) -> str:
+        """Of the camera."""
+        return self.camera.plan.name
+
+    @property
+    def epochs(self) -> tuple[Epoch, ...]:
+        """Those of the second pass."""
+        return () if self.final is None else self.final.epochs
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Summary:
+    """What a run came to: `report.json`; calibration documents by camera and epoch, and why an export is missing."""
+
+    report: Document
+    documents: Mapping[tuple[str, str], Document]
+
+    def timed(self, seconds: float) -> Summary:
+        """Return the summary with the time that the run took."""
+        return replace(self, report={**self.report, "seconds": round(seconds, 1)})
+
+
+def write_results(target: Path, results: Sequence[CameraResult], indexed: Indexed, *, each: Each | None) -> Summary:
+    """Write the tables, calibrations, masks and exports of a run into its folder.
+
+    Parameters
+    ----------
+    target : the folder.
+    results : of all cameras.
+    indexed : what the archive has, and what could not be used.
+    each : has the exports made; None for none.
+
+    Raises
+    ------
+    OutsideError : something cannot be written.
+    """
+    documents = {(one.name, epoch_name(n)): _document(one, n) for one in results for n in range(len(one.epochs))}
+    try:
+        for folder in ("calibrations", "exports"):
+            shutil.rmtree(target / folder, ignore_errors=True)  # of a former run, perhaps with other epochs
+        _write(target / "sightings.csv", _csv(_HEADER, [row for one in results for row in _sightings(one)]))
+        stars = [row for one in results for row in _stars(one)]
+        _write(target / "stars.csv", _csv(_HEADER, stars))
+        _write(target / "failures.csv", _csv(("file", "code", "reason"), _failures(results, indexed)))
+        _write(target / "epochs.json", _json([row for one in results for row in _epochs(one, documents)]))
+        for (camera, epoch), document in documents.items():
+            _write(target / "calibrations" / camera / f"{epoch}.json", _json(document))
+        for one in results:
+            if one.horizon is not None:
+                _write(target / f"horizon_{one.name}.png", one.horizon.png)
+        missing = {} if each is None else _write_exports(target / "exports", documents, each)
+    except OSError as error:
+        raise OutsideError(f"{error.filename or target} could not be written: {error.strerror}") from error
+    report = {
+        "cameras": [_camera(one, documents) for one in results],
+        "refused": [_refusal(one) for one in indexed.refused],
+        "failures": dict(Counter(row[1] for row in _failures(results, indexed)).most_common()),
+        "exports_missing": missing,
+    }
+    return Summary(report=report, documents=documents)
+
+
+def epoch_name(number: int) -> str:
+    """Return the name of an epoch by its number, from 0."""
+    return f"{number + 1:03d}"
+
+
+def sentence_of(finding: Finding) -> str:
+    """Return a finding as a sentence, with what to do about it."""
+    table = next((table for table in _TABLES if finding.code in table), MESSAGES)
+    return f"{table.text_of(finding)}; {table.remedy_of(finding)}"
+
+
+def _document(result: CameraResult, number: int) -> Document:
+    assert result.final is not None  # noqa: S101 - it has epochs
+    epoch = result.final.epochs[number]
+    state = result.final.states[epoch.state]
+    horizon = result.horizon
+    evidence = {} if horizon is None else {"horizon_seen": horizon.seen, "horizon_hidden": horizon.hidden}
+    return document_of(
+        result.final.fitted[state.pose],
+        result.looked.points()[0],
+        epoch,
+        camera=result.name,
+        name=epoch_name(number),
+        evidence=evidence,
+    )
+
+
+def _sightings(result: CameraResult) -> list[tuple[object, ...]]:
+    """Return the accepted sightings, at the times that their epoch's clock is corrected to."""
+    _, rows = result.looked.points()
+    if result.final is None:
+        epochs, offsets, factor = [""] * len(rows), [0.0] * len(rows), 1.0
+    else:
+        epochs = [epoch_name(n) for n, one in enumerate(result.epochs) for _ in range(one.first, one.last + 1)]
+        offsets = [result.final.states[number].clock_offset_s for number in result.final.path.tolist()]
+        factor = _sigma_factor(result, offsets)
+    table = []
+    for row, epoch, offset_s in zip(rows, epochs, offsets, strict=True):
+        image, found = result.looked.images[row], result.looked.found[row]
+        assert isinstance(found, Sun)  # noqa: S101 - it was accepted
+        sigma = None if found.sigma_px is None else round(found.sigma_px * factor, 4)
+        time = rfc3339(utc_time(image.unix_s - offset_s))
+        pixel = (round(found.x_px or 0.0, 4), round(found.y_px or 0.0, 4))
+        table.append((result.name, time, image.name, *pixel, sigma, "sun", found.verdict, epoch))
+    return sorted(table, key=lambda one: (str(one[1]), str(one[2])))
+
+
+def _stars(result: CameraResult) -> list[tuple[object, ...]]:
+    """Return the sightings of stars and planets, at the times that their epoch's clock is corrected to."""
+    table = []
+    for night, image, stars in result.nights.named():
+        time = rfc3339(utc_time(image.unix_s - night.naming.clock_offset_s))
+        epoch = epoch_name(night.epoch)
+        table += [
+            (result.name, time, image.name, x, y, sigma, body, "clear", epoch) for body, x, y, sigma in stars.rows
+        ]
+    return sorted(table, key=lambda one: (str(one[1]), str(one[2]), str(one[6])))
+
+
+def _sigma_factor(result: CameraResult, offsets: Sequence[float]) -> float:
+    """Return by what the stated sigma has to be multiplied to be the scatter about the calibrations."""
+    assert result.final is not None  # noqa: S101 - it has offsets
+    points, _ = result.looked.points()
+    residual = points.pixels.copy()
+    directions = sun_directions(points.unix_s - offsets, result.camera.plan.site)
+    for number, state in enumerate(result.final.states):
+        rows = result.final.path == number
+        residual[rows] -= project(state.calibration.camera, directions[rows])
+    return sigma_factor(residual, points.sigma_px) or 1.0
+
+
+def _failures(results: Sequence[CameraResult], indexed: Indexed) -> list[tuple[str, str, str]]:
+    found = [*indexed.failures, *indexed.refused]
+    for one in results:
+        for looked in (one.looked, one.nights.looked):
+            answers = zip(looked.images, looked.found, strict=True)
+            found += [Failure(image.name, answer) for image, answer in answers if isinstance(answer, Finding)]
+        found += [Failure(image.name, Finding("night_between_poses")) for image in one.nights.nights.left_out]
+    return sorted((one.file, one.finding.code, MESSAGES.text_of(one.finding)) for one in found)
+
+
+def _epochs(result: CameraResult, documents: Mapping[tuple[str, str], Document]) -> list[Document]:
+    rows = []
+    for number, epoch in enumerate(result.epochs):
+        assert result.final is not None  # noqa: S101 - it has epochs
+        name = epoch_name(number)
+        state = result.final.states[epoch.state]
+        document = documents[result.name, name]
+        rows.append(
+            {
+                "camera": result.name,
+                "epoch": name,
+                "start": rfc3339(utc_time(epoch.start_unix_s)),
+                "end": rfc3339(utc_time(epoch.end_unix_s)),
+                "cause": epoch.cause,
+                "clock_offset_s": state.clock_offset_s,
+                "calibration": f"calibrations/{result.name}/{name}.json",
+                "accepted": document["verdict"]["accepted"],
+                "sightings": epoch.last - epoch.first + 1,
+            }
+        )
+    return rows
+
+
+def _camera(result: CameraResult, documents: Mapping[tuple[str, str], Document]) -> Document:
+    def accepted(looked: Looked) -> int:
+        return sum(isinstance(one, Sun) and one.accepted for one in looked.found)
+
+    verdicts = Counter(one.verdict for one in result.looked.found if isinstance(one, Sun))
+    pairs = [
+        tuple(isinstance(one, Sun) and one.accepted for one in both)
+        for both in zip(result.searched.found, result.looked.found, strict=True)
+    ]
+    return {
+        "camera": result.name,
+        "images": len(result.camera.images),
+        "size": list(result.camera.size),
+        "times": {"by": result.camera.family, "example": list(result.camera.example)},
+        "accepted_first_pass": accepted(result.searched),
+        "accepted": accepted(result.looked),
+        "second_pass": {"found": pairs.count((False, True)), "refused": pairs.count((True, False))},
+        "by_verdict": dict(verdicts.most_common()),
+        "findings": [{**one.as_json(), "reason": sentence_of(one)} for one in result.rough.findings],
+        "nights": _nights(result),
+        "epochs": [_epoch_summary(result, n, documents) for n in range(len(result.epochs))],
+        "horizon": None if result.horizon is None else {"seen": result.horizon.seen, "hidden": result.horizon.hidden},
+    }
+
+
+def _nights(result: CameraResult) -> dict[str, int]:
+    named = list(result.nights.named())
+    return {
+        "nights": len(result.nights.nights.nights),
+        "images": len(result.camera.nights),
+        "looked_at": len(result.nights.looked.images),
+        "accepted": len(named),
+        "stars": sum(len(one.stars.rows) for one in named),
+    }
+
+
+def _epoch_summary(result: CameraResult, number: int, documents: Mapping[tuple[str, str], Document]) -> Document:
+    document = documents[result.name, epoch_name(number)]
+    epoch = _epochs(result, documents)[number]
+    return {
+        **epoch,
+        "rmse_px": document["metrics"]["rmse_px"],
+        "rmse_deg": document["metrics"]["rmse_deg"],
+        "sky_rms_deg": document["uncertainty"]["sky_rms_deg"],
+        "reasons": document["verdict"]["reasons"],
+    }
+
+
+def _refusal(failure: Failure) -> Document:
+    return {"camera": failure.file, **failure.finding.as_json(), "reason": sentence_of(failure.finding)}
+
+
+def _write_exports(
+    folder: Path, documents: Mapping[tuple[str, str], Document], each: Each
+) -> dict[str, dict[str, str]]:
+    """Write accepted calibrations in all formats; return why some are missing, by calibration and format."""
+    accepted = {key: one for key, one in documents.items() if one["verdict"]["accepted"]}
+    missing: dict[str, dict[str, str]] = {}
+    for (camera, epoch), made in zip(accepted, each(exports_of, list(accepted.values())), strict=True):
+        files, refused = made or ({}, {"all": "the workers that made them died"})
+        for name, content in files.items():
+            _write(folder / camera / epoch / name, content)
+        if refused:
+            missing[f"{camera}/{epoch}"] = refused
+    return missing
+
+
+def exports_of(document: Document) -> tuple[dict[str, bytes], dict[str, str]]:
+    """Return the files of a calibration in all formats, and why some have none."""
+    files: dict[str, bytes] = {}
+    refused: dict[str, str] = {}
+    for form in FORMATS:
+        try:
+            made = export(document, form)
+        except InputError as error:
+            refused[form] = str(error)
+            continue
+        files |= made.files if made.name else {FILE_NAMES[form]: made.content}
+    for other in FILE_FORMATS:
+        try:
+            files |= {f"{other}/{name}": content for name, content in export_file(document, other).files.items()}
+        except InputError as error:
+            refused[other] = str(error)
+    try:
+        files["map.nc"] = export_map(document, "netcdf")
+    except InputError as error:
+        refused["map-netcdf"] = str(error)
+    return files, refused
+
+
+def _csv(header: Sequence[str], rows: Sequence[Sequence[object]]) -> bytes:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    return text.getvalue().encode()
+
+
+def _json(value: object) -> bytes:
+    return (json.dumps(value, indent=1, allow_nan=False) + "\n").encode()
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Write a file as a whole: a reader finds the former one or this."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_name(f".{path.name}.new")
+    beside.write_bytes(content)
+    beside.replace(path)

@@ -1,0 +1,165 @@
+"""An archive analysed again: index, both passes, epochs, calibrations, and what is written of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from sunarc.archive.database.state_folder import lock_state
+from sunarc.errors import InputError, OutsideError
+from sunarc.findings import Finding
+from sunarc.reanalysis.cluster import DEATHS, Cluster, Workers, open_cluster
+from sunarc.reanalysis.fit import (
+    Final,
+    Rough,
+    Sightings,
+    Starry,
+    final_analysis,
+    first_analysis,
+    starry_analysis,
+)
+from sunarc.reanalysis.index import CameraImages, Indexed
+from sunarc.reanalysis.ledger import Ledger
+from sunarc.reanalysis.messages import MESSAGES
+from sunarc.reanalysis.nights import NightsLooked, name_stars, nights_of, star_points
+from sunarc.reanalysis.passes import Looked, Passes, ReportProgress, predictions
+from sunarc.reanalysis.report import write_report
+from sunarc.reanalysis.results import CameraResult, Horizon, Summary, learn_horizon, write_results
+from sunarc.reanalysis.states import Camera
+from sunarc.runtime.clock import Clock
+
+_ANOTHER = "wait for that run to end, or give another folder (-o)"
+_DIED = Finding("camera_kills_workers", {"deaths": DEATHS})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReanalysisOptions:
+    """How an archive is analysed.
+
+    Attributes
+    ----------
+    target : folder of the results.
+    store : address of the ledger (SQLAlchemy); None for `ledger.sqlite` in the folder.
+    workers : where the images are looked at.
+    exports : whether the calibrations are written in all formats, too.
+    """
+
+    target: Path
+    store: str | None = None
+    workers: Workers = field(default_factory=Workers)
+    exports: bool = True
+
+
+def reanalyse(
+    indexed: Indexed,
+    options: ReanalysisOptions,
+    *,
+    clock: Clock,
+    opened: Callable[[Cluster], None] = lambda _: None,
+    progress: ReportProgress = lambda *_: None,
+) -> Summary:
+    """Find every sun of an archive, the epochs of its cameras, and a calibration for each; write it all into a folder.
+
+    What is done already by this version of the software stands in the ledger, and is not done again.
+
+    Parameters
+    ----------
+    indexed : the cameras and their images.
+    options : how.
+    clock : for waits, and for the time that it took.
+    opened : called with the cluster once it is there.
+    progress : called after every chunk.
+
+    Raises
+    ------
+    InputError : there is no camera with images.
+    OutsideError : the folder cannot be written or another run writes into it, or no worker answers.
+    """
+    if not indexed.cameras:
+        seen = [f"{one.file}: {MESSAGES.text_of(one.finding)}" for one in (*indexed.refused, *indexed.failures)][:5]
+        raise InputError(field="SOURCE", problem=f"has no image to look at ({'; '.join(seen)})", remedy="see above")
+    began = clock.monotonic()
+    try:
+        options.target.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutsideError(f"{options.target} cannot be made: {error.strerror}") from error
+    store = options.store or f"sqlite:///{options.target / 'ledger.sqlite'}"
+    with (
+        lock_state(options.target, remedy=_ANOTHER),
+        Ledger(store) as ledger,
+        open_cluster(options.workers, clock=clock) as cluster,
+    ):
+        opened(cluster)
+        results = _results(indexed.cameras, Passes(ledger, cluster, progress))
+        summary = write_results(options.target, results, indexed, each=cluster.each if options.exports else None)
+    summary = summary.timed(clock.monotonic() - began)
+    write_report(options.target, summary, results)
+    return summary
+
+
+def _results(cameras: Sequence[CameraImages], passes: Passes) -> list[CameraResult]:
+    masks = passes.masks(cameras)
+    searched = passes.search(cameras, masks)
+    given = [Sightings(looked.points()[0], _known(one)) for one, looked in zip(cameras, searched, strict=True)]
+    passes.progress("epochs", 0, len(cameras))
+    rough = [one or Rough(findings=(_DIED,)) for one in passes.cluster.each(first_analysis, given)]
+    passes.progress("epochs", len(cameras), len(cameras))
+    found = [n for n, one in enumerate(rough) if one.states]
+    expected = (predictions(cameras[n], rough[n].states, rough[n].epochs) for n in found)
+    waiting = [(cameras[n], searched[n]) for n in found]
+    looked = dict(zip(found, passes.predict(waiting, expected, [masks[n] for n in found]), strict=True))
+    again = [Sightings(looked[n].points()[0], given[n].camera, rough[n].states) for n in found]
+    passes.progress("calibrations", 0, len(found))
+    final = dict(zip(found, passes.cluster.each(final_analysis, again), strict=True))
+    passes.progress("calibrations", len(found), len(found))
+    nights = _nights(cameras, final, passes)
+    final |= _with_stars(nights, final, dict(zip(found, again, strict=True)), passes)
+    return [
+        CameraResult(
+            camera=camera,
+            searched=searched[n],
+            looked=looked.get(n, searched[n]),
+            rough=rough[n],
+            final=final.get(n),
+            horizon=_horizon(camera, looked.get(n, searched[n]), final.get(n)),
+            nights=nights[n],
+        )
+        for n, camera in enumerate(cameras)
+    ]
+
+
+def _nights(cameras: Sequence[CameraImages], final: Mapping[int, Final | None], passes: Passes) -> list[NightsLooked]:
+    """Return the nights of each camera, with the stars that are named in their images."""
+    every = []
+    for number, camera in enumerate(cameras):
+        one = final.get(number)
+        every.append(nights_of(camera, () if one is None else one.states, () if one is None else one.epochs))
+    named = passes.name([one.work() for one in every], run=name_stars)
+    return [NightsLooked(one, looked) for one, looked in zip(every, named, strict=True)]
+
+
+def _with_stars(
+    nights: Sequence[NightsLooked],
+    final: Mapping[int, Final | None],
+    suns: Mapping[int, Sightings],
+    passes: Passes,
+) -> dict[int, Final]:
+    """Return what came of the cameras that have stars, by number; what the stars' workers died of changes nothing."""
+    starry: dict[int, Starry] = {}
+    for number, one in final.items():
+        stars = None if one is None else star_points(nights[number], one.states, one.epochs)
+        if one is not None and stars is not None:
+            starry[number] = Starry(suns[number], one, stars)
+    fitted = passes.cluster.each(starry_analysis, list(starry.values())) if starry else []
+    return {number: one for number, one in zip(starry, fitted, strict=True) if one is not None}
+
+
+def _known(camera: CameraImages) -> Camera:
+    return Camera(camera.plan.site, camera.size, camera.plan.options)
+
+
+def _horizon(camera: CameraImages, looked: Looked, final: Final | None) -> Horizon | None:
+    if final is None or not final.epochs:
+        return None
+    return learn_horizon(looked, predictions(camera, final.states, final.epochs), camera.size)

@@ -1,0 +1,372 @@
+"""The states that a camera was in over an archive: its lens, its pose, how far its clock was ahead; when each held.
+
+A state is sought in the first days that no known state explains: the same camera with its clock ahead, then the same
+lens in another pose, then another lens. The simplest goes first, since a wrong clock turns the sky as a turned camera
+does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from sunarc.array_types import FloatArray, IntArray
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.options import CalibrationOptions, Mirrored
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.pose import estimate_pose
+from sunarc.calibration.robust_loss import finite, robust_sigma
+from sunarc.findings import Finding
+from sunarc.optics.forward import project_fast
+from sunarc.sky.days import solar_days
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_directions
+
+_PER_DAY = 40
+"""Sightings of a day that states are sought in."""
+_FEWEST_PER_DAY = 6
+_WINDOW_DAYS = (6, 3, 1)
+"""Days that a new state is fitted to: many tell a lens better, few lie less often on both sides of a change."""
+_FEWEST = 12
+_EXPLAINED = 0.7
+"""Share of sightings near a state's predictions from which it explains them; others are false, or of another state."""
+_MAJORITY = 0.5
+"""The same for a lens that nothing is known of: days of two states may be among those that it is fitted to."""
+_NEAR_SIGMAS, _NEAR_PX = 5.0, 1.5
+_MOST_STATES = 24
+_QUARTER_S = 900.0
+"""Clocks are wrong by time zones, which are whole quarters of an hour, or by what they drift."""
+_LARGEST_OFFSET_S = 14.0 * 3600.0
+_FINEST_S = 1.0
+"""Step at which the search for an offset ends: the sun moves by 0.004 degrees."""
+_SUN_RAD_PER_S = 2.0 * math.pi / 86_400.0
+_TRIED = 60
+"""Sightings by which offsets are compared."""
+_WHOLE_S = 20.0
+"""An offset so near a whole quarter is that: a sighting's sigma is worth some seconds."""
+_LOOSE: dict[str, Any] = {
+    "level_within_deg": 90.0, "max_rmse_px": 30.0, "max_sky_deg": 30.0, "max_rejected": 0.75, "max_unexplained": 1.0,
+    "max_below_horizon": 1.0,
+}  # fmt: skip
+"""A state need not be a calibration."""
+
+
+class State(NamedTuple):
+    """A camera as it was for a time.
+
+    calibration: lens and pose. lens, pose: numbers that tell them from those of other states. clock_offset_s: how far
+    the stated times are ahead of UTC. sigma_px: robust scatter of its sightings per axis.
+    """
+
+    calibration: Calibration
+    lens: int
+    pose: int
+    clock_offset_s: float
+    sigma_px: float
+
+
+class Camera(NamedTuple):
+    """What is known of a camera: site, image size (width, height) and how it is fitted."""
+
+    site: Site
+    size: tuple[int, int]
+    options: CalibrationOptions
+
+    def shifted(self, points: SunPoints, offset_s: float) -> SunPoints:
+        """Return sightings with the times that they have by a clock that is ahead by an offset."""
+        return replace(points, unix_s=points.unix_s - offset_s)
+
+    def distances(self, state: State, points: SunPoints) -> FloatArray:
+        """Return how far each sighting lies from where a state predicts it, (n,) px."""
+        return self.distances_of(state.calibration, points, state.clock_offset_s)
+
+    def distances_of(self, calibration: Calibration, points: SunPoints, offset_s: float) -> FloatArray:
+        """Return the same for a calibration, and a clock that is ahead by an offset."""
+        directions = sun_directions(points.unix_s - offset_s, self.site)
+        residual = finite(points.pixels - project_fast(calibration.camera, directions))
+        return np.asarray(np.hypot(residual[:, 0], residual[:, 1]))
+
+    def loosely(self) -> CalibrationOptions:
+        """Return options by which a fit is hardly ever refused."""
+        return replace(self.options, **_LOOSE)
+
+
+class Found(NamedTuple):
+    """The states of a camera, in the order in which they were found; the finding why there are none."""
+
+    states: tuple[State, ...]
+    finding: Finding | None = None
+
+
+def find_states(points: SunPoints, camera: Camera) -> Found:
+    """Return the states that explain a camera's sightings.
+
+    Parameters
+    ----------
+    points : accepted sightings in the order of their stated times, false ones among them.
+    camera : see there.
+    """
+    thin, day = _thinned(points, camera.site)
+    states: list[State] = []
+    hopeless: set[int] = set()
+    refusal = Finding("too_few_sightings", {"n": len(thin), "least": _FEWEST})
+    while len(states) < _MOST_STATES:
+        open_days = [one for one in _unexplained(states, thin, day, camera) if one not in hopeless]
+        if not open_days:
+            break
+        state, finding = _next_state(states, thin, day, open_days, camera)
+        if state is None:
+            hopeless.add(open_days[0])
+            refusal = finding or refusal
+        else:
+            states.append(state)
+    return Found(tuple(states), None if states else refusal)
+
+
+def _thinned(points: SunPoints, site: Site) -> tuple[SunPoints, IntArray]:
+    day = solar_days(points.unix_s, longitude=site.longitude)
+    rows = [np.flatnonzero(day == one) for one in np.unique(day)]
+    retained = [row[:: -(-row.size // _PER_DAY)] for row in rows if row.size >= _FEWEST_PER_DAY]
+    index = np.concatenate(retained) if retained else np.zeros(0, dtype=np.int64)
+    return points.select(index), day[index]
+
+
+def _unexplained(states: Sequence[State], points: SunPoints, day: IntArray, camera: Camera) -> list[int]:
+    """Return the days of which too few sightings are near any state's prediction; a day may be of two states."""
+    near = np.zeros(len(points), dtype=bool)
+    for state in states:
+        near |= camera.distances(state, points) < _near_px(state.sigma_px)
+    days = np.unique(day)
+    return [int(one) for one in days if float(np.mean(near[day == one])) < _EXPLAINED]
+
+
+def _near_px(sigma_px: float) -> float:
+    return _NEAR_SIGMAS * sigma_px + _NEAR_PX
+
+
+def _next_state(
+    states: Sequence[State], points: SunPoints, day: IntArray, open_days: Sequence[int], camera: Camera
+) -> tuple[State | None, Finding | None]:
+    """Return the state of the first days that none explains."""
+    finding: Finding | None = None
+    for width in _WINDOW_DAYS:
+        window = points.select(np.isin(day, open_days[:width]))
+        if len(window) < _FEWEST:
+            continue
+        # of days that are partly explained, what is left is of the new state
+        for state in states:
+            rest = camera.distances(state, window) >= _near_px(state.sigma_px)
+            window = window.select(rest) if np.count_nonzero(rest) >= _FEWEST else window
+        for find in (_with_other_clock, _in_other_pose):
+            found = find(states, window, camera)
+            if found is not None:
+                return found, None
+        fitted, finding = _with_other_lens(states, window, camera)
+        if fitted is not None:
+            return fitted, None
+    return None, finding
+
+
+def _judged(
+    calibration: Calibration, offset_s: float, points: SunPoints, camera: Camera, sigma_px: float
+) -> tuple[float, float]:
+    """Return the share of sightings that a camera explains, and their robust scatter."""
+    distance = camera.distances_of(calibration, points, offset_s)
+    scatter = robust_sigma(distance, floor=0.05)
+    return float(np.mean(distance < _near_px(sigma_px))), scatter
+
+
+def _with_other_clock(states: Sequence[State], points: SunPoints, camera: Camera) -> State | None:
+    """Return a known state with its clock ahead or behind."""
+    best: tuple[float, State] | None = None
+    for state in states:
+        offset_s = _best_offset_s(state, points, camera)
+        share, scatter = _judged(state.calibration, offset_s, points, camera, state.sigma_px)
+        if share >= _EXPLAINED and scatter <= 1.5 * state.sigma_px + 0.2 and (best is None or share > best[0]):
+            best = share, state._replace(clock_offset_s=offset_s, sigma_px=max(scatter, state.sigma_px))
+    return None if best is None else best[1]
+
+
+def _best_offset_s(state: State, points: SunPoints, camera: Camera) -> float:
+    """Return the offset of the clock with which a state explains sightings best."""
+    some = points.select(np.unique(np.linspace(0, len(points) - 1, _TRIED).astype(int)))
+    near = _near_px(state.sigma_px)
+    # a grid as fine as the sun crosses what is near; the smallest of equal offsets goes first
+    step = near / (_SUN_RAD_PER_S * max(state.calibration.camera.focal_length_px))
+    count = math.ceil(_LARGEST_OFFSET_S / step)
+    grid = step * np.array(sorted(range(-count, count + 1), key=abs))
+    offset = _cheapest(state, some, grid, camera, near)
+    while step > _FINEST_S:
+        step /= 4.0
+        offset = _cheapest(state, some, offset + step * np.arange(-4.0, 5.0), camera, near)
+    whole = _QUARTER_S * round(offset / _QUARTER_S)
+    return state.clock_offset_s + (whole if abs(offset - whole) < _WHOLE_S else offset)
+
+
+def _cheapest(state: State, points: SunPoints, offsets: FloatArray, camera: Camera, near_px: float) -> float:
+    """Return that of some offsets with which sightings are nearest to a state's predictions."""
+    times = points.unix_s - state.clock_offset_s - offsets[:, None]
+    predicted = project_fast(state.calibration.camera, sun_directions(times, camera.site).reshape(-1, 3))
+    distance = np.linalg.norm(finite(points.pixels - predicted.reshape(*times.shape, 2)), axis=-1)
+    return float(offsets[int(np.argmin(np.mean(np.minimum(distance / near_px, 1.0) ** 2, axis=1)))])
+
+
+def _in_other_pose(states: Sequence[State], points: SunPoints, camera: Camera) -> State | None:
+    """Return a known lens in a new pose."""
+    for state in reversed(_one_a_lens(states)):
+        posed = estimate_pose(
+            camera.shifted(points, state.clock_offset_s),
+            start=state.calibration,
+            site=camera.site,
+            options=camera.loosely(),
+        )
+        share, scatter = _judged(posed, state.clock_offset_s, points, camera, state.sigma_px)
+        if share >= _EXPLAINED and scatter <= 1.5 * state.sigma_px + 0.2:
+            pose = 1 + max(one.pose for one in states)
+            return state._replace(calibration=posed, pose=pose, sigma_px=max(scatter, state.sigma_px))
+    return None
+
+
+def _one_a_lens(states: Sequence[State]) -> list[State]:
+    return list({state.lens: state for state in states}.values())
+
+
+def _with_other_lens(states: Sequence[State], points: SunPoints, camera: Camera) -> tuple[State | None, Finding | None]:
+    """Return a new lens, and why there is none."""
+    clock = states[-1].clock_offset_s if states else 0.0
+    hand: Mirrored = "auto" if not states else "yes" if states[-1].calibration.camera.mirrored else "no"
+    options = replace(camera.loosely(), mirrored=hand)
+    fitted = calibrate(
+        camera.shifted(points, clock), site=camera.site, image_size=camera.size, options=options, parts=False
+    )
+    if not fitted.verdict.accepted:
+        return None, fitted.verdict.findings[0]
+    scatter = robust_sigma(camera.distances_of(fitted, points, clock), floor=0.05)
+    near = camera.distances_of(fitted, points, clock) < _near_px(scatter)
+    share = float(np.mean(near))
+    if share < _MAJORITY:
+        return None, Finding("sightings_disagree", {"share": share, "least": _MAJORITY})
+    if share < 1.0:  # without those of another state, which pull at it
+        options = replace(options, mirrored="yes" if fitted.camera.mirrored else "no")
+        again = calibrate(
+            camera.shifted(points.select(near), clock),
+            site=camera.site,
+            image_size=camera.size,
+            options=options,
+            start=fitted.camera,
+            parts=False,
+        )
+        fitted = again if again.verdict.accepted else fitted
+    lens, pose = (1 + max((getattr(one, name) for one in states), default=-1) for name in ("lens", "pose"))
+    return State(fitted, lens, pose, clock, scatter), None
+
+
+Cause = Literal["start", "moved", "lens", "clock"]
+
+_MOST_COST = 8.0
+"""Cost of a sighting that no state explains: 4 sigma. False ones are alike in all states."""
+_CHANGE_COST = 20.0
+"""Cost of a change of the state: three sightings have to speak for it. A camera is changed once a year, at one of some
+thousands of sightings (-8), and three false ones in a row that fit another state are rare."""
+
+
+class Epoch(NamedTuple):
+    """A time in which one state held.
+
+    state: its number. cause: of the change at its beginning. first, last: rows of its first and last sighting.
+    start_unix_s, end_unix_s: their stated times.
+    """
+
+    state: int
+    cause: Cause
+    first: int
+    last: int
+    start_unix_s: float
+    end_unix_s: float
+
+
+def find_epochs(points: SunPoints, states: Sequence[State], camera: Camera) -> tuple[list[Epoch], IntArray]:
+    """Return the epochs in the order of time, and the state of each sighting (n,).
+
+    Parameters
+    ----------
+    points : accepted sightings in the order of their stated times.
+    states : as `find_states` returns them.
+    camera : see there.
+    """
+    costs = np.stack([_costs(camera.distances(state, points), state.sigma_px) for state in states], axis=1)
+    path = likeliest_path(costs, change_cost=_CHANGE_COST)
+    bounds = np.flatnonzero(np.diff(path, prepend=-1))
+    epochs: list[Epoch] = []
+    for number, first in enumerate(bounds.tolist()):
+        last = int(bounds[number + 1]) - 1 if number + 1 < bounds.size else len(points) - 1
+        state = int(path[first])
+        cause = _cause(states[epochs[-1].state], states[state]) if epochs else "start"
+        epochs.append(Epoch(state, cause, first, last, float(points.unix_s[first]), float(points.unix_s[last])))
+    return epochs, path
+
+
+def _costs(distance_px: FloatArray, sigma_px: float) -> FloatArray:
+    return np.minimum(0.5 * np.square(distance_px / sigma_px), _MOST_COST)
+
+
+def likeliest_path(costs: FloatArray, *, change_cost: float) -> IntArray:
+    """Return the sequence of states with the least cost (Viterbi 1967).
+
+    Parameters
+    ----------
+    costs : (n, k) of each of k states at each of n observations.
+    change_cost : of a change from one state to any other.
+
+    Returns
+    -------
+    (n,) numbers of states; of equal ones that with the least number.
+    """
+    n, k = costs.shape
+    before = np.zeros((n, k), dtype=np.int64)
+    total = costs[0].copy() if n else np.zeros(k)
+    for row in range(1, n):
+        best = int(np.argmin(total))
+        stays = total <= total[best] + change_cost
+        before[row] = np.where(stays, np.arange(k), best)
+        total = np.where(stays, total, total[best] + change_cost) + costs[row]
+    path = np.zeros(n, dtype=np.int64)
+    if n:
+        path[-1] = int(np.argmin(total))
+    for row in range(n - 1, 0, -1):
+        path[row - 1] = before[row, path[row]]
+    return path
+
+
+def _cause(former: State, state: State) -> Cause:
+    if state.lens != former.lens:
+        return "lens"
+    return "moved" if state.pose != former.pose else "clock"
+
+
+def with_true_clock(states: Sequence[State], path: IntArray) -> list[State]:
+    """Return states whose offsets are against the clock that most sightings of their lens and pose have.
+
+    Which of two clocks is right cannot be seen; a clock is right most of the time.
+    """
+    offsets: dict[int, float] = {}
+    for pose in {state.pose for state in states}:
+        counted = Counter[float]()
+        for number, state in enumerate(states):
+            if state.pose == pose:
+                counted[state.clock_offset_s] += int(np.count_nonzero(path == number))
+        offsets[pose] = counted.most_common(1)[0][0]
+    return [state._replace(clock_offset_s=state.clock_offset_s - offsets[state.pose]) for state in states]
+
+
+def joined(points: SunPoints, path: IntArray, states: Sequence[State]) -> SunPoints:
+    """Return the sightings with times that every state's clock is corrected in, and poses as epochs."""
+    offsets = np.array([state.clock_offset_s for state in states])
+    poses = np.array([state.pose for state in states])
+    return replace(points, unix_s=points.unix_s - offsets[path], epoch=poses[path])

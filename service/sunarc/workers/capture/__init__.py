@@ -1,1 +1,0 @@
-"""Capture loop: exposure sequence, sun exposure control, consistency of cycles."""

@@ -1,0 +1,319 @@
+"""The feed of an imager: rows of its archive, sent to a hub."""
+
+from __future__ import annotations
+
+import gzip
+import http.client
+import json
+import logging
+import math
+import ssl
+import threading
+import urllib.parse
+import urllib.request
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from http import HTTPStatus
+from pathlib import Path
+from typing import Any
+
+import h11
+
+from sunarc.archive.archive import CameraArchive
+from sunarc.archive.database.schema import head_revision
+from sunarc.archive.fleet.feed_rows import FeedRow, feed_lines
+from sunarc.archive.fleet.outbox import OutboxPosition
+from sunarc.errors import ConfigurationError, InputError, OutsideError
+from sunarc.runtime.clock import Clock
+from sunarc.runtime.status import StatusRegistry
+from sunarc.utc import rfc3339
+from sunarc.workers.http_exchange import HttpRequest, Limit, UnfinishedError, exchange
+from sunarc.workers.messages import condition
+
+_WITHIN_S = 30.0
+"""From the beginning of the connection to the end of the answer; more rows than go in that time are sent in parts."""
+_LEAST_BYTES_PER_S = 500.0
+"""One row can be sent in no parts: it has the time that it takes at this rate besides."""
+_MOST_READ_BYTES = 65_536
+_COMPRESSION_LEVEL = 4  # rows become a tenth; higher levels cost more time than they save
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HubOptions:
+    """The hub that an imager sends its archive's rows to.
+
+    Attributes
+    ----------
+    url : its address, as "https://fleet.example"; None: nothing is sent.
+    token_file : a file whose one line is the camera's token, made on the hub by `sunarc hub token`.
+    """
+
+    url: str | None = None
+    token_file: Path | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse an address that is none."""
+        parts = urllib.parse.urlsplit("https://none" if self.url is None else self.url)
+        if parts.scheme not in {"http", "https"} or not parts.hostname or parts.query or parts.username:
+            remedy = "give one as https://fleet.example"
+            raise InputError(field="hub.url", problem=f"{self.url!r} is no address", remedy=remedy)
+        if self.url is not None and self.token_file is None:
+            raise InputError(field="hub.token_file", problem="is missing", remedy="sunarc hub token makes a token")
+
+
+class HubRefusal(Exception):  # noqa: N818 - an answer, and no fault
+    """The hub refuses what was sent.
+
+    Parameters
+    ----------
+    status : the HTTP status.
+    text : why.
+    """
+
+    def __init__(self, status: int, text: str) -> None:
+        super().__init__(text)
+        self.status = status
+
+
+class HubUnfinishedError(OutsideError):
+    """The hub was reached, and not all was sent, stored and answered in time: fewer rows may be."""
+
+
+Send = Callable[[OutboxPosition, Sequence[FeedRow], Callable[[], None]], int]
+"""Sends rows that follow a position, with the caller's heartbeat, and returns the number that the hub answers."""
+
+
+class HubConnection:
+    """Sends rows of one camera to a hub.
+
+    Parameters
+    ----------
+    options : with an address.
+    camera : its name.
+    clock : real time.
+
+    Raises
+    ------
+    ConfigurationError : the token cannot be read.
+    """
+
+    def __init__(self, options: HubOptions, *, camera: str, clock: Clock) -> None:
+        address = (options.url or "").rstrip("/")
+        self._url = f"{address}/v1/cameras/{urllib.parse.quote(camera, safe='')}/feed"
+        self._token = _token(options.token_file)
+        self._context = ssl.create_default_context() if self._url.startswith("https:") else None
+        self._clock = clock
+
+    def send(self, position: OutboxPosition, rows: Sequence[FeedRow], heartbeat: Callable[[], None]) -> int:
+        """Send rows that follow a position, and return the number up to which the hub has them.
+
+        All of it takes at most 30 s, for one row more by its size; redirects are not followed, since the token would
+        go to whatever host they name.
+
+        Raises
+        ------
+        HubRefusal : the hub understood and refused.
+        HubUnfinishedError : it was reached, and the exchange was cut off or took too long.
+        OutsideError : it was not reached, or was not able to.
+        """
+        request = HttpRequest(
+            method="PUT",
+            url=urllib.parse.urlsplit(f"{self._url}?after={position.committed}"),
+            body=gzip.compress(feed_lines(rows), _COMPRESSION_LEVEL, mtime=0),
+            headers={
+                "authorization": f"Bearer {self._token}",
+                "content-type": "application/x-ndjson",
+                "content-encoding": "gzip",
+                "sunarc-installation": position.installation,
+                "sunarc-revision": head_revision(),
+            },
+            proxy=_proxy_of(self._url),
+        )
+        within_s = _WITHIN_S + (len(request.body) / _LEAST_BYTES_PER_S if len(rows) == 1 else 0.0)
+        limit = Limit(within_s, monotonic=self._clock.monotonic, heartbeat=heartbeat)
+        try:
+            status, body = exchange(request, context=self._context, limit=limit, most_bytes=_MOST_READ_BYTES)
+            if HTTPStatus.OK <= status < HTTPStatus.MULTIPLE_CHOICES:
+                return int(json.loads(body)["committed"])
+        except (UnfinishedError, h11.RemoteProtocolError) as error:
+            raise HubUnfinishedError(f"the hub {self._url}: {error}") from error
+        except (OSError, ValueError, KeyError, TypeError, h11.LocalProtocolError) as error:
+            raise OutsideError(f"the hub {self._url}: {error}") from error
+        raise _failure(status, body)
+
+
+def _failure(status: int, body: bytes) -> HubRefusal | OutsideError:
+    try:
+        text = str(json.loads(body)["detail"])
+    except (ValueError, KeyError, TypeError):
+        text = http.client.responses.get(status, "")
+    if status in {HTTPStatus.REQUEST_TIMEOUT, HTTPStatus.GATEWAY_TIMEOUT}:
+        return HubUnfinishedError(f"the hub answers {status}: {text}")
+    if status >= HTTPStatus.INTERNAL_SERVER_ERROR or status == HTTPStatus.TOO_MANY_REQUESTS:
+        return OutsideError(f"the hub answers {status}: {text}")
+    return HubRefusal(status, text)
+
+
+def _proxy_of(url: str) -> urllib.parse.SplitResult | None:
+    """Return the proxy that the environment names for an address (`https_proxy`, `no_proxy`); None without one."""
+    parts = urllib.parse.urlsplit(url)
+    found = urllib.request.getproxies_environment().get(parts.scheme)
+    if not found or urllib.request.proxy_bypass(parts.netloc):
+        return None
+    return urllib.parse.urlsplit(found if "//" in found else f"//{found}")
+
+
+def _token(path: Path | None) -> str:
+    try:
+        return "" if path is None else path.read_text("ascii").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"hub.token_file {path}: {error}") from error
+
+
+_log = logging.getLogger(__name__)
+_POLL_S = 1.0  # the heartbeat's
+_MOST_ROWS = 1000
+_QUICK_S = 7.5
+"""An exchange that took no longer, a quarter of what it may take, shows that the next may have twice the rows."""
+_MOST_BYTES = 1_000_000  # of JSON, a tenth of that on the way
+_STATUS_EVERY_S = 60.0
+_LONGEST_WAIT_S = 60.0
+_SILENT_S = 900.0
+"""A hub that was not reached for so long is a condition; a network that is lost for minutes is none."""
+_UNREACHABLE, _REFUSED = "hub_unreachable", "hub_refuses"
+
+
+class FeedWorker:
+    """Sends what the outbox holds, and forgets it when the hub has it.
+
+    Parameters
+    ----------
+    camera : whose archive.
+    send : sends rows.
+    clock : real time.
+    board : whose status the hub gets, and where a hub that does not answer is shown.
+    every_s : seconds between two looks at the outbox.
+    """
+
+    def __init__(
+        self, *, camera: CameraArchive, send: Send, clock: Clock, board: StatusRegistry, every_s: float = 5.0
+    ) -> None:
+        self._camera = camera
+        self._archive = camera.archive
+        self._send = send
+        self._clock = clock
+        self._board = board
+        self._every_s = every_s
+        self._most_rows = _MOST_ROWS
+        self._failures = 0
+        self._reached_s = clock.monotonic()
+        self._status_s = -math.inf
+        self._enabled = False
+
+    def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
+        """Send until stopped."""
+        while not stop.is_set():
+            until_s = self._clock.monotonic() + self.step(heartbeat)
+            heartbeat()
+            while not stop.is_set() and self._clock.monotonic() < until_s:
+                self._clock.wait(stop, min(_POLL_S, max(until_s - self._clock.monotonic(), 0.0)))
+                heartbeat()
+
+    def step(self, heartbeat: Callable[[], None]) -> float:
+        """Send once, and return the seconds until the next time."""
+        try:
+            more = self._send_next(heartbeat)
+        except OutsideError as error:
+            _log.debug("not sent to the hub: %s", error)
+            return self._failed(str(error))
+        except HubRefusal as refusal:
+            return self._refused(refusal)
+        self._failures, self._reached_s = 0, self._clock.monotonic()
+        self._board.set_condition(_UNREACHABLE, None)
+        self._board.set_condition(_REFUSED, None)
+        return 0.0 if more else self._every_s
+
+    def _send_next(self, heartbeat: Callable[[], None]) -> bool:
+        """Send the next rows, if there are any, and return whether there may be more."""
+        if not self._enabled:
+            if self._archive.enable_outbox():
+                _log.info("all rows of the archive are queued for the hub")
+            self._enabled = True
+        if self._clock.monotonic() - self._status_s >= _STATUS_EVERY_S:
+            self._archive.queue_status(self._status())
+            self._status_s = self._clock.monotonic()
+        position = self._archive.outbox_position()
+        rows = self._archive.outbox_rows(most=self._most_rows, most_bytes=_MOST_BYTES)
+        if not rows:
+            return False
+        # Before they are sent: a database that is put back to before this knows less than the hub, and finds it out.
+        self._archive.mark_sent(rows[-1].seq)
+        self._follow(position, rows, self._sent(position, rows, heartbeat))
+        return True
+
+    def _sent(self, position: OutboxPosition, rows: Sequence[FeedRow], heartbeat: Callable[[], None]) -> int:
+        """Send rows, the next time fewer where they took too long or were too large, and more where it was quick.
+
+        One that is too large for the hub goes as its number alone, and the hub sets that apart.
+        """
+        begun_s = self._clock.monotonic()
+        try:
+            committed = self._send(position, rows, heartbeat)
+        except HubUnfinishedError:
+            self._most_rows = max(len(rows) // 2, 1)
+            raise
+        except HubRefusal as refusal:
+            if refusal.status != HTTPStatus.REQUEST_ENTITY_TOO_LARGE or (len(rows) == 1 and rows[0].data is None):
+                raise
+            if len(rows) > 1:
+                self._most_rows = max(len(rows) // 2, 1)
+                return self._sent(position, rows[: self._most_rows], heartbeat)
+            committed = self._send(position, [replace(rows[0], data=None)], heartbeat)
+        if self._clock.monotonic() - begun_s <= _QUICK_S:
+            self._most_rows = min(2 * self._most_rows, _MOST_ROWS)
+        return committed
+
+    def _follow(self, position: OutboxPosition, rows: Sequence[FeedRow], committed: int) -> None:
+        """Do what the hub's number asks for."""
+        if committed < position.committed:
+            _log.warning(
+                "the hub has rows up to %d, and had them up to %d: all go again", committed, position.committed
+            )
+            self._archive.send_again(committed=committed)
+        elif committed > max(rows[-1].seq, position.sent):
+            former, new = position.installation, self._archive.begin_installation()
+            _log.warning("the hub has later rows of installation %s than were sent: going on as %s", former, new)
+        elif committed == position.committed:
+            raise OutsideError(f"the hub took nothing of {len(rows)} rows")
+        else:
+            self._archive.acknowledge(committed)
+
+    def _failed(self, text: str) -> float:
+        self._failures += 1
+        silent_s = self._clock.monotonic() - self._reached_s
+        if silent_s >= _SILENT_S:
+            reason = condition(_UNREACHABLE, hours=round(silent_s / 3600.0, 1), error=text)
+            self._board.set_condition(_UNREACHABLE, reason)
+        return float(min(self._every_s * 2.0 ** min(self._failures - 1, 10), _LONGEST_WAIT_S))
+
+    def _refused(self, refusal: HubRefusal) -> float:
+        """Show a refusal: the hub answers, and an operator has to do something. It is tried again all the same."""
+        self._reached_s = self._clock.monotonic()
+        self._board.set_condition(_REFUSED, condition(_REFUSED, status=refusal.status, error=str(refusal)))
+        return self._failed(str(refusal))
+
+    def _status(self) -> Mapping[str, Any]:
+        """Return what the fleet page shows of this imager."""
+        board = self._board.snapshot()
+        days = self._camera.days(limit=1)
+        offset = days[0].pose_offset_deg if days else None
+        return {
+            "version": board.version,
+            "health": board.health,
+            "conditions": [reason.code for reason in board.reasons],
+            "disk_free_bytes": None if board.disk is None else board.disk.free_bytes,
+            "clock_synchronised": None if board.clock is None else board.clock.synchronised,
+            "clock_error_s": None if board.clock is None else board.clock.max_error_s,
+            "last_frame_at": None if board.last_frame_at is None else rfc3339(board.last_frame_at),
+            "drift_deg": None if offset is None else math.hypot(*offset),
+        }

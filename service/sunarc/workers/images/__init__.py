@@ -1,1 +1,0 @@
-"""Composites and their metadata."""

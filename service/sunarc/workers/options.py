@@ -1,0 +1,159 @@
+"""What can be set of the workers: sensor, night, and receivers of messages."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import urllib.parse
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from annotated_types import Ge, Gt, Le, Lt
+
+from sunarc.bounds import require_bounds
+from sunarc.cameras.frame import Frame
+from sunarc.detection.values import Sensor, bayer_of
+from sunarc.errors import ConfigurationError, InputError
+
+_MOST_WEBHOOKS = 8
+_LEAST_SECRET = 16  # bytes: half of what HMAC-SHA256 makes of it
+_SECRET_PREFIX = "whsec_"  # noqa: S105 - of a secret in base64 (Standard Webhooks)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PushOptions:
+    """Receivers of messages: an MQTT broker, and webhooks.
+
+    Attributes
+    ----------
+    mqtt : address of a broker, "mqtt://broker.example" (port 1883) or "mqtts://…" (TLS, port 8883); None: none.
+        Needs the extra `mqtt`.
+    mqtt_login_file : a file whose one line is USER:PASSWORD for the broker.
+    webhooks : addresses that messages are posted to, as "https://example.org/hook"; at most 8.
+    webhook_secret_file : a file whose one line is the secret that messages to webhooks are signed with.
+    """
+
+    mqtt: str | None = None
+    mqtt_login_file: Path | None = None
+    webhooks: tuple[str, ...] = ()
+    webhook_secret_file: Path | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse addresses that are none."""
+        if self.mqtt is not None:
+            parts = _checked("push.mqtt", self.mqtt, ("mqtt", "mqtts"))
+            if parts.path.strip("/"):
+                raise _refusal("push.mqtt", self.mqtt, "give one as mqtts://broker.example")
+        for url in self.webhooks:
+            _checked("push.webhooks", url, ("http", "https"))
+        if len(self.webhooks) > _MOST_WEBHOOKS or len(set(self.webhooks)) < len(self.webhooks):
+            remedy = f"give at most {_MOST_WEBHOOKS} different ones"
+            raise InputError(field="push.webhooks", problem=f"{len(self.webhooks)} addresses", remedy=remedy)
+        if self.webhooks and self.webhook_secret_file is None:
+            remedy = "write 32 random bytes in base64 to a file"
+            raise InputError(field="push.webhook_secret_file", problem="is missing", remedy=remedy)
+
+
+def _checked(field: str, url: str, schemes: tuple[str, ...]) -> urllib.parse.SplitResult:
+    remedy = f"give one as {schemes[-1]}://receiver.example"
+    try:
+        parts = urllib.parse.urlsplit(url)
+        port = parts.port
+    except ValueError:
+        raise _refusal(field, url, remedy) from None
+    printable = url.isascii() and url.isprintable() and " " not in url
+    if parts.scheme not in schemes or not parts.hostname or port == 0 or parts.fragment or not printable:
+        raise _refusal(field, url, remedy)
+    if parts.username is not None:
+        raise InputError(field=field, problem="has a password in the address", remedy="put it in a file of its own")
+    return parts
+
+
+def _refusal(field: str, value: str, remedy: str) -> InputError:
+    return InputError(field=field, problem=f"{value!r} is no address", remedy=remedy)
+
+
+def read_login(path: Path | None) -> tuple[str, str] | None:
+    """Return user and password of a broker; None without a file."""
+    if path is None:
+        return None
+    user, colon, password = _line("push.mqtt_login_file", path).partition(":")
+    if not user or not colon:
+        raise ConfigurationError(f"push.mqtt_login_file {path}: is not USER:PASSWORD in one line")
+    return user, password
+
+
+def read_secret(path: Path | None) -> bytes:
+    """Return the key that messages to webhooks are signed with."""
+    text = "" if path is None else _line("push.webhook_secret_file", path)
+    key = text.encode()
+    if text.startswith(_SECRET_PREFIX):
+        try:
+            key = base64.b64decode(text.removeprefix(_SECRET_PREFIX), validate=True)
+        except binascii.Error as error:
+            raise ConfigurationError(f"push.webhook_secret_file {path}: {_SECRET_PREFIX}… is no base64") from error
+    if len(key) < _LEAST_SECRET:
+        raise ConfigurationError(
+            f"push.webhook_secret_file {path}: has {len(key)} bytes; write {_LEAST_SECRET} or more"
+        )
+    return key
+
+
+def _line(setting: str, path: Path) -> str:
+    try:
+        return path.read_text("utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"{setting} {path}: {error}") from error
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NightOptions:
+    """Work at night.
+
+    Attributes
+    ----------
+    enabled : look at the stars: every `capture.night_cadence_s` while the sun is below -12 degrees an exposure of
+        seconds is taken, and its stars are used beside the sun's sightings (extra `night`).
+    """
+
+    enabled: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorOptions:
+    """The sensor's noise.
+
+    Attributes
+    ----------
+    full_well_e : electrons at full scale.
+    read_noise_e : electrons.
+    black_level_fraction : level of an unlit pixel, of full scale.
+    blooming : a saturated pixel spills into its neighbours.
+    """
+
+    full_well_e: Annotated[float, Gt(0.0), Le(1e7)] = 20_000.0
+    read_noise_e: Annotated[float, Ge(0.0), Le(1e6)] = 12.0
+    black_level_fraction: Annotated[float, Ge(0.0), Lt(1.0)] = 0.0
+    blooming: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse what no sensor has."""
+        require_bounds(self, section="sensor")
+
+
+def sensor_of(frame: Frame, options: SensorOptions) -> Sensor:
+    """Return the sensor's properties for the detector and the merge, by a frame's pixel format and binning.
+
+    The mean of n² pixels has the noise of n² times the electrons per count; a raised gain has fewer.
+    """
+    raised = 10.0 ** (frame.raised_db / 20.0)
+    return Sensor(
+        full_scale=frame.full_scale,
+        gain_e_per_count=frame.binning**2 * options.full_well_e / frame.full_scale / raised,
+        read_noise_e=frame.binning * options.read_noise_e,
+        black_level=options.black_level_fraction * frame.full_scale,
+        bayer=bayer_of(frame.pixel_format),
+        blooming=options.blooming,
+        binning=frame.binning,
+    )

@@ -1,1 +1,0 @@
-"""Messages to receivers elsewhere: `record` what there is to tell · `push` sends it · `webhook mqtt` how."""

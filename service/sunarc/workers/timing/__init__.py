@@ -1,1 +1,0 @@
-"""Frame times, clock steps and the clock's state."""

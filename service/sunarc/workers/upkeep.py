@@ -1,0 +1,392 @@
+"""Upkeep: disk space, the database's file, and the record of the service's own state."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Collection, Mapping
+from datetime import UTC, datetime, timedelta
+
+from sunarc.archive.archive import Archive, CameraArchive
+from sunarc.archive.database.recovery import Recovery
+from sunarc.archive.database.store import Reserve
+from sunarc.archive.images import DiskOptions, DiskUsage, ImageStore
+from sunarc.archive.values import Event, Housekeeping, merged
+from sunarc.errors import OutsideError, StoreFullError
+from sunarc.findings import Finding
+from sunarc.runtime.clock import Clock
+from sunarc.runtime.status import DiskStatus, Reason, StatusRegistry
+from sunarc.workers.messages import MESSAGES, condition
+
+_log = logging.getLogger(__name__)
+_DISK_POLL_S = 1.0  # the heartbeat's
+_DISK_EVERY_S = 5.0
+"""Seconds from check to check: a full cycle's images in between are far below what is kept free."""
+_UNREADABLE = "images_unreadable"
+_DISK_CODES = ("disk_low", "disk_full", "disk_no_inodes")
+
+
+class DiskWorker:
+    """Checks the disk periodically, removes images by age and by free space, and publishes the disk's state.
+
+    Parameters
+    ----------
+    store : the images.
+    reserve : space for the database, released when the disk is full and taken again when it is not.
+    options : how much images may have.
+    clock : real time.
+    age_from : the time that the age of images is counted from; None while it cannot be trusted.
+    board : where the disk's state is shown.
+    """
+
+    def __init__(
+        self,
+        *,
+        store: ImageStore,
+        reserve: Reserve,
+        options: DiskOptions,
+        clock: Clock,
+        age_from: Callable[[], datetime | None],
+        board: StatusRegistry,
+    ) -> None:
+        self._store = store
+        self._reserve = reserve
+        self._options = options
+        self._clock = clock
+        self._age_from = age_from
+        self._board = board
+
+    def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
+        """Check until stopped."""
+        self._clear_up()
+        due_s = self._clock.monotonic()
+        while not stop.is_set():
+            heartbeat()
+            if self._clock.monotonic() >= due_s:
+                self.check()
+                due_s = self._clock.monotonic() + _DISK_EVERY_S
+            self._clock.wait(stop, _DISK_POLL_S)
+
+    def check(self) -> None:
+        """Check once; a folder that cannot be read becomes a condition, and is checked again."""
+        try:
+            self._check()
+        except (OutsideError, OSError) as error:
+            self._board.set_condition(_UNREADABLE, condition(_UNREADABLE, error=str(error)))
+        else:
+            self._board.set_condition(_UNREADABLE, None)
+
+    def _clear_up(self) -> None:
+        try:
+            self._store.clear_up()
+        except OutsideError as error:
+            self._board.set_condition(_UNREADABLE, condition(_UNREADABLE, error=str(error)))
+
+    def _check(self) -> None:
+        now = self._age_from()
+        if now is not None:
+            keep = self._options.keep_days
+            removed = self._store.expire(now - timedelta(days=keep), keep_newest_days=int(keep))
+            if removed:
+                _log.info("%d images older than %g days were removed", removed, self._options.keep_days)
+        has_space = self._store.make_room()
+        usage = self._store.usage()
+        self._reserve.balance(usage.free_bytes)
+        self._publish(usage, has_space=has_space)
+
+    def _publish(self, usage: DiskUsage, *, has_space: bool) -> None:
+        self._board.note(
+            disk=DiskStatus(
+                free_bytes=usage.free_bytes,
+                images_bytes=usage.images_bytes,
+                oldest_image_at=usage.oldest_image_at,
+            )
+        )
+        self._board.set_one_condition(_DISK_CODES, self._reason(usage, has_space=has_space))
+
+    def _reason(self, usage: DiskUsage, *, has_space: bool) -> Reason | None:
+        if usage.out_of_files:
+            code = "disk_no_inodes"
+        elif has_space:
+            return None
+        else:
+            code = "disk_low" if self._reserve.held() else "disk_full"
+        free_mb, images_mb = usage.free_bytes / 1e6, usage.images_bytes / 1e6
+        return condition(code, folder=str(self._store.folder), free_mb=free_mb, images_mb=images_mb)
+
+
+_DATABASE_EVERY_S = 2.0
+_MISSING = "database_missing"
+_STORE_FULL = "store_full"
+
+
+class DatabaseWorker:
+    """Checks periodically that the database's file is the one that was opened, and restores it where it is not.
+
+    Parameters
+    ----------
+    archive : whose file.
+    clock : real time.
+    now : frame time, which dates events.
+    board : where a lost database is shown.
+    recovered : what was done about a lost database at the start; None when it was in place.
+    """
+
+    def __init__(
+        self,
+        *,
+        archive: Archive,
+        clock: Clock,
+        now: Callable[[], datetime],
+        board: StatusRegistry,
+        recovered: Recovery | None = None,
+    ) -> None:
+        self._archive = archive
+        self._clock = clock
+        self._now = now
+        self._board = board
+        self._unreported = recovered
+        if recovered is not None:
+            _publish(board, recovered)
+
+    def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
+        """Check until stopped."""
+        while not stop.is_set():
+            heartbeat()
+            self.check()
+            self._clock.wait(stop, _DATABASE_EVERY_S)
+
+    def check(self) -> None:
+        """Check once."""
+        try:
+            done = self._archive.recover(now=self._clock.now())
+        except OutsideError as error:
+            self._board.set_condition(_MISSING, condition(_MISSING, error=str(error)))
+            return
+        self._board.set_condition(_MISSING, None)
+        if done is not None:
+            self._unreported = done
+            _publish(self._board, done)
+        self._report()
+
+    def _report(self) -> None:
+        """Write the event of a recovery, as soon as it can be written."""
+        if self._unreported is None:
+            return
+        event = Event.of(_finding(self._unreported), MESSAGES, time=self._now(), severity="alarm")
+        try:
+            self._archive.add_event(event)
+        except OutsideError as error:
+            _log.error("could not store the event %s: %s", event.kind, error)
+        else:
+            self._unreported = None
+
+
+def _finding(done: Recovery) -> Finding:
+    return Finding(f"database_{done.kind}", {"text": done.text})
+
+
+def _publish(board: StatusRegistry, done: Recovery) -> None:
+    reason = Reason.of(_finding(done), MESSAGES)
+    board.set_condition(reason.code, reason, log=False)
+
+
+class StoreRoomWorker:
+    """Checks whether a hub's database can store a row, and shows where its disk is full.
+
+    Parameters
+    ----------
+    archive : the hub's.
+    clock : real time.
+    board : where a full disk is shown.
+    """
+
+    def __init__(self, *, archive: Archive, clock: Clock, board: StatusRegistry) -> None:
+        self._archive = archive
+        self._clock = clock
+        self._board = board
+
+    def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
+        """Check until stopped."""
+        while not stop.is_set():
+            heartbeat()
+            self.check()
+            self._clock.wait(stop, _DATABASE_EVERY_S)
+
+    def check(self) -> None:
+        """Check once; where the database does not answer, nothing is known of its disk."""
+        try:
+            self._archive.require_room(now=self._clock.now())
+        except StoreFullError as error:
+            self._board.set_condition(_STORE_FULL, condition(_STORE_FULL, severity="not_ready", error=str(error)))
+        except OutsideError as error:
+            _log.debug("not known whether there is room: %s", error)
+        else:
+            self._board.set_condition(_STORE_FULL, None)
+
+
+_SAMPLE_EVERY_S = 10.0
+_STORE_EVERY_S = 600.0
+"""A kill loses at most so much of an hour; 300 writes a day are a tenth of the sightings'."""
+_MOST_WAITING = 1000
+"""Hours that are held in memory while the disk is full; of more the oldest are dropped."""
+
+
+class HousekeepingWorker:
+    """Reads disk space and temperature off the status, and stores them by hour and by day.
+
+    Parameters
+    ----------
+    camera : its archive.
+    clock : real time.
+    now : the frames' time; None while it cannot be trusted, and nothing is recorded.
+    age_from : the time that the age of rows is counted from; None while none are to be removed.
+    board : where disk and camera stand.
+    """
+
+    def __init__(
+        self,
+        *,
+        camera: CameraArchive,
+        clock: Clock,
+        now: Callable[[], datetime | None],
+        age_from: Callable[[], datetime | None],
+        board: StatusRegistry,
+    ) -> None:
+        self._camera, self._clock, self._board = camera, clock, board
+        self._now, self._age_from = now, age_from
+        self._waiting: dict[datetime, Housekeeping] = {}
+        self._stored_s = clock.monotonic()
+        self._failed = False
+
+    def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
+        """Sample until stopped, and store what is left."""
+        while not stop.is_set():
+            heartbeat()
+            self.step()
+            self._clock.wait(stop, _SAMPLE_EVERY_S)
+        self.store()
+
+    def step(self) -> None:
+        """Sample once, and store when it is time."""
+        now = self._now()
+        if now is not None:
+            self._sample(now)
+        if self._clock.monotonic() - self._stored_s >= _STORE_EVERY_S or self._has_ended_hour():
+            self.store()
+
+    def _has_ended_hour(self) -> bool:
+        """Whether an hour has just ended: a simulated one lasts seconds. What could not be stored waits its time."""
+        return len(self._waiting) > 1 and not self._failed
+
+    def _sample(self, now: datetime) -> None:
+        snapshot = self._board.snapshot()
+        disk, degrees = snapshot.disk, None if snapshot.camera is None else snapshot.camera.temperature_c
+        if disk is None and degrees is None:
+            return
+        hour = now.astimezone(UTC).replace(minute=0, second=0, microsecond=0)
+        sample = Housekeeping(
+            time=hour,
+            disk_free_bytes=None if disk is None else disk.free_bytes,
+            images_bytes=None if disk is None else disk.images_bytes,
+            temperature_c=degrees,
+            temperature_min_c=degrees,
+            temperature_max_c=degrees,
+            n_temperatures=int(degrees is not None),
+        )
+        self._waiting[hour] = merged(sample, self._waiting.get(hour, Housekeeping(time=hour)), time=hour)
+        while len(self._waiting) > _MOST_WAITING:
+            del self._waiting[min(self._waiting)]
+
+    def store(self) -> None:
+        """Store what waits; where that fails it waits on."""
+        self._stored_s = self._clock.monotonic()
+        age_from = self._age_from()
+        try:
+            if self._waiting:
+                self._camera.add_housekeeping(self._waiting.values())
+                self._waiting.clear()
+            if age_from is not None:
+                self._camera.expire_housekeeping(now=age_from)
+        except OutsideError as error:
+            if not self._failed:
+                _log.warning("could not store disk space and temperature, will retry: %s", error)
+            self._failed = True
+        else:
+            self._failed = False
+
+
+_LOOK_EVERY_S = 10.0
+_LEAST_HELD = timedelta(seconds=60)
+"""A condition that holds for less is not stored: one that comes and goes would be written at every cycle."""
+SETTLED_S = 900.0
+"""For so long after the start a stored condition that is not set may come back: some need ten slots to be found."""
+
+
+class ConditionTimesWorker:
+    """Stores since when conditions hold, and hands the status what the store has at the start.
+
+    Parameters
+    ----------
+    archive : the store.
+    camera : whose conditions; "" for the hub's own.
+    board : where conditions are set.
+    clock : real time.
+    passing : codes that say something of this run of the service alone.
+    """
+
+    def __init__(
+        self, *, archive: Archive, camera: str, board: StatusRegistry, clock: Clock, passing: Collection[str] = ()
+    ) -> None:
+        self._archive, self._camera, self._passing = archive, camera, frozenset(passing)
+        self._board, self._clock = board, clock
+        self._settled_s = clock.monotonic() + SETTLED_S
+        self._failed = False
+        self._stored: Mapping[str, datetime] | None = None
+        self._resume()
+
+    def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
+        """Look until stopped."""
+        while not stop.is_set():
+            heartbeat()
+            self.step()
+            self._clock.wait(stop, _LOOK_EVERY_S)
+
+    def step(self) -> None:
+        """Look once, and store what changed; where that fails it is tried again at the next look."""
+        if self._stored is None:
+            self._resume()
+        if self._stored is None:
+            return
+        held = self._held(self._stored)
+        if held == self._stored:
+            return
+        try:
+            self._archive.save_condition_times(self._camera, held)
+        except OutsideError as error:
+            self._complain("could not store since when conditions hold, will retry: %s", error)
+        else:
+            self._stored, self._failed = held, False
+
+    def _resume(self) -> None:
+        try:
+            self._stored = self._archive.condition_times(self._camera)
+        except OutsideError as error:
+            self._complain("could not read since when conditions hold, will retry: %s", error)
+        else:
+            self._board.resume(self._stored, within_s=self._settled_s - self._clock.monotonic())
+
+    def _complain(self, text: str, error: OutsideError) -> None:
+        if not self._failed:
+            _log.warning(text, error)
+        self._failed = True
+
+    def _held(self, stored: Mapping[str, datetime]) -> dict[str, datetime]:
+        now = self._clock.now()
+        present = {reason.code: reason.since for reason in self._board.snapshot().reasons if reason.since is not None}
+        lasting = {
+            code: since
+            for code, since in present.items()
+            if code not in self._passing and (code in stored or now - since >= _LEAST_HELD)
+        }
+        return {**self._board.awaited(), **lasting}
