@@ -25,8 +25,7 @@ from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.night import moon_disc
 from sunarc.utc import utc_time
 from sunarc.workers.loop import DropOldestQueue
-from sunarc.workers.night.exposures import MoonExposures, NightCapture, NightExposures
-from sunarc.workers.night.moon import MoonCapture
+from sunarc.workers.night.exposures import MoonCapture, MoonExposures, NightCapture, NightExposures
 from sunarc.workers.night.night import NightWorker
 from sunarc.workers.options import SensorOptions
 
