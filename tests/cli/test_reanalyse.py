@@ -76,3 +76,15 @@ def test_an_epoch_that_does_not_explain_its_days_exits_1_beside_accepted_ones(
         monkeypatch.setattr(command, "reanalyse", lambda *_, given=summary, **__: given)
         answer = sunarc("reanalyse", str(images), *SITE, "-o", str(tmp_path / "out"), "--yes", "--json")
         assert answer.code == expected
+
+
+def test_a_source_without_an_image_that_can_be_used_exits_1_beside_an_accepted_camera(
+    sunarc: Sunarc, images: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    undated = folder_of({"sky.png": encoded(GREY, ".png")}, tmp_path / "mast")
+    report = {"cameras": [{"camera": "roof", "epochs": [{"accepted": True}]}]}
+    monkeypatch.setattr(command, "reanalyse", lambda *_, **__: Summary(report=report, documents={}))
+    for sources, expected in (([images], 0), ([images, undated], 1)):
+        asked = [str(one) for one in sources]
+        answer = sunarc("reanalyse", *asked, *SITE, "-o", str(tmp_path / "out"), "--yes", "--json")
+        assert answer.code == expected

@@ -7,6 +7,8 @@ import os
 import pickle
 import subprocess
 import sys
+import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,8 +18,9 @@ from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import SunPoints
 from sunarc.runtime.child_process import answer_call
+from sunarc.runtime.clock import SystemClock
 from sunarc.sky.site import Site
-from sunarc.workers.calibrating.solver_process import Problem, call_on
+from sunarc.workers.calibrating.solver_process import Problem, call_on, solve_in_child
 
 
 def refuse(increment: int) -> int:
@@ -49,3 +52,24 @@ def test_the_process_of_a_solve_imports_the_core_and_neither_workers_nor_the_dat
     imported = set(done.stdout.decode().split())
     assert "sunarc.calibration.calibrate" in imported
     assert not imported & {"sunarc.workers", "sunarc.archive", "sqlalchemy", "sunarc.runtime.status", "fastapi"}
+
+
+def test_the_process_of_a_solve_computes_with_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    limits = ("OMP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
+    for name in limits:
+        monkeypatch.setenv(name, "")  # so that it is unset again
+        monkeypatch.delenv(name)
+    nothing = SunPoints(unix_s=np.empty(0), pixels=np.empty((0, 2)))
+    site = Site(latitude=36.6, longitude=-97.5, altitude=318.0)
+    problem = Problem(points=nothing, site=site, image_size=(1748, 1748), options=CalibrationOptions())
+    found: set[str] = set()
+    stop = threading.Event()
+
+    def look() -> None:
+        for child in multiprocessing.active_children():
+            found.update(Path(f"/proc/{child.pid}/environ").read_text().split("\0"))
+        if any(one.startswith(limits) for one in found):
+            stop.set()
+
+    solve_in_child(problem, clock=SystemClock(), time_limit_s=60.0, stop=stop, heartbeat=look)
+    assert found >= {f"{name}=1" for name in limits}

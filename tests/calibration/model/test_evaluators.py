@@ -18,12 +18,13 @@ import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibration import SGP, current_document, distinctive_calibration, small_camera
 
+from sunarc.array_types import stacked
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.backward import back_project
 from sunarc.calibration.model.document import from_document
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Kind, SunPoints
 from sunarc.errors import InputError
 from sunarc.optics.forward import project
 from sunarc.sky.sun import sun_directions
@@ -33,6 +34,8 @@ DOCS = Path(__file__).parents[3] / "docs"
 EVALUATORS = DOCS / "examples" / "evaluators"
 PROJECTIONS = ["perspective", "equidistant", "equisolid", "stereographic", "orthographic"]
 SKY = hemisphere(40)
+Own = list[tuple[Calibration, dict[str, Any]]]
+"""Calibrations with their documents."""
 
 
 def questions(made: Calibration) -> tuple[FloatArray, FloatArray]:
@@ -68,8 +71,8 @@ def test_the_python_evaluator(projection: str, *, mirrored: bool) -> None:
 
 
 @pytest.fixture(scope="module")
-def own_documents() -> list[tuple[Calibration, dict[str, Any]]]:
-    """Return fits of a day without a field, of one beside a field, and of no sightings."""
+def own_documents() -> Own:
+    """Return fits of a day without a field, of one beside a field, of no sightings, and of a day with a night."""
     truth = replace(small_camera(), max_angle=math.radians(95.0))
     times = 1_368_446_400.0 + np.arange(0.0, 40_000.0, 240.0)
     sun = sun_directions(times, SGP)
@@ -78,11 +81,30 @@ def own_documents() -> list[tuple[Calibration, dict[str, Any]]]:
     bent = pixels + 3.0 * np.sin(pixels[:, ::-1] / 60.0)
     day, beside = (SunPoints(unix_s=times, pixels=one) for one in (pixels, bent))
     size = (truth.width, truth.height)
-    fits = [calibrate(one, site=SGP, image_size=size) for one in (day, beside, day.select(slice(0, 0)))]
+    seen = np.all(np.isfinite(project(truth, SKY)), axis=-1) & (SKY[:, 2] > 0.2)
+    stars = SunPoints(
+        unix_s=times[-1] + 36_000.0 + 60.0 * np.arange(seen.sum(), dtype=np.float64),
+        pixels=project(truth, SKY[seen]) + np.random.default_rng(4).normal(0.0, 0.05, (seen.sum(), 2)),
+        sigma_px=np.full(seen.sum(), 0.05),
+        directions=SKY[seen],
+        kind=np.full(seen.sum(), Kind.STAR),
+    )
+    with_night = stacked([replace(day, sigma_px=np.full(times.size, 0.05)), stars])
+    given = (day, beside, day.select(slice(0, 0)), with_night)
+    fits = [calibrate(one, site=SGP, image_size=size) for one in given]
     return [(one, current_document(one)) for one in fits]
 
 
-def test_the_python_evaluator_reads_what_fits_write(own_documents: list[tuple[Calibration, dict[str, Any]]]) -> None:
+def test_the_documents_are_of_a_day_a_night_a_field_and_none(
+    own_documents: Own,
+) -> None:
+    nights = [read["night"] is not None for _, read in own_documents]
+    assert nights == [False, False, False, True]
+    displaced = [bool(np.any(read["uncertainty"]["field"]["mean"])) for _, read in own_documents]
+    assert displaced[:3] == [False, True, False]
+
+
+def test_the_python_evaluator_reads_what_fits_write(own_documents: Own) -> None:
     evaluator: dict[str, Any] = {"__name__": "evaluate_calibration"}
     exec((EVALUATORS / "evaluate_calibration.py").read_text(encoding="utf-8"), evaluator)  # noqa: S102 - ours
     known = [len(read["uncertainty"]["field"]["known"]) for _, read in own_documents]
@@ -92,6 +114,12 @@ def test_the_python_evaluator_reads_what_fits_write(own_documents: list[tuple[Ca
         found = np.array([evaluator["covariance"](read, one) for one in directions])
         expected = project_with_covariance(fit, directions)[1].reshape(3, 4)
         np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-6)
+        directions, pixels = questions(fit)
+        compared(
+            fit,
+            np.array([evaluator["project"](read, one) for one in directions]),
+            np.array([evaluator["back_project"](read, one) for one in pixels]),
+        )
 
 
 def test_the_python_evaluator_as_a_command(tmp_path: Path) -> None:
@@ -136,21 +164,28 @@ def numbers(read: dict[str, Any]) -> list[float]:
     ]
 
 
+def cases(own: Own, *, both_hands: bool = False) -> Own:
+    """Return calibrations of all projections, mirrored by turns or both ways, and fits, with their documents."""
+    drawn = [(name, k % 2 == 1) for k, name in enumerate(PROJECTIONS)]
+    if both_hands:
+        drawn += [(name, not mirrored) for name, mirrored in drawn]
+    made = [distinctive_calibration(name, mirrored=mirrored) for name, mirrored in drawn]
+    return [(one, current_document(one)) for one in made] + own
+
+
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
-def test_the_c_evaluator(tmp_path: Path) -> None:
+def test_the_c_evaluator(tmp_path: Path, own_documents: Own) -> None:
     program, values = tmp_path / "evaluate", tmp_path / "calibration.txt"
     source = str(EVALUATORS / "evaluate_calibration.c")
     subprocess.run(["cc", "-O2", "-Wall", "-Wextra", "-Werror", source, "-lm", "-o", program], check=True)
-    for projection in PROJECTIONS:
-        for mirrored in (False, True):
-            made = distinctive_calibration(projection, mirrored=mirrored)
-            values.write_text("\n".join(repr(float(n)) for n in numbers(current_document(made))), encoding="utf-8")
-            directions, pixels = questions(made)
-            asked = [("d", *one) for one in directions] + [("p", *one) for one in pixels]
-            text = "\n".join(" ".join(map(str, one)) for one in asked)
-            answer = subprocess.run([program, values], input=text, capture_output=True, text=True, check=True)
-            rows = [[float(n) for n in line.split()] for line in answer.stdout.splitlines()]
-            compared(made, np.array(rows[: len(directions)]), np.array(rows[len(directions) :]))
+    for made, read in cases(own_documents, both_hands=True):
+        values.write_text("\n".join(repr(float(n)) for n in numbers(read)), encoding="utf-8")
+        directions, pixels = questions(made)
+        asked = [("d", *one) for one in directions] + [("p", *one) for one in pixels]
+        text = "\n".join(" ".join(map(str, one)) for one in asked)
+        answer = subprocess.run([program, values], input=text, capture_output=True, text=True, check=True)
+        rows = [[float(n) for n in line.split()] for line in answer.stdout.splitlines()]
+        compared(made, np.array(rows[: len(directions)]), np.array(rows[len(directions) :]))
 
 
 @pytest.mark.skipif(shutil.which("jq") is None or shutil.which("cc") is None, reason="no jq, or no C compiler")
@@ -199,30 +234,30 @@ for (k in 1:COUNT) {
 """
 
 
-def in_another_language(tmp_path: Path, command: list[str], script: str) -> None:
-    """Ask an evaluator about all projections in one run of its interpreter."""
-    cases = [distinctive_calibration(projection, mirrored=k % 2 == 1) for k, projection in enumerate(PROJECTIONS)]
-    for k, made in enumerate(cases, 1):
+def in_another_language(tmp_path: Path, own: Own, command: list[str], script: str) -> None:
+    """Ask an evaluator about all documents in one run of its interpreter."""
+    asked_about = cases(own)
+    for k, (made, read) in enumerate(asked_about, 1):
         directions, pixels = questions(made)
-        (tmp_path / f"{k}.json").write_text(json.dumps(current_document(made)), encoding="utf-8")
+        (tmp_path / f"{k}.json").write_text(json.dumps(read), encoding="utf-8")
         asked = {"directions": directions.tolist(), "pixels": pixels.tolist()}
         (tmp_path / f"{k}.asked.json").write_text(json.dumps(asked), encoding="utf-8")
-    filled = script.replace("FOLDER", f"'{EVALUATORS}'").replace("COUNT", str(len(cases)))
+    filled = script.replace("FOLDER", f"'{EVALUATORS}'").replace("COUNT", str(len(asked_about)))
     done = subprocess.run([*command, filled], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=120.0)
     assert done.returncode == 0, done.stderr
-    for k, made in enumerate(cases, 1):
+    for k, (made, _) in enumerate(asked_about, 1):
         found = (np.genfromtxt(tmp_path / f"{k}.{name}", delimiter=",") for name in ("pixels", "directions"))
         compared(made, *found)
 
 
 @pytest.mark.skipif(shutil.which("octave-cli") is None, reason="Octave is not installed: apt-get install octave")
-def test_the_octave_evaluator(tmp_path: Path) -> None:
-    in_another_language(tmp_path, ["octave-cli", "--no-gui", "--quiet", "--eval"], OCTAVE)
+def test_the_octave_evaluator(tmp_path: Path, own_documents: Own) -> None:
+    in_another_language(tmp_path, own_documents, ["octave-cli", "--no-gui", "--quiet", "--eval"], OCTAVE)
 
 
 @pytest.mark.skipif(shutil.which("Rscript") is None, reason="R is not installed: apt-get install r-cran-jsonlite")
-def test_the_r_evaluator(tmp_path: Path) -> None:
-    in_another_language(tmp_path, ["Rscript", "--vanilla", "-e"], R)
+def test_the_r_evaluator(tmp_path: Path, own_documents: Own) -> None:
+    in_another_language(tmp_path, own_documents, ["Rscript", "--vanilla", "-e"], R)
 
 
 @pytest.fixture(scope="module")

@@ -54,3 +54,15 @@ def test_the_stated_sigma_is_its_root_mean_square() -> None:
     usable = filter_sightings(SunPoints(unix_s=times, pixels=pixels, sigma_px=stated), site=SGP)
     assert usable.stated_sigma_px == pytest.approx(np.sqrt((9.0 + 16.0 + 25.0) / 3.0))
     assert np.isnan(filter_sightings(SunPoints(unix_s=times, pixels=pixels), site=SGP).stated_sigma_px)
+
+
+def test_a_sigma_that_cannot_be_computed_is_said_to_be_unknown() -> None:
+    usable = filtered_sightings(NOON + 60.0 * np.arange(40.0), np.zeros((40, 2)), sun_arc(40))
+    calibration = stated_calibration(small_camera())
+    calibration = replace(
+        calibration, sky_rms_deg=float("nan"), evidence=replace(calibration.evidence, n_used=40, days=())
+    )
+    verdict = fit_verdict(calibration, usable, HAND, CalibrationOptions())
+    assert not verdict.accepted
+    assert "direction_sigma_unknown" in codes(verdict.findings)
+    assert "direction_sigma_too_large" not in codes(verdict.findings)
