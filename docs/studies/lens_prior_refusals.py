@@ -116,7 +116,7 @@ def add(
     kinds: tuple[str, ...],
 ) -> None:
     """Add what becomes of the prior of one type."""
-    rng = np.random.default_rng([seed, PROJECTIONS.index(projection), 42])
+    rng = np.random.default_rng([seed, PROJECTIONS[projection].code, 42])
     mean = lens_of(Case(projection=projection), rng)
     lens = type_of(rng, mean, spread)
     if lens is None:

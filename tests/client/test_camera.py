@@ -10,12 +10,13 @@ from tests.fixtures.calibration import current_document, distinctive_calibration
 
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance, unproject_with_sigma
 from sunarc.client import CameraModel
+from sunarc.optics.projections import PROJECTIONS
 
 SKY = hemisphere(60)
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
-@pytest.mark.parametrize("projection", ["perspective", "equidistant", "equisolid", "stereographic", "orthographic"])
+@pytest.mark.parametrize("projection", PROJECTIONS)
 def test_it_is_what_the_service_says(projection: str, *, mirrored: bool) -> None:
     made = distinctive_calibration(projection, mirrored=mirrored, higher=0.03)
     model = CameraModel(current_document(made))

@@ -135,7 +135,7 @@ def test_what_is_not_a_number_has_no_pixel() -> None:
 
 def kernel_arguments(camera: Camera) -> tuple[FloatArray, int, float, float, FloatArray]:
     mirror = camera.width - 1.0 if camera.mirrored else -1.0
-    code = kernels.PROJECTION_CODES[camera.projection]
+    code = PROJECTIONS[camera.projection].code
     return camera.to_vector(), code, mirror, camera.max_angle, rotation_matrix(camera.rotation_cam_enu)
 
 
@@ -183,7 +183,7 @@ def test_each_kernel_s_step_interpreted_gives_the_derivatives_of_the_numpy_model
 def test_the_radius_of_every_code_and_its_slope_are_those_of_the_projection() -> None:
     for camera in STRANGE:
         theta = np.linspace(0.0, camera.max_angle, 9)
-        code, radial = kernels.PROJECTION_CODES[camera.projection], np.array(camera.radial)
+        code, radial = PROJECTIONS[camera.projection].code, np.array(camera.radial)
         found = [kernels.radius_and_slope.py_func(code, radial, float(t)) for t in theta]
         np.testing.assert_allclose([r for r, _ in found], distorted_radius(camera, theta), atol=1e-13)
         np.testing.assert_allclose([s for _, s in found], radius_slope(camera, theta), atol=1e-12)

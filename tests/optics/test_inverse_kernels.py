@@ -14,7 +14,7 @@ from tests.fixtures.calibration import small_camera
 from sunarc.compiled_math import sine_and_cosine_of_half
 from sunarc.optics.forward import decentering_shift, distorted_radius
 from sunarc.optics.inverse import take_out_decentering, unproject
-from sunarc.optics.projections import Projection
+from sunarc.optics.projections import PROJECTIONS, Projection
 
 _BARE: dict[str, Any] = {
     "decentering": (0.0,) * 4,
@@ -51,7 +51,7 @@ def test_the_centre_stays_and_no_number_stays_none() -> None:
     assert math.isnan(x[1])
 
 
-@pytest.mark.parametrize("projection", ["equidistant", "equisolid", "stereographic", "orthographic", "perspective"])
+@pytest.mark.parametrize("projection", PROJECTIONS)
 def test_angles_are_those_of_bracketing(projection: Projection) -> None:
     camera = replace(small_camera(projection), max_angle=math.radians(75.0), **_BARE)
     edge = float(distorted_radius(camera, camera.max_angle))

@@ -13,7 +13,7 @@ from .answers import BackProjection, Projection
 FloatArray = NDArray[np.float64]
 Curve = Callable[[FloatArray], FloatArray]
 
-_IDEAL: dict[str, tuple[Curve, Curve]] = {  # radius of an angle, angle of a radius; in focal lengths, rad
+_IDEAL: dict[str, tuple[Curve, Curve]] = {  # radius of an angle, angle of a radius (rad): as optics/projections.py
     "perspective": (np.tan, np.arctan),
     "equidistant": (lambda angle: angle, lambda radius: radius),
     "equisolid": (lambda angle: 2.0 * np.sin(0.5 * angle), lambda radius: 2.0 * np.arcsin(0.5 * radius)),
@@ -51,7 +51,7 @@ class CameraModel:
     Raises
     ------
     ValueError
-        It is none, or of a version that this client does not know.
+        It is no calibration document, or has a version or a projection that this client does not know.
     """
 
     def __init__(self, document: Mapping[str, Any]) -> None:
@@ -61,6 +61,8 @@ class CameraModel:
         self.id: str = document["id"]
         self.width, self.height = int(document["image"]["width"]), int(document["image"]["height"])
         self._mirrored = bool(document["image"]["mirrored"])
+        if model["projection"] not in _IDEAL:
+            raise ValueError(f"unknown projection {model['projection']!r}; use a newer client")
         self._radius, self._angle = _IDEAL[model["projection"]]
         self._max_angle = float(np.radians(model["max_angle_deg"]))
         self._parameters = np.hstack([np.asarray(model[group], dtype=np.float64) for group in _GROUPS])

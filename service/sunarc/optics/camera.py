@@ -94,7 +94,7 @@ class Camera:
         """Refuse what is no camera."""
         if self.projection not in PROJECTIONS:
             raise InputError(
-                field="projection", problem=f"{self.projection!r} is unknown", remedy=f"use one of {PROJECTIONS}"
+                field="projection", problem=f"{self.projection!r} is unknown", remedy=f"use one of {tuple(PROJECTIONS)}"
             )
         if self.width < 1 or self.height < 1:
             raise InputError(field="image size", problem="not positive", remedy="give width and height in px")

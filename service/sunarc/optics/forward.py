@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike
 
 from sunarc.array_types import FloatArray
 from sunarc.optics.camera import TRANSLATION, Camera, Param
-from sunarc.optics.kernels import PROJECTION_CODES, pixels_and_rows_of, pixels_of
+from sunarc.optics.kernels import pixels_and_rows_of, pixels_of
 from sunarc.optics.pose import right_jacobian, rotation_matrix
-from sunarc.optics.projections import angle_limit, ideal_radius, ideal_slope
+from sunarc.optics.projections import PROJECTIONS, angle_limit, ideal_radius, ideal_slope
 
 _RIGHT_ANGLE = math.pi / 2
 
@@ -76,7 +76,7 @@ def project_with_rows_fast(camera: Camera, direction_enu: FloatArray) -> tuple[F
 def kernel_lens(camera: Camera) -> tuple[FloatArray, int, float, float]:
     """Return parameters, projection, mirror and largest angle as the kernels take them."""
     limit = min(camera.max_angle, math.nextafter(angle_limit(camera.projection), 0.0))
-    return camera.to_vector(), PROJECTION_CODES[camera.projection], mirror_of(camera), limit
+    return camera.to_vector(), PROJECTIONS[camera.projection].code, mirror_of(camera), limit
 
 
 def mirror_of(camera: Camera) -> float:

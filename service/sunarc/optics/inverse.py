@@ -16,9 +16,17 @@ from sunarc.compiled_math import sine_and_cosine_of_half
 from sunarc.jit import njit
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import mirror_of
-from sunarc.optics.kernels import PROJECTION_CODES, distortion_and_slope, radius_and_slope
+from sunarc.optics.kernels import (
+    EQUIDISTANT,
+    EQUISOLID,
+    PERSPECTIVE,
+    STEREOGRAPHIC,
+    distortion_and_slope,
+    radius_and_slope,
+    require_code,
+)
 from sunarc.optics.pose import rotation_matrix
-from sunarc.optics.projections import angle_limit
+from sunarc.optics.projections import PROJECTIONS, angle_limit
 
 _ITERATIONS = 30
 _LAST_STEP = 1e-8
@@ -99,19 +107,20 @@ def _step_angles(  # noqa: PLR0917 - compiled functions take positions
     cosine: FloatArray,
 ) -> int:
     """Make one step of Newton's method for angles (n,), write their sines and cosines, and return how many moved."""
+    require_code(code)  # not in the loop, which is to run in vector registers
     moving = 0
     for i in range(theta.size):
         s, c = sine_and_cosine_of_half(theta[i])
         sine_whole, cosine_whole = 2.0 * s * c, 1.0 - 2.0 * s * s
-        if code == 0:
+        if code == PERSPECTIVE:
             ideal, slope = sine_whole / cosine_whole, 1.0 / (cosine_whole * cosine_whole)
-        elif code == 1:
+        elif code == EQUIDISTANT:
             ideal, slope = theta[i], 1.0
-        elif code == 2:
+        elif code == EQUISOLID:
             ideal, slope = 2.0 * s, c
-        elif code == 3:
+        elif code == STEREOGRAPHIC:
             ideal, slope = 2.0 * s / c, 1.0 / (c * c)
-        else:
+        else:  # orthographic
             ideal, slope = sine_whole, cosine_whole
         distortion, rise = distortion_and_slope(radial, theta[i])
         after = min(max(theta[i] - (ideal + distortion - radius[i]) / (slope + rise), 0.0), limit)
@@ -188,7 +197,7 @@ def unproject(camera: Camera, pixel: ArrayLike) -> FloatArray:
     flat = np.ascontiguousarray(place.reshape(-1, 2))
     result = np.empty((flat.shape[0], 3))
     radial, decentering = np.array(camera.radial), np.array(camera.decentering)
-    code = PROJECTION_CODES[camera.projection]
+    code = PROJECTIONS[camera.projection].code
     lens = np.array([*camera.focal_length_px, camera.skew_px, *camera.principal_point_px, mirror_of(camera)])
     table = angle_table(code, radial, largest_angle(camera))
     rotation = rotation_matrix(camera.rotation_cam_enu)

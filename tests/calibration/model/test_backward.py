@@ -15,12 +15,12 @@ from sunarc.calibration.model import backward
 from sunarc.calibration.model.backward import NO_BACKWARD, BackwardModel, back_project, camera_sees, fit_backward
 from sunarc.optics.forward import project
 from sunarc.optics.inverse import calibrated, unproject
-from sunarc.optics.projections import Projection, ideal_radius
+from sunarc.optics.projections import PROJECTIONS, Projection, ideal_radius
 
 NOTHING = BackwardModel(radial=(0.0,) * 8, decentering=(0.0,) * 5, max_error_px=0.0)
 
 
-@pytest.mark.parametrize("projection", ["equisolid", "equidistant", "stereographic", "orthographic", "perspective"])
+@pytest.mark.parametrize("projection", PROJECTIONS)
 def test_an_ideal_lens_needs_no_coefficients(projection: Projection) -> None:
     camera = replace(ideal_camera(), projection=projection, rotation_cam_enu=(0.3, -0.2, 1.0))
     directions = spread_directions(20, widest_deg=45.0)

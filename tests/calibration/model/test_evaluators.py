@@ -27,12 +27,12 @@ from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Kind, SunPoints
 from sunarc.errors import InputError
 from sunarc.optics.forward import project
+from sunarc.optics.projections import PROJECTIONS
 from sunarc.sky.sun import sun_directions
 
 FloatArray = NDArray[np.float64]
 DOCS = Path(__file__).parents[3] / "docs"
 EVALUATORS = DOCS / "examples" / "evaluators"
-PROJECTIONS = ["perspective", "equidistant", "equisolid", "stereographic", "orthographic"]
 SKY = hemisphere(40)
 Own = list[tuple[Calibration, dict[str, Any]]]
 """Calibrations with their documents."""
@@ -145,7 +145,7 @@ def numbers(read: dict[str, Any]) -> list[float]:
     return [
         read["image"]["width"],
         int(read["image"]["mirrored"]),
-        PROJECTIONS.index(model["projection"]),
+        PROJECTIONS[model["projection"]].code,
         *model["focal_length_px"],
         model["skew_px"],
         *model["principal_point_px"],

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from sunarc.array_types import FloatArray, IntArray
 from sunarc.jit import njit
 from sunarc.optics.forward import tangent_basis
-from sunarc.optics.projections import Projection, ideal_radius
+from sunarc.optics.projections import PROJECTIONS, Projection, angle_of_shape, ideal_radius, radius_of_shape
 from sunarc.sky.site import Site
 
 _CELLS = 128
@@ -136,34 +136,24 @@ def turned(rays: FloatArray, pole: FloatArray, angle: float) -> FloatArray:
     return np.asarray(rays * math.cos(angle) + across * math.sin(angle) + axis * along * (1.0 - math.cos(angle)))
 
 
-_FLAT = 1e-6
-_SHAPES: dict[Projection, float] = {
-    "orthographic": -1.0, "equisolid": -0.5, "equidistant": 0.0, "stereographic": 0.5, "perspective": 1.0,
-}  # fmt: skip
 _POWERS = (2, 3, 4, 5)
 
 
 def angle_of_radius(radius: FloatArray, shape: float) -> FloatArray:
     """Return angles off the axis (rad) of radii in focal lengths; of those beyond the lens's end its largest."""
-    if abs(shape) < _FLAT:
-        return radius
-    if shape > 0.0:
-        return np.asarray(np.arctan(shape * radius) / shape)
-    return np.asarray(np.arcsin(np.minimum(-shape * radius, 1.0)) / -shape)
+    angle = angle_of_shape(shape, radius)
+    return np.where(shape * radius < -1.0, 0.5 * math.pi / -shape, angle) if shape < 0.0 else angle
 
 
 def radius_of_angle(angle: FloatArray, shape: float) -> FloatArray:
     """Return radii in focal lengths of angles off the axis (rad)."""
-    if abs(shape) < _FLAT:
-        return angle
-    if shape > 0.0:
-        return np.asarray(np.tan(np.minimum(shape * angle, 0.49 * math.pi)) / shape)
-    return np.asarray(np.sin(np.minimum(-shape * angle, 0.5 * math.pi)) / -shape)
+    rising = (0.49 if shape > 0.0 else 0.5) * math.pi
+    return radius_of_shape(shape, np.minimum(angle, rising / abs(shape)) if shape else angle)
 
 
 def nearest_projection(shape: float) -> Projection:
     """Return the ideal projection that is nearest to a shape."""
-    return min(_SHAPES, key=lambda name: abs(_SHAPES[name] - shape))
+    return min(PROJECTIONS, key=lambda name: abs(PROJECTIONS[name].shape - shape))
 
 
 def radial_for(shape: float, projection: Projection) -> tuple[float, ...]:
