@@ -16,8 +16,8 @@ import pytest
 from tests.fixtures.calibration import current_document, distinctive_calibration, small_camera
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration.start.sky_turn import Turns, count_on_detections
 from sunarc.calibration.model.document import from_document
+from sunarc.calibration.start.sky_turn import Turns, count_on_detections
 from sunarc.client import CameraModel
 from sunarc.errors import InputError
 from sunarc.optics import inverse, kernels

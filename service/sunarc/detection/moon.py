@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from sunarc.array_types import BoolArray, FloatArray, Image, IntArray
-from sunarc.detection.values import Sensor, require_photo
+from sunarc.detection.values import Detection, LightFit, Sensor, Verdict, require_photo
 from sunarc.findings import Finding
 
 _ACROSS, _ALONG = 24, 16
@@ -131,27 +131,23 @@ class Pixels(NamedTuple):
     colour: IntArray
 
 
-class FittedMoon(NamedTuple):
-    """Results of the fit.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MoonFit(LightFit):
+    """The fitted moon.
 
-    centre : (2,) px. variance : of it per axis, px², of counts with their stated variance. width_px : of the point
-    spread. snr : of the light. chi2 : reduced. residual_rms : counts. light : (side, side) counts without background.
+    Attributes
+    ----------
+    light : (side, side) counts without background.
     aureole : the aureole's brightest pixel over that of the light.
     shape_misfit : mean square of the seas' coefficients over their prior's 1-sigma.
     """
 
-    centre: FloatArray
-    variance: float
-    width_px: float
-    snr: float
-    chi2: float
-    residual_rms: float
     light: FloatArray
     aureole: float
     shape_misfit: float
 
 
-def fit_moon(pixels: Pixels, surface: Surface, edges_px: FloatArray, start: FloatArray) -> FittedMoon:
+def fit_moon(pixels: Pixels, surface: Surface, edges_px: FloatArray, start: FloatArray) -> MoonFit:
     """Fit centre, point spread, brightness law, aureole, and level and background of each colour.
 
     Parameters
@@ -211,20 +207,22 @@ class _Problem:
         prior[:, 2:_LINEAR] = np.diag(1.0 / _PRIOR_SD)
         return np.asarray(np.concatenate([by_pixels, prior]))
 
-    def fitted(self, parameters: FloatArray) -> FittedMoon:
+    def fitted(self, parameters: FloatArray) -> MoonFit:
         """Return the results at the best parameters."""
         total, light = self._model(parameters)
         misfit = (total - self._pixels.counts)[self._used]
         jacobian = self.jacobian(parameters)
         covariance = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
         weight = light[self._used] / self._sigma
-        return FittedMoon(
-            centre=parameters[:2],
-            variance=0.5 * float(covariance[0, 0] + covariance[1, 1]),
+        chi2 = float(np.sum((misfit / self._sigma) ** 2)) / max(misfit.size - parameters.size, 1)
+        return MoonFit(
+            x_px=float(parameters[0]),
+            y_px=float(parameters[1]),
+            sigma_px=math.sqrt(0.5 * float(covariance[0, 0] + covariance[1, 1]) * max(chi2, 1.0)),
             width_px=float(np.exp(parameters[2])),
             snr=float(np.linalg.norm(weight)),
-            chi2=float(np.sum((misfit / self._sigma) ** 2)) / max(misfit.size - parameters.size, 1),
-            residual_rms=float(np.sqrt(np.mean(misfit**2))),
+            chi2=chi2,
+            residual=float(np.sqrt(np.mean(misfit**2))) / max(float(light.max()), 1e-9),
             light=light,
             aureole=self._aureole(parameters),
             shape_misfit=float(np.mean((parameters[_SEAS] / _SEAS_SD) ** 2)),
@@ -280,39 +278,6 @@ class MoonExpectation:
     cos_phase: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MoonDetection:
-    """Result of looking for the moon in one image.
-
-    Attributes
-    ----------
-    accepted : whether fits may use the position.
-    findings : what decided, as codes and data; the first is the main one.
-    x_px, y_px : centre of the whole disc, lit or not; None where none was found. A rejected position may be given.
-    sigma_px : 1-sigma per axis.
-    level : brightness of the lit part over full scale, by the fit: above 1 where it is clipped.
-    snr : light of the lit part over its standard deviation.
-    chi2 : reduced chi² of the fit.
-    residual : rms of the fit's residuals over the level.
-    haze : light of the sky 1 px outside of the blurred disc over the disc's, above the sky farther off.
-    width_px : 1-sigma of the point spread.
-    saturated_px : clipped pixels, which took no part.
-    """
-
-    accepted: bool
-    findings: tuple[Finding, ...]
-    x_px: float | None = None
-    y_px: float | None = None
-    sigma_px: float | None = None
-    level: float | None = None
-    snr: float | None = None
-    chi2: float | None = None
-    residual: float | None = None
-    haze: float | None = None
-    width_px: float | None = None
-    saturated_px: int = 0
-
-
 _MARGIN_PX = 6.0
 """Of the stamp beyond the disc: four widths of the point spread, and sky."""
 _LARGEST_HALF = 40
@@ -342,7 +307,7 @@ _HAZE_RADII = 0.6
 _COLOURS = {"RGGB": (0, 1, 1, 2), "BGGR": (2, 1, 1, 0), "GRBG": (1, 0, 2, 1), "GBRG": (1, 2, 0, 1)}
 
 
-def detect_moon(image: Image, expected: MoonExpectation, *, sensor: Sensor) -> MoonDetection:
+def detect_moon(image: Image, expected: MoonExpectation, *, sensor: Sensor) -> Detection:
     """Fit the lit part of the moon near its predicted pixel.
 
     Parameters
@@ -430,10 +395,10 @@ def _distance(stamp: Pixels, centre: FloatArray, edges_px: FloatArray) -> FloatA
     return np.asarray(np.linalg.norm(offset @ np.linalg.inv(edges_px).T, axis=-1))
 
 
-def _haze(stamp: Pixels, fitted: FittedMoon, longest: float) -> float:
+def _haze(stamp: Pixels, fitted: MoonFit, longest: float) -> float:
     """Return the light of the sky just outside of the disc over the disc's, above that at the stamp's edge."""
     rows, columns = np.indices(stamp.counts.shape)
-    far = np.hypot(columns + stamp.origin[0] - fitted.centre[0], rows + stamp.origin[1] - fitted.centre[1])
+    far = np.hypot(columns + stamp.origin[0] - fitted.x_px, rows + stamp.origin[1] - fitted.y_px)
     used, blurred = np.isfinite(stamp.variance), longest + 3.0 * fitted.width_px
     near = used & (far > blurred) & (far < blurred + 1.5)
     edge = used & (far > longest + _MARGIN_PX - 1.0)
@@ -446,17 +411,12 @@ def _haze(stamp: Pixels, fitted: FittedMoon, longest: float) -> float:
     return float(np.mean(levels)) if levels else 0.0
 
 
-def _judged(
-    fitted: FittedMoon, expected: MoonExpectation, *, haze: float, n_clipped: int, full_scale: int
-) -> MoonDetection:
+def _judged(fitted: MoonFit, expected: MoonExpectation, *, haze: float, n_clipped: int, full_scale: int) -> Detection:
     """Return the detection, accepted or not."""
     radius = math.sqrt(abs(float(np.linalg.det(expected.edges_px))))
-    peak = float(fitted.light.max())
-    residual = fitted.residual_rms / max(peak, 1e-9)
     law, cloud = _LAW_RADII * radius, _HAZE_RADII * radius * max(haze, 0.0)
-    sigma = math.sqrt(fitted.variance * max(fitted.chi2, 1.0) + _FLOOR_PX**2 + law**2 + cloud**2)
-    x, y = fitted.centre.tolist()
-    distance = math.hypot(x - expected.x_px, y - expected.y_px)
+    sigma = math.hypot(fitted.sigma_px, _FLOOR_PX, law, cloud)
+    distance = math.hypot(fitted.x_px - expected.x_px, fitted.y_px - expected.y_px)
     allowed = _SEARCH_SIGMAS * math.hypot(expected.uncertainty_px, sigma)
     refused = []
     if fitted.snr < _LEAST_SNR:
@@ -465,22 +425,31 @@ def _judged(
         refused.append(Finding("moon_displaced", {"distance_px": distance, "limit_px": allowed}))
     if haze > _MOST_HAZE:
         refused.append(Finding("moon_in_cloud", {"haze": haze, "limit": _MOST_HAZE}))
-    if residual > _MOST_RESIDUAL or not sigma < _MOST_SIGMA_PX:
-        refused.append(Finding("moon_poor_fit", {"residual": residual, "sigma_px": sigma}))
+    if fitted.residual > _MOST_RESIDUAL or not sigma < _MOST_SIGMA_PX:
+        refused.append(Finding("moon_poor_fit", {"residual": fitted.residual, "sigma_px": sigma}))
     most = _MOST_SHAPE_MISFIT * max(radius / _RESOLVED_PX, 1.0) ** 2
     if fitted.shape_misfit > most:
         refused.append(Finding("moon_other_shape", {"misfit": fitted.shape_misfit, "limit": most}))
     found = [Finding("moon_hazy", {"haze": haze})] if haze > _HAZY else []
-    return MoonDetection(
+    return Detection(
+        method="moon",
         accepted=not refused,
+        verdict="hidden" if refused else "veiled" if found else "clear",
         findings=(*refused, *found) or (Finding("moon_found", {"chi2": fitted.chi2, "sigma_px": sigma}),),
-        x_px=x, y_px=y, sigma_px=sigma, level=peak / full_scale, snr=fitted.snr, chi2=fitted.chi2,
-        residual=residual, haze=haze, width_px=fitted.width_px, saturated_px=n_clipped,
-    )  # fmt: skip
+        x_px=fitted.x_px,
+        y_px=fitted.y_px,
+        sigma_px=sigma,
+        peak_fraction=float(fitted.light.max()) / full_scale,
+        radius_px=radius,
+        residual_chi2=fitted.chi2,
+        snr=fitted.snr,
+        saturated_px=n_clipped,
+    )
 
 
-def _none(finding: Finding, *, saturated_px: int = 0) -> MoonDetection:
-    return MoonDetection(accepted=False, findings=(finding,), saturated_px=saturated_px)
+def _none(finding: Finding, *, saturated_px: int = 0) -> Detection:
+    verdict: Verdict = "saturated" if saturated_px else "hidden"
+    return Detection(method="moon", accepted=False, verdict=verdict, findings=(finding,), saturated_px=saturated_px)
 
 
 _HALF_PX = 24

@@ -36,22 +36,22 @@ BAYERS: tuple[Bayer, ...] = get_args(Bayer)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Detection:
-    """Result of looking for the sun in one image.
+    """Result of looking for the sun, or for the moon (`moon`), in one image.
 
     Attributes
     ----------
     method : detector that was used.
     accepted : whether fits may use the position.
-    verdict : classification of what the image shows at the sun's place.
+    verdict : classification of what the image shows at the sun's (the moon's) place.
     findings : what decided, as codes and data; the first is the main one.
-    x_px, y_px : the sun's centre; None where none was found. A rejected position may be given.
+    x_px, y_px : centre of the disc, lit or not; None where none was found. A rejected position may be given.
     sigma_px : 1-sigma per axis.
     peak_fraction : level of the disc's centre over full scale; above 1 where it is extrapolated from masked saturation.
     background_fraction : level around the disc over full scale.
     radius_px : geometric mean of the disc's (`paper`: the saturated blob's) semi-axes.
     ellipticity : 1 - minor/major semi-axis.
-    residual_chi2 : reduced chi² of the fit (`disc`), None else.
-    snr : the disc's flux over its standard deviation (`disc`), None else.
+    residual_chi2 : reduced chi² of the fit (`disc`, `moon`), None else.
+    snr : the light's flux over its standard deviation (`disc`, `moon`), None else.
     saturated_px : number of saturated pixels in the window.
     spread_px : rms distance of the centres from their median: of the circles at the rim's levels, or of the paper's
         estimators where these are asked for (`paper`), None else.
@@ -60,7 +60,7 @@ class Detection:
     exposure_us : exposure time, as the caller gave it.
     """
 
-    method: Method
+    method: Method | Literal["moon"]
     accepted: bool
     verdict: Verdict
     findings: tuple[Finding, ...]
@@ -82,6 +82,29 @@ class Detection:
     def reason(self) -> str:
         """What decided, in a sentence."""
         return reason_of(self.findings)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LightFit:
+    """What the least-squares fit of a light gives, the sun's disc or the moon; `Stars` has it in columns.
+
+    Attributes
+    ----------
+    x_px, y_px : centre, px; (0, 0) is the centre of the top-left pixel.
+    sigma_px : its 1-sigma per axis, with the reduced chi² where that is larger than chance has it.
+    width_px : 1-sigma of the point spread.
+    snr : flux over its standard deviation.
+    chi2 : reduced.
+    residual : rms of the residuals over the light's level.
+    """
+
+    x_px: float
+    y_px: float
+    sigma_px: float
+    width_px: float
+    snr: float
+    chi2: float
+    residual: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

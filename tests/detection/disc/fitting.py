@@ -64,7 +64,7 @@ def good_fit(**changes: Any) -> DiscFit:  # noqa: ANN401 - a fit's fields
         "x_px": 24.0,
         "y_px": 24.0,
         "sigma_px": 0.003,
-        "psf_px": 0.7,
+        "width_px": 0.7,
         "stretch": np.diag([2.5, 2.7]),
         "level": 0.5 * SENSOR.full_scale,
         "background": 8.0,

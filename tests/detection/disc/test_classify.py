@@ -47,8 +47,8 @@ def test_a_fit_that_did_not_converge_is_no_disc() -> None:
     [
         pytest.param("snr", 12.0, 11.9, "hidden", id="signal-to-noise ratio"),
         pytest.param("level", 0.0701 * FULL, 0.0699 * FULL, "veiled", id="level that is accepted"),
-        pytest.param("psf_px", 0.7 * math.exp(1.19), 0.7 * math.exp(1.21), "hidden", id="wide point spread"),
-        pytest.param("psf_px", 0.7 * math.exp(-1.19), 0.7 * math.exp(-1.21), "hidden", id="narrow point spread"),
+        pytest.param("width_px", 0.7 * math.exp(1.19), 0.7 * math.exp(1.21), "hidden", id="wide point spread"),
+        pytest.param("width_px", 0.7 * math.exp(-1.19), 0.7 * math.exp(-1.21), "hidden", id="narrow point spread"),
         pytest.param("x_px", 24.0 + 2.99, 24.0 + 3.01, "reflection", id="distance in x"),
         pytest.param("y_px", 24.0 - 2.99, 24.0 - 3.01, "reflection", id="distance in y"),
         pytest.param("residual", 0.02, 0.0201, "partly_covered", id="residual"),

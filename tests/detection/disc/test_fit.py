@@ -57,7 +57,7 @@ def test_a_noiseless_disc_is_found_from_any_start_near_it(off: tuple[float, floa
     assert found.converged
     assert place_of(found) == pytest.approx(CENTER, abs=1e-3)
     assert found.stretch @ found.stretch == pytest.approx(STRETCH @ STRETCH, abs=0.02)  # a mirror image is the same
-    assert found.psf_px == pytest.approx(PSF_PX, rel=5e-3)
+    assert found.width_px == pytest.approx(PSF_PX, rel=5e-3)
     assert found.background == pytest.approx(BACKGROUND, abs=1.0)
     assert found.level == pytest.approx(FLUX / (math.pi * 0.8 * np.linalg.det(STRETCH)), rel=5e-3)
     assert (found.residual, found.used_px) == (0.0, SHAPE[0] * SHAPE[1])

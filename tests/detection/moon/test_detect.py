@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from tests.detection.moon.rendering import FloatArray, Moon, render
 
-from sunarc.detection.moon import MoonDetection, MoonExpectation, brightest_cutouts, cutout_around, detect_moon
-from sunarc.detection.values import Sensor
+from sunarc.detection.moon import MoonExpectation, brightest_cutouts, cutout_around, detect_moon
+from sunarc.detection.values import Detection, Sensor
 
 PX_PER_DEG = 600.0 * math.radians(1.0)
 
@@ -23,12 +23,12 @@ def expectation(moon: Moon, *, off: FloatArray | None = None, uncertainty_px: fl
     )
 
 
-def look(moon: Moon, *, seed: int = 0, off: FloatArray | None = None) -> MoonDetection:
+def look(moon: Moon, *, seed: int = 0, off: FloatArray | None = None) -> Detection:
     sensor: Any = Sensor.from_full_well(full_scale=2**moon.bits - 1, bayer=moon.bayer)  # type: ignore[arg-type]
     return detect_moon(render(moon, seed=seed), expectation(moon, off=off), sensor=sensor)
 
 
-def error(moon: Moon, found: MoonDetection) -> FloatArray:
+def error(moon: Moon, found: Detection) -> FloatArray:
     assert found.x_px is not None
     assert found.y_px is not None
     return np.array([found.x_px - moon.x, found.y_px - moon.y])

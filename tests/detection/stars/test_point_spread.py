@@ -23,13 +23,14 @@ def test_a_drawn_star_is_found_with_the_variance_of_linear_least_squares() -> No
     np.testing.assert_allclose(found.parameters[0, :4], [4.3, 3.8, 500.0, 10.0], atol=1e-4)
     design = np.stack([500.0 * bell * (X - 4.3), 500.0 * bell * (Y - 3.8), bell, np.ones_like(bell)])
     expected = 4.0 * np.linalg.inv(design @ design.T)
-    assert found.position_variance[0] == pytest.approx(0.5 * np.trace(expected[:2, :2]), rel=1e-3)
-    assert found.height_variance[0] == pytest.approx(expected[2, 2], rel=1e-3)
+    floor_px = 0.01  # no point spread is a Gaussian
+    assert found.sigma_px[0] == pytest.approx(np.sqrt(0.5 * np.trace(expected[:2, :2]) + floor_px**2), rel=1e-3)
+    assert found.snr[0] == pytest.approx(500.0 / np.sqrt(expected[2, 2]), rel=1e-3)
 
 
 def test_what_no_pixel_determines_has_no_certain_place() -> None:
     """Without light the slopes by the place are 0, and so is the pseudo-inverse of their products."""
     start = np.array([[4.5, 4.5, 0.0, 0.0, 1.0, 0.0, 1.0]])
     found = fit_point_spreads(stamp(np.zeros(X.size)), start, gain_e=None, shape=False)
-    assert np.isinf(found.position_variance[0])
-    assert 0.0 < found.height_variance[0] < np.inf
+    assert np.isinf(found.sigma_px[0])
+    assert found.snr[0] == 0.0

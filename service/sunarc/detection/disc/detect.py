@@ -385,7 +385,7 @@ def _fitted(
         return _none("hidden", Finding("disc_too_few_pixels"))
     verdict = verdict_of(fit, expectation=expectation, sensor=sensor)
     if verdict[1] and expectation is None and not window.saturated_px:
-        at, shapes = (fit.x_px, fit.y_px), [(fit.psf_px, fit.stretch)]
+        at, shapes = (fit.x_px, fit.y_px), [(fit.width_px, fit.stretch)]
         if is_flat(fit, _fit(window, at, shapes, radius_px=radius_px, free=True, sensor=sensor, limb_darkening=0.0)):
             verdict = ("hidden", False, Finding("disc_without_limb"))
     return detection_of(fit, verdict, sensor=sensor, saturated_px=window.saturated_px)
@@ -502,9 +502,9 @@ def _no_disc(fit: DiscFit, expectation: Expectation | None, sensor: Sensor) -> t
     if fit.level < _MIN_CONTRAST * fit.background:
         return "hidden", Finding("disc_low_contrast", {"share": fit.level / max(fit.background, 1e-9)})
     psf_px = PSF_PX / sensor.binning
-    deviation = abs(math.log(fit.psf_px / psf_px))
+    deviation = abs(math.log(fit.width_px / psf_px))
     if deviation > 4.0 * PSF_TOLERANCE:
-        return "hidden", Finding("disc_edge_width", {"width_px": fit.psf_px, "expected_px": psf_px})
+        return "hidden", Finding("disc_edge_width", {"width_px": fit.width_px, "expected_px": psf_px})
     return _unusual_size(fit, sensor) if expectation is None or expectation.stretch_px_per_rad is None else None
 
 

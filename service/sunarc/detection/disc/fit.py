@@ -28,7 +28,7 @@ from sunarc.detection.disc.model import (
     without,
 )
 from sunarc.detection.disc.window import Window
-from sunarc.detection.values import Sensor
+from sunarc.detection.values import LightFit, Sensor
 from sunarc.robust_statistics import mad_sigma
 
 Solved = tuple[FloatArray, FloatArray]
@@ -154,31 +154,24 @@ _WINGS_CHI2 = 1.3  # reduced chi² above which the point spread gets wings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DiscFit:
+class DiscFit(LightFit):
     """The fitted disc; positions in the image, levels in counts above black.
+
+    Its sigma is scaled by the reduced chi² of the pixels that tell the position, its residual is what noise does not
+    explain, over the level (at most full scale).
 
     Attributes
     ----------
-    x_px, y_px, sigma_px : centre and its 1-sigma per axis, scaled by the reduced chi².
-    psf_px : point spread. stretch : (2, 2) px, from the unit disc.
+    stretch : (2, 2) px, from the unit disc.
     level : the brightest colour's level of the disc's centre. background : that colour's level around it.
-    snr : flux over its standard deviation, the shape given. chi2 : reduced chi².
-    residual : rms of what noise does not explain, over the level (at most full scale).
     uneven : decrease of chi² by a disc of linear and quadratic brightness, over the reduced chi².
-    bands : decrease of chi² by a band of rows and by one of columns (`row_bands`).
+    bands : decrease of chi² by a band of rows and by one of columns (`band_evidence`).
     used_px, converged : pixels that took part; whether the steps became small.
     """
 
-    x_px: float
-    y_px: float
-    sigma_px: float
-    psf_px: float
     stretch: FloatArray
     level: float
     background: float
-    snr: float
-    chi2: float
-    residual: float
     uneven: float
     bands: tuple[float, float]
     used_px: int
@@ -322,7 +315,7 @@ def _summary(problem: Problem, state: State, evaluation: Evaluation, *, converge
         x_px=float(state.nonlinear[0]) + problem.window.first[0],
         y_px=float(state.nonlinear[1]) + problem.window.first[1],
         sigma_px=sigma_px,
-        psf_px=math.exp(float(state.nonlinear[PSF])),
+        width_px=math.exp(float(state.nonlinear[PSF])),
         stretch=state.stretch,
         level=level,
         background=float(state.background[best]),

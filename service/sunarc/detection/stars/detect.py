@@ -144,22 +144,20 @@ class Stamps(NamedTuple):
     variance: FloatArray
 
 
-class Fitted(NamedTuple):
-    """Results of a fit.
+class StarFits(NamedTuple):
+    """Results of the fits, as of `LightFit`, each (n,).
 
     parameters : (n, 7) x, y, height, background, and the inverse covariance of the point spread: xx, xy, yy.
-    position_variance : (n,) of the centre per axis, px². height_variance : (n,) counts². Infinite where the pixels do
-        not determine them.
-    chi2 : (n,) reduced.
+    sigma_px : infinite where the pixels do not determine the centre. snr : of the height. chi2 : reduced.
     """
 
     parameters: FloatArray
-    position_variance: FloatArray
-    height_variance: FloatArray
+    sigma_px: FloatArray
+    snr: FloatArray
     chi2: FloatArray
 
 
-def fit_point_spreads(stamps: Stamps, start: FloatArray, *, gain_e: float | None, shape: bool) -> Fitted:
+def fit_point_spreads(stamps: Stamps, start: FloatArray, *, gain_e: float | None, shape: bool) -> StarFits:
     """Fit a Gaussian and a constant to each stamp, by weighted least squares.
 
     Parameters
@@ -188,11 +186,13 @@ def fit_point_spreads(stamps: Stamps, start: FloatArray, *, gain_e: float | None
     weight = _weights(stamps, now, gain_e)
     cost, normal, _ = _equations(stamps, now, weight, free)
     variance = np.asarray(np.linalg.pinv(normal, hermitian=True), dtype=np.float64)
-    return Fitted(
+    chi2 = cost / np.maximum(np.sum(weight > 0.0, axis=-1) - free, 1)
+    of_centre = 0.5 * (_positive(variance[:, 0, 0]) + _positive(variance[:, 1, 1]))
+    return StarFits(
         parameters=now,
-        position_variance=0.5 * (_positive(variance[:, 0, 0]) + _positive(variance[:, 1, 1])),
-        height_variance=_positive(variance[:, 2, 2]),
-        chi2=cost / np.maximum(np.sum(weight > 0.0, axis=-1) - free, 1),
+        sigma_px=np.sqrt(of_centre * np.maximum(chi2, 1.0) + _FLOOR_PX**2),
+        snr=now[:, 2] / np.sqrt(np.maximum(_positive(variance[:, 2, 2]), 1e-30)),
+        chi2=chi2,
     )
 
 
@@ -398,10 +398,10 @@ def _with_cores(stars: Stars, cores: ClippedCores, width: float) -> Stars:
 
 
 def _own_shapes(
-    stamps: Stamps, fitted: Fitted, expected: FloatArray, clipped: BoolArray, gain_e: float | None
+    stamps: Stamps, fitted: StarFits, expected: FloatArray, clipped: BoolArray, gain_e: float | None
 ) -> FloatArray:
     """Return covariances (n, 3) px²: each bright star's own, that of its place for the others."""
-    bright = np.flatnonzero((_snr(fitted) > SHAPE_SNR) & ~clipped)
+    bright = np.flatnonzero((fitted.snr > SHAPE_SNR) & ~clipped)
     part = Stamps(*(column[bright] for column in stamps))
     own = fit_point_spreads(part, fitted.parameters[bright], gain_e=gain_e, shape=True)
     shape = expected.copy()
@@ -409,22 +409,18 @@ def _own_shapes(
     return shape
 
 
-def _stars(fitted: Fitted, own: FloatArray, expected: FloatArray, clipped: BoolArray, peak: FloatArray) -> Stars:
+def _stars(fitted: StarFits, own: FloatArray, expected: FloatArray, clipped: BoolArray, peak: FloatArray) -> Stars:
     minor, major = axes_of(own)
     return Stars(
         pixels=fitted.parameters[:, :2],
-        sigma_px=np.sqrt(fitted.position_variance * np.maximum(fitted.chi2, 1.0) + _FLOOR_PX**2),
+        sigma_px=fitted.sigma_px,
         flux=fitted.parameters[:, 2] * 2.0 * math.pi * width_of(expected) ** 2,
-        snr=_snr(fitted),
+        snr=fitted.snr,
         peak_fraction=peak,
         width_px=np.sqrt(minor * major),
         ellipticity=1.0 - minor / np.maximum(major, 1e-12),
         saturated=clipped,
     )
-
-
-def _snr(fitted: Fitted) -> FloatArray:
-    return np.asarray(fitted.parameters[:, 2] / np.sqrt(np.maximum(fitted.height_variance, 1e-30)))
 
 
 def _none() -> Stars:
@@ -488,12 +484,11 @@ def shapes_of_bright(
         fitted = fit_point_spreads(stamps, start, gain_e=gain_e, shape=True)
         shape = inverse_shape(fitted.parameters[:, 4:])
         minor, major = axes_of(shape)
-        snr = fitted.parameters[:, 2] / np.sqrt(np.maximum(fitted.height_variance, 1e-30))
-        good = ~cut_off & (minor > 0.25) & (major < 8.0) & (major < 3.0 * minor) & (snr > FAINTEST_SNR)
+        good = ~cut_off & (minor > 0.25) & (major < 8.0) & (major < 3.0 * minor) & (fitted.snr > FAINTEST_SNR)
         if not np.any(good):
             return None
         # at least one: the brighter half of them
-        bright = good & (snr >= min(SHAPE_SNR, float(np.quantile(snr[good], 0.5))))
+        bright = good & (fitted.snr >= min(SHAPE_SNR, float(np.quantile(fitted.snr[good], 0.5))))
         width = float(np.median(np.sqrt(minor * major)[bright]))
         typical = bright & (np.abs(np.log(np.sqrt(minor * major) / width)) < math.log(ALIKE[1]))
         if not np.any(typical):

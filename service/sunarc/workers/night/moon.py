@@ -14,8 +14,8 @@ from sunarc.archive.values import SunPoint
 from sunarc.calibration.answers.covariance import project_with_covariance
 from sunarc.calibration.model.result import Calibration
 from sunarc.cameras.frame import Frame
-from sunarc.detection.moon import Cutout, MoonDetection, MoonExpectation, brightest_cutouts, cutout_around, detect_moon
-from sunarc.detection.values import Sensor
+from sunarc.detection.moon import Cutout, MoonExpectation, brightest_cutouts, cutout_around, detect_moon
+from sunarc.detection.values import Detection, Sensor
 from sunarc.findings import Finding
 from sunarc.sky.night import MoonDisc, moon_disc
 from sunarc.workers.messages import text_of
@@ -57,7 +57,7 @@ class _Measured(NamedTuple):
     """An image, what was found in it (in the whole image's pixels), and by how much it is off its prediction, px."""
 
     image: _Image
-    found: MoonDetection
+    found: Detection
     x_px: float
     y_px: float
     off: tuple[float, float]
@@ -181,15 +181,15 @@ class MoonImages:
             pose_epoch=epoch.id,
             time=image.time,
             body="moon",
-            method="moon",
+            method=found.method,
             accepted=True,
-            verdict="clear" if found.findings[0].code == "moon_found" else "veiled",
+            verdict=found.verdict,
             reason=text_of(found.findings[0]),
             exposure_us=image.exposure_us,
             x_px=measured.x_px,
             y_px=measured.y_px,
             sigma_px=found.sigma_px,
-            peak_fraction=found.level,
+            peak_fraction=found.peak_fraction,
             snr=found.snr,
             saturated_px=found.saturated_px,
             clock_error_s=max(clock_error_s(image.time), image.clock_error_s),
