@@ -22,7 +22,7 @@ MESSAGES = Messages(
     disc_dimmed=Message("{share:.2f} of the clear sun's brightness", "Accepted as veiled."),
     disc_in_bright_sky=Message("{share:.2f} of the light comes from the disc", "Accepted as veiled."),
     saturated_left_out=Message("{n} saturated pixels left out", "The disc was fitted without them."),
-    bracket_mean=Message("mean of {frames} frames, chi² {chi2:.1f} for {freedom}", _ACCEPTED),
+    bracket_mean=Message("mean of {frames} frames (chi² {chi2:.1f}, {freedom} degrees of freedom)", _ACCEPTED),
     # rejected discs
     disc_not_converged=Message("the disc fit did not converge", _NO_SUN),
     disc_below_noise=Message("no disc: signal-to-noise {snr:.1f}, level {level:.4f} of full scale", _NO_SUN),
@@ -41,10 +41,14 @@ MESSAGES = Messages(
     ),
     disc_poor_fit=Message("poor disc fit: residuals {residual:.3f} of its level, sigma {sigma_px:.3f} px", _REJECTED),
     disc_without_limb=Message("a disc without the sun's darker limb: the moon, or a lamp", _REJECTED),
-    disc_uneven=Message("uneven brightness, worth {uneven_px:.2f} px (chi² {chi2:.0f} for 4)", _REJECTED),
+    disc_uneven=Message(
+        "brightness gradient across the disc moves its centre by {uneven_px:.2f} px (chi² {chi2:.0f}, 4 degrees of "
+        "freedom)",
+        _REJECTED,
+    ),
     disc_foreign_rows=Message(
-        "rows of another image (chi² {rows:.0f} for 2, {columns:.0f} in columns): packets were sent again wrongly, or "
-        "an edge as straight as a row covers the sun",
+        "rows of another image (chi² {rows:.0f}, 2 degrees of freedom; columns {columns:.0f}): lost packets were "
+        "replaced by those of another frame, or an edge parallel to the rows covers the sun",
         _REJECTED,
         "look at the network, so that no packet has to be sent again, and at the camera's firmware",
     ),
@@ -58,9 +62,11 @@ MESSAGES = Messages(
         _FILTER,
     ),
     disc_rivals=Message("other regions are as bright, at {places}: reflections or clouds", _REJECTED),
-    bracket_covered=Message("another frame of the bracket", _REJECTED),
+    bracket_covered=Message("sun covered in another frame of the bracket", _REJECTED),
     bracket_inconsistent=Message(
-        "the frames of the bracket are inconsistent: mean of {frames} frames, chi² {chi2:.1f} for {freedom}", _REJECTED
+        "the frames of the bracket are inconsistent: mean of {frames} frames (chi² {chi2:.1f}, {freedom} degrees of "
+        "freedom)",
+        _REJECTED,
     ),
     # frames without a disc
     sun_below_horizon=Message("the sun is at {zenith_deg:.2f} degrees from the zenith", _NO_SUN),
@@ -70,28 +76,33 @@ MESSAGES = Messages(
     no_outstanding_region=Message("no region stands out: the brightest is at {level:.3f}", _NO_SUN),
     # ordinary images
     blob_found=Message("a bright region of {diameter_px:.0f} px, round in {share:.2f} of the directions", _ACCEPTED),
-    stack_mean=Message("mean of {frames} exposures, chi² {chi2:.1f} a degree of freedom", _ACCEPTED),
-    stack_member=Message("an exposure of a stack whose sighting is that of {file}", "It counts there.", "none"),
+    stack_mean=Message("mean of {frames} exposures, reduced chi² {chi2:.1f}", _ACCEPTED),
+    stack_member=Message("an exposure of a stack whose sighting is that of {file}", "Used there."),
     image_dark=Message("the brightest pixel is {peak:.2f} of full scale", _NO_SUN),
     image_saturated=Message("more than half of the image is saturated", _NO_SUN),
     no_round_region=Message("no bright region is round", _NO_SUN),
     blob_displaced=Message("a round bright region {distance_px:.0f} px from where the sun should be", _REJECTED),
-    blob_edged=Message("a white patch or a lamp: {near:.2f} and {far:.2f} of its level beside it", _BY_RIM),
-    blob_flat=Message("it does not stand out: {near:.2f} and {far:.2f} of its level beside it", _BY_RIM),
-    blob_not_clipped=Message("only {flat:.2f} of it is saturated: bright cloud may look so", _BY_RIM, _PREDICT),
-    blob_off_glare=Message("it is {distance_px:.0f} px off the middle of the glare", _BY_RIM, _PREDICT),
+    blob_edged=Message(
+        "edge sharper than the sun's (white surface or lamp): {near:.2f} of its level at 1.7 radii, {far:.2f} at 2.6",
+        _BY_RIM,
+    ),
+    blob_flat=Message(
+        "no brighter than its surroundings: {near:.2f} of its level at 1.7 radii, {far:.2f} at 2.6", _BY_RIM
+    ),
+    blob_not_clipped=Message("only {flat:.2f} of the region is saturated: bright cloud looks alike", _BY_RIM, _PREDICT),
+    blob_off_glare=Message("{distance_px:.0f} px from the middle of the glare", _BY_RIM, _PREDICT),
     blob_elongated=Message(
-        "it is too elongated for a sun: its axes differ by {ellipticity:.2f} of the larger one", _BY_RIM, _PREDICT
+        "too elongated for the sun: its axes differ by {ellipticity:.2f} of the larger one", _BY_RIM, _PREDICT
     ),
     blob_wide=Message(
-        "it is too wide for a sun: its radius is {radius:.2f} of the image's smaller side", _BY_RIM, _PREDICT
+        "too large for the sun: its radius is {radius:.2f} of the image's smaller side", _BY_RIM, _PREDICT
     ),
     blob_not_alone=Message(
-        "it is not alone: elsewhere {area:.4f} of the smaller side's square is as light", _BY_RIM, _PREDICT
+        "other regions are as bright: {area:.1%} of the image (of the square of its smaller side)", _BY_RIM, _PREDICT
     ),
-    blob_one_sided=Message("its rim is round in only {share:.2f} of the directions", _BY_RIM),
-    blob_uneven=Message("its rim is uneven by {scatter:.3f} of its radius", _BY_RIM),
-    blob_centre_uncertain=Message("its centre is known to {sigma_px:.1f} px only", _BY_RIM),
+    blob_one_sided=Message("rim round in only {share:.2f} of the directions", _BY_RIM),
+    blob_uneven=Message("rim uneven by {scatter:.3f} of its radius", _BY_RIM),
+    blob_centre_uncertain=Message("centre known to {sigma_px:.1f} px only", _BY_RIM),
     # images of the night
     stars_matched=Message(
         "{n} stars; {explained:.2f} of the bright detections are stars, {found:.2f} of the bright stars are detected",
@@ -109,9 +120,9 @@ MESSAGES = Messages(
         _NO_STARS,
         _BETTER_START,
     ),
-    stars_one_sided=Message("no star over {gap_deg:.0f} degrees of azimuth, {limit:.0f} allowed", _NO_STARS),
+    stars_one_sided=Message("{gap_deg:.0f} degrees of azimuth without a star, {limit:.0f} allowed", _NO_STARS),
     stars_brightness=Message(
-        "the detections' brightness is not the stars': correlation {correlation:.2f}, {limit:.2f} asked",
+        "brightness of detections and stars differs: correlation {correlation:.2f}, {limit:.2f} needed",
         _NO_STARS,
         _BETTER_START,
     ),
@@ -131,14 +142,16 @@ MESSAGES = Messages(
         "{distance_px:.1f} px from the predicted place, {limit_px:.1f} allowed", _NO_MOON, _BETTER_START
     ),
     moon_in_cloud=Message("the sky beside the moon has {haze:.2f} of its light, {limit} allowed: cloud", _NO_MOON),
-    moon_other_shape=Message("a light that is no moon of this phase: {misfit:.1f} of {limit:.1f} allowed", _NO_MOON),
+    moon_other_shape=Message(
+        "not the shape of the moon at this phase: misfit {misfit:.1f}, {limit:.1f} allowed", _NO_MOON
+    ),
     moon_poor_fit=Message("residuals {residual:.3f} of the moon's level, sigma {sigma_px:.2f} px", _NO_MOON),
     # by what is known beside the image
     sun_elsewhere=Message(
         "not where it should be", "The sun is in the frame, away from its predicted pixel; a pose change is considered."
     ),
     rows_repeated=Message(
-        "the disc is that of the image of {time}, pixel by pixel: packets were sent again wrongly",
+        "the disc is that of the image of {time}, pixel by pixel: lost packets were replaced by those of another frame",
         "Rejected.",
         "look at the network, so that no packet has to be sent again, and at the camera's firmware",
     ),
