@@ -52,6 +52,23 @@ def test_without_a_field_and_outside_the_field_of_view() -> None:
     assert np.isnan(outside.direction[[0, 3]]).all()
 
 
+@pytest.mark.parametrize("projection", ["perspective", "equidistant", "equisolid", "stereographic", "orthographic"])
+def test_many_points_have_their_uncertainty_from_a_table_to_a_percent(projection: str) -> None:
+    model = CameraModel(current_document(distinctive_calibration(projection, mirrored=True, higher=0.03)))
+    rows, columns = np.mgrid[0 : model.height - 1 : 70j, 0 : model.width - 1 : 70j]
+    pixels = np.stack([columns, rows], axis=-1)
+    many, few = model.back_project(pixels), [model.back_project(row) for row in pixels]
+    np.testing.assert_allclose(many.direction, [row.direction for row in few], atol=1e-10)
+    np.testing.assert_allclose(many.sigma_deg, [row.sigma_deg for row in few], rtol=0.01)
+    assert np.isfinite(many.sigma_deg).sum() > 1000
+    seen = many.direction[np.isfinite(many.sigma_deg)]
+    parts = np.array_split(seen, 3)
+    exact = np.concatenate([model.project(part).covariance_px2 for part in parts])
+    covariance = model.project(np.concatenate([seen] * 3)).covariance_px2[: len(seen)]
+    trace = np.trace(exact, axis1=1, axis2=2)[:, None, None]
+    np.testing.assert_allclose(covariance / trace, exact / trace, atol=0.01)
+
+
 @pytest.mark.parametrize("change", [{"schema": "sunarc.calibration/3"}, {"schema": None}])
 def test_another_version_is_refused(change: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=r"sunarc\.calibration/2"):
