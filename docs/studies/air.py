@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.optics.forward import project
 from sunarc.sky.sun import sun_directions
 
@@ -44,7 +44,7 @@ def one_lens(
         times.append(track)
         air.append(np.full(track.size, degrees))
     known = {"temperature": np.concatenate(air)} if measured else {}
-    points = SunPoints(unix_s=np.concatenate(times), pixels=np.concatenate(pixels), **known)
+    points = Sightings(unix_s=np.concatenate(times), pixels=np.concatenate(pixels), **known)
     fit = calibrate(points, site=pop.SGP, image_size=(pop.SIZE, pop.SIZE))
     sky = hemisphere(1000)
     found, covariance = project_with_covariance(fit, sky)

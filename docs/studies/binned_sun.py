@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from sunarc.array_types import Image
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance, sigma_px
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.cameras.frame import CameraInfo, Frame
 from sunarc.detection.disc.detect import detect_sun
 from sunarc.imaging.exposure import SunExposureOptions
@@ -90,7 +90,7 @@ def sky_error_px(day: Day, binning: int) -> tuple[float, float]:
     """Return the calibration's error over the sky and its stated 1-sigma, px of the sensor."""
     truth = true_camera()
     solved = calibrate(
-        SunPoints(unix_s=day.unix_s, pixels=day.pixels), site=SGP,
+        Sightings(unix_s=day.unix_s, pixels=day.pixels), site=SGP,
         image_size=(truth.width // binning, truth.height // binning),
     )  # fmt: skip
     directions = hemisphere(600)

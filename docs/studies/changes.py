@@ -27,7 +27,7 @@ from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.changes.detect_change import update_window
 from sunarc.calibration.changes.values import Change, Sighting, SightingWindow, WatchOptions
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector
@@ -66,7 +66,7 @@ def calibrated() -> Calibration:
     """Return the fit of a year's clear days."""
     times = np.concatenate([times_of(day, 900.0) for day in range(0, 360, 12)])
     noise = np.random.default_rng(1).normal(0.0, _SIGMA_PX, (times.size, 2))
-    points = SunPoints(unix_s=times, pixels=project(_TRUTH, sun_directions(times, SGP)) + noise)
+    points = Sightings(unix_s=times, pixels=project(_TRUTH, sun_directions(times, SGP)) + noise)
     return calibrate(points, site=SGP, image_size=(_TRUTH.width, _TRUTH.height))
 
 

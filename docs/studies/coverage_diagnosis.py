@@ -39,7 +39,7 @@ from sunarc.calibration.model.backward import camera_sees
 from sunarc.calibration.model.options import CalibrationOptions, LensTolerances
 from sunarc.calibration.model.residual_field import wave_basis
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve import priors
 from sunarc.optics.camera import RADIAL_ORDERS, Camera
 from sunarc.optics.projections import ideal_radius
@@ -99,7 +99,7 @@ def _size(grid: HyperparameterGrid) -> tuple[int, int]:
     return width, height
 
 
-def fit_of(case: Case, truth: Camera, points: SunPoints, scales: tuple[float, float], control: str) -> Calibration:
+def fit_of(case: Case, truth: Camera, points: Sightings, scales: tuple[float, float], control: str) -> Calibration:
     """Return the fit of a lens's sightings with what a control knows."""
     share = min(case.size) / pop.SIZE
     lens = np.array([1.5 * share, 0.6 * share]) if control == "scales known" else None

@@ -22,7 +22,7 @@ from scipy.optimize import least_squares
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.fit.marginal_likelihood import prior_precision
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
-from sunarc.calibration.model.sightings import SunPoints, filter_sightings
+from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.solve.levenberg_marquardt import most_probable
 from sunarc.calibration.solve.priors import lens_prior
 from sunarc.calibration.solve.problem import observations, problem_for
@@ -45,7 +45,7 @@ def cost_ms(work: Callable[[], object], repeats: int) -> float:
     return 1e3 * min(found)
 
 
-def drawn(days: tuple[int, ...]) -> tuple[Camera, SunPoints, ImageCircle]:
+def drawn(days: tuple[int, ...]) -> tuple[Camera, Sightings, ImageCircle]:
     """Return a camera, its sightings on days, and the image circle as it would be found."""
     rng = np.random.default_rng(5)
     camera = pop.random_camera(rng)

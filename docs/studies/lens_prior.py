@@ -29,7 +29,7 @@ from sunarc.calibration.lens_library.joint import Entry, Unit, calibrate_jointly
 from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread, frame_of
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.priors import LENS
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
@@ -52,7 +52,7 @@ def unit_of(rng: np.random.Generator, mean: Camera) -> Camera:
     return mean.with_parameters(vector)
 
 
-def record(rng: np.random.Generator, camera: Camera, days: tuple[float, ...], *, part: float = 1.0) -> SunPoints:
+def record(rng: np.random.Generator, camera: Camera, days: tuple[float, ...], *, part: float = 1.0) -> Sightings:
     """Draw the sightings of days, or of the first part of one."""
     times = pop.sun_track(np.array(days), cadence_s=120.0)
     times = times[: int(part * times.size)]
@@ -60,7 +60,7 @@ def record(rng: np.random.Generator, camera: Camera, days: tuple[float, ...], *,
     return replace(points, sigma_px=np.full(len(points), SIGMA_PX))
 
 
-def fit(points: SunPoints) -> Calibration:
+def fit(points: Sightings) -> Calibration:
     """Fit sightings alone."""
     return calibrate(points, site=pop.SGP, image_size=(pop.SIZE, pop.SIZE), options=OPTIONS)
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.quality.day_quality import decide_day, measure_day
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
@@ -105,7 +105,7 @@ class Days:
         """Return the verdict of a day."""
         seen, pixels = clear & observed, self._track + self._rng.normal(0.0, NOISE_PX, self._track.shape)
         measure = measure_day(
-            SunPoints(unix_s=self.times[seen], pixels=pixels[seen]),
+            Sightings(unix_s=self.times[seen], pixels=pixels[seen]),
             site=SITE,
             n_possible=self.times.size,
             observed_unix_s=self.times[observed],

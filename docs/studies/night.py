@@ -30,7 +30,7 @@ from sunarc.calibration.fit.robust_fit import DECENTRED_PX, OFFSET_PX, POSE_DIFF
 from sunarc.calibration.messages import text_of
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import Kind, SunPoints
+from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.calibration.selection import MOST_STARS, image_parts, surest_of_parts
 from sunarc.calibration.solve.priors import LENS, N_LENS, Whitened, lens_prior, precisions
 from sunarc.detection.stars.matching import match_stars
@@ -94,7 +94,7 @@ class Air:
         return raised(directions, refraction_rad(directions, pop.SGP) * (self._common + self._daily[day]))
 
 
-def fitted(points: SunPoints) -> Calibration:
+def fitted(points: Sightings) -> Calibration:
     """Return the fit of sightings by one who knows the projection."""
     return calibrate(points, site=pop.SGP, image_size=_IMAGE, options=CalibrationOptions())
 
@@ -108,7 +108,7 @@ def stars_of(
     night: nights.Night,
     air: Air,
     case: Case,
-) -> SunPoints:
+) -> Sightings:
     """Return the stars of nights, matched with what the day's calibration predicts, the surest of each image."""
     times, pixels, sigma, directions = [], [], [], []
     for when in moments:
@@ -128,7 +128,7 @@ def stars_of(
         pixels.append(found.pixels[chosen] + far[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
         sigma.append(found.sigma_px[chosen])
         directions.append(toward[shown][chosen])
-    return SunPoints(
+    return Sightings(
         unix_s=np.concatenate(times),
         pixels=np.concatenate(pixels),
         sigma_px=np.concatenate(sigma),
@@ -137,14 +137,14 @@ def stars_of(
     )
 
 
-def detected(camera: Camera, times: FloatArray, noise: FloatArray, *, field: pop.Field | None, air: Air) -> SunPoints:
+def detected(camera: Camera, times: FloatArray, noise: FloatArray, *, field: pop.Field | None, air: Air) -> Sightings:
     """Return the sun's sightings."""
     pixels = project(camera, air.raised(sun_directions(times, pop.SGP), times))
     pixels = pixels if field is None else pixels + field(pixels)
-    return SunPoints(unix_s=times, pixels=pixels + noise, sigma_px=np.full(times.size, 0.03))
+    return Sightings(unix_s=times, pixels=pixels + noise, sigma_px=np.full(times.size, 0.03))
 
 
-def together(first: SunPoints, second: SunPoints) -> SunPoints:
+def together(first: Sightings, second: Sightings) -> Sightings:
     """Return both."""
     return stacked([first, second])
 
@@ -195,7 +195,7 @@ class Truth(NamedTuple):
     camera: Camera
     field: pop.Field | None
     air: Air
-    sun: SunPoints
+    sun: Sightings
     day: Calibration
 
 
@@ -213,7 +213,7 @@ def truth_of(seed: int, *, days: int, field_px: float, drawn: bool) -> Truth:
     return Truth(camera, field, air, sun, fitted(sun))
 
 
-def night_of(truth: Truth, seed: int, asked: argparse.Namespace, case: Case) -> SunPoints:
+def night_of(truth: Truth, seed: int, asked: argparse.Namespace, case: Case) -> Sightings:
     """Return the stars of a lens's nights that its second fit is given."""
     hours = np.arange(asked.frames) - (asked.frames - 1) / 2.0
     nightly = np.arange(asked.days, dtype=float)[:, None] * _DAYS_APART * 86_400.0

@@ -33,7 +33,7 @@ from scipy.ndimage import gaussian_filter
 from sunarc.array_types import stacked
 from sunarc.calibration.answers.stars import StarView, match_views
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import Kind, SunPoints
+from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.calibration.quality.acceptance import accept
 from sunarc.calibration.selection import MOST_STARS, image_parts, surest_of_parts
 from sunarc.cameras.frame import Frame
@@ -262,7 +262,7 @@ class Made:
         if verdict not in {"clear", "partly"} or stored < ENOUGH_STARS:
             return said
         joined = {name: np.concatenate(parts) for name, parts in columns.items()}
-        stars_found = SunPoints(**joined, kind=np.full(stored, Kind.STAR))
+        stars_found = Sightings(**joined, kind=np.full(stored, Kind.STAR))
         parts_of = image_parts(stars_found.pixels, IMAGE)
         stars_found = stars_found.select(surest_of_parts(parts_of, stars_found.sigma_px, MOST_STARS))
         both = clear_nights.fitted(clear_nights.together(self.sun, stars_found))

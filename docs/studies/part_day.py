@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.optics.forward import local_stretch, project
 from sunarc.simulation.truth import true_camera
 from sunarc.sky.sun import sun_directions
@@ -41,7 +41,7 @@ def one_lens(
         return np.asarray(pixels + field(pixels))
 
     pixels = seen(sun_directions(times, pop.SGP)) + rng.normal(0.0, sigma_px, (count, 2))
-    fit = calibrate(SunPoints(unix_s=times, pixels=pixels), site=pop.SGP, image_size=(pop.SIZE, pop.SIZE))
+    fit = calibrate(Sightings(unix_s=times, pixels=pixels), site=pop.SGP, image_size=(pop.SIZE, pop.SIZE))
     sky = hemisphere(1000)
     found, covariance = project_with_covariance(fit, sky)
     error = found - seen(sky)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from sunarc.calibration.model.backward import camera_sees
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles
@@ -170,16 +170,16 @@ def biased_outliers(rng: np.random.Generator, noise: FloatArray, *, share: float
 
 def sightings(
     camera: Camera, times: FloatArray, noise: FloatArray, *, site: Site = SGP, field: Field | None = None
-) -> SunPoints:
+) -> Sightings:
     """Return what a detector would have seen."""
     return sightings_of(camera, times, sun_directions(times, site), noise, field=field)
 
 
 def sightings_of(
     camera: Camera, times: FloatArray, directions: FloatArray, noise: FloatArray, *, field: Field | None = None
-) -> SunPoints:
+) -> Sightings:
     """Return what a detector would have seen of the sun in directions that are known."""
-    return SunPoints(unix_s=times, pixels=seen_at(camera, directions, field) + noise)
+    return Sightings(unix_s=times, pixels=seen_at(camera, directions, field) + noise)
 
 
 def seen_at(camera: Camera, directions: FloatArray, field: Field | None) -> FloatArray:

@@ -24,7 +24,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.optics.projections import Projection
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles, sun_directions
@@ -130,7 +130,7 @@ class Track:
     moved_at : unix seconds of the move, infinite without.
     """
 
-    points: SunPoints
+    points: Sightings
     site: Site
     image_size: tuple[int, int]
     drawn: Draw
@@ -194,7 +194,7 @@ def _drawn(rng: np.random.Generator, wanted: Draw) -> Track | None:
     seen = np.rint(seen) if draw.rounded else seen
     kept = slice(None, None, draw.thin)
     return Track(
-        points=SunPoints(unix_s=times[kept], pixels=seen[kept]),
+        points=Sightings(unix_s=times[kept], pixels=seen[kept]),
         site=site,
         image_size=size,
         drawn=draw,

@@ -35,7 +35,7 @@ from sunarc.archive.database.schema import upgrade
 from sunarc.archive.values import CameraRecord
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.document import from_document, to_document
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.runtime.clock import SystemClock
@@ -121,12 +121,12 @@ def _calibrate(folder: Path) -> None:
     archive.close()
 
 
-def _sightings(camera: Camera) -> SunPoints:
+def _sightings(camera: Camera) -> Sightings:
     """Return the sun in four days' images, 0.02 px of noise, a sighting every 5 minutes."""
     times = _START.timestamp() - 86_400.0 * np.array([[1.0], [10.0], [20.0], [30.0]]) + np.arange(0.0, 86_400.0, 300.0)
     times = times[sun_angles(times, SGP).apparent_zenith < 85.0]
     pixels = project(camera, sun_directions(times, SGP))
-    return SunPoints(unix_s=times, pixels=pixels + np.random.default_rng(1).normal(0.0, 0.02, pixels.shape))
+    return Sightings(unix_s=times, pixels=pixels + np.random.default_rng(1).normal(0.0, 0.02, pixels.shape))
 
 
 def _measure(pid: int, *, minutes: float) -> None:

@@ -17,7 +17,7 @@ from sunarc.calibration.fit.marginal_likelihood import Scales, prior_precision
 from sunarc.calibration.fit.normal_equations import irls_converged, linear_system
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.residual_field import wave_basis
-from sunarc.calibration.model.sightings import FilteredSightings, SunPoints, filter_sightings
+from sunarc.calibration.model.sightings import FilteredSightings, Sightings, filter_sightings
 from sunarc.calibration.solve.problem import FitProblem, Observations, observations, time_bins
 from sunarc.calibration.start.initial_guess import single_problem
 from sunarc.optics.camera import Camera
@@ -44,19 +44,19 @@ NO_FIELD = Scales(1e-6, 420.0, 2.0, 0.7)
 
 
 @pytest.fixture(scope="module")
-def points() -> SunPoints:
+def points() -> Sightings:
     noon = 1_368_403_200.0 + 43_200.0 - SGP.longitude * 240.0
     days = (0, 1, 9, 19, 20, 21, 25, 27, 28, 29)
     times = np.concatenate([noon + 86_400.0 * d + np.arange(-43_200.0, 43_200.0, 30.0) for d in days])
     times = times[sun_angles(times, SGP).apparent_zenith < 89.6][:15_966]
     pixels = project(TRUTH, sun_directions(times, SGP))
-    return SunPoints(unix_s=times, pixels=pixels + np.random.default_rng(0).normal(0.0, 0.5, pixels.shape))
+    return Sightings(unix_s=times, pixels=pixels + np.random.default_rng(0).normal(0.0, 0.5, pixels.shape))
 
 
 class _Task:
     """One cost, one start: 15 966 sightings, Gaussian noise of 0.5 px, the lens's priors."""
 
-    def __init__(self, points: SunPoints) -> None:
+    def __init__(self, points: Sightings) -> None:
         self.usable: FilteredSightings = filter_sightings(points, site=SGP)
         self.seen: Observations = observations(self.usable).weighted(np.full(len(self.usable), 4.0))
         start = replace(TRUTH, focal_length_px=(605.0, 605.0), principal_point_px=(876.0, 880.0), radial=(0.0,) * 8)
@@ -86,7 +86,7 @@ class _Task:
 
 
 @pytest.fixture(scope="module")
-def task(points: SunPoints) -> _Task:
+def task(points: Sightings) -> _Task:
     return _Task(points)
 
 
@@ -105,7 +105,7 @@ def test_scipy_solve(task: _Task, benchmark: Any) -> None:  # noqa: ANN401 - the
 
 
 @pytest.mark.benchmark(group="whole calibrate, 15966 sightings")
-def test_whole_calibrate(points: SunPoints, benchmark: Any) -> None:  # noqa: ANN401 - the plug-in's own type
+def test_whole_calibrate(points: Sightings, benchmark: Any) -> None:  # noqa: ANN401 - the plug-in's own type
     found = benchmark.pedantic(calibrate, (points,), {"site": SGP, "image_size": SIZE}, rounds=1, iterations=1)
     assert found.verdict.accepted
 
@@ -133,7 +133,7 @@ def test_opencv_back_projection(many_pixels: FloatArray, benchmark: Any) -> None
 
 
 @pytest.mark.benchmark(group="whole map of 1748 x 1748 pixels")
-def test_whole_map(points: SunPoints, benchmark: Any) -> None:  # noqa: ANN401 - the plug-in's own type
+def test_whole_map(points: Sightings, benchmark: Any) -> None:  # noqa: ANN401 - the plug-in's own type
     calibration = calibrate(points.select(slice(0, 1600)), site=SGP, image_size=SIZE)
     found = benchmark(lambda: back_projection_map(lookup(calibration)))
     assert found.directions.shape == (1748, 1748, 3)

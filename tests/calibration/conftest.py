@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles
@@ -44,7 +44,7 @@ class Simulated:
 
     camera: Camera
     site: Site
-    points: SunPoints
+    points: Sightings
 
     def sky_error_px(self, camera: Camera) -> float:
         """Root mean square error of a camera over the hemisphere."""
@@ -84,7 +84,7 @@ def simulate(
     pixels = project(camera, sun_directions(times, site))
     inside = np.all((pixels > 0.0) & (pixels < camera.width), axis=-1)
     noise = np.random.default_rng(seed).normal(0.0, sigma_px, pixels.shape)
-    points = SunPoints(unix_s=times[inside], pixels=(pixels + noise)[inside])
+    points = Sightings(unix_s=times[inside], pixels=(pixels + noise)[inside])
     return Simulated(camera=camera, site=site, points=points)
 
 

@@ -13,7 +13,7 @@ from tests.calibration.conftest import SGP, SIZE, TRUTH, rms, times_of
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance, sun_with_covariance
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.optics.forward import project
 from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.refraction import MEASURED_AIR_SD, raised, refraction_rad
@@ -31,7 +31,7 @@ def _fitted(temperature: float, *, measured: bool = False) -> Calibration:
     pixels = project(TRUTH, sun_directions(times, replace(SGP, temperature=temperature)))
     noise = np.random.default_rng(5).normal(0.0, 0.03, pixels.shape)
     air = np.full(times.size, temperature if measured else np.nan)
-    return calibrate(SunPoints(unix_s=times, pixels=pixels + noise, temperature=air), site=SGP, image_size=SIZE)
+    return calibrate(Sightings(unix_s=times, pixels=pixels + noise, temperature=air), site=SGP, image_size=SIZE)
 
 
 def _judged(fit: Calibration) -> tuple[float, float, NDArray[np.bool_]]:

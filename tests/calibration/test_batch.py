@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.calibrate import Batch, calibrate
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Method
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.errors import InputError
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
@@ -32,7 +32,7 @@ def _circle(dx: float) -> ImageCircle:
 
 def _alone(pixels: FloatArray, method: Method, circle: ImageCircle | None) -> Camera:
     return calibrate(
-        SunPoints(unix_s=TIMES, pixels=pixels),
+        Sightings(unix_s=TIMES, pixels=pixels),
         site=pop.SGP,
         image_size=(TRUTH.width, TRUTH.height),
         options=CalibrationOptions(method=method),

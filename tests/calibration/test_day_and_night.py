@@ -17,7 +17,7 @@ from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.calibrate import calibrate, reproduce_calibration
 from sunarc.calibration.model.document import from_document
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import Kind, SunPoints, filter_sightings
+from sunarc.calibration.model.sightings import Kind, Sightings, filter_sightings
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector
@@ -57,7 +57,7 @@ def turned(camera: Camera, turn_deg: tuple[float, float, float]) -> Camera:
     return replace(camera, rotation_cam_enu=rotation_vector(rotation_matrix(camera.rotation_cam_enu) @ turn.T))
 
 
-def stars(night: Night) -> SunPoints:
+def stars(night: Night) -> Sightings:
     """Return stars evenly over the sky, 0.07 px each."""
     rng = np.random.default_rng(6)
     zenith = np.degrees(np.arccos(rng.uniform(np.cos(np.radians(82.0)), 1.0, STARS)))
@@ -69,7 +69,7 @@ def stars(night: Night) -> SunPoints:
     pixels = pixels + night.coma_px * (size / edge) ** 1.5 * outwards / size + rng.normal(0.0, 0.07, (STARS, 2))
     wrong = rng.uniform(size=STARS) < night.wrong
     pixels[wrong] += rng.uniform(-8.0, 8.0, (wrong.sum(), 2))
-    return SunPoints(
+    return Sightings(
         unix_s=MIDNIGHT + 60.0 * np.arange(STARS, dtype=np.float64),
         pixels=pixels,
         sigma_px=np.full(STARS, 0.07),
@@ -78,12 +78,12 @@ def stars(night: Night) -> SunPoints:
     )
 
 
-def both(night: Night) -> SunPoints:
+def both(night: Night) -> Sightings:
     """Return the sightings of the day and of the night."""
     return stacked([SUN, stars(night)])
 
 
-def fitted(points: SunPoints) -> Calibration:
+def fitted(points: Sightings) -> Calibration:
     return calibrate(points, site=pop.SGP, image_size=SIZE)
 
 
@@ -113,7 +113,7 @@ def test_stars_make_the_calibration_better_whatever_the_night_does_to_them_all(n
     assert found.sky_rms_deg < 0.7 * of_the_day().sky_rms_deg
 
 
-def through_other_air(points: SunPoints, share: float) -> SunPoints:
+def through_other_air(points: Sightings, share: float) -> Sightings:
     """Return sightings with a share more of the refraction than is assumed."""
     sun = sun_directions(points.unix_s, pop.SGP)
     apparent = np.where(np.isfinite(points.directions), points.directions, sun)

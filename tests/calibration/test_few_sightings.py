@@ -10,7 +10,7 @@ from tests.finding_codes import codes
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.simulation.truth import SGP, true_camera
@@ -21,13 +21,13 @@ DRAWN = 5
 _CHI_SQUARE_95 = 5.991
 
 
-def _drawn(seed: int, days: int, sigma_px: float) -> tuple[Camera, SunPoints]:
+def _drawn(seed: int, days: int, sigma_px: float) -> tuple[Camera, Sightings]:
     truth, rng = true_camera(seed), np.random.default_rng(1000 + seed)
     times = times_of(tuple(7.0 * day for day in range(days)), site=SGP, cadence_s=60.0)
     pixels = project(truth, sun_directions(times, SGP))
     inside = np.all((pixels > 0.0) & (pixels < truth.width), axis=-1)
     some = np.sort(rng.choice(np.flatnonzero(inside), N, replace=False))
-    return truth, SunPoints(unix_s=times[some], pixels=pixels[some] + rng.normal(0.0, sigma_px, (N, 2)))
+    return truth, Sightings(unix_s=times[some], pixels=pixels[some] + rng.normal(0.0, sigma_px, (N, 2)))
 
 
 def _covered(fit: Calibration, truth: Camera) -> float:
@@ -63,6 +63,6 @@ def test_gross_errors_among_few_sightings_are_not_served() -> None:
     truth, points = _drawn(0, 1, 0.05)
     pixels = points.pixels.copy()
     pixels[[3, 9, 15]] += [[60.0, 0.0], [0.0, -80.0], [50.0, 50.0]]
-    fit = calibrate(SunPoints(unix_s=points.unix_s, pixels=pixels), site=SGP, image_size=(truth.width, truth.height))
+    fit = calibrate(Sightings(unix_s=points.unix_s, pixels=pixels), site=SGP, image_size=(truth.width, truth.height))
     error = np.linalg.norm(project(fit.camera, hemisphere(200)) - project(truth, hemisphere(200)), axis=-1)
     assert not fit.verdict.accepted or np.nanmedian(error) < 10.0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.optics.forward import project
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.sun import sun_angles, sun_directions
@@ -22,7 +22,7 @@ def test_precise_sightings_of_a_low_sun_are_no_outliers(lens_seed: int) -> None:
     directions = sun_directions(times, SGP)
     pixels = project(truth, directions)
     noise = np.random.default_rng(lens_seed).normal(0.0, 0.003, pixels.shape)
-    found = calibrate(SunPoints(unix_s=times, pixels=pixels + noise), site=SGP, image_size=(1748, 1748))
+    found = calibrate(Sightings(unix_s=times, pixels=pixels + noise), site=SGP, image_size=(1748, 1748))
     assert found.evidence.n_rejected <= 0.02 * times.size
     error = project(found.camera, directions) - pixels
     assert np.sqrt(np.mean(np.sum(error**2, axis=-1))) <= 0.01

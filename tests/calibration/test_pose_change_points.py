@@ -18,7 +18,7 @@ from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.changes.change_points import calibrate_moved
 from sunarc.calibration.model.document import from_document, to_document
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector
@@ -37,7 +37,7 @@ def turned(camera: Camera, degrees: float) -> Camera:
     return replace(camera, rotation_cam_enu=rotation_vector(turn @ rotation_matrix(camera.rotation_cam_enu)))
 
 
-def moved_after(share: float, first: Simulated, second: Simulated) -> SunPoints:
+def moved_after(share: float, first: Simulated, second: Simulated) -> Sightings:
     """Take the first camera's sightings up to a share of them, then the second's."""
     later = np.arange(len(first.points)) >= share * len(first.points)
     return replace(first.points, pixels=np.where(later[:, None], second.points.pixels, first.points.pixels))
@@ -141,7 +141,7 @@ def test_the_half_of_a_real_track_that_is_turned_gets_its_own_pose() -> None:
     with REAL.open() as file:
         rows = list(csv.DictReader(file))
     times = np.array([datetime.fromisoformat(row["time_utc"]).timestamp() for row in rows])
-    points = SunPoints(unix_s=times, pixels=np.array([[float(row["x_px"]), float(row["y_px"])] for row in rows]))
+    points = Sightings(unix_s=times, pixels=np.array([[float(row["x_px"]), float(row["y_px"])] for row in rows]))
     site = Site(latitude=54.495866, longitude=11.237683, altitude=9.0)
     options = CalibrationOptions(projection="equidistant")
     still = calibrate(points, site=site, image_size=(1920, 1920), options=options)

@@ -13,7 +13,7 @@ from sunarc.calibration.answers.error_model import rotated
 from sunarc.calibration.changes import step_search as module
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration, Move
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.sky.days import solar_days
@@ -34,7 +34,7 @@ def test_each_step_is_dated_by_the_poses_on_its_two_sides(monkeypatch: pytest.Mo
     row = np.arange(60)[:, None]
     sun = sun_directions(times, SGP)
     at_last = np.where(row < 40, project(second, sun), project(third, sun))
-    points = SunPoints(unix_s=times, pixels=np.where(row < 20, project(first, sun), at_last))
+    points = Sightings(unix_s=times, pixels=np.where(row < 20, project(first, sun), at_last))
     moves = (
         _move(times[15], times[25], 0.6, first),
         _move(times[33], times[44], 0.7, second),
@@ -51,11 +51,11 @@ def test_each_step_is_dated_by_the_poses_on_its_two_sides(monkeypatch: pytest.Mo
 def test_the_days_about_a_jump_are_fitted_and_no_others(monkeypatch: pytest.MonkeyPatch) -> None:
     times = (NOON + 86_400.0 * np.arange(9.0)[:, None] + 300.0 * np.arange(-15.0, 15.0)).ravel()
     camera = small_camera()
-    points = SunPoints(unix_s=times, pixels=project(camera, sun_directions(times, SGP)))
+    points = Sightings(unix_s=times, pixels=project(camera, sun_directions(times, SGP)))
     first = int(solar_days(times[:1], longitude=SGP.longitude)[0])
     fitted: list[list[int]] = []
 
-    def verified(_: module._StepSearch, whole: SunPoints, some: SunPoints) -> list[module.PoseStep]:
+    def verified(_: module._StepSearch, whole: Sightings, some: Sightings) -> list[module.PoseStep]:
         assert len(whole) == len(points)
         fitted.append(np.unique(solar_days(some.unix_s, longitude=SGP.longitude)).tolist())
         return []

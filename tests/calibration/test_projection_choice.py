@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.projection_choice import ProjectionChoice, calibrate_unknown_lens, choose_projection
 from sunarc.optics.camera import Camera
 from sunarc.optics.projections import PROJECTIONS, Projection, ideal_radius
@@ -29,7 +29,7 @@ def _lens(projection: Projection, seed: int) -> Camera:
     return pop.random_camera(np.random.default_rng(seed), base=base)
 
 
-def _day(camera: Camera, *, cadence_s: float = 360.0, sigma_px: float = 0.4) -> SunPoints:
+def _day(camera: Camera, *, cadence_s: float = 360.0, sigma_px: float = 0.4) -> Sightings:
     times = pop.sun_track(np.zeros(1), cadence_s=cadence_s)
     points = pop.sightings(camera, times, pop.white_noise(np.random.default_rng(1), times.size, sigma_px))
     return points.select(np.all(np.isfinite(points.pixels) & (np.abs(points.pixels - 873.5) < 873.0), axis=-1))

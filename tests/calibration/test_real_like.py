@@ -18,8 +18,8 @@ from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.fit.marginal_likelihood import scale_grid
 from sunarc.calibration.fit.robust_rounds import at_least_least_squares
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.calibration.model.sightings import SunPoints, filter_sightings
-from sunarc.calibration.noise import Course
+from sunarc.calibration.model.sightings import Sightings, filter_sightings
+from sunarc.calibration.noise import NoiseGroups
 from sunarc.calibration.solve.priors import lens_prior
 from sunarc.calibration.solve.problem import FitProblem, Observations, observations, problem_for
 from sunarc.calibration.start.multistart import lowest
@@ -88,22 +88,22 @@ def test_where_every_second_sighting_states_far_more_that_is_stated() -> None:
     assert finding.data["factor"] == factor
 
 
-def _problem(track_seed: int) -> tuple[FitProblem, Observations, Course, NDArray[np.float64]]:
-    """Return the problem of a clear track, its sightings, their course and the unknowns of a camera near the truth."""
+def _problem(track_seed: int) -> tuple[FitProblem, Observations, NoiseGroups, NDArray[np.float64]]:
+    """Return the problem of a clear track, its sightings, their groups and the unknowns of a camera near the truth."""
     track = real_like_track(track_seed, EQUIDISTANT, cloud="none", tilt_deg=2.0, half_day=False, gaps=False)
     fit = calibrate(track.points, site=track.site, image_size=track.image_size, options=track.options)
     prior = lens_prior(fit.camera, tolerances=track.options.tolerances, circle=None, field_angle=np.pi / 2)
     problem = problem_for(fit.camera, prior, n_epochs=1)
     usable = filter_sightings(track.points, site=track.site)
-    return problem, observations(usable), Course.of(usable), problem.unknowns([fit.camera])
+    return problem, observations(usable), NoiseGroups.of(usable), problem.unknowns([fit.camera])
 
 
 def test_a_camera_that_misses_the_sightings_is_brought_back_and_a_good_one_stays() -> None:
-    problem, seen, course, good = _problem(7)
-    assert np.array_equal(at_least_least_squares(problem, seen, course, good, sigma=0.8), good)
+    problem, seen, groups, good = _problem(7)
+    assert np.array_equal(at_least_least_squares(problem, seen, groups, good, sigma=0.8), good)
     missed = good.copy()
     missed[5] += 60.0
-    back = at_least_least_squares(problem, seen, course, missed, sigma=0.8)
+    back = at_least_least_squares(problem, seen, groups, missed, sigma=0.8)
     residual = [float(np.median(np.linalg.norm(problem.residuals(at, seen), axis=-1))) for at in (good, missed, back)]
     assert residual[1] > 1.5 * residual[0]
     assert residual[2] < 1.1 * residual[0]
@@ -130,7 +130,7 @@ def test_a_real_track_drawn_aside_by_cloud_for_16_minutes_fits_as_before() -> No
     aside = drawn_aside(np.random.default_rng(6), np.clip(share, 0.0, 1.0), 5.0) * clouded[:, None]
     site = Site(latitude=54.495866, longitude=11.237683, altitude=9.0)
     options = CalibrationOptions(projection="equidistant")
-    points = SunPoints(unix_s=times, pixels=pixels + aside)
+    points = Sightings(unix_s=times, pixels=pixels + aside)
     found = calibrate(points, site=site, image_size=(1920, 1920), options=options)
     paper = calibrate(points, site=site, image_size=(1920, 1920), options=replace(options, method="paper"))
     assert found.verdict.accepted, found.verdict.reasons

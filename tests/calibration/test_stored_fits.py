@@ -23,7 +23,7 @@ from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.changes.change_points import calibrate_moved
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, PaperOptions
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.pose import estimate_pose
 from sunarc.optics.camera import PARAMETER_NAMES, Camera
 from sunarc.optics.forward import project
@@ -43,11 +43,11 @@ def _times(days: tuple[float, ...], *, hours: tuple[float, float], cadence_s: fl
     return np.concatenate([NOON_13_MAY_2013 + 86_400.0 * day + of_day for day in days])
 
 
-def _sightings(camera: Camera, times: FloatArray, *, sigma_px: float, seed: int) -> SunPoints:
+def _sightings(camera: Camera, times: FloatArray, *, sigma_px: float, seed: int) -> Sightings:
     """Return sightings with white noise, to 1e-6 px: the last digit of `project` does not reach the fit."""
     pixels = project(camera, sun_directions(times, SGP))
     noise = np.random.default_rng(seed).normal(0.0, sigma_px, pixels.shape)
-    return SunPoints(unix_s=times, pixels=np.round(pixels + noise, 6))
+    return Sightings(unix_s=times, pixels=np.round(pixels + noise, 6))
 
 
 def _equisolid() -> Calibration:

@@ -11,7 +11,7 @@ from tests.fixtures.calibrations import chosen_calibration
 
 from sunarc.array_types import FloatArray
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.cross_checks.rotation_steps import DailyRotations, daily_rotations
 from sunarc.optics.camera import PARAMETER_NAMES, POSE, Camera
 from sunarc.optics.forward import project
@@ -65,7 +65,7 @@ class Neighbour:
             return self.site
         return replace(self.site, longitude=self.site.longitude + self.wrong.east_deg)
 
-    def sightings(self, day: int, rng: np.random.Generator, *, n: int = 60) -> SunPoints:
+    def sightings(self, day: int, rng: np.random.Generator, *, n: int = 60) -> Sightings:
         """Return a day's sightings, dated by the camera's own clock."""
         after = day >= self.wrong.day
         true_s = FIRST_NOON + 86_400.0 * day + np.linspace(-14_000.0, 14_000.0, n)
@@ -74,7 +74,7 @@ class Neighbour:
             self.camera, rotation_cam_enu=rotation_vector(rotation_matrix(self.camera.rotation_cam_enu) @ turn.T)
         )
         pixels = project(camera, sun_directions(true_s, self.site)) + rng.normal(0.0, NOISE_PX, (n, 2))
-        return SunPoints(unix_s=true_s + (self.wrong.clock_s if after else 0.0), pixels=pixels)
+        return Sightings(unix_s=true_s + (self.wrong.clock_s if after else 0.0), pixels=pixels)
 
     def rotations(self, days: FloatArray, rng: np.random.Generator) -> DailyRotations:
         seen = {day: self.sightings(day, rng) for day in days.astype(int).tolist()}

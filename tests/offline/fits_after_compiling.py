@@ -17,7 +17,7 @@ from sunarc.calibration.calibrate import calibrate, reproduce_calibration
 from sunarc.calibration.changes.step_search import find_pose_steps
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import Kind, SunPoints
+from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.calibration.stated_prior import PriorTolerances, calibrate_with_prior
 from sunarc.jit import TolerantCache
 from sunarc.offline.compile_kernels import compile_kernels
@@ -27,7 +27,7 @@ SIZE = (pop.SIZE, pop.SIZE)
 CAMERA = pop.random_camera(np.random.default_rng(4))
 
 
-def day(*, cadence_s: float = 240.0, days: int = 1) -> SunPoints:
+def day(*, cadence_s: float = 240.0, days: int = 1) -> Sightings:
     """Return sightings of some days, each a pose epoch, every tenth one wrong by some px."""
     times = pop.sun_track(np.arange(float(days)), cadence_s=cadence_s)
     noise = pop.white_noise(np.random.default_rng(5), times.size, 0.03)
@@ -35,11 +35,11 @@ def day(*, cadence_s: float = 240.0, days: int = 1) -> SunPoints:
     return replace(pop.sightings(CAMERA, times, noise), epoch=((times - times[0]) // 86_400.0).astype(np.int64))
 
 
-def with_stars(sun: SunPoints, *, wrong_px: float = 0.0) -> SunPoints:
+def with_stars(sun: Sightings, *, wrong_px: float = 0.0) -> Sightings:
     """Return the sightings of the sun and those of a hundred stars of the night after it."""
     directions = hemisphere(100)
     pixels = project(CAMERA, directions) + np.random.default_rng(6).normal(0.0, 0.07 + wrong_px, (len(directions), 2))
-    night = SunPoints(
+    night = Sightings(
         unix_s=float(sun.unix_s[-1]) + 30_000.0 + 60.0 * np.arange(len(directions), dtype=np.float64),
         pixels=pixels,
         sigma_px=np.full(len(directions), 0.07),
@@ -49,7 +49,7 @@ def with_stars(sun: SunPoints, *, wrong_px: float = 0.0) -> SunPoints:
     return stacked([sun, night])
 
 
-def fitted(points: SunPoints, **given: Any) -> Calibration:  # noqa: ANN401 - whatever `calibrate` takes
+def fitted(points: Sightings, **given: Any) -> Calibration:  # noqa: ANN401 - whatever `calibrate` takes
     """Return the fit of sightings by the options given."""
     named = {name: given.pop(name) for name in ("start", "circle") if name in given}
     return calibrate(points, site=pop.SGP, image_size=SIZE, options=CalibrationOptions(**given), **named)

@@ -18,7 +18,7 @@ from tests.fixtures.settings import new_settings
 from sunarc.archive.archive import open_archive
 from sunarc.archive.values import SunPoint
 from sunarc.calibration.model.result import Calibration, Verdict
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.detection.photo.ordinary_image import Exposure
 from sunarc.detection.values import Detection, Expectation
 from sunarc.findings import Finding
@@ -72,10 +72,10 @@ class Fits:
     """In place of `calibrate`: remembers what it was given, and answers with what is known."""
 
     def __init__(self, *answers: Calibration) -> None:
-        self.given: list[SunPoints] = []
+        self.given: list[Sightings] = []
         self._answers = list(answers)
 
-    def __call__(self, points: SunPoints, **_: object) -> Calibration:
+    def __call__(self, points: Sightings, **_: object) -> Calibration:
         self.given.append(points)
         return self._answers.pop(0) if len(self._answers) > 1 else self._answers[0]
 

@@ -10,7 +10,7 @@ from tests.fixtures.command_line import sunarc
 
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.optics.forward import project
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.sun import sun_angles, sun_directions
@@ -39,15 +39,15 @@ def png_size() -> PngSize:
 
 
 @pytest.fixture(scope="session")
-def cloudy_points() -> SunPoints:
+def cloudy_points() -> Sightings:
     """Return a day, one sighting every four minutes, every tenth one 15 px off to the right."""
     times = MAY_13 + np.arange(0.0, 86_400.0, 240.0)
     times = times[sun_angles(times, SGP).apparent_zenith < 88.0]
     noise = np.random.default_rng(1).normal(0.0, 0.1, (times.size, 2))
     noise[::10, 0] += 15.0
-    return SunPoints(unix_s=times, pixels=project(true_camera(0), sun_directions(times, SGP)) + noise)
+    return Sightings(unix_s=times, pixels=project(true_camera(0), sun_directions(times, SGP)) + noise)
 
 
 @pytest.fixture(scope="session")
-def cloudy_fit(cloudy_points: SunPoints) -> Calibration:
+def cloudy_fit(cloudy_points: Sightings) -> Calibration:
     return calibrate(cloudy_points, site=SGP, image_size=IMAGE_SIZE)

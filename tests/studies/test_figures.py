@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.quiver import Quiver
 from tests.fixtures.calibration import ideal_camera, stated_calibration
 
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.optics.forward import project
 from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.sun import sun_directions
@@ -141,14 +141,14 @@ def test_a_calibration_without_a_fit_has_no_scatter_in_its_headline() -> None:
     assert "RMSE" not in _headline(replace(made, metrics=replace(made.metrics, n=0)))
 
 
-def points_of(offsets: list[tuple[float, float]], *, sigma: list[float] | None = None) -> tuple[SunPoints, Any]:
+def points_of(offsets: list[tuple[float, float]], *, sigma: list[float] | None = None) -> tuple[Sightings, Any]:
     """Return sightings about noon with known offsets, and the calibration that they are held against."""
     made = stated_calibration(CAMERA)
     times = NOON_S + 600.0 * np.arange(len(offsets), dtype=np.float64)
     pixels = project(CAMERA, sun_directions(times, made.site)) + np.array(offsets)
     if sigma is None:
-        return SunPoints(unix_s=times, pixels=pixels), made
-    return SunPoints(unix_s=times, pixels=pixels, sigma_px=np.array(sigma)), made
+        return Sightings(unix_s=times, pixels=pixels), made
+    return Sightings(unix_s=times, pixels=pixels, sigma_px=np.array(sigma)), made
 
 
 def test_residuals_are_the_offsets_that_were_put_in() -> None:

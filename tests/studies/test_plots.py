@@ -11,7 +11,7 @@ import pytest
 from sunarc.calibration.answers.covariance import sigma_deg
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.simulation.truth import SGP
 from sunarc.sky.directions import direction_from_angles
 from sunarc.studies.figures import RESIDUAL_SHEET_PX, SKY_SHEET_PX, contour_levels, residual_figure, sky_sigma
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def test_a_calibration_s_figures_are_pngs_of_the_stated_size_and_leave_matplotlib_as_it_was(
-    cloudy_fit: Calibration, cloudy_points: SunPoints, tmp_path: Path, png_size: PngSize
+    cloudy_fit: Calibration, cloudy_points: Sightings, tmp_path: Path, png_size: PngSize
 ) -> None:
     before = dict(mpl.rcParams)
     files = write_calibration_plots(cloudy_fit, cloudy_points, folder=tmp_path / "new" / "plots")
@@ -34,7 +34,7 @@ def test_a_calibration_s_figures_are_pngs_of_the_stated_size_and_leave_matplotli
     assert dict(mpl.rcParams) == before
 
 
-def test_the_sightings_that_were_moved_are_the_rejected_ones(cloudy_fit: Calibration, cloudy_points: SunPoints) -> None:
+def test_the_sightings_that_were_moved_are_the_rejected_ones(cloudy_fit: Calibration, cloudy_points: Sightings) -> None:
     residuals = residuals_of(cloudy_fit, cloudy_points)
     moved = np.arange(len(cloudy_points)) % 10 == 0
     assert not np.any(residuals.used & moved)
@@ -42,7 +42,7 @@ def test_the_sightings_that_were_moved_are_the_rejected_ones(cloudy_fit: Calibra
     assert np.median(residuals.offset_px[moved, 0]) == pytest.approx(15.0, abs=0.2)
 
 
-def test_an_offset_of_a_pixel_is_about_a_tenth_of_a_degree(cloudy_fit: Calibration, cloudy_points: SunPoints) -> None:
+def test_an_offset_of_a_pixel_is_about_a_tenth_of_a_degree(cloudy_fit: Calibration, cloudy_points: Sightings) -> None:
     """One px is 0.095° at the zenith of this lens, 0.135° across the radius at the horizon (equisolid, 601 px)."""
     residuals = residuals_of(cloudy_fit, cloudy_points)
     scale = residuals.offset_deg / np.linalg.norm(residuals.offset_px, axis=-1)
@@ -51,7 +51,7 @@ def test_an_offset_of_a_pixel_is_about_a_tenth_of_a_degree(cloudy_fit: Calibrati
 
 
 def test_both_rejected_and_used_sightings_are_named_in_the_key(
-    cloudy_fit: Calibration, cloudy_points: SunPoints
+    cloudy_fit: Calibration, cloudy_points: Sightings
 ) -> None:
     figure = residual_figure(cloudy_fit, residuals_of(cloudy_fit, cloudy_points))
     labels = {text for axes in figure.axes for text in axes.get_legend_handles_labels()[1]}
@@ -70,7 +70,7 @@ def test_the_sky_map_is_the_calibration_s_own_sigma_and_empty_outside_the_image(
 
 @pytest.mark.parametrize("count", [0, 3])
 def test_a_fit_that_was_refused_for_want_of_sightings_has_figures_too(
-    cloudy_points: SunPoints, tmp_path: Path, count: int, png_size: PngSize
+    cloudy_points: Sightings, tmp_path: Path, count: int, png_size: PngSize
 ) -> None:
     few = cloudy_points.select(slice(0, count))
     refused = calibrate(few, site=SGP, image_size=(1748, 1748))
@@ -87,7 +87,7 @@ def test_contours_stand_at_round_numbers_between_the_bounds() -> None:
 
 
 def test_the_command_line_draws_into_a_folder_and_refuses_one_that_cannot_be(
-    sunarc: Sunarc, cloudy_points: SunPoints, tmp_path: Path, png_size: PngSize
+    sunarc: Sunarc, cloudy_points: Sightings, tmp_path: Path, png_size: PngSize
 ) -> None:
     file = tmp_path / "points.csv"
     rows = zip(cloudy_points.unix_s.tolist(), cloudy_points.pixels.tolist(), strict=True)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.optics.forward import project
 from sunarc.optics.inverse import unproject
 from sunarc.sky.directions import angular_distance
@@ -101,7 +101,7 @@ def test_a_sheet_has_its_size_and_room_for_labels() -> None:
     assert axes.get_legend() is not None
 
 
-def test_residuals_are_observed_minus_predicted(cloudy_fit: Calibration, cloudy_points: SunPoints) -> None:
+def test_residuals_are_observed_minus_predicted(cloudy_fit: Calibration, cloudy_points: Sightings) -> None:
     found = residuals_of(cloudy_fit, cloudy_points)
     directions = sun_directions(cloudy_points.unix_s, cloudy_fit.site)
     camera = replace(cloudy_fit.camera, rotation_cam_enu=cloudy_fit.poses[0])
@@ -112,7 +112,7 @@ def test_residuals_are_observed_minus_predicted(cloudy_fit: Calibration, cloudy_
 
 
 def test_sightings_that_are_not_finite_or_below_the_horizon_are_left_out(
-    cloudy_fit: Calibration, cloudy_points: SunPoints
+    cloudy_fit: Calibration, cloudy_points: Sightings
 ) -> None:
     times, pixels = cloudy_points.unix_s.copy(), cloudy_points.pixels.copy()
     times[0], pixels[1, 0] = math.nan, math.nan
@@ -122,14 +122,14 @@ def test_sightings_that_are_not_finite_or_below_the_horizon_are_left_out(
     assert np.isfinite(found.offset_px).all()
 
 
-def test_of_other_sightings_the_nearest_count_as_used(cloudy_fit: Calibration, cloudy_points: SunPoints) -> None:
+def test_of_other_sightings_the_nearest_count_as_used(cloudy_fit: Calibration, cloudy_points: Sightings) -> None:
     found = residuals_of(replace(cloudy_fit, used=None), cloudy_points)
     distance = np.linalg.norm(found.offset_px, axis=-1)
     assert found.used.sum() == cloudy_fit.evidence.n_used
     assert distance[found.used].max() <= distance[~found.used].min()
 
 
-def test_rejected_sightings_beyond_a_panel_stand_on_its_edge(cloudy_fit: Calibration, cloudy_points: SunPoints) -> None:
+def test_rejected_sightings_beyond_a_panel_stand_on_its_edge(cloudy_fit: Calibration, cloudy_points: Sightings) -> None:
     figure = residual_figure(cloudy_fit, residuals_of(cloudy_fit, cloudy_points))
     panel = figure.axes[0]
     low, high = panel.get_ylim()
@@ -139,7 +139,7 @@ def test_rejected_sightings_beyond_a_panel_stand_on_its_edge(cloudy_fit: Calibra
     assert max(float(np.abs(np.asarray(line.get_ydata())).max()) for line in beyond) == pytest.approx(0.97 * high)
 
 
-def test_the_map_of_the_sky_is_turned_as_a_compass(cloudy_fit: Calibration, cloudy_points: SunPoints) -> None:
+def test_the_map_of_the_sky_is_turned_as_a_compass(cloudy_fit: Calibration, cloudy_points: Sightings) -> None:
     figure = sky_figure(cloudy_fit, residuals_of(cloudy_fit, cloudy_points))
     axes = figure.axes[0]
     assert axes.get_theta_direction() == -1  # type: ignore[attr-defined]

@@ -15,7 +15,7 @@ from sunarc.calibration.answers.covariance import hemisphere, project_with_covar
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.document import from_document, to_document
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.cameras.options import AravisOptions
 from sunarc.optics.forward import project
 from sunarc.runtime.clock import VirtualClock
@@ -37,7 +37,7 @@ def of_the_day_before() -> Calibration:
     times = datetime(2013, 5, 13, 6, tzinfo=UTC).timestamp() + np.arange(0.0, 86_400.0, 240.0)
     times = times[sun_angles(times, SGP).apparent_zenith < 88.0]
     noise = np.random.default_rng(3).normal(0.0, 0.02, (times.size, 2))
-    points = SunPoints(unix_s=times, pixels=project(true_camera(), sun_directions(times, SGP)) + noise)
+    points = Sightings(unix_s=times, pixels=project(true_camera(), sun_directions(times, SGP)) + noise)
     return calibrate(points, site=SGP, image_size=(1748, 1748))
 
 

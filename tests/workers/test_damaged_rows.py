@@ -25,7 +25,7 @@ from sunarc.archive.values import CameraRecord, Day, Event, Refit, SunPoint
 from sunarc.calibration.changes.values import WatchOptions
 from sunarc.calibration.model.document import to_document
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.errors import InputError
 from sunarc.optics.forward import project
 from sunarc.runtime.clock import VirtualClock
@@ -234,7 +234,7 @@ def test_a_new_calibration_ends_the_condition(path: Path, board: StatusRegistry,
 def test_a_refit_that_finds_nothing_new_replaces_a_damaged_calibration(
     path: Path, board: StatusRegistry, clock: VirtualClock
 ) -> None:
-    none = SunPoints(unix_s=np.empty(0), pixels=np.empty((0, 2)))
+    none = Sightings(unix_s=np.empty(0), pixels=np.empty((0, 2)))
     task = cast("Task", SimpleNamespace(pose_epoch="roof-1", problem=SimpleNamespace(points=none)))
     archive = open_archive(path)
     verdict = refit_worker(archive, board, clock)._verdict(task, calibration(), archive.current_calibration("roof"))

@@ -21,7 +21,7 @@ from sunarc.calibration.lens_library.first_pose import FirstPoseOptions, north_s
 from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread, frame_of, type_camera
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.errors import InputError
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
@@ -136,7 +136,7 @@ def full_fit() -> Calibration:
     times = times[sun_angles(times, SGP).apparent_zenith < 88.0]
     noise = np.random.default_rng(3).normal(0.0, 0.02, (times.size, 2))
     pixels = project(TRUTH, sun_directions(times, SGP)) + noise
-    return calibrate(SunPoints(unix_s=times, pixels=pixels), site=SGP, image_size=SIZE)
+    return calibrate(Sightings(unix_s=times, pixels=pixels), site=SGP, image_size=SIZE)
 
 
 def store_current(imager: NewImager, full: Calibration) -> None:

@@ -18,7 +18,7 @@ from tests.fixtures.calibrations import SITE
 from sunarc.archive.archive import Archive, CameraArchive, open_archive
 from sunarc.archive.values import CameraRecord, DayAir, SunPoint
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.quality.day_quality import measure_day
 from sunarc.optics.forward import project
 from sunarc.sky.sun import sun_angles, sun_directions
@@ -60,7 +60,7 @@ def archive(tmp_path: Path) -> Iterator[Archive]:
     opened.close()
 
 
-def check_air(points: SunPoints) -> None:
+def check_air(points: Sightings) -> None:
     """Check that the sightings of the measured day, and only those, carry its air."""
     measured = points.unix_s < (NOON + timedelta(hours=12)).timestamp()
     assert 0 < np.count_nonzero(measured) < len(points)
@@ -90,9 +90,9 @@ def test_the_search_for_pose_epochs_is_given_the_measured_air(archive: Archive) 
 
 
 def test_a_day_is_judged_in_its_measured_air(archive: Archive, monkeypatch: pytest.MonkeyPatch) -> None:
-    given: list[SunPoints] = []
+    given: list[Sightings] = []
 
-    def noting(points: SunPoints, **how: object) -> object:
+    def noting(points: Sightings, **how: object) -> object:
         given.append(points)
         return measure_day(points, **how)  # type: ignore[arg-type]
 

@@ -22,7 +22,7 @@ from sunarc.archive.values import Refit, SunPoint
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration, Verdict
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.findings import Finding
 from sunarc.optics.camera import PARAMETER_NAMES
 from sunarc.optics.forward import project
@@ -39,11 +39,11 @@ NOW = datetime(2013, 5, 14, 6, 30, tzinfo=UTC)
 SIZE = (1748, 1748)
 
 
-def sightings(*, every_s: float = 240.0, sigma_px: float = 0.02) -> SunPoints:
+def sightings(*, every_s: float = 240.0, sigma_px: float = 0.02) -> Sightings:
     times = datetime(2013, 5, 13, 6, tzinfo=UTC).timestamp() + np.arange(0.0, 86_400.0, every_s)
     times = times[sun_angles(times, SGP).apparent_zenith < 88.0]
     noise = np.random.default_rng(3).normal(0.0, sigma_px, (times.size, 2))
-    return SunPoints(unix_s=times, pixels=project(true_camera(), sun_directions(times, SGP)) + noise)
+    return Sightings(unix_s=times, pixels=project(true_camera(), sun_directions(times, SGP)) + noise)
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,7 @@ from sunarc.calibration.messages import MESSAGES
 from sunarc.calibration.model.document import from_document, to_document
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.errors import OutsideError
 from sunarc.findings import from_json
 from sunarc.optics.camera import Camera
@@ -56,7 +56,7 @@ def good() -> Calibration:
     times = DAY + np.arange(0.0, 86_400.0, 240.0)
     times = times[sun_angles(times, SGP).apparent_zenith < 88.0]
     noise = np.random.default_rng(3).normal(0.0, 0.02, (times.size, 2))
-    points = SunPoints(unix_s=times, pixels=project(TRUTH, sun_directions(times, SGP)) + noise)
+    points = Sightings(unix_s=times, pixels=project(TRUTH, sun_directions(times, SGP)) + noise)
     return calibrate(points, site=SGP, image_size=SIZE)
 
 

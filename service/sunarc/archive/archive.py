@@ -36,7 +36,7 @@ from sunarc.archive.fleet.feeds import Feeds, FleetRegistry
 from sunarc.archive.fleet.nightly import Nightly
 from sunarc.archive.fleet.notices import Notices
 from sunarc.archive.fleet.outbox import Outbox
-from sunarc.archive.sightings import FileSightings, SightingRevisions, Sightings
+from sunarc.archive.sightings import FileSightings, SightingRevisions, SightingStore
 from sunarc.archive.values import Event, EventSeverity
 from sunarc.errors import OutsideError
 from sunarc.findings import Finding, Messages
@@ -44,7 +44,7 @@ from sunarc.sky.site import Site
 
 
 class Archive(
-    Sightings,
+    SightingStore,
     FileSightings,
     SightingRevisions,
     EpochClosing,

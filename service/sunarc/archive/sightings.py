@@ -224,7 +224,7 @@ _FIRST_OF_EACH_DAY = text(
 """One index lookup a day; five years take milliseconds."""
 
 
-class Sightings(Store):
+class SightingStore(Store):
     """The part of the archive with cameras, pose epochs and sightings."""
 
     def __init__(self, engine: Engine, file: DatabaseFile | None) -> None:

@@ -17,8 +17,8 @@ from sunarc.calibration.fit.robust_fit import RobustFit, fit_robustly, grid_of
 from sunarc.calibration.fit.robust_rounds import robust_camera
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances, Mirrored, PaperOptions
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import FilteredSightings, SunPoints, filter_sightings
-from sunarc.calibration.noise import Course
+from sunarc.calibration.model.sightings import FilteredSightings, Sightings, filter_sightings
+from sunarc.calibration.noise import NoiseGroups
 from sunarc.calibration.paper import fit_as_paper
 from sunarc.calibration.quality.acceptance import with_pose_spread
 from sunarc.calibration.quality.fit_checks import Handedness, before_fit, below_horizon
@@ -40,7 +40,7 @@ _BETTER = 10.0
 
 
 class Start(NamedTuple):
-    """First cameras, one an epoch, what trying both hands said, and how implausible they are, in half squares."""
+    """First cameras, one an epoch, what both handednesses said, and how implausible they are, in half squares."""
 
     cameras: list[Camera]
     handedness: Handedness
@@ -48,7 +48,7 @@ class Start(NamedTuple):
 
 
 def calibrate(
-    points: SunPoints,
+    points: Sightings,
     *,
     site: Site,
     image_size: tuple[int, int],
@@ -145,22 +145,28 @@ def most_plausible_start(observed: Observations, job: Job) -> Start | None:
     """Return the start for the handedness that is set, or for the more plausible of both; None where none is found."""
     options = job.options
     both: tuple[Mirrored, Mirrored] = ("no", "yes")
-    hands: tuple[Mirrored, ...] = both if options.mirrored == "auto" else (options.mirrored,)
+    tried: tuple[Mirrored, ...] = both if options.mirrored == "auto" else (options.mirrored,)
     found = []
-    for hand in hands:
-        hand_options = replace(options, mirrored=hand)
-        from_start = None if job.start is None or job.start.mirrored != (hand == "yes") else job.start
+    for mirrored in tried:
+        tried_options = replace(options, mirrored=mirrored)
+        from_start = None if job.start is None or job.start.mirrored != (mirrored == "yes") else job.start
         cameras, cost = first_cameras(
-            observed, image_size=job.image_size, options=hand_options, circle=job.circle, start=from_start
+            observed, image_size=job.image_size, options=tried_options, circle=job.circle, start=from_start
         )
-        found.append((cost, hand_options, cameras))
+        found.append((cost, tried_options, cameras))
     found.sort(key=lambda item: item[0])
-    cost, hand_options, cameras = found[0]
+    cost, tried_options, cameras = found[0]
     if not math.isfinite(cost):
         return None
     ambiguous = len(found) > 1 and found[1][0] - cost < _AMBIGUOUS
-    return Start(cameras, Handedness(mirrored=hand_options.mirrored == "yes", ambiguous=ambiguous), cost)
+    return Start(cameras, Handedness(mirrored=tried_options.mirrored == "yes", ambiguous=ambiguous), cost)
 
+
+# Many data sets of one geometry: detections at the same moments by cameras like one that is known.
+#
+# Monte Carlo, for one: the same arc again and again, other noise. What the sets share is made once (directions, bins,
+# scales to try, the lens's prior), the search for a start is left out, since all begin at the known camera, and so is
+# the uncertainty: what is returned is the camera that `calibrate` returns.
 
 _SETTLING = 3
 _STEPS = 10
@@ -176,7 +182,7 @@ class Batch:
     options : of the fits.
     usable, observed : the sightings that count in every set; their detections are those of the first set.
     n_supplied : how many detections a set has.
-    course, grid : of the robust rounds.
+    groups, grid : of the robust rounds.
     prior : of the lens, about the first image circle.
     circle : that circle, or None: then no set has one.
     """
@@ -186,7 +192,7 @@ class Batch:
     usable: FilteredSightings
     observed: Observations
     n_supplied: int
-    course: Course
+    groups: NoiseGroups
     grid: HyperparameterGrid
     prior: LensPrior
     circle: ImageCircle | None
@@ -195,7 +201,7 @@ class Batch:
     def near(
         cls,
         camera: Camera,
-        points: SunPoints,
+        points: Sightings,
         *,
         site: Site,
         options: CalibrationOptions | None = None,
@@ -234,7 +240,7 @@ class Batch:
             usable=usable,
             observed=observed,
             n_supplied=len(points),
-            course=Course.of(usable),
+            groups=NoiseGroups.of(usable),
             grid=grid_of(camera, effective),
             prior=prior,
             circle=circle,
@@ -279,16 +285,16 @@ class Batch:
 
     def _robust(self, observed: Observations, problem: FitProblem) -> Camera:
         plain = self._without_field(observed, problem)
-        found = robust_camera(problem, observed, plain, course=self.course, grid=self.grid, in_its_valley=True)
+        found = robust_camera(problem, observed, plain, groups=self.groups, grid=self.grid, near_minimum=True)
         camera = found.problem.camera(found.unknowns)
         if found.state.field_odds <= 0.0:
             return camera
-        mean = found.field_mean(found.system(observed, self.course.bins).normal())
+        mean = found.field_mean(found.system(observed, self.groups.bins).normal())
         return camera if mean is None else replace(camera, displacement=found.grid.basis.displacement(mean))
 
     def _without_field(self, observed: Observations, problem: FitProblem) -> FloatArray:
         """Return the unknowns of the robust fit from the known camera: the weights by turns with the bins' solution."""
-        tolerances, bins = self.options.tolerances, self.course.bins
+        tolerances, bins = self.options.tolerances, self.groups.bins
         precision = prior_precision(problem.size, tolerances.radial_px, tolerances.decentering_px)
         at = problem.unknowns([self.camera])
         for _ in range(_SETTLING):
@@ -300,7 +306,10 @@ class Batch:
         return at
 
 
-def reproduce_calibration(past: Calibration, points: SunPoints) -> Calibration:
+# The fit of a past calibration once more, from its own evidence.
+
+
+def reproduce_calibration(past: Calibration, points: Sightings) -> Calibration:
     """Return the calibration that the evidence of a past one leads to.
 
     Parameters

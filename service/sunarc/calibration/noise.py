@@ -16,6 +16,8 @@ from sunarc.calibration.solve.problem import Bins, Observations, time_bins
 from sunarc.calibration.start.multistart import SMALLEST_SIGMA_PX
 from sunarc.robust_statistics import median_of
 
+# How much information sightings carry when neighbours err alike, and when they err by more at a low sun.
+
 _LARGEST = 0.995
 _GAP = 1.6
 _ENOUGH_PAIRS = 30
@@ -115,36 +117,36 @@ def growth_rate(distance: FloatArray, zenith: FloatArray, rho: float) -> float:
 
 
 _SUN_TRACK = 2 * Kind.SUN
-"""The sort of the sun's track, see `Course`."""
+"""The group of the sun's track, see `NoiseGroups`."""
 _ENOUGH = 20
-"""Sightings of one sort, at least, for a scale of their own."""
+"""Sightings of one group, at least, for a scale of their own."""
 
 
-class Course(NamedTuple):
+class NoiseGroups(NamedTuple):
     """Bins; runs of one day and pose (n,); which follow the one before (n - 1,); which have no neighbours (n,).
 
-    sort (n,): the sightings of one sort share a scale of the noise: the track, stated directions, stars, the moon.
+    group (n,): the sightings of one group share a scale of the noise: the track, stated directions, stars, the moon.
     """
 
     bins: Bins
     run: IntArray
     follows: BoolArray
     alone: BoolArray
-    sort: IntArray
+    group: IntArray
     unknowns: int = 0
 
     @classmethod
-    def of(cls, usable: FilteredSightings) -> Course:
+    def of(cls, usable: FilteredSightings) -> NoiseGroups:
         """Return the course of sightings."""
         run = 2 * (usable.day * (1 + int(usable.epoch.max(initial=0))) + usable.epoch) + usable.alone
         each_apart = np.where(usable.alone, -1 - np.arange(len(usable)), run)
-        sort = 2 * usable.kind + usable.alone
+        group = 2 * usable.kind + usable.alone
         return cls(
             time_bins(usable),
             run,
             neighbours(usable.unix_s, each_apart),
             usable.alone,
-            sort,
+            group,
             N_LENS + 3 * (1 + int(usable.epoch.max(initial=0))),
         )
 
@@ -168,7 +170,7 @@ class Noise:
 
 
 def measured_noise(
-    residuals: FloatArray, observed: Observations, course: Course, *, leverage: FloatArray | None = None
+    residuals: FloatArray, observed: Observations, groups: NoiseGroups, *, leverage: FloatArray | None = None
 ) -> Noise:
     """Return the noise as it shows in what a fit leaves over.
 
@@ -176,45 +178,45 @@ def measured_noise(
     ----------
     residuals : (n, 2) px, of the sightings.
     observed : the sightings.
-    course : of the sightings.
+    groups : of the sightings.
     leverage : (n,) of each sighting on the fit, see `leverage_of`; None where each has little.
     """
     if leverage is not None:
         residuals = residuals / np.sqrt(1.0 - leverage)[:, None]
     distance = np.hypot(residuals[:, 0], residuals[:, 1]) * np.sqrt(observed.information)
-    scale = at_mean = _scale(distance, course)
+    scale = at_mean = _scale(distance, groups)
     weight = tukey_weights(distance / scale, sigma=1.0)
-    larger = _by_height(distance, residuals, weight, observed, course)
+    larger = _by_height(distance, residuals, weight, observed, groups)
     if larger is not None:
-        at_mean = _scale(distance / larger, course)
+        at_mean = _scale(distance / larger, groups)
         scale = larger * at_mean
         weight = tukey_weights(distance / scale, sigma=1.0)
-    inflated = inflation(residuals, weight, course.follows, course.run)
-    inflated = np.where(course.alone, 1.0, inflated)
+    inflated = inflation(residuals, weight, groups.follows, groups.run)
+    inflated = np.where(groups.alone, 1.0, inflated)
     return Noise(scale=scale, weight=weight, inflation=inflated, sigma_px=float(at_mean[0]))
 
 
-def _scale(distance: FloatArray, course: Course) -> FloatArray:
-    """Return (n,): the scale of each sighting's noise, by those of its sort."""
-    share = surely_well_behaved(distance.size, course.unknowns)
+def _scale(distance: FloatArray, groups: NoiseGroups) -> FloatArray:
+    """Return (n,): the scale of each sighting's noise, by those of its group."""
+    share = surely_well_behaved(distance.size, groups.unknowns)
     scale = np.full(distance.size, robust_sigma(distance, share=share, floor=SMALLEST_SIGMA_PX))
-    if np.all(course.sort == course.sort[:1]):
+    if np.all(groups.group == groups.group[:1]):
         return scale
-    for one in np.unique(course.sort):
+    for one in np.unique(groups.group):
         # sigmas stated with directions, by the sun's detector and by that of stars may be wrong by different factors
-        alike = course.sort == one
+        alike = groups.group == one
         if np.count_nonzero(alike) >= _ENOUGH:
             scale[alike] = robust_sigma(distance[alike], floor=SMALLEST_SIGMA_PX)
     return scale
 
 
 def _by_height(
-    distance: FloatArray, residuals: FloatArray, weight: FloatArray, observed: Observations, course: Course
+    distance: FloatArray, residuals: FloatArray, weight: FloatArray, observed: Observations, groups: NoiseGroups
 ) -> FloatArray | None:
     """Return (n,): how the noise of the sun's track differs with its height, 1 for all else; None: it does not."""
-    sun = course.sort == _SUN_TRACK
+    sun = groups.group == _SUN_TRACK
     zenith = np.arccos(np.clip(observed.directions[:, 2], -1.0, 1.0))
     counted = sun & (weight > 0.0)
-    rho, _ = lag_one(residuals, weight, course.follows)
+    rho, _ = lag_one(residuals, weight, groups.follows)
     rate = growth_rate(distance[counted], zenith[counted], rho)
     return np.where(sun, np.exp(rate * (zenith - np.mean(zenith[counted]))), 1.0) if rate else None

@@ -38,6 +38,11 @@ from sunarc.optics.kernels import BLOCK, N_COLUMNS, PARAMETERS, WORK, decenterin
 from sunarc.optics.pose import rotation_vector
 from sunarc.optics.projections import Projection, angle_limit, ideal_radius, ideal_slope
 
+# The paper's fit (Eq. 26) as one compiled loop: residuals, penalties and normal equations without arrays of rows.
+#
+# `Penalties.values_and_slopes` and `misfit_and_jacobian` are the same in numpy, and the tests compare the two. It runs
+# without the interpreter's lock (`nogil`).
+
 _SIZE = len(Param)
 _FX, _FY, _SKEW = int(Param.FOCAL_LENGTH_X_PX), int(Param.FOCAL_LENGTH_Y_PX), int(Param.SKEW_PX)
 _RADIAL, _RADIALS, _P1, _POSE = int(Param.K2), int(Param.P1 - Param.K2), int(Param.P1), int(Param.ROTATION_X)
@@ -82,7 +87,7 @@ class Limits(NamedTuple):
 def minimised(  # noqa: PLR0917 - compiled functions take positions
     optics: PaperOptics, seen: Seen, weighed: Weighed, start: FloatArray, moving: IntArray, limits: Limits
 ) -> FloatArray:
-    """Return the parameters (23,) where Levenberg-Marquardt rests: where a step gains less than a share of the cost.
+    """Return the parameters (23,) where Levenberg-Marquardt converges: a step gains less than a share of the cost.
 
     `moving` (f,) are the places of the parameters that may change.
     """
@@ -357,7 +362,7 @@ def _decentering(coefficients: FloatArray, radius: float) -> tuple[FloatArray, F
 _NUDGE = 1e-5
 """p1 and p2 start off 0: at 0 the fit cannot feel p3 and p4."""
 _STAGE = Limits(400, 1e-8, FIRST_DAMPING)
-"""Relative gain of the squares below which a stage rests: as MINPACK's `ftol` by default."""
+"""Relative gain of the squares below which a stage has converged: as MINPACK's `ftol` by default."""
 _LAST_STEPS = Limits(10, 1e-8, 1e-8)
 """From the minimum of the means to that of all sightings, some hundredths of a sigma."""
 _PERSPECTIVE_EDGE = math.radians(60.0)
@@ -380,7 +385,7 @@ def fit_as_paper(
     cameras : first cameras, one an epoch.
     options : `options.paper` says what the paper leaves open.
     quickly : whether the stages' minima are sought on the means of neighbouring sightings, each as heavy as its members
-        together, and only the last one is brought to rest on all sightings. Where Eq. 26 has several minima (p3 and p4
+        together, and only the last one converges on all sightings. Where Eq. 26 has several minima (p3 and p4
         that hardly count), another one may be found.
     """
     last = len(cameras) - 1

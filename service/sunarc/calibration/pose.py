@@ -29,7 +29,7 @@ from sunarc.calibration.answers.error_model import (
 from sunarc.calibration.fit.assemble import FitOutcome, Job, calibration_from_fit, refused
 from sunarc.calibration.model.options import CalibrationOptions, Mirrored
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import FilteredSightings, SunPoints, filter_sightings
+from sunarc.calibration.model.sightings import FilteredSightings, Sightings, filter_sightings
 from sunarc.calibration.quality.fit_checks import Handedness
 from sunarc.calibration.robust_loss import finite, robust_sigma
 from sunarc.calibration.solve.problem import Bins, Observations
@@ -39,6 +39,8 @@ from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project_fast
 from sunarc.optics.pose import right_jacobian
 from sunarc.sky.site import Site
+
+# Sightings as a posing takes them: their noise, and neighbours taken together so that there are not too many.
 
 MOST = 80
 """Sightings, or means of neighbours, that are looked at together."""
@@ -102,6 +104,8 @@ def gathered(
         directions=one.directions, pixels=pixels, variance=inflation / one.information, false_density=density
     )
 
+
+# Gaussian conditioning of a camera's error model on sightings, some of which are outliers.
 
 _EXCLUDED_PX2 = 1e6
 """Variance of a sighting that is left out: it stays in the equations, without information."""
@@ -277,7 +281,7 @@ _SMALLEST_WEIGHT = 1e-4
 
 
 def estimate_pose(
-    points: SunPoints,
+    points: Sightings,
     *,
     start: Calibration,
     site: Site,
@@ -296,16 +300,16 @@ def estimate_pose(
     options : what makes the answer acceptable.
     wander_deg : 1-sigma per axis by which the pose wanders about its mean (mast, heat); it widens the uncertainty.
     """
-    hand: Mirrored = "yes" if start.camera.mirrored else "no"
+    mirrored: Mirrored = "yes" if start.camera.mirrored else "no"
     effective = CalibrationOptions() if options is None else options
-    effective = replace(effective, method="robust", projection=start.camera.projection, mirrored=hand)
+    effective = replace(effective, method="robust", projection=start.camera.projection, mirrored=mirrored)
     size = (start.camera.width, start.camera.height)
     usable = filter_sightings(points, site=site, image_size=size)
     job = Job(points=points, usable=usable, site=site, image_size=size, options=effective, circle=None, free="pose")
     if len(usable) < FEWEST:
         return refused(job, (Finding("too_few_sightings", {"n": len(usable), "least": FEWEST}),))
     fit = fit_pose(start, usable.directions, usable.pixels, noise_px(start, points.sigma_px[usable.index]))
-    fitted = handed_over(fit, start, usable, wander_rad=math.radians(wander_deg))
+    fitted = outcome_of(fit, start, usable, wander_rad=math.radians(wander_deg))
     return calibration_from_fit(fitted, job, Handedness(mirrored=start.camera.mirrored, ambiguous=False))
 
 
@@ -479,7 +483,7 @@ def _mixed(fits: list[CameraErrorModel], log_weight: FloatArray) -> CameraErrorM
     return replace(fits[0], mean=mean, covariance=covariance, field=replace(fits[0].field, cross=cross))
 
 
-def handed_over(fit: PoseFit, start: Calibration, usable: FilteredSightings, *, wander_rad: float) -> FitOutcome:
+def outcome_of(fit: PoseFit, start: Calibration, usable: FilteredSightings, *, wander_rad: float) -> FitOutcome:
     """Return what every method hands over; the turn's axes become those of the rotation vector."""
     error_model, size = fit.error_model, fit.error_model.mean.size
     covariance = error_model.covariance.copy()

@@ -21,7 +21,7 @@ from sunarc.calibration.fit.normal_equations import linear_system
 from sunarc.calibration.fit.robust_fit import RobustFit
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import Verdict
-from sunarc.calibration.model.sightings import FilteredSightings, SunPoints, filter_sightings
+from sunarc.calibration.model.sightings import FilteredSightings, Sightings, filter_sightings
 from sunarc.calibration.quality.fit_checks import before_fit, missing_hours
 from sunarc.calibration.robust_loss import robust_sigma, tukey_loss
 from sunarc.calibration.solve.problem import Observations, observations, time_bins
@@ -77,7 +77,7 @@ class _Fit(NamedTuple):
 
 
 def calibrate_unknown_lens(
-    points: SunPoints,
+    points: Sightings,
     *,
     site: Site,
     image_size: tuple[int, int],
@@ -111,7 +111,7 @@ def calibrate_unknown_lens(
 
 
 def choose_projection(
-    points: SunPoints,
+    points: Sightings,
     *,
     site: Site,
     image_size: tuple[int, int],
@@ -130,7 +130,7 @@ def choose_projection(
 
 
 def _job(
-    points: SunPoints, site: Site, image_size: tuple[int, int], options: CalibrationOptions, circle: ImageCircle | None
+    points: Sightings, site: Site, image_size: tuple[int, int], options: CalibrationOptions, circle: ImageCircle | None
 ) -> Job:
     usable = filter_sightings(points, site=site, image_size=image_size)
     return Job(points=points, usable=usable, site=site, image_size=image_size, options=options, circle=circle)

@@ -16,10 +16,12 @@ from annotated_types import Gt, Le
 
 from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.bounds import Count, Positive, require_bounds
-from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, SunPoints
+from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, Sightings
 from sunarc.sky.days import solar_days
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions
+
+# Patches of the sky of about equal area, by which one asks how much of it was seen.
 
 
 def sky_patches(directions: FloatArray, *, width_deg: float) -> IntArray:
@@ -97,7 +99,7 @@ class Candidates:
     epoch: IntArray
 
     @staticmethod
-    def of(points: SunPoints) -> Candidates:
+    def of(points: Sightings) -> Candidates:
         """Return the candidates of sightings, in the same order."""
         seen = np.all(np.isfinite(points.pixels), axis=-1)
         return Candidates(
@@ -146,7 +148,7 @@ class _Passes(NamedTuple):
 
 
 def select_sightings(
-    points: SunPoints | Candidates,
+    points: Sightings | Candidates,
     *,
     site: Site,
     slot_s: float = 30.0,
@@ -285,6 +287,8 @@ def _filled(passes: _Passes, options: SelectionOptions) -> tuple[int, BoolArray]
         low, high = (fill, high) if int(passes.n[retained].sum()) <= options.most else (low, fill)
     return low, (passes.before < low) & (passes.before_in_epoch < max(1.0, share * low))
 
+
+# Which sightings of stars a fit uses: a few of each part of the image, the surest ones.
 
 MOST_STARS = 150
 """Stars that a fit uses. Beside a day of the sun they tell what thousands do (docs/studies.md, "The night"); with

@@ -15,8 +15,8 @@ from sunarc.calibration.answers.error_model import at_every_angle, error_model_o
 from sunarc.calibration.fit.assemble import Job, calibration_from_fit, no_field, refused
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances, Mirrored
 from sunarc.calibration.model.result import Calibration, Verdict
-from sunarc.calibration.model.sightings import SunPoints, filter_sightings
-from sunarc.calibration.pose import FEWEST, MOST, PredictedSightings, fit_pose, handed_over, noise_px, tolerance_px
+from sunarc.calibration.model.sightings import Sightings, filter_sightings
+from sunarc.calibration.pose import FEWEST, MOST, PredictedSightings, fit_pose, noise_px, outcome_of, tolerance_px
 from sunarc.calibration.quality.fit_checks import Handedness
 from sunarc.calibration.robust_loss import finite
 from sunarc.calibration.solve.priors import FREE, FREE_NAMES, LENS, N_LENS, lens_prior, precisions
@@ -58,7 +58,7 @@ class PriorTolerances:
 
 
 def calibrate_with_prior(
-    points: SunPoints, *, prior: Camera, tolerances: PriorTolerances, site: Site, options: CalibrationOptions
+    points: Sightings, *, prior: Camera, tolerances: PriorTolerances, site: Site, options: CalibrationOptions
 ) -> Calibration:
     """Return the most probable camera given a stated one and sightings of one pose, from three sightings on.
 
@@ -74,8 +74,8 @@ def calibrate_with_prior(
     options : what makes the answer acceptable; its projection and handedness are the prior's.
     """
     prior = prior.lens_alone()
-    hand: Mirrored = "yes" if prior.mirrored else "no"
-    options = replace(options, method="robust", projection=prior.projection, mirrored=hand)
+    mirrored: Mirrored = "yes" if prior.mirrored else "no"
+    options = replace(options, method="robust", projection=prior.projection, mirrored=mirrored)
     size = (prior.width, prior.height)
     usable = filter_sightings(points, site=site, image_size=size)
     job = Job(
@@ -98,7 +98,7 @@ def calibrate_with_prior(
     if distance > _LARGEST_DEPARTURE:
         return refused(job, (_contradicted(distance),))
     fit = fit_pose(start, usable.directions, usable.pixels, sigma_px, turned_rad=turned_rad)
-    fitted = handed_over(fit, start, usable, wander_rad=0.0)
+    fitted = outcome_of(fit, start, usable, wander_rad=0.0)
     result = calibration_from_fit(fitted, job, Handedness(mirrored=prior.mirrored, ambiguous=False))
     options_of = {**result.evidence.options, "prior": asdict(tolerances)}
     result = replace(result, evidence=replace(result.evidence, options=options_of))

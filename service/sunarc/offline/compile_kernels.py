@@ -12,7 +12,7 @@ from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.answers.direction_table import lookup
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions, Method
-from sunarc.calibration.model.sightings import Kind, SunPoints
+from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.detection.disc.detect import detect_sun
 from sunarc.detection.values import Expectation, Sensor
 from sunarc.imaging.hdr import merge_hdr
@@ -93,15 +93,15 @@ def _fit() -> None:
             ready.back_project(pixels)
 
 
-def _made_day() -> SunPoints:
+def _made_day() -> Sightings:
     times = _DAY + np.arange(0.0, 86_400.0, _CADENCE_S)
     times = times[sun_angles(times, _SITE).apparent_zenith < 85.0]
-    return SunPoints(unix_s=times, pixels=_seen(sun_directions(times, _SITE)))
+    return Sightings(unix_s=times, pixels=_seen(sun_directions(times, _SITE)))
 
 
-def _made_night() -> SunPoints:
+def _made_night() -> Sightings:
     stars = hemisphere(_STARS)
-    return SunPoints(
+    return Sightings(
         unix_s=_DAY + 86_400.0 + 60.0 * np.arange(len(stars), dtype=np.float64),
         pixels=_seen(stars),
         directions=stars,

@@ -20,7 +20,7 @@ from sunarc.calibration.messages import text_of
 from sunarc.calibration.model.document import to_document
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.selection import MOST_STARS, image_parts, sky_parts, surest_of_parts
 from sunarc.calibration.start.blind_start import BlindOptions, BlindStart, NightDetections, blind_start
 from sunarc.detection.messages import reason_of
@@ -368,7 +368,7 @@ def _one_night(seen: Sequence[StarImage]) -> list[StarImage]:
     return [timed[row] for row in rows[evenly_spread(rows.size, most=_MOST_IMAGES)].tolist()]
 
 
-def _points(start: BlindStart, images: Sequence[NightDetections], size: tuple[int, int]) -> SunPoints:
+def _points(start: BlindStart, images: Sequence[NightDetections], size: tuple[int, int]) -> Sightings:
     """Return the stars that the start names as sightings: unclipped, the surest of each part of the image."""
     times, pixels, sigma, directions = [np.zeros(0)], [np.zeros((0, 2))], [np.zeros(0)], [np.zeros((0, 3))]
     for image, predicted, stars, matches in zip(images, start.predicted, start.stars, start.matches, strict=True):
@@ -379,7 +379,7 @@ def _points(start: BlindStart, images: Sequence[NightDetections], size: tuple[in
         pixels.append(seen.pixels[sound])
         sigma.append(seen.sigma_px[sound])
         directions.append(image.sky.directions[image.sky.rows_of(names)])
-    every = SunPoints(
+    every = Sightings(
         unix_s=np.concatenate(times),
         pixels=np.concatenate(pixels),
         sigma_px=np.concatenate(sigma),

@@ -16,7 +16,7 @@ from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.changes.step_search import find_pose_steps
 from sunarc.calibration.model.document import to_document
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.pose import estimate_pose
 from sunarc.calibration.quality.site_checks import tilt_question
 from sunarc.calibration.robust_loss import robust_sigma
@@ -35,10 +35,10 @@ class Fitted(NamedTuple):
 
     calibration: Calibration
     rows: IntArray
-    stars: SunPoints | None = None
+    stars: Sightings | None = None
 
 
-def with_small_steps(points: SunPoints, path: IntArray, states: Sequence[State], camera: Camera) -> list[State]:
+def with_small_steps(points: Sightings, path: IntArray, states: Sequence[State], camera: Camera) -> list[State]:
     """Return states with those of small steps of the pose, which no single sighting shows."""
     together = joined(points, path, states)
     refined = list(states)
@@ -61,18 +61,18 @@ def with_small_steps(points: SunPoints, path: IntArray, states: Sequence[State],
     return refined
 
 
-def _posed(state: State, points: SunPoints, camera: Camera) -> State:
+def _posed(state: State, points: Sightings, camera: Camera) -> State:
     posed = estimate_pose(points, start=state.calibration, site=camera.site, options=camera.loosely())
     return state._replace(calibration=posed)
 
 
 def fit_poses(
-    points: SunPoints,
+    points: Sightings,
     path: IntArray,
     states: Sequence[State],
     camera: Camera,
     *,
-    stars: SunPoints | None = None,
+    stars: Sightings | None = None,
 ) -> dict[int, Fitted]:
     """Return the calibration of each pose that has sightings, by its number.
 
@@ -104,13 +104,13 @@ def fit_poses(
     return fitted
 
 
-def _numbered(points: SunPoints, order: Sequence[int]) -> SunPoints:
+def _numbered(points: Sightings, order: Sequence[int]) -> Sightings:
     """Return sightings whose epochs are the places of their poses in an order."""
     number = {one: place for place, one in enumerate(order)}
     return replace(points, epoch=np.array([number[one] for one in points.epoch.tolist()], dtype=np.int64))
 
 
-def _stars_beside(stars: SunPoints, order: Sequence[int], camera: Camera) -> SunPoints | None:
+def _stars_beside(stars: Sightings, order: Sequence[int], camera: Camera) -> Sightings | None:
     """Return the stars that a fit of some poses uses, the last pose's first; None where they have none."""
     of_lens = stars.select(np.isin(stars.epoch, np.array(order)))
     if len(of_lens) == 0:
@@ -119,7 +119,7 @@ def _stars_beside(stars: SunPoints, order: Sequence[int], camera: Camera) -> Sun
     return numbered.select(surest_of_epochs(numbered.pixels, numbered.sigma_px, numbered.epoch, camera.size))
 
 
-def _merged(suns: SunPoints, stars: SunPoints) -> SunPoints:
+def _merged(suns: Sightings, stars: Sightings) -> Sightings:
     """Return sightings of both in the order of time."""
     merged = stacked([suns, stars])
     return merged.select(np.argsort(merged.unix_s, kind="stable"))
@@ -143,7 +143,7 @@ def _is_worse(both: Fitted, one: Fitted) -> bool:
 
 
 def document_of(
-    fitted: Fitted, points: SunPoints, epoch: Epoch, *, camera: str, name: str, evidence: Mapping[str, object]
+    fitted: Fitted, points: Sightings, epoch: Epoch, *, camera: str, name: str, evidence: Mapping[str, object]
 ) -> dict[str, Any]:
     """Return the calibration document of an epoch, valid from its first to its last sighting.
 
@@ -182,10 +182,10 @@ def doubts(calibration: Calibration, camera: Camera) -> tuple[Finding, ...]:
 _SIGMA_FLOOR_PX = 0.05
 
 
-class Sightings(NamedTuple):
+class CameraSightings(NamedTuple):
     """Accepted sightings of a camera at their stated times, and the states that are known so far."""
 
-    points: SunPoints
+    points: Sightings
     camera: Camera
     states: tuple[State, ...] = ()
 
@@ -207,7 +207,7 @@ class Final(NamedTuple):
     fitted: dict[int, Fitted]
 
 
-def first_analysis(given: Sightings) -> Rough:
+def first_analysis(given: CameraSightings) -> Rough:
     """Return the states and epochs of a camera by its first pass."""
     found = find_states(given.points, given.camera)
     if found.finding is not None:
@@ -218,7 +218,7 @@ def first_analysis(given: Sightings) -> Rough:
     return Rough(tuple(states), tuple(epochs), doubts(largest.calibration, given.camera))
 
 
-def final_analysis(given: Sightings) -> Final:
+def final_analysis(given: CameraSightings) -> Final:
     """Return the epochs and calibrations of a camera by its second pass."""
     points, camera = given.points, given.camera
     _, path = find_epochs(points, given.states, camera)
@@ -233,9 +233,9 @@ def final_analysis(given: Sightings) -> Final:
 class Starry(NamedTuple):
     """Accepted sightings of a camera, what came of them, and the stars of its nights."""
 
-    given: Sightings
+    given: CameraSightings
     final: Final
-    stars: SunPoints
+    stars: Sightings
 
 
 def starry_analysis(of: Starry) -> Final:
@@ -245,7 +245,7 @@ def starry_analysis(of: Starry) -> Final:
     return final._replace(fitted=better_of(final.fitted, both))
 
 
-def _refined(state: State, fitted: dict[int, Fitted], points: SunPoints, camera: Camera) -> State:
+def _refined(state: State, fitted: dict[int, Fitted], points: Sightings, camera: Camera) -> State:
     """Return a state with the calibration that was fitted to all of its sightings."""
     found = fitted.get(state.pose)
     if found is None or found.calibration.evidence.n_used == 0 or len(points) == 0:

@@ -13,7 +13,7 @@ import numpy as np
 
 from sunarc.array_types import Image, evenly_spread
 from sunarc.calibration.answers.stars import MatchedView, StarView, match_views
-from sunarc.calibration.model.sightings import SunPoints, kinds_of
+from sunarc.calibration.model.sightings import Sightings, kinds_of
 from sunarc.cameras.frame import Frame
 from sunarc.detection.messages import reason_of
 from sunarc.detection.stars.detect import detect_stars
@@ -237,7 +237,7 @@ def _not_named(findings: Sequence[Finding]) -> Finding:
     return Finding("stars_not_named", {"error": reason_of(findings)})
 
 
-def star_points(found: NightsLooked, states: Sequence[State], epochs: Sequence[Epoch]) -> SunPoints | None:
+def star_points(found: NightsLooked, states: Sequence[State], epochs: Sequence[Epoch]) -> Sightings | None:
     """Return the named stars of a camera's nights as sightings at their true times, with poses as epochs.
 
     None without one.
@@ -250,7 +250,7 @@ def star_points(found: NightsLooked, states: Sequence[State], epochs: Sequence[E
     if not rows:
         return None
     unix_s, pose, body, x, y, sigma = (np.array(column) for column in zip(*rows, strict=True))
-    return SunPoints(
+    return Sightings(
         unix_s=unix_s,
         pixels=np.column_stack([x, y]),
         sigma_px=sigma,

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 import sunarc
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.detection.values import Detection, Expectation, Verdict
 from sunarc.findings import Finding
 from sunarc.reanalysis.cluster import Cluster
@@ -55,10 +55,10 @@ class Looked(NamedTuple):
     images: tuple[ArchiveImage, ...]
     found: tuple[Found, ...]
 
-    def points(self) -> tuple[SunPoints, list[int]]:
+    def points(self) -> tuple[Sightings, list[int]]:
         """Return the accepted sightings at their stated times, and the number of the image of each."""
         accepted = [(row, one) for row, one in enumerate(self.found) if isinstance(one, Sun) and one.accepted]
-        points = SunPoints(
+        points = Sightings(
             unix_s=np.array([self.images[row].unix_s for row, _ in accepted]),
             pixels=np.array([[one.x_px, one.y_px] for _, one in accepted], dtype=np.float64).reshape(-1, 2),
             sigma_px=np.array([math.nan if one.sigma_px is None else one.sigma_px for _, one in accepted]),

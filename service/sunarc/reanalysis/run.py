@@ -11,9 +11,9 @@ from sunarc.errors import InputError, OutsideError
 from sunarc.findings import Finding
 from sunarc.reanalysis.cluster import DEATHS, Cluster, Workers, open_cluster
 from sunarc.reanalysis.fit import (
+    CameraSightings,
     Final,
     Rough,
-    Sightings,
     Starry,
     final_analysis,
     first_analysis,
@@ -101,7 +101,7 @@ def reanalyse(
 def _results(cameras: Sequence[CameraImages], passes: Passes) -> list[CameraResult]:
     masks = passes.masks(cameras)
     searched = passes.search(cameras, masks)
-    given = [Sightings(looked.points()[0], _known(one)) for one, looked in zip(cameras, searched, strict=True)]
+    given = [CameraSightings(looked.points()[0], _known(one)) for one, looked in zip(cameras, searched, strict=True)]
     passes.progress("epochs", 0, len(cameras))
     rough = [one or Rough(findings=(_DIED,)) for one in passes.cluster.each(first_analysis, given)]
     passes.progress("epochs", len(cameras), len(cameras))
@@ -109,7 +109,7 @@ def _results(cameras: Sequence[CameraImages], passes: Passes) -> list[CameraResu
     expected = (predictions(cameras[n], rough[n].states, rough[n].epochs) for n in found)
     waiting = [(cameras[n], searched[n]) for n in found]
     looked = dict(zip(found, passes.predict(waiting, expected, [masks[n] for n in found]), strict=True))
-    again = [Sightings(looked[n].points()[0], given[n].camera, rough[n].states) for n in found]
+    again = [CameraSightings(looked[n].points()[0], given[n].camera, rough[n].states) for n in found]
     passes.progress("calibrations", 0, len(found))
     final = dict(zip(found, passes.cluster.each(final_analysis, again), strict=True))
     passes.progress("calibrations", len(found), len(found))
@@ -142,7 +142,7 @@ def _nights(cameras: Sequence[CameraImages], final: Mapping[int, Final | None], 
 def _with_stars(
     nights: Sequence[NightsLooked],
     final: Mapping[int, Final | None],
-    suns: Mapping[int, Sightings],
+    suns: Mapping[int, CameraSightings],
     passes: Passes,
 ) -> dict[int, Final]:
     """Return what came of the cameras that have stars, by number; what the stars' workers died of changes nothing."""

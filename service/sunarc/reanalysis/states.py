@@ -19,7 +19,7 @@ from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions, Mirrored
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.pose import estimate_pose
 from sunarc.calibration.robust_loss import finite, robust_sigma
 from sunarc.findings import Finding
@@ -78,15 +78,15 @@ class Camera(NamedTuple):
     size: tuple[int, int]
     options: CalibrationOptions
 
-    def shifted(self, points: SunPoints, offset_s: float) -> SunPoints:
+    def shifted(self, points: Sightings, offset_s: float) -> Sightings:
         """Return sightings with the times that they have by a clock that is ahead by an offset."""
         return replace(points, unix_s=points.unix_s - offset_s)
 
-    def distances(self, state: State, points: SunPoints) -> FloatArray:
+    def distances(self, state: State, points: Sightings) -> FloatArray:
         """Return how far each sighting lies from where a state predicts it, (n,) px."""
         return self.distances_of(state.calibration, points, state.clock_offset_s)
 
-    def distances_of(self, calibration: Calibration, points: SunPoints, offset_s: float) -> FloatArray:
+    def distances_of(self, calibration: Calibration, points: Sightings, offset_s: float) -> FloatArray:
         """Return the same for a calibration, and a clock that is ahead by an offset."""
         directions = sun_directions(points.unix_s - offset_s, self.site)
         residual = finite(points.pixels - project_fast(calibration.camera, directions))
@@ -104,7 +104,7 @@ class Found(NamedTuple):
     finding: Finding | None = None
 
 
-def find_states(points: SunPoints, camera: Camera) -> Found:
+def find_states(points: Sightings, camera: Camera) -> Found:
     """Return the states that explain a camera's sightings.
 
     Parameters
@@ -129,7 +129,7 @@ def find_states(points: SunPoints, camera: Camera) -> Found:
     return Found(tuple(states), None if states else refusal)
 
 
-def _thinned(points: SunPoints, site: Site) -> tuple[SunPoints, IntArray]:
+def _thinned(points: Sightings, site: Site) -> tuple[Sightings, IntArray]:
     day = solar_days(points.unix_s, longitude=site.longitude)
     rows = [np.flatnonzero(day == one) for one in np.unique(day)]
     retained = [row[:: -(-row.size // _PER_DAY)] for row in rows if row.size >= _FEWEST_PER_DAY]
@@ -137,7 +137,7 @@ def _thinned(points: SunPoints, site: Site) -> tuple[SunPoints, IntArray]:
     return points.select(index), day[index]
 
 
-def _unexplained(states: Sequence[State], points: SunPoints, day: IntArray, camera: Camera) -> list[int]:
+def _unexplained(states: Sequence[State], points: Sightings, day: IntArray, camera: Camera) -> list[int]:
     """Return the days of which too few sightings are near any state's prediction; a day may be of two states."""
     near = np.zeros(len(points), dtype=bool)
     for state in states:
@@ -151,7 +151,7 @@ def _near_px(sigma_px: float) -> float:
 
 
 def _next_state(
-    states: Sequence[State], points: SunPoints, day: IntArray, open_days: Sequence[int], camera: Camera
+    states: Sequence[State], points: Sightings, day: IntArray, open_days: Sequence[int], camera: Camera
 ) -> tuple[State | None, Finding | None]:
     """Return the state of the first days that none explains."""
     finding: Finding | None = None
@@ -174,7 +174,7 @@ def _next_state(
 
 
 def _judged(
-    calibration: Calibration, offset_s: float, points: SunPoints, camera: Camera, sigma_px: float
+    calibration: Calibration, offset_s: float, points: Sightings, camera: Camera, sigma_px: float
 ) -> tuple[float, float]:
     """Return the share of sightings that a camera explains, and their robust scatter."""
     distance = camera.distances_of(calibration, points, offset_s)
@@ -182,7 +182,7 @@ def _judged(
     return float(np.mean(distance < _near_px(sigma_px))), scatter
 
 
-def _with_other_clock(states: Sequence[State], points: SunPoints, camera: Camera) -> State | None:
+def _with_other_clock(states: Sequence[State], points: Sightings, camera: Camera) -> State | None:
     """Return a known state with its clock ahead or behind."""
     best: tuple[float, State] | None = None
     for state in states:
@@ -193,7 +193,7 @@ def _with_other_clock(states: Sequence[State], points: SunPoints, camera: Camera
     return None if best is None else best[1]
 
 
-def _best_offset_s(state: State, points: SunPoints, camera: Camera) -> float:
+def _best_offset_s(state: State, points: Sightings, camera: Camera) -> float:
     """Return the offset of the clock with which a state explains sightings best."""
     some = points.select(np.unique(np.linspace(0, len(points) - 1, _TRIED).astype(int)))
     near = _near_px(state.sigma_px)
@@ -209,7 +209,7 @@ def _best_offset_s(state: State, points: SunPoints, camera: Camera) -> float:
     return state.clock_offset_s + (whole if abs(offset - whole) < _WHOLE_S else offset)
 
 
-def _cheapest(state: State, points: SunPoints, offsets: FloatArray, camera: Camera, near_px: float) -> float:
+def _cheapest(state: State, points: Sightings, offsets: FloatArray, camera: Camera, near_px: float) -> float:
     """Return that of some offsets with which sightings are nearest to a state's predictions."""
     times = points.unix_s - state.clock_offset_s - offsets[:, None]
     predicted = project_fast(state.calibration.camera, sun_directions(times, camera.site).reshape(-1, 3))
@@ -217,7 +217,7 @@ def _cheapest(state: State, points: SunPoints, offsets: FloatArray, camera: Came
     return float(offsets[int(np.argmin(np.mean(np.minimum(distance / near_px, 1.0) ** 2, axis=1)))])
 
 
-def _in_other_pose(states: Sequence[State], points: SunPoints, camera: Camera) -> State | None:
+def _in_other_pose(states: Sequence[State], points: Sightings, camera: Camera) -> State | None:
     """Return a known lens in a new pose."""
     for state in reversed(_one_a_lens(states)):
         posed = estimate_pose(
@@ -237,7 +237,7 @@ def _one_a_lens(states: Sequence[State]) -> list[State]:
     return list({state.lens: state for state in states}.values())
 
 
-def _with_other_lens(states: Sequence[State], points: SunPoints, camera: Camera) -> tuple[State | None, Finding | None]:
+def _with_other_lens(states: Sequence[State], points: Sightings, camera: Camera) -> tuple[State | None, Finding | None]:
     """Return a new lens, and why there is none."""
     clock = states[-1].clock_offset_s if states else 0.0
     hand: Mirrored = "auto" if not states else "yes" if states[-1].calibration.camera.mirrored else "no"
@@ -291,7 +291,7 @@ class Epoch(NamedTuple):
     end_unix_s: float
 
 
-def find_epochs(points: SunPoints, states: Sequence[State], camera: Camera) -> tuple[list[Epoch], IntArray]:
+def find_epochs(points: Sightings, states: Sequence[State], camera: Camera) -> tuple[list[Epoch], IntArray]:
     """Return the epochs in the order of time, and the state of each sighting (n,).
 
     Parameters
@@ -365,7 +365,7 @@ def with_true_clock(states: Sequence[State], path: IntArray) -> list[State]:
     return [state._replace(clock_offset_s=state.clock_offset_s - offsets[state.pose]) for state in states]
 
 
-def joined(points: SunPoints, path: IntArray, states: Sequence[State]) -> SunPoints:
+def joined(points: Sightings, path: IntArray, states: Sequence[State]) -> Sightings:
     """Return the sightings with times that every state's clock is corrected in, and poses as epochs."""
     offsets = np.array([state.clock_offset_s for state in states])
     poses = np.array([state.pose for state in states])

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.errors import InputError
 from sunarc.extras import extra_module
 from sunarc.studies.residuals import residuals_of
@@ -90,7 +90,7 @@ def _cell(value: str | float) -> str:
     return f"{value:.{_DIGITS}g}" if isinstance(value, float) else str(value)
 
 
-def write_calibration_plots(calibration: Calibration, points: SunPoints, *, folder: Path) -> tuple[Path, ...]:
+def write_calibration_plots(calibration: Calibration, points: Sightings, *, folder: Path) -> tuple[Path, ...]:
     """Write what a calibration leaves over and how sure it is, as PNG.
 
     Parameters

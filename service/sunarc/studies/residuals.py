@@ -8,7 +8,7 @@ import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints, apparent_directions
+from sunarc.calibration.model.sightings import Sightings, apparent_directions
 from sunarc.optics.forward import project
 from sunarc.optics.inverse import unproject
 from sunarc.sky.directions import angles_from_direction, angular_distance
@@ -41,7 +41,7 @@ class Residuals:
         return int(self.unix_s.size)
 
 
-def residuals_of(calibration: Calibration, points: SunPoints) -> Residuals:
+def residuals_of(calibration: Calibration, points: Sightings) -> Residuals:
     """Return the residuals of sightings, each against the pose of its epoch."""
     directions = apparent_directions(points, site=calibration.site)
     predicted, detected = np.full((len(points), 2), np.nan), np.full((len(points), 3), np.nan)
@@ -63,7 +63,7 @@ def residuals_of(calibration: Calibration, points: SunPoints) -> Residuals:
     )
 
 
-def _used(calibration: Calibration, points: SunPoints, offset: FloatArray) -> BoolArray:
+def _used(calibration: Calibration, points: Sightings, offset: FloatArray) -> BoolArray:
     """Return which sightings the fit used; of one made from other sightings, the nearest that are as many."""
     if calibration.used is not None and calibration.used.size == len(points):
         return calibration.used

@@ -14,7 +14,7 @@ from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions, Method
 from sunarc.calibration.model.result import Calibration, measures
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.quality.day_quality import measure_day
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
@@ -57,7 +57,7 @@ def study_tables(
     return rows
 
 
-def simulated_case(case: Case, rng: np.random.Generator) -> tuple[Arc, SunPoints]:
+def simulated_case(case: Case, rng: np.random.Generator) -> tuple[Arc, Sightings]:
     """Return the arcs of a case and the sightings of them: as many as the paper had, with as much noise (SD_m)."""
     complete = arcs(true_camera(0), case.days)
     arc = complete.select(np.sort(rng.choice(len(complete), case.n_points, replace=False)))
@@ -65,7 +65,7 @@ def simulated_case(case: Case, rng: np.random.Generator) -> tuple[Arc, SunPoints
         noise = cloud_noise(rng, len(arc), inlier_px=_INLIER_PX, share=case.cloud_share, sd_px=case.sd_m_px)
     else:
         noise = clear_noise(rng, len(arc), sd_px=case.sd_m_px)
-    return arc, SunPoints(unix_s=arc.unix_s, pixels=arc.pixels + noise)
+    return arc, Sightings(unix_s=arc.unix_s, pixels=arc.pixels + noise)
 
 
 def fitted_row(case: Case, *, method: Method, seed: int) -> TableRow:
@@ -111,13 +111,13 @@ def published_row(case: Case) -> TableRow:
     }
 
 
-def _misfit(fit: Calibration, arc: Arc, points: SunPoints) -> TableRow:
+def _misfit(fit: Calibration, arc: Arc, points: Sightings) -> TableRow:
     """Return Eq. 27 over all sightings, as the paper has it, whatever the method left out."""
     rmse, mae, sd, sd_of_distance = measures(project(fit.camera, arc.directions) - points.pixels)
     return {"rmse_px": rmse, "mae_px": mae, "sd_px": sd, "sd_of_distance_px": sd_of_distance}
 
 
-def _arc_scatter(points: SunPoints) -> TableRow:
+def _arc_scatter(points: Sightings) -> TableRow:
     """Return RMSD_m and SD_m about the days' smooth arcs (Eq. 20), over all days."""
     days: defaultdict[object, list[int]] = defaultdict(list)
     for row, time in enumerate(points.unix_s):

@@ -17,7 +17,7 @@ from sunarc.array_types import FloatArray
 from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.calibrate import Batch
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Method
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.projections import angle_limit
@@ -118,7 +118,7 @@ def _batch(method: Method) -> Batch:
     truth, arc = true_camera(0), synthetic_arc()
     return Batch.near(
         truth,
-        SunPoints(unix_s=arc.unix_s, pixels=arc.pixels),
+        Sightings(unix_s=arc.unix_s, pixels=arc.pixels),
         site=SGP,
         options=CalibrationOptions(method=method),
         circle=found_circle(np.random.default_rng(0), truth),

@@ -15,7 +15,7 @@ from sunarc.calibration.changes.detect_change import distrusted, update_window
 from sunarc.calibration.changes.values import Change, Sighting, SightingWindow, WatchOptions
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.pose import estimate_pose
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
@@ -161,7 +161,7 @@ def test_another_lens_is_named_at_once_or_when_its_pose_does_not_hold(calibrated
     if first.kind == "lens":
         return
     begun = times >= first.at_unix_s
-    few = SunPoints(unix_s=times[begun][: number - 30], pixels=pixels[begun][: number - 30])
+    few = Sightings(unix_s=times[begun][: number - 30], pixels=pixels[begun][: number - 30])
     posed = estimate_pose(few, start=calibrated, site=SGP, options=CalibrationOptions(level_within_deg=40.0))
     _, second = watched(posed, times[begun], pixels[begun], posed_from_few=True)
     assert second is not None

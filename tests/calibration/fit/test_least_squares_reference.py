@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tests.fixtures.calibration import observed, small_camera, small_problem, sun_arc
 
 from sunarc.calibration.fit.robust_rounds import at_least_least_squares
-from sunarc.calibration.noise import Course
+from sunarc.calibration.noise import NoiseGroups
 from sunarc.calibration.robust_loss import UNSEEN_PX, tukey_loss
 from sunarc.calibration.solve.problem import Bins, FitProblem, Observations
 from sunarc.calibration.start.multistart import distance_sigmas, least_squares
@@ -21,11 +21,11 @@ FloatArray = NDArray[np.float64]
 SIGMA = 0.1
 
 
-def _each_alone(seen: Observations, *, alone: bool = True) -> Course:
+def _each_alone(seen: Observations, *, alone: bool = True) -> NoiseGroups:
     """Return the course of sightings in bins of their own; `alone`, none has a neighbour that could err alike."""
     n = len(seen)
     bins, same = Bins(member=np.arange(n), count=n), np.zeros(n, dtype=np.int64)
-    return Course(bins, same, np.full(n - 1, not alone), np.full(n, alone), same)
+    return NoiseGroups(bins, same, np.full(n - 1, not alone), np.full(n, alone), same)
 
 
 @pytest.fixture(scope="module")

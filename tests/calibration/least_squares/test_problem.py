@@ -18,7 +18,7 @@ from tests.fixtures.calibration import (
     spread_directions,
 )
 
-from sunarc.calibration.model.sightings import SunPoints, filter_sightings
+from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.solve.priors import N_LENS
 from sunarc.calibration.solve.problem import Observations, by_elevation, observations, problem_for
 from sunarc.optics.camera import Camera
@@ -170,7 +170,7 @@ def test_observations_hold_the_inverse_square_of_the_relative_sigma() -> None:
     times = 1_368_468_000.0 + 600.0 * np.arange(30.0)
     pixels = np.stack([100.0 + 5.0 * np.arange(30.0), 200.0 + 3.0 * np.arange(30.0)], axis=-1)
     sigma = np.where(np.arange(30) % 2, 0.2, 0.1)
-    usable = filter_sightings(SunPoints(unix_s=times, pixels=pixels, sigma_px=sigma), site=SGP)
+    usable = filter_sightings(Sightings(unix_s=times, pixels=pixels, sigma_px=sigma), site=SGP)
     seen = observations(usable)
     ratio = seen.information[usable.index % 2 == 0][0] / seen.information[usable.index % 2 == 1][0]
     assert ratio == pytest.approx(4.0)

@@ -12,14 +12,14 @@ from tests.calibration.conftest import SGP, TRUTH, FloatArray, simulate
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread, frame_of, type_camera
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.priors import LENS
 from sunarc.optics.camera import Camera
 from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles
 
 SPREAD = UnitSpread(focal_length=0.003, center_px=8.0, radial_px=0.4, decentering_px=0.3)
 Units = Callable[[int], Camera]
-Fitted = Callable[[int], tuple[SunPoints, Calibration]]
+Fitted = Callable[[int], tuple[Sightings, Calibration]]
 
 
 def scales() -> FloatArray:
@@ -61,9 +61,9 @@ def unit() -> Units:
 @pytest.fixture(scope="session")
 def fitted(unit: Units) -> Fitted:
     """Return a unit's clear day, one sighting in six minutes with 0.1 px of noise, and its fit."""
-    done: dict[int, tuple[SunPoints, Calibration]] = {}
+    done: dict[int, tuple[Sightings, Calibration]] = {}
 
-    def of(number: int) -> tuple[SunPoints, Calibration]:
+    def of(number: int) -> tuple[Sightings, Calibration]:
         if number not in done:
             points = simulate(unit(number), cadence_s=360.0, sigma_px=0.1, seed=number).points
             points = replace(points, sigma_px=np.full(len(points), 0.1))

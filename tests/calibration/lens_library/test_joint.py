@@ -15,7 +15,7 @@ from sunarc.calibration.lens_library.joint import Entry, calibrate_jointly
 from sunarc.calibration.lens_library.lens_type import IN_FREE, LensType, frame_of, usual_precision
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.priors import LENS, N_LENS
 from sunarc.errors import InputError
 from sunarc.optics.camera import POSE, Camera
@@ -31,7 +31,7 @@ SKY = hemisphere(200)
 OPTIONS = CalibrationOptions(level_within_deg=15.0)
 
 
-def entry(name: str, points: SunPoints, *, epoch: str = "", **change: object) -> Entry:
+def entry(name: str, points: Sightings, *, epoch: str = "", **change: object) -> Entry:
     whole = Entry(camera=name, epoch=epoch, points=points, site=SGP, image_size=(1748, 1748), options=OPTIONS)
     return replace(whole, **change)  # type: ignore[arg-type]
 
@@ -43,7 +43,7 @@ def rms(first: Camera, second: Camera) -> float:
 class Stacked:
     """The least-squares problem of some cameras of a type: their lenses, their poses and the mean of the type."""
 
-    def __init__(self, records: list[SunPoints], like: Calibration, scales: FloatArray | None) -> None:
+    def __init__(self, records: list[Sightings], like: Calibration, scales: FloatArray | None) -> None:
         self.records, self.like, self.scales = records, like, scales
         self.frame = frame_of(like.camera)
         self.root = np.sqrt(usual_precision(like.evidence.radial_px))
@@ -75,7 +75,7 @@ class Stacked:
         return self.cameras(answer.x), np.linalg.inv(jacobian.T @ jacobian)
 
 
-def plain_fit(begin: Calibration, points: SunPoints) -> Calibration:
+def plain_fit(begin: Calibration, points: Sightings) -> Calibration:
     """Return a fit by scipy, whose covariance is that of its normal equations."""
     problem = Stacked([points], begin, None)
     (camera,), covariance = problem.solved(np.r_[problem.frame.whitened(begin.camera), begin.camera.rotation_cam_enu])
@@ -144,7 +144,7 @@ def test_a_camera_of_another_lens_is_refused_and_says_nothing_of_the_type(
 
 
 def test_nothing_usable_gives_refusals_and_no_type() -> None:
-    empty = SunPoints(unix_s=np.zeros(0), pixels=np.zeros((0, 2)))
+    empty = Sightings(unix_s=np.zeros(0), pixels=np.zeros((0, 2)))
     joint = calibrate_jointly([entry("a", empty)])
     assert joint.lens is None
     assert joint.calibrations[0].verdict.findings[0].code == "too_few_sightings"
@@ -160,7 +160,7 @@ def test_nothing_usable_gives_refusals_and_no_type() -> None:
     ],
 )
 def test_what_cannot_share_a_lens_is_named(change: dict[str, Any], field: str) -> None:
-    empty = SunPoints(unix_s=np.zeros(0), pixels=np.zeros((0, 2)))
+    empty = Sightings(unix_s=np.zeros(0), pixels=np.zeros((0, 2)))
     with pytest.raises(InputError) as refused:
         calibrate_jointly([entry("a", empty), entry(change.pop("name", "b"), empty, **change)])
     assert refused.value.field == field

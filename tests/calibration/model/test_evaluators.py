@@ -24,7 +24,7 @@ from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.backward import back_project
 from sunarc.calibration.model.document import from_document
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import Kind, SunPoints
+from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.errors import InputError
 from sunarc.optics.forward import project
 from sunarc.optics.projections import PROJECTIONS
@@ -79,10 +79,10 @@ def own_documents() -> Own:
     noise = np.random.default_rng(3).normal(0.0, 0.05, (times.size, 2))
     pixels = project(truth, sun) + noise
     bent = pixels + 3.0 * np.sin(pixels[:, ::-1] / 60.0)
-    day, beside = (SunPoints(unix_s=times, pixels=one) for one in (pixels, bent))
+    day, beside = (Sightings(unix_s=times, pixels=one) for one in (pixels, bent))
     size = (truth.width, truth.height)
     seen = np.all(np.isfinite(project(truth, SKY)), axis=-1) & (SKY[:, 2] > 0.2)
-    stars = SunPoints(
+    stars = Sightings(
         unix_s=times[-1] + 36_000.0 + 60.0 * np.arange(seen.sum(), dtype=np.float64),
         pixels=project(truth, SKY[seen]) + np.random.default_rng(4).normal(0.0, 0.05, (seen.sum(), 2)),
         sigma_px=np.full(seen.sum(), 0.05),

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibration import SGP
 
-from sunarc.calibration.model.sightings import SunPoints, filter_sightings
+from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.errors import InputError
 from sunarc.sky.refraction import ASSUMED_AIR_SD, DAILY_AIR_SD, MEASURED_AIR_SD, refraction_rad
 from sunarc.sky.sun import sun_angles, sun_directions
@@ -20,9 +20,9 @@ NOON = 1_368_403_200.0 + 43_200.0 + 97.484856 * 240.0
 """13 May 2013, local mean solar noon at SGP: day 15 838 since 1970."""
 
 
-def _points(times: FloatArray, **columns: object) -> SunPoints:
+def _points(times: FloatArray, **columns: object) -> Sightings:
     pixels = np.stack([300.0 + 0.01 * (times - NOON), 200.0 + 0.005 * (times - NOON)], axis=-1)
-    return SunPoints(unix_s=times, pixels=pixels, **columns)  # type: ignore[arg-type]
+    return Sightings(unix_s=times, pixels=pixels, **columns)  # type: ignore[arg-type]
 
 
 def _around_noon(count: int = 20, *, step_s: float = 600.0) -> FloatArray:
@@ -50,7 +50,7 @@ def test_the_columns_are_copies() -> None:
 
 
 def test_no_sightings_are_sightings() -> None:
-    points = SunPoints(unix_s=np.zeros(0), pixels=np.zeros(0))
+    points = Sightings(unix_s=np.zeros(0), pixels=np.zeros(0))
     assert len(points) == 0
     assert points.pixels.shape == (0, 2)
     assert len(filter_sightings(points, site=SGP)) == 0
@@ -98,7 +98,7 @@ def test_what_is_not_finite_doubled_or_below_the_horizon_is_left_out_and_counted
     points = _points(times)
     pixels = points.pixels.copy()
     pixels[0, 1] = np.nan
-    usable = filter_sightings(SunPoints(unix_s=times, pixels=np.nan_to_num(pixels, nan=np.nan)), site=SGP)
+    usable = filter_sightings(Sightings(unix_s=times, pixels=np.nan_to_num(pixels, nan=np.nan)), site=SGP)
     assert usable.index.tolist() == list(range(1, 10))
     assert len(usable.dropped) == 3  # not finite, below the horizon, of a time already there
 

@@ -10,7 +10,7 @@ import pytest
 from tests.finding_codes import codes
 
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.sightings import SunPoints, filter_sightings
+from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.optics.forward import project
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles, sun_directions
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 SIZE = (1748, 1748)
 
 
-def with_overlay(seen: Simulated, *places: tuple[float, float], share: float, jitter_px: float = 0.0) -> SunPoints:
+def with_overlay(seen: Simulated, *places: tuple[float, float], share: float, jitter_px: float = 0.0) -> Sightings:
     """Put a share of the sightings, spread over the day, onto positions that do not move."""
     rng = np.random.default_rng(5)
     pixels, n = seen.points.pixels.copy(), len(seen.points)
@@ -74,7 +74,7 @@ def test_whole_pixels_at_a_high_cadence_are_the_sun(simulator: Simulator, latitu
     times = times[sun_angles(times, site).apparent_zenith < 89.6]
     camera = replace(simulator().camera, focal_length_px=(focal_px, focal_px), radial=(0.0,) * 8)
     pixels = np.rint(project(camera, sun_directions(times, site)))
-    usable = filter_sightings(SunPoints(unix_s=times, pixels=pixels), site=site)
+    usable = filter_sightings(Sightings(unix_s=times, pixels=pixels), site=site)
     assert len(usable) == times.size
     assert usable.static == ()
 

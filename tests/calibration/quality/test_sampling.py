@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from tests.finding_codes import codes
 
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.quality.day_quality import DaySampling, DayVerdict, decide_day, measure_day, sampling_of
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ def study() -> ModuleType:
 
 
 def verdict(day: Simulated, *, observed: NDArray[np.bool_], seen: NDArray[np.bool_]) -> DayVerdict:
-    points: SunPoints = day.points.select(observed & seen)
+    points: Sightings = day.points.select(observed & seen)
     times = day.points.unix_s[observed]
     return decide_day(measure_day(points, site=day.site, observed_unix_s=times, cadence_s=120.0))
 

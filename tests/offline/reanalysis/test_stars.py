@@ -17,11 +17,11 @@ from tests.offline.reanalysis.in_process import InProcess
 from tests.offline.test_star_files import CAMERA, SIZE, night_image
 
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.findings import Finding
 from sunarc.optics.forward import project
 from sunarc.reanalysis import nights as stars_module
-from sunarc.reanalysis.fit import Final, Sightings, Starry, better_of, document_of, fit_poses, starry_analysis
+from sunarc.reanalysis.fit import CameraSightings, Final, Starry, better_of, document_of, fit_poses, starry_analysis
 from sunarc.reanalysis.index import ArchiveImage, CameraImages, CameraPlan, Selector
 from sunarc.reanalysis.ledger import Ledger
 from sunarc.reanalysis.look import Chunk, NamedStars
@@ -191,7 +191,7 @@ def starry(found: NightsLooked) -> Starry:
     up = directions[:, 2] > 0.1
     times, directions = times[up], directions[up]
     noise = np.random.default_rng(1).normal(0.0, 0.05, (times.size, 2))
-    points = SunPoints(
+    points = Sightings(
         unix_s=times + LATE_S, pixels=project(CAMERA, directions) + noise, sigma_px=np.full(times.size, 0.05)
     )
     camera = Camera(SITE, (SIZE, SIZE), CalibrationOptions(projection="equisolid"))
@@ -199,7 +199,7 @@ def starry(found: NightsLooked) -> Starry:
     stars = star_points(found, (STATE,), ONE)
     assert stars is not None
     final = Final((STATE,), ONE, path, fit_poses(points, path, (STATE,), camera))
-    return Starry(Sightings(points, camera, (STATE,)), final, stars)
+    return Starry(CameraSightings(points, camera, (STATE,)), final, stars)
 
 
 def test_the_stars_take_part_in_the_calibration(starry: Starry) -> None:

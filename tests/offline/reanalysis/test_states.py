@@ -10,9 +10,9 @@ import pytest
 
 from sunarc.array_types import FloatArray
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.optics.forward import project
-from sunarc.reanalysis.fit import Final, Rough, Sightings, final_analysis, first_analysis
+from sunarc.reanalysis.fit import CameraSightings, Final, Rough, final_analysis, first_analysis
 from sunarc.reanalysis.states import Camera
 from sunarc.simulation.made_archive import Change, MadeArchive, MadeCamera, camera_at, true_times
 from sunarc.sky.site import Site
@@ -27,7 +27,7 @@ class Truth:
     camera: MadeCamera
     made: MadeArchive
 
-    def sightings(self, *, mirrored: bool = False) -> tuple[SunPoints, FloatArray]:
+    def sightings(self, *, mirrored: bool = False) -> tuple[Sightings, FloatArray]:
         """Return sightings by the camera's clock, some of them false, and when they truly were."""
         rng = np.random.default_rng(5)
         times = true_times(self.made)
@@ -43,7 +43,7 @@ class Truth:
             pixels[:, 0] = SIZE - 1 - pixels[:, 0]
         day = (times - self.made.first_day.timestamp() - 21_600.0) // 86_400 / self.made.step_days
         stated = times + self.camera.wrong_s * np.isin(day, self.camera.wrong_days)
-        return SunPoints(unix_s=stated, pixels=pixels, sigma_px=np.full(times.size, NOISE_PX)), times
+        return Sightings(unix_s=stated, pixels=pixels, sigma_px=np.full(times.size, NOISE_PX)), times
 
 
 def truth(**camera: object) -> Truth:
@@ -59,8 +59,8 @@ def known(site: Site) -> Camera:
 def analysed(one: Truth) -> tuple[Rough, Final]:
     points, _ = one.sightings()
     camera = known(one.made.site)
-    rough = first_analysis(Sightings(points, camera))
-    return rough, final_analysis(Sightings(points, camera, rough.states))
+    rough = first_analysis(CameraSightings(points, camera))
+    return rough, final_analysis(CameraSightings(points, camera, rough.states))
 
 
 BUMP = truth(changes=(Change(day=4, hour=18.2, turn_deg=(1.0, 0.0, 2.0)),))
@@ -92,7 +92,7 @@ def test_a_clock_that_follows_summer_time_shows_as_epochs_of_one_pose() -> None:
     """Most sightings are of the summer, whose clock is taken as right: the winter's is an hour behind."""
     summers = truth(wrong_days=(1, 2, 3, 5, 6, 7))
     points, times = summers.sightings()
-    rough = first_analysis(Sightings(points, known(summers.made.site)))
+    rough = first_analysis(CameraSightings(points, known(summers.made.site)))
     assert [one.cause for one in rough.epochs] == ["start", "clock", "clock", "clock"]
     assert [rough.states[one.state].clock_offset_s for one in rough.epochs] == [-3600.0, 0.0, -3600.0, 0.0]
     jumps = np.flatnonzero(np.diff(points.unix_s - times)) + 1
@@ -103,7 +103,7 @@ def test_a_clock_that_follows_summer_time_shows_as_epochs_of_one_pose() -> None:
 def test_another_lens_is_no_move() -> None:
     lens = truth(changes=(Change(day=3, hour=17.9, focal_scale=1.12, turn_deg=(0.0, 0.0, 5.0)),))
     points, times = lens.sightings()
-    rough = first_analysis(Sightings(points, known(lens.made.site)))
+    rough = first_analysis(CameraSightings(points, known(lens.made.site)))
     at = lens.made.first_day.timestamp() + 3 * 14 * 86_400 + 17.9 * 3600
     assert [one.cause for one in rough.epochs] == ["start", "lens"]
     assert rough.epochs[1].first == int(np.searchsorted(times, at))
@@ -113,7 +113,7 @@ def test_another_lens_is_no_move() -> None:
 
 def test_a_camera_that_stood_still_has_one_epoch_with_all_sightings() -> None:
     points, _ = STILL.sightings()
-    rough = first_analysis(Sightings(points, known(STILL.made.site)))
+    rough = first_analysis(CameraSightings(points, known(STILL.made.site)))
     assert [(one.cause, one.first, one.last) for one in rough.epochs] == [("start", 0, len(points) - 1)]
     assert rough.findings == ()
 
@@ -130,14 +130,14 @@ def test_the_calibrations_are_near_the_truth() -> None:
 
 def test_a_mirrored_camera_is_named() -> None:
     points, _ = STILL.sightings(mirrored=True)
-    findings = first_analysis(Sightings(points, known(STILL.made.site))).findings
+    findings = first_analysis(CameraSightings(points, known(STILL.made.site))).findings
     assert [(one.code, one.data) for one in findings] == [("camera_mirrored", {"mirrored": "yes"})]
 
 
 def test_the_latitude_at_which_a_camera_is_level_is_named_where_its_sign_is_wrong() -> None:
     points, _ = STILL.sightings()
     south = replace(STILL.made.site, latitude=-STILL.made.site.latitude)
-    (finding,) = first_analysis(Sightings(points, known(south))).findings
+    (finding,) = first_analysis(CameraSightings(points, known(south))).findings
     assert finding.code == "camera_tilted_by_latitude"
     assert finding.data["latitude"] == pytest.approx(STILL.made.site.latitude, abs=3.0)  # the camera's tilt is 1.5
 
@@ -146,7 +146,7 @@ def test_the_latitude_at_which_a_camera_is_level_is_named_where_its_sign_is_wron
 def test_a_wrong_zone_is_named_with_the_hours(hours: float) -> None:
     points, _ = STILL.sightings()
     ahead = replace(points, unix_s=points.unix_s + hours * 3600.0)
-    (finding,) = first_analysis(Sightings(ahead, known(STILL.made.site))).findings
+    (finding,) = first_analysis(CameraSightings(ahead, known(STILL.made.site))).findings
     assert finding.code == "camera_tilted_by_clock"
     assert finding.data["hours"] == hours
     assert float(finding.data["odds"]) > 1.0
@@ -156,7 +156,7 @@ def test_a_wrong_zone_is_named_with_the_hours(hours: float) -> None:
 @pytest.mark.parametrize("n", [0, 5])
 def test_too_few_sightings_have_no_state(n: int) -> None:
     points, _ = STILL.sightings()
-    rough = first_analysis(Sightings(points.select(slice(0, n)), known(STILL.made.site)))
+    rough = first_analysis(CameraSightings(points.select(slice(0, n)), known(STILL.made.site)))
     assert (rough.states, [one.code for one in rough.findings]) == ((), ["too_few_sightings"])
 
 
@@ -164,6 +164,6 @@ def test_sightings_anywhere_have_no_state() -> None:
     points, _ = STILL.sightings()
     rng = np.random.default_rng(3)
     anywhere = replace(points, pixels=rng.uniform(60, 400, points.pixels.shape)).select(slice(0, 40))
-    rough = first_analysis(Sightings(anywhere, known(STILL.made.site)))
+    rough = first_analysis(CameraSightings(anywhere, known(STILL.made.site)))
     assert rough.states == ()
     assert len(rough.findings) == 1

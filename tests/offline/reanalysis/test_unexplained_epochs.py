@@ -13,8 +13,8 @@ from sunarc.array_types import FloatArray
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints
-from sunarc.reanalysis.fit import Sightings, final_analysis
+from sunarc.calibration.model.sightings import Sightings
+from sunarc.reanalysis.fit import CameraSightings, final_analysis
 from sunarc.reanalysis.states import Camera, State
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles
@@ -38,7 +38,7 @@ def equidistant(times: FloatArray, focal: FloatArray, *, turn_deg: float) -> Flo
 
 def archive(
     seed: int, *, days: int, per_day: int, first_share: float, second: float = SECOND, sigma_px: float = 0.6
-) -> SunPoints:
+) -> Sightings:
     """Return sightings of every third day, the lens being changed after a share of them."""
     rng = np.random.default_rng(seed)
     times = []
@@ -51,10 +51,10 @@ def archive(
     focal = np.where(np.arange(unix_s.size) < round(first_share * unix_s.size), FIRST, second)
     pixels = equidistant(unix_s, focal, turn_deg=float(rng.uniform(0.0, 360.0)))
     noise = rng.normal(0.0, sigma_px, pixels.shape)
-    return SunPoints(unix_s=unix_s, pixels=pixels + noise, sigma_px=np.full(unix_s.size, sigma_px))
+    return Sightings(unix_s=unix_s, pixels=pixels + noise, sigma_px=np.full(unix_s.size, sigma_px))
 
 
-def fitted(points: SunPoints, options: CalibrationOptions = OPTIONS) -> Calibration:
+def fitted(points: Sightings, options: CalibrationOptions = OPTIONS) -> Calibration:
     return calibrate(points, site=SITE, image_size=SIZE, options=options)
 
 
@@ -89,7 +89,7 @@ def test_days_of_false_sightings_do_not_count_against_a_fit() -> None:
     pixels = clear.pixels.copy()
     pixels[:60][false] = rng.uniform(100.0, 500.0, (int(false.sum()), 2))
     pixels[60:120][false] = rng.uniform(100.0, 500.0, (int(false.sum()), 2))
-    of_clouds = SunPoints(unix_s=clear.unix_s, pixels=pixels, sigma_px=clear.sigma_px)
+    of_clouds = Sightings(unix_s=clear.unix_s, pixels=pixels, sigma_px=clear.sigma_px)
     fit = fitted(of_clouds)
     assert fit.evidence.n_used < 0.65 * len(of_clouds)
     assert fit.verdict.accepted, fit.verdict.reasons
@@ -99,7 +99,7 @@ def test_the_epoch_of_an_archive_is_refused_where_one_state_was_taken_for_both()
     points = archive(0, days=14, per_day=4, first_share=0.35)
     camera = Camera(SITE, SIZE, OPTIONS)
     state = State(fitted(points, UNJUDGED), lens=0, pose=0, clock_offset_s=0.0, sigma_px=0.6)
-    final = final_analysis(Sightings(points, camera, (state,)))
+    final = final_analysis(CameraSightings(points, camera, (state,)))
     assert len(final.epochs) == 1
     verdict = final.fitted[0].calibration.verdict
     assert not verdict.accepted

@@ -243,6 +243,8 @@ def _write_pixels(  # noqa: PLR0917 - compiled functions take positions
         result[i, 2], result[i, 6] = math.sqrt(0.5 * (result[i, 3] + result[i, 5])), _in_image(size, x, y)
 
 
+# What every pixel sees, and how sure that is, at once.
+
 _ROWS = 16
 
 

@@ -212,6 +212,13 @@ def rotated(camera: Camera, rotation: FloatArray) -> Camera:
     return replace(camera, rotation_cam_enu=rotation_vector(matrix))
 
 
+# Joint draws of a calibration's errors: displacements of the image that are as likely as the stated covariance says.
+#
+# Each draw is one possible truth: a lens, a pose (with the clock's and the site's error in it) and a field of
+# displacements, drawn together, and shown as what they move over the image to first order. What is common to all
+# directions stays common within a draw, so that errors of whatever is computed from many directions follow from the
+# spread over the draws (Monte Carlo propagation of distributions: JCGM 101:2008).
+
 MOST_DRAWS = 64
 """Draws that one question may ask for: a standard deviation from so many is known to 9 %, 1 / √(2 · 64)."""
 _RINGS, _SPOKES = 48, 96

@@ -60,6 +60,8 @@ def stars_in_image(
     ).select(visible)
 
 
+# Images of one night, matched together: what stands still between them is no star.
+
 _LONGEST_NIGHT_S = 6.0 * 3600.0
 """Between two images that are compared: later the stars of one have set in the other."""
 

@@ -22,7 +22,7 @@ from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances
 from sunarc.calibration.model.result import Calibration, Move
-from sunarc.calibration.model.sightings import FilteredSightings, SunPoints, filter_sightings
+from sunarc.calibration.model.sightings import FilteredSightings, Sightings, filter_sightings
 from sunarc.calibration.robust_loss import finite, robust_sigma, tukey_loss
 from sunarc.calibration.solve.priors import LENS, N_LENS, lens_prior, precisions
 from sunarc.findings import Finding
@@ -31,6 +31,14 @@ from sunarc.optics.forward import project_fast, project_with_rows_fast
 from sunarc.optics.pose import rotation_matrix
 from sunarc.sky.site import Site
 from sunarc.utc import DAY_S, rfc3339, utc_time
+
+# Bayes factor of a step of the pose against one pose, by the residuals of a fit with and of one without it.
+#
+# Both hypotheses explain the residuals by small changes of the lens and the pose (linearised, with the fit's priors),
+# by white and first-order autoregressive noise, by a smooth misfit over the sky, and by episodes in which cloud draws
+# the detections aside; the first also by a turn from one sighting on. Amplitudes and episodes are chosen for each
+# hypothesis by its own marginal likelihood. References: R. Kass and A. Raftery, "Bayes factors", J. Am. Stat. Assoc. 90
+# (1995); C. Rasmussen and C. Williams, "Gaussian processes for machine learning" (2006), chapter 5.
 
 _MOST_ROWS = 280
 """Rows of the covariance matrix; more sightings are gathered by their median (cost grows with the cube)."""
@@ -337,14 +345,14 @@ cameras that stood still reaches it (docs/studies.md)."""
 _MOST = 6
 _FEWEST = 20
 _FLOOR_PX = 1e-3
-_Fit = Callable[[SunPoints, Camera | None], Calibration]
+_Fit = Callable[[Sightings, Camera | None], Calibration]
 
 
 class Moved(NamedTuple):
     """A calibration, and the sightings as it was given them: numbered by the pose that they belong to."""
 
     calibration: Calibration
-    points: SunPoints
+    points: Sightings
 
 
 class _Parted(NamedTuple):
@@ -353,7 +361,7 @@ class _Parted(NamedTuple):
 
 
 def calibrate_moved(
-    points: SunPoints,
+    points: Sightings,
     *,
     site: Site,
     image_size: tuple[int, int],
@@ -377,7 +385,7 @@ def calibrate_moved(
     """
     effective = CalibrationOptions() if options is None else options
 
-    def fit(given: SunPoints, begin: Camera | None, *, parts: bool = False) -> Calibration:
+    def fit(given: Sightings, begin: Camera | None, *, parts: bool = False) -> Calibration:
         return calibrate(
             given, site=site, image_size=image_size, options=effective, circle=circle, start=begin, parts=parts
         )
@@ -400,7 +408,7 @@ def calibrate_moved(
     return Moved(_with_moves(solved, usable), points)
 
 
-def _with_one_more(points: SunPoints, usable: FilteredSightings, solved: Calibration, fit: _Fit) -> Moved | None:
+def _with_one_more(points: Sightings, usable: FilteredSightings, solved: Calibration, fit: _Fit) -> Moved | None:
     """Return the fit with one move more, or None where none makes it clearly better."""
     residual = _residuals(solved, usable)
     tried: list[tuple[float, Moved]] = []
@@ -435,7 +443,7 @@ def _log_bayes_factor(solved: Calibration, found: Moved, usable: FilteredSightin
     )
 
 
-def _parted_at(row: int, points: SunPoints, usable: FilteredSightings, begin: Camera, fit: _Fit) -> Moved | None:
+def _parted_at(row: int, points: Sightings, usable: FilteredSightings, begin: Camera, fit: _Fit) -> Moved | None:
     """Return the fit with a move just before a row, or before one of the next ones where the two poses say so."""
     for _ in range(2):
         parted = replace(points, epoch=points.epoch + (points.unix_s >= usable.unix_s[row]))

@@ -49,6 +49,8 @@ from sunarc.sky.refraction import ASSUMED_AIR_SD, DAILY_AIR_SD, refraction_rad
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions
 
+# The last sightings held to a calibration: what it states of its errors, and a mount that wanders, allowed for.
+
 _WANDER_S = 2.0 * 3600.0
 """Time over which a mast and its mount wander with the sun on them."""
 _AIR_SD = math.hypot(ASSUMED_AIR_SD, DAILY_AIR_SD)
@@ -127,6 +129,12 @@ def _of_turns(error_model: CameraErrorModel, at: Predicted, wander: FloatArray) 
     flat = at.rows[..., error_model.rotation].reshape(-1, 3)
     return (flat @ flat.T) * np.kron(wander, np.ones((2, 2)))
 
+
+# What changed, and when: explanations weighed by how likely they make the last sightings.
+#
+# Every explanation changes where the sun is predicted from one sighting on, with few free numbers (three for a turn,
+# one for a clock, none for a mirrored image); its evidence is that of all sightings, before and after, false ones among
+# them. Reference for the weighing: R. Kass and A. Raftery, "Bayes factors", J. Am. Stat. Assoc. 90 (1995).
 
 _SMALLEST_ROTATION_RAD = math.radians(0.02)
 _RECENT, _STRIDE, _FEW = 12, 3, 4

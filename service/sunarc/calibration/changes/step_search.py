@@ -23,12 +23,14 @@ from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.changes.change_points import best_row, calibrate_moved
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import Calibration, Move
-from sunarc.calibration.model.sightings import SunPoints, filter_sightings
+from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.pose import PredictedSightings, fit_pose, gathered, inflation, noise_px
 from sunarc.calibration.robust_loss import finite
 from sunarc.optics.camera import Camera
 from sunarc.optics.pose import rotation_matrix
 from sunarc.sky.site import Site
+
+# By how much a camera stood turned on a day, against its calibration: the slow drift of masts and mounts.
 
 _FEWEST = 20
 
@@ -50,7 +52,7 @@ class PoseOffset:
     n: int
 
 
-def daily_pose_offset(points: SunPoints, *, calibration: Calibration, site: Site) -> PoseOffset | None:
+def daily_pose_offset(points: Sightings, *, calibration: Calibration, site: Site) -> PoseOffset | None:
     """Return the mean rotation of a camera on a day; None with fewer than 20 inliers.
 
     The lens is the calibration's; what that says of its own errors along the day's track widens the sigmas.
@@ -127,7 +129,7 @@ class _Daily(NamedTuple):
 
 
 def find_pose_steps(
-    points: SunPoints,
+    points: Sightings,
     *,
     site: Site,
     image_size: tuple[int, int],
@@ -163,7 +165,7 @@ class _StepSearch(NamedTuple):
     options: CalibrationOptions
     circle: ImageCircle | None
 
-    def steps(self, points: SunPoints, lens: Calibration | None) -> list[PoseStep]:
+    def steps(self, points: Sightings, lens: Calibration | None) -> list[PoseStep]:
         """Return the steps within one epoch."""
         thin, day = _thinned(points, self.site)
         days = np.unique(day)
@@ -177,7 +179,7 @@ class _StepSearch(NamedTuple):
             found += self._verified(points, thin.select((day >= first) & (day <= last)))
         return _distinct(found)
 
-    def _lens(self, thin: SunPoints, day: IntArray, days: IntArray) -> Calibration | None:
+    def _lens(self, thin: Sightings, day: IntArray, days: IntArray) -> Calibration | None:
         """Return the fit of a few days that scatters least; a step within them makes it scatter."""
         fits = []
         for begin in np.unique(np.linspace(0, days.size - _LENS_DAYS, _LENS_TRIALS).astype(int)):
@@ -194,7 +196,7 @@ class _StepSearch(NamedTuple):
                 fits.append((solved.metrics.rmse_px, solved.evidence.n_rejected, solved))
         return min(fits, key=lambda item: item[:2])[2] if fits else None
 
-    def _daily(self, thin: SunPoints, day: IntArray, lens: Calibration) -> _Daily:
+    def _daily(self, thin: Sightings, day: IntArray, lens: Calibration) -> _Daily:
         days, rotations = [], []
         for one in np.unique(day):
             offset = daily_pose_offset(thin.select(day == one), calibration=lens, site=self.site)
@@ -203,7 +205,7 @@ class _StepSearch(NamedTuple):
                 rotations.append(offset.turn_deg)
         return _Daily(np.array(days, dtype=np.int64), np.array(rotations, dtype=np.float64).reshape(-1, 3))
 
-    def _verified(self, points: SunPoints, some: SunPoints) -> list[PoseStep]:
+    def _verified(self, points: Sightings, some: Sightings) -> list[PoseStep]:
         """Return the steps that a fit of a few days finds, dated among all sightings."""
         solved, _ = calibrate_moved(
             some, site=self.site, image_size=self.image_size, options=self.options, circle=self.circle, parts=False
@@ -215,7 +217,7 @@ class _StepSearch(NamedTuple):
             for number, move in enumerate(moves)
         ]
 
-    def _dated(self, move: Move, points: SunPoints, solved: Calibration) -> PoseStep:
+    def _dated(self, move: Move, points: Sightings, solved: Calibration) -> PoseStep:
         """Return the step between the sightings of the whole record that it came between."""
         near = (points.unix_s >= move.before_unix_s) & (points.unix_s <= move.after_unix_s)
         usable = filter_sightings(points.select(near), site=self.site)
@@ -224,7 +226,7 @@ class _StepSearch(NamedTuple):
         return PoseStep(float(usable.unix_s[row - 1]), float(usable.unix_s[row]), move.turn_deg)
 
 
-def _thinned(points: SunPoints, site: Site) -> tuple[SunPoints, IntArray]:
+def _thinned(points: Sightings, site: Site) -> tuple[Sightings, IntArray]:
     """Return some of each day's usable sightings, in the order of time, and the solar day of each."""
     usable = filter_sightings(points, site=site)
     retained = []

@@ -27,7 +27,7 @@ from sunarc.calibration.model.result import (
     fit_metrics,
     residual_angles,
 )
-from sunarc.calibration.model.sightings import FilteredSightings, SunPoints
+from sunarc.calibration.model.sightings import FilteredSightings, Sightings
 from sunarc.calibration.quality.fit_checks import Handedness, fit_verdict
 from sunarc.calibration.solve.priors import FREE, FREE_NAMES, LENS, N_LENS, lens_prior, precisions
 from sunarc.calibration.start.initial_guess import camera_from_circle, camera_from_size
@@ -45,7 +45,7 @@ _UNKNOWN_POSE = math.pi**2
 class Job(NamedTuple):
     """Input of a calibration, and the sightings that it can use; `parts`: whether parts of them are held against it."""
 
-    points: SunPoints
+    points: Sightings
     usable: FilteredSightings
     site: Site
     image_size: tuple[int, int]
@@ -150,7 +150,7 @@ def _used(fitted: FitOutcome, job: Job) -> BoolArray:
     return used
 
 
-def _clock_error(points: SunPoints) -> float:
+def _clock_error(points: Sightings) -> float:
     known_errors = points.clock_error_s[np.isfinite(points.clock_error_s)]
     return float(np.max(np.abs(known_errors), initial=0.0))
 
@@ -222,6 +222,9 @@ def no_field(camera: Camera, *, size: int) -> Field:
     basis = wave_basis(width=camera.width, height=camera.height, shortest_px=length, longest_px=length)
     cross = np.zeros((2, size, len(basis.orders)))
     return Field(amplitude_px=0.0, length_px=float(length), basis=basis, cross=cross)
+
+
+# From the robust rounds to what every method hands over.
 
 
 def robust_outcome(

@@ -16,7 +16,7 @@ from sunarc.calibration.fit.robust_fit import N_OFFSET, RobustFit, stated_poster
 from sunarc.calibration.fit.robust_rounds import robust_camera
 from sunarc.calibration.model.residual_field import WaveBasis
 from sunarc.calibration.model.sightings import FilteredSightings, Kind
-from sunarc.calibration.noise import Course
+from sunarc.calibration.noise import NoiseGroups
 from sunarc.calibration.robust_loss import robust_sigma
 from sunarc.calibration.solve.problem import FitProblem
 from sunarc.findings import Finding
@@ -147,11 +147,11 @@ def doubts(fit: RobustFit, usable: FilteredSightings) -> Doubts:
     the fit of all: other scales, another noise. The errors of the predictions are looked at together, by the whole
     covariance of each part, and one by one.
     """
-    course = Course.of(usable)
+    groups = NoiseGroups.of(usable)
     # the sun's track is judged: whether stars agree with it is a question of its own (`night_check`)
     judged = (usable.kind == Kind.SUN) & (fit.weight > 0.0)
     parts = [
-        _met(_refitted(fit, usable, ~out), fit, course, out & judged)
+        _met(_refitted(fit, usable, ~out), fit, groups, out & judged)
         for out in _left_out(usable)
         # a pose that no other day has cannot be predicted
         if not np.setdiff1d(usable.epoch[out], usable.epoch[~out]).size and np.any(out & judged)
@@ -175,21 +175,21 @@ def _left_out(usable: FilteredSightings) -> list[BoolArray]:
 
 def _refitted(fit: RobustFit, usable: FilteredSightings, kept: BoolArray) -> _Partial:
     """Return the fit of the sightings that a mask picks, from the fit of all."""
-    course, observed = Course.of(usable.select(kept)), fit.observed.select(kept)
+    groups, observed = NoiseGroups.of(usable.select(kept)), fit.observed.select(kept)
     problem = replace(fit.problem, n_systematic=0, n_air=0)
     start = fit.unknowns[: problem.size]
-    found = robust_camera(problem, observed, start, course=course, grid=fit.grid, in_its_valley=True)
+    found = robust_camera(problem, observed, start, groups=groups, grid=fit.grid, near_minimum=True)
     problem, unknowns = found.problem, found.unknowns
-    system = found.system(observed, course.bins)
+    system = found.system(observed, groups.bins)
     mean = found.field_mean(system.normal())
     posterior = stated_posterior(problem, system, unknowns, grid=found.grid, scales=found.state.scales, mean=mean)
     return _Partial(problem, unknowns, mean, posterior)
 
 
-def _met(partial: _Partial, fit: RobustFit, course: Course, out: BoolArray) -> _Part:
+def _met(partial: _Partial, fit: RobustFit, groups: NoiseGroups, out: BoolArray) -> _Part:
     """Return how a fit predicts the sightings that a mask picks, in bins with the noise that the fit of all has."""
     problem, unknowns, mean, posterior = partial
-    observed, bins = fit.observed.select(out), course.bins.select(out)
+    observed, bins = fit.observed.select(out), groups.bins.select(out)
     seen, off = bins.gathered(observed, problem.residuals(unknowns, observed), fit.information[out])
     off, seen = off[seen.information > 0.0], seen.select(seen.information > 0.0)
     minus, rows = problem.linearised(unknowns, seen)
@@ -223,6 +223,8 @@ def _widening(fit: RobustFit, usable: FilteredSightings) -> float:
     ratio *= math.sqrt(count / float(np.sum(fit.weight / fit.inflation)))
     return ratio if ratio > _OTHER_SIGMA else 1.0
 
+
+# Whether the sightings of the night contradict those of the day: a fit of both would then be worse than the day's.
 
 _PRIOR_SIGMAS = 4.5
 """Length of three systematic errors in units of their priors, beyond which they are no such errors: 1 in 7,000."""

@@ -156,6 +156,11 @@ def _terms_of_few(  # noqa: PLR0917 - compiled functions take positions
     return float(sums[0, precision.size] + 2.0 * math.log(sums[1, precision.size]))
 
 
+# What is computed for each of some hundred plausible choices of scales, as compiled loops.
+#
+# tests/calibration/fit/test_choices_kernel.py and test_hyperparameter_marginalisation.py have the same in numpy, and
+# compare the two. They release the interpreter's lock.
+
 _FAR = 40.0
 """exp(-40) is 4e-18: nothing beside 1."""
 _SQUARINGS = 6
@@ -290,6 +295,12 @@ def _exponential(x: float) -> float:
     return value
 
 
+# The solve with the field marginalised as one compiled loop: Gauss-Newton with halved steps.
+#
+# tests/calibration/fit/steps_reference.py is the same in numpy, and the tests compare the two. It runs without the
+# interpreter's lock (`nogil`).
+
+
 class LensBasis(NamedTuple):
     """Lens = mean (17,) + basis (17, 17) · its unknowns."""
 
@@ -328,13 +339,13 @@ class Sums(NamedTuple):
 
 
 @njit(nogil=True)
-def rested(  # noqa: PLR0917 - compiled functions take positions
+def gauss_newton(  # noqa: PLR0917 - compiled functions take positions
     optics: Optics, lens: LensBasis, seen: Sighted, weighing: Weighing, start: FloatArray, n_air: int,
-    steps: int, halvings: int, rest: float,
+    steps: int, halvings: int, least_gain: float,
 ) -> tuple[FloatArray, Sums, float]:  # fmt: skip
     """Return the most probable unknowns (p,), the sums there, and what the penalty lost on the way.
 
-    `steps` and `halvings` are the most; a step that promises or brings less than `rest` is the last.
+    `steps` and `halvings` are the most; a step that promises or brings less than `least_gain` is the last.
     """
     p = start.size
     at, trial = start.copy(), start.copy()
@@ -343,7 +354,7 @@ def rested(  # noqa: PLR0917 - compiled functions take positions
     write_sums(optics, lens, seen, weighing, at, n_air, here)
     begin = here.penalty[0]
     for _ in range(steps):
-        if _write_step(here.matrix, here.vector, weighing.ridge, work, step) < rest:
+        if _write_step(here.matrix, here.vector, weighing.ridge, work, step) < least_gain:
             break
         gain, part = 0.0, 1.0
         # Gauss-Newton may overshoot where the lens bends: half a step still gains if the direction is right
@@ -358,7 +369,7 @@ def rested(  # noqa: PLR0917 - compiled functions take positions
         if gain > 0.0:
             at[:] = trial
             here, there = there, here
-        if not gain >= rest:
+        if not gain >= least_gain:
             break
     return at, here, begin - here.penalty[0]
 

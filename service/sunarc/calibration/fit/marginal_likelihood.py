@@ -335,8 +335,12 @@ class Turned(NamedTuple):
         return np.asarray(both @ both.swapaxes(-1, -2))
 
 
+# Which scales the data speak for: the field's amplitude and length, the radial distortion's and the decentering's.
+
 _LENGTH_FRACTIONS = (0.16, 0.24, 0.36)
 """Lengths tried, as fractions of the image's shorter side."""
+# The field's coefficients turned so that its own normal equations are diagonal: an amplitude then costs a division.
+
 _LARGEST_AMPLITUDE_PX = 8.0
 _AMPLITUDES = 16
 _RADIALS_PX = np.array([0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 8.0, 16.0, 32.0, 64.0])

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray, IntArray
-from sunarc.calibration.fit.kernels import LensBasis, Sums, Weighing, rested
+from sunarc.calibration.fit.kernels import LensBasis, Sums, Weighing, gauss_newton
 from sunarc.calibration.fit.marginal_likelihood import (
     RIDGE,
     ROUNDING,
@@ -30,8 +30,8 @@ _SAME_PLACE_PX = 0.02
 """A field changes by less than a ten-thousandth of itself over this: its shortest length is hundreds of px."""
 _TELLS_NOTHING = 1e-14
 """Share of a coefficient's prior variance that sightings take away, below which they tell nothing of it."""
-_REST = 1e-3
-"""Gain in twice the log posterior below which a solve rests: a thirtieth of a sigma."""
+_LEAST_GAIN = 1e-3
+"""Gain in twice the log posterior below which a solve ends: a thirtieth of a sigma."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -138,8 +138,8 @@ def system_about(
     return linear_system(problem, observed, bins, unknowns, information=observed.information, basis=system.basis)
 
 
-class AtRest(NamedTuple):
-    """Where the steps came to rest: the unknowns (p,), the linear fit from there, what was gained, the log evidence.
+class Converged(NamedTuple):
+    """Where the steps converged: the unknowns (p,), the linear fit from there, what was gained, the log evidence.
 
     The gain is of twice the log posterior; the evidence is about the unknowns, but for a constant of the scales.
     """
@@ -150,11 +150,11 @@ class AtRest(NamedTuple):
     log_evidence: float
 
 
-def irls_converged(problem: FitProblem, system: LinearSystem, scales: Scales) -> AtRest:
+def irls_converged(problem: FitProblem, system: LinearSystem, scales: Scales) -> Converged:
     """Return the most probable unknowns and field: Gauss-Newton with halved steps."""
     in_axes, transform = system.in_field_axes(scales)
-    rest = converged_in_axes(problem, in_axes, scales, system.at)
-    return rest._replace(fit=rest.fit.with_coefficients_on(transform))
+    found = converged_in_axes(problem, in_axes, scales, system.at)
+    return found._replace(fit=found.fit.with_coefficients_on(transform))
 
 
 def _weighing(problem: FitProblem, system: LinearSystem, scales: Scales) -> Weighing:
@@ -182,18 +182,18 @@ def converged_in_axes(
     start: FloatArray,
     *,
     steps: int = _STEPS,
-) -> AtRest:
+) -> Converged:
     """Return what `irls_converged` does from a start, for a system in the field's axes and its coefficients."""
     weighing = _weighing(problem, system, scales)
     lens = LensBasis(problem.prior.mean, np.ascontiguousarray(problem.prior.basis))
     shared = problem.optics(), lens, problem.sighted(system.observed), weighing
     begin = np.array(start, dtype=np.float64)
-    at, sums, gain = rested(*shared, begin, problem.n_air, steps, _HALVINGS, _REST)
-    fit, log_evidence = _at_rest(at, sums, _spread(system, scales), weighing.precision)
-    return AtRest(at, fit, gain, log_evidence)
+    at, sums, gain = gauss_newton(*shared, begin, problem.n_air, steps, _HALVINGS, _LEAST_GAIN)
+    fit, log_evidence = _converged(at, sums, _spread(system, scales), weighing.precision)
+    return Converged(at, fit, gain, log_evidence)
 
 
-def _at_rest(at: FloatArray, sums: Sums, spread: FloatArray, precision: FloatArray) -> tuple[MarginalFit, float]:
+def _converged(at: FloatArray, sums: Sums, spread: FloatArray, precision: FloatArray) -> tuple[MarginalFit, float]:
     """Return the linear fit from some unknowns, and their log evidence but for a constant (Laplace's approximation)."""
     covariance = inverses(sums.matrix, np.zeros((1, at.size)))[0]
     step = covariance @ sums.vector

@@ -37,6 +37,8 @@ from sunarc.calibration.model.residual_field import Field, WaveBasis
 from sunarc.calibration.solve.priors import DECENTERING, HIGHER
 from sunarc.calibration.solve.problem import FitProblem, Observations
 
+# What sightings say of the field: see `Field` for the covariance that this makes.
+
 _LEAST_KNOWN = 0.01
 """Share of a coefficient's variance that sightings take away, below which it counts as unknown."""
 _LEAST_COUPLED = 1e-6
@@ -361,6 +363,16 @@ def _coverage(moments: FloatArray, covariance: FloatArray) -> FloatArray:
     return share
 
 
+# Covariance where the decentering's higher coefficients are not known: a mixture over them.
+#
+# The decentering is a product, (p1, p2) × (1 + p3 θ² + p4 θ⁴). A part of a day's arc leaves p3 and p4 open, and the
+# other unknowns depend on them along a curve, or have two optima of opposite sign: the Gaussian about one optimum is
+# then far too narrow. So p3 and p4 are integrated out on a grid of their prior, and the covariance is that of the
+# mixture about the fit that is returned. Given p3 and p4 the decentering is exactly linear in p1 and p2, and nearly
+# always all else is linear about the fit, as it is taken to be in every covariance: each place is a linear fit with its
+# evidence, by sums over the sightings that are made once. Where the residuals at the plausible places contradict that,
+# each place is solved on the whole lens.
+
 _SPACING = 1.0
 _NODES = np.array(list(itertools.product(np.arange(-2.0, 2.5, _SPACING), repeat=2)))
 """Values of p3 and p4 in units of their prior's 1-sigma: they hold 98 % of it in each."""
@@ -581,12 +593,12 @@ def _of_whole_lens(problem: FitProblem, system: LinearSystem, unknowns: FloatArr
         basis = prior.basis.copy()
         basis[:, HIGHER] = 0.0
         held = replace(problem, prior=replace(prior, mean=prior.mean + prior.basis[:, HIGHER] @ place, basis=basis))
-        rest = converged_in_axes(held, in_axes, scales, start)
-        fit = rest.fit.with_coefficients_on(transform)
-        shift = rest.unknowns - unknowns
+        converged = converged_in_axes(held, in_axes, scales, start)
+        fit = converged.fit.with_coefficients_on(transform)
+        shift = converged.unknowns - unknowns
         shift[HIGHER] = place - unknowns[HIGHER]
         fit.covariance[HIGHER] = fit.covariance[:, HIGHER] = fit.cross[:, HIGHER] = 0.0
-        found.append((shift, fit.covariance, math.nan, rest.log_evidence, fit.coefficients, fit.cross))
+        found.append((shift, fit.covariance, math.nan, converged.log_evidence, fit.coefficients, fit.cross))
     return Conditionals(*(np.array(column) for column in zip(*found, strict=True)))
 
 

@@ -27,7 +27,7 @@ from sunarc.calibration.fit.robust_rounds import LOOSE_DECENTERING_PX, LOOSE_RAD
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.residual_field import WaveBasis
 from sunarc.calibration.model.sightings import FilteredSightings, Kind
-from sunarc.calibration.noise import Course
+from sunarc.calibration.noise import NoiseGroups
 from sunarc.calibration.robust_loss import robust_sigma, surely_well_behaved
 from sunarc.calibration.solve.levenberg_marquardt import information as information_of
 from sunarc.calibration.solve.priors import DECENTERING, RADIAL, Whitened
@@ -36,6 +36,13 @@ from sunarc.calibration.start.multistart import SMALLEST_SIGMA_PX, best_of_start
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import by_direction, project_with_rows_fast
 from sunarc.optics.projections import ideal_radius
+
+# Errors that all sightings of a night share: unknowns of the fit with a Gaussian prior, linear in px.
+#
+# A Gaussian fitted to a star is displaced along the radius where the lens has coma, and lateral colour displaces the
+# star as a whole; the sun's disc, much wider than both, is not: so the offset is zero for the sun and the moon. And the
+# cold of the night bends what the camera stands on. The camera that is sought is that of the day: in its pose the sun
+# is predicted.
 
 POSE_DIFFERENCE_DEG = 0.02
 """1-sigma about each axis of how far the camera of the night is turned against that of the day. A bracket of 10 cm and
@@ -155,12 +162,12 @@ def fit_robustly(
     options : floor of the field, and tolerances of the lens.
     """
     grid = grid_of(problem.template, options)
-    course = Course.of(usable)
-    plain = _without_field(problem, observed, start, course.bins)
+    groups = NoiseGroups.of(usable)
+    plain = _without_field(problem, observed, start, groups.bins)
     observed = with_systematic_errors(observed, usable, problem, plain)
-    found = robust_camera(problem, observed, plain, course=course, grid=grid)
+    found = robust_camera(problem, observed, plain, groups=groups, grid=grid)
     problem, unknowns, grid, state = found.problem, found.unknowns, found.grid, found.state
-    system = found.system(observed, course.bins)
+    system = found.system(observed, groups.bins)
     normal = system.normal()
     mean = found.field_mean(normal)
     posterior = stated_posterior(problem, system, unknowns, grid=grid, scales=state.scales, mean=mean)

@@ -30,7 +30,7 @@ from sunarc.calibration.fit.marginal_likelihood import (
 )
 from sunarc.calibration.fit.normal_equations import LinearSystem, irls_converged, linear_system, system_about
 from sunarc.calibration.fit.posterior import prediction_variance
-from sunarc.calibration.noise import Course, Noise, inflation, measured_noise
+from sunarc.calibration.noise import Noise, NoiseGroups, inflation, measured_noise
 from sunarc.calibration.robust_loss import CUT, robust_sigma, surely_well_behaved, tukey_loss, tukey_weights
 from sunarc.calibration.solve.levenberg_marquardt import most_probable
 from sunarc.calibration.solve.problem import Bins, FitProblem, Observations
@@ -42,6 +42,16 @@ from sunarc.calibration.start.multistart import (
     staged_least_squares,
     undistorted,
 )
+
+# Least squares as the reference that a robust fit must reach: its priors and its field may not cost it the data.
+#
+# The most probable camera meets the sightings a little worse than the best one does: priors and correlated noise hold
+# it back where the sightings say next to nothing, and that is what keeps the error over the sky small. The little is
+# bounded here. A fit that meets the sightings clearly worse than plain least squares (the paper's method without its
+# penalties) is brought towards the robust fit with loose priors, by as little as is needed.
+#
+# Clearly worse is more than chance: the parameters that the priors hold are free in least squares, and follow the
+# noise. What they gain by that grows with the noise's correlation, since neighbours that err alike are followed alike.
 
 _SCALES = (0.7, 1.0, 1.4)
 """The cost is compared at these multiples of the noise: a fit must not win by the choice of its scale."""
@@ -122,12 +132,12 @@ def finest_weight(observed: Observations) -> float:
 def at_least_least_squares(
     problem: FitProblem,
     observed: Observations,
-    course: Course,
+    groups: NoiseGroups,
     unknowns: FloatArray,
     *,
     sigma: float,
     field_px: float = 0.0,
-    in_its_valley: bool = False,
+    near_minimum: bool = False,
 ) -> FloatArray:
     """Return the unknowns, or the nearest ones on the way to the loose robust fit that reach least squares.
 
@@ -135,15 +145,15 @@ def at_least_least_squares(
     ----------
     problem : the camera sought.
     observed : all sightings.
-    course : of the sightings: plain least squares looks at the means of its bins.
+    groups : of the sightings: plain least squares looks at the means of its bins.
     unknowns : (p,) the most probable ones.
     sigma : px, scale of the robust loss.
     field_px : 1-sigma of what no lens explains, px, see `allowed_level`.
-    in_its_valley : whether least squares from the unknowns alone is enough.
+    near_minimum : whether least squares from the unknowns alone is enough.
     """
-    means = course.bins.observations(observed, problem, unknowns, information=observed.information)
+    means = groups.bins.observations(observed, problem, unknowns, information=observed.information)
     plain = [least_squares(problem, means, unknowns, tolerance=_GAIN)]
-    if not in_its_valley:
+    if not near_minimum:
         plain += [
             least_squares(problem, means, undistorted(unknowns), tolerance=_GAIN),
             staged_least_squares(problem, means, unknowns, tolerance=_GAIN),
@@ -151,7 +161,7 @@ def at_least_least_squares(
     met = [distance_sigmas(problem, observed, at) for at in plain]
     best = int(np.argmin([_costs(distance, np.array([sigma]))[0] for distance in met]))
     residuals = problem.residuals(plain[best], observed)
-    chance = _share_by_chance(residuals, tukey_weights(met[best], sigma=sigma), course)
+    chance = _share_by_chance(residuals, tukey_weights(met[best], sigma=sigma), groups)
     level = allowed_level(
         met[best],
         sigma=sigma,
@@ -163,7 +173,7 @@ def at_least_least_squares(
     if level.reached_by(distance_sigmas(problem, observed, unknowns)):
         return unknowns
     precision = loosened(problem)
-    # the loose robust fit may end in another valley: each start is tried until one reaches the level
+    # the loose robust fit may end in another local minimum: each start is tried until one reaches the level
     for begin in (unknowns, *plain):
         end = most_probable(problem, observed, begin, precision=precision, sigma=sigma, iterations=30).unknowns
         if level.reached_by(distance_sigmas(problem, observed, end)):
@@ -171,17 +181,17 @@ def at_least_least_squares(
     return _nearest(problem, observed, unknowns, plain[best], level)
 
 
-def _share_by_chance(residuals: FloatArray, weight: FloatArray, course: Course) -> float:
+def _share_by_chance(residuals: FloatArray, weight: FloatArray, groups: NoiseGroups) -> float:
     """Return the share of its cost by which least squares is lower through following the noise, at most.
 
     Parameters
     ----------
     residuals : (n, 2) px, that it leaves over: those of a fit that misses the sightings would excuse that fit.
     weight : (n,) of the sightings.
-    course : of the sightings.
+    groups : of the sightings.
     """
     counted = weight > 0.0
-    inflated = np.where(course.alone, 1.0, inflation(residuals, weight, course.follows, course.run))[counted]
+    inflated = np.where(groups.alone, 1.0, inflation(residuals, weight, groups.follows, groups.run))[counted]
     # the cost of each sighting is 1 in the mean: two axes of half a square
     return _CHANCE * float(np.mean(inflated)) / inflated.size if inflated.size else 0.0
 
@@ -275,9 +285,9 @@ def robust_camera(
     observed: Observations,
     plain: FloatArray,
     *,
-    course: Course,
+    groups: NoiseGroups,
     grid: HyperparameterGrid,
-    in_its_valley: bool = False,
+    near_minimum: bool = False,
 ) -> RobustCamera:
     """Return the fit beside a field from the robust fit without one.
 
@@ -286,21 +296,21 @@ def robust_camera(
     problem : the camera sought, in the air as it is assumed.
     observed : sightings, in the order of time within each epoch.
     plain : (p,) unknowns of the fit without a field.
-    course : of the sightings.
+    groups : of the sightings.
     grid : scales to try.
-    in_its_valley : whether the fit without a field is known to be in the right one: least squares is then sought from
-        there alone.
+    near_minimum : whether the fit without a field is known to be at the right minimum: least squares then
+        begins there alone.
     """
     problem = replace(problem, n_systematic=observed.systematic_px.shape[2], n_air=observed.refraction_sd.shape[1])
     plain = np.concatenate([plain, np.zeros(problem.n_unit)])
-    state, noise, grid, last_round = _with_field(problem, observed, plain, grid, course)
+    state, noise, grid, last_round = _with_field(problem, observed, plain, grid, groups)
     information = noise.information(observed)
     if problem.n_systematic == 0:
         # stars on all sides of the sky show the refraction, and beside them the mean over the air is the better camera
-        state = _in_assumed_air(problem, observed.weighted(information), course.bins, last_round, state, grid)
+        state = _in_assumed_air(problem, observed.weighted(information), groups.bins, last_round, state, grid)
     weighed = observed.weighted(observed.information * (noise.sigma_px / noise.scale) ** 2)
     unknowns = _as_good_as_least_squares(
-        problem, weighed, course, state, sigma=noise.sigma_px, in_its_valley=in_its_valley
+        problem, weighed, groups, state, sigma=noise.sigma_px, near_minimum=near_minimum
     )
     return RobustCamera(
         problem=problem,
@@ -314,18 +324,18 @@ def robust_camera(
 
 
 def _with_field(
-    problem: FitProblem, observed: Observations, plain: FloatArray, grid: HyperparameterGrid, course: Course
+    problem: FitProblem, observed: Observations, plain: FloatArray, grid: HyperparameterGrid, groups: NoiseGroups
 ) -> tuple[RoundState, Noise, HyperparameterGrid, LinearSystem]:
     """Return the rounds' answer, the grid of scales that it took, and the last round's equations.
 
-    A field is there to widen the uncertainty, and does not enter the prediction. One that lets the camera itself miss
-    the sightings has taken over what the lens's parameters explain: it is bounded more tightly, and the rounds begin
-    again.
+    The mean of a field that is more probable than none is part of the prediction (decision 0037). One that lets the
+    camera itself miss the sightings has taken over what the lens's parameters explain: it is bounded more tightly, and
+    the rounds begin again.
     """
     distance = distance_sigmas(problem, observed, plain)
     share = surely_well_behaved(len(observed), problem.size - problem.n_unit)
     sigma, weight = robust_sigma(distance, share=share, floor=SMALLEST_SIGMA_PX), finest_weight(observed)
-    state, noise, system = _rounds(problem, observed, plain, grid, course)
+    state, noise, system = _rounds(problem, observed, plain, grid, groups)
     for _ in range(_FIELD_BOUNDS):
         level = allowed_level(
             distance, sigma=sigma, field_px=state.proven_field_px, weight=weight, cost_ratio=_FIELD_MAY_COST
@@ -333,19 +343,19 @@ def _with_field(
         if level.reached_by(distance_sigmas(problem, observed, state.unknowns)):
             break
         grid = grid.up_to(_FIELD_SHRINKS * state.scales.amplitude_px)
-        state, noise, system = _rounds(problem, observed, plain, grid, course)
+        state, noise, system = _rounds(problem, observed, plain, grid, groups)
     return state, noise, grid, system
 
 
 def _rounds(
-    problem: FitProblem, observed: Observations, unknowns: FloatArray, grid: HyperparameterGrid, course: Course
+    problem: FitProblem, observed: Observations, unknowns: FloatArray, grid: HyperparameterGrid, groups: NoiseGroups
 ) -> tuple[RoundState, Noise, LinearSystem]:
     first = Scales(_FIRST_FIELD_PX, float(grid.lengths[0]), LOOSE_RADIAL_PX, LOOSE_DECENTERING_PX)
     state = RoundState(unknowns=unknowns, residuals=problem.residuals(unknowns, observed), scales=first)
-    noise, system = _round(problem, observed, state, grid, course)
+    noise, system = _round(problem, observed, state, grid, groups)
     state = _judged(problem, observed, system, state)
     for _ in range(1, _ROUNDS):
-        noise, system = _round(problem, observed, state, grid, course)
+        noise, system = _round(problem, observed, state, grid, groups)
         state = _improved(problem, observed, system, grid)
         if state.gain <= 0.0:
             break  # where a round does not move the camera, a further one changes nothing
@@ -353,18 +363,24 @@ def _rounds(
 
 
 def _round(
-    problem: FitProblem, observed: Observations, state: RoundState, grid: HyperparameterGrid, course: Course
+    problem: FitProblem, observed: Observations, state: RoundState, grid: HyperparameterGrid, groups: NoiseGroups
 ) -> tuple[Noise, LinearSystem]:
     """Return the noise as a state shows it, and the equations with the sightings weighed by it."""
-    noise = measured_noise(state.residuals, observed, course, leverage=state.leverage)
+    noise = measured_noise(state.residuals, observed, groups, leverage=state.leverage)
     information = noise.information(observed)
     return noise, linear_system(
-        problem, observed, course.bins, state.unknowns, information=information, basis=grid.basis
+        problem, observed, groups.bins, state.unknowns, information=information, basis=grid.basis
     )
 
 
 def _as_good_as_least_squares(
-    problem: FitProblem, observed: Observations, course: Course, state: RoundState, *, sigma: float, in_its_valley: bool
+    problem: FitProblem,
+    observed: Observations,
+    groups: NoiseGroups,
+    state: RoundState,
+    *,
+    sigma: float,
+    near_minimum: bool,
 ) -> FloatArray:
     """Return the unknowns, those of the camera brought to what least squares reaches in the same air.
 
@@ -379,11 +395,11 @@ def _as_good_as_least_squares(
     camera = at_least_least_squares(
         assumed,
         corrected,
-        course,
+        groups,
         unknowns[: assumed.size],
         sigma=sigma,
         field_px=state.proven_field_px,
-        in_its_valley=in_its_valley,
+        near_minimum=near_minimum,
     )
     return np.concatenate([camera, unknowns[assumed.size :]])
 
@@ -401,20 +417,20 @@ def _improved(
     """Return the state after a solve with the scales that the data speak for."""
     log_weight = log_weights(system.normal(), grid)
     scales = likely_scales(normalised(log_weight), grid)
-    rest = irls_converged(problem, system, scales)
+    found = irls_converged(problem, system, scales)
     leverage = None
     few = len(observed) < _FEW_PER_UNKNOWN * (problem.size - problem.n_unit)
     if problem.n_systematic or few:
-        there = system.moved(problem, rest.unknowns)
+        there = system.moved(problem, found.unknowns)
         which = few | np.any(there.observed.systematic_px != 0.0, axis=(1, 2))
-        leverage = leverage_of(there, there.normal(), rest.fit, scales, which=which)
-    unknowns, smooth = rest.unknowns, (system.basis_values @ rest.fit.coefficients.T)[system.member]
+        leverage = leverage_of(there, there.normal(), found.fit, scales, which=which)
+    unknowns, smooth = found.unknowns, (system.basis_values @ found.fit.coefficients.T)[system.member]
     return RoundState(
         unknowns=unknowns,
         residuals=problem.residuals(unknowns, observed) - smooth,
         scales=scales,
         field_odds=log_odds_of_a_field(log_weight),
-        gain=rest.gain,
+        gain=found.gain,
         leverage=leverage,
     )
 

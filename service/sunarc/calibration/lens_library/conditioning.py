@@ -31,7 +31,7 @@ from sunarc.calibration.lens_library.lens_type import (
 from sunarc.calibration.model.backward import fit_backward
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration, Verdict, fit_metrics, residual_angles
-from sunarc.calibration.model.sightings import FilteredSightings, SunPoints, filter_sightings
+from sunarc.calibration.model.sightings import FilteredSightings, Sightings, filter_sightings
 from sunarc.calibration.quality.fit_checks import Handedness, fit_verdict
 from sunarc.calibration.robust_loss import finite
 from sunarc.calibration.solve.levenberg_marquardt import most_probable
@@ -41,6 +41,11 @@ from sunarc.findings import Finding
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project_fast
 from sunarc.optics.pose import pose_angles
+
+# How far a posterior went from its prior: the test whether sightings contradict what was stated before them.
+#
+# The whole lens is tested, and each of its parts by itself: with a dozen quantities determined, one of them five sigmas
+# off does not show in the sum of their squares.
 
 _FALSE_ALARMS = 0.001
 """Share of right priors that each test refuses; the five of a lens together 0.5 % at most (Bonferroni)."""
@@ -129,7 +134,7 @@ class Conditioned(NamedTuple):
     departure: Departure
 
 
-def with_lens(solved: Calibration, lens: LensType, *, points: SunPoints, options: CalibrationOptions) -> Calibration:
+def with_lens(solved: Calibration, lens: LensType, *, points: Sightings, options: CalibrationOptions) -> Calibration:
     """Return a fit of sightings with what is known of its type of lens.
 
     Refused where the sightings contradict the type; unchanged, with a finding, where the type makes an accepted fit

@@ -41,7 +41,7 @@ from sunarc.calibration.lens_library.lens_type import IN_FREE, PARTS, LensType
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Mirrored
 from sunarc.calibration.model.residual_field import Field, wave_basis
 from sunarc.calibration.model.result import Calibration, Verdict
-from sunarc.calibration.model.sightings import FilteredSightings, SunPoints, filter_sightings
+from sunarc.calibration.model.sightings import FilteredSightings, Sightings, filter_sightings
 from sunarc.calibration.pose import (
     PixelResiduals,
     PoseFit,
@@ -49,8 +49,8 @@ from sunarc.calibration.pose import (
     conditioned_pose,
     false_density,
     fit_inlier_mixture,
-    handed_over,
     noise_px,
+    outcome_of,
     settled,
     thinned,
 )
@@ -65,6 +65,8 @@ from sunarc.optics.inverse import unproject
 from sunarc.optics.pose import rotation_matrix, rotation_vector
 from sunarc.sky.directions import wrapped_deg
 from sunarc.sky.site import Site
+
+# How a camera stands: level, towards which azimuth, and how sure one is of that.
 
 
 def level(camera: Camera, azimuth_rad: float) -> Camera:
@@ -160,7 +162,7 @@ class _FoundPose(NamedTuple):
 
 
 def calibrate_with_lens(
-    points: SunPoints,
+    points: Sightings,
     *,
     lens: LensType,
     site: Site,
@@ -196,12 +198,12 @@ def _usual_pose(options: CalibrationOptions) -> FirstPoseOptions:
 
 def options_for(lens: LensType, options: CalibrationOptions) -> CalibrationOptions:
     """Return the options of a robust fit of a lens of this type."""
-    hand: Mirrored = "yes" if lens.camera.mirrored else "no"
-    return replace(options, method="robust", projection=lens.camera.projection, mirrored=hand)
+    mirrored: Mirrored = "yes" if lens.camera.mirrored else "no"
+    return replace(options, method="robust", projection=lens.camera.projection, mirrored=mirrored)
 
 
 def first_pose(
-    points: SunPoints, *, lens: LensType, site: Site, options: CalibrationOptions, pose: FirstPoseOptions | None = None
+    points: Sightings, *, lens: LensType, site: Site, options: CalibrationOptions, pose: FirstPoseOptions | None = None
 ) -> Calibration:
     """Return the most probable camera of a type of lens given its first sightings, from four on.
 
@@ -233,9 +235,9 @@ def first_pose(
         return refused(job, (Finding("too_few_sightings", {"n": len(usable), "least": FEWEST_SIGHTINGS}),))
     start = _stated(lens, job)
     sigma_px = noise_px(start, points.sigma_px[usable.index])
-    both = start, _other_hand(start)
+    both = start, _mirrored(start)
     sightings = _observed(usable, sigma_px, lens.camera)
-    # the same sightings for both hands, or their evidences could not be compared
+    # the same sightings for both handednesses, or their evidences could not be compared
     close = max((_agreeing(at_every_angle(one.camera), thinned(sightings)) for one in both), key=np.sum)
     if np.sum(close) < FEWEST_SIGHTINGS:
         close = np.ones(close.size, dtype=bool)
@@ -243,7 +245,7 @@ def first_pose(
         found, other = (_most_probable(one, sightings, close, math.radians(known.tilt_deg)) for one in both)
     except np.linalg.LinAlgError:  # no pose is near the sightings: the equations mean nothing
         return refused(job, (Finding("no_camera_fits"),))
-    fitted = handed_over(found.fit, start, usable, wander_rad=0.0)
+    fitted = outcome_of(found.fit, start, usable, wander_rad=0.0)
     result = calibration_from_fit(fitted, job, Handedness(mirrored=lens.camera.mirrored, ambiguous=False))
     evidence = replace(result.evidence, options={**result.evidence.options, "lens_prior": lens.as_evidence()})
     result = replace(result, evidence=evidence)
@@ -268,7 +270,7 @@ def _stated(lens: LensType, job: Job) -> Calibration:
 
 
 def _field(lens: LensType) -> Field:
-    """Return the field of a type: its scales, and nothing known of its course."""
+    """Return the field of a type: its scales, and nothing known of its groups."""
     if lens.field_px <= 0.0 or lens.field_length_px <= 0.0:
         return no_field(lens.camera, size=FREE.size)
     length = lens.field_length_px
@@ -277,7 +279,7 @@ def _field(lens: LensType) -> Field:
     return Field(amplitude_px=lens.field_px, length_px=length, basis=basis, cross=cross)
 
 
-def _other_hand(start: Calibration) -> Calibration:
+def _mirrored(start: Calibration) -> Calibration:
     return replace(start, camera=replace(start.camera, mirrored=not start.camera.mirrored))
 
 
@@ -356,10 +358,10 @@ def _judged(
 
 def _against(found: _FoundPose, other: _FoundPose, known: FirstPoseOptions, north: dict[str, float]) -> list[Finding]:
     """Return what speaks against serving a pose."""
-    hand = found.log_evidence - other.log_evidence
-    if hand < -_DECIDED:
-        return [Finding("first_pose_mirrored", {"log10_odds": -hand / math.log(10.0)})]
-    if hand < _DECIDED:
+    odds = found.log_evidence - other.log_evidence
+    if odds < -_DECIDED:
+        return [Finding("first_pose_mirrored", {"log10_odds": -odds / math.log(10.0)})]
+    if odds < _DECIDED:
         return [Finding("mirroring_ambiguous")]
     if found.log_odds < _DECIDED:
         return [Finding("north_ambiguous", {"log10_odds": found.log_odds / math.log(10.0)})]

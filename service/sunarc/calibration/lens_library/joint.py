@@ -33,10 +33,17 @@ from sunarc.calibration.lens_library.lens_type import (
 )
 from sunarc.calibration.model.options import CalibrationOptions, LensTolerances
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.priors import N_LENS
 from sunarc.errors import InputError
 from sunarc.sky.site import Site
+
+# Several cameras of one type of lens: the mean of the type, and the spread between its units.
+#
+# The model has two levels: the lenses β_i of the units are normal about the mean μ of the type with the spread's
+# covariance S, and the sightings of each unit say D_i, d_i of its lens (`Information`). All is Gaussian, so that μ, and
+# what the type says of a further unit, follow in closed form. The spread's four scales are averaged over their
+# posterior where there are enough units; their prior is the stated spread, to a factor.
 
 ENOUGH_UNITS = 3
 """Units from which on the spread between them is estimated."""
@@ -209,7 +216,7 @@ class Entry:
 
     camera: str
     epoch: str
-    points: SunPoints
+    points: Sightings
     site: Site
     image_size: tuple[int, int]
     options: CalibrationOptions
@@ -295,7 +302,7 @@ def _of_epoch(entries: Sequence[Entry], latest: Entry, fit: Callable[..., Calibr
     return fit(_stacked(entries, latest), site=latest.site, image_size=latest.image_size, options=latest.options)
 
 
-def _stacked(entries: Sequence[Entry], latest: Entry) -> SunPoints:
+def _stacked(entries: Sequence[Entry], latest: Entry) -> Sightings:
     """Return the sightings of all epochs of a camera, one of them numbered last: a fit is of the last one's pose."""
     ordered = [*(entry for entry in entries if entry is not latest), latest]
     parts = [replace(entry.points, epoch=np.full(len(entry.points), k)) for k, entry in enumerate(ordered)]

@@ -29,6 +29,11 @@ from sunarc.calibration.solve.priors import (
 from sunarc.errors import InputError
 from sunarc.optics.camera import PARAMETER_NAMES, Camera
 
+# Coordinates of a lens in which what differs between units, and what sightings say, is of the order of 1.
+#
+# They are those of the fit's priors (`solve.priors`): px of focal length, principal point, residual radial
+# distortion and decentering near the horizon, and the usual tolerances of aspect, skew, p3 and p4.
+
 LENS_NAMES = tuple(PARAMETER_NAMES[i] for i in LENS)
 """Names of a lens's 17 parameters, in order."""
 IN_FREE = np.isin(FREE, LENS)

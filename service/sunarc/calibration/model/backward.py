@@ -23,7 +23,7 @@ _FIRST_DAMPING, _LARGEST_DAMPING = 1e-12, 1e8
 """Shares of the squared columns: the first one is what rounding leaves, since the start is close."""
 _STEPS = 50
 _GAIN = 1e-6
-"""Relative gain of the squares below which it rests: with q1 and q2 next to nothing, q3 to q5 are not determined."""
+"""Relative gain of the squares at convergence: with q1 and q2 next to nothing, q3 to q5 are not determined."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,9 +94,9 @@ def _least_squares(
             damping *= 0.1 if gain >= 0.0 else 10.0
         if gain < 0.0:
             break
-        rest = gain <= _GAIN * float(left @ left)
+        converged = gain <= _GAIN * float(left @ left)
         at, left = trial, left_there
-        if rest:
+        if converged:
             break
     return at
 

@@ -114,7 +114,7 @@ def to_document(
     pose_epoch: str,
     software_version: str,
 ) -> Document:
-    """Return the document of a calibration (DESIGN, section 6): plain values, ready for JSON.
+    """Return the document of a calibration (docs/formats.md): plain values, ready for JSON.
 
     Parameters
     ----------

@@ -18,6 +18,8 @@ from sunarc.array_types import FloatArray, IntArray
 from sunarc.jit import njit
 from sunarc.optics.displacement import Displacement
 
+# The sine waves of a field at many pixels, as a compiled loop without the interpreter's lock.
+
 
 @njit(nogil=True)
 def waves_at(

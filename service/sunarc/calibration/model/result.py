@@ -20,6 +20,8 @@ from sunarc.optics.pose import PoseAngles
 from sunarc.sky.directions import angular_distance
 from sunarc.sky.site import Site
 
+# How well a fit meets the sightings (Eq. 27), and both readings of SD.
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Metrics:
@@ -209,7 +211,7 @@ class Calibration:
     poses : rotation vectors of all pose epochs, radians.
     parameter_names : what the covariance speaks of, in its order (see `PARAMETER_NAMES`).
     covariance : (p, p), clock and site errors folded into the pose.
-    field : what no lens model says; it widens the uncertainty and does not enter the prediction.
+    field : what no lens model says: its mean is in `camera.displacement`, what is not known of it in the uncertainty.
     sky_rms_deg, sky_max_deg : 1-sigma per axis over the upper hemisphere that the camera sees.
     pose : the Table 2 angles.
     used : (n,) which of the sightings supplied counted; None where they are not at hand (a calibration that was read).

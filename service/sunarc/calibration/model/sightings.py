@@ -20,6 +20,8 @@ from sunarc.sky.refraction import ASSUMED_AIR_SD, DAILY_AIR_SD, MEASURED_AIR_SD,
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles, sun_directions
 
+# What sightings are of, as far as their noise and their systematic errors differ.
+
 MOON = "moon"
 _NIGHT_ZENITH_DEG = 96.0
 """Of the sun: civil dusk, when the ground has been without the sun's heat for half an hour."""
@@ -173,7 +175,7 @@ def _first_epoch() -> IntArray:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SunPoints:
+class Sightings:
     """Sightings of the sun; scalars are broadcast, columns are read-only copies.
 
     Attributes
@@ -228,7 +230,7 @@ class SunPoints:
     def __len__(self) -> int:
         return int(self.unix_s.size)
 
-    def select(self, which: Rows) -> SunPoints:
+    def select(self, which: Rows) -> Sightings:
         """Return the sightings that a slice, an index or a mask picks."""
         return picked(self, which)
 
@@ -260,7 +262,7 @@ def _unit_vectors(name: str, values: ArrayLike, length: int) -> FloatArray:
     return given
 
 
-def apparent_directions(points: SunPoints, *, site: Site) -> FloatArray:
+def apparent_directions(points: Sightings, *, site: Site) -> FloatArray:
     """Return (n, 3): the directions of sightings, those of the sun by its path; NaN where a time is no time."""
     directions = points.directions.copy()
     # times beyond the year 5138 are milliseconds or worse, and the sun's algorithm would fail on them
@@ -327,7 +329,7 @@ class FilteredSightings:
         return replace(self, **columns)
 
 
-def filter_sightings(points: SunPoints, *, site: Site, image_size: tuple[int, int] | None = None) -> FilteredSightings:
+def filter_sightings(points: Sightings, *, site: Site, image_size: tuple[int, int] | None = None) -> FilteredSightings:
     """Return what a fit can use: finite, in the image, above the horizon, one sighting a moment, moving with the sun.
 
     Parameters

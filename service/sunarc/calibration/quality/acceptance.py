@@ -18,12 +18,17 @@ from sunarc.calibration.answers.covariance import (
     sky_sigma_deg,
 )
 from sunarc.calibration.model.result import Calibration, Verdict
-from sunarc.calibration.model.sightings import SunPoints, apparent_directions
+from sunarc.calibration.model.sightings import Sightings, apparent_directions
 from sunarc.findings import Finding
 from sunarc.optics.camera import POSE
 from sunarc.optics.forward import project
 from sunarc.robust_statistics import MAD_TO_SIGMA
 from sunarc.sky.days import day_of_date, solar_days
+
+# How much a camera turns to and fro from day to day, and what that does to how sure one is of it.
+#
+# Heat bends masts and time lets them lean: the pose of a single day is not the mean one that a fit gives. What the
+# days' poses scatter beyond their own errors is allowed for in every direction.
 
 _FEWEST = 5
 """Days that tell a spread."""
@@ -104,7 +109,7 @@ def accept(
     current: Calibration | None = None,
     *,
     same_pose: bool = True,
-    unseen: SunPoints | None = None,
+    unseen: Sightings | None = None,
 ) -> Verdict:
     """Return whether a candidate may become the current calibration.
 
@@ -137,7 +142,7 @@ def accept(
     return Verdict(accepted=True, findings=found)
 
 
-def unseen_points(points: SunPoints, current: Calibration) -> SunPoints:
+def unseen_points(points: Sightings, current: Calibration) -> Sightings:
     """Return the sightings of the latest pose epoch, of days that a calibration does not rest on."""
     known_days = [day_of_date(date.fromisoformat(day)) for day in current.evidence.days]
     day = solar_days(points.unix_s, longitude=current.site.longitude)
@@ -157,7 +162,7 @@ def _held_out_problems(candidate: Calibration) -> _Found:
 
 
 def _compared(
-    candidate: Calibration, current: Calibration, *, same_pose: bool, unseen: SunPoints | None
+    candidate: Calibration, current: Calibration, *, same_pose: bool, unseen: Sightings | None
 ) -> list[_Found]:
     """Return the findings against the candidate in comparison with the current one."""
     if candidate.camera.mirrored != current.camera.mirrored:
@@ -213,7 +218,7 @@ def _change(candidate: Calibration, current: Calibration) -> _Found:
     return [], []
 
 
-def _met_better(candidate: Calibration, current: Calibration, unseen: SunPoints | None) -> bool:
+def _met_better(candidate: Calibration, current: Calibration, unseen: Sightings | None) -> bool:
     """Return whether the candidate meets sightings that the current one does not know far better than that does."""
     noise = candidate.evidence.sigma_px * math.sqrt(max(candidate.evidence.inflation, 1.0))
     if unseen is None or len(unseen) == 0 or not noise > 0.0:
@@ -222,7 +227,7 @@ def _met_better(candidate: Calibration, current: Calibration, unseen: SunPoints 
     return gain > _PROOF
 
 
-def _chi_square(calibration: Calibration, points: SunPoints, noise_px: float) -> float:
+def _chi_square(calibration: Calibration, points: Sightings, noise_px: float) -> float:
     """Return the sum of squares of sightings about a camera in units of the noise; none counts more than an outlier."""
     directions = apparent_directions(points, site=calibration.site)
     difference = points.pixels - project(calibration.camera, directions)

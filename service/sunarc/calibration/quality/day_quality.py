@@ -13,7 +13,7 @@ import numpy as np
 from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.calibration.answers.covariance import project_with_covariance
 from sunarc.calibration.model.result import Calibration, measures
-from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, FilteredSightings, Kind, SunPoints, filter_sightings
+from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, FilteredSightings, Kind, Sightings, filter_sightings
 from sunarc.calibration.robust_loss import robust_sigma, tukey_weights
 from sunarc.calibration.selection import solid_angle_sr
 from sunarc.findings import Finding
@@ -152,7 +152,7 @@ class DayVerdict:
 
 
 def measure_day(
-    points: SunPoints,
+    points: Sightings,
     *,
     site: Site,
     n_possible: int | None = None,
@@ -275,7 +275,7 @@ def days_left_out(verdicts: Mapping[date, DayKind]) -> tuple[int, ...]:
     return tuple(sorted(day_of_date(day) for day, kind in verdicts.items() if kind not in kinds))
 
 
-def _possible(points: SunPoints, site: Site, cadence_s: float) -> int:
+def _possible(points: Sightings, site: Site, cadence_s: float) -> int:
     finite = points.unix_s[np.isfinite(points.unix_s)]
     if finite.size == 0:
         return 0
@@ -285,7 +285,7 @@ def _possible(points: SunPoints, site: Site, cadence_s: float) -> int:
     return int(np.sum(sun_angles(frames, site).apparent_zenith < _HORIZON_DEG))
 
 
-def _sampling(points: SunPoints, observed_unix_s: FloatArray | None, n_possible: int, cadence_s: float) -> DaySampling:
+def _sampling(points: Sightings, observed_unix_s: FloatArray | None, n_possible: int, cadence_s: float) -> DaySampling:
     """Return which slots were observed: those of every sun exposure, and of every sighting."""
     if observed_unix_s is None:
         return fully_observed(n_possible)
@@ -317,6 +317,8 @@ def arc_length_deg(directions: FloatArray) -> float:
     step = angular_distance(directions[1:], directions[:-1])
     return math.degrees(float(np.sum(np.minimum(step, _LARGEST_GAP))))
 
+
+# Whether a fit explains the days of its sightings: one of two lenses meets half of them, and states a small error.
 
 _FEWEST_TO_JUDGE = 20
 """Sightings of a day that show whether it was clear (see `day_quality`); fewer are taken to be of a clear one."""
@@ -426,7 +428,7 @@ def _left_out(counted: BoolArray, used: BoolArray) -> tuple[float, int]:
 def _half_days(
     calibration: Calibration, usable: FilteredSightings, rows: IntArray, residual: FloatArray, rough: FloatArray
 ) -> Iterator[_HalfDay]:
-    """Yield the halves of a day, `rough` being the residuals (n, 2) about their own smooth course."""
+    """Yield the halves of a day, `rough` being the residuals (n, 2) about their own smooth groups."""
     afternoon = np.sin(hour_angle(usable.unix_s[rows], calibration.site)) > 0.0
     for half in (~afternoon, afternoon):
         n = int(half.sum())

@@ -48,7 +48,7 @@ _MOST_EXCESS_BESIDE_STARS = 1.0
 
 
 class Handedness(NamedTuple):
-    """What trying both hands said; `other_px` is NaN where only one was tried."""
+    """Whether the camera is mirrored, and whether the other handedness fits as well."""
 
     mirrored: bool
     ambiguous: bool

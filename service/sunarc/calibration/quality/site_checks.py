@@ -110,6 +110,13 @@ def _mounted(axis: FloatArray) -> FloatArray:
     return np.asarray((1.0 - _TILTED_ON_PURPOSE) * levelled + _TILTED_ON_PURPOSE * on_purpose)
 
 
+# Whether the first sightings of the sun go as the sun does over the stated site, before anything else is known.
+#
+# The speed on the sensor gives the scale of any lens, since the sun turns by 15 degrees of hour angle an hour wherever
+# the camera stands. With it the way of the sun relative to the image's centre, outwards or inwards and round it, is
+# that of a camera that is about level. A longitude of the wrong sign takes the evening for a morning; a latitude of the
+# wrong sign has the sun go round the other way.
+
 FEWEST_IN_MOTION = 4
 _SHORTEST_S = 60.0
 _LEAST_WAY = 8.0
@@ -221,5 +228,5 @@ def _seen_angles(outwards: FloatArray, velocity: FloatArray, mirrored: Mirrored)
     """Return the motion's angle from outwards to counter-clockwise (that of a growing azimuth), for each handedness."""
     along = float(velocity @ outwards)
     across = float(velocity @ np.array([outwards[1], -outwards[0]]))
-    hands = {"no": (1.0,), "yes": (-1.0,), "auto": (1.0, -1.0)}[mirrored]
-    return [math.degrees(math.atan2(hand * across, along)) for hand in hands]
+    signs = {"no": (1.0,), "yes": (-1.0,), "auto": (1.0, -1.0)}[mirrored]
+    return [math.degrees(math.atan2(sign * across, along)) for sign in signs]

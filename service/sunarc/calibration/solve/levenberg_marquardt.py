@@ -57,7 +57,7 @@ class Seen(NamedTuple):
 
 
 class Goal(NamedTuple):
-    """What is minimised: prior precisions (p,), the loss's sigma in px (0: plain squares), and when to rest."""
+    """What is minimised: prior precisions (p,), the loss's sigma in px (0: plain squares), and when to stop."""
 
     precision: FloatArray
     sigma: float
@@ -69,7 +69,7 @@ class Goal(NamedTuple):
 def minimised(
     lens: KernelLens, seen: Seen, goal: Goal, start: FloatArray, moving: IntArray
 ) -> tuple[FloatArray, float]:
-    """Return the unknowns (p,) and the cost where the steps come to rest; see `most_probable`.
+    """Return the unknowns (p,) and the cost where the steps converge; see `most_probable`.
 
     `moving` (f,) are the places of the unknowns that may change.
     """
@@ -256,8 +256,11 @@ def damped_step_of(  # noqa: PLR0917 - compiled functions take positions
         step[i] *= scale[i]
 
 
+# The most probable camera: Levenberg-Marquardt on a robust cost with Gaussian priors.
+
+
 class Solution(NamedTuple):
-    """Where a fit came to rest: the unknowns (p,), and half the weighted squares (or the loss) and half the prior's."""
+    """Where a fit converged: the unknowns (p,), and half the weighted squares (or the loss) and half the prior's."""
 
     unknowns: FloatArray
     cost: float
@@ -285,7 +288,7 @@ def most_probable(
     sigma : px, scale of the redescending loss; None takes plain squares.
     free : which unknowns may move; all by default.
     iterations : most steps.
-    tolerance : relative gain of the cost below which it rests.
+    tolerance : relative gain of the cost below which it has converged.
     """
     moving = np.arange(problem.size) if free is None else np.flatnonzero(free)
     goal = Goal(precision, 0.0 if sigma is None else sigma, iterations, tolerance)

@@ -251,6 +251,8 @@ def problem_for(template: Camera, prior: LensPrior, *, n_epochs: int, max_angle:
     return FitProblem(template=template, prior=prior, n_epochs=n_epochs, max_angle=max(max_angle, _RIGHT_ANGLE))
 
 
+# Neighbouring sightings taken together: the solve sees their mean residual, at their mean direction.
+
 _MOST = 16
 _SECONDS = 360.0
 """A bin spans at most 6 minutes, in which the sun moves 1.5 degrees."""

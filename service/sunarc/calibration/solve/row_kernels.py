@@ -131,6 +131,8 @@ def reach_of(basis: FloatArray) -> IntArray:
 _SIZE = len(Param)
 _LENS = np.ascontiguousarray(LENS)
 _POSE = int(Param.ROTATION_X)
+# Sums over a block of sightings: weights, loss and the products of all columns, in vector registers.
+
 _PAIR = 2 * BLOCK
 
 

@@ -61,6 +61,9 @@ class NightDetections:
     sky: NightSky
 
 
+# What a blind start is given, and what it returns.
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BlindOptions:
     """What is known of the camera before.
@@ -222,9 +225,9 @@ class _Hypothesis(NamedTuple):
 def blind_start(
     images: Sequence[NightDetections], site: Site, *, image_size: tuple[int, int], options: BlindOptions | None = None
 ) -> BlindStart:
-    """Find a camera by one night's images alone: no start, no sun, either hand.
+    """Find a camera by one night's images alone: no start, no sun, mirrored or not.
 
-    What turns gives the lens, the pole and the hand; the bright catalogue at the stated times the angle about the
+    What turns gives the lens, the pole and the handedness; the bright catalogue at the stated times the angle about the
     pole. A camera counts where it names the stars of two images or more by the rules of `match_stars`, and no other
     camera does. North is right as the times are: a clock that is wrong turns the camera about the pole, a minute by a
     quarter of a degree, and no star tells it; only a tilt that a wrong zone would explain is refused.

@@ -163,6 +163,8 @@ def tilt(camera: Camera) -> float:
     return math.acos(max(-1.0, min(1.0, 1.0 - lean)))
 
 
+# From candidates to one camera an epoch that is surely near the right minimum.
+
 _TRIED = 10
 _THIN = 120
 _POLISHED = 3
@@ -282,6 +284,8 @@ def field_angle(camera: Camera, observed: Observations, options: CalibrationOpti
     return min(max(furthest, math.pi / 2), limit)
 
 
+# The circle that a fisheye draws on the sensor, found in a daytime frame by a Hough transform (section 4.1.1).
+
 _WORKING_SIZE = 480
 _RAYS = 360
 _ROUNDS = 8
@@ -362,6 +366,11 @@ def _circle_through(px: FloatArray, py: FloatArray) -> tuple[float, float, float
         weight = cauchy_weights(off, scale=max(float(np.median(off)), 0.1))
     return float(cx), float(cy), radius
 
+
+# The turn that most sightings agree on, when the camera may look anywhere and many sightings are false.
+#
+# Every sighting names the smallest turn that explains it, every pair of them a whole rotation; the one that most others
+# agree with closely is taken, a small one before a large one.
 
 _MAX_SIGHTINGS = 64
 _PAIRS = 400

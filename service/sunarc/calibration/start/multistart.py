@@ -1,7 +1,7 @@
 """Several starts of the robust fit, among them by RANSAC, compared on all sightings by one robust cost.
 
-A redescending loss has many local minima: which one a fit ends in depends on the first residuals. So several starts are
-each brought to rest, and the lowest cost decides. All costs are taken at one scale, that of the candidate which the
+A redescending loss has many local minima: which one a fit ends in depends on the first residuals. So several starts
+converge each by itself, and the lowest cost decides. All costs are taken at one scale, that of the candidate which the
 better half of the sightings fits best: with a scale of its own, a camera that follows a third of the arc closely and
 misses the rest would be rated above one that fits everything.
 """
@@ -20,6 +20,8 @@ from sunarc.calibration.solve.levenberg_marquardt import damped_step_of, most_pr
 from sunarc.calibration.solve.priors import DECENTERING, HIGHER, N_LENS, RADIAL, Whitened
 from sunarc.calibration.solve.problem import FitProblem, Observations
 from sunarc.jit import njit
+
+# The linear trials of `ransac_start` and their refinement as compiled loops, without the interpreter's lock.
 
 RIDGE = 1e-12
 """Share of the diagonal that is added to it: a camera far from the sightings has derivatives of any size, and rounding
@@ -115,7 +117,7 @@ SMALLEST_SIGMA_PX = 1e-4
 """px; exact (simulated) sightings must not make a scale of 0."""
 
 _FEW = 600
-"""Sightings, at least, that the starts are brought to rest on, of more: they only lead into a valley."""
+"""Sightings, at least, on which the starts converge, of more: they only lead to a local minimum."""
 _FEWER = 300
 """Sightings, at least, of more, that plain least squares begins with."""
 _THINNED = (1, 2, 3)
@@ -129,7 +131,7 @@ the decentering alone: a part of a day's arc hardly shows it, and the sky beside
 _NEAR = 1e-3
 """Share of the cost that a step of plain least squares must gain: its answers are where robust fits begin."""
 _SETTLED = 1e-5
-"""The same of a robust fit: with 1e-4 it stops in the slow valley of the decentering's coefficients."""
+"""The same of a robust fit: with 1e-4 it stops in the narrow flat minimum along the decentering's coefficients."""
 _CENTRAL_SHARE = 0.5
 _LOOSENED = 1e-4
 """Prior precisions of plain least squares: the paper's method has no prior."""
@@ -249,7 +251,7 @@ def _plain_starts(problem: FitProblem, few: Observations, start: FloatArray) -> 
 
 
 def _distinct(problem: FitProblem, observed: Observations, starts: list[FloatArray]) -> list[FloatArray]:
-    """Return the starts without those that image all sightings where an earlier one does: they end in one valley."""
+    """Return the starts without those that image all sightings where an earlier one does: both have one minimum."""
     root = np.sqrt(observed.information)[:, None]
     residuals = [problem.residuals(at, observed) * root for at in starts]
     sigma = min(robust_sigma(np.hypot(one[:, 0], one[:, 1]), floor=SMALLEST_SIGMA_PX) for one in residuals)
@@ -376,6 +378,11 @@ def _disagreement(problem: FitProblem, observed: Observations, at: FloatArray, c
     return float(np.sum(np.log1p((distance / close) ** 2)))
 
 
+# The local minima of the decentering: (p1, p2) × (1, p3, p4) is a product, and one sign of it hides the other.
+#
+# From p = 0 a fit cannot feel p3 and p4, and ends in the nearest minimum, which is often not the lowest.
+# So the higher coefficients are held at several places in turn, the rest is solved, and the best two are let go.
+
 _STARTS = tuple(itertools.product((-1.5, 1.5), (-2.0, 0.0, 2.0)))
 _LET_GO = 2
 
@@ -383,7 +390,7 @@ _LET_GO = 2
 def best_of_starts(
     problem: FitProblem, observed: Observations, start: FloatArray, *, precision: FloatArray
 ) -> FloatArray:
-    """Return the unknowns at the bottom of the deepest valley that was found.
+    """Return the unknowns of the lowest local minimum that was found.
 
     Parameters
     ----------

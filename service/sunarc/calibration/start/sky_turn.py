@@ -1,8 +1,8 @@
 """Lens, pole and handedness of a camera by what turns between images of one night; no star is named here.
 
 Between two images the sky turns by a known angle about the pole. A hypothesis (focal length, shape of the lens, pole,
-hand) maps the detections of one image into the other; the right one puts them on detections. The pole is looked for
-where a camera near the zenith has it, over a grid as fine as the turn asks, then by least squares.
+handedness) maps the detections of one image into the other; the right one puts them on detections. The pole is looked
+for where a camera near the zenith has it, over a grid as fine as the turn asks, then by least squares.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ from sunarc.jit import njit
 from sunarc.optics.forward import tangent_basis
 from sunarc.optics.projections import PROJECTIONS, Projection, angle_of_shape, ideal_radius, radius_of_shape
 from sunarc.sky.site import Site
+
+# The compiled loop of the search: how many detections of one image come onto those of another.
 
 _CELLS = 128
 
@@ -116,6 +118,8 @@ def count_on_detections(
     return np.asarray((counts - chance) / max(1.0 - chance, 0.1))
 
 
+# The sky's turning about the celestial pole.
+
 SIDEREAL_RATE = 2.0 * math.pi / 86_164.0905
 """Radians a second."""
 MAX_ANGLE = math.radians(95.0)
@@ -135,6 +139,8 @@ def turned(rays: FloatArray, pole: FloatArray, angle: float) -> FloatArray:
     across = np.cross(axis, rays)
     return np.asarray(rays * math.cos(angle) + across * math.sin(angle) + axis * along * (1.0 - math.cos(angle)))
 
+
+# One family of lenses with a number for its shape: all five ideal projections, and what lies between them.
 
 _POWERS = (2, 3, 4, 5)
 
@@ -174,7 +180,7 @@ _MAPPED, _MAPPED_ONTO = 60, 160
 _LEAST_TURN, _MOST_TURN = math.radians(3.0), math.radians(45.0)
 _PAIRS = 3
 _KEPT = 4
-"""Hypotheses of each hand that are refined."""
+"""Hypotheses of each handedness that are refined."""
 _DISTINCT = math.radians(6.0)
 _REFINED_BY, _FEWEST, _ROUNDS, _EVALUATIONS = 120, 10, 6, 6
 _CLOSE_PX = 3.0
@@ -198,7 +204,7 @@ class Turning:
 
     Attributes
     ----------
-    mirrored : the hand.
+    mirrored : the handedness.
     focal_px, shape : of the lens (`lens_family`).
     centre : (2,) px.
     pole : (3,) of the north celestial pole.
@@ -249,12 +255,12 @@ def pairs_of(unix_s: Sequence[float], pixels: Sequence[FloatArray]) -> list[Pair
 
 
 def turnings(pairs: Sequence[Pair], field: SearchRange) -> list[Turning]:
-    """Return the refined hypotheses of both hands, the best first."""
-    found = [one for mirrored in (False, True) for one in _of_hand(pairs, field, mirrored=mirrored)]
+    """Return the refined hypotheses of both handednesses, the best first."""
+    found = [one for mirrored in (False, True) for one in _of_handedness(pairs, field, mirrored=mirrored)]
     return sorted(found, key=lambda one: -one.share)
 
 
-def _of_hand(pairs: Sequence[Pair], field: SearchRange, *, mirrored: bool) -> list[Turning]:
+def _of_handedness(pairs: Sequence[Pair], field: SearchRange, *, mirrored: bool) -> list[Turning]:
     flipped = [
         one._replace(
             first=unmirrored(one.first, field.width, mirrored=mirrored),
@@ -274,14 +280,14 @@ def _of_hand(pairs: Sequence[Pair], field: SearchRange, *, mirrored: bool) -> li
             kept.append((pole, focal, shape))
         if len(kept) == _KEPT:
             break
-    hand = (mirrored, field.width)
-    found = [_refined(flipped, centre, pole, (focal, shape), hand) for pole, focal, shape in kept]
+    image = (mirrored, field.width)
+    found = [_refined(flipped, centre, pole, (focal, shape), image) for pole, focal, shape in kept]
     best = max(found, key=lambda one: one.share)
     if best.share > _LIKELY and best.shape > _CONFORMAL:
         # these turn alike with many focal lengths, each with a centre and a pole of its own: the stars decide
         for ratio in _OTHER_FOCAL:
             rough = (ratio * best.focal_px, best.shape)
-            found.append(_refined(flipped, best.centre, best.pole, rough, hand, focal_within=_FOCAL_FIXED))
+            found.append(_refined(flipped, best.centre, best.pole, rough, image, focal_within=_FOCAL_FIXED))
     return found
 
 
@@ -340,7 +346,7 @@ def _refined(
     centre: FloatArray,
     pole: FloatArray,
     rough: tuple[float, float],
-    hand: tuple[bool, int],
+    image: tuple[bool, int],
     *,
     focal_within: float = 0.1,
 ) -> Turning:
@@ -380,7 +386,7 @@ def _refined(
     # within the search's reach, and as near as the right lens brings stars
     share = 0.5 * float(_shares(pairs, *lens, now[None])[0]) + 0.5 * float(np.mean(close < _CLOSE_PX))
     return Turning(
-        mirrored=hand[0], focal_px=lens[1], shape=lens[2], centre=lens[0], pole=now, width=hand[1], share=share
+        mirrored=image[0], focal_px=lens[1], shape=lens[2], centre=lens[0], pole=now, width=image[1], share=share
     )
 
 

@@ -23,7 +23,7 @@ from sunarc.calibration.lens_library.lens_type import LensType, lens_type_from_j
 from sunarc.calibration.model.document import to_document
 from sunarc.calibration.model.options import CalibrationOptions, Mirrored
 from sunarc.calibration.model.result import Calibration, Verdict
-from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, SunPoints
+from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, Sightings
 from sunarc.calibration.pose import estimate_pose
 from sunarc.errors import InputError
 from sunarc.workers.calibrating.solver_process import points_of
@@ -178,14 +178,14 @@ class ProvisionalPoseEstimator:
             return True
         return self._is_of_later(current, epoch)
 
-    def _of_type(self, points: SunPoints) -> Calibration:
+    def _of_type(self, points: Sightings) -> Calibration:
         """Return a first pose, of a lens that is known by its type."""
         if self.first is None:
             raise InputError(field="first_pose.lens_prior", problem="unset", remedy="name a lens prior file")
         lens, pose = self.first
         return first_pose(points, lens=lens, site=self._camera.site, options=self._options, pose=pose)
 
-    def _of_lens(self, points: SunPoints, lens: CalibrationRecord) -> Calibration:
+    def _of_lens(self, points: Sightings, lens: CalibrationRecord) -> Calibration:
         """Return a new pose of a lens that was calibrated."""
         return estimate_pose(
             points,

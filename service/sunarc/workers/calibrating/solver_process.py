@@ -18,7 +18,7 @@ from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.changes.step_search import PoseStep, find_pose_steps
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints, kinds_of
+from sunarc.calibration.model.sightings import Sightings, kinds_of
 from sunarc.findings import Finding
 from sunarc.jit import set_aside_after_exit
 from sunarc.runtime.child_process import answer_call, one_thread_each
@@ -54,7 +54,7 @@ class SolverDiedError(SolveFailedError):
 class Problem:
     """What `sunarc.calibration.calibrate` or `find_pose_steps` is given; `lens` is for the latter alone."""
 
-    points: SunPoints
+    points: Sightings
     site: Site
     image_size: tuple[int, int]
     options: CalibrationOptions
@@ -183,7 +183,7 @@ def _end(exit_code: int | None) -> str:
     return f"signal {-exit_code}" if exit_code is not None and exit_code < 0 else f"exit code {exit_code}"
 
 
-def points_of(columns: SunPointColumns, *, site: Site | None = None, latest: str | None = None) -> SunPoints:
+def points_of(columns: SunPointColumns, *, site: Site | None = None, latest: str | None = None) -> Sightings:
     """Return the sightings of an archive's columns.
 
     Parameters
@@ -200,7 +200,7 @@ def points_of(columns: SunPointColumns, *, site: Site | None = None, latest: str
         raise ValueError("sightings of stars without a site")
     air = {"temperature": columns.temperature, "pressure": columns.pressure}
     directions = None if site is None else body_directions(columns.body, columns.unix_s, site, **air)
-    return SunPoints(
+    return Sightings(
         unix_s=columns.unix_s,
         pixels=columns.pixels,
         sigma_px=columns.sigma_px,
