@@ -26,8 +26,8 @@ class ApiOptions:
     Attributes
     ----------
     host, port : the address it listens on.
-    token_file : a file whose one line is the token that changing anything needs; None: nothing can be changed here.
-    read_token_file : likewise, for reading; None: whoever reaches the port may read.
+    token_file : a file whose one line is the token that changing anything needs; unset: nothing can be changed here.
+    read_token_file : likewise, for reading; unset: whoever reaches the port may read.
     allowed_hosts : names, besides localhost, `host` and the host's own, that the service answers to; a request for
         another name is refused (421). At most 64. Addresses are always answered.
     cors_origins : other sites whose pages may ask this service from a browser ("https://forecast.example").

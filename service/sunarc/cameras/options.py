@@ -26,13 +26,13 @@ class AravisOptions:
     ----------
     address : its IP address; names are refused, for they would be looked for by broadcast. With USB the device's id.
     transport : "gige"; or "usb3" for USB3 Vision, which no one has tried.
-    packet_size : bytes per stream packet; None negotiates it with the camera. Where no frame comes whole, 1500 is used.
+    packet_size : bytes per stream packet; unset: negotiated with the camera. Where no frame comes whole, 1500 is used.
     packet_socket : use a packet socket where the process may (CAP_NET_RAW); otherwise UDP with a large buffer.
     pixel_format : a single-channel GenICam format; those of 10 and 12 bits may be packed (Mono12p, Mono12Packed).
     binning : pixels that are joined in either direction by the camera.
-    region : x, y, width, height in px after binning; None is the whole sensor.
+    region : x, y, width, height in px after binning; unset: the whole sensor.
     gain_db : pinned gain; cameras that know only raw steps are set to their lowest.
-    black_level : pinned black level, in the camera's own unit; None keeps the camera's.
+    black_level : pinned black level, in the camera's own unit; unset: as it is in the camera.
     timestamps : "host" dates frames by this machine's clock at the trigger; "camera" by the frame's own timestamp,
         where the camera's clock is disciplined (PTP) and marks the start of the exposure.
     timestamp_scale : "utc"; or "tai" where the camera's clock follows a PTP grandmaster without converting: TAI is
@@ -75,8 +75,8 @@ class ReplayOptions:
     Attributes
     ----------
     folder : where they are, subfolders included.
-    pixel_format : their format; None takes Mono8 or Mono16, by depth.
-    exposure_us : exposure of images whose name does not tell it; None leaves those out.
+    pixel_format : their format; unset: Mono8 or Mono16, by depth.
+    exposure_us : exposure of images whose name does not tell it; unset: those are left out.
     """
 
     folder: Path

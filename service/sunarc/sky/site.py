@@ -33,7 +33,7 @@ class Site:
     latitude : degrees, north positive.
     longitude : degrees, east positive.
     altitude : metres above sea level.
-    pressure : annual mean air pressure in Pa; None takes it from the altitude (as pvlib's `alt2pres`).
+    pressure : annual mean air pressure in Pa; unset: from the altitude (as pvlib's `alt2pres`).
     temperature : annual mean air temperature in °C.
     """
 

@@ -44,7 +44,7 @@ class HubOptions:
 
     Attributes
     ----------
-    url : its address, as "https://fleet.example"; None: nothing is sent.
+    url : its address, as "https://fleet.example"; unset: nothing is sent.
     token_file : a file whose one line is the camera's token, made on the hub by `sunarc hub token`.
     """
 

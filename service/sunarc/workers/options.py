@@ -27,7 +27,7 @@ class PushOptions:
 
     Attributes
     ----------
-    mqtt : address of a broker, "mqtt://broker.example" (port 1883) or "mqtts://…" (TLS, port 8883); None: none.
+    mqtt : address of a broker, "mqtt://broker.example" (port 1883) or "mqtts://…" (TLS, port 8883); unset: none.
         Needs the extra `mqtt`.
     mqtt_login_file : a file whose one line is USER:PASSWORD for the broker.
     webhooks : addresses that messages are posted to, as "https://example.org/hook"; at most 8.

@@ -138,7 +138,7 @@ class FirstPoseOptions:
     Attributes
     ----------
     tilt_deg : 1-sigma of the tilt about each horizontal axis.
-    top_azimuth_deg : azimuth at the top of the image, as the camera was mounted; None where it is not known.
+    top_azimuth_deg : azimuth at the top of the image, as the camera was mounted; unset: not known.
     top_within_deg : a pose that differs by more is not served.
     """
 

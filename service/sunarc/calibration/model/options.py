@@ -82,7 +82,7 @@ class CalibrationOptions:
     method : "robust" (the service's) or "paper" (the reference).
     projection : the lens's ideal projection.
     mirrored : whether the image is a mirror image; "auto" tries both and reports which it took.
-    level_within_deg : a camera tilted by more is refused; None: one tilted by any angle up to 75 degrees is accepted,
+    level_within_deg : a camera tilted by more is refused; unset: one tilted by any angle up to 75 degrees is accepted,
         unless times of another zone or another latitude, which would make it level, are more probable than a tilt.
     max_angle_deg : how far off the axis the model is asked to answer.
     max_rmse_px : a fit whose used sightings scatter by more, and by 1.5 times more than they state, is refused.
