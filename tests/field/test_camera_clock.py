@@ -49,7 +49,7 @@ def wait_for_sightings(run: Processes, *, after: float, fewest: int) -> list[flo
 
 @pytest.mark.gige
 @pytest.mark.system
-@pytest.mark.slow
+@pytest.mark.release  # in real time; tests/workers/test_clock_watch.py has the cases
 @pytest.mark.timeout(300)
 def test_a_camera_that_tells_tai_states_the_difference_with_each_sighting(tmp_path: Path) -> None:
     host = datetime.now(UTC)  # noqa: TID251 - the imager's time is compared with the machine's

@@ -1,4 +1,4 @@
-"""A few faults of the campaign, as a test; `tests/campaign --faults 300` is the long form."""
+"""A few faults of the campaign, as a test of tests/release; `tests/campaign --faults 300` is the long form."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .campaign import campaign
 
 @pytest.mark.gige
 @pytest.mark.system
-@pytest.mark.slow
+@pytest.mark.release  # five faults show little beside what each kind's own test does
 @pytest.mark.timeout(240)
 def test_a_short_campaign_of_faults_finds_nothing_wrong(tmp_path: Path) -> None:
     found, counts = campaign(seed=3, faults=5, folder=tmp_path, most_s=20.0)

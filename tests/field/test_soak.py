@@ -9,7 +9,8 @@ import pytest
 
 from .soak import FAULTS, soak
 
-pytestmark = [pytest.mark.gige, pytest.mark.slow, pytest.mark.timeout(240)]
+# tests/simulation/test_over_the_wire.py has each fault by itself
+pytestmark = [pytest.mark.gige, pytest.mark.release, pytest.mark.timeout(240)]
 
 
 def test_no_frame_is_kept_under_another_s_exposure_whatever_happens_to_the_camera() -> None:

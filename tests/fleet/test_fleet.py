@@ -10,7 +10,7 @@ from tests.fleet.links import FAULTS
 from tests.fleet.simulated_fleet import fleet_of, quick_retries, run_with_faults
 
 pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(300)]
-of_root = pytest.mark.skipif(os.geteuid() != 0, reason="a network of its own needs root")
+of_root = [pytest.mark.release, pytest.mark.skipif(os.geteuid() != 0, reason="a network of its own needs root")]
 
 
 @pytest.mark.parametrize("apart", [False, pytest.param(True, marks=of_root)], ids=["loopback", "pulled cable"])
