@@ -19,7 +19,7 @@ from sunarc.simulation.options import NightOptions, SceneOptions, SensorModel
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.directions import direction_from_angles
-from sunarc.sky.night import night_sky, star_directions, star_table, wanderer_place
+from sunarc.sky.night import body_position, night_sky, star_directions, star_table
 from sunarc.sky.site import Site, relative_air_mass
 from sunarc.sky.sun import sun_angles
 
@@ -103,7 +103,7 @@ def test_stars_turn_and_warm_spots_stand_still() -> None:
 
 def test_the_moon_s_lit_side_is_the_sun_s_side_and_its_glow_lights_the_sky() -> None:
     unix_s = MOON_UP_US * 1e-6
-    moon, angles = wanderer_place("moon", unix_s, SGP), sun_angles(unix_s, SGP)
+    moon, angles = body_position("moon", unix_s, SGP), sun_angles(unix_s, SGP)
     sun = direction_from_angles(zenith_deg=angles.zenith, azimuth_deg=angles.azimuth)
     assert moon.direction[2] > 0.3
     assert 0.3 < moon.lit < 0.7

@@ -12,7 +12,7 @@ import pytest
 from tests.sky.test_night import ARCSEC, MOMENTS, SITES, TIMESCALE
 
 from sunarc.sky.directions import angular_distance, direction_from_angles
-from sunarc.sky.night import moon_disc, wanderer_place
+from sunarc.sky.night import body_position, moon_disc
 from sunarc.sky.site import Site
 
 api = pytest.importorskip("skyfield.api")
@@ -50,13 +50,13 @@ def test_phase_lit_limb_and_size_are_those_of_the_ephemeris_of_jpl(site: Site, p
         assert abs(edge[:, 0] @ edge[:, 1]) < 5e-3
         radius = math.asin(1737.4 / moon.distance().km)
         assert np.linalg.norm(disc.edges, axis=0) == pytest.approx(radius, rel=3e-3)
-        assert np.linalg.norm(disc.direction - wanderer_place("moon", unix_s, site).direction) * ARCSEC < 0.1
+        assert np.linalg.norm(disc.direction - body_position("moon", unix_s, site).direction) * ARCSEC < 0.1
 
 
 def test_the_horizon_flattens_the_disc_by_a_sixth() -> None:
     site, unix_s = SITES[0], MOMENTS[4]
     times = unix_s + np.arange(0.0, 86_400.0, 60.0)
-    low = min(times.tolist(), key=lambda at: abs(math.asin(wanderer_place("moon", at, site).direction[2]) - 0.012))
+    low = min(times.tolist(), key=lambda at: abs(math.asin(body_position("moon", at, site).direction[2]) - 0.012))
     disc = moon_disc(low, site)
     axes = np.linalg.svd(disc.edges, compute_uv=False)
     assert 0.78 < axes[1] / axes[0] < 0.92
@@ -66,4 +66,4 @@ def test_the_horizon_flattens_the_disc_by_a_sixth() -> None:
 
 def test_lit_share_is_that_of_the_ephemeris() -> None:
     for unix_s in MOMENTS:
-        assert moon_disc(unix_s, SITES[0]).lit == pytest.approx(wanderer_place("moon", unix_s, SITES[0]).lit, abs=0.02)
+        assert moon_disc(unix_s, SITES[0]).lit == pytest.approx(body_position("moon", unix_s, SITES[0]).lit, abs=0.02)

@@ -15,14 +15,14 @@ from sunarc.array_types import FloatArray, picked
 from sunarc.errors import InputError
 from sunarc.sky.directions import angles_from_direction, angular_distance, direction_from_angles
 from sunarc.sky.night import (
+    SOLAR_SYSTEM_BODIES,
     STAR,
-    WANDERERS,
-    Wanderer,
+    SolarSystemBody,
     body_directions,
+    body_position,
     night_sky,
     star_directions,
     star_table,
-    wanderer_place,
 )
 from sunarc.sky.refraction import apparent_elevation
 from sunarc.sky.site import Site
@@ -71,9 +71,11 @@ def refracted(directions: FloatArray, site: Site) -> FloatArray:
     return direction_from_angles(zenith_deg=90.0 - apparent_elevation(90.0 - zenith, site), azimuth_deg=azimuth)
 
 
-@pytest.mark.parametrize(("name", "limit_arcsec"), [(name, 10.0 if name == "moon" else 5.0) for name in WANDERERS])
+@pytest.mark.parametrize(
+    ("name", "limit_arcsec"), [(name, 10.0 if name == "moon" else 5.0) for name in SOLAR_SYSTEM_BODIES]
+)
 def test_moon_and_planets_are_where_the_ephemeris_of_jpl_has_them(
-    name: Wanderer,
+    name: SolarSystemBody,
     limit_arcsec: float,
     planets: Any,  # noqa: ANN401
 ) -> None:
@@ -81,7 +83,7 @@ def test_moon_and_planets_are_where_the_ephemeris_of_jpl_has_them(
     apart = []
     for site in SITES:
         theirs = refracted(true_directions(site, np.array(MOMENTS), target, planets), site)
-        ours = np.array([wanderer_place(name, unix_s, site).direction for unix_s in MOMENTS])
+        ours = np.array([body_position(name, unix_s, site).direction for unix_s in MOMENTS])
         apart += list(angular_distance(ours, theirs))
     assert max(apart) * ARCSEC <= limit_arcsec
     assert max(apart) * ARCSEC > 0.05  # two theories of the planets are not the same to the digit
@@ -156,13 +158,13 @@ def test_the_sky_of_a_moment_holds_what_is_above_the_horizon_the_brightest_first
     vega = np.flatnonzero(sky.names == f"{STAR}91262")
     zenith, azimuth = angles_from_direction(sky.directions[vega[0]])
     assert (sky.magnitude[vega[0]], round(float(zenith)), round(float(azimuth))) == (0.03, 73, 54)
-    up = {name for name in WANDERERS if wanderer_place(name, unix_s, site).direction[2] > 0.0} - {"moon"}
+    up = {name for name in SOLAR_SYSTEM_BODIES if body_position(name, unix_s, site).direction[2] > 0.0} - {"moon"}
     assert up == {str(name) for name in sky.names if not name.startswith(STAR)}
 
 
 def test_the_moons_disc_and_phase() -> None:
-    full = wanderer_place("moon", datetime(2026, 3, 3, 11, 34, tzinfo=UTC).timestamp(), SITES[0])  # a lunar eclipse
-    half = wanderer_place("moon", datetime(2026, 3, 11, 9, 38, tzinfo=UTC).timestamp(), SITES[0])  # last quarter
+    full = body_position("moon", datetime(2026, 3, 3, 11, 34, tzinfo=UTC).timestamp(), SITES[0])  # a lunar eclipse
+    half = body_position("moon", datetime(2026, 3, 11, 9, 38, tzinfo=UTC).timestamp(), SITES[0])  # last quarter
     assert full.lit > 0.995
     assert abs(half.lit - 0.5) < 0.01
     for moon in (full, half):
@@ -201,7 +203,7 @@ def test_bodies_by_name_are_those_of_the_night_sky_and_of_their_own_moments() ->
     expected = np.concatenate([sky.directions for sky in skies])
     np.testing.assert_allclose(found[:-4], expected, rtol=0.0, atol=1e-14)
     assert np.all(np.isnan(found[-4:-1]))
-    np.testing.assert_allclose(found[-1], wanderer_place("moon", moments[1], site).direction, rtol=0.0, atol=1e-14)
+    np.testing.assert_allclose(found[-1], body_position("moon", moments[1], site).direction, rtol=0.0, atol=1e-14)
 
 
 def test_a_measured_air_bends_the_light_of_a_star_as_the_sun_s() -> None:

@@ -24,7 +24,7 @@ from sunarc.optics.forward import project
 from sunarc.simulation.options import NightOptions, SceneOptions
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP
-from sunarc.sky.night import MoonDisc, moon_disc, wanderer_place
+from sunarc.sky.night import MoonDisc, body_position, moon_disc
 from sunarc.workers.night.exposures import MOST_LEVEL, MoonExposures
 from sunarc.workers.night.moon import MoonImages, MoonNight, _level
 from sunarc.workers.options import SensorOptions
@@ -97,7 +97,7 @@ def night(
 
 def errors(points: tuple[SunPoint, ...]) -> np.ndarray[Any, np.dtype[np.float64]]:
     unix_s = np.array([point.time.timestamp() for point in points])
-    true = project(CAMERA, np.array([wanderer_place("moon", at, SGP).direction for at in unix_s.tolist()]))
+    true = project(CAMERA, np.array([body_position("moon", at, SGP).direction for at in unix_s.tolist()]))
     return np.array([[point.x_px, point.y_px] for point in points]) - true
 
 

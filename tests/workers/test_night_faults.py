@@ -23,7 +23,7 @@ from sunarc.optics.forward import project
 from sunarc.simulation.options import NightOptions, SceneOptions
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP
-from sunarc.sky.night import body_directions, wanderer_place
+from sunarc.sky.night import body_directions, body_position
 
 MINUTES = (0, 40, 80)
 CONJUNCTION = datetime(2015, 7, 1, 3, 25, tzinfo=UTC)
@@ -158,7 +158,7 @@ def test_two_planets_close_together_are_not_taken_for_one_another(bench: Bench) 
         middle = start + timedelta(seconds=0.25)
         frames.append(replace(clear_at(0), image=image, time=middle, exposure_us=0.5e6, frame_id=number))
     venus, jupiter = (
-        project(CAMERA, np.array(wanderer_place(name, CONJUNCTION.timestamp(), SGP).direction))
+        project(CAMERA, np.array(body_position(name, CONJUNCTION.timestamp(), SGP).direction))
         for name in ("venus", "jupiter")
     )
     assert np.linalg.norm(venus - jupiter) < 3.5

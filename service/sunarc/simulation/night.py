@@ -17,7 +17,7 @@ from sunarc.simulation.kernels import add_glow, add_points, transmittance_toward
 from sunarc.simulation.options import NightOptions, Obstruction
 from sunarc.simulation.scene_parts import CloudLayer, disc_points, is_blocked
 from sunarc.sky.directions import direction_from_angles
-from sunarc.sky.night import FAINTEST_V, WANDERERS, WandererPlace, star_table, wanderer_place
+from sunarc.sky.night import FAINTEST_V, SOLAR_SYSTEM_BODIES, BodyPosition, body_position, star_table
 from sunarc.sky.refraction import apparent_elevation
 from sunarc.sky.site import Site, relative_air_mass
 from sunarc.sky.sun import sun_angles
@@ -85,7 +85,7 @@ class NightLight:
         """
         scale = 1e-6 / well_e
         rng = np.random.default_rng([self._seed, 17, round(unix_s * 1e3)])
-        moon = wanderer_place("moon", unix_s, self._site) if self._options.moon else None
+        moon = body_position("moon", unix_s, self._site) if self._options.moon else None
         add_glow(field, *self._glow(moon, scale), *layer, light)
         points = [
             self._images(*self._stars(unix_s, exposure_us, rng, layer)),
@@ -99,7 +99,7 @@ class NightLight:
         every[:, 2] *= scale
         add_points(every, light)
 
-    def _glow(self, moon: WandererPlace | None, scale: float) -> tuple[NDArray[np.float32], ...]:
+    def _glow(self, moon: BodyPosition | None, scale: float) -> tuple[NDArray[np.float32], ...]:
         """Return the levels, the town's direction and the moon's, of `add_glow`."""
         options = self._options
         pixel_arcsec2 = (_ARCSEC_PER_RAD / self._camera.focal_length_px[0]) ** 2
@@ -165,7 +165,7 @@ class NightLight:
     def _planets(self, unix_s: float, layer: CloudLayer) -> tuple[FloatArray, FloatArray]:
         if not self._options.moon:
             return np.zeros((0, 1, 2)), np.zeros(0)
-        places = [wanderer_place(name, unix_s, self._site) for name in WANDERERS if name != "moon"]
+        places = [body_position(name, unix_s, self._site) for name in SOLAR_SYSTEM_BODIES if name != "moon"]
         direction = np.array([place.direction for place in places])
         magnitude = np.array([place.magnitude for place in places])
         electrons = self._options.star_e_per_s * 10.0 ** (-0.4 * magnitude) * self._through(direction, layer)
@@ -199,7 +199,7 @@ class NightLight:
         seen = np.all(np.isfinite(pixels), axis=-1) & (electrons_per_s > 0.0)
         return pixels[seen, None], electrons_per_s[seen]
 
-    def _moon(self, moon: WandererPlace | None, unix_s: float, layer: CloudLayer) -> FloatArray:
+    def _moon(self, moon: BodyPosition | None, unix_s: float, layer: CloudLayer) -> FloatArray:
         """Return the moon's lit part as points (n, 4) of `add_points`."""
         if moon is None:
             return np.zeros((0, 4))

@@ -24,8 +24,8 @@ from sunarc.sky.directions import angles_from_direction, direction_from_angles
 from sunarc.sky.refraction import apparent_elevation
 from sunarc.sky.site import Site
 
-Wanderer = Literal["moon", "venus", "mars", "jupiter", "saturn"]
-WANDERERS: tuple[Wanderer, ...] = get_args(Wanderer)
+SolarSystemBody = Literal["moon", "venus", "mars", "jupiter", "saturn"]
+SOLAR_SYSTEM_BODIES: tuple[SolarSystemBody, ...] = get_args(SolarSystemBody)
 SUN = "sun"
 STAR = "star:HIP"
 """How the name of a star begins; its Hipparcos number follows."""
@@ -93,7 +93,7 @@ class NightSky:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WandererPlace:
+class BodyPosition:
     """Where the moon or a planet is.
 
     Attributes
@@ -145,19 +145,19 @@ def star_directions(stars: StarTable, unix_s: float, site: Site) -> FloatArray:
     return _apparent(angles[:, 0], angles[:, 1], site)
 
 
-def wanderer_place(name: Wanderer, unix_s: float, site: Site) -> WandererPlace:
+def body_position(name: SolarSystemBody, unix_s: float, site: Site) -> BodyPosition:
     """Return where the moon or a planet is at one moment, seen from the site (not from the Earth's centre)."""
     ephem = _ephem()
     body = getattr(ephem, name.capitalize())()
     body.compute(_observer(unix_s, site))
     direction = _apparent(np.array([float(body.alt)]), np.array([float(body.az)]), site)[0]
     east, north, up = direction.tolist()
-    return WandererPlace(
+    return BodyPosition(
         direction=(east, north, up), magnitude=float(body.mag), radius=float(body.radius), lit=float(body.phase) / 100.0
     )
 
 
-class TruePlace(NamedTuple):
+class TruePosition(NamedTuple):
     """A body without refraction: unit vector (3,) east-north-up, radius in radians, distance in au, V."""
 
     direction: FloatArray
@@ -166,7 +166,7 @@ class TruePlace(NamedTuple):
     magnitude: float
 
 
-def true_place(name: Literal["moon", "sun"], unix_s: float, site: Site) -> TruePlace:
+def true_position(name: Literal["moon", "sun"], unix_s: float, site: Site) -> TruePosition:
     """Return where the moon or the sun is without refraction, seen from the site; the distance is the Earth's."""
     ephem = _ephem()
     body = getattr(ephem, name.capitalize())()
@@ -174,7 +174,7 @@ def true_place(name: Literal["moon", "sun"], unix_s: float, site: Site) -> TrueP
     direction = direction_from_angles(
         zenith_deg=90.0 - math.degrees(float(body.alt)), azimuth_deg=math.degrees(float(body.az))
     )
-    return TruePlace(direction, float(body.radius), float(body.earth_distance), float(body.mag))
+    return TruePosition(direction, float(body.radius), float(body.earth_distance), float(body.mag))
 
 
 def night_sky(unix_s: float, site: Site, *, faintest: float) -> NightSky:
@@ -191,7 +191,7 @@ def night_sky(unix_s: float, site: Site, *, faintest: float) -> NightSky:
     InputError : ephem is not installed (extra `night`).
     """
     stars = picked(_stars(), _stars().magnitude <= faintest)
-    planets = {name: wanderer_place(name, unix_s, site) for name in WANDERERS if name != "moon"}
+    planets = {name: body_position(name, unix_s, site) for name in SOLAR_SYSTEM_BODIES if name != "moon"}
     names = np.array([f"{STAR}{hip}" for hip in stars.hip] + list(planets))
     places = [place.direction for place in planets.values()]
     magnitude = np.concatenate([stars.magnitude, [place.magnitude for place in planets.values()]])
@@ -230,16 +230,16 @@ def body_directions(
     directions = np.full((unix_s.size, 3), np.nan)
     row_of = {f"{STAR}{hip}": row for row, hip in enumerate(_stars().hip.tolist())}
     star = np.array([row_of.get(name, -1) for name in names.tolist()], dtype=np.int64)
-    wanderers = [(np.asarray(names == name), name) for name in WANDERERS]
+    bodies = [(np.asarray(names == name), name) for name in SOLAR_SYSTEM_BODIES]
     # all of one moment at once: many stars are of one image
-    for moment in np.unique(unix_s[(star >= 0) | np.isin(names, WANDERERS)]).tolist():
+    for moment in np.unique(unix_s[(star >= 0) | np.isin(names, SOLAR_SYSTEM_BODIES)]).tolist():
         now = unix_s == moment
         air = site.with_air(temperature=_measured(temperature, now), pressure=_measured(pressure, now))
         if np.any(stars := now & (star >= 0)):
             directions[stars] = star_directions(picked(_stars(), star[stars]), moment, air)
-        for named, name in wanderers:
+        for named, name in bodies:
             if np.any(here := now & named):
-                directions[here] = wanderer_place(name, moment, air).direction
+                directions[here] = body_position(name, moment, air).direction
     return directions
 
 
@@ -315,7 +315,7 @@ def moon_disc(unix_s: float, site: Site) -> MoonDisc:
     ------
     InputError : ephem is not installed (extra `night`).
     """
-    moon, sun = true_place("moon", unix_s, site), true_place("sun", unix_s, site)
+    moon, sun = true_position("moon", unix_s, site), true_position("sun", unix_s, site)
     distance_km = MOON_RADIUS_KM / np.sin(moon.radius)
     to_sun = sun.direction * sun.distance_au * _AU_KM - moon.direction * distance_km
     to_sun /= np.linalg.norm(to_sun)

@@ -24,13 +24,13 @@ from sunarc.optics.forward import project
 from sunarc.optics.inverse import unproject
 from sunarc.sky.days import day_bounds_unix_s, solar_date
 from sunarc.sky.directions import angles_from_direction, angular_distance, direction_from_angles
-from sunarc.sky.night import STAR, SUN, WANDERERS, body_directions
+from sunarc.sky.night import SOLAR_SYSTEM_BODIES, STAR, SUN, body_directions
 from sunarc.sky.sun import sun_angles, sun_directions
 from sunarc.utc import utc_time
 
 _HORIZON_DEG = 90.0
 _ALL = "all"
-_NAMES = rf"^({SUN}|{'|'.join(WANDERERS)}|{STAR}\d{{1,6}}|{_ALL})$"
+_NAMES = rf"^({SUN}|{'|'.join(SOLAR_SYSTEM_BODIES)}|{STAR}\d{{1,6}}|{_ALL})$"
 _DAYS, _MOST_DAYS = 30, 366
 """Of counts by day: unless asked, and at most: a year has a million looks, which are counted in seconds."""
 

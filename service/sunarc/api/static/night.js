@@ -104,8 +104,8 @@ function drawBodies() {
   $("night-picture").style.setProperty("aspect-ratio", `${width} / ${height}`);
   const bodies = known.bodies?.bodies ?? [];
   const parts = bodies.map((one) => mark(shapeOf(one), styleOf(one), one.pixel, unit * (one.magnitude < 1.5 ? 1.1 : 0.7)));
-  const wanderers = bodies.filter((one) => !one.body.startsWith("star:") && one !== known.body);
-  for (const one of wanderers) parts.push(named(one, unit, height));
+  const others = bodies.filter((one) => !one.body.startsWith("star:") && one !== known.body);
+  for (const one of others) parts.push(named(one, unit, height));
   if (known.body) parts.push(mark(RING, "night-chosen", known.body.pixel, unit * 1.8), named(known.body, unit, height));
   $("night-overlay").replaceChildren(...parts);
   const choices = [option("", "none"), ...[...bodies].sort((a, b) => a.title.localeCompare(b.title, "en", { numeric: true })).map((one) => option(one.body, one.title))];

@@ -15,7 +15,7 @@ from sunarc.array_types import BoolArray, FloatArray, IntArray, NameArray, Rows,
 from sunarc.errors import InputError
 from sunarc.findings import Finding
 from sunarc.sky.days import solar_days
-from sunarc.sky.night import STAR, SUN, WANDERERS
+from sunarc.sky.night import SOLAR_SYSTEM_BODIES, STAR, SUN
 from sunarc.sky.refraction import ASSUMED_AIR_SD, DAILY_AIR_SD, MEASURED_AIR_SD, refraction_rad
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles, sun_directions
@@ -40,7 +40,7 @@ def kinds_of(bodies: NameArray) -> IntArray:
     kinds = np.full(bodies.shape, Kind.SUN, dtype=np.int64)
     rows = np.flatnonzero(bodies != SUN)  # few of millions
     other = bodies[rows]
-    star = np.char.startswith(other, STAR) | np.isin(other, [name for name in WANDERERS if name != MOON])
+    star = np.char.startswith(other, STAR) | np.isin(other, [name for name in SOLAR_SYSTEM_BODIES if name != MOON])
     kinds[rows] = np.where(other == MOON, Kind.MOON, np.where(star, Kind.STAR, Kind.SUN))
     return kinds
 

@@ -29,7 +29,7 @@ from sunarc.detection.values import Stars
 from sunarc.errors import OutsideError
 from sunarc.imaging.metadata import jpeg_with
 from sunarc.optics.forward import project
-from sunarc.sky.night import title_of, wanderer_place
+from sunarc.sky.night import body_position, title_of
 from sunarc.utc import rfc3339
 from sunarc.workers.night.named_stars import TakenImage
 from sunarc.workers.night.warm_pixels import SensorFormat
@@ -243,7 +243,7 @@ def _detected(view: StarView, one: TakenImage) -> BoolArray:
 
 def _moon(unix_s: float, calibration: Calibration, camera: CameraArchive) -> list[dict[str, Any]]:
     """Return the moon where it is in the image."""
-    place = wanderer_place("moon", unix_s, camera.site)
+    place = body_position("moon", unix_s, camera.site)
     if place.direction[2] <= 0.0:
         return []
     pixel = project(calibration.camera, np.array(place.direction))

@@ -27,7 +27,7 @@ from sunarc.detection.values import FWHM, Stars
 from sunarc.findings import Finding
 from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.sky.days import solar_date
-from sunarc.sky.night import wanderer_place
+from sunarc.sky.night import body_position
 from sunarc.utc import DAY_S, rfc3339
 from sunarc.workers.messages import MESSAGES, condition, text_of
 from sunarc.workers.night.exposures import DARK_ZENITH_DEG, NightCapture
@@ -475,7 +475,7 @@ class NightWorker:
         ]
 
     def _moonlit_share(self, images: Sequence[_Image]) -> float:
-        moons = [wanderer_place("moon", image.time.timestamp(), self._camera.site) for image in images]
+        moons = [body_position("moon", image.time.timestamp(), self._camera.site) for image in images]
         return sum(moon.direction[2] > 0.0 and moon.lit > _HALF_LIT for moon in moons) / len(moons)
 
     def _remember(
