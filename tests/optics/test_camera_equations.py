@@ -12,7 +12,6 @@ from tests.optics.reference import IDEAL, STRANGE, field_of, parameters_by_diffe
 
 from sunarc.errors import InputError
 from sunarc.optics import kernels
-from sunarc.optics import kernels as block_kernels
 from sunarc.optics.camera import PARAMETER_NAMES, Camera
 from sunarc.optics.forward import (
     decentering_shift,
@@ -133,10 +132,10 @@ def test_what_is_not_a_number_has_no_pixel() -> None:
     assert not np.any(rows)
 
 
-def kernel_arguments(camera: Camera) -> tuple[FloatArray, int, float, float, FloatArray]:
+def kernel_arguments(camera: Camera) -> tuple[FloatArray, kernels.Optics, FloatArray]:
     mirror = camera.width - 1.0 if camera.mirrored else -1.0
-    code = PROJECTIONS[camera.projection].code
-    return camera.to_vector(), code, mirror, camera.max_angle, rotation_matrix(camera.rotation_cam_enu)
+    optics = kernels.Optics(PROJECTIONS[camera.projection].code, mirror, camera.max_angle)
+    return camera.to_vector(), optics, rotation_matrix(camera.rotation_cam_enu)
 
 
 def test_the_kernels_interpreted_are_the_kernels_compiled_and_the_numpy_model() -> None:
@@ -158,23 +157,23 @@ def test_each_kernel_s_step_interpreted_gives_the_derivatives_of_the_numpy_model
 ) -> None:
     steps = ("write_pixels", "_place", "_write_angles", "_write_ideal", "_distort", "_write_lens", "_write_vector")
     for step in (*steps, "_write_pose", "_blank"):
-        monkeypatch.setattr(block_kernels, step, getattr(block_kernels, step).py_func)
+        monkeypatch.setattr(kernels, step, getattr(kernels, step).py_func)
     for camera in STRANGE:
-        vector, code, mirror, max_angle, rotation = kernel_arguments(camera)
+        vector, optics, rotation = kernel_arguments(camera)
         turn = right_jacobian(camera.rotation_cam_enu)
         on_axis = rotation.T @ (AXIS[0] - np.array(camera.translation))
         within = field_of(camera, 2, seed=5)[1]
         directions = np.stack([within, on_axis, -within])
-        work = np.empty(block_kernels.WORK)
-        block_kernels.write_block.py_func(vector, code, mirror, max_angle, rotation, turn, directions, 0, 3, work)
-        columns = work[: 2 * block_kernels.N_COLUMNS * block_kernels.BLOCK].reshape(-1, 2, block_kernels.BLOCK)
+        work = np.empty(kernels.WORK)
+        kernels.write_block.py_func(vector, optics, rotation, turn, directions, work)
+        columns = work[: 2 * kernels.N_COLUMNS * kernels.BLOCK].reshape(-1, 2, kernels.BLOCK)
         rows = np.zeros((3, 2, 23))
-        named = block_kernels.PARAMETERS >= 0
-        assert sorted(block_kernels.PARAMETERS[named]) == list(range(23))
-        rows[..., block_kernels.PARAMETERS[named]] = columns[named, :, :3].T
+        named = kernels.PARAMETERS >= 0
+        assert sorted(kernels.PARAMETERS[named]) == list(range(23))
+        rows[..., kernels.PARAMETERS[named]] = columns[named, :, :3].T
         for k in range(2):
             expected, by_parameters, _ = project_with_jacobian(camera, directions[k])
-            pixel = work[[block_kernels.PIXEL_X + k, block_kernels.PIXEL_Y + k]]
+            pixel = work[[kernels.PIXEL_X + k, kernels.PIXEL_Y + k]]
             np.testing.assert_allclose(pixel, expected, atol=1e-8)
             np.testing.assert_allclose(rows[k], by_parameters, rtol=1e-8, atol=1e-7)
         assert not np.any(rows[2])

@@ -21,7 +21,7 @@ from sunarc.calibration.start.sky_turn import Turns, count_on_detections
 from sunarc.client import CameraModel
 from sunarc.errors import InputError
 from sunarc.optics import inverse, kernels
-from sunarc.optics.forward import kernel_lens
+from sunarc.optics.forward import kernel_optics
 from sunarc.optics.pose import right_jacobian, rotation_matrix
 from sunarc.optics.projections import PROJECTIONS, Projection, angle_of_shape, ideal_radius, radius_of_shape
 
@@ -44,21 +44,19 @@ def test_shapes_between_the_projections_pass_into_one_another() -> None:
 
 def kernel_calls(code: int) -> list[Callable[[], object]]:
     camera = small_camera()
-    vector, _, mirror, limit = kernel_lens(camera)
+    vector, optics = camera.to_vector(), kernel_optics(camera)._replace(code=code)
     rotation, jacobian = rotation_matrix(camera.rotation_cam_enu), right_jacobian(camera.rotation_cam_enu)
     sky, radial, work = np.array([[0.1, 0.2, 0.97]]), np.array(camera.radial), np.empty(kernels.WORK)
     table = inverse.angle_table(PROJECTIONS["equisolid"].code, radial, 1.0)
-    lens, result = np.array([500.0, 500.0, 0.0, 300.0, 200.0, -1.0]), np.empty((1, 3))
+    lens = inverse.InverseLens(optics, np.array([500.0, 500.0, 0.0, 300.0, 200.0]), radial, np.zeros(4), table)
     return [
         lambda: kernels.radius_and_slope(code, radial, 0.5),
-        lambda: kernels.pixels_of(vector, code, mirror, limit, rotation, sky),
-        lambda: kernels.pixels_and_rows_of(vector, code, mirror, limit, rotation, jacobian, sky),
-        lambda: kernels.write_pixels(vector, code, mirror, limit, rotation, sky, 0, 1, work),
-        lambda: kernels.write_block(vector, code, mirror, limit, rotation, jacobian, sky, 0, 1, work),
+        lambda: kernels.pixels_of(vector, optics, rotation, sky),
+        lambda: kernels.pixels_and_rows_of(vector, optics, rotation, jacobian, sky),
+        lambda: kernels.write_pixels(vector, optics, rotation, sky, work),
+        lambda: kernels.write_block(vector, optics, rotation, jacobian, sky, work),
         lambda: inverse.angle_table(code, radial, 1.0),
-        lambda: inverse.write_exact_directions(
-            code, lens, radial, np.zeros(4), table, rotation, np.array([[310.0, 220.0]]), result
-        ),
+        lambda: inverse.write_exact_directions(lens, rotation, np.array([[310.0, 220.0]]), np.empty((1, 3))),
     ]
 
 

@@ -29,12 +29,21 @@ from sunarc.optics.camera import DECENTERING, PARAMETER_NAMES, RADIAL, RADIAL_OR
 from sunarc.optics.forward import (
     decentering_shift,
     decentering_slopes,
-    kernel_lens,
+    kernel_optics,
     project_fast,
     project_with_rows_fast,
 )
 from sunarc.optics.inverse import unproject
-from sunarc.optics.kernels import BLOCK, N_COLUMNS, PARAMETERS, WORK, decentering_bracket, write_block, write_rotation
+from sunarc.optics.kernels import (
+    BLOCK,
+    N_COLUMNS,
+    PARAMETERS,
+    WORK,
+    Optics,
+    decentering_bracket,
+    write_block,
+    write_rotation,
+)
 from sunarc.optics.pose import rotation_vector
 from sunarc.optics.projections import Projection, angle_limit, ideal_radius, ideal_slope
 
@@ -67,14 +76,6 @@ class Weighed(NamedTuple):
     slope_by_radial: FloatArray
 
 
-class PaperOptics(NamedTuple):
-    """The kernels' numbers of a camera: projection, mirror and largest angle, see `pixels_of`."""
-
-    code: int
-    mirror: float
-    max_angle: float
-
-
 class Limits(NamedTuple):
     """When the steps end: how many at most, the share of the cost that a step must gain; and their first damping."""
 
@@ -85,7 +86,7 @@ class Limits(NamedTuple):
 
 @njit(nogil=True)
 def minimised(  # noqa: PLR0917 - compiled functions take positions
-    optics: PaperOptics, seen: Seen, weighed: Weighed, start: FloatArray, moving: IntArray, limits: Limits
+    optics: Optics, seen: Seen, weighed: Weighed, start: FloatArray, moving: IntArray, limits: Limits
 ) -> FloatArray:
     """Return the parameters (23,) where Levenberg-Marquardt converges: a step gains less than a share of the cost.
 
@@ -119,7 +120,7 @@ def minimised(  # noqa: PLR0917 - compiled functions take positions
 
 @njit(nogil=True)
 def compiled_equations(  # noqa: PLR0917 - compiled functions take positions
-    optics: PaperOptics, seen: Seen, weighed: Weighed, vector: FloatArray, normal: FloatArray, gradient: FloatArray
+    optics: Optics, seen: Seen, weighed: Weighed, vector: FloatArray, normal: FloatArray, gradient: FloatArray
 ) -> float:
     """Write the normal equations (23, 23) and the pull (23,) of Eq. 26 at some parameters; return its squares."""
     normal[:] = 0.0
@@ -130,9 +131,7 @@ def compiled_equations(  # noqa: PLR0917 - compiled functions take positions
     cost, n = 0.0, seen.directions.shape[0]
     for begin in range(0, n, BLOCK):
         size = min(BLOCK, n - begin)
-        write_block(
-            vector, optics.code, optics.mirror, optics.max_angle, rotation, jacobian, seen.directions, begin, size, work
-        )
+        write_block(vector, optics, rotation, jacobian, seen.directions[begin : begin + size], work)
         cost += 2.0 * weigh(work, seen.pixels, seen.information, begin, size, 0.0)
         add_products(work, products)
     _by_parameters(products, normal, gradient)
@@ -464,8 +463,7 @@ def _minimised(
 
     Levenberg-Marquardt on the normal equations, their columns brought to one size.
     """
-    _, code, mirror, max_angle = kernel_lens(_unlimited(camera))
-    optics, weighed = PaperOptics(code, mirror, max_angle), _penalties(camera, options).weighed()
+    optics, weighed = kernel_optics(_unlimited(camera)), _penalties(camera, options).weighed()
     vector = minimised(optics, as_seen(observed), weighed, camera.to_vector(), moving, limits)
     return camera.with_parameters(vector)
 

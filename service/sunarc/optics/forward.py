@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from sunarc.array_types import FloatArray
 from sunarc.optics.camera import TRANSLATION, Camera, Param
-from sunarc.optics.kernels import pixels_and_rows_of, pixels_of
+from sunarc.optics.kernels import Optics, pixels_and_rows_of, pixels_of
 from sunarc.optics.pose import right_jacobian, rotation_matrix
 from sunarc.optics.projections import PROJECTIONS, angle_limit, ideal_radius, ideal_slope
 
@@ -58,7 +58,7 @@ def project_fast(camera: Camera, direction_enu: FloatArray) -> FloatArray:
     """Return what `project` returns for directions (n, 3)."""
     rotation = rotation_matrix(camera.rotation_cam_enu)
     directions = np.ascontiguousarray(direction_enu, dtype=np.float64)
-    pixels = np.asarray(pixels_of(*kernel_lens(camera), rotation, directions))
+    pixels = np.asarray(pixels_of(camera.to_vector(), kernel_optics(camera), rotation, directions))
     return pixels if camera.displacement is None else pixels + camera.displacement.at(pixels)
 
 
@@ -66,17 +66,17 @@ def project_with_rows_fast(camera: Camera, direction_enu: FloatArray) -> tuple[F
     """Return pixels (n, 2) and derivatives by the parameters (n, 2, 23) of directions (n, 3); rows are 0 beyond."""
     rotation, jacobian = rotation_matrix(camera.rotation_cam_enu), right_jacobian(camera.rotation_cam_enu)
     directions = np.ascontiguousarray(direction_enu, dtype=np.float64)
-    pixels, rows = pixels_and_rows_of(*kernel_lens(camera), rotation, jacobian, directions)
+    pixels, rows = pixels_and_rows_of(camera.to_vector(), kernel_optics(camera), rotation, jacobian, directions)
     if camera.displacement is not None:
         shift, slopes = camera.displacement.with_slopes(pixels)
         pixels, rows = pixels + shift, rows + slopes @ rows
     return pixels, rows
 
 
-def kernel_lens(camera: Camera) -> tuple[FloatArray, int, float, float]:
-    """Return parameters, projection, mirror and largest angle as the kernels take them."""
+def kernel_optics(camera: Camera) -> Optics:
+    """Return projection, mirror and largest angle as the kernels take them; the displacement does not count."""
     limit = min(camera.max_angle, math.nextafter(angle_limit(camera.projection), 0.0))
-    return camera.to_vector(), PROJECTIONS[camera.projection].code, mirror_of(camera), limit
+    return Optics(PROJECTIONS[camera.projection].code, mirror_of(camera), limit)
 
 
 def mirror_of(camera: Camera) -> float:

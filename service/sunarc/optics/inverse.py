@@ -7,6 +7,7 @@ decentering, then in one dimension for the angle.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,18 +16,19 @@ from sunarc.array_types import FloatArray
 from sunarc.compiled_math import sine_and_cosine_of_half
 from sunarc.jit import njit
 from sunarc.optics.camera import Camera
-from sunarc.optics.forward import mirror_of
+from sunarc.optics.forward import kernel_optics
 from sunarc.optics.kernels import (
     EQUIDISTANT,
     EQUISOLID,
     PERSPECTIVE,
     STEREOGRAPHIC,
+    Optics,
     distortion_and_slope,
     radius_and_slope,
     require_code,
 )
 from sunarc.optics.pose import rotation_matrix
-from sunarc.optics.projections import PROJECTIONS, angle_limit
+from sunarc.optics.projections import angle_limit
 
 _ITERATIONS = 30
 _LAST_STEP = 1e-8
@@ -96,17 +98,24 @@ def _first_angle(table: FloatArray, share: float) -> float:
     return float(angle) if low <= angle <= high else float(low + s * rise)
 
 
+class InverseLens(NamedTuple):
+    """What the exact inverse takes of a camera.
+
+    optics : as of the forward kernels. plane : (5,) fx, fy, skew, x0, y0, px. radial, decentering : k2 … k9, p1 … p4.
+    table : of `angle_table`, to the largest angle.
+    """
+
+    optics: Optics
+    plane: FloatArray
+    radial: FloatArray
+    decentering: FloatArray
+    table: FloatArray
+
+
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
-def _step_angles(  # noqa: PLR0917 - compiled functions take positions
-    code: int,
-    radial: FloatArray,
-    limit: float,
-    radius: FloatArray,
-    theta: FloatArray,
-    sine: FloatArray,
-    cosine: FloatArray,
-) -> int:
+def _step_angles(lens: InverseLens, radius: FloatArray, theta: FloatArray, sine: FloatArray, cosine: FloatArray) -> int:
     """Make one step of Newton's method for angles (n,), write their sines and cosines, and return how many moved."""
+    code, radial, limit = lens.optics.code, lens.radial, lens.table[-1, 0]
     require_code(code)  # not in the loop, which is to run in vector registers
     moving = 0
     for i in range(theta.size):
@@ -133,26 +142,14 @@ def _step_angles(  # noqa: PLR0917 - compiled functions take positions
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
-def write_exact_directions(  # noqa: PLR0917 - compiled functions take positions
-    code: int,
-    lens: FloatArray,
-    radial: FloatArray,
-    decentering: FloatArray,
-    table: FloatArray,
-    rotation: FloatArray,
-    pixels: FloatArray,
-    result: FloatArray,
-) -> None:
+def write_exact_directions(lens: InverseLens, rotation: FloatArray, pixels: FloatArray, result: FloatArray) -> None:
     """Write the directions (n, 3) that pixels (n, 2) look at; NaN where there is none.
 
-    Parameters
-    ----------
-    code : number of the projection. lens : fx, fy, skew, x0, y0, and the mirror as of `kernels.pixels_of`; px.
-    radial, decentering : k2 … k9, p1 … p4. table : of `angle_table`. rotation : (3, 3), to the camera.
+    `rotation` (3, 3) leads to the camera.
     """
-    limit = table[-1, 0]
-    edge = radius_and_slope(code, radial, limit)[0]
-    fx, fy, skew, x0, y0, mirror = lens[0], lens[1], lens[2], lens[3], lens[4], lens[5]
+    decentering, mirror, plane = lens.decentering, lens.optics.mirror, lens.plane
+    edge = radius_and_slope(lens.optics.code, lens.radial, lens.table[-1, 0])[0]
+    fx, fy, skew, x0, y0 = plane[0], plane[1], plane[2], plane[3], plane[4]
     work = np.empty((6, _BLOCK))
     for begin in range(0, pixels.shape[0], _BLOCK):
         size = min(_BLOCK, pixels.shape[0] - begin)
@@ -168,9 +165,9 @@ def write_exact_directions(  # noqa: PLR0917 - compiled functions take positions
             radius[k] = math.sqrt(x[k] * x[k] + y[k] * y[k])
             if not radius[k] <= edge * (1.0 + 1e-12):
                 x[k], radius[k] = math.nan, 0.0  # no direction, and nothing to wait for
-            theta[k] = _first_angle(table, min(radius[k] / edge, 1.0))
+            theta[k] = _first_angle(lens.table, min(radius[k] / edge, 1.0))
         for _ in range(_ITERATIONS):
-            if _step_angles(code, radial, limit, radius, theta, sine, cosine) == 0:
+            if _step_angles(lens, radius, theta, sine, cosine) == 0:
                 break
         for k in range(size):
             scale = sine[k] / max(radius[k], 1e-300)
@@ -196,12 +193,15 @@ def unproject(camera: Camera, pixel: ArrayLike) -> FloatArray:
         place = camera.displacement.taken_out(place.reshape(-1, 2)).reshape(place.shape)
     flat = np.ascontiguousarray(place.reshape(-1, 2))
     result = np.empty((flat.shape[0], 3))
-    radial, decentering = np.array(camera.radial), np.array(camera.decentering)
-    code = PROJECTIONS[camera.projection].code
-    lens = np.array([*camera.focal_length_px, camera.skew_px, *camera.principal_point_px, mirror_of(camera)])
-    table = angle_table(code, radial, largest_angle(camera))
-    rotation = rotation_matrix(camera.rotation_cam_enu)
-    write_exact_directions(code, lens, radial, decentering, table, rotation, flat, result)
+    optics, radial = kernel_optics(camera), np.array(camera.radial)
+    lens = InverseLens(
+        optics=optics,
+        plane=np.array([*camera.focal_length_px, camera.skew_px, *camera.principal_point_px]),
+        radial=radial,
+        decentering=np.array(camera.decentering),
+        table=angle_table(optics.code, radial, largest_angle(camera)),
+    )
+    write_exact_directions(lens, rotation_matrix(camera.rotation_cam_enu), flat, result)
     return result.reshape(*place.shape[:-1], 3)
 
 

@@ -11,6 +11,7 @@ threads starts two.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -75,6 +76,18 @@ _ARCTANGENT = _arctangent()
 _TERMS = _ARCTANGENT.size
 
 
+class Optics(NamedTuple):
+    """What the kernels take of a camera beside its 23 parameters.
+
+    code : of the projection (`projections.PROJECTIONS`). mirror : width - 1 of a mirrored image, negative for one that
+    is not. max_angle : angle off the axis up to which it shows anything, radians.
+    """
+
+    code: int
+    mirror: float
+    max_angle: float
+
+
 @njit(nogil=True)
 def require_code(code: int) -> None:
     """Raise ValueError where no projection has this code."""
@@ -85,46 +98,35 @@ def require_code(code: int) -> None:
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
 def write_block(  # noqa: PLR0917 - compiled functions take positions
     vector: FloatArray,
-    code: int,
-    mirror: float,
-    max_angle: float,
+    optics: Optics,
     rotation: FloatArray,
     jacobian: FloatArray,
     directions: FloatArray,
-    begin: int,
-    size: int,
     work: FloatArray,
 ) -> None:
-    """Write pixels and derivatives of `size` directions (n, 3) from `begin` on to a work array (WORK,).
+    """Write pixels and derivatives of directions (n, 3), n at most BLOCK, to a work array (WORK,).
 
-    Where the lens shows nothing the pixel is NaN and the derivatives are 0. Places beyond the size repeat the last one.
-    The other arguments as of `kernels.pixels_and_rows_of`.
+    Where the lens shows nothing the pixel is NaN and the derivatives are 0. Places beyond n repeat the last direction.
+    The other arguments as of `pixels_and_rows_of`.
     """
-    write_pixels(vector, code, mirror, max_angle, rotation, directions, begin, size, work)
-    _write_lens(vector, mirror, work)
-    _write_vector(vector, mirror, work)
+    write_pixels(vector, optics, rotation, directions, work)
+    _write_lens(vector, optics.mirror, work)
+    _write_vector(vector, optics.mirror, work)
     _write_pose(rotation, jacobian, work)
     _blank(work)
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
-def write_pixels(  # noqa: PLR0917 - compiled functions take positions
-    vector: FloatArray,
-    code: int,
-    mirror: float,
-    max_angle: float,
-    rotation: FloatArray,
-    directions: FloatArray,
-    begin: int,
-    size: int,
-    work: FloatArray,
+def write_pixels(
+    vector: FloatArray, optics: Optics, rotation: FloatArray, directions: FloatArray, work: FloatArray
 ) -> None:
     """Write what `write_block` does but for the derivatives."""
-    _place(vector, rotation, directions, begin, size, work)
+    _place(vector, rotation, directions, work)
     _write_angles(work)
-    _write_ideal(code, work)
+    _write_ideal(optics.code, work)
     _distort(vector, work)
-    sign, base = (-1.0, mirror) if mirror >= 0.0 else (1.0, 0.0)
+    sign, base = (-1.0, optics.mirror) if optics.mirror >= 0.0 else (1.0, 0.0)
+    max_angle = optics.max_angle
     ax, ay, skew = sign * vector[_FX], vector[_FY], sign * vector[_SKEW]
     x0, y0 = base + sign * vector[_X0], vector[_Y0]
     for i in range(BLOCK):
@@ -135,12 +137,11 @@ def write_pixels(  # noqa: PLR0917 - compiled functions take positions
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
-def _place(  # noqa: PLR0917 - compiled functions take positions
-    vector: FloatArray, rotation: FloatArray, directions: FloatArray, begin: int, size: int, work: FloatArray
-) -> None:
+def _place(vector: FloatArray, rotation: FloatArray, directions: FloatArray, work: FloatArray) -> None:
     """Write the directions and R w + t."""
+    last = directions.shape[0] - 1
     for i in range(BLOCK):
-        n = begin + min(i, size - 1)
+        n = min(i, last)
         work[_EAST + i], work[_NORTH + i], work[_UP + i] = directions[n, 0], directions[n, 1], directions[n, 2]
     for row, target in ((0, _X), (1, _Y), (2, _Z)):
         by_e, by_n, by_u = rotation[row, 0], rotation[row, 1], rotation[row, 2]
@@ -356,31 +357,19 @@ def decentering_bracket(p1: float, p2: float, u: float, v: float) -> tuple[float
 
 
 @njit(nogil=True)
-def pixels_of(  # noqa: PLR0917 - compiled functions take positions
-    vector: FloatArray, code: int, mirror: float, max_angle: float, rotation: FloatArray, directions: FloatArray
-) -> FloatArray:
-    """Return (n, 2) pixels of directions (n, 3): `project` for the 23 parameters of `vector`.
-
-    `mirror` is width - 1 for a mirrored image, negative for one that is not.
-    """
+def pixels_of(vector: FloatArray, optics: Optics, rotation: FloatArray, directions: FloatArray) -> FloatArray:
+    """Return (n, 2) pixels of directions (n, 3): `project` for the 23 parameters of `vector`."""
     n, work = directions.shape[0], np.empty(WORK)
     result = np.empty((n, 2))
     for begin in range(0, n, BLOCK):
-        size = min(BLOCK, n - begin)
-        write_pixels(vector, code, mirror, max_angle, rotation, directions, begin, size, work)
-        _take_pixels(work, result[begin : begin + size])
+        write_pixels(vector, optics, rotation, directions[begin : begin + BLOCK], work)
+        _take_pixels(work, result[begin : begin + BLOCK])
     return result
 
 
 @njit(nogil=True)
-def pixels_and_rows_of(  # noqa: PLR0917 - compiled functions take positions
-    vector: FloatArray,
-    code: int,
-    mirror: float,
-    max_angle: float,
-    rotation: FloatArray,
-    jacobian: FloatArray,
-    directions: FloatArray,
+def pixels_and_rows_of(
+    vector: FloatArray, optics: Optics, rotation: FloatArray, jacobian: FloatArray, directions: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return pixels (n, 2) and their derivatives by the 23 parameters (n, 2, 23): `project_with_jacobian`.
 
@@ -390,7 +379,7 @@ def pixels_and_rows_of(  # noqa: PLR0917 - compiled functions take positions
     pixels, rows = np.empty((n, 2)), np.zeros((n, 2, _SIZE))
     for begin in range(0, n, BLOCK):
         size = min(BLOCK, n - begin)
-        write_block(vector, code, mirror, max_angle, rotation, jacobian, directions, begin, size, work)
+        write_block(vector, optics, rotation, jacobian, directions[begin : begin + BLOCK], work)
         _take_pixels(work, pixels[begin : begin + size])
         for k in range(N_COLUMNS):
             if k != RESIDUAL:

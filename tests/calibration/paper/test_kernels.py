@@ -9,21 +9,20 @@ import pytest
 from tests.fixtures.calibration import observed, small_camera, spread_directions
 
 from sunarc.calibration.model.options import CalibrationOptions, EllipseScope, PaperOptions
-from sunarc.calibration.paper import PaperOptics, _penalties, _unlimited, compiled_equations
-from sunarc.calibration.paper import compiled_equations as equations_in_numpy
+from sunarc.calibration.paper import _penalties, _unlimited, compiled_equations
+from sunarc.calibration.paper import equations as equations_in_numpy
 from sunarc.calibration.solve.levenberg_marquardt import as_seen
 from sunarc.optics.camera import Camera
-from sunarc.optics.forward import kernel_lens
+from sunarc.optics.forward import kernel_optics
 
 FALLING = (0.0, 0.0, -0.9, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def _compiled(camera: Camera, options: CalibrationOptions, count: int = 50) -> tuple[np.ndarray, np.ndarray, float]:
     seen = observed(small_camera(mirrored=camera.mirrored), spread_directions(count), sigma_px=0.5)
-    _, code, mirror, max_angle = kernel_lens(_unlimited(camera))
     normal, gradient = np.empty((23, 23)), np.empty(23)
     cost = compiled_equations(
-        PaperOptics(code, mirror, max_angle),
+        kernel_optics(_unlimited(camera)),
         as_seen(seen.weighted(np.linspace(0.5, 3.0, count))),
         _penalties(camera, options).weighed(),
         camera.to_vector(),
@@ -56,9 +55,8 @@ def test_a_sighting_that_the_lens_cannot_show_costs_and_pulls_nothing() -> None:
     options = CalibrationOptions()
     camera = replace(small_camera("perspective"), radial=(0.0,) * 8)
     behind = observed(small_camera(), -spread_directions(3), sigma_px=0.0)
-    _, code, mirror, max_angle = kernel_lens(_unlimited(camera))
     normal, gradient = np.empty((23, 23)), np.empty(23)
-    args = PaperOptics(code, mirror, max_angle), _penalties(camera, options).weighed()
+    args = kernel_optics(_unlimited(camera)), _penalties(camera, options).weighed()
     empty = behind.select(slice(0, 0))
     none = compiled_equations(args[0], as_seen(empty), args[1], camera.to_vector(), normal, gradient)
     alone = gradient.copy()

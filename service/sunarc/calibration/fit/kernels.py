@@ -14,9 +14,10 @@ import numpy as np
 
 from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.solve.priors import N_LENS
-from sunarc.calibration.solve.row_kernels import Optics, Sighted, residuals_and_columns_of, vectors_of
+from sunarc.calibration.solve.row_kernels import Sighted, residuals_and_columns_of, vectors_of
 from sunarc.compiled_math import factored, halved, turned_back
 from sunarc.jit import njit
+from sunarc.optics.kernels import Optics
 
 
 @njit(nogil=True)

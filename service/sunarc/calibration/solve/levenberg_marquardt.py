@@ -19,8 +19,8 @@ from sunarc.calibration.solve.row_kernels import add_products, block_size, reach
 from sunarc.compiled_math import solved
 from sunarc.jit import njit
 from sunarc.optics.camera import Param
-from sunarc.optics.forward import kernel_lens
-from sunarc.optics.kernels import N_NATIVE, RESIDUAL, WORK, write_block, write_rotation
+from sunarc.optics.forward import kernel_optics
+from sunarc.optics.kernels import N_NATIVE, RESIDUAL, WORK, Optics, write_block, write_rotation
 
 FIRST_DAMPING = 1e-3
 LARGEST_DAMPING = 1e8
@@ -42,9 +42,7 @@ class KernelLens(NamedTuple):
 
     mean: FloatArray
     basis: FloatArray
-    code: int
-    mirror: float
-    max_angle: float
+    optics: Optics
 
 
 class Seen(NamedTuple):
@@ -174,9 +172,7 @@ def _data_sums(  # noqa: PLR0917 - compiled functions take positions
     begin, cost = 0, 0.0
     while begin < seen.epoch.size:
         e, size = seen.epoch[begin], block_size(seen.epoch, begin)
-        write_block(
-            vector, lens.code, lens.mirror, lens.max_angle, rotation[e], jacobian[e], seen.directions, begin, size, work
-        )
+        write_block(vector, lens.optics, rotation[e], jacobian[e], seen.directions[begin : begin + size], work)
         cost += weigh(work, seen.pixels, seen.information, begin, size, sigma)
         add_products(work, products[e])
         begin += size
@@ -307,8 +303,7 @@ def information(residual: FloatArray, observed: Observations, sigma: float | Non
 def as_lens(problem: FitProblem) -> KernelLens:
     """Return a problem's lens as the compiled loop takes it."""
     mean, basis = np.ascontiguousarray(problem.prior.mean), np.ascontiguousarray(problem.prior.basis)
-    _, code, mirror, max_angle = kernel_lens(problem.template)
-    return KernelLens(mean, basis, code, mirror, max_angle)
+    return KernelLens(mean, basis, kernel_optics(problem.template))
 
 
 def as_seen(observed: Observations) -> Seen:

@@ -14,14 +14,14 @@ from sunarc.calibration.model.sightings import FilteredSightings
 from sunarc.calibration.robust_loss import UNSEEN_PX
 from sunarc.calibration.solve.priors import LENS, N_LENS, LensPrior
 from sunarc.calibration.solve.row_kernels import (
-    Optics,
     Sighted,
     residuals_and_columns_of,
     residuals_of,
     vectors_of,
 )
 from sunarc.optics.camera import POSE, Camera, Param
-from sunarc.optics.forward import by_direction, kernel_lens
+from sunarc.optics.forward import by_direction, kernel_optics
+from sunarc.optics.kernels import Optics
 from sunarc.optics.pose import rotation_matrix
 from sunarc.optics.projections import angle_limit
 from sunarc.sky.refraction import raised, upward
@@ -210,8 +210,7 @@ class FitProblem:
 
     def optics(self) -> Optics:
         """Return the numbers of the template that the kernels take; its displacement does not count."""
-        _, code, mirror, max_angle = kernel_lens(self.template)
-        return Optics(code, mirror, max_angle)
+        return kernel_optics(self.template)
 
     def _vectors(self, unknowns: FloatArray) -> FloatArray:
         at, prior = np.asarray(unknowns, dtype=np.float64), self.prior

@@ -24,6 +24,7 @@ from sunarc.optics.kernels import (
     RESIDUAL,
     WEIGHT,
     WORK,
+    Optics,
     pixels_of,
     write_block,
     write_rotation,
@@ -136,14 +137,6 @@ _POSE = int(Param.ROTATION_X)
 _PAIR = 2 * BLOCK
 
 
-class Optics(NamedTuple):
-    """The kernels' numbers of a camera: projection, mirror and largest angle, see `pixels_of`."""
-
-    code: int
-    mirror: float
-    max_angle: float
-
-
 class Sighted(NamedTuple):
     """Sightings: directions (n, 3), pixels (n, 2), 1-sigma of the refraction (n, k), rad, epoch (n,); contiguous.
 
@@ -169,7 +162,7 @@ def residuals_of(optics: Optics, vector: FloatArray, seen: Sighted, air: FloatAr
     rotation, jacobian = np.empty((3, 3)), np.empty((3, 3))
     write_rotation(vector[_POSE : _POSE + 3], rotation, jacobian)
     directions, _ = _in_air(seen, air)
-    result: FloatArray = pixels_of(vector, optics.code, optics.mirror, optics.max_angle, rotation, directions)
+    result: FloatArray = pixels_of(vector, optics, rotation, directions)
     for n in range(result.shape[0]):
         for c in range(2):
             residual = seen.pixels[n, c] - result[n, c]
@@ -200,10 +193,7 @@ def residuals_and_columns_of(  # noqa: PLR0917 - compiled functions take positio
     begin = 0
     while begin < count:
         e, n = seen.epoch[begin], block_size(seen.epoch, begin)
-        write_block(
-            vectors[e], optics.code, optics.mirror, optics.max_angle, rotation[e], jacobian[e], directions, begin, n,
-            work,
-        )  # fmt: skip
+        write_block(vectors[e], optics, rotation[e], jacobian[e], directions[begin : begin + n], work)
         _write_lens_unknowns(work, basis, reach, own)
         for c in range(2):
             for j in range(N_NATIVE):
