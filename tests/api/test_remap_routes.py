@@ -105,6 +105,30 @@ def test_tables_come_as_netcdf_with_the_same_numbers(made: Made) -> None:
         np.testing.assert_array_equal(file.variables["map_y"][...], tables(made, size=32)["map_y"])
 
 
+def test_netcdf_of_the_ground_has_coordinates_that_pyproj_places(made: Made) -> None:
+    xarray, pyproj = pytest.importorskip("xarray"), pytest.importorskip("pyproj")
+    query = {"size": 64, "format": "netcdf", "grid": "ground", "height": 1500.0, "half_width": 4000.0}
+    with xarray.open_dataset(
+        io.BytesIO(made.client.get("/v1/remap", params=query).content), engine="h5netcdf"
+    ) as opened:
+        ground = opened.load()
+    assert (ground.x[0], ground.x[-1], ground.y[0], ground.y[-1]) == (-4000.0, 4000.0, 4000.0, -4000.0)
+    crs = pyproj.CRS.from_cf(ground[ground.map_x.attrs["grid_mapping"]].attrs)
+    place = pyproj.Transformer.from_crs(crs, crs.geodetic_crs, always_xy=True)
+    longitude, latitude = place.transform(ground.x.values[-1], ground.y.values[0])
+    site = made.archive.model("second").site
+    north_m = math.radians(latitude - site.latitude) * 6_371_008.8
+    east_m = math.radians(longitude - site.longitude) * 6_371_008.8 * math.cos(math.radians(latitude))
+    np.testing.assert_allclose([east_m, north_m], [4000.0, 4000.0], atol=5.0)
+    sky = made.client.get("/v1/remap", params={"size": 64, "format": "netcdf"}).content
+    with xarray.open_dataset(io.BytesIO(sky), engine="h5netcdf") as of_sky:
+        assert (of_sky.map_x.dims, of_sky.x.attrs["units"]) == (("y", "x"), "degree")
+        at = of_sky.map_x.sel(x=0.0, y=45.0, method="nearest")  # half way up in the north
+        zenith, azimuth = np.hypot(at.x, at.y).item(), math.degrees(math.atan2(at.x, at.y)) % 360.0
+        direction = direction_from_angles(zenith_deg=zenith, azimuth_deg=azimuth)
+        assert at.item() == pytest.approx(project(made.archive.model("second").camera, direction)[0], abs=1e-3)
+
+
 def test_who_has_the_tables_gets_304_until_the_grid_or_the_calibration_changes(made: Made) -> None:
     tag = made.client.get("/v1/remap", params={"size": 32}).headers["etag"]
     for query, status in (({"size": 32}, 304), ({"size": 33}, 200), ({"size": 32, "calibration": "first"}, 200)):

@@ -94,15 +94,61 @@ def remap_tables(camera: Camera, directions: FloatArray) -> tuple[NDArray[np.flo
     return filled[..., 0], filled[..., 1]
 
 
-def remap_table(camera: Camera, directions: FloatArray, *, grid: Grid, attributes: Mapping[str, Any]) -> Table:
-    """Return map_x and map_y of a grid's directions (rows, columns, 3), with what a reader needs of grid and image."""
+def remap_table(
+    camera: Camera,
+    directions: FloatArray,
+    *,
+    grid: Grid,
+    attributes: Mapping[str, Any],
+    half_width_m: float = 0.0,
+    place: tuple[float, float] | None = None,
+) -> Table:
+    """Return map_x and map_y of a grid's directions (size, size, 3), with what a reader needs of grid and image.
+
+    Parameters
+    ----------
+    camera, directions, grid : of the image, of the grid, and which grid it is.
+    attributes : of the whole, beside its own.
+    half_width_m : of a ground grid, m.
+    place : latitude and longitude of the camera, degrees: the origin of a ground grid's coordinates.
+    """
     described = {"units": "1", "long_name": "coordinate in px in the image; -1 where the image has nothing"}
     said = {"grid": grid, "north": "at the top, east at the right", "image_size": [camera.width, camera.height]}
+    if place is not None:
+        described["grid_mapping"] = "crs"
     tables = zip(("map_x", "map_y"), remap_tables(camera, directions), strict=True)
+    arrays = {n: Variable(dimensions=("y", "x"), values=v, attributes=described) for n, v in tables}
     return Table(
-        variables={n: Variable(dimensions=("row", "column"), values=v, attributes=described) for n, v in tables},
-        attributes={"title": f"Tables for cv2.remap: {grid} grid", **said, **attributes},
+        variables=arrays | _coordinates(len(directions), half_width_m, place),
+        attributes={"Conventions": "CF-1.11", "title": f"Tables for cv2.remap: {grid} grid", **said, **attributes},
     )
+
+
+def _coordinates(size: int, half_width_m: float, place: tuple[float, float] | None) -> dict[str, Variable]:
+    """Return x, y of the cells: m on a sphere about the camera for a ground grid, else degrees of zenith angle."""
+    across = (np.arange(size) - (size - 1) / 2.0) / (size / 2.0) * _RIGHT_ANGLE_DEG
+    named = [{"units": "degree", "long_name": f"zenith angle towards the {side}"} for side in ("east", "north")]
+    crs: dict[str, Variable] = {}
+    if place is not None:
+        across = np.linspace(-half_width_m, half_width_m, size)
+        named = [
+            {"units": "m", "standard_name": f"projection_{axis}_coordinate", "long_name": f"{side} of the camera"}
+            for axis, side in (("x", "east"), ("y", "north"))
+        ]
+        mapping = {
+            "grid_mapping_name": "azimuthal_equidistant",
+            "latitude_of_projection_origin": place[0],
+            "longitude_of_projection_origin": place[1],
+            "false_easting": 0.0,
+            "false_northing": 0.0,
+            "earth_radius": _EARTH_RADIUS_M,
+        }
+        crs = {"crs": Variable(dimensions=(), values=np.array(0, dtype=np.int32), attributes=mapping)}
+    x, y = (
+        Variable(dimensions=(name,), values=values, attributes={"axis": name.upper(), **attributes})
+        for name, values, attributes in zip("xy", (across, -across), named, strict=True)
+    )
+    return {"x": x, "y": y, **crs}
 
 
 def is_remap(content: bytes) -> bool:

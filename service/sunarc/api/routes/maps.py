@@ -393,7 +393,15 @@ def _tables(context: ApiContext, record: CalibrationRecord, asked: _Asked, forma
     of_ground = {} if asked.grid == "sky" else {"height_m": asked.height_m, "half_width_m": asked.width()}
     attributes = {"calibration": record.id, **of_ground}
     directions = asked.directions(asked.size)
-    table = remap_table(_camera(context, record), directions, grid=asked.grid, attributes=attributes)
+    site = context.archive.model(record.id).site
+    table = remap_table(
+        _camera(context, record),
+        directions,
+        grid=asked.grid,
+        attributes=attributes,
+        half_width_m=asked.width(),
+        place=(site.latitude, site.longitude) if asked.grid == "ground" else None,
+    )
     return netcdf_bytes(table) if format_ == "netcdf" else npz_bytes(table)
 
 
