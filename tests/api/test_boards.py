@@ -19,16 +19,15 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.api.test_event_stream import serving
 from tests.fixtures.calibrations import SITE
+from tests.fixtures.nights import judged
 from tests.fixtures.ports import free_port
 
 from sunarc.archive.archive import CameraArchive
 from sunarc.archive.database.store import Reserve
 from sunarc.archive.images import DiskOptions, ImageStore
-from sunarc.archive.values import Day, Event, Refit
-from sunarc.findings import Finding
+from sunarc.archive.values import Day, Refit
 from sunarc.runtime.clock import ClockState, SystemClock, VirtualClock
 from sunarc.workers.clock_watch import ClockOptions, ClockWatch, FrameTime
-from sunarc.workers.messages import MESSAGES
 from sunarc.workers.upkeep import DiskWorker
 
 if TYPE_CHECKING:
@@ -91,9 +90,8 @@ def observed(made: Made, tmp_path: Path) -> Iterator[tuple[Made, Prometheus]]:
     )
     made.archive.save_day(day)
     numbers = dict.fromkeys(re.findall(r"sunarc_night_(\w+)", " ".join(EXPRESSIONS)), 1.0)
-    night = Finding("night", {"date": "2013-05-12", "verdict": "clear", "reasons": "", **numbers})
-    event = Event.of(night, MESSAGES, time=made.noon, severity="info", camera="roof", details={})
-    made.archive.add_event(event)
+    known: dict[str, Any] = {name: value for name, value in numbers.items() if name != "seconds"}
+    made.archive.save_night(judged("2013-05-12", at=made.noon, verdict="clear", **known))
     camera = made.board.snapshot().camera
     assert camera is not None
     made.board.note(camera=replace(camera, temperature_c=31.0))

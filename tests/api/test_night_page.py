@@ -10,14 +10,15 @@ import cv2
 import numpy as np
 import pytest
 from playwright.sync_api import Page
+from pydantic import TypeAdapter
 from tests.api.conftest import LENS, Made, write_image
 from tests.api.test_dashboard import CUT_LABELS, CUT_OFF, browser, in_a_browser, is_accessible, opened, serving
 from tests.api.test_nights import NUMBERS, PARTS
+from tests.fixtures.nights import judged
 
 from sunarc.archive.images import DiskOptions, ImageStore
-from sunarc.archive.values import Event
+from sunarc.archive.values import NightBand, NightSeries
 from sunarc.findings import Finding
-from sunarc.workers.messages import MESSAGES
 from sunarc.workers.night.images import night_picture, store_picture
 
 MIDNIGHT = datetime(2013, 5, 13, 6, 0, tzinfo=UTC)
@@ -50,12 +51,12 @@ def nightly(make: Any, store: ImageStore, tmp_path: Path) -> Made:  # noqa: ANN4
     made: Made = make(image=write_image(tmp_path), history="filled", images=store)
     for day, verdict in ((11, "cloudy"), (12, "clear"), (13, "moonlit")):
         date, time = f"2013-05-{day}", datetime(2013, 5, day, 12, tzinfo=UTC) + timedelta(days=1)
-        found = Finding("night", {"date": date, "verdict": verdict, "reasons": "as it was", **NUMBERS})
-        why = [Finding("night_images", {"n": 46, "images": 48, "cloud_fraction": 0.1}).as_json()]
+        why = (Finding("night_images", {"n": 46, "images": 48, "cloud_fraction": 0.1}),)
         images = {**PARTS["images"], "time": [f"{date}T05:00:00Z", f"{date}T06:00:00Z"]}
         images = {name: (column * 2)[:2] for name, column in images.items()}
-        details = {"findings": why, "zenith_bands": PARTS["zenith_bands"], "images": images}
-        made.archive.add_event(Event.of(found, MESSAGES, time=time, severity="info", camera="roof", details=details))
+        series = TypeAdapter(NightSeries).validate_python(images)
+        parts: dict[str, Any] = {"zenith_bands": (NightBand(**PARTS["zenith_bands"][0]),), "images": series}
+        made.archive.save_night(judged(date, at=time, verdict=verdict, findings=why, **NUMBERS, **parts))
     return made
 
 
@@ -90,10 +91,8 @@ def test_a_damaged_file_of_names_is_no_internal_error(nightly: Made, store: Imag
 def test_the_pictures_of_nights_are_no_composites_and_go_with_their_age(nightly: Made, store: ImageStore) -> None:
     assert nightly.client.get("/v1/images").json()["images"] == []
     assert store.usage().images_bytes > 1000
-    found = Finding("night", {"date": "2013-05-12", "verdict": "clear", **NUMBERS})
-    details = {"findings": [], "picture_time": "2013-05-13T06:00:00Z"}
-    time = MIDNIGHT + timedelta(hours=12)
-    nightly.archive.add_event(Event.of(found, MESSAGES, time=time, severity="info", camera="roof", details=details))
+    taken, time = datetime(2013, 5, 13, 6, tzinfo=UTC), MIDNIGHT + timedelta(hours=12)
+    nightly.archive.save_night(judged("2013-05-12", at=time, verdict="clear", picture_time=taken, **NUMBERS))
     assert [one["picture"] for one in nightly.client.get("/v1/nights").json()["nights"]] == [False, True, False]
     assert store.expire(MIDNIGHT + timedelta(days=1)) == 2
     assert [one["picture"] for one in nightly.client.get("/v1/nights").json()["nights"]] == [False, False, False]
@@ -168,11 +167,8 @@ def names_what_is_pointed_at(page: Page) -> None:
 def test_a_night_without_a_calibration_on_the_page(make: Any, store: ImageStore, tmp_path: Path) -> None:  # noqa: ANN401
     made: Made = make(image=write_image(tmp_path), history="filled", images=store)
     store_picture(store, night_picture(np.eye(64, dtype=np.uint16), MIDNIGHT, 9), [], calibration=None, image_size=None)
-    found = Finding("night", {"date": "2013-05-12", "verdict": "unusable", "reasons": "", "n_images": 45})
-    why = [Finding("night_without_calibration").as_json()]
-    time = MIDNIGHT + timedelta(hours=5)
-    event = Event.of(found, MESSAGES, time=time, severity="info", camera="roof", details={"findings": why})
-    made.archive.add_event(event)
+    why = (Finding("night_without_calibration"),)
+    made.archive.save_night(judged("2013-05-12", at=MIDNIGHT + timedelta(hours=5), findings=why, n_images=45))
     with serving(made) as address, browser() as chromium:
         desktop = opened(chromium, address)
         page = desktop.page

@@ -3,9 +3,11 @@ from __future__ import annotations
 from datetime import timedelta
 from typing import TYPE_CHECKING, Any
 
-from sunarc.archive.values import Event
+from pydantic import TypeAdapter
+from tests.fixtures.nights import judged
+
+from sunarc.archive.values import NightBand, NightSeries
 from sunarc.findings import Finding
-from sunarc.workers.messages import MESSAGES
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made
@@ -25,22 +27,20 @@ PARTS: dict[str, Any] = {
         "star_fwhm_px": [2.4], "star_ellipticity": [0.1], "halo": [None], "zero_point": [10.9],
     },
 }  # fmt: skip
+SERIES = TypeAdapter(NightSeries).validate_python(PARTS["images"])
 
 
 def test_nights_are_listed_the_newest_first_with_what_is_known(made: Made) -> None:
-    findings = [Finding("night_images", {"n": 46, "images": 48, "cloud_fraction": 0.1}).as_json()]
+    why = Finding("night_images", {"n": 46, "images": 48, "cloud_fraction": 0.1})
+    findings = [why.as_json()]
+    parts = {"zenith_bands": (NightBand(**PARTS["zenith_bands"][0]),), "images": SERIES}
     told: list[tuple[int, dict[str, Any]]] = [
         (2, {"verdict": "unusable", "n_images": 2}),
-        (1, {"verdict": "clear", **NUMBERS}),
+        (1, {"verdict": "clear", **NUMBERS, **parts}),
     ]
     for days, data in told:
-        date = f"{(made.noon - timedelta(days=days)).date()}"
-        found = Finding("night", {"date": date, "reasons": "as it was", **data})
-        event = Event.of(
-            found, MESSAGES, time=made.noon - timedelta(days=days), severity="info", camera="roof",
-            details={"findings": findings, **(PARTS if days == 1 else {})},
-        )  # fmt: skip
-        made.archive.add_event(event)
+        time = made.noon - timedelta(days=days)
+        made.archive.save_night(judged(f"{time.date()}", at=time, findings=(why,), **data))
     newest, oldest = made.client.get("/v1/nights").json()["nights"]
     assert newest == {
         "night": "2013-05-12",
@@ -70,9 +70,7 @@ def test_without_nights_the_list_is_empty(empty: Made) -> None:
 
 def test_a_night_that_was_judged_again_is_listed_once(made: Made) -> None:
     for verdict, n_images in (("partly", 40), ("clear", 48)):
-        found = Finding("night", {"date": "2013-05-12", "reasons": "", "verdict": verdict, "n_images": n_images})
-        event = Event.of(found, MESSAGES, time=made.noon, severity="info", camera="roof", details={"findings": []})
-        made.archive.add_event(event)
+        made.archive.save_night(judged("2013-05-12", at=made.noon, verdict=verdict, n_images=n_images))
     page = made.client.get("/v1/nights", params={"limit": 1}).json()
     assert [(night["verdict"], night["n_images"]) for night in page["nights"]] == [("clear", 48)]
     assert page["next"] is None

@@ -13,6 +13,7 @@ import pytest
 from sqlalchemy import URL
 from tests.archive.test_calibrations import document
 from tests.fixtures.fleet import NOON, NOW, batch_of, feed, new_imager, next_batch, sighting
+from tests.fixtures.nights import judged, whole_night
 
 from sunarc.archive.archive import Archive, open_archive
 from sunarc.archive.fleet.feed_rows import FED, FeedBatch, FeedRow, Refusal, read_feed_lines
@@ -51,6 +52,7 @@ def contents(archive: Archive, camera: str = "roof") -> dict[str, Any]:
         "air": archive.day_air(camera),
         "calibrations": archive.calibrations(camera),
         "refits": archive.refits(camera),
+        "nights": archive.nights(camera),
         "events": [replace(event, id=None) for event in archive.events(camera)],
     }
 
@@ -75,6 +77,8 @@ def live_a_little(imager: Archive) -> None:
         )
     )
     imager.set_day_air(DayAir(camera="roof", date=date(2026, 5, 13), temperature_c=3.5, pressure_hpa=None, set_at=NOON))
+    imager.save_night(whole_night(NOON))
+    imager.save_night(judged("2026-05-11", at=NOON, n_images=3, findings=(Finding("night_given_up", {"n": 3}),)))
     imager.add_calibration(document("a"))
     imager.activate("a")
     imager.add_calibration(document("b", day=1), parent="a")
@@ -106,6 +110,35 @@ def test_rows_that_are_all_sent_again_change_nothing(imager: Archive, hub: Archi
     feed(imager, hub)
     assert contents(hub) == contents(imager)
     assert hub.quarantine() == ()
+
+
+def test_a_night_that_only_its_event_tells_of_is_a_night_at_the_hub(imager: Archive, hub: Archive) -> None:
+    """An imager of a former revision has no rows of nights."""
+    details = {"date": "2026-05-12", "verdict": "clear", "n_images": 48, "halo": 0.01, "findings": []}
+    told = Event(time=NOON, kind="night", severity="info", text="clear", camera="roof", details=details)
+    imager.add_event(told)
+    imager.add_event(replace(told, text="none", details={}))
+    feed(imager, hub)
+    assert hub.nights("roof") == (judged("2026-05-12", at=NOON, verdict="clear", n_images=48, halo=0.01),)
+    imager.save_night(judged("2026-05-12", at=NOON, verdict="partly"))
+    feed(imager, hub)
+    assert [night.verdict for night in hub.nights("roof")] == ["partly"]
+    assert hub.quarantine() == ()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"n_images": None}, {"zenith_bands": [{"from_deg": 1.0}]}, {"images": {"time": []}}, {"n_accepted": "many"}],
+)
+def test_a_night_that_lacks_a_value_is_set_apart(imager: Archive, hub: Archive, change: dict[str, Any]) -> None:
+    imager.save_night(whole_night(NOON))
+    batch = next_batch(imager)
+    rows = tuple(
+        replace(row, data={**(row.data or {}), **change}) if row.kind == "night" else row for row in batch.rows
+    )
+    hub.take_feed(replace(batch, rows=rows), now=NOW)
+    assert reasons(hub) == ["malformed"]
+    assert hub.nights("roof") == ()
 
 
 def test_a_removed_row_is_removed(imager: Archive, hub: Archive) -> None:

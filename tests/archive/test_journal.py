@@ -1,15 +1,24 @@
 from __future__ import annotations
 
+import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, date, datetime, timedelta
+from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.fixtures.archive import make_empty
+from tests.fixtures.nights import judged, whole_night
 
-from sunarc.archive.archive import Archive
+from sunarc.archive.archive import Archive, open_archive
+from sunarc.archive.days import night_of_event
 from sunarc.archive.values import Day, Event, Refit
-from sunarc.errors import NotFoundError
+from sunarc.errors import InputError, NotFoundError
 from sunarc.findings import Finding, uncoded
+
+from .conftest import ROOF
+from .test_revisions import night_image
 
 NOW = datetime(2013, 5, 14, 2, tzinfo=UTC)
 CLEAR = Day(
@@ -90,21 +99,16 @@ def test_events_are_told_the_newest_first(archive: Archive) -> None:
     assert archive.events(since=NOW, until=NOW + timedelta(seconds=1)) == (stored,)
 
 
-def night(date: str, verdict: str, *, judged: datetime) -> Event:
-    details = {"date": date, "verdict": verdict}
-    return Event(camera="roof", time=judged, kind="night", severity="info", text="a night", details=details)
-
-
 def listed(archive: Archive, **limits: Any) -> list[tuple[str, str]]:  # noqa: ANN401 - arguments of any kind
-    return [(event.details["date"], event.details["verdict"]) for event in archive.nights("roof", **limits)]
+    return [(f"{night.date}", night.verdict) for night in archive.nights("roof", **limits)]
 
 
 def test_a_night_that_is_judged_again_is_one_night_as_it_was_judged_last(archive: Archive) -> None:
     for day in range(20):
-        archive.add_event(night(f"2013-05-{day + 1:02d}", "partly", judged=NOW + timedelta(days=day)))
+        archive.save_night(judged(f"2013-05-{day + 1:02d}", at=NOW + timedelta(days=day), verdict="partly"))
     # of the last image of the night: before the service judged it, and stored after that
-    archive.add_event(night("2013-05-03", "clear", judged=NOW + timedelta(days=2, minutes=-20)))
-    archive.add_event(night("2013-05-20", "cloudy", judged=NOW + timedelta(days=19, minutes=-20)))
+    archive.save_night(judged("2013-05-03", at=NOW + timedelta(days=2, minutes=-20), verdict="clear"))
+    archive.save_night(judged("2013-05-20", at=NOW + timedelta(days=19, minutes=-20), verdict="cloudy"))
     every = listed(archive)
     assert [date for date, _ in every] == [f"2013-05-{day:02d}" for day in range(20, 0, -1)]
     assert (every[0][1], every[17][1], every[1][1]) == ("cloudy", "clear", "partly")
@@ -117,10 +121,67 @@ def test_a_night_that_is_judged_again_is_one_night_as_it_was_judged_last(archive
     assert archive.nights("mast") == ()
 
 
-def test_of_a_night_that_was_judged_a_hundred_times_the_nights_before_are_found(archive: Archive) -> None:
-    for _ in range(100):
-        archive.add_event(night("2013-05-04", "clear", judged=NOW + timedelta(days=3)))
-    archive.add_event(night("2013-05-01", "clear", judged=NOW))
-    damaged = replace(night("", "clear", judged=NOW), details={})
-    archive.add_event(damaged)
-    assert listed(archive, limit=2) == [("2013-05-04", "clear"), ("2013-05-01", "clear")]
+def test_a_night_is_read_as_it_was_stored(archive: Archive) -> None:
+    night = whole_night(NOW)
+    archive.save_night(night)
+    assert archive.nights("roof") == (night,)
+    archive.save_night(replace(night, images=None, picture_time=None, halo=None))
+    assert archive.nights("roof") == (replace(night, images=None, picture_time=None, halo=None),)
+
+
+def test_a_night_and_its_event_are_stored_together_and_end_its_images(archive: Archive) -> None:
+    archive.add_night_image("roof", night_image(NOW), keep_since=NOW)
+    night = whole_night(NOW)
+    archive.save_night(night, event=Event(time=NOW, kind="night", severity="info", text="", camera="roof"))
+    assert len(archive.night_images("roof")) == len(archive.events("roof", kind="night")) == 1
+    with pytest.raises(InputError):
+        archive.save_night(replace(night, date=date(2013, 5, 20), camera="none"), drops_images=True)
+    assert (archive.nights("roof"), len(archive.night_images("roof"))) == ((night,), 1)
+    archive.save_night(night, drops_images=True)
+    assert archive.night_images("roof") == ()
+
+
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [
+        ("verdict", "'bright'"),
+        ("n_images", "'many'"),
+        ("n_matched", "x'00'"),
+        ("zenith_bands", """'[{"from": 0.0, "to": 30.0}]'"""),
+        ("zenith_bands", "'['"),
+    ],
+)
+def test_a_night_that_lacks_a_value_is_damaged_and_none_of_its_numbers_is_made_up(
+    path: Path, column: str, value: str
+) -> None:
+    make_empty(path)
+    with open_archive(path) as archive:
+        archive.save_camera(ROOF)
+        archive.save_night(whole_night(NOW))
+        archive.save_night(replace(whole_night(NOW), date=date(2013, 5, 11)))
+        with closing(sqlite3.connect(path, isolation_level=None)) as connection:
+            connection.execute(f"UPDATE night SET {column} = {value} WHERE date = '2013-05-11'")  # noqa: S608
+        sound, damaged = archive.nights("roof")
+        assert sound == whole_night(NOW)
+        assert damaged.findings == (Finding("night_damaged", {"field": column}),)
+        assert (damaged.verdict, damaged.n_accepted, damaged.halo) == ("unusable", 0, None)
+        with closing(sqlite3.connect(path, isolation_level=None)) as connection:
+            connection.execute("UPDATE night SET date = 'yesterday' WHERE date = '2013-05-11'")
+        assert archive.nights("roof") == (sound,)
+
+
+def test_an_event_of_a_former_version_is_a_night() -> None:
+    numbers = {"n_images": 48, "n_accepted": 46, "halo": 0.01, "another": 1.0, "reasons": "as it was"}
+    details = {"date": "2013-05-12", "verdict": "clear", **numbers, "findings": [{"code": "a", "data": {"x": None}}]}
+    told = night_of_event("roof", NOW, details)
+    assert told is not None
+    assert (told.date, told.verdict, told.decided_at) == (date(2013, 5, 12), "clear", NOW)
+    assert (told.n_images, told.n_accepted, told.n_warm_pixels) == (48, 46, 0)
+    assert (told.halo, told.zero_point, told.images, told.zenith_bands) == (0.01, None, None, ())
+    assert [finding.code for finding in told.findings] == ["a"]
+    for lacking, expected in (({"n_images": None}, "n_images"), ({"verdict": "bright"}, "verdict")):
+        damaged = night_of_event("roof", NOW, {**details, **lacking})
+        assert damaged is not None
+        assert (damaged.verdict, damaged.findings) == ("unusable", (Finding("night_damaged", {"field": expected}),))
+    for unread in ({"date": "yesterday"}, {}):
+        assert night_of_event("roof", NOW, unread and {**details, **unread}) is None

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import sqlite3
 from contextlib import closing
+from dataclasses import replace
 from datetime import datetime, timedelta
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
+from tests.fixtures.nights import judged, whole_night
 
 from sunarc.archive.archive import Archive, open_archive
 from sunarc.archive.database.schema import check, downgrade, upgrade
@@ -18,6 +21,7 @@ from sunarc.archive.fleet.feed_rows import FeedBatch, FeedRow, Refusal
 from sunarc.archive.fleet.nightly import NightlyRun
 from sunarc.archive.values import Day, DayAir, Event, Housekeeping, Refit, SunPoint
 from sunarc.findings import Finding, uncoded
+from sunarc.workers.night.night import event_of_night
 
 from .conftest import NOON
 from .test_calibrations import document
@@ -51,6 +55,7 @@ def filled(archive: Archive, path: Path) -> Path:
     )
     archive.save_condition_times("roof", {"disk_low": NOON})
     archive.add_night_image("roof", night_image(NOON), keep_since=NOON)
+    archive.save_night(whole_night(NOON), event=event_of_night(whole_night(NOON)))
     archive.summarise_days()
     archive.save_nightly(NightlyRun(night=NOON.date(), started_at=NOON, finished_at=NOON, results={"a": {"days": 1}}))
     archive.close()
@@ -150,6 +155,40 @@ def test_the_sentence_of_an_older_refit_is_its_finding(filled: Path) -> None:
     assert archive.refit("r").findings == (uncoded("no camera's arc"),)
     assert archive.refit("new").findings == ()
     archive.close()
+
+
+def test_the_events_of_former_nights_become_rows_the_last_of_each_night(filled: Path) -> None:
+    archive = open_archive(filled)
+    night = archive.nights("roof")[0]
+    why = (Finding("night_without_calibration"),)
+    second = judged("2013-05-11", at=NOON - timedelta(days=1), findings=why, n_images=9)
+    archive.add_event(event_of_night(replace(night, decided_at=NOON + timedelta(hours=1), verdict="cloudy")))
+    archive.add_event(event_of_night(night))
+    archive.add_event(event_of_night(second))
+    unread: list[dict[str, Any]] = [
+        {"date": "2013-05-10", "verdict": "clear", "findings": []},
+        {"date": "2013-05-09", "verdict": "bright", "n_images": 3},
+        {"date": "2013-05-32", "verdict": "clear", "n_images": 3},
+        {"date": "2013-05-08", "n_images": 3},
+        {},
+    ]
+    for number, details in enumerate(unread):
+        time = NOON - timedelta(days=2, hours=number)
+        archive.add_event(replace(event_of_night(second), details=details, time=time))
+    archive.close()
+    downgrade(filled, "0016")
+    with closing(sqlite3.connect(filled)) as connection, connection:
+        connection.execute("UPDATE event SET details = '{' WHERE id = (SELECT max(id) FROM event)")
+    upgrade(filled)
+    archive = open_archive(filled)
+    first, former, *damaged = archive.nights("roof")
+    assert (first, former) == (night, second)
+    assert [(f"{one.date}", one.verdict, one.findings[0].code, one.findings[0].data["field"]) for one in damaged] == [
+        ("2013-05-10", "unusable", "night_damaged", "n_images"),
+        ("2013-05-09", "unusable", "night_damaged", "verdict"),
+    ]
+    archive.close()
+    assert check(filled).sound
 
 
 @pytest.mark.parametrize(

@@ -114,7 +114,7 @@ def replaced_where_named_again(sunarc: Sunarc, config: Path, before: SunPointCol
     with open_archive(database) as archive:
         after = archive.sun_point_columns("roof", body=None)
         (aside,) = archive.sun_points("roof", body="star:HIP1")
-        assert [event.details["n_accepted"] for event in archive.nights("roof")] == [2]
+        assert [night.n_accepted for night in archive.nights("roof")] == [2]
         assert len(archive.events("roof", kind="night")) == 2
     assert (aside.accepted, aside.verdict) == (False, "set_aside")
     after = after.select(after.body != "sun")

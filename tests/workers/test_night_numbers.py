@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 from tests.fixtures.archive import new_archive
+from tests.fixtures.nights import judged
 from tests.workers.test_night import BEGIN, CAMERA, Bench, clear, frame_at
 
-from sunarc.archive.values import CameraRecord, Event
+from sunarc.archive.values import CameraRecord
 from sunarc.cameras.frame import Frame
 from sunarc.detection.stars.photometry import NightLimits
-from sunarc.findings import Finding
 from sunarc.simulation.truth import SGP
-from sunarc.workers.messages import MESSAGES
 from sunarc.workers.night.night import night_conditions
 
 LIMITS = NightLimits()
@@ -87,10 +86,9 @@ def test_a_dome_that_dews_over_is_suspected_until_the_next_night_without(bench: 
 
 
 def night(bench: Bench, *, number: int, **numbers: Any) -> None:  # noqa: ANN401 - of JSON
-    """Store the event of a night."""
-    found = Finding("night", {"date": f"2013-06-{number:02d}", "verdict": "clear", "reasons": "", **numbers})
+    """Store a night."""
     time = BEGIN.replace(month=6, day=number)
-    bench.archive.add_event(Event.of(found, MESSAGES, time=time, severity="info", camera="roof", details={}))
+    bench.archive.save_night(judged(f"2013-06-{number:02d}", at=time, verdict="clear", **numbers))
 
 
 def test_a_lens_out_of_focus_is_said_after_two_nights(bench: Bench) -> None:
@@ -111,6 +109,7 @@ def test_a_lens_out_of_focus_is_said_after_two_nights(bench: Bench) -> None:
 def test_nights_without_numbers_give_rise_to_nothing() -> None:
     nothing = {"night_focus_worse": None, "night_dew_suspected": None}
     assert night_conditions([], LIMITS) == nothing
-    assert night_conditions([{"verdict": "unusable", "date": "2013-06-01"}] * 9, LIMITS) == nothing
-    cloudy = [{"verdict": "cloudy", "star_fwhm_px": width} for width in (9.0, 9.0, 2.0, 2.0, 2.0)]
+    assert night_conditions([judged("2013-06-01", at=BEGIN)] * 9, LIMITS) == nothing
+    widths = (9.0, 9.0, 2.0, 2.0, 2.0)
+    cloudy = [judged("2013-06-01", at=BEGIN, verdict="cloudy", star_fwhm_px=width) for width in widths]
     assert night_conditions(cloudy, LIMITS) == nothing

@@ -30,7 +30,7 @@ from sunarc.archive.database.connections import (
 from sunarc.archive.database.recovery import Recovery, rebuild
 from sunarc.archive.database.schema import UPGRADE_SERVER, require_file, require_head
 from sunarc.archive.database.store import Room
-from sunarc.archive.days import Counts, MeasuredAir, NightImages
+from sunarc.archive.days import Counts, MeasuredAir, StoredNights
 from sunarc.archive.events import ConditionTimes, HousekeepingRecord, Journal
 from sunarc.archive.fleet.feeds import Feeds, FleetRegistry
 from sunarc.archive.fleet.nightly import Nightly
@@ -55,7 +55,7 @@ class Archive(
     Feeds,
     FleetRegistry,
     Notices,
-    NightImages,
+    StoredNights,
     Nightly,
     Counts,
     HousekeepingRecord,
@@ -195,7 +195,7 @@ class CameraArchive:
         self.last_served = partial(archive.last_served, name)
         self.add_night_image = partial(archive.add_night_image, name)
         self.begin_night_verdict = partial(archive.begin_night_verdict, name)
-        self.finish_night = partial(archive.finish_night, name)
+        self.drop_night_images = partial(archive.drop_night_images, name)
         self.newest_sighting_time = partial(archive.newest_sighting_time, name)
         self.night_images = partial(archive.night_images, name)
         self.nights = partial(archive.nights, name)

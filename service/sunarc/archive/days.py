@@ -1,24 +1,28 @@
-"""Days and nights: the air that was measured, counts of sightings, and the images of the present night."""
+"""Days and nights: the air that was measured, counts of sightings, verdicts of nights, images of the present one."""
 
 from __future__ import annotations
 
 import logging
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from datetime import date, datetime, timedelta
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
-from sqlalchemy import BigInteger, Column, Connection, Select, delete, func, select, type_coerce, update
+from pydantic import TypeAdapter, ValidationError
+from sqlalchemy import BigInteger, Column, Connection, RowMapping, Select, delete, func, select, type_coerce, update
 
+from sunarc.archive.database import tables
 from sunarc.archive.database.store import Store, given, upsert, values_of
 from sunarc.archive.database.tables import camera as cameras
 from sunarc.archive.database.tables import day, day_air, night_image, refit, sun_point
-from sunarc.archive.events import insert_event
-from sunarc.archive.values import DayAir, Event, SightingCounts, SunPoint
+from sunarc.archive.events import insert_event, log_event
+from sunarc.archive.values import DayAir, Event, Night, SightingCounts, SunPoint, unusable_night
 from sunarc.array_types import FloatArray
 from sunarc.errors import InputError, NotFoundError
+from sunarc.findings import Finding, from_json
 from sunarc.sky.days import SECONDS_PER_DEGREE, day_bounds_unix_s, day_of_date, solar_date, solar_days
 from sunarc.sky.night import SUN
 from sunarc.sky.site import PA_PER_HPA, PRESSURE_BOUNDS_HPA, PRESSURE_BOUNDS_PA, TEMPERATURE_BOUNDS_C, Site
@@ -240,11 +244,12 @@ class NightImage:
     picture: bytes | None = None
 
 
+_NIGHT = TypeAdapter(Night)
 _COLUMNS = [column for column in night_image.c if column.name not in {"camera", "n_tries"}]
 
 
-class NightImages(Store):
-    """The part of the archive with the images of nights that have no verdict yet."""
+class StoredNights(Store):
+    """The part of the archive with the verdicts of nights, and the images of nights that have none yet."""
 
     def add_night_image(self, camera: str, image: NightImage, *, keep_since: datetime) -> None:
         """Store an image of the night, and remove those of its kind from before `keep_since`."""
@@ -267,10 +272,97 @@ class NightImages(Store):
             tries = select(func.max(c.n_tries)).where(c.camera == camera)
             return int(connection.scalar(tries) or 0)
 
-    def finish_night(self, camera: str, event: Event | None) -> None:
-        """Store the event of a night's verdict and remove the night's images: both are done, or neither is."""
+    def save_night(self, night: Night, *, event: Event | None = None, drops_images: bool = False) -> None:
+        """Write a night's verdict in place of an earlier one, with the event that tells of it: both, or neither.
+
+        Parameters
+        ----------
+        night : judged.
+        event : what /v1/events says of it.
+        drops_images : whether the stored images were those of this night, and are removed.
+        """
         with self._writing() as connection:
+            upsert(connection, tables.night, row_of_night(night), key=["camera", "date"])
             stored = None if event is None else insert_event(connection, event)
-            connection.execute(delete(night_image).where(night_image.c.camera == camera))
+            if drops_images:
+                _drop_images(connection, night.camera)
         if stored is not None:
-            _log.info("%s: %s", stored.kind, stored.text, extra={"event_id": stored.id, "event_kind": stored.kind})
+            log_event(stored)
+
+    def drop_night_images(self, camera: str) -> None:
+        """Remove the images of a night that gets no verdict."""
+        with self._writing() as connection:
+            _drop_images(connection, camera)
+
+    def nights(
+        self,
+        camera: str,
+        *,
+        since: datetime | None = None,
+        until: datetime | None = None,
+        limit: int | None = None,
+    ) -> tuple[Night, ...]:
+        """Return the nights that were judged at `since` <= time < `until`, the newest first.
+
+        One that lacks a value is `unusable`, with the finding `night_damaged`; one whose date cannot be read is left
+        out, and logged.
+        """
+        c = tables.night.c
+        filters = given((c.camera.__eq__, camera), (c.decided_at.__ge__, since), (c.decided_at.__lt__, until))
+        statement = select(tables.night).where(*filters).order_by(c.decided_at.desc(), c.date.desc()).limit(limit)
+        with self._reading() as connection:
+            rows = connection.execute(statement).mappings().all()
+        return tuple(night for night in map(_night, rows) if night is not None)
+
+
+def _drop_images(connection: Connection, camera: str) -> None:
+    connection.execute(delete(night_image).where(night_image.c.camera == camera))
+
+
+def row_of_night(night: Night) -> dict[str, Any]:
+    """Return the columns of a night."""
+    return {one.name: getattr(night, one.name) for one in fields(night)}
+
+
+def _night(row: RowMapping) -> Night | None:
+    """Return the night of a row; None without a date or a time."""
+    lacking = next((column.key for column in tables.night.c if not column.nullable and row[column.key] is None), None)
+    if lacking is None:
+        return Night(**row)
+    _log.warning("a night of %s is damaged: its %s cannot be read", row["camera"], lacking)
+    if row["date"] is None or row["decided_at"] is None:
+        return None
+    why = Finding("night_damaged", {"field": lacking})
+    return unusable_night(
+        row["camera"], row["date"], findings=(why,), decided_at=row["decided_at"], n_images=row["n_images"] or 0
+    )
+
+
+def night_of_event(camera: str, time: datetime, details: Mapping[str, Any]) -> Night | None:
+    """Return the night that the event of an imager before revision 0017 tells of; None where it names none.
+
+    What such an event leaves out is not known, or 0 of what is counted; without its images the night is damaged.
+
+    Parameters
+    ----------
+    camera, time, details : of the event; its details.
+    """
+    if not {"date", "verdict"} <= details.keys():
+        return None
+    try:
+        evening = date.fromisoformat(str(details["date"]))
+    except ValueError:
+        return None
+    of_night = partial(unusable_night, camera, evening, decided_at=time)
+    blank = row_of_night(of_night(findings=(), n_images=0))
+    values = (
+        blank
+        | {name: value for name, value in details.items() if name in blank}
+        | {"n_images": details.get("n_images")}
+    )
+    why = tuple(from_json(one) for one in details.get("findings", ()))
+    try:
+        return _NIGHT.validate_python(values | {"findings": why})
+    except ValidationError as error:
+        damaged = Finding("night_damaged", {"field": str(error.errors()[0]["loc"][0])})
+        return of_night(findings=(damaged,), n_images=0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, replace
 from datetime import UTC, date, datetime, timedelta
 from typing import Any, get_args
@@ -18,10 +18,6 @@ from sunarc.errors import NotFoundError
 from sunarc.findings import Finding
 
 _log = logging.getLogger(__name__)
-_JUDGED_WITHIN = timedelta(days=2)
-"""Times at which a night is judged differ by less: at the earliest with its last image, at the latest a day after."""
-_NIGHTS_AHEAD = 16
-"""Events read beyond the nights that are requested: those of two days, and of nights judged twice."""
 _LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "alarm": logging.ERROR}
 
 
@@ -107,8 +103,7 @@ class Journal(Store):
         """Write an event down, tell the log of it, and return it with its id."""
         with self._writing() as connection:
             stored = insert_event(connection, event)
-        fields = {"event_id": stored.id, "event_kind": stored.kind}  # what the journal's line shares with /v1/events
-        _log.log(_LEVELS[stored.severity], "%s: %s", stored.kind, stored.text, extra=fields)
+        log_event(stored)
         return stored
 
     def events(
@@ -128,31 +123,6 @@ class Journal(Store):
         filters += given((c.kind.__eq__, kind))
         statement = select(tables.event).where(*of_camera, *filters).order_by(c.time.desc(), c.id.desc()).limit(limit)
         return self._values(statement, Event)
-
-    def nights(
-        self,
-        camera: str,
-        *,
-        since: datetime | None = None,
-        until: datetime | None = None,
-        limit: int | None = None,
-    ) -> tuple[Event, ...]:
-        """Return the events of the nights judged at `since` <= time < `until`, the newest first: one a night.
-
-        A night that was judged again (`sunarc ingest --reprocess`) has several events; the one that was stored last
-        is returned. An event whose night or verdict cannot be read is left out.
-        """
-        rows = None if limit is None else limit + _NIGHTS_AHEAD
-        earliest, latest = _shifted(since, -_JUDGED_WITHIN), _shifted(until, _JUDGED_WITHIN)
-        while True:
-            events = self.events(camera, since=earliest, until=latest, kind="night", limit=rows)
-            complete = rows is None or len(events) < rows
-            found = _one_a_night(events, since=since, until=until)
-            if not complete:  # the last event of a night may not have been read
-                found = [event for event in found if event.time > events[-1].time + _JUDGED_WITHIN]
-            if rows is None or complete or len(found) >= rows - _NIGHTS_AHEAD:
-                return tuple(found[:limit])
-            rows *= 2
 
     def last_event_id(self) -> int:
         """Return the number of the newest event of all cameras; 0 without one."""
@@ -174,30 +144,10 @@ class Journal(Store):
             return values_of(connection, select(tables.refit).where(this_refit), Refit)[0]
 
 
-def _one_a_night(events: Sequence[Event], *, since: datetime | None, until: datetime | None) -> list[Event]:
-    """Return the last stored event of each night, of those with `since` <= time < `until`."""
-    readable = [event for event in events if "date" in event.details and "verdict" in event.details]
-    last: dict[str, int] = {}
-    for event in readable:
-        night = str(event.details["date"])
-        last[night] = max(last.get(night, 0), event.id or 0)
-    return [
-        event
-        for event in readable
-        if event.id == last[str(event.details["date"])]
-        and (since is None or event.time >= since)
-        and (until is None or event.time < until)
-    ]
-
-
-def _shifted(time: datetime | None, by: timedelta) -> datetime | None:
-    """Return a time moved by a duration; one at the end of the calendar stays."""
-    if time is None:
-        return None
-    try:
-        return time + by
-    except OverflowError:
-        return time
+def log_event(stored: Event) -> None:
+    """Tell the log of an event that is stored."""
+    shared = {"event_id": stored.id, "event_kind": stored.kind}  # what the journal's line has of /v1/events
+    _log.log(_LEVELS[stored.severity], "%s: %s", stored.kind, stored.text, extra=shared)
 
 
 def insert_event(connection: Connection, event: Event) -> Event:

@@ -19,6 +19,11 @@ MESSAGES = Messages(
         "This calibration is not served.",
         "restore a copy with `sunarc db restore --latest`, or request a refit; check the disk",
     ),
+    night_damaged=Message(
+        "the stored night is damaged: its {field} cannot be read",
+        "Nothing is known of this night.",
+        "judge it again (`sunarc ingest --reprocess`), or restore a copy of the database; check the disk",
+    ),
     # events
     calibration_reinstated=Message(
         "{calibration} is current by hand: {reason}", "An operator activated this calibration (POST …/activate)."

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from datetime import date, datetime
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, Self, TypeVar
@@ -22,6 +22,7 @@ from sunarc.sky.site import Site
 CalibrationState = Literal["candidate", "current", "retired", "refused"]
 DayVerdict = Literal["clear", "partly", "cloudy", "unusable"]
 EventSeverity = Literal["info", "warning", "alarm"]
+NightVerdict = Literal["clear", "partly", "cloudy", "moonlit", "unusable"]
 RefitState = Literal["requested", "running", "accepted", "marginal", "refused", "failed"]
 
 
@@ -214,6 +215,111 @@ class Day(Returned):
     def reasons(self) -> tuple[str, ...]:
         """The findings as sentences."""
         return tuple(text_of(finding) for finding in self.findings)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NightBand(Returned):
+    """The stars of a band of zenith angles."""
+
+    from_deg: Annotated[float, described("Zenith angle, degrees.", 50.0)]
+    to_deg: Annotated[float, described("Zenith angle, degrees.", 65.0)]
+    predicted: Annotated[int, described("Stars to V 4 that the calibration predicts in the images, a count.", 812)]
+    found: Annotated[int, described("Of them those that are detected, a count.", 741)]
+    transparency: Annotated[
+        float | None,
+        described("Share of their light that arrives through the air, with the lens's own shading.", 0.74),
+    ]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NightSeries(Returned):
+    """Numbers of a night's images, 72 at most, in columns; null where one is not known."""
+
+    time: Annotated[tuple[Time, ...], described("Middles of the exposures.", [EXAMPLE_TIME])]
+    n_matched: Annotated[tuple[int, ...], described("Named stars, counts.", [620])]
+    cloud_fraction: Annotated[
+        tuple[float | None, ...], described("Share of the stars to V 4 that are not seen.", [0.1])
+    ]
+    limiting_magnitude: Annotated[
+        tuple[float | None, ...], described("V at which half as many are detected as of the bright ones.", [5.1])
+    ]
+    star_fwhm_px: Annotated[
+        tuple[float | None, ...], described("Full width at half maximum of bright stars, px.", [2.4])
+    ]
+    star_ellipticity: Annotated[tuple[float | None, ...], described("1 - minor / major axis, of bright stars.", [0.12])]
+    halo: Annotated[
+        tuple[float | None, ...], described("Light between 4 and 7 widths around stars, over their own.", [0.01])
+    ]
+    zero_point: Annotated[
+        tuple[float | None, ...], described("V of a star outside the air that gives one count a second.", [10.9])
+    ]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Night(Returned):
+    """Verdict of a night; what is null is not known: no image of it was matched."""
+
+    camera: Annotated[str, Field(exclude=True)]
+    date: Annotated[SolarDate, Field(serialization_alias="night", description="Local mean solar date of the evening.")]
+    verdict: Annotated[
+        NightVerdict, described("`moonlit`: no stars were named, and a moon more than half lit was up.", "clear")
+    ]
+    findings: Findings
+    decided_at: Annotated[Time, described("When the night was judged, by the frames' time.", EXAMPLE_TIME)]
+    n_images: Annotated[int, described("Exposures of the night, a count.", 48)]
+    n_accepted: Annotated[int, described("Of them those whose stars were named, a count.", 46)]
+    n_stored: Annotated[int, described("Sightings of stars and planets that were stored, a count.", 1380)]
+    n_moon_images: Annotated[int, described("Slots with exposures of the moon, a count.", 12)]
+    n_moon_stored: Annotated[int, described("Sightings of the moon that were stored, a count.", 12)]
+    n_warm_pixels: Annotated[int, described("Warm pixels that were repaired in its images, a count.", 310)]
+    n_stars: Annotated[int, described("Detections in an accepted image, median.", 1730)]
+    n_matched: Annotated[int, described("Named stars in an accepted image, median.", 620)]
+    star_offset_px: Annotated[
+        float | None, described("By how much the stars' centres lie outside of their prediction, at most, px.", 0.1)
+    ]
+    limiting_magnitude: Annotated[float | None, described("V to which half of the stars are detected.", 5.5)]
+    star_fwhm_px: Annotated[float | None, described("Full width of the stars at half maximum, px.", 2.4)]
+    cloud_fraction: Annotated[
+        float | None, described("Share of the stars to V 4 that are not seen; 1 in images without named stars.", 0.1)
+    ]
+    transparency: Annotated[
+        float | None,
+        described("Share of the light that comes through one air mass, by the stars' brightness over the sky.", 0.83),
+    ]
+    extinction: Annotated[
+        float | None, described("Loss of light, magnitudes an air mass, with the shading of the lens.", 0.21)
+    ]
+    extinction_sigma: Annotated[float | None, described("1-sigma of the extinction, magnitudes.", 0.01)]
+    zero_point: Annotated[
+        float | None, described("V of a star outside the air that gives one count a second, median.", 10.9)
+    ]
+    star_ellipticity: Annotated[
+        float | None, described("1 - minor / major axis of bright stars, median of the images.", 0.12)
+    ]
+    halo: Annotated[float | None, described("Light between 4 and 7 widths around stars over their own, median.", 0.01)]
+    width_growth: Annotated[
+        float | None, described("Width of the stars in the last third of the images over the first.", 1.02)
+    ]
+    halo_growth: Annotated[
+        float | None, described("Growth of the halo from the first to the last third of the images.", 0.002)
+    ]
+    fading_mag: Annotated[
+        float | None, described("Loss of brightness from the first to the last third, magnitudes.", 0.05)
+    ]
+    zenith_bands: Annotated[tuple[NightBand, ...], described("Stars by zenith angle; empty where none were named.")]
+    images: Annotated[NightSeries | None, described("Numbers of its images; null where not asked for, or not known.")]
+    picture_time: Annotated[datetime | None, Field(exclude=True)]  # middle of the exposure of its picture
+
+
+def unusable_night(
+    camera: str, evening: date, *, findings: tuple[Finding, ...], decided_at: datetime, n_images: int
+) -> Night:
+    """Return the verdict on a night of which nothing but the number of its images is known."""
+    names = [one.name for one in fields(Night)]
+    counts = {name: 0 for name in names if name.startswith("n_")} | {"n_images": n_images}
+    unknown: dict[str, Any] = dict.fromkeys(names)
+    given = {"camera": camera, "date": evening, "findings": findings, "decided_at": decided_at}
+    return Night(**unknown | counts | given | {"verdict": "unusable", "zenith_bands": ()})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

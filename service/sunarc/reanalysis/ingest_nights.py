@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from sunarc.archive.archive import Archive, CameraArchive
-from sunarc.archive.values import Refit
+from sunarc.archive.values import Night, Refit
 from sunarc.cameras.frame import Frame
 from sunarc.errors import InputError
 from sunarc.findings import Finding
@@ -84,7 +84,7 @@ def ingest_nights(
 ) -> Nights:
     """Name the stars in images of the night, and store them with the verdict of each night.
 
-    A night is known by its event: one that has nine tenths of the folder's images is left as it is. Without a served
+    A night is known by its row: one that has nine tenths of the folder's images is left as it is. Without a served
     calibration the images are left out; `sunarc stars --blind` can make one of them.
 
     Parameters
@@ -103,11 +103,11 @@ def ingest_nights(
     if camera.current_model() is None or record is None:
         without = Finding("nights_without_calibration", {"n": len(images)})
         return Nights(skipped=_left_out(images, settings), findings=(without,))
-    seen = {} if reprocess else _nights_seen(camera)
+    seen = {} if reprocess else {night.date: night.n_images for night in camera.nights()}
     found, known, skipped, done = list[NightOutcome](), 0, list[Skipped](), 0
     for night, every in by_night(images, longitude=settings.site.longitude):
         some = evenly(every)
-        if seen.get(str(night), -1) >= _KNOWN_SHARE * len(some) - 1.0:
+        if seen.get(night, -1) >= _KNOWN_SHARE * len(some) - 1.0:
             known += len(every)
             continue
         worker = _worker(camera, settings, now=utc_time(every[-1].unix_s), replaces=reprocess)
@@ -121,18 +121,8 @@ def ingest_nights(
             done += 1
             progress("naming stars", done, len(images))
         if n_read:
-            worker.finish()
-            found.append(_outcome(camera, utc_time(every[-1].unix_s)))
+            found.append(_outcome(worker.finish()))
     return Nights(looked_at=tuple(found), known=known, skipped=tuple(skipped))
-
-
-def _nights_seen(camera: CameraArchive) -> dict[str, int]:
-    """Return by the date of a night how many images were looked at, the most of any run."""
-    seen: dict[str, int] = {}
-    for event in camera.events(kind="night"):
-        night, count = str(event.details.get("date", "")), int(event.details.get("n_images", 0))
-        seen[night] = max(seen.get(night, 0), count)
-    return seen
 
 
 def _worker(camera: CameraArchive, settings: Settings, *, now: datetime, replaces: bool) -> NightWorker:
@@ -166,16 +156,13 @@ def _why(error: RefusedImageError | InputError) -> Finding:
     return Finding("file_not_image", {"error": error.problem})
 
 
-def _outcome(camera: CameraArchive, judged_at: datetime) -> NightOutcome:
-    """Return what the newest event of a night says."""
-    (event,) = camera.events(kind="night", since=judged_at, until=judged_at + timedelta(microseconds=1), limit=1)
-    data = event.details
+def _outcome(night: Night) -> NightOutcome:
     return NightOutcome(
-        date=str(data["date"]),
-        verdict=str(data["verdict"]),
-        images=int(data["n_images"]),
-        accepted=int(data.get("n_accepted", 0)),
-        stored=int(data.get("n_stored", 0)),
+        date=f"{night.date}",
+        verdict=night.verdict,
+        images=night.n_images,
+        accepted=night.n_accepted,
+        stored=night.n_stored,
     )
 
 

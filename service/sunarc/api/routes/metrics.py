@@ -8,7 +8,7 @@ from bisect import bisect_left
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
-from datetime import UTC, date, datetime, time, timedelta
+from datetime import UTC, datetime, time, timedelta
 from itertools import accumulate
 from typing import get_args
 
@@ -19,7 +19,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from sunarc.api.context import ApiContext
 from sunarc.api.routes.calibrations import summary
 from sunarc.archive.archive import Archive
-from sunarc.archive.values import Day, DayVerdict, Event, RefitState
+from sunarc.archive.values import Day, DayVerdict, Night, RefitState
 from sunarc.json_fields import descriptions
 from sunarc.runtime.status import (
     CameraStatus,
@@ -239,19 +239,15 @@ _OF_NIGHT = {
     "n_accepted": "Images whose stars were named.",
     "n_matched": "Named stars in an accepted image, median.",
 }
-"""Numbers of the event of a night that are metrics, and what they are."""
+"""Numbers of a night that are metrics, and what they are."""
 
 
-def _of_last_night(event: Event | None) -> Iterator[Metric]:
+def _of_last_night(night: Night | None) -> Iterator[Metric]:
     """Yield the numbers of the last night that was judged; none where no night was, or where one is not known."""
-    details = {} if event is None else event.details
-    night = details.get("date")
-    evening = None if night is None else datetime.combine(date.fromisoformat(str(night)), time(), UTC).timestamp()
+    evening = None if night is None else datetime.combine(night.date, time(), UTC).timestamp()
     yield _gauge("sunarc_night_seconds", "Date of the last night that was judged (its evening) as Unix time.", evening)
     for name, text in _OF_NIGHT.items():
-        value = details.get(name)
-        number = float(value) if isinstance(value, int | float) else None
-        yield _gauge(f"sunarc_night_{name}", f"Last night: {text}", number)
+        yield _gauge(f"sunarc_night_{name}", f"Last night: {text}", None if night is None else getattr(night, name))
 
 
 def _gauge(name: str, text: str, value: float | None) -> Metric:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass, fields
 from datetime import date, datetime
 from http import HTTPStatus
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request
 from fastapi import Path as InPath
@@ -17,110 +18,18 @@ from sunarc.api.context import ApiContext
 from sunarc.api.parameters import Cursor, IfNoneMatch, Next, Pair, Since, Size, Unit, Until, page_at, row_limit
 from sunarc.api.problems import answers
 from sunarc.api.routes.calibrations import matches
-from sunarc.archive.values import Event
+from sunarc.archive.values import Night
 from sunarc.errors import NotFoundError, OutsideError
-from sunarc.json_fields import EXAMPLE_TIME, SolarDate, Time, described
+from sunarc.json_fields import SolarDate, Time, described
 from sunarc.sky.days import day_bounds_unix_s
 from sunarc.utc import DAY_S, rfc3339, utc_time
 
 
-class ZenithBandOut(BaseModel):
-    """The stars of a band of zenith angles."""
-
-    from_deg: float = Field(description="Zenith angle, degrees.", examples=[50.0])
-    to_deg: float = Field(description="Zenith angle, degrees.", examples=[65.0])
-    predicted: int = Field(
-        description="Stars to V 4 that the calibration predicts in the images, a count.", examples=[812]
-    )
-    found: int = Field(description="Of them those that are detected, a count.", examples=[741])
-    transparency: float | None = Field(
-        description="Share of their light that arrives, of what it is outside the air; with the lens's own shading.",
-        examples=[0.74],
-    )
-
-
-class NightImages(BaseModel):
-    """Numbers of a night's images, 72 at most, in columns; null where one is not known."""
-
-    time: list[Time] = Field(default=[], description="Middles of the exposures.", examples=[[EXAMPLE_TIME]])
-    n_matched: list[int] = Field(default=[], description="Named stars, counts.", examples=[[620]])
-    cloud_fraction: list[float | None] = Field(
-        default=[], description="Share of the stars to V 4 that are not seen.", examples=[[0.1]]
-    )
-    limiting_magnitude: list[float | None] = Field(
-        default=[], description="V at which half as many are detected as of the bright ones.", examples=[[5.1]]
-    )
-    star_fwhm_px: list[float | None] = Field(
-        default=[], description="Full width at half maximum of bright stars, px.", examples=[[2.4]]
-    )
-    star_ellipticity: list[float | None] = Field(
-        default=[], description="1 - minor / major axis, of bright stars.", examples=[[0.12]]
-    )
-    halo: list[float | None] = Field(
-        default=[], description="Light between 4 and 7 widths around stars, over their own.", examples=[[0.01]]
-    )
-    zero_point: list[float | None] = Field(
-        default=[], description="V of a star outside the air that gives one count a second.", examples=[[10.9]]
-    )
-
-
-class Night(BaseModel):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NightWithPicture(Night):
     """Verdict of a night; what is null is not known: no image of it was matched."""
 
-    night: Annotated[SolarDate, Field(alias="date", description="Local mean solar date of the evening.")]
-    verdict: Annotated[
-        Literal["clear", "partly", "cloudy", "moonlit", "unusable"],
-        described("`moonlit`: no stars were named, and a moon more than half lit was up.", "clear"),
-    ]
-    n_images: Annotated[int, described("Exposures of the night, a count.", 48)]
-    n_accepted: Annotated[int, described("Of them those whose stars were named, a count.", 46)] = 0
-    n_stored: Annotated[int, described("Sightings of stars and planets that were stored, a count.", 1380)] = 0
-    n_moon_images: Annotated[int, described("Slots with exposures of the moon, a count.", 12)] = 0
-    n_moon_stored: Annotated[int, described("Sightings of the moon that were stored, a count.", 12)] = 0
-    n_warm_pixels: Annotated[int, described("Warm pixels that were repaired in its images, a count.", 310)] = 0
-    star_offset_px: Annotated[
-        float | None, described("By how much the stars' centres lie outside of their prediction, at most, px.", 0.1)
-    ] = None
-    n_stars: Annotated[int, described("Detections in an accepted image, median.", 1730)] = 0
-    n_matched: Annotated[int, described("Named stars in an accepted image, median.", 620)] = 0
-    limiting_magnitude: Annotated[float | None, described("V to which half of the stars are detected.", 5.5)] = None
-    star_fwhm_px: Annotated[float | None, described("Full width of the stars at half maximum, px.", 2.4)] = None
-    cloud_fraction: Annotated[
-        float | None, described("Share of the stars to V 4 that are not seen; 1 in images without named stars.", 0.1)
-    ] = None
-    transparency: Annotated[
-        float | None,
-        described("Share of the light that comes through one air mass, by the stars' brightness over the sky.", 0.83),
-    ] = None
-    extinction: Annotated[
-        float | None, described("Loss of light, magnitudes an air mass, with the shading of the lens.", 0.21)
-    ] = None
-    extinction_sigma: Annotated[float | None, described("1-sigma of the extinction, magnitudes.", 0.01)] = None
-    zero_point: Annotated[
-        float | None, described("V of a star outside the air that gives one count a second, median.", 10.9)
-    ] = None
-    star_ellipticity: Annotated[
-        float | None, described("1 - minor / major axis of bright stars, median of the images.", 0.12)
-    ] = None
-    halo: Annotated[
-        float | None, described("Light between 4 and 7 widths around stars over their own, median.", 0.01)
-    ] = None
-    width_growth: Annotated[
-        float | None, described("Width of the stars in the last third of the images over the first.", 1.02)
-    ] = None
-    halo_growth: Annotated[
-        float | None, described("Growth of the halo from the first to the last third of the images.", 0.002)
-    ] = None
-    fading_mag: Annotated[
-        float | None, described("Loss of brightness from the first to the last third, magnitudes.", 0.05)
-    ] = None
-    picture: Annotated[bool, described("Whether /v1/nights/{night}/image has a picture of it.", True)] = False
-    zenith_bands: Annotated[list[ZenithBandOut], described("Stars by zenith angle; empty where none were named.")] = []
-    images: Annotated[
-        NightImages | None, described("Numbers of its images; null where not asked for, or not known.")
-    ] = None
-    findings: Annotated[list[dict[str, Any]], described("Why, as codes and data.", [{"code": "night_images"}])]
-    decided_at: Annotated[Time, described("When the night was judged, by the frames' time.", EXAMPLE_TIME)]
+    picture: Annotated[bool, described("Whether /v1/nights/{night}/image has a picture of it.", True)]
 
 
 class NightBody(BaseModel):
@@ -162,7 +71,7 @@ class NightPose(BaseModel):
 class Nights(BaseModel):
     """Nights, the newest first; a night that was judged again is listed once, as it was judged last."""
 
-    nights: Annotated[list[Night], described("On this page, the newest first.")]
+    nights: Annotated[list[NightWithPicture], described("On this page, the newest first.")]
     pose: Annotated[
         NightPose | None,
         described("By the calibration that is served; null without one, or where it used no sightings of a night."),
@@ -189,7 +98,7 @@ def night_routes(context: ApiContext) -> APIRouter:
     """Return the route that tells the verdicts of the nights."""
     routes = APIRouter(tags=["record"])
 
-    @routes.get("/nights", responses=answers(422), response_model_by_alias=False)
+    @routes.get("/nights", responses=answers(422))
     def nights(
         *,
         request: Request,
@@ -202,8 +111,8 @@ def night_routes(context: ApiContext) -> APIRouter:
         """Tell the verdicts of the nights that were judged at since <= time < until, the newest first, each once."""
         selected, page = context.of(request), page_at(cursor, limit)
         found = selected.archive.nights(selected.camera, since=since, until=page.until(until), limit=page.rows)
-        rows, next_ = page.cut(found, request, time=lambda event: event.time)
-        nights = [_night(event, images=images, picture=_has_picture(selected, event)) for event in rows]
+        rows, next_ = page.cut(found, request, time=lambda night: night.decided_at)
+        nights = [_shown(night, images=images, picture=_has_picture(selected, night)) for night in rows]
         return Nights(nights=nights, pose=_pose(selected), next=next_)
 
     @routes.get("/nights/{night}/image", response_class=Response, responses=_IMAGE | answers(404, 422))
@@ -235,18 +144,13 @@ def _pose(context: ApiContext) -> NightPose | None:
     return None if record is None or night is None else NightPose.model_validate({**night, "calibration": record.id})
 
 
-def _has_picture(context: ApiContext, event: Event) -> bool:
-    """Return whether the picture of a night is there: where its event says, or else where its time would put it."""
+def _has_picture(context: ApiContext, night: Night) -> bool:
+    """Return whether the picture of a night is there: where its row says, or else where its time would put it."""
     if context.images is None:
         return False
-    time = event.details.get("picture_time")
-    try:
-        if time is not None:
-            return context.images.path(datetime.fromisoformat(str(time)), kind=_PICTURE).is_file()
-        night = date.fromisoformat(str(event.details["date"]))
-    except ValueError:
-        return False
-    return bool(_pictures(context, night, _PICTURE))
+    if night.picture_time is not None:
+        return context.images.path(night.picture_time, kind=_PICTURE).is_file()
+    return bool(_pictures(context, night.date, _PICTURE))
 
 
 def _pictures(context: ApiContext, night: date, kind: str) -> list[tuple[datetime, Path]]:
@@ -264,7 +168,6 @@ def _newest(context: ApiContext, night: date, kind: str) -> tuple[datetime, Path
     return found[0]
 
 
-def _night(event: Event, *, images: bool, picture: bool) -> Night:
-    """Return the verdict that the event of a night carries."""
-    left_out = {} if images else {"images": None}
-    return Night.model_validate({**event.details, **left_out, "picture": picture, "decided_at": event.time})
+def _shown(night: Night, *, images: bool, picture: bool) -> NightWithPicture:
+    values = {one.name: getattr(night, one.name) for one in fields(night)}
+    return NightWithPicture(**values if images else values | {"images": None}, picture=picture)

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from datetime import date, datetime
 from typing import Any, get_args
 
+from pydantic import TypeAdapter, ValidationError
 from sqlalchemy import (
     JSON,
     BigInteger,
@@ -36,7 +37,16 @@ from sqlalchemy.ext.compiler import compiles
 from sqlalchemy.sql.compiler import SQLCompiler
 from sqlalchemy.sql.functions import GenericFunction
 
-from sunarc.archive.values import CalibrationState, DayVerdict, EventSeverity, HousekeepingStep, RefitState
+from sunarc.archive.values import (
+    CalibrationState,
+    DayVerdict,
+    EventSeverity,
+    HousekeepingStep,
+    NightBand,
+    NightSeries,
+    NightVerdict,
+    RefitState,
+)
 from sunarc.findings import Finding, from_json
 from sunarc.utc import from_microseconds, to_microseconds
 
@@ -74,6 +84,17 @@ class Number(TypeDecorator[float]):
     def process_result_value(self, value: Any | None, dialect: Dialect) -> float | None:  # noqa: ANN401, ARG002 - SQLAlchemy's
         """Return the stored number."""
         return value if isinstance(value, int | float) else None
+
+
+class Count(TypeDecorator[int]):
+    """A whole number; what stands in its place is None."""
+
+    impl = Integer
+    cache_ok = True
+
+    def process_result_value(self, value: Any | None, dialect: Dialect) -> int | None:  # noqa: ANN401, ARG002 - SQLAlchemy's
+        """Return the stored number."""
+        return value if isinstance(value, int) else None
 
 
 class CalendarDate(TypeDecorator[date]):
@@ -136,6 +157,38 @@ class NumberTuple(TypeDecorator[tuple[float, ...]]):
         if not isinstance(value, list) or len(value) != self.length:
             return None
         return tuple(value) if all(isinstance(number, int | float) for number in value) else None
+
+
+class JsonOf(TypeDecorator[Any]):
+    """A value of a type, as JSON; None where what is stored is none of it, as with a field that is missing.
+
+    Parameters
+    ----------
+    kind : the type, as pydantic reads and writes it.
+    """
+
+    impl = JSON(none_as_null=True)
+    cache_ok = True
+
+    def __init__(self, kind: type[Any]) -> None:
+        super().__init__()
+        self.kind = kind
+        self._adapter: TypeAdapter[Any] = TypeAdapter(kind)
+
+    def process_bind_param(self, value: Any | None, dialect: Dialect) -> Any:  # noqa: ANN401, ARG002 - SQLAlchemy's
+        """Return the JSON to store."""
+        return None if value is None else self._adapter.dump_python(value, mode="json")
+
+    def process_result_value(self, value: Any | None, dialect: Dialect) -> Any:  # noqa: ANN401, ARG002 - SQLAlchemy's
+        """Return the stored value."""
+        try:
+            return None if value is None else self.read(value)
+        except ValidationError:
+            return None
+
+    def read(self, value: object) -> Any:  # noqa: ANN401 - of the type
+        """Return the value of JSON; pydantic's `ValidationError`, which is a `ValueError`, where it is none."""
+        return self._adapter.validate_python(value)
 
 
 class JsonObject(TypeDecorator[dict[str, Any]]):
@@ -309,6 +362,34 @@ day = Table(
     Column("doubtful_clock", Float),
     Column("pose_offset_deg", NumberTuple(3)),
     Column("pose_offset_sigma_deg", NumberTuple(3)),
+)
+
+night = Table(
+    "night",
+    metadata,
+    Column("camera", Text, ForeignKey("camera.name"), primary_key=True),
+    Column("date", CalendarDate, primary_key=True),
+    Column("verdict", Word(get_args(NightVerdict)), nullable=False),
+    Column("findings", FindingTuple, nullable=False),
+    Column("decided_at", UtcTime, nullable=False),
+    *(
+        Column(name, Count, nullable=False)
+        for name in (
+            *("n_images", "n_accepted", "n_stored", "n_moon_images", "n_moon_stored"),
+            *("n_warm_pixels", "n_stars", "n_matched"),
+        )
+    ),
+    *(
+        Column(name, Number)
+        for name in (
+            *("star_offset_px", "limiting_magnitude", "star_fwhm_px", "cloud_fraction", "transparency", "extinction"),
+            *("extinction_sigma", "zero_point", "star_ellipticity", "halo", "width_growth", "halo_growth"),
+            "fading_mag",
+        )
+    ),
+    Column("zenith_bands", JsonOf(tuple[NightBand, ...]), nullable=False),
+    Column("images", JsonOf(NightSeries)),
+    Column("picture_time", UtcTime),
 )
 
 day_air = Table(

@@ -18,7 +18,7 @@ from sqlalchemy.types import TypeEngine
 
 from sunarc.archive.database import tables
 from sunarc.archive.database.connections import parsed_json
-from sunarc.archive.database.tables import CalendarDate, FindingTuple, NumberTuple, UtcTime
+from sunarc.archive.database.tables import CalendarDate, FindingTuple, JsonOf, NumberTuple, UtcTime
 from sunarc.errors import InputError
 from sunarc.findings import from_json
 from sunarc.json_fields import EXAMPLE_TIME, Returned, Time, described
@@ -33,6 +33,7 @@ FED: Mapping[str, tuple[Table, tuple[str, ...]]] = {
     "calibration": (tables.calibration, ("id",)),
     "refit": (tables.refit, ("id",)),
     "event": (tables.event, ("camera", "time", "kind", "text")),
+    "night": (tables.night, ("camera", "date")),  # after the events: those of former imagers become nights, too
     "housekeeping": (tables.housekeeping, ("camera", "step", "time")),
 }
 """The tables that are sent, each after those that it refers to, with what makes a row of it another one."""
@@ -162,6 +163,8 @@ def _conversion(column: Column[Any]) -> Callable[[Any], Any] | None:
         return date.fromisoformat
     if isinstance(column.type, FindingTuple):
         return lambda value: tuple(from_json(one) for one in value) if isinstance(value, list) else ()
+    if isinstance(column.type, JsonOf):
+        return column.type.read
     if isinstance(column.type, NumberTuple):
         return lambda value: tuple(value) if isinstance(value, list) else None
     return None

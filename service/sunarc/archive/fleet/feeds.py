@@ -14,7 +14,18 @@ from sqlalchemy.exc import DataError, DBAPIError, IntegrityError, StatementError
 
 from sunarc.archive.database.connections import is_of_row, json_text
 from sunarc.archive.database.store import Store, given, upsert, upsert_all, upsert_records
-from sunarc.archive.database.tables import calibration, camera, event, feed, feed_token, fleet, pose_epoch, quarantine
+from sunarc.archive.database.tables import (
+    calibration,
+    camera,
+    event,
+    feed,
+    feed_token,
+    fleet,
+    night,
+    pose_epoch,
+    quarantine,
+)
+from sunarc.archive.days import night_of_event, row_of_night
 from sunarc.archive.fleet.feed_rows import (
     FED,
     REMOVED,
@@ -38,6 +49,7 @@ _DATED = {
     "sun_point": "time",
     "day": "decided_at",
     "day_air": "set_at",
+    "night": "decided_at",
     "calibration": "created_at",
     "refit": "requested_at",
     "event": "time",
@@ -288,6 +300,10 @@ def _write_events(connection: Connection, camera_name: str, rows: Sequence[dict[
         same = [event.c[name] == values[name] for name in ("camera", "time", "kind", "text")]
         if connection.scalar(select(c.id).where(*same).limit(1)) is None:
             connection.execute(insert(event).values(values))
+            of_night = values["kind"] == "night"
+            found = night_of_event(values["camera"], values["time"], values["details"]) if of_night else None
+            if found is not None:
+                upsert(connection, night, row_of_night(found), key=["camera", "date"])
 
 
 def _set_apart(

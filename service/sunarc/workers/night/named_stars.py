@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from sunarc.archive.values import NightBand, NightSeries
 from sunarc.array_types import FloatArray, NameArray
 from sunarc.calibration.answers.stars import MatchedView, StarView, predict_stars
 from sunarc.calibration.model.result import Calibration
@@ -160,11 +161,17 @@ class TakenImage(NamedTuple):
 
 
 class NightNumbers(NamedTuple):
-    """Numbers of a whole night by name, by band of zenith angle, and of its images in columns; NaN: not known."""
+    """What the air took, how the night ended against how it began, and the stars' shape; NaN: not known.
 
-    of_night: dict[str, float]
-    bands: list[dict[str, Any]]
-    images: dict[str, list[Any]]
+    `bands` are by zenith angle, `images` of each image; None without one.
+    """
+
+    air: Extinction
+    trend: NightTrend
+    star_ellipticity: float
+    halo: float
+    bands: tuple[NightBand, ...]
+    images: NightSeries | None
 
 
 def numbers_of(taken: Sequence[TakenImage]) -> NightNumbers:
@@ -176,9 +183,12 @@ def numbers_of(taken: Sequence[TakenImage]) -> NightNumbers:
     columns = {name: np.array([image[name] for image in images]) for name in images[0]} if images else {}
     trend = trend_of(*(columns.get(name, np.zeros(0)) for name in ("star_fwhm_px", "halo", "zero_point")))
     return NightNumbers(
-        of_night=_of_night(air, trend, columns),
+        air=air,
+        trend=trend,
+        star_ellipticity=_median(columns.get("star_ellipticity", np.zeros(0))),
+        halo=_median(columns.get("halo", np.zeros(0))),
         bands=_bands(named, air),
-        images=_stored(taken, columns),
+        images=_series(taken, columns) if taken else None,
     )
 
 
@@ -192,18 +202,6 @@ def limit_of(view: StarView) -> float:
     """Return the V at which half as many stars are detected as of the bright ones, 5.5 at most."""
     listed = view.predicted.magnitude <= FAINTEST_V
     return limiting_magnitude(view.predicted.magnitude[listed], detected(view.stars, view.predicted)[listed])
-
-
-def _of_night(air: Extinction, trend: NightTrend, columns: dict[str, FloatArray]) -> dict[str, float]:
-    return {
-        "transparency": 10.0 ** (-0.4 * air.per_air_mass),
-        "extinction": air.per_air_mass,
-        "extinction_sigma": air.sigma,
-        "zero_point": _median(air.zero_point),
-        "star_ellipticity": _median(columns.get("star_ellipticity", np.zeros(0))),
-        "halo": _median(columns.get("halo", np.zeros(0))),
-        **asdict(trend),
-    }
 
 
 def _image_numbers(one: TakenImage, zero_point: float) -> dict[str, float]:
@@ -239,7 +237,7 @@ def _light(one: TakenImage) -> StarLight:
     )
 
 
-def _bands(named: Sequence[TakenImage], air: Extinction) -> list[dict[str, Any]]:
+def _bands(named: Sequence[TakenImage], air: Extinction) -> tuple[NightBand, ...]:
     """Return the bands of zenith angle: stars to V 4 that were predicted and found, and the share of their light."""
     zenith, found = [np.zeros(0)], [np.zeros(0, dtype=np.bool_)]
     for one in named:
@@ -249,24 +247,21 @@ def _bands(named: Sequence[TakenImage], air: Extinction) -> list[dict[str, Any]]
         zenith.append(np.asarray(angles_from_direction(directions)[0])[counted])
         found.append(detected(one.view.stars, predicted)[counted])
     bands = zenith_bands(np.concatenate(zenith), np.concatenate(found))
-    return [
-        {**asdict(band), "transparency": _rounded(share)}
+    return tuple(
+        NightBand(**asdict(band), transparency=_rounded(share))
         for band, share in zip(bands, air.transparency.tolist(), strict=True)
-    ]
+    )
 
 
-def _stored(taken: Sequence[TakenImage], columns: dict[str, FloatArray]) -> dict[str, list[Any]]:
-    """Return the columns of at most 72 images as JSON, null where a number is not known."""
-    if not taken:
-        return {}
+def _series(taken: Sequence[TakenImage], columns: dict[str, FloatArray]) -> NightSeries:
+    """Return the columns of at most 72 images, None where a number is not known."""
     rows = np.unique(np.linspace(0, len(taken) - 1, min(len(taken), _MOST_IMAGES)).astype(int)).tolist()
-    times = [utc_time(taken[row].view.unix_s).isoformat(timespec="seconds") for row in rows]
-    n_matched = [int(taken[row].found.matches.star.size) for row in rows]
-    return {
-        "time": times,
-        "n_matched": n_matched,
-        **{name: [_rounded(float(column[row])) for row in rows] for name, column in columns.items()},
-    }
+    known = {name: tuple(_rounded(float(column[row])) for row in rows) for name, column in columns.items()}
+    return NightSeries(
+        time=tuple(utc_time(taken[row].view.unix_s).replace(microsecond=0) for row in rows),
+        n_matched=tuple(int(taken[row].found.matches.star.size) for row in rows),
+        **known,
+    )
 
 
 def _rounded(value: float) -> float | None:

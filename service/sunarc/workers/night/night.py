@@ -6,17 +6,16 @@ import logging
 import math
 import threading
 import zlib
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from datetime import date, datetime, timedelta
 from pathlib import Path
-from typing import Any, Literal
 
 import numpy as np
 
 from sunarc.archive.archive import CameraArchive
 from sunarc.archive.images import ImageStore
-from sunarc.archive.values import Event, Refit, SunPoint
+from sunarc.archive.values import Event, Night, NightVerdict, Refit, SunPoint, unusable_night
 from sunarc.calibration.answers.stars import MatchedView, StarView, match_views
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
@@ -58,7 +57,6 @@ from sunarc.workers.options import SensorOptions, sensor_of
 
 # What a night was like, by its images.
 
-NightVerdict = Literal["clear", "partly", "cloudy", "moonlit", "unusable"]
 _FEWEST_IMAGES = 3
 _CLEAR_SHARE, _CLEAR_CLOUDS = 0.8, 0.25
 _PARTLY_SHARE = 0.1
@@ -302,7 +300,7 @@ class NightWorker:
             _log.warning("%d images of the night that no good clock dated are left out", len(self._images))
             self._forget()
             if self._kept is not None:
-                self._camera.finish_night(None)
+                self._camera.drop_night_images()
         else:
             self.finish()
 
@@ -334,42 +332,32 @@ class NightWorker:
             note = FrameNote(frame, self._clock_error_s(frame.time))
             self._kept.keep(KeptMoon(note, cutouts), since=frame.time - timedelta(days=1))
 
-    def finish(self, heartbeat: Callable[[], None] = lambda: None) -> NightVerdict:
+    def finish(self, heartbeat: Callable[[], None] = lambda: None) -> Night:
         """Name the stars of the night, store them and the verdict; ask for a refit after one that showed them."""
         self._warm.save()
         tries = 1 if self._kept is None else self._camera.begin_night_verdict()
         if tries > _MOST_TRIES:
             found = Finding("night_given_up", {"n": len(self._images), "tries": _MOST_TRIES})
-            night = self._night_of(self._images[0].time)
-            verdict = self._remember(night, "unusable", (found,), {"n_images": len(self._images)}, {})
+            night = self._without_numbers(self._images, (found,), None)
         else:
-            verdict = self._judge(heartbeat, again=tries > 1)
+            night = self._judge(heartbeat, again=tries > 1)
+        self._remember(night)
         self._forget()
-        return verdict
+        return night
 
-    def _judge(self, heartbeat: Callable[[], None], *, again: bool) -> NightVerdict:
+    def _judge(self, heartbeat: Callable[[], None], *, again: bool) -> Night:
         """Do what `finish` says with the present images; `again` where it was begun before a restart."""
         images, picture = self._images, self._picture
         frozen = (Finding("night_frozen", {"n": self._repeated}),) if self._repeated else ()
-        night = self._night_of(images[0].time)
         calibration = self._camera.current_model()
         if calibration is None or not self._trusted():
-            kept = self._keep(picture, None, calibration)
             code = "night_without_calibration" if calibration is None else "night_clock_not_trusted"
-            return self._remember(night, "unusable", (Finding(code),), {"n_images": len(images)}, kept)
-        views = []
-        for image in images:
-            views.append(self._view(image, calibration))
-            heartbeat()
-        matched = match_views(views)
-        heartbeat()
+            return self._without_numbers(images, (Finding(code),), self._keep(picture, None, calibration))
+        taken = self._named(images, calibration, heartbeat)
+        views, matched = [one.view for one in taken], [one.found for one in taken]
         summary = summary_of(views, matched)
-        taken = [
-            TakenImage(view, found, image.exposure_us / 1e6 * 10.0 ** (image.gain_db / 20.0), image.halo)
-            for image, view, found in zip(images, views, matched, strict=True)
-        ]
         measured = numbers_of(taken)
-        kept = self._keep(picture, dict(zip([image.time for image in images], taken, strict=True)), calibration)
+        picture_time = self._keep(picture, dict(zip([image.time for image in images], taken, strict=True)), calibration)
         offset = offset_of(views, matched, calibration)
         stored = self._store(images, views, matched, again=again)
         moon = self._moon.finish(calibration, within_px=BENT_PX, clock_error_s=self._clock_error_s)
@@ -377,32 +365,76 @@ class NightWorker:
         stored_moon = max(self._camera.archive.add_sun_points(moon.points), len(moon.points) if again else 0)
         verdict, findings = decide_night(summary, moonlit_share=self._moonlit_share(images))
         refused = [found.matches.findings[0] for found in matched if not found.matches.accepted]
-        numbers: dict[str, float] = {
-            **asdict(summary),
-            **measured.of_night,
-            "n_stored": stored,
-            "star_offset_px": offset.largest_px,
-            "n_moon_images": moon.images,
-            "n_moon_stored": stored_moon,
-            "n_warm_pixels": len(self._warm),
-        }
+        evening = self._night_of(images[0].time)
         if verdict in _WORTH_A_REFIT and stored >= _ENOUGH_STARS:
-            self._request_refit(f"after the night of {night} ({verdict})")
-        reasons = (*findings, *refused[:1], *moon.refused[:1], *frozen)
-        parts: dict[str, object] = {"zenith_bands": measured.bands, "images": measured.images}
-        return self._remember(night, verdict, reasons, numbers, kept | parts)
+            self._request_refit(f"after the night of {evening} ({verdict})")
+        air, trend = measured.air, measured.trend
+        return Night(
+            camera=self._camera.name,
+            date=evening,
+            verdict=verdict,
+            findings=(*findings, *refused[:1], *moon.refused[:1], *frozen),
+            decided_at=self._now(),
+            n_images=summary.n_images,
+            n_accepted=summary.n_accepted,
+            n_stored=stored,
+            n_moon_images=moon.images,
+            n_moon_stored=stored_moon,
+            n_warm_pixels=len(self._warm),
+            n_stars=summary.n_stars,
+            n_matched=summary.n_matched,
+            star_offset_px=_known(offset.largest_px),
+            limiting_magnitude=_known(summary.limiting_magnitude),
+            star_fwhm_px=_known(summary.star_fwhm_px),
+            cloud_fraction=_known(summary.cloud_fraction),
+            transparency=_known(10.0 ** (-0.4 * air.per_air_mass)),
+            extinction=_known(air.per_air_mass),
+            extinction_sigma=_known(air.sigma),
+            zero_point=_known(_median(air.zero_point.tolist())),
+            star_ellipticity=_known(measured.star_ellipticity),
+            halo=_known(measured.halo),
+            width_growth=_known(trend.width_growth),
+            halo_growth=_known(trend.halo_growth),
+            fading_mag=_known(trend.fading_mag),
+            zenith_bands=measured.bands,
+            images=measured.images,
+            picture_time=picture_time,
+        )
+
+    def _named(
+        self, images: Sequence[_Image], calibration: Calibration, heartbeat: Callable[[], None]
+    ) -> list[TakenImage]:
+        """Return images with the stars that the calibration names in them."""
+        views = []
+        for image in images:
+            views.append(self._view(image, calibration))
+            heartbeat()
+        matched = match_views(views)
+        heartbeat()
+        return [
+            TakenImage(view, found, image.exposure_us / 1e6 * 10.0 ** (image.gain_db / 20.0), image.halo)
+            for image, view, found in zip(images, views, matched, strict=True)
+        ]
+
+    def _without_numbers(
+        self, images: Sequence[_Image], findings: tuple[Finding, ...], picture_time: datetime | None
+    ) -> Night:
+        """Return the verdict on a night whose images say nothing of the sky."""
+        evening, now = self._night_of(images[0].time), self._now()
+        night = unusable_night(self._camera.name, evening, findings=findings, decided_at=now, n_images=len(images))
+        return replace(night, picture_time=picture_time)
 
     def _keep(
         self, picture: NightPicture | None, taken: dict[datetime, TakenImage] | None, calibration: Calibration | None
-    ) -> dict[str, object]:
+    ) -> datetime | None:
         """Write the picture of the night, with the names of what is in it where a calibration predicts that.
 
         Returns
         -------
-        What the event says of it: when it was taken; nothing where there is none.
+        When it was taken; None where there is none.
         """
         if self._store_images is None or picture is None:
-            return {}
+            return None
         one = None if taken is None else taken.get(picture.time)
         current, record = self._camera.current_calibration(), self._camera.record()
         written = store_picture(
@@ -412,7 +444,7 @@ class NightWorker:
             calibration=None if current is None else current.id,
             image_size=None if record is None else record.image_size,
         )
-        return {"picture_time": rfc3339(picture.time)} if written else {}
+        return picture.time if written else None
 
     def _night_of(self, time: datetime) -> date:
         """Return the solar date of the evening that a night began with."""
@@ -478,34 +510,40 @@ class NightWorker:
         moons = [body_position("moon", image.time.timestamp(), self._camera.site) for image in images]
         return sum(moon.direction[2] > 0.0 and moon.lit > _HALF_LIT for moon in moons) / len(moons)
 
-    def _remember(
-        self,
-        night: date,
-        verdict: NightVerdict,
-        findings: tuple[Finding, ...],
-        numbers: dict[str, float],
-        parts: dict[str, object],
-    ) -> NightVerdict:
-        """Store the verdict as an event, and set the conditions that the last nights give rise to."""
-        known = {key: value for key, value in numbers.items() if math.isfinite(value)}
-        why = "; ".join(map(text_of, findings))
-        found = Finding("night", {"date": f"{night}", "verdict": verdict, "reasons": why, **known})
-        details = {"findings": [finding.as_json() for finding in findings], **parts}
-        of_camera = self._camera.name
-        event = Event.of(found, MESSAGES, time=self._now(), severity="info", camera=of_camera, details=details)
-        if self._kept is None:
-            self._camera.archive.add_event(event)
-        else:
-            self._camera.finish_night(event)
-        _log.info("%s", text_of(found))
+    def _remember(self, night: Night) -> None:
+        """Store the verdict, and set the conditions that the last nights give rise to."""
+        event = event_of_night(night)
+        self._camera.archive.save_night(night, event=event, drops_images=self._kept is not None)
+        _log.info("%s", event.text)
         self.publish_conditions()
-        return verdict
 
     def publish_conditions(self) -> None:
         """Set or clear the conditions of the last nights, as the archive has them."""
-        nights = [event.details for event in self._camera.nights(limit=NIGHTS_COMPARED)]
+        nights = self._camera.nights(limit=NIGHTS_COMPARED)
         for code, reason in night_conditions(nights, self._limits).items():
             self._board.set_condition(code, reason)
+
+
+def event_of_night(night: Night) -> Event:
+    """Return the event that tells of a night: its verdict, its numbers as far as they are known, and why."""
+    values = {one.name: getattr(night, one.name) for one in fields(night)}
+    numbers = {name: value for name, value in values.items() if isinstance(value, int | float)}
+    parts: dict[str, object] = {"findings": [finding.as_json() for finding in night.findings]}
+    if night.images is None:
+        numbers = {"n_images": night.n_images}
+    else:
+        times = [time.isoformat(timespec="seconds") for time in night.images.time]
+        parts |= {"zenith_bands": [asdict(band) for band in night.zenith_bands]}
+        parts |= {"images": asdict(night.images) | {"time": times}}
+    if night.picture_time is not None:
+        parts["picture_time"] = rfc3339(night.picture_time)
+    why = "; ".join(map(text_of, night.findings))
+    found = Finding("night", {"date": f"{night.date}", "verdict": night.verdict, "reasons": why, **numbers})
+    return Event.of(found, MESSAGES, time=night.decided_at, severity="info", camera=night.camera, details=parts)
+
+
+def _known(value: float) -> float | None:
+    return value if math.isfinite(value) else None
 
 
 def _image_of(kept: KeptStars) -> _Image:
@@ -531,23 +569,21 @@ NIGHTS_COMPARED = 20
 _WORTH_COMPARING = frozenset({"clear", "partly"})
 
 
-def night_conditions(nights: Sequence[Mapping[str, Any]], limits: NightLimits) -> dict[str, Reason | None]:
+def night_conditions(nights: Sequence[Night], limits: NightLimits) -> dict[str, Reason | None]:
     """Return the conditions by code, None for one that does not hold.
 
     Parameters
     ----------
-    nights : what the events of the last nights say, the newest first.
+    nights : the last ones, the newest first.
     limits : what is suspected.
     """
     return dict(zip(NIGHT_CODES, (_focus(nights, limits), _dew(nights, limits)), strict=True))
 
 
-def _focus(nights: Sequence[Mapping[str, Any]], limits: NightLimits) -> Reason | None:
+def _focus(nights: Sequence[Night], limits: NightLimits) -> Reason | None:
     """Return the condition of stars that are wider than they were."""
     widths = [
-        float(night["star_fwhm_px"])
-        for night in nights
-        if night.get("verdict") in _WORTH_COMPARING and night.get("star_fwhm_px") is not None
+        night.star_fwhm_px for night in nights if night.verdict in _WORTH_COMPARING and night.star_fwhm_px is not None
     ]
     ratio = focus_ratio(widths, limits)
     if ratio is None:
@@ -555,21 +591,15 @@ def _focus(nights: Sequence[Mapping[str, Any]], limits: NightLimits) -> Reason |
     return condition("night_focus_worse", ratio=ratio, fwhm_px=widths[0], nights=limits.nights)
 
 
-def _dew(nights: Sequence[Mapping[str, Any]], limits: NightLimits) -> Reason | None:
+def _dew(nights: Sequence[Night], limits: NightLimits) -> Reason | None:
     """Return the condition of a last night whose stars faded while they grew wider or hazy."""
-    newest = nights[0] if nights else {}
-    width, halo, fading = (newest.get(name) for name in ("width_growth", "halo_growth", "fading_mag"))
-    trend = NightTrend(width_growth=_number(width), halo_growth=_number(halo), fading_mag=_number(fading))
-    if not dew_suspected(trend, limits):
+    if not nights:
+        return None
+    newest = nights[0]
+    numbers = (newest.width_growth, newest.halo_growth, newest.fading_mag)
+    width, halo, fading = (math.nan if number is None else number for number in numbers)
+    if not dew_suspected(NightTrend(width_growth=width, halo_growth=halo, fading_mag=fading), limits):
         return None
     return condition(
-        "night_dew_suspected",
-        date=str(newest.get("date", "")),
-        width_growth=trend.width_growth,
-        halo_growth=trend.halo_growth,
-        fading_mag=trend.fading_mag,
+        "night_dew_suspected", date=f"{newest.date}", width_growth=width, halo_growth=halo, fading_mag=fading
     )
-
-
-def _number(value: Any) -> float:  # noqa: ANN401 - of JSON
-    return float("nan") if value is None else float(value)
