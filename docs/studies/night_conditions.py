@@ -32,11 +32,11 @@ from sunarc.cameras.frame import Frame
 from sunarc.detection.stars.photometry import NightLimits, NightTrend, dew_suspected, focus_ratio
 from sunarc.optics.camera import Camera
 from sunarc.optics.pose import pose_angles
+from sunarc.runtime.loop import DropOldestQueue
 from sunarc.runtime.status import StatusRegistry
 from sunarc.simulation.options import NightOptions, SceneOptions, Weather
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP, true_camera
-from sunarc.workers.loop import DropOldestQueue
 from sunarc.workers.night.exposures import NightCapture, NightExposures
 from sunarc.workers.night.night import NightWorker
 from sunarc.workers.options import SensorOptions

@@ -18,13 +18,13 @@ from sunarc.archive.archive import CameraArchive, open_archive
 from sunarc.archive.database.schema import upgrade
 from sunarc.archive.values import CameraRecord, Refit
 from sunarc.cameras.frame import Frame
+from sunarc.runtime.loop import DropOldestQueue
 from sunarc.runtime.status import StatusRegistry
 from sunarc.simulation.options import NightOptions, SceneOptions
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.night import moon_disc
 from sunarc.utc import utc_time
-from sunarc.workers.loop import DropOldestQueue
 from sunarc.workers.night.exposures import MoonCapture, MoonExposures, NightCapture, NightExposures
 from sunarc.workers.night.night import NightWorker
 from sunarc.workers.options import SensorOptions

@@ -33,6 +33,7 @@ from sunarc.calibration.model.result import Calibration
 from sunarc.cameras.frame import Frame
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
+from sunarc.runtime.loop import DropOldestQueue
 from sunarc.runtime.status import StatusRegistry
 from sunarc.simulation.options import NightOptions, SceneOptions
 from sunarc.simulation.scene import Scene
@@ -41,7 +42,6 @@ from sunarc.sky.night import body_directions
 from sunarc.sky.sun import sun_angles, sun_directions
 from sunarc.utc import utc_time
 from sunarc.workers.calibrating.refit import Task, next_task
-from sunarc.workers.loop import DropOldestQueue
 from sunarc.workers.night.exposures import NightCapture, NightExposures
 from sunarc.workers.night.night import NightWorker
 from sunarc.workers.options import SensorOptions

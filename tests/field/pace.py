@@ -26,11 +26,11 @@ from sunarc.cameras.frame import Frame
 from sunarc.cameras.options import AravisOptions
 from sunarc.imaging.exposure import SunExposureOptions
 from sunarc.runtime.clock import SystemClock
+from sunarc.runtime.loop import DropOldestQueue
 from sunarc.runtime.status import StatusRegistry
 from sunarc.workers.capture import CaptureOptions, CaptureWorker
 from sunarc.workers.clock_watch import FrameTime
 from sunarc.workers.exposures import SunExposures
-from sunarc.workers.loop import DropOldestQueue
 
 _SETTLING = 4
 _UP_DEG, _DOWN_DEG = 60.0, 92.0  # apparent zenith angles: in daylight both

@@ -25,11 +25,11 @@ from sunarc.cameras.options import AravisOptions
 from sunarc.detection.values import DiscOptions
 from sunarc.errors import CameraError, CameraLostError, OutsideError
 from sunarc.runtime.clock import SystemClock, VirtualClock
+from sunarc.runtime.loop import DropOldestQueue
 from sunarc.simulation.imager import ImagerOptions, run_imager
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP
 from sunarc.workers.detect import DetectWorker, FrozenFrames, SightingWriteBuffer
-from sunarc.workers.loop import DropOldestQueue
 from sunarc.workers.options import SensorOptions
 from sunarc.workers.sun_prediction import SunPredictor
 

@@ -18,6 +18,7 @@ from sunarc.cameras.options import AravisOptions
 from sunarc.detection.stars.detect import detect_stars
 from sunarc.imaging.exposure import SunExposureOptions
 from sunarc.runtime.clock import SystemClock
+from sunarc.runtime.loop import DropOldestQueue
 from sunarc.runtime.status import StatusRegistry
 from sunarc.simulation import fake_camera as genicam
 from sunarc.simulation.truth import SGP
@@ -25,7 +26,6 @@ from sunarc.sky.sun import sun_angles
 from sunarc.workers.capture import CaptureOptions, CaptureWorker
 from sunarc.workers.clock_watch import FrameTime
 from sunarc.workers.exposures import SunExposures
-from sunarc.workers.loop import DropOldestQueue
 from sunarc.workers.night.exposures import NightCapture, NightExposures
 
 __all__ = ["opened"]

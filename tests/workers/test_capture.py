@@ -15,11 +15,11 @@ from sunarc.cameras.frame import Frame, SkyCamera
 from sunarc.errors import CameraError, CameraLostError, CameraTimeoutError
 from sunarc.imaging.exposure import SunExposureOptions
 from sunarc.runtime.clock import VirtualClock
+from sunarc.runtime.loop import DropOldestQueue
 from sunarc.runtime.status import StatusRegistry
 from sunarc.workers.capture import CaptureOptions, CaptureWorker
 from sunarc.workers.clock_watch import FrameTime
 from sunarc.workers.exposures import SunExposures
-from sunarc.workers.loop import DropOldestQueue
 from sunarc.workers.night.exposures import NightCapture, NightExposures
 
 if TYPE_CHECKING:

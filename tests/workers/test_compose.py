@@ -19,9 +19,9 @@ from sunarc.archive.images import DiskOptions, ImageStore
 from sunarc.cameras.frame import Frame
 from sunarc.imaging.hdr import HdrImage
 from sunarc.imaging.metadata import document_of
+from sunarc.runtime.loop import DropOldestQueue
 from sunarc.sky.site import Site
 from sunarc.workers.compose import ComposeWorker, image_document
-from sunarc.workers.loop import DropOldestQueue
 from sunarc.workers.options import SensorOptions
 from sunarc.workers.sun_prediction import SunPredictor
 

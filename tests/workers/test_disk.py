@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from sunarc.archive.database.store import Reserve
-from sunarc.archive.images import DiskOptions, ImageStore
+from sunarc.archive.images import DiskOptions, DiskUsage, ImageStore
 from sunarc.workers.upkeep import DiskWorker
 
 from .conftest import NOON
@@ -127,7 +127,12 @@ def oldest_days(store: ImageStore) -> int:
 def test_it_checks_every_five_seconds_until_stopped(
     store: ImageStore, clock: VirtualClock, board: StatusRegistry, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    worker, stop, looks = worker_of(store, clock, board), threading.Event(), []
-    monkeypatch.setattr(worker, "check", lambda: looks.append(clock.monotonic()))
+    worker, stop, looks, usage = worker_of(store, clock, board), threading.Event(), list[float](), store.usage
+
+    def look() -> DiskUsage:
+        looks.append(clock.monotonic())
+        return usage()
+
+    monkeypatch.setattr(store, "usage", look)
     worker.run(stop, lambda: stop.set() if clock.monotonic() > 35.0 else None)
     assert looks == pytest.approx([0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0])

@@ -23,9 +23,9 @@ from sunarc.archive.archive import Archive, CameraArchive
 from sunarc.archive.values import SunPoint
 from sunarc.cameras.frame import Frame
 from sunarc.detection.values import DiscOptions, Expectation
+from sunarc.runtime.loop import DropOldestQueue
 from sunarc.runtime.status import StatusRegistry
 from sunarc.workers.detect import DetectWorker, FrozenFrames, SightingWriteBuffer
-from sunarc.workers.loop import DropOldestQueue
 from sunarc.workers.options import SensorOptions
 
 from .conftest import NOON

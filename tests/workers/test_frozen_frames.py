@@ -19,13 +19,13 @@ from sunarc.detection.values import Detection, DiscOptions
 from sunarc.findings import Finding
 from sunarc.optics.forward import project
 from sunarc.runtime.clock import VirtualClock
+from sunarc.runtime.loop import DropOldestQueue
 from sunarc.runtime.status import StatusRegistry
 from sunarc.simulation.options import SensorModel
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.sun import sun_directions
 from sunarc.workers.detect import DetectWorker, FrozenFrames, SightingWriteBuffer
-from sunarc.workers.loop import DropOldestQueue
 from sunarc.workers.options import SensorOptions
 from sunarc.workers.sun_prediction import SunPredictor
 

@@ -22,10 +22,10 @@ from sunarc.cameras.frame import Frame
 from sunarc.detection.values import DiscOptions
 from sunarc.errors import OutsideError
 from sunarc.runtime.host import prepare_state
+from sunarc.runtime.loop import DropOldestQueue
 from sunarc.sky.site import Site
 from sunarc.workers.compose import ComposeWorker
 from sunarc.workers.detect import DetectWorker, FrozenFrames, SightingWriteBuffer
-from sunarc.workers.loop import DropOldestQueue
 from sunarc.workers.options import SensorOptions
 from sunarc.workers.sun_prediction import SunPredictor
 from sunarc.workers.upkeep import DiskWorker

@@ -24,12 +24,12 @@ from sunarc.calibration.model.result import Calibration
 from sunarc.cameras.frame import Frame
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
+from sunarc.runtime.loop import DropOldestQueue
 from sunarc.runtime.status import StatusRegistry
 from sunarc.simulation.options import NightOptions, SceneOptions, Weather
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.night import STAR, body_directions
-from sunarc.workers.loop import DropOldestQueue
 from sunarc.workers.night.exposures import NightCapture, NightExposures
 from sunarc.workers.night.night import NightWorker
 from sunarc.workers.options import SensorOptions

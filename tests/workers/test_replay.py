@@ -11,10 +11,10 @@ from sunarc.cameras.frame import Frame
 from sunarc.cameras.options import ReplayOptions
 from sunarc.cameras.replay import open_replay
 from sunarc.runtime.clock import VirtualClock
+from sunarc.runtime.loop import DropOldestQueue
 from sunarc.runtime.status import StatusRegistry
 from sunarc.workers.capture import ReplayWorker
 from sunarc.workers.clock_watch import FrameTime
-from sunarc.workers.loop import DropOldestQueue
 
 from .conftest import NOON
 

@@ -17,9 +17,9 @@ from sunarc.archive.archive import CameraArchive
 from sunarc.cameras.frame import Frame
 from sunarc.detection.values import DiscOptions
 from sunarc.runtime.clock import SystemClock
+from sunarc.runtime.loop import DropOldestQueue
 from sunarc.runtime.status import StatusRegistry
 from sunarc.workers.detect import DetectWorker, FrozenFrames, SightingWriteBuffer
-from sunarc.workers.loop import DropOldestQueue
 from sunarc.workers.options import SensorOptions
 
 from .conftest import NOON

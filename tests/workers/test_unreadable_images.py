@@ -13,8 +13,8 @@ from sunarc.archive.images import DiskOptions, ImageStore
 from sunarc.cameras.frame import Frame
 from sunarc.errors import OutsideError
 from sunarc.runtime.host import prepare_state
+from sunarc.runtime.loop import DropOldestQueue
 from sunarc.workers.compose import ComposeWorker
-from sunarc.workers.loop import DropOldestQueue
 from sunarc.workers.options import SensorOptions
 from sunarc.workers.upkeep import DiskWorker
 
@@ -68,7 +68,6 @@ def test_an_unreadable_folder_is_a_condition_that_ends_with_its_cause(
     (state / which).chmod(0)
     with pytest.raises(OutsideError, match=r"Permission denied; make it (readable|writable), or set `state`"):
         prepare_state(state / which)
-    worker._clear_up()
     worker.check()
     compose(worker, board)
     assert codes(board) == {"images_unreadable", "images_not_written"}

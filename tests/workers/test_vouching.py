@@ -13,11 +13,11 @@ from tests.fixtures.cameras import INFO
 from sunarc.cameras.frame import Frame
 from sunarc.imaging.exposure import SunExposureOptions
 from sunarc.runtime.clock import VirtualClock
+from sunarc.runtime.loop import DropOldestQueue
 from sunarc.runtime.status import StatusRegistry
 from sunarc.workers.capture import CaptureOptions, CaptureWorker, Cycle, CycleConsistencyFilter
 from sunarc.workers.clock_watch import FrameTime
 from sunarc.workers.exposures import SunExposures
-from sunarc.workers.loop import DropOldestQueue
 
 from .conftest import NOON, FakeCamera, StopAfter
 

@@ -178,11 +178,10 @@ def test_a_receiver_that_is_not_reached_is_a_condition_after_a_minute(
     name = webhook_name(url)
     bench.look(name)
     bench.happen(1, name)
-    worker = bench.worker(sink(bench, url))
-    step(worker)
+    step(bench.worker(sink(bench, url)))
     assert bench.codes() == set()
     monkeypatch.setattr(push, "_FAILING_S", 0.0)
-    step(worker)
+    step(bench.worker(sink(bench, url)))
     assert bench.codes() == {f"push_failing_{name}"}
     bench.look(name)
     assert bench.archive.sink_states()[name].waiting == 1  # it is no notice itself

@@ -25,6 +25,7 @@ from sunarc.detection.values import Detection
 from sunarc.errors import OutsideError
 from sunarc.extras import extra_module
 from sunarc.runtime.clock import Clock
+from sunarc.runtime.loop import DropOldestQueue
 from sunarc.runtime.status import StatusRegistry
 from sunarc.runtime.supervisor import Supervised, Worker
 from sunarc.settings.model import Settings
@@ -41,7 +42,6 @@ from sunarc.workers.compose import ComposeWorker, image_document
 from sunarc.workers.detect import DetectWorker, FrozenFrames, SightingWriteBuffer
 from sunarc.workers.exposures import SunExposures
 from sunarc.workers.feed import FeedWorker, HubConnection
-from sunarc.workers.loop import DropOldestQueue
 from sunarc.workers.night.exposures import MoonCapture, MoonExposures, NightCapture, NightExposures
 from sunarc.workers.night.night import NightWorker
 from sunarc.workers.options import NightOptions

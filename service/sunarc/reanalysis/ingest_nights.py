@@ -17,10 +17,10 @@ from sunarc.reanalysis.image_files import read_checked_image
 from sunarc.reanalysis.index import ImageFile, Skipped, zeniths_deg
 from sunarc.reanalysis.messages import RefusedImageError
 from sunarc.reanalysis.nights import by_night, evenly, frame_of
+from sunarc.runtime.loop import DropOldestQueue
 from sunarc.runtime.status import StatusRegistry
 from sunarc.settings.model import Settings
 from sunarc.utc import utc_time
-from sunarc.workers.loop import DropOldestQueue
 from sunarc.workers.night.exposures import NightCapture, NightExposures
 from sunarc.workers.night.night import NightWorker
 

@@ -15,6 +15,7 @@ from sunarc.bounds import Positive, require_bounds
 from sunarc.errors import OutsideError
 from sunarc.findings import Finding, Message, Messages
 from sunarc.runtime.clock import Clock
+from sunarc.runtime.loop import back_off_s
 from sunarc.runtime.status import Reason, Severity, StatusRegistry, WorkerState, WorkerStatus
 
 MESSAGES = Messages(
@@ -373,7 +374,7 @@ class _Life:
         if not self._blocked and deaths > 1:
             within_s = self._worker.options.within_s
             self._publish("worker_restarting", severity=self._worker.severity, deaths=deaths, within_s=within_s)
-        self._clock.wait(self._stop, _back_off_s(deaths))
+        self._clock.wait(self._stop, back_off_s(deaths, first_s=_FIRST_BACK_OFF_S, longest_s=_LONGEST_BACK_OFF_S))
         return True
 
     def _live(self) -> str | None:
@@ -448,8 +449,3 @@ class _Life:
             last_error=self._last_error,
         )
         self._board.set_worker(status)
-
-
-def _back_off_s(deaths: int) -> float:
-    """Twice as long after every death of the window."""
-    return float(min(_FIRST_BACK_OFF_S * 2.0 ** (deaths - 1), _LONGEST_BACK_OFF_S))

@@ -18,11 +18,11 @@ from sunarc.cameras.frame import CameraCondition, Frame, GainCamera, SkyCamera
 from sunarc.errors import CameraError, CameraLostError, ConfigurationError, InputError
 from sunarc.imaging.brightness import MOST_ALL_OVER, Exposed, Level, factor_all_over, level_of
 from sunarc.runtime.clock import Clock
+from sunarc.runtime.loop import DropOldestQueue, Loop, back_off_s
 from sunarc.runtime.status import CameraStatus, StatusRegistry
 from sunarc.workers.capture_status import CaptureReport
 from sunarc.workers.clock_watch import FrameTime
 from sunarc.workers.exposures import ExposureSequence, SunExposures
-from sunarc.workers.loop import DropOldestQueue
 from sunarc.workers.messages import condition
 from sunarc.workers.night.exposures import DARK_ZENITH_DEG, NightCapture
 
@@ -131,7 +131,7 @@ def _is_possible(factor: float) -> bool:
     return 1.0 / MOST_ALL_OVER <= factor <= MOST_ALL_OVER
 
 
-_HEARTBEAT_S = 1.0
+_REFUSED = 30  # counts as so many failures: the longest pause
 _DAYLIGHT_ZENITH_DEG = 96.0
 """Composites are made while the sun's apparent zenith angle is below this: until the end of civil twilight."""
 _LEAD_S = 2.0  # before a slot the camera is looked at, and until then the slot before is over
@@ -236,44 +236,44 @@ class CaptureWorker:
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Capture until stopped; a lost camera is opened again, ever less often."""
-        pause_s = self._options.reopen_after_s
-        while not stop.is_set():
-            heartbeat()
+        loop = Loop(self._clock, stop, heartbeat)
+        longest_s, failures = self._options.reopen_at_most_s, 0
+        for _ in loop.turns():
+            failures += 1
             try:
                 with closing(self._open_camera()) as camera:
                     self._require_exposures(camera)
                     self._night_gain.restore(camera)
                     self._report.opened(camera.info)
-                    for _ in self._slots(camera, stop, heartbeat):
+                    for _ in self._slots(camera, loop):
                         # Only a slot that succeeded ends the back-off: a camera may open and then fail at once.
-                        pause_s = self._options.reopen_after_s
+                        failures = 1
             except CameraError as error:
                 self._report.lost(error)
             except (ConfigurationError, InputError) as error:
                 self._report.refused(error)
-                pause_s = self._options.reopen_at_most_s
-            self._wait(stop, heartbeat, pause_s)
-            pause_s = min(2.0 * pause_s, self._options.reopen_at_most_s)
+                failures = _REFUSED
+            loop.wait(back_off_s(failures, first_s=self._options.reopen_after_s, longest_s=longest_s))
 
-    def _slots(self, camera: SkyCamera, stop: threading.Event, heartbeat: Callable[[], None]) -> Iterator[datetime]:
+    def _slots(self, camera: SkyCamera, loop: Loop) -> Iterator[datetime]:
         """Serve slot after slot, and yield each that succeeded."""
         exposer = self._exposer(camera, deadline_s=math.inf)
         # The camera dates the frames: before its first one there is no time to find a slot by.
         if not self._frame_time.is_known:
             self._sign_of_life(exposer, camera.info.exposure_min_us)
-        while not stop.is_set():
+        for _ in loop.turns():
             daylight = self._apparent_zenith() < _DAYLIGHT_ZENITH_DEG
             every_s = self._options.cadence_s if daylight else self._options.night_cadence_s
             real_every_s = every_s / self._frame_time.speed
             slot = self._next_slot(every_s=every_s)
             lead_s = min(_LEAD_S, _LEAD_SHARE * real_every_s)
-            if self._wait(stop, heartbeat, self._frame_time.real_seconds_until(slot) - lead_s):
+            if loop.wait(self._frame_time.real_seconds_until(slot) - lead_s):
                 return
             self._follow_speed(camera.check())  # a change is noticed before the slot, and costs it nothing
             remaining_s = self._frame_time.real_seconds_until(slot)
             if not -real_every_s / 2.0 < remaining_s <= 2.0 * lead_s:
                 continue  # the clock was set meanwhile: another slot is the next one
-            if self._wait(stop, heartbeat, remaining_s):
+            if loop.wait(remaining_s):
                 return
             if daylight:
                 self._serve(real_every_s=real_every_s)
@@ -399,17 +399,6 @@ class CaptureWorker:
                 field="capture.hdr_exposures_us", problem=beyond, remedy="set exposures that the camera can take"
             )
 
-    def _wait(self, stop: threading.Event, heartbeat: Callable[[], None], seconds: float) -> bool:
-        """Wait with heartbeats; return whether to stop."""
-        end = self._clock.monotonic() + seconds
-        while not stop.is_set():
-            heartbeat()
-            remaining_s = end - self._clock.monotonic()
-            if remaining_s <= 0.0:
-                return False
-            self._clock.wait(stop, min(remaining_s, _HEARTBEAT_S))
-        return True
-
     def _received(self, frame: Frame) -> None:
         """Take the time from a frame, whose exposure has just ended."""
         ended_at = frame.time + timedelta(microseconds=frame.exposure_us / 2.0)
@@ -511,19 +500,17 @@ class ReplayWorker:
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Play the folder once; one that does not match the stored camera is refused with a condition."""
+        loop = Loop(self._clock, stop, heartbeat)
         try:
             with closing(self._open_camera()) as camera:
                 self._board.note(camera=CameraStatus(name=self._name, connected=True, address=camera.info.address))
-                self._play(camera, stop, heartbeat)
+                self._play(camera, loop)
         except (ConfigurationError, InputError) as error:
             CaptureReport(self._board, name=self._name).refused(error)
-        while not stop.is_set():
-            heartbeat()
-            self._clock.wait(stop, _POLL_S)
+        loop.every(_POLL_S, lambda: None)
 
-    def _play(self, camera: SkyCamera, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
-        while not stop.is_set():
-            heartbeat()
+    def _play(self, camera: SkyCamera, loop: Loop) -> None:
+        for _ in loop.turns():
             try:
                 frame = camera.expose(0.0)
             except CameraLostError as end:
@@ -532,10 +519,9 @@ class ReplayWorker:
             self._frame_time.note(frame.time)
             self._board.note(last_frame_at=frame.time)
             if frame.exposure_us < _SUN_EXPOSURE_BELOW_US:
-                self._hand_on(frame, stop, heartbeat)
+                self._hand_on(frame, loop)
 
-    def _hand_on(self, frame: Frame, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
-        while self._sun_frames.full and not stop.is_set():
-            heartbeat()
-            self._clock.wait(stop, _POLL_S)
+    def _hand_on(self, frame: Frame, loop: Loop) -> None:
+        while self._sun_frames.full and not loop.wait(_POLL_S):
+            pass
         self._sun_frames.put(frame)

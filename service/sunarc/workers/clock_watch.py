@@ -20,6 +20,7 @@ from sunarc.cameras.options import TAI_MINUS_UTC_S
 from sunarc.errors import InputError, OutsideError
 from sunarc.findings import Finding
 from sunarc.runtime.clock import Clock
+from sunarc.runtime.loop import Loop
 from sunarc.runtime.status import ClockStatus, Reason, StatusRegistry
 from sunarc.utc import rfc3339, utc_time
 from sunarc.workers.messages import MESSAGES
@@ -311,10 +312,7 @@ class ClockWatch:
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Check until stopped."""
-        while not stop.is_set():
-            heartbeat()
-            self.check()
-            self._clock.wait(stop, _CHECK_EVERY_S)
+        Loop(self._clock, stop, heartbeat).every(_CHECK_EVERY_S, self.check)
 
     def check(self) -> None:
         """Check the clock once, store a step, and publish the clock's state."""

@@ -18,16 +18,15 @@ from sunarc.errors import OutsideError
 from sunarc.imaging.hdr import HdrImage, merge_hdr
 from sunarc.imaging.metadata import jpeg_with, png_with
 from sunarc.imaging.preview import preview
+from sunarc.runtime.loop import DropOldestQueue, entries
 from sunarc.runtime.status import StatusRegistry
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles
 from sunarc.utc import rfc3339
-from sunarc.workers.loop import DropOldestQueue
 from sunarc.workers.messages import condition
 from sunarc.workers.options import SensorOptions, sensor_of
 from sunarc.workers.sun_prediction import SunPredictor
 
-_POLL_S = 0.5
 _CODE = "images_not_written"
 
 
@@ -60,13 +59,9 @@ class ComposeWorker:
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Work until stopped, and then until nothing waits."""
-        while True:
-            heartbeat()
-            frames = self._cycles.get(timeout_s=_POLL_S)
+        for frames in entries(self._cycles, stop, heartbeat):
             if frames is not None:
                 self.compose(frames)
-            elif stop.is_set():
-                return
 
     def compose(self, frames: Sequence[Frame]) -> None:
         """Merge the exposures of one cycle and write both files; a disk that refuses costs this composite alone."""

@@ -24,10 +24,10 @@ from sunarc.detection.values import Detection, DiscOptions, Expectation
 from sunarc.errors import OutsideError
 from sunarc.findings import Finding
 from sunarc.runtime.clock import SystemClock
+from sunarc.runtime.loop import DropOldestQueue, entries
 from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.sky.directions import angular_distance
 from sunarc.sky.sun import sun_directions
-from sunarc.workers.loop import DropOldestQueue
 from sunarc.workers.messages import MESSAGES, condition
 from sunarc.workers.options import SensorOptions, sensor_of
 from sunarc.workers.sun_prediction import SunPredictor
@@ -299,7 +299,6 @@ class SightingWriteBuffer:
         return replace(point, pose_epoch=epoch.id)
 
 
-_POLL_S = 0.5
 _PERHAPS_ELSEWHERE = frozenset({"hidden", "reflection", "obstructed"})
 
 
@@ -357,16 +356,12 @@ class DetectWorker:
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Work until stopped, and then until nothing waits."""
-        while True:
-            heartbeat()
-            frame = self._frames.get(timeout_s=_POLL_S)
+        for frame in entries(self._frames, stop, heartbeat):
             if frame is not None:
                 self.process(frame)
-            elif stop.is_set():
-                self._keeper.give_up()
-                return
             elif self._keeper.waiting:
                 self._keeper.store()
+        self._keeper.give_up()
 
     def process(self, frame: Frame) -> Detection:
         """Detect, store and report one frame."""

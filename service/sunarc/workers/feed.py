@@ -13,6 +13,7 @@ import urllib.parse
 import urllib.request
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from http import HTTPStatus
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from sunarc.archive.fleet.feed_rows import FeedRow, feed_lines
 from sunarc.archive.fleet.outbox import OutboxPosition
 from sunarc.errors import ConfigurationError, InputError, OutsideError
 from sunarc.runtime.clock import Clock
+from sunarc.runtime.loop import Attempts, Loop
 from sunarc.runtime.status import StatusRegistry
 from sunarc.utc import rfc3339
 from sunarc.workers.http_exchange import HttpRequest, Limit, UnfinishedError, exchange
@@ -171,7 +173,6 @@ def _token(path: Path | None) -> str:
 
 
 _log = logging.getLogger(__name__)
-_POLL_S = 1.0  # the heartbeat's
 _MOST_ROWS = 1000
 _QUICK_S = 7.5
 """An exchange that took no longer, a quarter of what it may take, shows that the next may have twice the rows."""
@@ -203,35 +204,36 @@ class FeedWorker:
         self._send = send
         self._clock = clock
         self._board = board
-        self._every_s = every_s
         self._most_rows = _MOST_ROWS
-        self._failures = 0
-        self._reached_s = clock.monotonic()
+        self._attempts = Attempts(
+            clock,
+            every_s=every_s,
+            longest_s=_LONGEST_WAIT_S,
+            board=board,
+            code=_UNREACHABLE,
+            reason=lambda error, hours: condition(_UNREACHABLE, hours=round(hours, 1), error=error),
+            after_s=_SILENT_S,
+        )
         self._status_s = -math.inf
         self._enabled = False
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Send until stopped."""
-        while not stop.is_set():
-            until_s = self._clock.monotonic() + self.step(heartbeat)
-            heartbeat()
-            while not stop.is_set() and self._clock.monotonic() < until_s:
-                self._clock.wait(stop, min(_POLL_S, max(until_s - self._clock.monotonic(), 0.0)))
-                heartbeat()
+        Loop(self._clock, stop, heartbeat).repeat(partial(self.step, heartbeat))
 
     def step(self, heartbeat: Callable[[], None]) -> float:
         """Send once, and return the seconds until the next time."""
         try:
-            more = self._send_next(heartbeat)
-        except OutsideError as error:
-            _log.debug("not sent to the hub: %s", error)
-            return self._failed(str(error))
-        except HubRefusal as refusal:
-            return self._refused(refusal)
-        self._failures, self._reached_s = 0, self._clock.monotonic()
-        self._board.set_condition(_UNREACHABLE, None)
+            return self._attempts.attempt(partial(self._send_some, heartbeat))
+        except HubRefusal as refusal:  # the hub answers, and an operator has to do something; it is tried all the same
+            self._attempts.answered()
+            self._board.set_condition(_REFUSED, condition(_REFUSED, status=refusal.status, error=str(refusal)))
+            return self._attempts.failed(str(refusal))
+
+    def _send_some(self, heartbeat: Callable[[], None]) -> float | None:
+        more = self._send_next(heartbeat)
         self._board.set_condition(_REFUSED, None)
-        return 0.0 if more else self._every_s
+        return 0.0 if more else None
 
     def _send_next(self, heartbeat: Callable[[], None]) -> bool:
         """Send the next rows, if there are any, and return whether there may be more."""
@@ -287,20 +289,6 @@ class FeedWorker:
             raise OutsideError(f"the hub took nothing of {len(rows)} rows")
         else:
             self._archive.acknowledge(committed)
-
-    def _failed(self, text: str) -> float:
-        self._failures += 1
-        silent_s = self._clock.monotonic() - self._reached_s
-        if silent_s >= _SILENT_S:
-            reason = condition(_UNREACHABLE, hours=round(silent_s / 3600.0, 1), error=text)
-            self._board.set_condition(_UNREACHABLE, reason)
-        return float(min(self._every_s * 2.0 ** min(self._failures - 1, 10), _LONGEST_WAIT_S))
-
-    def _refused(self, refusal: HubRefusal) -> float:
-        """Show a refusal: the hub answers, and an operator has to do something. It is tried again all the same."""
-        self._reached_s = self._clock.monotonic()
-        self._board.set_condition(_REFUSED, condition(_REFUSED, status=refusal.status, error=str(refusal)))
-        return self._failed(str(refusal))
 
     def _status(self) -> Mapping[str, Any]:
         """Return what the fleet page shows of this imager."""

@@ -12,6 +12,7 @@ import threading
 import urllib.parse
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
+from functools import partial
 from http import HTTPStatus
 from pathlib import Path
 from typing import Protocol
@@ -22,6 +23,7 @@ from sunarc.archive.archive import Archive
 from sunarc.archive.fleet.notices import CameraState, Notice
 from sunarc.errors import ConfigurationError, InputError, OutsideError
 from sunarc.runtime.clock import Clock
+from sunarc.runtime.loop import Attempts, Loop
 from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.runtime.supervisor import worker_code
 from sunarc.utc import rfc3339
@@ -82,22 +84,32 @@ class PushWorker:
 
     def __init__(self, *, archive: Archive, sink: Sink, clock: Clock, board: StatusRegistry) -> None:
         self._archive, self._sink, self._clock, self._board = archive, sink, clock, board
-        self._failures = 0
-        self._reached_s = clock.monotonic()
+        self._attempts = Attempts(
+            clock,
+            every_s=_POLL_S,
+            longest_s=_LONGEST_WAIT_S,
+            board=board,
+            code=worker_code(_FAILING, sink.name),
+            reason=lambda error, hours: condition_of(_FAILING, sink.name, hours=round(hours, 2), error=error),
+            after_s=_FAILING_S,
+        )
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Send until stopped."""
         try:
-            while not stop.is_set():
-                until_s = self._clock.monotonic() + self.step(stop, heartbeat)
-                while not stop.is_set() and self._clock.monotonic() < until_s:
-                    heartbeat()
-                    self._clock.wait(stop, min(_POLL_S, max(until_s - self._clock.monotonic(), 0.0)))
+            Loop(self._clock, stop, heartbeat).repeat(partial(self.step, stop, heartbeat))
         finally:
             self._sink.close(orderly=stop.is_set())
 
     def step(self, stop: threading.Event, heartbeat: Callable[[], None]) -> float:
         """Send what there is, and return the seconds until the next time."""
+        try:
+            return self._attempts.attempt(partial(self._send_some, stop, heartbeat))
+        except (ConfigurationError, InputError) as error:
+            self._show(_UNUSABLE, condition_of(_UNUSABLE, self._sink.name, error=str(error)))
+            return _LONGEST_WAIT_S
+
+    def _send_some(self, stop: threading.Event, heartbeat: Callable[[], None]) -> float | None:
         try:
             self._sink.refresh(heartbeat)
             notices = self._archive.notices_after(self._sink.name, limit=_MOST_AT_ONCE)
@@ -106,17 +118,11 @@ class PushWorker:
                 if stop.is_set():
                     break
                 self._deliver(notice, heartbeat)
-        except OutsideError as error:
+        except (OutsideError, ConfigurationError, InputError):
             self._sink.close(orderly=False)
-            return self._failed(str(error))
-        except (ConfigurationError, InputError) as error:
-            self._sink.close(orderly=False)
-            self._show(_UNUSABLE, condition_of(_UNUSABLE, self._sink.name, error=str(error)))
-            return _LONGEST_WAIT_S
-        self._failures, self._reached_s = 0, self._clock.monotonic()
-        self._show(_FAILING, None)
+            raise
         self._show(_UNUSABLE, None)
-        return 0.0 if len(notices) == _MOST_AT_ONCE else _POLL_S
+        return 0.0 if len(notices) == _MOST_AT_ONCE else None
 
     def _deliver(self, notice: Notice, heartbeat: Callable[[], None]) -> None:
         try:
@@ -130,15 +136,7 @@ class PushWorker:
         else:
             self._archive.notice_done(self._sink.name, notice.seq)
             self._show(_REFUSED, None)
-        self._failures, self._reached_s = 0, self._clock.monotonic()
-
-    def _failed(self, text: str) -> float:
-        _log.debug("not sent to %s: %s", self._sink.name, text)
-        self._failures += 1
-        silent_s = self._clock.monotonic() - self._reached_s
-        if silent_s >= _FAILING_S:
-            self._show(_FAILING, condition_of(_FAILING, self._sink.name, hours=round(silent_s / 3600.0, 2), error=text))
-        return float(min(2.0 ** min(self._failures - 1, 10), _LONGEST_WAIT_S))
+        self._attempts.succeeded()
 
     def _show(self, code: str, reason: Reason | None) -> None:
         self._board.set_condition(worker_code(code, self._sink.name), reason)
@@ -185,10 +183,7 @@ class NoticeWorker:
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Look until stopped."""
-        while not stop.is_set():
-            self.step()
-            heartbeat()
-            self._clock.wait(stop, self._every_s)
+        Loop(self._clock, stop, heartbeat).every(self._every_s, self.step)
 
     def step(self) -> None:
         """Look once."""

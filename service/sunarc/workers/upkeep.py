@@ -15,11 +15,11 @@ from sunarc.archive.values import Event, Housekeeping, merged
 from sunarc.errors import OutsideError, StoreFullError
 from sunarc.findings import Finding
 from sunarc.runtime.clock import Clock
+from sunarc.runtime.loop import Attempts, Loop
 from sunarc.runtime.status import DiskStatus, Reason, StatusRegistry
 from sunarc.workers.messages import MESSAGES, condition
 
 _log = logging.getLogger(__name__)
-_DISK_POLL_S = 1.0  # the heartbeat's
 _DISK_EVERY_S = 5.0
 """Seconds from check to check: a full cycle's images in between are far below what is kept free."""
 _UNREADABLE = "images_unreadable"
@@ -55,32 +55,23 @@ class DiskWorker:
         self._clock = clock
         self._age_from = age_from
         self._board = board
+        self._attempts = Attempts(
+            clock,
+            every_s=_DISK_EVERY_S,
+            board=board,
+            code=_UNREADABLE,
+            reason=lambda error, _: condition(_UNREADABLE, error=error),
+            errors=(OutsideError, OSError),
+        )
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Check until stopped."""
-        self._clear_up()
-        due_s = self._clock.monotonic()
-        while not stop.is_set():
-            heartbeat()
-            if self._clock.monotonic() >= due_s:
-                self.check()
-                due_s = self._clock.monotonic() + _DISK_EVERY_S
-            self._clock.wait(stop, _DISK_POLL_S)
+        self._attempts.attempt(self._store.clear_up)
+        Loop(self._clock, stop, heartbeat).repeat(self.check)
 
-    def check(self) -> None:
-        """Check once; a folder that cannot be read becomes a condition, and is checked again."""
-        try:
-            self._check()
-        except (OutsideError, OSError) as error:
-            self._board.set_condition(_UNREADABLE, condition(_UNREADABLE, error=str(error)))
-        else:
-            self._board.set_condition(_UNREADABLE, None)
-
-    def _clear_up(self) -> None:
-        try:
-            self._store.clear_up()
-        except OutsideError as error:
-            self._board.set_condition(_UNREADABLE, condition(_UNREADABLE, error=str(error)))
+    def check(self) -> float:
+        """Check once, and return the seconds until the next time; a folder that cannot be read becomes a condition."""
+        return self._attempts.attempt(self._check)
 
     def _check(self) -> None:
         now = self._age_from()
@@ -146,24 +137,26 @@ class DatabaseWorker:
         self._now = now
         self._board = board
         self._unreported = recovered
+        self._attempts = Attempts(
+            clock,
+            every_s=_DATABASE_EVERY_S,
+            board=board,
+            code=_MISSING,
+            reason=lambda error, _: condition(_MISSING, error=error),
+        )
         if recovered is not None:
             _publish(board, recovered)
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Check until stopped."""
-        while not stop.is_set():
-            heartbeat()
-            self.check()
-            self._clock.wait(stop, _DATABASE_EVERY_S)
+        Loop(self._clock, stop, heartbeat).repeat(self.check)
 
-    def check(self) -> None:
-        """Check once."""
-        try:
-            done = self._archive.recover(now=self._clock.now())
-        except OutsideError as error:
-            self._board.set_condition(_MISSING, condition(_MISSING, error=str(error)))
-            return
-        self._board.set_condition(_MISSING, None)
+    def check(self) -> float:
+        """Check once, and return the seconds until the next time."""
+        return self._attempts.attempt(self._check)
+
+    def _check(self) -> None:
+        done = self._archive.recover(now=self._clock.now())
         if done is not None:
             self._unreported = done
             _publish(self._board, done)
@@ -208,10 +201,7 @@ class StoreRoomWorker:
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Check until stopped."""
-        while not stop.is_set():
-            heartbeat()
-            self.check()
-            self._clock.wait(stop, _DATABASE_EVERY_S)
+        Loop(self._clock, stop, heartbeat).every(_DATABASE_EVERY_S, self.check)
 
     def check(self) -> None:
         """Check once; where the database does not answer, nothing is known of its disk."""
@@ -261,10 +251,7 @@ class HousekeepingWorker:
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Sample until stopped, and store what is left."""
-        while not stop.is_set():
-            heartbeat()
-            self.step()
-            self._clock.wait(stop, _SAMPLE_EVERY_S)
+        Loop(self._clock, stop, heartbeat).every(_SAMPLE_EVERY_S, self.step)
         self.store()
 
     def step(self) -> None:
@@ -347,10 +334,7 @@ class ConditionTimesWorker:
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Look until stopped."""
-        while not stop.is_set():
-            heartbeat()
-            self.step()
-            self._clock.wait(stop, _LOOK_EVERY_S)
+        Loop(self._clock, stop, heartbeat).every(_LOOK_EVERY_S, self.step)
 
     def step(self) -> None:
         """Look once, and store what changed; where that fails it is tried again at the next look."""

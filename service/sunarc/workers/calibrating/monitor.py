@@ -27,6 +27,7 @@ from sunarc.calibration.quality.day_quality import DOUBTFUL_CLOCK_SHARE, decide_
 from sunarc.calibration.quality.site_checks import site_contradiction
 from sunarc.errors import InputError, OutsideError
 from sunarc.findings import Finding
+from sunarc.runtime.loop import DropOldestQueue, turns
 from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.sky.days import day_bounds_unix_s, solar_date
 from sunarc.sky.site import Site
@@ -34,7 +35,6 @@ from sunarc.sky.sun import sun_angles, sun_directions
 from sunarc.utc import MICROSECOND, utc_time
 from sunarc.workers.calibrating.provisional_pose import FEWEST, ProvisionalPoseEstimator, is_first_pose, is_provisional
 from sunarc.workers.calibrating.solver_process import points_of
-from sunarc.workers.loop import DropOldestQueue
 from sunarc.workers.messages import MESSAGES, condition
 
 _log = logging.getLogger(__name__)
@@ -102,8 +102,7 @@ class WatchWorker:
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Work until stopped; what was seen before the start is remembered first."""
         self.remember()
-        while not stop.is_set():
-            heartbeat()
+        for _ in turns(stop, heartbeat):
             self.process_next(timeout_s=_POLL_S)
 
     def remember(self) -> None:

@@ -32,6 +32,7 @@ from sunarc.calibration.selection import Selection, SelectionOptions, select_sig
 from sunarc.errors import InputError, NotFoundError
 from sunarc.findings import Data, Finding
 from sunarc.runtime.clock import Clock
+from sunarc.runtime.loop import Loop
 from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.sky.days import solar_date
 from sunarc.sky.night import SUN
@@ -361,8 +362,8 @@ class RefitWorker:
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Work until stopped; a refit that was cut short is begun again at the next start."""
         self._integrity.check()
-        while not stop.is_set():
-            heartbeat()
+        loop = Loop(self._clock, stop, heartbeat)
+        for _ in loop.turns():
             self._integrity.follow()
             waiting = self._camera.refits(unfinished=True)
             if waiting and self._may_solve():
@@ -370,7 +371,7 @@ class RefitWorker:
                 self.carry_out(waiting[-1], stop, heartbeat)
             else:
                 self.let_wait(waiting)
-                self._clock.wait(stop, _POLL_S)
+                loop.wait(_POLL_S)
 
     def let_wait(self, waiting: Sequence[Refit]) -> None:
         """Publish why refits wait, where there are some; those that waited for a day have failed."""

@@ -13,9 +13,9 @@ import numpy as np
 from sunarc.cameras.frame import Frame
 from sunarc.detection.values import MOST_PEAK, Stars
 from sunarc.imaging.exposure import ExposureBounds
+from sunarc.runtime.loop import DropOldestQueue
 from sunarc.sky.night import MoonDisc
 from sunarc.sky.site import relative_air_mass
-from sunarc.workers.loop import DropOldestQueue
 
 DARK_ZENITH_DEG = 102.0
 """The sun's zenith angle from which on it is night: -12 degrees."""

@@ -24,6 +24,7 @@ from sunarc.detection.stars.detect import detect_stars
 from sunarc.detection.stars.photometry import NightLimits, NightTrend, dew_suspected, focus_ratio, star_halo
 from sunarc.detection.values import FWHM, Stars
 from sunarc.findings import Finding
+from sunarc.runtime.loop import turns
 from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.sky.days import solar_date
 from sunarc.sky.night import body_position
@@ -222,8 +223,7 @@ class NightWorker:
         """Work until stopped."""
         self.resume()
         self.publish_conditions()
-        while not stop.is_set():
-            heartbeat()
+        for _ in turns(stop, heartbeat):
             frame = self._frames.get(timeout_s=_POLL_S)
             if self._moon_frames is not None and (moon := self._moon_frames.get(timeout_s=0.0)) is not None:
                 self.look_at_moon(moon)
