@@ -34,7 +34,7 @@ from sunarc.optics.camera import Camera
 from sunarc.optics.pose import pose_angles
 from sunarc.runtime.loop import DropOldestQueue
 from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation.options import NightOptions, SceneOptions, Weather
+from sunarc.simulation.options import SceneOptions, SimulatedNight, Weather
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.workers.night.exposures import NightCapture, NightExposures
@@ -92,7 +92,7 @@ def frames(rng: np.random.Generator, begin: datetime, weather: Weather, dome: Do
     focus = rng.uniform(-0.4, 0.4)
     for number in range(IMAGES):
         along = number / (IMAGES - 1)
-        night = NightOptions(star_e_per_s=50_000.0, faintest=6.0, extinction=max(0.05, air + change * along))
+        night = SimulatedNight(star_e_per_s=50_000.0, faintest=6.0, extinction=max(0.05, air + change * along))
         scene = Scene(CAMERA, SGP, options=SceneOptions(night=night, weather=(weather,)))
         start = begin + timedelta(minutes=40 * number)
         image = scene.render(int(start.timestamp() * 1e6), exposure_us=EXPOSURE_US)

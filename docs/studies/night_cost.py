@@ -20,7 +20,7 @@ from sunarc.archive.values import CameraRecord, Refit
 from sunarc.cameras.frame import Frame
 from sunarc.runtime.loop import DropOldestQueue
 from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation.options import NightOptions, SceneOptions
+from sunarc.simulation.options import SceneOptions, SimulatedNight
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.night import moon_disc
@@ -38,7 +38,7 @@ def main() -> None:
     """Print the figures."""
     argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     camera = true_camera()
-    scene = Scene(camera, SGP, options=SceneOptions(night=NightOptions()))
+    scene = Scene(camera, SGP, options=SceneOptions(night=SimulatedNight()))
     folder = Path(tempfile.mkdtemp())
     upgrade(folder / "sunarc.sqlite")
     archive = open_archive(folder / "sunarc.sqlite")

@@ -35,7 +35,7 @@ from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.runtime.loop import DropOldestQueue
 from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation.options import NightOptions, SceneOptions
+from sunarc.simulation.options import SceneOptions, SimulatedNight
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.night import body_directions
@@ -181,7 +181,7 @@ def main() -> None:
     for seed in range(asked.first, asked.first + asked.lenses):
         camera = SimulatedImager(true_camera(seed), seed=seed)
         if asked.fits:
-            scene = Scene(camera.lens, SGP, options=SceneOptions(seed=seed, night=NightOptions()))
+            scene = Scene(camera.lens, SGP, options=SceneOptions(seed=seed, night=SimulatedNight()))
             camera.night(DARK, frames_of(scene, DARK, asked.frames))
             fits.append(errors(camera.day, camera.lens) + errors(camera.fitted(), camera.lens))
             print(f"lens {seed}: {' '.join(f'{value:.4f}' for value in fits[-1])}", flush=True)
@@ -189,7 +189,7 @@ def main() -> None:
         for number, name in enumerate(asked.nights):
             evening, weather, options = NIGHTS[name]
             begin = evening + timedelta(minutes=number)  # the archive takes no two sightings of a star at one moment
-            sky: Any = {"seed": seed, "weather": (weather,), "night": NightOptions(**options)}
+            sky: Any = {"seed": seed, "weather": (weather,), "night": SimulatedNight(**options)}
             scene = Scene(camera.lens, SGP, options=SceneOptions(**sky))
             found.setdefault(name, []).append(camera.night(begin, frames_of(scene, begin, asked.frames)))
     for name, rows in found.items():

@@ -39,7 +39,7 @@ from sunarc.calibration.selection import MOST_STARS, image_parts, surest_of_part
 from sunarc.cameras.frame import Frame
 from sunarc.detection.values import Stars
 from sunarc.optics.camera import Camera
-from sunarc.simulation.options import NightOptions, SceneOptions, SensorModel
+from sunarc.simulation.options import SceneOptions, SensorModel, SimulatedNight
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.workers.night.night import decide_night, summary_of
@@ -89,7 +89,7 @@ def sky_of(kind: str, lens: Camera, seed: int) -> Sky:
         begin = FULL_MOON + timedelta(days=float(rng.uniform(-4.0, 4.0)) // 1.0 + 29.0 * int(rng.integers(0, 2)))
     if kind == "town" or every:
         night |= {"city": rng.uniform(15.0, 17.5), "airglow": rng.uniform(18.5, 20.5), "city_azimuth_deg": 17.0 * seed}
-    options: dict[str, Any] = {"seed": seed, "weather": (weather,), "night": NightOptions(**night)}
+    options: dict[str, Any] = {"seed": seed, "weather": (weather,), "night": SimulatedNight(**night)}
     sensor = SensorModel(hot_pixels=int(rng.integers(20, 300)))
     scene = Scene(lens, SGP, options=SceneOptions(**options), sensor=sensor)
     count = int(rng.integers(3, 12)) if kind == "town" or every else int(rng.integers(0, 4))

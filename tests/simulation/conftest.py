@@ -16,7 +16,7 @@ import pytest
 
 from sunarc.runtime.clock import SystemClock
 from sunarc.simulation.imager import ImagerOptions, scene_of
-from sunarc.simulation.options import NightOptions, SceneOptions
+from sunarc.simulation.options import SceneOptions, SimulatedNight
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP, true_camera
 
@@ -42,7 +42,7 @@ class Imager:
         **options: Any,  # noqa: ANN401 - of an imager
     ) -> None:
         self._options, self._start = OPTIONS | options, start
-        scene = SceneOptions() if night is None else SceneOptions(night=NightOptions(**night))
+        scene = SceneOptions() if night is None else SceneOptions(night=SimulatedNight(**night))
         self.scene = scene_of(ImagerOptions(**self._options, start=start, scene=scene))
         self._options |= {} if night is None else {"night": night}
         self.truth = folder / "truth.json"

@@ -15,7 +15,7 @@ from pathlib import Path
 from sunarc.simulation import fake_camera as genicam
 from sunarc.simulation.fake_camera import FakeCamera
 from sunarc.simulation.imager import ImagerOptions, run_imager
-from sunarc.simulation.options import NightOptions, SceneOptions
+from sunarc.simulation.options import SceneOptions, SimulatedNight
 from sunarc.sky.site import Site
 
 
@@ -37,6 +37,6 @@ chosen = json.loads(keywords)
 if "site" in chosen:
     chosen["site"] = Site(**chosen["site"])
 if "night" in chosen:
-    chosen["scene"] = SceneOptions(night=NightOptions(**chosen.pop("night")))
+    chosen["scene"] = SceneOptions(night=SimulatedNight(**chosen.pop("night")))
 options = ImagerOptions(**chosen, start=datetime.fromisoformat(start), truth=Path(truth))
 run_imager(options, stop, running=running)

@@ -15,7 +15,7 @@ from sunarc.detection.stars.detect import detect_stars
 from sunarc.errors import InputError
 from sunarc.optics.forward import project
 from sunarc.simulation.night import star_directions_by_series
-from sunarc.simulation.options import NightOptions, SceneOptions, SensorModel
+from sunarc.simulation.options import SceneOptions, SensorModel, SimulatedNight
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.directions import direction_from_angles
@@ -33,7 +33,7 @@ CLEAN = SensorModel(black_level=0.0, smear_us_per_row=0.0, hot_pixels=0, full_we
 
 
 def night_scene(*, sensor: SensorModel | None = None, weather: str = "clear", **options: Any) -> Scene:  # noqa: ANN401
-    sky: Any = {"weather": (weather,), "night": NightOptions(**options)}
+    sky: Any = {"weather": (weather,), "night": SimulatedNight(**options)}
     return Scene(true_camera(), SGP, options=SceneOptions(**sky), sensor=sensor)
 
 
@@ -179,4 +179,4 @@ def test_the_same_moment_is_the_same_image_and_the_day_has_no_night_in_it() -> N
 def test_what_is_no_night_is_refused(name: str, value: float) -> None:
     options: dict[str, Any] = {name: value}
     with pytest.raises(InputError, match=name):
-        NightOptions(**options)
+        SimulatedNight(**options)

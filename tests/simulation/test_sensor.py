@@ -143,7 +143,7 @@ def test_the_sky_is_the_formula_of_its_levels() -> None:
     sun = direction_from_angles(zenith_deg=35.0, azimuth_deg=120.0)
     field = pixel_field(SMALL, field_deg=90.0, obstructions=())
     levels, out = np.array([2.0, 5.0, 0.5, 0.01, 1e-4, 0.3], np.float32), np.empty((60, 64), np.float32)
-    sky_light(field, sun.astype(np.float32), levels, *CLEAR_SKY, out)
+    sky_light(field, sun.astype(np.float32), levels, CLEAR_SKY, out)
     ray, sees = field[..., :3].astype(np.float64), field[..., 3].astype(np.float64)
     chord = np.sum((ray - sun) ** 2, axis=-1)
     clear = 2.0 * (1.0 + 1.5 * (1.0 - ray[..., 2]) ** 3) * (0.8 + 0.4 * (1.0 - 0.5 * chord) ** 2)

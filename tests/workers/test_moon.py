@@ -21,7 +21,7 @@ from sunarc.detection.moon import Cutout, brightest_cutouts
 from sunarc.imaging.exposure import ExposureBounds
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
-from sunarc.simulation.options import NightOptions, SceneOptions
+from sunarc.simulation.options import SceneOptions, SimulatedNight
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP
 from sunarc.sky.night import MoonDisc, body_position, moon_disc
@@ -50,7 +50,7 @@ def disc_at(time: datetime) -> MoonDisc:
 
 @cache
 def scene_of(**sky: Any) -> Scene:  # noqa: ANN401 - of `SceneOptions`
-    night = NightOptions(warm_spots=0, satellites=0.0, aircraft=0.0, faintest=2.0)
+    night = SimulatedNight(warm_spots=0, satellites=0.0, aircraft=0.0, faintest=2.0)
     return Scene(CAMERA, SGP, options=SceneOptions(night=night, **sky))
 
 

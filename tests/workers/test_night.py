@@ -26,7 +26,7 @@ from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.runtime.loop import DropOldestQueue
 from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation.options import NightOptions, SceneOptions, Weather
+from sunarc.simulation.options import SceneOptions, SimulatedNight, Weather
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.night import STAR, body_directions
@@ -66,7 +66,7 @@ def calibration_of(camera: Camera) -> Calibration:
 
 @cache
 def image_at(minutes: int, weather: Weather = "clear", *, moon: bool = False) -> Image:
-    options = NightOptions(moon=moon, star_e_per_s=50_000.0, faintest=6.0, warm_spots=120)
+    options = SimulatedNight(moon=moon, star_e_per_s=50_000.0, faintest=6.0, warm_spots=120)
     scene = Scene(CAMERA, SGP, options=SceneOptions(night=options, weather=(weather,)))
     start = BEGIN + timedelta(minutes=minutes)
     return scene.render(int(start.timestamp() * 1e6), exposure_us=EXPOSURE_US)

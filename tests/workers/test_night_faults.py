@@ -20,7 +20,7 @@ from sunarc.archive.values import CameraRecord, Event
 from sunarc.array_types import Image
 from sunarc.cameras.frame import Frame
 from sunarc.optics.forward import project
-from sunarc.simulation.options import NightOptions, SceneOptions
+from sunarc.simulation.options import SceneOptions, SimulatedNight
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP
 from sunarc.sky.night import body_directions, body_position
@@ -150,7 +150,7 @@ def test_a_frozen_image_is_named_and_counts_once(bench: Bench) -> None:
 
 def test_two_planets_close_together_are_not_taken_for_one_another(bench: Bench) -> None:
     options: Any = {"star_e_per_s": 50_000.0, "faintest": 5.0, "warm_spots": 0}
-    scene = Scene(CAMERA, SGP, options=SceneOptions(night=NightOptions(**options)))
+    scene = Scene(CAMERA, SGP, options=SceneOptions(night=SimulatedNight(**options)))
     frames = []
     for number in range(3):
         start = CONJUNCTION + timedelta(minutes=5 * number)

@@ -13,7 +13,7 @@ from sunarc.cameras.frame import Frame
 from sunarc.errors import CameraError, CameraLostError
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation.options import NightOptions, SceneOptions
+from sunarc.simulation.options import SceneOptions, SimulatedNight
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.scene_camera import SceneCamera
 from sunarc.simulation.truth import SGP
@@ -29,7 +29,7 @@ def clock() -> VirtualClock:
 
 
 def camera(clock: VirtualClock, **options: Any) -> SceneCamera:  # noqa: ANN401 - of the camera
-    sky = SceneOptions(night=NightOptions(moon=False, warm_spots=0))
+    sky = SceneOptions(night=SimulatedNight(moon=False, warm_spots=0))
     return SceneCamera(Scene(CAMERA, SGP, options=sky), clock, region=(400, 400, 64, 64), **options)
 
 

@@ -7,9 +7,9 @@ import threading
 
 from sunarc.simulation.fake_camera import FakeCamera
 from sunarc.simulation.imager import ImagerOptions, halve_speed, run_imager
-from sunarc.simulation.options import NightOptions, SceneOptions, SensorModel
+from sunarc.simulation.options import SceneOptions, SensorModel, SimulatedNight
 
-__all__ = ["ImagerOptions", "NightOptions", "SceneOptions", "SensorModel", "simulate_imager"]
+__all__ = ["ImagerOptions", "SceneOptions", "SensorModel", "SimulatedNight", "simulate_imager"]
 
 
 def simulate_imager(options: ImagerOptions) -> None:

@@ -67,7 +67,7 @@ def simulate(
 
     Example: sunarc simulate --address 127.0.0.1 --speed 60 --truth truth.json
     """
-    from sunarc.app.simulating import ImagerOptions, NightOptions, SceneOptions, SensorModel, simulate_imager
+    from sunarc.app.simulating import ImagerOptions, SceneOptions, SensorModel, SimulatedNight, simulate_imager
 
     start_log(os.environ)
     scene = SceneOptions(
@@ -75,7 +75,7 @@ def simulate(
         ghost_strength=ghost,
         sun_cover=sun_cover,
         moon_at=moon,
-        night=NightOptions() if nights else None,
+        night=SimulatedNight() if nights else None,
     )
     options = ImagerOptions(
         address=address,

@@ -57,19 +57,12 @@ def merge_hdr(images: Sequence[Image], exposures_us: Sequence[float], *, sensor:
     order = np.argsort(np.asarray(exposures_us, dtype=np.float64), kind="stable")
     stack = np.stack([images[int(i)] for i in order])
     exposures = np.asarray(exposures_us, dtype=np.float64)[order]
-    top_rate = (sensor.full_scale - sensor.black_level) / float(exposures[0])
-    merged, saturated = _merge(
-        stack,
-        exposures,
-        sensor.black_level,
-        _SATURATED * sensor.full_scale,
-        (sensor.read_noise_e / sensor.gain_e_per_count) ** 2 + 1.0 / 12.0,
-        1.0 / sensor.gain_e_per_count,
-        top_rate,
-    )
+    read_variance = (sensor.read_noise_e / sensor.gain_e_per_count) ** 2 + 1.0 / 12.0
+    full = float(sensor.full_scale)
+    merged, saturated = _merge(stack, exposures, sensor.black_level, full, read_variance, 1.0 / sensor.gain_e_per_count)
     return HdrImage(
         image=merged,
-        counts_per_us=top_rate / _FULL,
+        counts_per_us=(full - sensor.black_level) / float(exposures[0]) / _FULL,
         exposures_us=tuple(exposures.tolist()),
         saturated_px=int(saturated),
     )
@@ -89,13 +82,13 @@ def _merge(  # noqa: PLR0917 - numba compiles no keyword-only arguments
     stack: Image,
     exposures: FloatArray,
     black: float,
-    saturated_from: float,
+    full_scale: float,
     read_variance: float,
     counts_per_electron: float,
-    top_rate: float,
 ) -> tuple[NDArray[np.uint16], int]:
     """Merge (frames, rows, columns), shortest first; the photons' noise is that of the pooled rate."""
     frames, rows, columns = stack.shape
+    saturated_from, top_rate = _SATURATED * full_scale, (full_scale - black) / exposures[0]
     out = np.empty((rows, columns), np.uint16)
     lost = 0
     for y in range(rows):

@@ -200,7 +200,7 @@ class _Imager:
         self._bad_left = self._bad_sent = 0
         self._set_up_registers()
         start_unix_s = options.start.timestamp()
-        self._timeline = Timeline(
+        self._timeline = SceneTimeline(
             options.site, start_unix_s=start_unix_s, speed=options.speed, skip_nights=options.skip_nights
         )
         self._camera.write(genicam.SPEED, round(1000.0 * options.speed))
@@ -427,7 +427,7 @@ _STEP_S = 60.0
 _LONGEST_NIGHT_DAYS = 200
 
 
-class Timeline:
+class SceneTimeline:
     """Simulated time as a function of elapsed real time.
 
     Parameters

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from sunarc.array_types import IntArray
 from sunarc.jit import njit
+from sunarc.simulation.scene_parts import CloudLayer
 
 Float32Array = NDArray[np.float32]
 
@@ -41,14 +42,8 @@ def transmittance_towards(  # noqa: PLR0917 - numba inlines positional arguments
 
 
 @njit(nogil=True, error_model="numpy")
-def sky_light(  # noqa: PLR0917 - numba takes arguments by position
-    field: Float32Array,
-    sun: Float32Array,
-    levels: Float32Array,
-    layer: Float32Array,
-    offset_x: np.float32,
-    offset_y: np.float32,
-    out: Float32Array,
+def sky_light(
+    field: Float32Array, sun: Float32Array, levels: Float32Array, clouds: CloudLayer, out: Float32Array
 ) -> None:
     """Write the light of sky, clouds, ground and the lens's glare.
 
@@ -57,10 +52,11 @@ def sky_light(  # noqa: PLR0917 - numba takes arguments by position
     field : (h, w, 4) from `pixel_field`.
     sun : (3,) direction of the sun.
     levels : clear zenith, cloud, ground, glare (strength, core), forward scattering in cloud.
-    layer, offset_x, offset_y : the clouds; a layer of size 1 is a clear sky.
+    clouds : a layer of size 1 is a clear sky.
     out : (h, w) light in the units of `levels`.
     """
     zenith, cloud, ground, glare, core, forward = levels
+    layer, offset_x, offset_y = clouds
     cloudy = layer.shape[0] > 1
     one, half, far = np.float32(1.0), np.float32(0.5), np.float32(0.02)
     steep, base, swing = np.float32(1.5), np.float32(0.8), np.float32(0.4)
@@ -134,9 +130,7 @@ def add_glow(  # noqa: PLR0917 - numba takes arguments by position
     levels: Float32Array,
     city: Float32Array,
     moon: Float32Array,
-    layer: Float32Array,
-    offset_x: np.float32,
-    offset_y: np.float32,
+    clouds: CloudLayer,
     out: Float32Array,
 ) -> None:
     """Add the diffuse light of the night to an image.
@@ -148,10 +142,11 @@ def add_glow(  # noqa: PLR0917 - numba takes arguments by position
         degree from the moon; in light.
     city : (2,) east and north of the town.
     moon : (3,) direction of the moon.
-    layer, offset_x, offset_y : the clouds; a layer of size 1 is a clear sky.
+    clouds : a layer of size 1 is a clear sky.
     out : (h, w) light.
     """
     airglow, dome, moonlit, glare = levels
+    layer, offset_x, offset_y = clouds
     one, steep = np.float32(1.0), np.float32(4.0)
     core, degree = np.float32(8e-5), np.float32(3.05e-4)
     height, width = out.shape

@@ -42,7 +42,7 @@ _BROKEN = ("empty", "truncated", "text", "other size", "huge header", "night")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Change:
+class CameraChange:
     """What happens to a camera at a time: it turns (degrees, about east, north and up), or gets another lens."""
 
     day: int
@@ -72,7 +72,7 @@ class MadeCamera:
     utc_offset_h: float = 0.0
     wrong_days: tuple[int, ...] = ()
     wrong_s: float = 3600.0
-    changes: tuple[Change, ...] = ()
+    changes: tuple[CameraChange, ...] = ()
     heading_deg: float = 20.0
 
 
@@ -107,12 +107,12 @@ class MadeArchive:
 
 FOUR_CAMERAS = (
     MadeCamera(name="roof", naming="sgptsiskyimageC1.a1.%Y%m%d.%H%M%S.jpg", changes=(
-        Change(day=4, hour=18.2, turn_deg=(1.5, 0.0, 3.0)),
+        CameraChange(day=4, hour=18.2, turn_deg=(1.5, 0.0, 3.0)),
     )),
     MadeCamera(name="mast", naming="ccd1_%Y%m%d_%H%M%S.jpg", container="zip", utc_offset_h=-5.0, heading_deg=110.0,
                wrong_days=(2, 3)),
     MadeCamera(name="field", naming="image-%Y%m%d%H%M%S.jpg", container="tar", utc_offset_h=1.0, heading_deg=200.0,
-               changes=(Change(day=3, hour=17.9, focal_scale=1.12, turn_deg=(0.0, 0.0, 5.0)),)),
+               changes=(CameraChange(day=3, hour=17.9, focal_scale=1.12, turn_deg=(0.0, 0.0, 5.0)),)),
     MadeCamera(name="hut", naming="%Y%m%dT%H%M%SZ.jpg", heading_deg=300.0),
 )  # fmt: skip
 """Names of four families: a camera that is bumped, one with a wrong clock, one with another lens, one untouched."""

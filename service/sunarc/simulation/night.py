@@ -14,7 +14,7 @@ from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix
 from sunarc.simulation.kernels import add_glow, add_points, transmittance_towards
-from sunarc.simulation.options import NightOptions, Obstruction
+from sunarc.simulation.options import Obstruction, SimulatedNight
 from sunarc.simulation.scene_parts import CloudLayer, disc_points, is_blocked
 from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.night import FAINTEST_V, SOLAR_SYSTEM_BODIES, BodyPosition, body_position, star_table
@@ -57,7 +57,7 @@ class NightLight:
         camera: Camera,
         site: Site,
         *,
-        options: NightOptions,
+        options: SimulatedNight,
         seed: int,
         obstructions: tuple[Obstruction, ...] = (),
     ) -> None:
@@ -86,7 +86,7 @@ class NightLight:
         scale = 1e-6 / well_e
         rng = np.random.default_rng([self._seed, 17, round(unix_s * 1e3)])
         moon = body_position("moon", unix_s, self._site) if self._options.moon else None
-        add_glow(field, *self._glow(moon, scale), *layer, light)
+        add_glow(field, *self._glow(moon, scale), layer, light)
         points = [
             self._images(*self._stars(unix_s, exposure_us, rng, layer)),
             self._images(*self._planets(unix_s, layer)),

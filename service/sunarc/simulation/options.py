@@ -16,7 +16,7 @@ Magnitude = Annotated[float, Ge(10.0), Le(30.0)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class NightOptions:
+class SimulatedNight:
     """The sky of the night, and what else shines in it.
 
     Attributes
@@ -151,7 +151,7 @@ class SceneOptions:
     field_deg: Annotated[float, Ge(10.0), Le(120.0)] = 93.0
     obstructions: tuple[Obstruction, ...] = ()
     bump: Bump | None = None
-    night: NightOptions | None = None
+    night: SimulatedNight | None = None
 
     def __post_init__(self) -> None:
         """Refuse what is no scene."""

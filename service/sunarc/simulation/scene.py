@@ -188,7 +188,7 @@ class Scene:
         smear = np.zeros(width, dtype=np.float32)
         stamps, share = self._stamps(sun, layer)
         stamps += self._moon(layer)
-        sky_light(field, sun.astype(np.float32), self._levels(sun[2], share), *layer, light)
+        sky_light(field, sun.astype(np.float32), self._levels(sun[2], share), layer, light)
         if self._night is not None and sun[2] < _NIGHT_UP:
             well_e, at = self.sensor.full_well_e, (x, y)
             self._night.add(light, field, unix_s=unix_s, exposure_us=exposure_us, origin=at, layer=layer, well_e=well_e)

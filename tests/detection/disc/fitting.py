@@ -9,7 +9,7 @@ import numpy as np
 from tests.detection.rendering import FloatArray
 
 from sunarc.detection.disc.fit import DiscFit
-from sunarc.detection.disc.model import VALUE, Prior, Problem, SunSources, make_problem, render_disc, sun_sources
+from sunarc.detection.disc.model import VALUE, DiscProblem, Prior, SunSources, make_problem, render_disc, sun_sources
 from sunarc.detection.disc.window import Window
 from sunarc.detection.values import Sensor
 
@@ -28,7 +28,7 @@ def disc_counts(
     x: float = CENTER[0], y: float = CENTER[1], psf: float = PSF_PX, stretch: FloatArray = STRETCH
 ) -> FloatArray:
     """Return a disc of unit flux on the window's pixels."""
-    core: FloatArray = render_disc(SHAPE, x, y, psf, stretch, SOURCES.core.positions, SOURCES.core.weights)
+    core: FloatArray = render_disc(SHAPE, x, y, psf, stretch, SOURCES.core)
     return np.asarray(core[VALUE])
 
 
@@ -53,7 +53,7 @@ def noisy(counts: FloatArray, rng: np.random.Generator) -> FloatArray:
 
 def problem_of(
     window: Window, *, prior: Prior = PRIOR, sensor: Sensor = SENSOR, sources: SunSources = SOURCES
-) -> Problem:
+) -> DiscProblem:
     """Return the problem whose slope turns about (11, 10)."""
     return make_problem(window, origin=np.array([11.0, 10.0]), sensor=sensor, sources=sources, prior=prior)
 

@@ -26,7 +26,7 @@ from tests.detection.disc.fitting import (
 from tests.detection.rendering import FloatArray
 
 from sunarc.detection.disc.fit import DiscFit, fit_disc
-from sunarc.detection.disc.model import VALUE, WING_PSF, Prior, State, evaluate, normal_equations, render_disc
+from sunarc.detection.disc.model import VALUE, WING_PSF, DiscState, Prior, evaluate, normal_equations, render_disc
 from sunarc.detection.disc.window import Window
 from sunarc.detection.values import Sensor
 
@@ -75,7 +75,7 @@ def test_sigma_is_that_of_the_normal_matrix_and_of_repetition() -> None:
     found = [fitted(plain_window(rng), off=(0.1, 0.1)) for _ in range(60)]
     errors = np.array([place_of(one) for one in found]) - CENTER
     problem = problem_of(plain_window())
-    state = State(
+    state = DiscState(
         np.array([*CENTER, math.log(PSF_PX), 0.0, 2.9, 0.2, 2.5]), np.array([FLUX]), np.array([BACKGROUND]), np.zeros(4)
     )
     matrix, _ = normal_equations(problem, state, evaluate(problem, state))
@@ -145,7 +145,7 @@ def test_a_pixel_is_left_out_beyond_six_sigmas(off_sigmas: float, left_out: int)
 
 def test_wings_of_the_point_spread_are_fitted_where_they_show() -> None:
     wings = SOURCES.wings
-    wide = render_disc(SHAPE, *CENTER, WING_PSF * PSF_PX, STRETCH, wings.positions, wings.weights)
+    wide = render_disc(SHAPE, *CENTER, WING_PSF * PSF_PX, STRETCH, wings)
     counts = FLUX * (0.92 * disc_counts() + 0.08 * wide[VALUE]) + BACKGROUND
     window = window_of(noisy(counts, np.random.default_rng(3)))
     found = fitted(window, prior=PRIOR._replace(free_stretch=False))
@@ -175,7 +175,11 @@ def test_what_noise_does_not_explain_is_the_residual() -> None:
 def test_a_tilted_disc_is_uneven_and_a_plain_one_is_not() -> None:
     sources = SOURCES.core
     tilted = render_disc(
-        SHAPE, *CENTER, PSF_PX, STRETCH, sources.positions, sources.weights * (1.0 + 0.5 * sources.positions[:, 0])
+        SHAPE,
+        *CENTER,
+        PSF_PX,
+        STRETCH,
+        sources._replace(weights=sources.weights * (1.0 + 0.5 * sources.positions[:, 0])),
     )
     uneven = fitted(window_of(FLUX * tilted[VALUE] + BACKGROUND), prior=PRIOR._replace(free_stretch=False))
     assert uneven.uneven > 16.0

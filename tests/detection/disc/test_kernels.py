@@ -46,7 +46,22 @@ def offset(rows: FloatArray, columns: FloatArray) -> FloatArray:
 
 
 def compared(arguments: dict[str, Any]) -> tuple[float, FloatArray, FloatArray, FloatArray]:
-    cost, residual, weight, jacobian = kernels.compared(*arguments.values())
+    flat = [arguments[name] for name in ("flux", "background", "around")]
+    readout = kernels.Readout(
+        noise=arguments["noise"][0],
+        gain=arguments["noise"][1],
+        binning=arguments["binning"],
+        clip=arguments["clip"],
+        by_counts=arguments["by_counts"],
+    )
+    cost, residual, weight, jacobian = kernels.compared(
+        arguments["planes"],
+        (arguments["moved"], arguments["scale"]),
+        arguments["glare"],
+        kernels.UsedPixels(*arguments["places"]),
+        kernels.Levels(*flat),
+        readout,
+    )
     return float(cost), np.asarray(residual), np.asarray(weight), np.asarray(jacobian)
 
 

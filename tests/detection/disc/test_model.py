@@ -28,9 +28,9 @@ from sunarc.detection.disc.model import (
     VALUE,
     WING_PSF,
     WINGS,
+    DiscProblem,
+    DiscState,
     Evaluation,
-    Problem,
-    State,
     evaluate,
     inverse,
     normal_equations,
@@ -43,22 +43,24 @@ from sunarc.detection.disc.model import (
 AROUND = np.array([0.4, -0.3, 0.002, 15.0])
 
 
-def state_of(*, colours: int = 1, wings: float = 0.0) -> State:
+def state_of(*, colours: int = 1, wings: float = 0.0) -> DiscState:
     nonlinear = NONLINEAR.copy()
     nonlinear[WINGS] = wings
-    return State(nonlinear, FLUX * np.linspace(1.0, 0.6, colours), BACKGROUND * np.linspace(1.0, 2.0, colours), AROUND)
+    return DiscState(
+        nonlinear, FLUX * np.linspace(1.0, 0.6, colours), BACKGROUND * np.linspace(1.0, 2.0, colours), AROUND
+    )
 
 
-def vector_of(problem: Problem, state: State) -> FloatArray:
+def vector_of(problem: DiscProblem, state: DiscState) -> FloatArray:
     return np.concatenate([state.nonlinear[problem.prior.free], state.flux, state.background, state.around])
 
 
-def with_vector(problem: Problem, state: State, vector: FloatArray) -> State:
+def with_vector(problem: DiscProblem, state: DiscState, vector: FloatArray) -> DiscState:
     free, colours = problem.prior.free, problem.window.colours
     nonlinear = state.nonlinear.copy()
     nonlinear[free] = vector[: len(free)]
     rest = vector[len(free) :]
-    return State(nonlinear, rest[:colours], rest[colours : 2 * colours], rest[2 * colours :])
+    return DiscState(nonlinear, rest[:colours], rest[colours : 2 * colours], rest[2 * colours :])
 
 
 def bayer_window() -> FloatArray:
@@ -87,7 +89,9 @@ def test_the_jacobian_is_that_of_finite_differences(*, colours: int, binning: in
         assert jacobian[:, index] == pytest.approx(slope, abs=2e-4 * max(np.abs(slope).max(), 1e-6)), index
 
 
-def surroundings_slope(problem: Problem, state: State, vector: FloatArray, by: FloatArray, step: float) -> FloatArray:
+def surroundings_slope(
+    problem: DiscProblem, state: DiscState, vector: FloatArray, by: FloatArray, step: float
+) -> FloatArray:
     """Return what smear and glare contribute to a derivative by a nonlinear parameter."""
     none = state._replace(around=np.zeros(4))
 
@@ -106,8 +110,7 @@ def test_the_disc_with_wings_is_the_mean_of_two_discs() -> None:
         *NONLINEAR[:2],
         WING_PSF * math.exp(NONLINEAR[PSF]),
         STRETCH,
-        SOURCES.wings.positions,
-        SOURCES.wings.weights,
+        SOURCES.wings,
     )
     assert image == pytest.approx(0.9 * disc_counts() + 0.1 * wide[VALUE])
 
@@ -179,10 +182,11 @@ def test_a_problem_has_the_usable_pixels_only() -> None:
     usable = np.zeros(SHAPE, np.bool_)
     usable[4, 7] = usable[20, 22] = True
     problem = problem_of(window_of(np.arange(483.0).reshape(SHAPE), usable=usable))
-    assert problem.counts.tolist() == [99.0, 482.0]
-    assert problem.offset.tolist() == [[-4.0, -6.0], [11.0, 10.0]]
+    assert problem.pixels.counts.tolist() == [99.0, 482.0]
+    assert problem.pixels.offset.tolist() == [[-4.0, -6.0], [11.0, 10.0]]
     rest = without(problem, np.array([True, False]))
-    assert (rest.pixel.tolist(), rest.counts.tolist(), rest.offset.tolist()) == ([482], [482.0], [[11.0, 10.0]])
+    assert (rest.pixels.place.tolist(), rest.pixels.counts.tolist()) == ([482], [482.0])
+    assert rest.pixels.offset.tolist() == [[11.0, 10.0]]
 
 
 def test_the_inverse_is_that_of_numpy_and_finite_where_the_data_are_silent() -> None:
@@ -203,16 +207,16 @@ def test_an_even_disc_has_no_unevenness_and_a_tilted_one_that_of_least_squares()
     assert unevenness(problem, state, found) < 1e-6
     u, _ = SOURCES.core.positions.T
     tilted = render_disc(
-        SHAPE, *NONLINEAR[:2], 0.7, STRETCH, SOURCES.core.positions, SOURCES.core.weights * (1.0 + 0.3 * u)
+        SHAPE, *NONLINEAR[:2], 0.7, STRETCH, SOURCES.core._replace(weights=SOURCES.core.weights * (1.0 + 0.3 * u))
     )
     problem = problem_of(window._replace(counts=FLUX * tilted[VALUE] + BACKGROUND))
     state, found = with_levels(problem, NONLINEAR)
     assert unevenness(problem, state, found) == pytest.approx(uneven_by_least_squares(state, found, problem), rel=1e-3)
 
 
-def uneven_by_least_squares(state: State, found: Evaluation, problem: Problem) -> float:
+def uneven_by_least_squares(state: DiscState, found: Evaluation, problem: DiscProblem) -> float:
     """Return by how much four more columns decrease chi², from that of the first columns' own minimum."""
-    extra = state.flux[0] * found.planes[4:8].reshape(4, -1)[:, problem.pixel].T
+    extra = state.flux[0] * found.planes[4:8].reshape(4, -1)[:, problem.pixels.place].T
     root = np.sqrt(found.weight)
     more = np.column_stack([found.jacobian[:, :6], extra, found.jacobian[:, 6:]])
     prior = np.zeros((1, more.shape[1]))

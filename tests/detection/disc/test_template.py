@@ -25,7 +25,7 @@ def rendered(  # noqa: PLR0917 - as the kernel
     sources: Sources = SOURCES,
     shape: tuple[int, int] = (20, 22),
 ) -> FloatArray:
-    return np.asarray(render_disc(shape, x, y, psf, stretch, sources.positions, sources.weights))
+    return np.asarray(render_disc(shape, x, y, psf, stretch, sources))
 
 
 def darkened(radius: float, limb: float) -> float:

@@ -14,7 +14,7 @@ from sunarc.calibration.model.sightings import Sightings
 from sunarc.optics.forward import project
 from sunarc.reanalysis.fit import CameraSightings, Final, Rough, final_analysis, first_analysis
 from sunarc.reanalysis.states import Camera
-from sunarc.simulation.made_archive import Change, MadeArchive, MadeCamera, camera_at, true_times
+from sunarc.simulation.made_archive import CameraChange, MadeArchive, MadeCamera, camera_at, true_times
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions
 
@@ -63,7 +63,7 @@ def analysed(one: Truth) -> tuple[Rough, Final]:
     return rough, final_analysis(CameraSightings(points, camera, rough.states))
 
 
-BUMP = truth(changes=(Change(day=4, hour=18.2, turn_deg=(1.0, 0.0, 2.0)),))
+BUMP = truth(changes=(CameraChange(day=4, hour=18.2, turn_deg=(1.0, 0.0, 2.0)),))
 STILL = truth()
 CLOCK = truth(wrong_days=(3, 4), heading_deg=110.0)
 
@@ -101,7 +101,7 @@ def test_a_clock_that_follows_summer_time_shows_as_epochs_of_one_pose() -> None:
 
 
 def test_another_lens_is_no_move() -> None:
-    lens = truth(changes=(Change(day=3, hour=17.9, focal_scale=1.12, turn_deg=(0.0, 0.0, 5.0)),))
+    lens = truth(changes=(CameraChange(day=3, hour=17.9, focal_scale=1.12, turn_deg=(0.0, 0.0, 5.0)),))
     points, times = lens.sightings()
     rough = first_analysis(CameraSightings(points, known(lens.made.site)))
     at = lens.made.first_day.timestamp() + 3 * 14 * 86_400 + 17.9 * 3600

@@ -380,32 +380,33 @@ def _fitted(
         saturated = Finding("disc_saturated", {"n": window.saturated_px})
         return replace(_none("saturated", saturated), saturated_px=window.saturated_px, peak_fraction=1.0)
     radius_px = math.sqrt(math.prod(semi_axes(start)))
-    fit = _fit(window, at, shapes, radius_px=radius_px, free=axes is None, sensor=sensor)
+    fit = _fit(window, _Start(at, shapes, radius_px), free=axes is None, sensor=sensor)
     if fit is None:
         return _none("hidden", Finding("disc_too_few_pixels"))
     verdict = verdict_of(fit, expectation=expectation, sensor=sensor)
     if verdict[1] and expectation is None and not window.saturated_px:
-        at, shapes = (fit.x_px, fit.y_px), [(fit.width_px, fit.stretch)]
-        if is_flat(fit, _fit(window, at, shapes, radius_px=radius_px, free=True, sensor=sensor, limb_darkening=0.0)):
+        again = _Start((fit.x_px, fit.y_px), [(fit.width_px, fit.stretch)], radius_px)
+        if is_flat(fit, _fit(window, again, free=True, sensor=sensor, limb_darkening=0.0)):
             verdict = ("hidden", False, Finding("disc_without_limb"))
     return detection_of(fit, verdict, sensor=sensor, saturated_px=window.saturated_px)
 
 
+class _Start(NamedTuple):
+    """Where a fit begins: centre, point spreads with axes to choose from, and the disc's radius, px."""
+
+    at: tuple[float, float]
+    shapes: list[tuple[float, FloatArray]]
+    radius_px: float
+
+
 def _fit(
-    window: Window,
-    at: tuple[float, float],
-    shapes: list[tuple[float, FloatArray]],
-    *,
-    radius_px: float,
-    free: bool,
-    sensor: Sensor,
-    limb_darkening: float = LIMB_DARKENING,
+    window: Window, start: _Start, *, free: bool, sensor: Sensor, limb_darkening: float = LIMB_DARKENING
 ) -> DiscFit | None:
     """Fit a disc of that limb darkening; `free`: its shape too."""
     psf_px = PSF_PX / sensor.binning
     prior = Prior(math.log(psf_px), PSF_TOLERANCE, WINGS_TOLERANCE, free_stretch=free)
-    sources = sun_sources(radius_px=radius_px, psf_px=psf_px, limb_darkening=limb_darkening)
-    return fit_disc(window, start=at, shapes=shapes, sources=sources, sensor=sensor, prior=prior)
+    sources = sun_sources(radius_px=start.radius_px, psf_px=psf_px, limb_darkening=limb_darkening)
+    return fit_disc(window, start=start.at, shapes=start.shapes, sources=sources, sensor=sensor, prior=prior)
 
 
 def _first_shapes(spot: Spot, axes: FloatArray | None, sensor: Sensor) -> list[tuple[float, FloatArray]]:

@@ -14,10 +14,10 @@ from sunarc.detection.disc import model as kernels
 from sunarc.detection.disc.model import (
     PSF,
     WINGS,
+    DiscProblem,
+    DiscState,
     Evaluation,
     Prior,
-    Problem,
-    State,
     SunSources,
     evaluate,
     inverse,
@@ -57,7 +57,7 @@ def is_foreign(rows: float, columns: float) -> bool:
 
 
 def band_evidence(
-    problem: Problem, state: State, evaluation: Evaluation, solved: Solved, *, sigma_px: float
+    problem: DiscProblem, state: DiscState, evaluation: Evaluation, solved: Solved, *, sigma_px: float
 ) -> tuple[float, float]:
     """Return how much the best band of rows, and the best band of columns, lowers the fit's chi².
 
@@ -73,9 +73,9 @@ def band_evidence(
     outside of it; the largest of all bands that would shift the centre noticeably.
     """
     height, width = problem.window.counts.shape
-    row, column = np.divmod(problem.pixel, width)
+    row, column = np.divmod(problem.pixels.place, width)
     disc = evaluation.planes[0].reshape(height, problem.sensor.binning, width, problem.sensor.binning).mean(axis=(1, 3))
-    light = disc.ravel()[problem.pixel] * state.flux[problem.colour]
+    light = disc.ravel()[problem.pixels.place] * state.flux[problem.pixels.colour]
     own = np.stack([np.ones(light.size), light / max(float(light.max()), 1e-9)], axis=-1)
     least_px = _LEAST_SHIFT * sigma_px
     return (
@@ -205,7 +205,7 @@ def fit_disc(
     position = np.array([start[0] - window.first[0], start[1] - window.first[1]])
     starts = [np.array([*position, math.log(psf), 0.0, s[0, 0], s[0, 1], s[1, 1]]) for psf, s in shapes]
     problem = make_problem(window, origin=position, sensor=sensor, sources=sources, prior=prior)
-    if problem.counts.size < 30 + 4 * window.colours:
+    if problem.pixels.place.size < 30 + 4 * window.colours:
         return None
     state, evaluation, converged = _from_best(problem, starts)
     for _ in range(_CLEANINGS):
@@ -220,7 +220,7 @@ def fit_disc(
     return _summary(problem, state, evaluation, converged=converged)
 
 
-def _from_best(problem: Problem, starts: list[FloatArray]) -> tuple[State, Evaluation, bool]:
+def _from_best(problem: DiscProblem, starts: list[FloatArray]) -> tuple[DiscState, Evaluation, bool]:
     """Fit from the first start, and from the best of the others where its chi² is high.
 
     A saturated disc hides its shape: where that is free a poor start may fit well, and the best is taken at once.
@@ -235,7 +235,7 @@ def _from_best(problem: Problem, starts: list[FloatArray]) -> tuple[State, Evalu
     return min(end, _solve(problem, *_best_start(problem, starts[1:])), key=lambda one: one[1].cost)
 
 
-def _best_start(problem: Problem, starts: list[FloatArray]) -> tuple[State, Evaluation]:
+def _best_start(problem: DiscProblem, starts: list[FloatArray]) -> tuple[DiscState, Evaluation]:
     return min((with_levels(problem, nonlinear) for nonlinear in starts), key=lambda start: start[1].cost)
 
 
@@ -245,7 +245,7 @@ def _chi2(evaluation: Evaluation) -> float:
     return float(evaluation.weight @ evaluation.residual**2) / max(count - parameters, 1)
 
 
-def _stepped(problem: Problem, state: State, step: FloatArray) -> State:
+def _stepped(problem: DiscProblem, state: DiscState, step: FloatArray) -> DiscState:
     nonlinear, colours = state.nonlinear.copy(), problem.window.colours
     free, middle = problem.prior.free, problem.prior.log_psf
     count = len(free)
@@ -255,10 +255,10 @@ def _stepped(problem: Problem, state: State, step: FloatArray) -> State:
     nonlinear[WINGS] = min(max(nonlinear[WINGS], 0.0), 0.3)
     flux, background = step[count : count + colours], step[count + colours : count + 2 * colours]
     around = step[count + 2 * colours :]
-    return State(nonlinear, state.flux + flux, state.background + background, state.around + around)
+    return DiscState(nonlinear, state.flux + flux, state.background + background, state.around + around)
 
 
-def _solve(problem: Problem, state: State, evaluation: Evaluation) -> tuple[State, Evaluation, bool]:
+def _solve(problem: DiscProblem, state: DiscState, evaluation: Evaluation) -> tuple[DiscState, Evaluation, bool]:
     """Minimise by Levenberg and Marquardt's method."""
     # Almost a Gauss-Newton step: the start is within a pixel, and each rejected step raises the damping 100-fold.
     damping = 1e-6
@@ -297,7 +297,7 @@ def _outliers(evaluation: Evaluation) -> BoolArray:
     return bad if np.count_nonzero(bad) <= _MOST_OUTLIERS else np.zeros_like(bad)
 
 
-def _summary(problem: Problem, state: State, evaluation: Evaluation, *, converged: bool) -> DiscFit:
+def _summary(problem: DiscProblem, state: DiscState, evaluation: Evaluation, *, converged: bool) -> DiscFit:
     matrix, gradient = normal_equations(problem, state, evaluation)
     covariance = inverse(matrix)
     count = evaluation.residual.size

@@ -24,33 +24,55 @@ Compared = tuple[float, FloatArray, FloatArray, FloatArray]
 _STEPPED = 0.1  # counts² of noise below which it does not blur the steps of rounding
 
 
+class UsedPixels(NamedTuple):
+    """Of the pixels used flat position (n,), counts, colour, and offset (n, 2) from the background's pivot."""
+
+    place: Indices
+    counts: FloatArray
+    colour: Indices
+    offset: FloatArray
+
+
+class Readout(NamedTuple):
+    """How light becomes counts.
+
+    noise : of the readout, counts. gain : electrons per count. binning, clip : each pixel is the mean of binning² of
+    the sensor's, which are clipped at so many counts. by_counts : take the variance that the counts tell, not the
+    model.
+    """
+
+    noise: float
+    gain: float
+    binning: int
+    clip: float
+    by_counts: bool
+
+
+class Levels(NamedTuple):
+    """flux, background : one per colour. around : the background's slope in x and y, smear of the columns, glare."""
+
+    flux: FloatArray
+    background: FloatArray
+    around: FloatArray
+
+
 @njit(nogil=True)
 def compared(  # noqa: PLR0917 - compiled functions take positions
     planes: FloatArray,
-    moved: Indices,
-    scale: FloatArray,
+    moved: tuple[Indices, FloatArray],
     glare: tuple[float, float, float, float, float],
-    pixels: tuple[Indices, FloatArray, Indices, FloatArray],
-    flux: FloatArray,
-    background: FloatArray,
-    around: FloatArray,
-    noise: tuple[float, float],
-    by_counts: bool,  # noqa: FBT001 - as above
-    binning: int,
-    clip: float,
+    pixels: UsedPixels,
+    levels: Levels,
+    readout: Readout,
 ) -> Compared:
     """Compare a disc's model with the pixels.
 
     Parameters
     ----------
     planes : (k, binning rows, binning columns) the disc of unit flux, first its value, on the sensor's pixels.
-    moved, scale : the planes that are derivatives by the free nonlinear parameters, and what each is multiplied by.
+    moved : the planes that are derivatives by the free nonlinear parameters, and what each is multiplied by.
     glare : u and v are (a dx - b dy, c dy - b dx) and dx, dy are what a pixel is off (x, y): a, b, c, x, y.
-    pixels : of the pixels used flat position, counts, colour, and offset (n, 2).
-    flux, background : one per colour. around : the background's slope in x and y, smear of the columns, glare.
-    noise : read noise in counts, electrons per count.
-    by_counts : take the variance that the counts tell, not the model.
-    binning, clip : each pixel is the mean of binning² of the sensor's, which are clipped at so many counts.
+    pixels, levels, readout : the pixels used, the linear parameters, and the sensor.
 
     Returns
     -------
@@ -58,9 +80,11 @@ def compared(  # noqa: PLR0917 - compiled functions take positions
     parameters, flux and background of each colour, slope in x and y, smear and glare.
     """
     pixel, counts, colour, offset = pixels
+    flux, background, around = levels
+    binning, clip, by_plane, scale = readout.binning, readout.clip, moved[0], moved[1]
     a, b, c, x, y = glare
     columns, share = planes.shape[2] // binning, 1.0 / binning**2
-    nonlinear, colours = moved.size, flux.size
+    nonlinear, colours = by_plane.size, flux.size
     smear = np.zeros(columns)
     for j in range(planes.shape[1]):
         for i in range(columns * binning):
@@ -85,12 +109,12 @@ def compared(  # noqa: PLR0917 - compiled functions take positions
                     continue
                 model, unclipped = model + value * share, unclipped + share
                 for m in range(nonlinear):
-                    jacobian[i, m] += share * flux[channel] * scale[m] * planes[moved[m], row, column]
+                    jacobian[i, m] += share * flux[channel] * scale[m] * planes[by_plane[m], row, column]
                 jacobian[i, nonlinear + channel] += share * planes[0, row, column]
         jacobian[i, nonlinear + colours + channel] = unclipped
         for m in range(4):
             jacobian[i, first + m] *= unclipped
-        variance = noise[0] ** 2 + max(counts[i] if by_counts else model, 0.0) / noise[1]
+        variance = readout.noise**2 + max(counts[i] if readout.by_counts else model, 0.0) / readout.gain
         variance = 0.25 if variance < _STEPPED else variance + 1.0 / 12.0
         residual[i], weight[i] = counts[i] - model, 1.0 / variance
         misfit += residual[i] * residual[i] / variance + math.log(variance)
@@ -219,13 +243,7 @@ def _spread(first: int, last: int, center: float, psf: float, out: FloatArray) -
 
 @njit(nogil=True)
 def render_disc(  # noqa: PLR0917 - numba compiles no keyword-only arguments
-    shape: tuple[int, int],
-    x: float,
-    y: float,
-    psf: float,
-    stretch: FloatArray,
-    positions: FloatArray,
-    weights: FloatArray,
+    shape: tuple[int, int], x: float, y: float, psf: float, stretch: FloatArray, sources: Sources
 ) -> FloatArray:
     """Return the image of a disc of unit flux and its derivatives.
 
@@ -235,7 +253,7 @@ def render_disc(  # noqa: PLR0917 - numba compiles no keyword-only arguments
     x, y : the disc's centre in the window, px.
     psf : standard deviation of the point spread, px.
     stretch : (2, 2) px, takes the unit disc to the sun's image; the derivatives take it as symmetric.
-    positions, weights : the sources on the unit disc.
+    sources : on the unit disc.
 
     Returns
     -------
@@ -243,6 +261,7 @@ def render_disc(  # noqa: PLR0917 - numba compiles no keyword-only arguments
     is multiplied by u, v, u² - v² and uv, the coordinates on the unit disc.
     """
     rows, columns = shape
+    positions, weights = sources.positions, sources.weights
     out = np.zeros((11, rows, columns))
     across, down = np.zeros((3, columns)), np.zeros((3, rows))
     # The half pixel keeps a pixel whose near edge is within reach though its centre is not.
@@ -303,11 +322,8 @@ class Prior(NamedTuple):
         return [0, 1, PSF] + [WINGS] * self.free_wings + [4, 5, 6] * self.free_stretch
 
 
-class State(NamedTuple):
-    """Parameters: nonlinear (7,), one flux and one background per colour, and what is around.
-
-    around : the background's slope in x and y, the smear of the sun's columns, and the glare.
-    """
+class DiscState(NamedTuple):
+    """Parameters: nonlinear (7,), and the linear ones."""
 
     nonlinear: FloatArray
     flux: FloatArray
@@ -335,53 +351,47 @@ class Evaluation(NamedTuple):
     planes: FloatArray
 
 
-class Problem(NamedTuple):
-    """What is fitted: of the used pixels flat position, counts, colour, and offset (n, 2) from the origin."""
+class DiscProblem(NamedTuple):
+    """What is fitted; `origin` is where the background's slope is pivoted, px in the window."""
 
     window: Window
-    pixel: NDArray[np.intp]
-    counts: FloatArray
-    colour: NDArray[np.intp]
-    offset: FloatArray
+    pixels: UsedPixels
     origin: FloatArray
     sensor: Sensor
     sources: SunSources
     prior: Prior
 
 
-def make_problem(window: Window, *, origin: FloatArray, sensor: Sensor, sources: SunSources, prior: Prior) -> Problem:
+def make_problem(
+    window: Window, *, origin: FloatArray, sensor: Sensor, sources: SunSources, prior: Prior
+) -> DiscProblem:
     """Gather the usable pixels; `origin` is where the background's slope is pivoted, px in the window."""
     index = np.flatnonzero(window.usable)
     rows, columns = np.divmod(index, window.counts.shape[1])
     offset = np.stack([columns - origin[0], rows - origin[1]], axis=-1)
     counts, colour = window.counts.ravel()[index], window.colour.ravel()[index]
-    return Problem(window, index, counts, colour, offset, origin, sensor, sources, prior)
+    return DiscProblem(window, UsedPixels(index, counts, colour, offset), origin, sensor, sources, prior)
 
 
-def without(problem: Problem, bad: BoolArray) -> Problem:
+def without(problem: DiscProblem, bad: BoolArray) -> DiscProblem:
     """Return the problem without some of its pixels."""
-    good = ~bad
-    return problem._replace(
-        pixel=problem.pixel[good],
-        counts=problem.counts[good],
-        colour=problem.colour[good],
-        offset=problem.offset[good],
-    )
+    place, counts, colour, offset = problem.pixels
+    return problem._replace(pixels=UsedPixels(place[~bad], counts[~bad], colour[~bad], offset[~bad]))
 
 
-def with_levels(problem: Problem, nonlinear: FloatArray) -> tuple[State, Evaluation]:
+def with_levels(problem: DiscProblem, nonlinear: FloatArray) -> tuple[DiscState, Evaluation]:
     """Return the state whose linear parameters fit best at the given nonlinear ones, and the model there."""
     colours = problem.window.colours
-    dark = State(nonlinear, np.zeros(colours), np.zeros(colours), np.zeros(4))
+    dark = DiscState(nonlinear, np.zeros(colours), np.zeros(colours), np.zeros(4))
     planes = _planes(problem, dark)
     # The model is not known yet, so that the variance comes from the counts themselves.
     misfit = _compared(problem, dark, planes, moved=(), by_counts=True)
-    linear = problem.window.linear.ravel()[problem.pixel]
+    linear = problem.window.linear.ravel()[problem.pixels.place]
     matrix, gradient = normal_of(misfit[3], misfit[2] * linear, misfit[1])
     levels = inverse(matrix) @ gradient
     # A dark hole would give a negative flux, which is no disc.
     flux = np.maximum(levels[:colours], 1e-3)
-    best = State(nonlinear, flux, levels[colours : 2 * colours], levels[2 * colours :])
+    best = DiscState(nonlinear, flux, levels[colours : 2 * colours], levels[2 * colours :])
     return best, _evaluated(problem, best, planes)
 
 
@@ -395,12 +405,12 @@ def inverse(matrix: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.inv(scaled) / both)
 
 
-def evaluate(problem: Problem, state: State) -> Evaluation:
+def evaluate(problem: DiscProblem, state: DiscState) -> Evaluation:
     """Return residuals, weights, derivatives and twice the negative log likelihood at a state."""
     return _evaluated(problem, state, _planes(problem, state))
 
 
-def _planes(problem: Problem, state: State) -> FloatArray:
+def _planes(problem: DiscProblem, state: DiscState) -> FloatArray:
     """Return the disc's planes, and where the wings are free the derivative by their share."""
     psf, sources = math.exp(state.nonlinear[PSF]), problem.sources
     core = _rendered(problem, state, sources.core, psf=psf)
@@ -412,20 +422,18 @@ def _planes(problem: Problem, state: State) -> FloatArray:
     return np.concatenate([core + state.nonlinear[WINGS] * more, more[:1]])
 
 
-def _rendered(problem: Problem, state: State, sources: Sources, *, psf: float) -> FloatArray:
+def _rendered(problem: DiscProblem, state: DiscState, sources: Sources, *, psf: float) -> FloatArray:
     """Return the disc's planes on the sensor's own pixels; derivatives are by the image's, which are `binning` wide."""
     n, (rows, columns) = problem.sensor.binning, problem.window.counts.shape
     x, y = (n * state.nonlinear[:2] + 0.5 * (n - 1)).tolist()
-    planes: FloatArray = render_disc(
-        (n * rows, n * columns), x, y, n * psf, n * state.stretch, sources.positions, sources.weights
-    )
+    planes: FloatArray = render_disc((n * rows, n * columns), x, y, n * psf, n * state.stretch, sources)
     if n > 1:
         planes *= n**2  # of a disc whose flux is the sum over the image's pixels
         planes[_BY_LENGTH] *= n
     return planes
 
 
-def _evaluated(problem: Problem, state: State, planes: FloatArray) -> Evaluation:
+def _evaluated(problem: DiscProblem, state: DiscState, planes: FloatArray) -> Evaluation:
     moved = tuple(_MOVED[k] for k in problem.prior.free)
     misfit, residual, weight, jacobian = _compared(problem, state, planes, moved=moved)
     pull = _pulls(problem.prior, state)
@@ -433,7 +441,7 @@ def _evaluated(problem: Problem, state: State, planes: FloatArray) -> Evaluation
 
 
 def _compared(
-    problem: Problem, state: State, planes: FloatArray, *, moved: tuple[int, ...], by_counts: bool = False
+    problem: DiscProblem, state: DiscState, planes: FloatArray, *, moved: tuple[int, ...], by_counts: bool = False
 ) -> Compared:
     psf, (x, y) = math.exp(state.nonlinear[PSF]), (state.nonlinear[:2] - problem.origin).tolist()
     a, b, d = state.nonlinear[STRETCH].tolist()
@@ -442,17 +450,17 @@ def _compared(
     gain = problem.sensor.gain_e_per_count
     answer: Compared = compared(
         planes,
-        np.array(moved, dtype=np.intp),
-        np.array([psf if plane == BY_PSF else 1.0 for plane in moved]),
+        (np.array(moved, dtype=np.intp), np.array([psf if plane == BY_PSF else 1.0 for plane in moved])),
         (d / core, b / core, a / core, x, y),
-        (problem.pixel, problem.counts, problem.colour, problem.offset),
-        state.flux,
-        state.background,
-        state.around,
-        (float(problem.sensor.read_noise_e / gain), float(gain)),
-        by_counts,
-        problem.sensor.binning,
-        _clip(problem.sensor),
+        problem.pixels,
+        Levels(state.flux, state.background, state.around),
+        Readout(
+            float(problem.sensor.read_noise_e / gain),
+            float(gain),
+            problem.sensor.binning,
+            _clip(problem.sensor),
+            by_counts,
+        ),
     )
     return answer
 
@@ -462,7 +470,7 @@ def _clip(sensor: Sensor) -> float:
     return float(sensor.full_scale - sensor.black_level) if sensor.binning > 1 else math.inf
 
 
-def unevenness(problem: Problem, state: State, evaluation: Evaluation) -> float:
+def unevenness(problem: DiscProblem, state: DiscState, evaluation: Evaluation) -> float:
     """Return the decrease of chi² by a disc of linear and quadratic brightness."""
     moved = tuple(_MOVED[k] for k in problem.prior.free) + _UNEVEN
     wider = evaluation._replace(jacobian=_compared(problem, state, evaluation.planes, moved=moved)[3])
@@ -470,7 +478,7 @@ def unevenness(problem: Problem, state: State, evaluation: Evaluation) -> float:
     return float(gradient @ inverse(matrix) @ gradient)
 
 
-def normal_equations(problem: Problem, state: State, evaluation: Evaluation) -> tuple[FloatArray, FloatArray]:
+def normal_equations(problem: DiscProblem, state: DiscState, evaluation: Evaluation) -> tuple[FloatArray, FloatArray]:
     """Return the normal matrix and the gradient, with the prior of the point spread."""
     matrix: FloatArray
     gradient: FloatArray
@@ -482,7 +490,7 @@ def normal_equations(problem: Problem, state: State, evaluation: Evaluation) -> 
     return matrix, gradient
 
 
-def _pulls(prior: Prior, state: State) -> tuple[float, float]:
+def _pulls(prior: Prior, state: DiscState) -> tuple[float, float]:
     """Return the prior's residuals of ln psf and the wings' share, in its sigmas."""
     log_psf, share = state.nonlinear[PSF : WINGS + 1].tolist()
     return (prior.log_psf - log_psf) / prior.log_psf_sigma, -share / prior.wings_sigma
