@@ -12,7 +12,7 @@ CLASSES = {name: thing for name, thing in vars(errors).items() if isinstance(thi
 
 def test_an_input_error_says_where_what_and_the_remedy_in_one_line() -> None:
     error = InputError(field="row 3, x_px", problem="'abc' is no number", remedy="write pixels as decimal numbers")
-    assert str(error) == "row 3, x_px: 'abc' is no number; write pixels as decimal numbers"
+    assert re.split("[:;] ", str(error)) == [error.field, error.problem, error.remedy]
     assert (error.field, error.problem, error.remedy) == (
         "row 3, x_px",
         "'abc' is no number",
@@ -45,7 +45,7 @@ def test_each_error_is_caught_with_its_kind(child: str, parent: str) -> None:
 
 
 def test_what_is_missing_is_an_input_error_too() -> None:
-    with pytest.raises(InputError, match="calibration: there is none"):
+    with pytest.raises(InputError, check=lambda error: error.field == "calibration"):
         raise NotFoundError(field="calibration", problem="there is none", remedy="wait for a clear day")
 
 

@@ -77,11 +77,13 @@ def test_a_credential_of_systemd_is_found_where_there_is_one(tmp_path: Path) -> 
 
 
 def test_other_sites_may_not_ask_unless_they_are_named(make: Any) -> None:  # noqa: ANN401 - a fixture that is a function
-    asked = {"origin": "https://forecast.example", "access-control-request-method": "POST"}
-    closed, opened = make(), make(cors_origins=("https://forecast.example",))
-    assert "access-control-allow-origin" not in closed.client.request("OPTIONS", "/v1/sun", headers=asked).headers
+    named = "https://forecast.example"
+    asked = {"origin": named, "access-control-request-method": "POST"}
+    closed, opened = make(), make(cors_origins=(named,))
+    refused = closed.client.request("OPTIONS", "/v1/sun", headers=asked)
+    assert "access-control-allow-origin" not in refused.headers
     allowed = opened.client.request("OPTIONS", "/v1/sun", headers=asked)
-    assert allowed.headers["access-control-allow-origin"] == "https://forecast.example"
+    assert allowed.headers["access-control-allow-origin"] == named
     assert "access-control-allow-credentials" not in allowed.headers
     other = opened.client.get("/healthz", headers={"origin": "https://elsewhere.example"})
     assert "access-control-allow-origin" not in other.headers

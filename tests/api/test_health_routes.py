@@ -52,7 +52,7 @@ def test_not_ready_is_a_problem_with_every_remedy(made: Made) -> None:
     made.board.set_condition(LOST.code, LOST)
     answer = made.client.get("/readyz")
     assert (answer.status_code, answer.headers["content-type"]) == (503, "application/problem+json")
-    assert answer.json()["detail"] == "the camera is gone; check its cable"
+    assert answer.json()["detail"] == f"{LOST.text}; {LOST.remedy}"
     assert [(error["field"], error["remedy"]) for error in answer.json()["errors"]] == [
         ("camera_lost", "check its cable"),
         ("drift", "wait for a clear day"),

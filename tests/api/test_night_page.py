@@ -114,7 +114,7 @@ def test_a_night_on_the_page(nightly: Made) -> None:
         desktop = opened(chromium, address)
         page = desktop.page
         page.wait_for_selector("#night:not([hidden]) #night-facts dd", timeout=60_000)
-        assert page.inner_text("#night-title") == "Night of 2013-05-13"
+        assert "2013-05-13" in page.inner_text("#night-title")
         assert page.is_hidden("#night-picture")  # of this one there is none
         assert page.is_hidden("#night-said")
         assert page.is_hidden("#night-legend")

@@ -155,5 +155,5 @@ def test_long_answers_are_compressed_for_those_who_take_it(made: Made) -> None:
 
 def test_a_path_that_knows_several_methods_lists_them_all(made: Made) -> None:
     for path in ("/v1/refits", "/v1/cameras/roof/refits"):
-        assert made.client.request("DELETE", path).headers["allow"] == "GET, HEAD, POST"
+        assert made.client.request("DELETE", path).headers["allow"].split(", ") == ["GET", "HEAD", "POST"]
     assert made.client.request("DELETE", "/").headers["allow"]

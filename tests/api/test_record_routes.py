@@ -36,7 +36,7 @@ def test_the_latest_image_is_sent_once(made: Made) -> None:
 def test_without_an_image_there_is_none(empty: Made) -> None:
     answer = empty.client.get("/v1/image/latest")
     assert answer.status_code == 404
-    assert answer.json()["errors"][0]["remedy"] == "wait for the first cycle"
+    assert answer.json()["errors"][0]["field"] == "image"
 
 
 def test_an_image_that_vanished_is_a_problem_of_the_disk(make: Any, tmp_path: Path) -> None:  # noqa: ANN401 - a fixture that is a function

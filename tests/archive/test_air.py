@@ -64,12 +64,12 @@ def test_air_out_of_bounds_is_refused(
     for value in accepted:
         assert getattr(archive.set_day_air(warm(value)), field) == value
     for value in refused:
-        with pytest.raises(InputError, match=f"{field}: .* is not within"):
+        with pytest.raises(InputError, check=lambda error: error.field == field):
             archive.set_day_air(warm(value))
 
 
 def test_air_of_an_unknown_camera_is_refused(archive: Archive) -> None:
-    with pytest.raises(NotFoundError, match="no camera cellar"):
+    with pytest.raises(NotFoundError, check=lambda error: error.field == "camera"):
         archive.set_day_air(replace(WARM, camera="cellar"))
 
 

@@ -87,14 +87,14 @@ def test_a_calibration_from_further_back_takes_over_from_there(archive: Archive)
 def test_what_was_served_once_is_not_activated_again(archive: Archive) -> None:
     archive.add_calibration(document("a"))
     archive.activate("a")
-    with pytest.raises(InputError, match="is current and has its place"):
+    with pytest.raises(InputError, check=lambda error: error.field == "id"):
         archive.activate("a")
 
 
 def test_an_unknown_calibration_changes_nothing(archive: Archive) -> None:
     archive.add_calibration(document("a"))
     archive.activate("a")
-    with pytest.raises(NotFoundError, match="no calibration b"):
+    with pytest.raises(NotFoundError, check=lambda error: error.field == "id"):
         archive.activate("b")
     assert served(archive, 1) == "a"
 
@@ -121,7 +121,7 @@ def test_a_candidate_may_be_refused_later(archive: Archive) -> None:
 
 def test_an_id_is_given_once(archive: Archive) -> None:
     archive.add_calibration(document("a"))
-    with pytest.raises(InputError, match="a is there already"):
+    with pytest.raises(InputError, check=lambda error: error.field == "id"):
         archive.add_calibration(document("a"))
 
 
@@ -129,7 +129,7 @@ def test_an_id_is_given_once(archive: Archive) -> None:
     "broken", [{"verdict": {}}, {"created_at": "yesterday"}, {"valid_from": None}, {"verdict": None}]
 )
 def test_a_malformed_document_is_refused(archive: Archive, broken: dict[str, Any]) -> None:
-    with pytest.raises(InputError, match="missing or malformed"):
+    with pytest.raises(InputError, check=lambda error: error.field == "calibration document"):
         archive.add_calibration(document("a", **broken))
     assert archive.calibrations("roof") == ()
 

@@ -63,7 +63,7 @@ def test_a_database_in_use_is_not_replaced(archive: Archive, path: Path) -> None
     copy = backup(path, path.with_name("copy.sqlite"))
     remember(archive, "after")
     archive.close()
-    with held_open(path), pytest.raises(InputError, match=r"in use.*systemctl stop sunarc"):
+    with held_open(path), pytest.raises(InputError, match="systemctl stop"):
         restore(path, copy, now=NOW)
     assert texts(path) == {"after"}
 
@@ -82,7 +82,7 @@ def test_what_is_no_archive_is_not_restored(archive: Archive, path: Path, conten
     archive.close()
     false = path.with_name("false.sqlite")
     false.write_bytes(content)
-    with pytest.raises(InputError, match="no sound archive"):
+    with pytest.raises(InputError, check=lambda error: error.field == "source"):
         restore(path, false, now=NOW)
     assert texts(path) == {"mine"}
 
@@ -138,7 +138,7 @@ def test_a_revision_that_is_not_older_is_refused_with_those_that_are(
     archive: Archive, path: Path, revision: str
 ) -> None:
     archive.close()
-    with pytest.raises(InputError, match=r"give one of: .*0001"):
+    with pytest.raises(InputError, match="0001"):
         downgrade(path, revision)
     assert check(path).sound
 

@@ -53,7 +53,7 @@ def test_a_bad_row_is_named_by_line_and_column(row: str, told: str) -> None:
 
 
 def test_a_missing_column_and_an_empty_file_are_named() -> None:
-    with pytest.raises(InputError, match="no column y_px"):
+    with pytest.raises(InputError, check=lambda error: error.field == "points.csv, line 1"):
         read_sightings(["time_utc,x_px"], name="points.csv")
     with pytest.raises(InputError, match="is empty"):
         read_sightings([], name="points.csv")

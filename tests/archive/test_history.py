@@ -58,7 +58,7 @@ def test_a_refused_one_takes_its_own_place_when_a_person_decides(three: Archive)
 
 
 def test_the_current_one_is_not_copied_over_itself(three: Archive) -> None:
-    with pytest.raises(InputError, match="c is current already"):
+    with pytest.raises(InputError, check=lambda error: error.field == "id"):
         three.reinstate("c", at=MAY + timedelta(days=25), reason="")
     with pytest.raises(NotFoundError):
         three.reinstate("z", at=MAY, reason="")
@@ -84,5 +84,5 @@ def test_a_person_overrules_a_pin_and_it_ends(three: Archive) -> None:
 
 
 def test_only_the_current_one_is_pinned(three: Archive) -> None:
-    with pytest.raises(InputError, match="a is retired"):
+    with pytest.raises(InputError, check=lambda error: error.field == "id"):
         three.pin("a", at=MAY, reason="")

@@ -27,7 +27,7 @@ def test_a_second_process_is_refused_with_the_first_ones_id_until_that_is_killed
         assert first.stdout is not None
         assert first.stdout.readline() == "held\n"
         assert lock_holder(tmp_path) == first.pid
-        with pytest.raises(OutsideError, match=rf"in use by process {first.pid};"), lock_state(tmp_path):
+        with pytest.raises(OutsideError, match=rf"\b{first.pid}\b"), lock_state(tmp_path):
             pass
         first.send_signal(signal.SIGKILL)
         first.wait()
@@ -44,7 +44,7 @@ def test_a_folder_without_a_lock_file_is_held_by_nobody(tmp_path: Path) -> None:
 
 
 def test_a_lock_file_that_cannot_be_made_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(OutsideError, match=r"lock: .*; make it writable"), lock_state(tmp_path / "missing"):
+    with pytest.raises(OutsideError, match=str(tmp_path / "missing")), lock_state(tmp_path / "missing"):
         pass
 
 

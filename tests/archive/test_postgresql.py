@@ -140,7 +140,7 @@ def test_a_second_upgrade_finds_nothing_to_do_and_a_check_tells_rows(url: URL) -
 
 def test_a_database_without_tables_or_of_a_newer_version_is_refused(postgresql: Server) -> None:
     empty = postgresql.new_database(template="template0")
-    with pytest.raises(SchemaError, match="sunarc db upgrade --store"):
+    with pytest.raises(SchemaError, match="upgrade --store"):
         open_archive(empty)
     assert upgrade_server(empty)
     open_archive(empty).close()
@@ -266,7 +266,7 @@ def test_the_feeds_role_stores_what_imagers_send_and_changes_no_table(fleet: Ser
     refused = ["DROP TABLE sun_point", "DELETE FROM calibration", "DELETE FROM event", "CREATE TABLE mine (x int)"]
     refused += ["UPDATE feed_token SET expires_at = NULL", "INSERT INTO feed_token VALUES ('d', 'roof', 0, NULL)"]
     for statement in refused:
-        with pytest.raises(AssertionError, match=r"permission denied|must be owner"):
+        with pytest.raises(AssertionError, match=r"denied|owner"):
             fleet.sql("sunarc", statement, user="sunarc_feed")
 
 

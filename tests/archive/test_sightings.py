@@ -72,7 +72,7 @@ def test_one_bad_sighting_keeps_the_whole_batch_out(archive: Archive) -> None:
 
 @pytest.mark.parametrize("x", [None, math.nan, math.inf])
 def test_an_accepted_sighting_must_be_somewhere(x: float | None) -> None:
-    with pytest.raises(InputError, match="without a pixel"):
+    with pytest.raises(InputError, check=lambda error: error.field == "x_px, y_px"):
         replace(SEEN, x_px=x)
 
 
@@ -135,7 +135,7 @@ def test_a_new_epoch_ends_the_one_before_and_takes_the_sightings_since_then(arch
 
 
 def test_an_epoch_cannot_begin_before_the_one_that_goes_on(archive: Archive) -> None:
-    with pytest.raises(InputError, match="began at that time or later"):
+    with pytest.raises(InputError, check=lambda error: error.field == "at"):
         archive.open_epoch("roof", at=datetime(2013, 5, 1, tzinfo=UTC), reason="twice")
     assert len(archive.epochs("roof")) == 1
 
@@ -146,7 +146,7 @@ def test_there_is_no_epoch_before_the_first(archive: Archive) -> None:
 
 
 def test_an_unknown_camera_has_no_epochs(archive: Archive) -> None:
-    with pytest.raises(InputError, match="write the camera"):
+    with pytest.raises(InputError, check=lambda error: error.field == "archive"):
         archive.open_epoch("attic", at=NOON, reason="installed")
 
 

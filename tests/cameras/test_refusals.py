@@ -74,14 +74,14 @@ def test_an_optional_feature_that_refuses_is_kept_and_compared(
     assert f"the camera refuses {name} = {other} and keeps {value}" in caplog.text
     ours.check()
     camera.features[name] = other
-    with pytest.raises(CameraLostError, match=f"{name} is {other}, not {value}"):
+    with pytest.raises(CameraLostError, match=f"{name}.*{other}.*{value}"):
         ours.check()
 
 
 def test_an_exposure_automatic_that_refuses_to_be_switched_off_is_refused(stub: SimpleNamespace) -> None:
     camera = stub.Camera()
     camera.locked["ExposureAuto"] = lambda _: True
-    with pytest.raises(CameraError, match="ExposureAuto is locked"):
+    with pytest.raises(CameraError, match="ExposureAuto"):
         opened(camera)
 
 
@@ -105,7 +105,7 @@ def test_what_changes_the_image_is_switched_off_and_compared(
     assert camera.features[name] == neutral
     ours.check()
     camera.features[name] = value
-    with pytest.raises(CameraLostError, match=f"{name} is {value}, not {neutral}"):
+    with pytest.raises(CameraLostError, match=f"{name}.*{value}.*{neutral}"):
         ours.check()
 
 
@@ -114,7 +114,7 @@ def test_a_sharpness_whose_neutral_value_is_not_known_is_kept_and_compared(stub:
     ours = opened(camera)
     assert camera.features["Sharpness"] == 3
     camera.features["Sharpness"] = 9
-    with pytest.raises(CameraLostError, match="Sharpness is 9, not 3"):
+    with pytest.raises(CameraLostError, match=r"Sharpness.*9.*3"):
         ours.check()
 
 
@@ -137,7 +137,7 @@ def test_chunks_that_cannot_be_parsed_are_replaced_by_the_register_and_said_once
         assert [ours.expose(100.0).exposure_us for _ in range(2)] == [100.0, 100.0]
     assert caplog.text.count("cannot be parsed") == 1
     camera.software_trigger = lambda: camera.features.update(ExposureTime=700.0)  # another program sets it meanwhile
-    with pytest.raises(CameraError, match="notes an exposure of 700 µs, not 100 µs"):
+    with pytest.raises(CameraError, match=r"\b700\b.*\b100\b"):
         ours.expose(100.0)
 
 
@@ -152,7 +152,7 @@ def test_a_packed_frame_is_decoded(stub: SimpleNamespace, pixel_format: str) -> 
     frame = ours.expose(100.0)
     assert frame.image.ravel().tolist() == counts.tolist()
     assert (frame.full_scale, frame.image.flags.writeable) == (4095, False)
-    with pytest.raises(CameraError, match="35 bytes came, 36 bytes in Mono12Packed are expected"):
+    with pytest.raises(CameraError, match=r"\b35\b.*\b36\b.*Mono12Packed"):
         ours.expose(100.0)
 
 

@@ -197,7 +197,7 @@ def test_conditions_come_with_code_severity_and_data(imager: Imager, board: Stat
 def test_a_status_of_another_kind_is_refused(monkeypatch: pytest.MonkeyPatch, content: bytes) -> None:
     other = Imager("http://127.0.0.1:9")
     monkeypatch.setattr(other._transport, "ask", lambda *_: (content, {}))
-    with pytest.raises(ImagerError, match="cannot be read"):
+    with pytest.raises(ImagerError, check=lambda error: error.status == 200):
         other.conditions()
 
 
@@ -230,7 +230,7 @@ def test_verdicts_of_other_versions_are_read_or_refused(
     other = Imager("http://127.0.0.1:9")
     monkeypatch.setattr(other, "calibration", lambda **_: {"verdict": verdict})
     if expected is None:
-        with pytest.raises(ImagerError, match="cannot be read"):
+        with pytest.raises(ImagerError, check=lambda error: error.status == 200):
             other.verdict()
     else:
         assert list(other.verdict()) == expected
@@ -245,7 +245,7 @@ def test_a_refusal_carries_the_problem_document(imager: Imager, address: str) ->
         Imager(address, camera="elsewhere").sun()
     with pytest.raises(ValueError, match="last dimension"):
         imager.back_project(np.zeros((3, 3)))
-    with pytest.raises(ValueError, match="no time zone"):
+    with pytest.raises(ValueError, match="2013-05-13"):
         imager.sun(at=datetime(2013, 5, 13))  # noqa: DTZ001 - what is refused
 
 
@@ -277,7 +277,7 @@ def test_a_busy_service_is_asked_again_and_an_absent_one_named() -> None:
         assert _Busy.asked == 3
         server.shutdown()
         thread.join()
-    with pytest.raises(ImagerError, match="does not answer") as absent:
+    with pytest.raises(ImagerError) as absent:
         Imager(address, retries=1).sun()
     assert absent.value.status is None
 

@@ -33,7 +33,7 @@ def disc(x_px: float, *findings: Finding, verdict: Verdict = "clear", snr: float
 
 
 def test_one_finding_is_its_own_sentence() -> None:
-    assert disc(1.0, FITTED).reason == "a disc, reduced chi² 1.04"
+    assert disc(1.0, FITTED).reason == MESSAGES.text_of(FITTED)
     assert disc(1.0).reason == ""
 
 
@@ -48,7 +48,7 @@ def test_what_was_left_out_follows_after_a_comma_and_a_mean_after_a_semicolon() 
 @pytest.mark.parametrize("code", ["sun_elsewhere", "bracket_covered"])
 def test_what_explains_another_frame_stands_before_a_colon(code: str) -> None:
     alone = reason_of([Finding(code)])
-    assert reason_of([Finding(code), FITTED]) == f"{alone}: a disc, reduced chi² 1.04"
+    assert reason_of([Finding(code), FITTED]) == f"{alone}: {MESSAGES.text_of(FITTED)}"
 
 
 def test_a_mean_keeps_the_finding_of_its_best_frame() -> None:

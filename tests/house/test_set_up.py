@@ -49,7 +49,8 @@ def test_a_second_run_finds_everything_done(fresh: Path, command: str) -> None:
     before_s = perf_counter()
     said = set_up(fresh / command)
     assert perf_counter() - before_s < 3.0
-    assert said == f"set-up: {fresh}/.venv is ready\n"
+    assert said.count("\n") == 1
+    assert f"{fresh}/.venv" in said
 
 
 def test_a_venv_on_another_interpreter_is_made_anew(fresh: Path) -> None:
@@ -102,4 +103,5 @@ def test_a_checkout_without_its_lock_is_told_so_in_one_line(checkout: Path, tmp_
     script.write_bytes((checkout / "deploy" / "setup").read_bytes())
     answer = subprocess.run(["sh", script], capture_output=True, text=True, check=False)
     assert answer.returncode == 1
-    assert answer.stderr == f"set-up: {tmp_path}/requirements.lock is missing; is this a whole checkout?\n"
+    assert answer.stderr.count("\n") == 1
+    assert f"{tmp_path}/requirements.lock" in answer.stderr

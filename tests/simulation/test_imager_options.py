@@ -63,7 +63,7 @@ def test_a_machine_without_aravis_is_told_what_to_install(monkeypatch: pytest.Mo
 
     monkeypatch.setattr(ctypes, "CDLL", missing)
     options = ImagerOptions(start=datetime(2013, 5, 13, 12, tzinfo=UTC), die_with_parent=False)
-    with pytest.raises(ConfigurationError, match=r"apt-get install python3-gi gir1\.2-aravis-0\.8"):
+    with pytest.raises(ConfigurationError, match=r"gir1\.2-aravis-0\.8"):
         run_imager(options, threading.Event())
 
 

@@ -144,14 +144,14 @@ def test_the_truth_is_written_as_a_document(imager: Imager) -> None:
 
 def test_a_second_imager_is_told_that_the_port_is_taken(imager: Imager) -> None:
     assert imager.truth.exists()
-    with pytest.raises(OutsideError, match="another simulated imager"):
+    with pytest.raises(OutsideError, match=ADDRESS):
         run_imager(ImagerOptions(address=ADDRESS, die_with_parent=False), threading.Event())
 
 
 def test_a_camera_held_by_another_is_said_to_be(imager: Imager, opened: Callable[..., AravisCamera]) -> None:
     assert imager.truth.exists()
     first = opened()
-    with pytest.raises(CameraLostError, match="controlled by another program"):
+    with pytest.raises(CameraLostError, match=ADDRESS):
         opened()
     assert exposed(first, 10.0).exposure_us == 10.0
 
@@ -160,7 +160,7 @@ def test_failed_openings_leave_the_camera_free(imager: Imager, opened: Callable[
     assert imager.truth.exists()
     kept: list[Exception] = []
     for _ in range(3):
-        with pytest.raises(Exception, match="does not fit the sensor") as caught:
+        with pytest.raises(Exception, match=r"camera\.region") as caught:
             opened(region=(1700, 0, 100, 100))
         kept.append(caught.value)
     assert exposed(opened(), 10.0).exposure_us == 10.0
@@ -169,7 +169,7 @@ def test_failed_openings_leave_the_camera_free(imager: Imager, opened: Callable[
 def test_an_address_that_does_not_answer_is_said_within_seconds() -> None:
     clock = SystemClock()
     began = clock.monotonic()
-    with pytest.raises(CameraLostError, match=r"127\.0\.0\.99.*check power and network"):
+    with pytest.raises(CameraLostError, match=r"127\.0\.0\.99"):
         open_aravis(AravisOptions(address="127.0.0.99"), clock)
     assert clock.monotonic() - began < 8.0
 

@@ -247,11 +247,11 @@ def test_the_first_epoch_an_unknown_and_a_closed_one_cannot_be_closed(tmp_path: 
     imager = Imager(tmp_path)
     retired_in_the_future(imager)
     now = datetime(2013, 5, 14, 17, tzinfo=UTC)
-    with pytest.raises(InputError, match="first pose epoch"):
+    with pytest.raises(InputError, check=lambda error: error.field == "id"):
         imager.archive.close_epoch("roof-1", at=now, reason="test")
     imager.archive.close_epoch("roof-2", at=now, reason="test")
     for name in ("roof-2", "roof-9"):
-        with pytest.raises(NotFoundError, match="no open pose epoch"):
+        with pytest.raises(NotFoundError, check=lambda error: error.field == "id"):
             imager.archive.close_epoch(name, at=now, reason="test")
 
 

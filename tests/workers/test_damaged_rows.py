@@ -210,7 +210,7 @@ def test_the_calibration_before_a_damaged_one_is_served_and_the_damage_shown(
     assert [event.details for event in archive.events("roof") if event.kind == "calibration_damaged"] == [
         {"calibration": "third", "served": "second"}
     ]
-    with pytest.raises(InputError, match="does not match its checksum"):
+    with pytest.raises(InputError, check=lambda error: error.field == "id"):
         archive.calibration("third")
     archive.close()
     found = check(path)

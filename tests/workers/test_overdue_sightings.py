@@ -49,7 +49,7 @@ def test_ten_slots_without_a_sighting_are_degraded_and_one_ends_it(clock: Virtua
     check()
     (reason,) = board.snapshot().reasons
     assert (reason.code, reason.severity) == ("no_sightings", "degraded")
-    assert reason.text == "no sighting was stored in the last 10 slots with the sun up"
+    assert reason.data == {"slots": 10}
     sky.stored = 1
     check()
     assert codes(board) == []

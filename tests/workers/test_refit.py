@@ -204,7 +204,7 @@ def solve_and_kill(stop: threading.Event) -> Calibration | None:
 
 
 def test_a_child_that_was_killed_is_told_from_one_that_failed() -> None:
-    with pytest.raises(SolverDiedError, match=r"died \(signal 15\)"):
+    with pytest.raises(SolverDiedError, match="signal 15"):
         solve_and_kill(threading.Event())
 
 
@@ -272,7 +272,7 @@ def test_the_child_process_answers_what_the_function_answers() -> None:
 
 
 def test_a_solve_beyond_its_time_limit_is_ended() -> None:
-    with pytest.raises(SolveFailedError, match=r"took longer than 0\.1 s"):
+    with pytest.raises(SolveFailedError, match=r"0\.1 s"):
         solve(time_limit_s=0.1)
 
 

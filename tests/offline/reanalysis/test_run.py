@@ -217,7 +217,7 @@ def test_a_second_run_into_one_folder_is_refused_while_the_first_one_lasts(
     summary: Summary, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     del summary
-    with lock_state(tmp_path), pytest.raises(OutsideError, match=f"in use by process {os.getpid()}"):
+    with lock_state(tmp_path), pytest.raises(OutsideError, match=rf"\b{os.getpid()}\b"):
         analysed(indexed_in(folder), tmp_path, monkeypatch)
     assert not (tmp_path / "ledger.sqlite").exists()
 
