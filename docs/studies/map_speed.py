@@ -10,7 +10,6 @@ bare socket sends, and how far the map is from /v1/back-project at 20 000 pixels
 from __future__ import annotations
 
 import argparse
-import asyncio
 import io
 import json
 import multiprocessing
@@ -19,10 +18,8 @@ import tempfile
 import threading
 import time
 from dataclasses import dataclass
-from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 import uvicorn
@@ -31,7 +28,7 @@ from tests.api.conftest import NOON, fill, new_archive
 from tests.fixtures.calibrations import SITE
 
 from sunarc.api.app import create_app
-from sunarc.api.middleware.connection_limit import BoundedConnection
+from sunarc.api.middleware.connection_limit import bound_connections
 from sunarc.api.options import ApiOptions
 from sunarc.archive.values import Refit
 from sunarc.runtime.clock import VirtualClock
@@ -162,9 +159,8 @@ def serve(folder: Path, told_to: Connection) -> None:
     bare = socket.create_server(("127.0.0.1", 0))
     threading.Thread(target=serve_bytes, args=(bare, MAP_BYTES), daemon=True).start()
     told_to.send((listening.getsockname()[1], bare.getsockname()[1]))
-    http = cast("type[asyncio.Protocol]", partial(BoundedConnection, options))
-    config = uvicorn.Config(app, http=http, log_level="error", access_log=False)
-    uvicorn.Server(config).run(sockets=[listening])
+    config = uvicorn.Config(app, log_level="error", access_log=False)
+    uvicorn.Server(bound_connections(config, options)).run(sockets=[listening])
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from datetime import timedelta
-from functools import partial
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
@@ -21,7 +20,7 @@ from tests.api.conftest import NOON, document
 from tests.fixtures.calibrations import SITE
 
 from sunarc.api import app
-from sunarc.api.middleware.connection_limit import BoundedConnection
+from sunarc.api.middleware.connection_limit import bound_connections
 from sunarc.api.options import ApiOptions
 from sunarc.api.routes import record as event_stream
 from sunarc.api.routes.record import Follower
@@ -41,10 +40,9 @@ DUSTY = Reason(code="dusty", severity="degraded", text="the dome is dusty", reme
 
 @contextmanager
 def serving(made: Made) -> Iterator[str]:
-    http = cast("Any", partial(BoundedConnection, ApiOptions(request_within_s=1.0)))
     with socket.create_server(("127.0.0.1", 0)) as listening:
-        config = uvicorn.Config(made.app, http=http, log_level="critical", timeout_graceful_shutdown=1)
-        server = uvicorn.Server(config)
+        config = uvicorn.Config(made.app, log_level="critical", timeout_graceful_shutdown=1)
+        server = uvicorn.Server(bound_connections(config, ApiOptions(request_within_s=1.0)))
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
         thread.start()
         try:

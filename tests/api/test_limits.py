@@ -6,7 +6,6 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
 import httpx
@@ -16,7 +15,7 @@ from starlette.types import Receive, Scope, Send
 from tests.api.test_problems import check_shape
 
 from sunarc.api.middleware.admission import ConcurrencyLimit, TokenBuckets
-from sunarc.api.middleware.connection_limit import BoundedConnection
+from sunarc.api.middleware.connection_limit import bound_connections
 from sunarc.api.options import ApiOptions
 
 if TYPE_CHECKING:
@@ -184,10 +183,9 @@ async def _large(scope: Scope, _receive: Receive, send: Send) -> None:
 
 @contextmanager
 def serving(**options: Any) -> Iterator[tuple[uvicorn.Server, int]]:  # noqa: ANN401 - of ApiOptions
-    http = cast("Any", partial(BoundedConnection, ApiOptions(**options)))
     with socket.create_server(("127.0.0.1", 0)) as listening:
-        config = uvicorn.Config(_large, http=http, lifespan="off", log_level="error", timeout_keep_alive=60)
-        server = uvicorn.Server(config)
+        config = uvicorn.Config(_large, lifespan="off", log_level="error", timeout_keep_alive=60)
+        server = uvicorn.Server(bound_connections(config, ApiOptions(**options)))
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
         thread.start()
         try:

@@ -10,8 +10,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-from functools import partial
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import httpx
 import numpy as np
@@ -19,7 +18,7 @@ import pytest
 import uvicorn
 from tests.api.conftest import LENS, NOON, document
 
-from sunarc.api.middleware.connection_limit import BoundedConnection
+from sunarc.api.middleware.connection_limit import bound_connections
 from sunarc.api.options import ApiOptions
 from sunarc.optics.camera import Camera
 
@@ -43,12 +42,11 @@ def serving(
     made: Made = make(**options)
     made.archive.add_calibration(document("small", camera=camera))
     made.archive.activate("small")
-    http = cast("Any", partial(BoundedConnection, ApiOptions(request_within_s=options["request_within_s"])))
     with socket.create_server(("127.0.0.1", 0)) as listening:
         if send_buffer is not None:  # connections inherit it
             listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, send_buffer)
-        config = uvicorn.Config(made.app, http=http, lifespan="off", log_level="error", forwarded_allow_ips="127.0.0.1")
-        server = uvicorn.Server(config)
+        config = uvicorn.Config(made.app, lifespan="off", log_level="error", forwarded_allow_ips="127.0.0.1")
+        server = uvicorn.Server(bound_connections(config, ApiOptions(request_within_s=options["request_within_s"])))
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
         thread.start()
         try:

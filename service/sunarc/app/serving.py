@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import gc
 import logging
 import multiprocessing
@@ -13,14 +12,13 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
-from functools import partial
-from typing import NoReturn, cast
+from typing import NoReturn
 
 import uvicorn
 from fastapi import FastAPI
 
 from sunarc.api.app import create_app
-from sunarc.api.middleware.connection_limit import BoundedConnection
+from sunarc.api.middleware.connection_limit import bound_connections
 from sunarc.api.options import ApiOptions
 from sunarc.app.cameras import camera_opener, require_stored_site
 from sunarc.app.pushing import imager_states, push_workers
@@ -198,22 +196,18 @@ def _web_server(service: Service, *, on_started: Callable[[], None]) -> Server:
 
 def new_server(app: FastAPI, options: ApiOptions, *, on_started: Callable[[], None], heartbeat: Heartbeat) -> Server:
     """Return a web server of an application, with the limits of its connections."""
-    return Server(
-        uvicorn.Config(
-            app,
-            http=cast("type[asyncio.Protocol]", partial(BoundedConnection, options)),
-            ws="none",
-            log_level="warning",
-            access_log=False,  # addresses and queries are nobody's business
-            timeout_keep_alive=_KEEP_ALIVE_S,
-            timeout_graceful_shutdown=1,
-            server_header=False,
-            proxy_headers=True,  # forwarded addresses are accepted from a proxy on loopback only
-            forwarded_allow_ips=["127.0.0.1", "::1"],
-        ),
-        on_started=on_started,
-        heartbeat=heartbeat,
+    config = uvicorn.Config(
+        app,
+        ws="none",
+        log_level="warning",
+        access_log=False,  # addresses and queries are not logged
+        timeout_keep_alive=_KEEP_ALIVE_S,
+        timeout_graceful_shutdown=1,
+        server_header=False,
+        proxy_headers=True,  # forwarded addresses are accepted from a proxy on loopback only
+        forwarded_allow_ips=["127.0.0.1", "::1"],
     )
+    return Server(bound_connections(config, options), on_started=on_started, heartbeat=heartbeat)
 
 
 def with_credentials(options: ApiOptions) -> ApiOptions:

@@ -1,4 +1,9 @@
-"""Connections that cannot be held open for nothing: uvicorn's, with bounds on their number and their patience."""
+"""Limits of connections: how many there are, how long a request's head may take, how slowly an answer may be read.
+
+uvicorn waits for a request's head, and for a client that does not read, as long as it takes, and its own limit on
+connections lets idle ones keep others out. `BoundedConnection` stands between its protocol and the event loop, with
+asyncio's interface alone; `RequestFollower`, as ASGI middleware, tells it when a request begins and ends.
+"""
 
 from __future__ import annotations
 
@@ -7,87 +12,121 @@ import fcntl
 import struct
 import sys
 import termios
+from contextvars import ContextVar
 from http import HTTPStatus
 from typing import Any, cast
 
-import h11
-from uvicorn.protocols.http.h11_impl import H11Protocol
+import uvicorn
+from starlette.datastructures import Headers
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from sunarc.api.options import MIN_RATE_BYTES_PER_S, ApiOptions
 from sunarc.api.problems import problem_response
 
+_NO_HTTP = "Invalid HTTP request received."
 
-class BoundedConnection(H11Protocol):
-    """One connection.
 
-    uvicorn waits for a request's head, and for a client that does not read, as long as it takes, and its own limit on
-    connections lets idle ones keep others out. Here the one that was idle longest makes room.
+def bound_connections(config: uvicorn.Config, options: ApiOptions) -> uvicorn.Config:
+    """Load a web server's configuration and put the limits around its protocol and its application.
 
     Parameters
     ----------
+    config : of the server, not loaded yet.
     options : `max_connections`, and `request_within_s` for a head to come and for an answer to be read.
-    how : what uvicorn hands to its protocols.
+    """
+    config.http = "h11"
+    config.load()
+    new_protocol = config.http_protocol_class
+    connections: set[BoundedConnection] = set()
+
+    def connect(**how: Any) -> asyncio.Protocol:  # noqa: ANN401 - what uvicorn hands to its protocols
+        return BoundedConnection(new_protocol(**how), options, connections)
+
+    config.http_protocol_class = cast("type[asyncio.Protocol]", connect)
+    config.loaded_app = RequestFollower(config.loaded_app)
+    return config
+
+
+class BoundedConnection(asyncio.Protocol):
+    """One connection; where there are too many, the one that was idle longest makes room.
+
+    Parameters
+    ----------
+    http : the protocol that reads requests and writes answers.
+    options : `max_connections` and `request_within_s`.
+    connections : all that are open.
+
+    Attributes
+    ----------
+    idle : whether no request is being answered.
+    idle_since_s : since when, by the event loop's time.
     """
 
-    def __init__(self, options: ApiOptions, **how: Any) -> None:  # noqa: ANN401 - uvicorn's
-        super().__init__(**how)
+    def __init__(self, http: asyncio.Protocol, options: ApiOptions, connections: set[BoundedConnection]) -> None:
+        self._http = http
         self._most = options.max_connections
         self._patience_s = options.request_within_s
-        self.idle_since_s = self.loop.time()
+        self._connections = connections
+        self._loop = asyncio.get_running_loop()
         self._head_timer: asyncio.TimerHandle | None = None
         self._write_timer: asyncio.TimerHandle | None = None
+        self.idle = True
+        self.idle_since_s = self._loop.time()
 
-    @property
-    def idle(self) -> bool:
-        """Whether no request is being answered."""
-        return self.cycle is None or self.cycle.response_complete
-
-    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn has it
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Make room, and begin to wait for a head."""
-        super().connection_made(transport)
-        if len(self.connections) > self._most:
-            idle = [one for one in self.connections if isinstance(one, BoundedConnection) and one.idle]
-            longest = min(idle, key=lambda one: one.idle_since_s)  # this one is idle: there is one
-            self.connections.discard(longest)  # it hears of its end later
-            longest.transport.abort()
-        self._head_timer = self.loop.call_later(self._patience_s, transport.abort)
+        self._transport = cast("asyncio.Transport", transport)
+        self._http.connection_made(cast("asyncio.Transport", _ProblemTransport(self._transport)))
+        self._connections.add(self)
+        if len(self._connections) > self._most:
+            longest = min((one for one in self._connections if one.idle), key=lambda one: one.idle_since_s)
+            self._connections.discard(longest)  # it hears of its end later; this one is idle: there is one
+            longest.abort()
+        self._start_head_timer()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Stop waiting."""
+        self._connections.discard(self)
         self._stop_head_timer()
         self._stop_write_timer()
-        super().connection_lost(exc)
+        self._http.connection_lost(exc)
 
-    def handle_events(self) -> None:
-        """Wait no longer for a head that is there; begin to wait for the rest of one that has begun.
+    def data_received(self, data: bytes) -> None:
+        """Hand on what came; of an idle connection it begins a head, whose rest has to come in time."""
+        before = _connection.set(self)  # the task that answers a request inherits it
+        self._http.data_received(data)
+        _connection.reset(before)
+        if self.idle and self._head_timer is None:
+            self._start_head_timer()
 
-        uvicorn waits for the next request only until its first byte.
-        """
-        before = self.cycle
-        super().handle_events()
-        if self.cycle is not before:
-            self._stop_head_timer()
-        # h11 keeps what it cannot parse yet: bytes of a head that has begun and does not go on.
-        if self._head_timer is None and self.idle and self.conn.trailing_data[0]:
-            self._head_timer = self.loop.call_later(self._patience_s, self.transport.abort)
-
-    def on_response_complete(self) -> None:
-        """Go idle; a body that nobody reads any more ends with its connection."""
-        self.idle_since_s = self.loop.time()
-        super().on_response_complete()
-        # Answered before its body had come (a refusal): to read the rest only to drop it would serve the sender.
-        if self.conn.their_state is h11.SEND_BODY:
-            self.transport.close()
+    def eof_received(self) -> bool | None:
+        """Hand on that no more comes."""
+        return self._http.eof_received()
 
     def pause_writing(self) -> None:
         """Start the timer of a client that does not read its answer."""
-        super().pause_writing()
+        self._http.pause_writing()
         self._watch_reading(self._unread_bytes())
 
     def resume_writing(self) -> None:
         """Stop watching: it reads."""
         self._stop_write_timer()
-        super().resume_writing()
+        self._http.resume_writing()
+
+    def begin(self) -> None:
+        """Wait no longer for a head: it is there, and its request is being answered."""
+        self.idle = False
+        self._stop_head_timer()
+
+    def end(self, *, unread: bool) -> None:
+        """Go idle; a body that nobody reads any more ends with its connection."""
+        self.idle, self.idle_since_s = True, self._loop.time()
+        if unread:  # answered before its body had come (a refusal): to read the rest only to drop it serves the sender
+            self._transport.close()
+
+    def abort(self) -> None:
+        """End the connection at once."""
+        self._transport.abort()
 
     def _watch_reading(self, unread_bytes: int) -> None:
         """End the connection unless, until the timer ends, the client has read at the lowest rate or faster."""
@@ -95,12 +134,12 @@ class BoundedConnection(H11Protocol):
         def check() -> None:
             now_unread_bytes = self._unread_bytes()
             if unread_bytes - now_unread_bytes < self._patience_s * MIN_RATE_BYTES_PER_S:
-                self.transport.abort()
+                self.abort()
             else:
                 self._watch_reading(now_unread_bytes)
 
         self._stop_write_timer()
-        self._write_timer = self.loop.call_later(self._patience_s, check)
+        self._write_timer = self._loop.call_later(self._patience_s, check)
 
     def _unread_bytes(self) -> int:
         """Return what was written and is not acknowledged by the client: here, and in the kernel's buffer.
@@ -108,7 +147,10 @@ class BoundedConnection(H11Protocol):
         The kernel's buffer holds megabytes and asks for more only when a good part of it is free, so that a client
         that reads steadily seems to read nothing for minutes if only this side's buffer is looked at.
         """
-        return self.transport.get_write_buffer_size() + _in_kernel_bytes(self.transport)
+        return self._transport.get_write_buffer_size() + _in_kernel_bytes(self._transport)
+
+    def _start_head_timer(self) -> None:
+        self._head_timer = self._loop.call_later(self._patience_s, self.abort)
 
     def _stop_head_timer(self) -> None:
         if self._head_timer is not None:
@@ -120,18 +162,93 @@ class BoundedConnection(H11Protocol):
             self._write_timer.cancel()
             self._write_timer = None
 
-    def send_400_response(self, msg: str) -> None:
-        """Refuse what is no HTTP, in the shape of all refusals."""
-        refusal = problem_response(HTTPStatus.BAD_REQUEST, path="", detail=msg)
-        headers = [*refusal.raw_headers, (b"connection", b"close")]
-        reason = HTTPStatus.BAD_REQUEST.phrase.encode()
-        for event in (
-            h11.Response(status_code=400, headers=headers, reason=reason),
-            h11.Data(data=cast("bytes", refusal.body)),
-            h11.EndOfMessage(),
-        ):
-            self.transport.write(self.conn.send(event) or b"")
-        self.transport.close()
+
+_connection: ContextVar[BoundedConnection] = ContextVar("connection")
+
+
+class RequestFollower:
+    """Tells a connection when a request begins and when its answer is written.
+
+    Parameters
+    ----------
+    app : what is behind it.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        connection, headers = _connection.get(), Headers(scope=scope)
+        unread = "transfer-encoding" in headers or headers.get("content-length", "0") != "0"
+        connection.begin()
+
+        async def receiving() -> Message:
+            nonlocal unread
+            message = await receive()
+            unread = unread and message.get("more_body", False)
+            return message
+
+        async def sending(message: Message) -> None:
+            ends = message["type"] == "http.response.body" and not message.get("more_body", False)
+            if ends and unread and "expect" not in headers:  # to receive would ask for the body
+                await _receive_arrived(receiving)
+            await send(message)
+            if ends:
+                connection.end(unread=unread)
+
+        await self._app(scope, receiving, sending)
+
+
+async def _receive_arrived(receive: Receive) -> None:
+    """Receive what has come of a body, and wait for no more."""
+    try:
+        async with asyncio.timeout(0):
+            while (await receive()).get("more_body", False):
+                pass
+    except TimeoutError:
+        return
+
+
+class _ProblemTransport:
+    """A transport on which a request that is no HTTP is refused in the shape of all refusals.
+
+    uvicorn refuses it itself, before any application, with a plain text; every other answer is an application's.
+
+    Parameters
+    ----------
+    transport : of the connection.
+    """
+
+    def __init__(self, transport: asyncio.Transport) -> None:
+        self._transport = transport
+        self._refused = False
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - of the transport
+        return getattr(self._transport, name)
+
+    def write(self, data: bytes) -> None:
+        """Write what is no refusal of uvicorn's."""
+        self._refused = self._refused or (data.startswith(b"HTTP/1.1 400 ") and b"text/plain" in data)
+        if not self._refused:
+            self._transport.write(data)
+
+    def close(self) -> None:
+        """Close the connection, after the refusal where there is one."""
+        if self._refused:
+            self._transport.write(_malformed())
+            self._refused = False
+        self._transport.close()
+
+
+def _malformed() -> bytes:
+    """Return the whole answer to what is no HTTP."""
+    refusal = problem_response(HTTPStatus.BAD_REQUEST, path="", detail=_NO_HTTP)
+    lines = [b"%s: %s\r\n" % header for header in (*refusal.raw_headers, (b"connection", b"close"))]
+    return b"HTTP/1.1 400 Bad Request\r\n" + b"".join(lines) + b"\r\n" + bytes(refusal.body)
 
 
 def _in_kernel_bytes(transport: asyncio.Transport) -> int:
