@@ -84,7 +84,7 @@ def _text(bound: Bound) -> str:
 @cache
 def _declared(options: type) -> dict[str, tuple[Bound, ...]]:
     if not is_dataclass(options):
-        raise TypeError(f"{options.__name__} is no dataclass")
+        raise TypeError(f"{options.__name__} is not a dataclass")
     hints = get_type_hints(options, include_extras=True)
     found = {field.name: tuple(_bounds_in(hints[field.name])) for field in fields(options)}
     return {name: bounds for name, bounds in found.items() if bounds}

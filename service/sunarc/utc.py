@@ -22,7 +22,7 @@ def parse_time(text: str, *, where: str) -> datetime:
         time = datetime.fromisoformat(text.strip())
     except ValueError:
         raise InputError(
-            field=where, problem=f"{text!r} is no time", remedy="write ISO 8601, as 2013-05-13T18:30:00Z"
+            field=where, problem=f"{text!r} is not a time", remedy="write ISO 8601, as 2013-05-13T18:30:00Z"
         ) from None
     if time.tzinfo is None:
         raise InputError(field=where, problem=f"{text!r} has no time zone", remedy="end it with Z for UTC")

@@ -75,24 +75,24 @@ _OTHERS: tuple[tuple[type[BaseModel], JsonSchemaMode], ...] = (
 )
 """Shapes that no route's signature names."""
 _TAGS = {
-    "health": "whether the service answers, how it is, and its numbers",
-    "cameras": "what the archive knows",
-    "calibrations": "the one that answers, the history, and decisions by hand",
-    "directions": "pixels to directions and back, clouds and shadows",
-    "sun": "where it is, and where it was seen",
+    "health": "whether the service answers, its state and its metrics",
+    "cameras": "the cameras of the archive",
+    "calibrations": "the valid one, the history, and an operator's decisions",
+    "directions": "directions of pixels, pixels of directions, positions of clouds and shadows",
+    "sun": "its position, and where it was detected",
     "images": "composites, maps of them, masks and tables for OpenCV",
-    "record": "days, events as they were and as they happen, the latest image",
-    "refits": "asked for, under way and done",
+    "record": "days, events and their stream, disk space and temperature, the latest image",
+    "refits": "requested, running and completed",
     "epochs": "intervals in which the camera did not move",
-    "fleet": "what a hub holds of its cameras, and takes from them",
-    "drawing": "lines and shades to draw over the image",
+    "fleet": "what a hub stores of its cameras, and receives from them",
+    "drawing": "lines and maps to draw over the image",
 }
 _TEXTS = {"text/plain": "string", "application/yaml": "object"}
 """Type of the content of the media types that are no bytes; YAML is what a reader of it makes of it."""
 
 
 def describe(app: FastAPI) -> None:
-    """Make the application tell its document."""
+    """Make the application return this document."""
 
     def document() -> dict[str, Any]:
         if app.openapi_schema is None:
@@ -113,6 +113,7 @@ def _document(app: FastAPI) -> dict[str, Any]:
     document["paths"] = {path.replace("{camera}", "", 1): one for path, one in document["paths"].items()}
     for path in document["paths"].values():
         for operation in path.values():
+            operation["summary"] = operation["description"].partition("\n")[0].removesuffix(".")
             _only_problems(operation["responses"])
             _describe_bytes(operation["responses"])
     used = {tag for path in document["paths"].values() for one in path.values() for tag in one.get("tags", ())}

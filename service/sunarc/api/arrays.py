@@ -46,7 +46,7 @@ def read_rows(body: bytes, *, columns: tuple[int, ...], most: int) -> Rows:
     try:
         header = read_npy_header(body)
     except NpyHeaderError as error:
-        raise InputError(field="body", problem=f"is no .npy file: {error}", remedy=_REMEDY) from None
+        raise InputError(field="body", problem=f"is not a .npy file: {error}", remedy=_REMEDY) from None
     dtype = header.dtype
     if dtype is None or dtype not in _FLOATS or header.fortran_order or len(header.shape) != 2:
         order = "Fortran" if header.fortran_order else "C"
@@ -254,7 +254,7 @@ def _dictionary(text: str) -> dict[str, str]:
     """Return the three entries as they are written; in any order, as the format's definition allows."""
     found: dict[str, str] = {}
     if not text.startswith("{"):
-        raise NpyHeaderError("has a header that is no dictionary")
+        raise NpyHeaderError("has a header that is not a dictionary")
     position = 1
     while key := _KEY.match(text, position):
         name = key[1]

@@ -72,7 +72,7 @@ class ApiOptions:
             if not origin.startswith(("http://", "https://")) or origin.count("/") != 2:
                 raise InputError(
                     field="api.cors_origins",
-                    problem=f"{origin!r} is no origin",
+                    problem=f"{origin!r} is not an origin",
                     remedy="give scheme and host, as https://forecast.example",
                 )
 
@@ -84,4 +84,4 @@ def _check_hosts(names: tuple[str, ...]) -> None:
     for name in names:
         if not _HOST_NAME.fullmatch(name):
             remedy = "give it without scheme and port, as imager.example"
-            raise InputError(field="api.allowed_hosts", problem=f"{name!r} is no host name", remedy=remedy)
+            raise InputError(field="api.allowed_hosts", problem=f"{name!r} is not a host name", remedy=remedy)

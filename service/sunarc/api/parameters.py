@@ -54,26 +54,26 @@ class Body(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
-At = Annotated[Time | None, Query(description="The time to answer for; now where not given.", examples=[EXAMPLE_TIME])]
+At = Annotated[Time | None, Query(description="Time to answer for; now if not given.", examples=[EXAMPLE_TIME])]
 Draws = Annotated[
     int,
     Query(
         ge=0,
         le=MOST_DRAWS,
-        description="Draws of an ensemble of possible truths to answer with too, as likely as the uncertainty says.",
+        description="Number of draws from the calibration's uncertainty to answer with in addition.",
         examples=[16],
     ),
 ]
 Seed = Annotated[
-    int, Query(ge=0, lt=2**32, description="With the calibration's id it decides the draws.", examples=[1])
+    int, Query(ge=0, lt=2**32, description="Determines the draws, together with the calibration's id.", examples=[1])
 ]
 Chosen = Annotated[
     str | None,
     Query(
         alias="calibration",
         max_length=100,
-        description="Id of an accepted calibration to answer with, whatever answers at the time; "
-        '"best": the least uncertain one of the pose epoch that answers.',
+        description="Id of an accepted calibration to answer with, in place of the one valid at the time; "
+        '"best": the one of the valid pose epoch with the smallest uncertainty.',
         examples=["best"],
     ),
 ]

@@ -130,7 +130,7 @@ class Problem(BaseModel):
     errors: list[Fault] = Field(description="What is wrong, one by one; may be empty.")
 
 
-_NOT_JSON = Fault(field="content-type", problem="is not understood here", remedy="send application/json")
+_NOT_JSON = Fault(field="content-type", problem="is not accepted", remedy="send application/json")
 
 
 class RefusedError(SunarcError):

@@ -69,7 +69,7 @@ class Days(BaseModel):
 
 
 class SightingsByDay(BaseModel):
-    """Looks at the sun by solar day, the newest day first; days without a look are left out."""
+    """Detections by solar day, the newest day first; days without one are left out."""
 
     days: Annotated[list[SightingCounts], described("The newest first.")]
 
@@ -105,7 +105,7 @@ class Calibrations(BaseModel):
 
 
 class Decision(Body):
-    """What a person decides, and why."""
+    """A decision of an operator, with its reason."""
 
     reason: str = Field(
         min_length=1,
@@ -161,7 +161,7 @@ class BackProjectRequest(Body):
 
 
 class DirectionDraws(BaseModel):
-    """Where pixels look by each draw, the first axis; null where no direction lands on the pixel."""
+    """Directions of pixels for each draw, the first axis; null outside the camera's field."""
 
     zenith_deg: list[Answers] = Field(description="(draws, n) degrees.", examples=[[[0.21], [0.22]]])
     azimuth_deg: list[Answers] = Field(description="(draws, n) degrees.", examples=[[[140.2], [140.9]]])
@@ -171,7 +171,7 @@ class DirectionDraws(BaseModel):
 
 
 class PixelDraws(BaseModel):
-    """Where directions land by each draw, the first axis; null outside the camera's field."""
+    """Pixels of directions for each draw, the first axis; null outside the camera's field."""
 
     pixels: list[list[Pair | None]] = Field(
         description="(draws, n) x, y in px.", examples=[[[[400.0, 912.5]], [[400.1, 912.4]]]]
@@ -179,7 +179,7 @@ class PixelDraws(BaseModel):
 
 
 class BackProjectAnswer(BaseModel):
-    """Where pixels look. null where no direction lands on the pixel: outside the field there is no number."""
+    """Directions of pixels. null outside the camera's field."""
 
     calibration: Annotated[str, described("Id of the calibration that answered.", "20130514T150508Z-52ee44")]
     zenith_deg: Answers = Field(description="Apparent zenith angle, degrees.", examples=[[0.21, 41.7]])
@@ -220,7 +220,7 @@ class ProjectRequest(Body):
 
 
 class ProjectAnswer(BaseModel):
-    """Where directions land. null outside the camera's field."""
+    """Pixels of directions. null outside the camera's field."""
 
     calibration: Annotated[str, described("Id of the calibration that answered.", "20130514T150508Z-52ee44")]
     pixels: list[Pair | None] = Field(description="x, y in px.", examples=[[[400.0, 912.5]]])
@@ -251,7 +251,7 @@ class Sun(BaseModel):
 
 
 class SunTrack(BaseModel):
-    """The sun's way through one solar day, while it is above the horizon."""
+    """The sun's path through one solar day, while it is above the horizon."""
 
     date: SolarDate
     time: list[Time] = Field(description="In steps, RFC 3339, UTC.", examples=[["2013-05-13T18:30:00Z"]])
@@ -307,7 +307,7 @@ class Readiness(BaseModel):
 
 
 class Status(BaseModel):
-    """Everything at a glance."""
+    """State of the service, its workers, camera, clock and disk, and the current calibration."""
 
     health: Annotated[Health, described("The worst of the reasons' severities; `ready` without one.")]
     reasons: Annotated[tuple[Reason, ...], described("Why it is degraded or not ready; empty when it is ready.")]

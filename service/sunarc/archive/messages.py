@@ -11,7 +11,7 @@ from sunarc.findings import Message, Messages
 
 MESSAGES = Messages(
     activated_by_operator=Message(
-        "made current by hand: {reason}", "An operator activated this calibration (POST …/activate)."
+        "activated by an operator: {reason}", "An operator activated this calibration (POST …/activate)."
     ),
     served_again=Message("served again: {reason}", "A pose epoch was closed as wrong; the one before it continues."),
     document_damaged=Message(
@@ -26,7 +26,8 @@ MESSAGES = Messages(
     ),
     # events
     calibration_reinstated=Message(
-        "{calibration} is current by hand: {reason}", "An operator activated this calibration (POST …/activate)."
+        "{calibration} was activated by an operator: {reason}",
+        "An operator activated this calibration (POST …/activate).",
     ),
     calibration_pinned=Message("{calibration} was pinned: {reason}", "Refits make candidates until it is unpinned."),
     calibration_unpinned=Message("{calibration} was unpinned: {reason}", "Refits may replace it again."),

@@ -75,7 +75,7 @@ def calibrate(
     Raises
     ------
     InputError
-        Where the image size is none.
+        Where the image size is not a size.
     """
     if min(image_size) < 16:
         raise InputError(field="image size", problem=f"{image_size} px", remedy="give width and height in px")

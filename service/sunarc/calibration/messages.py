@@ -58,7 +58,9 @@ MESSAGES = Messages(
         "Input of the fit.",
         "check the clock and the site if there are many",
     ),
-    dropped_duplicate_time=Message("{n} sightings of a time that another one has were left out", "Input of the fit."),
+    dropped_duplicate_time=Message(
+        "{n} sightings with the time of another sighting were left out", "Input of the fit."
+    ),
     dropped_static=Message("{n} sightings that do not move with the sun were left out", "Input of the fit."),
     night_contradicts_day=Message(
         "{n} sightings of the night contradict those of the day: {cause} {value:.2f}, limit {limit:.2f}",
@@ -68,7 +70,8 @@ MESSAGES = Messages(
         "check the mount and the clock of the night",
     ),
     sigma_of_thinned_set=Message(
-        "every second sighting alone states {factor:.2g} times the uncertainty of all for its count, and it is stated",
+        "every second sighting alone gives {factor:.2g} times the uncertainty that its number explains; the larger one "
+        "is stated",
         "The fit is used, its covariance widened.",
         _MORE_DAYS,
     ),
@@ -78,7 +81,7 @@ MESSAGES = Messages(
         "mask these positions",
     ),
     provisional=Message(
-        "provisional: the lens is that of an earlier pose, or of its type, within its uncertainty",
+        "provisional: the lens is taken from an earlier pose, or from its type, within its uncertainty",
         "The pose was estimated from few sightings.",
         "none: a full fit replaces it after the day",
     ),
@@ -95,18 +98,18 @@ MESSAGES = Messages(
     simulated_camera=Message("the camera of a simulation", "The document states a simulated camera's true parameters."),
     # why a fit refuses itself
     mirroring_ambiguous=Message(
-        "a mirrored and an unmirrored camera fit alike", _REFUSED, "give --mirrored no or --mirrored yes"
+        "a mirrored and an unmirrored camera fit equally well", _REFUSED, "give --mirrored no or --mirrored yes"
     ),
     projection_ambiguous=Message(
-        "the sightings do not determine the lens's projection: of {n} (at least {least} are needed) {projection} is "
+        "the sightings do not determine the lens's projection: from {n} (at least {least} are needed) {projection} is "
         "10^{log10_odds:.1f} times as probable as {next} (at least 10^{least_log10_odds:.1f} are needed)",
         _REFUSED,
         "name the projection with --projection, or collect sightings of a whole clear day",
     ),
     other_handedness_fits=Message(
-        "the sightings fit far better with --mirrored {mirrored} (--mirrored {stated} is set): the image is mirrored "
-        "otherwise than stated, or x and y are swapped",
-        "Beside the reason for which the fit is refused.",
+        "the sightings fit far better with --mirrored {mirrored} (--mirrored {stated} is set): the image's mirroring "
+        "is not as stated, or x and y are swapped",
+        "In addition to the reason for which the fit is refused.",
         "give --mirrored {mirrored}, in the settings calibration.mirrored; or swap the columns x_px and y_px",
     ),
     rmse_too_large=Message(
@@ -119,33 +122,33 @@ MESSAGES = Messages(
     ),
     epoch_does_not_explain_its_days=Message(
         "{share:.0%} of {n} sightings of clear days do not fit (at most {limit:.0%}); {n_far} of {n_half_days} "
-        "half-days lie off by more than {far:g} sigmas, the farthest, on {day}, by {off_px:.1f} px ({sigmas:.1f})",
+        "half-days deviate by more than {far:g} sigma, most of all on {day}, by {off_px:.1f} px ({sigmas:.1f} sigma)",
         _REFUSED,
-        "look for a change of lens, focus, mount or image size within these days, and fit before and after it apart",
+        "look for a change of lens, focus, mount or image size within these days, and fit the sightings before and "
+        "after it separately",
     ),
     direction_sigma_too_large=Message(
         "direction uncertainty {sigma_deg:~2}° (at most {limit_deg:g}°), of {n:sighting} on {days:day} that scatter by "
         "{scatter_px:~2} px",
         "The fit is refused. 1.5° is three times the sun's diameter (2° with a known lens): with more, clouds cannot "
-        "be placed. `sunarc "
-        "reanalyse` takes fits of up to 30° to seek the changes of a camera by, and serves none of them.",
+        "be located. `sunarc reanalyse` searches a camera's changes with fits of up to 30°, and serves none of them.",
         "collect sightings on further clear days; where they scatter by pixels, check times, site and mirroring",
     ),
     direction_sigma_unknown=Message(
-        "no direction uncertainty can be stated of {n:sighting} on {days:day}",
+        "the direction uncertainty cannot be computed from {n:sighting} on {days:day}",
         _REFUSED,
         _MORE_DAYS,
     ),
     held_out_contradicts=Message(
-        "the fit contradicts parts of its sightings: one without {n} of them misses these by {rmse_px:.2f} px and "
-        "states {stated_px:.2f} px; their errors are {excess:.1f} times what chance allows (at most {limit:g})",
+        "held-out check: a fit without {n} of the sightings predicts them with an error of {rmse_px:.2f} px and states "
+        "{stated_px:.2f} px; the errors are {excess:.1f} times what chance allows (at most {limit:g})",
         "The fit is refused. Thirds of a day, or whole days, were predicted by fits of the other sightings, and the "
         "errors compared with what these fits state, together and one by one.",
         "collect sightings of whole clear days; check the clock, the mount and the projection",
     ),
     hours_missing=Message(
         "on {date} the sightings cover {covered_h:.1f} of {up_h:.1f} hours of sun; none at {missing} UTC",
-        "Beside the reason for which the fit is refused; of the day with most sightings.",
+        "In addition to the reason for which the fit is refused; of the day with most sightings.",
         "collect sightings in these hours, or on further clear days",
     ),
     image_size_doubtful=Message(
@@ -166,16 +169,16 @@ MESSAGES = Messages(
         "check that the camera is tilted",
     ),
     camera_tilted_by_clock=Message(
-        "the sightings fit a camera tilted by {tilt_deg:.1f}°; with clocks {hours:+g} h ahead, or at a "
-        "longitude of {longitude:.1f}, it is level (one thing to a camera), which is {odds:.2g} times as probable as "
-        "such a tilt",
+        "the sightings fit a camera tilted by {tilt_deg:.1f}°; with clocks {hours:+g} h ahead, or at a longitude of "
+        "{longitude:.1f} (no camera can distinguish these), it is level, which is {odds:.2g} times as probable as such "
+        "a tilt",
         _ASKED,
         "check the clock's zone (--utc-offset) and the longitude (east is positive); where the camera is tilted, give "
         "--level-within",
     ),
     camera_tilted_by_longitude=Message(
-        "the sightings fit a camera tilted by {tilt_deg:.1f}°; at a longitude of {longitude:.1f}, or with "
-        "clocks {hours:+.2g} h ahead, it is level (one thing to a camera), which is {odds:.2g} times as probable as "
+        "the sightings fit a camera tilted by {tilt_deg:.1f}°; at a longitude of {longitude:.1f}, or with clocks "
+        "{hours:+.2g} h ahead (no camera can distinguish these), it is level, which is {odds:.2g} times as probable as "
         "such a tilt",
         _ASKED,
         "check the longitude (east is positive) and the clock's zone (--utc-offset); where the camera is tilted, give "
@@ -203,17 +206,17 @@ MESSAGES = Messages(
     # a fit with a type of lens, and a first pose
     lens_prior_used=Message("with the lens prior of {n} cameras ({cameras})", "The lens prior file was used."),
     lens_prior_left_out=Message(
-        "the lens prior of {n} cameras ({cameras}) was left out: with it the sightings are met worse",
+        "the lens prior of {n} cameras ({cameras}) was left out: with it the sightings fit worse",
         "The fit is the one without the lens prior.",
         "check that the lens is of this type",
     ),
     lens_prior_contradicted=Message(
-        "the sightings contradict the lens prior: {part} by {departure:.1f} times its sigmas (at most {limit:.1f})",
+        "the sightings contradict the lens prior: {part} differs by {departure:.1f} sigma (at most {limit:.1f})",
         _REFUSED,
         "check the type of lens, clock, site and mirroring; or fit without --lens-prior",
     ),
     first_pose=Message(
-        "first pose, of {n} sightings: north is known to {north_sigma_deg:.1f}° (1-sigma), the top of the image looks "
+        "first pose, from {n} sightings: 1-sigma of north {north_sigma_deg:.1f}°; the top of the image looks "
         "towards azimuth {top_azimuth_deg:.0f}°",
         "The pose is provisional: lens and level are assumed within their spread.",
         "compare the top of the image with a map; a full fit replaces the pose after a clear day",
@@ -226,11 +229,11 @@ MESSAGES = Messages(
     north_ambiguous=Message(
         "two azimuths fit the sightings, the one 10^{log10_odds:.1f} times as probable as the other",
         "No first pose is served.",
-        "none: the sun's further way decides",
+        "none: further sightings decide",
     ),
     north_not_as_mounted=Message(
         "the top of the image looks towards azimuth {top_azimuth_deg:.0f} ± {north_sigma_deg:.1f}°, {off_deg:.0f}° "
-        "from {expected_deg:.0f}° as mounted",
+        "from the azimuth {expected_deg:.0f}° that it was mounted with",
         "No first pose is served.",
         "check how the camera is mounted, the clock, and first_pose.top_azimuth_deg",
     ),
@@ -266,8 +269,8 @@ MESSAGES = Messages(
         "check the mount; if the camera moved, wait for its new pose",
     ),
     change_not_confirmed=Message(
-        "{change_px:.3f} px from the active calibration over the sky ({stated_px:.3f} px are stated), not confirmed by "
-        "later sightings",
+        "differs from the active calibration by {change_px:.3f} px over the sky ({stated_px:.3f} px are stated); later "
+        "sightings do not confirm it",
         _ACTIVE_STAYS,
         "none: later sightings confirm it, or not",
     ),
@@ -320,8 +323,8 @@ MESSAGES = Messages(
     # a camera by the stars alone
     blind_found=Message(
         "a camera by the stars alone: {n} stars in {images} images (the next best camera: {rival}), tilted by "
-        "{tilt_deg:.1f}°; north is right as the clock is, {north_deg_per_minute:.2f}° a minute of its error",
-        "The camera is used. Stars tell no error of the clock from a turn about the pole.",
+        "{tilt_deg:.1f}°; an error of the clock turns north by {north_deg_per_minute:.2f}° per minute",
+        "The camera is used. Stars cannot distinguish an error of the clock from a rotation about the pole.",
     ),
     blind_few_images=Message(
         "{n} images with stars, between which the sky turned by {turn_deg:.0f}°; 2 images and {limit:.0f}° are needed",
@@ -329,18 +332,20 @@ MESSAGES = Messages(
         "give images of one clear night, an hour or more apart",
     ),
     blind_no_turning=Message(
-        "no turn about the pole brings the detections of one image onto another's: {share:.2f} of them, {limit:.2f} "
-        "needed",
+        "no rotation about the pole maps the detections of one image onto those of another: {share:.2f} of them agree, "
+        "{limit:.2f} needed",
         _NO_CAMERA,
-        "give images of a clear night; check their times and the latitude; cut what is beside the image circle",
+        "give images of a clear night; check their times and the latitude; crop what is outside the image circle",
     ),
     blind_no_stars=Message(
-        "the detections turn about a pole ({share:.2f} of them), and none of its cameras names them",
+        "{share:.2f} of the detections rotate about a pole, and no camera with this pole matches them with stars",
         _NO_CAMERA,
         "check the date, the latitude and the longitude",
     ),
     blind_ambiguous=Message(
-        "two cameras name the stars: {n} and {rival} of them", _NO_CAMERA, "give more images, or clearer ones"
+        "two cameras match the detections with stars: {n} and {rival} of them",
+        _NO_CAMERA,
+        "give more images, or clearer ones",
     ),
     blind_tilted=Message(
         "the camera is tilted by {tilt_deg:.1f}°, {limit:.0f}° allowed: the clock, its zone or the longitude is wrong, "

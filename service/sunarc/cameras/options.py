@@ -95,7 +95,9 @@ def _require_address(address: str) -> None:
         ipaddress.ip_address(address)
     except ValueError:
         raise InputError(
-            field="camera.address", problem=f"{address!r} is no IP address", remedy="give the camera's fixed address"
+            field="camera.address",
+            problem=f"{address!r} is not an IP address",
+            remedy="give the camera's fixed address",
         ) from None
 
 

@@ -147,7 +147,7 @@ class ReplayCamera:
 def open_replay(options: ReplayOptions) -> ReplayCamera:
     """Open a folder of images; InputError when nothing in it can be played."""
     if not options.folder.is_dir():
-        raise InputError(field="folder", problem=f"{options.folder} is no folder", remedy="give a folder of images")
+        raise InputError(field="folder", problem=f"{options.folder} is not a folder", remedy="give a folder of images")
     return ReplayCamera(options)
 
 

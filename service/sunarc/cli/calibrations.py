@@ -17,9 +17,9 @@ from sunarc.utc import parse_time
 
 _SHOWN = ("id", "state", "pinned", "valid_from", "valid_until", "pose_epoch", "parent", "accepted")
 
-calibrations_cli = typer.Typer(no_args_is_help=True, help="The history of calibrations: see it, roll back, pin.")
+calibrations_cli = typer.Typer(no_args_is_help=True, help="The history of calibrations: list, roll back, pin.")
 epochs_cli = typer.Typer(
-    no_args_is_help=True, help="The pose epochs (intervals without a move of the camera): see them, undo a wrong one."
+    no_args_is_help=True, help="The pose epochs (intervals in which the camera does not move): list, close a wrong one."
 )
 
 Id = Annotated[str, typer.Argument(metavar="ID", help="A calibration's id, see `sunarc calibrations list`.")]

@@ -27,7 +27,7 @@ from sunarc.runtime.clock import SystemClock
 from sunarc.settings.load import load_settings
 from sunarc.utc import parse_time
 
-points_cli = typer.Typer(no_args_is_help=True, help="Sun sightings in and out of the archive, as CSV.")
+points_cli = typer.Typer(no_args_is_help=True, help="Import and export sightings as CSV.")
 OptionalState = Annotated[Path | None, typer.Option("--state", help="The service's state folder.", show_default=False)]
 Store = Annotated[
     str | None, typer.Option("--store", help="A PostgreSQL database, as the setting `store`.", show_default=False)

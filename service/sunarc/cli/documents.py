@@ -38,9 +38,9 @@ def export_calibration(
     draws: Annotated[
         int, typer.Option(help="Draws of the calibration's errors to add (netcdf and npz): `direction_draw`.", min=0)
     ] = 0,
-    seed: Annotated[int, typer.Option(help="With the calibration's id it decides the draws.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(help="Determines the draws, together with the calibration's id.", min=0)] = 0,
 ) -> None:
-    """Write a calibration in another format, and say on standard error how far that is from it.
+    """Write a calibration in another format; its approximation error goes to standard error.
 
     Example: sunarc export --calibration calibration.json --format opencv -o fisheye.yml
     """
@@ -108,7 +108,7 @@ def _document(path: Path) -> dict[str, object]:
     except ValueError:
         found = None
     if not isinstance(found, dict):
-        raise InputError(field=str(path), problem="is no JSON object", remedy="give a calibration document")
+        raise InputError(field=str(path), problem="is not a JSON object", remedy="give a calibration document")
     return found
 
 
@@ -128,7 +128,7 @@ def compare(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Say how far camera B is from camera A over the sky, in px and degrees.
+    """Compare two cameras: differences of B from A over the sky, in px and degrees.
 
     Example: sunarc compare calibration.json camera.yaml --json
     """
@@ -176,7 +176,7 @@ def rectify(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Map images to a grid of the sky, or of the ground under clouds at a height; north at the top, east at the right.
+    """Map images to a grid of the sky, or of the ground for clouds at a height; north at the top, east at the right.
 
     Example: sunarc rectify noon.png --calibration calibration.json --grid ground --cloud-height 1500 -o maps/
     """

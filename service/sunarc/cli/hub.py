@@ -18,7 +18,7 @@ from sunarc.settings.load import load_hub_settings
 from sunarc.utc import rfc3339
 from sunarc.workers.nightly import cross_check_fleet
 
-hub_cli = typer.Typer(no_args_is_help=True, help="The cameras of a fleet: register, and see what was refused.")
+hub_cli = typer.Typer(no_args_is_help=True, help="The cameras of a fleet: register, list what was refused.")
 
 Camera = Annotated[str, typer.Argument(metavar="CAMERA", help="Its name, the imager's setting `name`.")]
 Installation = Annotated[str, typer.Argument(metavar="INSTALLATION", help="Its id, see `sunarc hub quarantine`.")]

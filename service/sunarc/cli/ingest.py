@@ -45,7 +45,7 @@ def ingest(
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Find the sun in a folder of archived images and fill the archive; images that it knows are left as they are.
+    """Find the sun in a folder of archived images and fill the archive; images that are in it are skipped.
 
     Images of the night (the sun 12 degrees below the horizon) have their stars named by the served calibration.
 

@@ -35,29 +35,29 @@ _COMMANDS = {
     "ingest": _Command(
         "ingest",
         "ingest",
-        "Find the sun in a folder of archived images and fill the archive; images that it knows are left as they are.",
+        "Find the sun in a folder of archived images and fill the archive; images that are in it are skipped.",
     ),
     "export": _Command(
         "documents",
         "export_calibration",
-        "Write a calibration in another format, and say on standard error how far that is from it.",
+        "Write a calibration in another format; its approximation error goes to standard error.",
     ),
     "compare": _Command(
-        "documents", "compare", "Say how far camera B is from camera A over the sky, in px and degrees."
+        "documents", "compare", "Compare two cameras: differences of B from A over the sky, in px and degrees."
     ),
     "rectify": _Command(
         "documents",
         "rectify",
-        "Map images to a grid of the sky, or of the ground under clouds at a height; north at the top, "
+        "Map images to a grid of the sky, or of the ground for clouds at a height; north at the top, "
         "east at the right.",
     ),
     "stars": _Command(
-        "stars", "stars", "Find and name the stars in images of the night; exit 1 when they are matched in no image."
+        "stars", "stars", "Detect and identify stars in images of the night; exit 1 when no image has matched stars."
     ),
     "reanalyse": _Command(
         "reanalyse",
         "reanalyse_archive",
-        "Find every sun in an archive of images, the epochs of its cameras, and a calibration for each.",
+        "Find the sun in an archive of images, the pose epochs of its cameras, and a calibration for each.",
     ),
     "serve": _Command("service", "serve", "Run the service until SIGTERM or SIGINT."),
     "compile": _Command(
@@ -74,12 +74,8 @@ _COMMANDS = {
     "detect": _Command(
         "pixels", "detect", "Find the sun in images; exit 1 when none shows it, 2 when none is an image."
     ),
-    "project": _Command(
-        "pixels", "project", "Read zenith_deg,azimuth_deg from standard input and write where they land in the image."
-    ),
-    "unproject": _Command(
-        "pixels", "unproject", "Read x_px,y_px from standard input and write the directions that they look at."
-    ),
+    "project": _Command("pixels", "project", "Read zenith_deg,azimuth_deg from standard input and write their pixels."),
+    "unproject": _Command("pixels", "unproject", "Read x_px,y_px from standard input and write their directions."),
     "codes": _Command(
         "codes", "codes", "Print every code of findings with its meaning and action, as the page docs/codes.md."
     ),
@@ -91,21 +87,19 @@ _COMMANDS = {
     "check": _Command(
         "service",
         "check",
-        "Try what the service needs: disk, database, port, clock, camera, files, receivers; exit 1 when something "
+        "Check what the service needs: disk, database, port, clock, camera, files, receivers; exit 1 when a check "
         "fails.",
     ),
-    "points": _Command("database", "points_cli", "Sun sightings in and out of the archive, as CSV."),
+    "points": _Command("database", "points_cli", "Import and export sightings as CSV."),
     "db": _Command("database", "db_cli", "The archive's database."),
-    "calibrations": _Command(
-        "calibrations", "calibrations_cli", "The history of calibrations: see it, roll back, pin."
-    ),
+    "calibrations": _Command("calibrations", "calibrations_cli", "The history of calibrations: list, roll back, pin."),
     "epochs": _Command(
         "calibrations",
         "epochs_cli",
-        "The pose epochs (intervals without a move of the camera): see them, undo a wrong one.",
+        "The pose epochs (intervals in which the camera does not move): list, close a wrong one.",
     ),
-    "hub": _Command("hub", "hub_cli", "The cameras of a fleet: register, and see what was refused."),
-    "study": _Command("study", "study_cli", "The paper's tables and figures, and errors of shadows."),
+    "hub": _Command("hub", "hub_cli", "The cameras of a fleet: register, list what was refused."),
+    "study": _Command("study", "study_cli", "Reproduce the paper's tables and figures; errors of cloud shadows."),
 }
 
 

@@ -50,7 +50,7 @@ def detect(
 
 
 def project(calibration: CalibrationFile) -> None:
-    """Read zenith_deg,azimuth_deg from standard input and write where they land in the image.
+    """Read zenith_deg,azimuth_deg from standard input and write their pixels.
 
     Example: sunarc project --calibration calibration.json < directions.csv
     """
@@ -58,7 +58,7 @@ def project(calibration: CalibrationFile) -> None:
 
 
 def unproject(calibration: CalibrationFile) -> None:
-    """Read x_px,y_px from standard input and write the directions that they look at.
+    """Read x_px,y_px from standard input and write their directions.
 
     Example: sunarc unproject --calibration calibration.json < pixels.csv
     """

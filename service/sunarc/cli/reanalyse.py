@@ -64,7 +64,7 @@ def reanalyse_archive(
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask whether the times are right.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Find every sun in an archive of images, the epochs of its cameras, and a calibration for each.
+    """Find the sun in an archive of images, the pose epochs of its cameras, and a calibration for each.
 
     Exits 1 where a camera has no image that can be used, no epoch has a calibration, or one does not explain its days
     (a change of lens that was not found).

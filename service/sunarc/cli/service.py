@@ -98,7 +98,7 @@ def check(
     camera: Annotated[bool, typer.Option("--camera", help="Look at the camera alone, closely.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Try what the service needs: disk, database, port, clock, camera, files, receivers; exit 1 when something fails.
+    """Check what the service needs: disk, database, port, clock, camera, files, receivers; exit 1 when a check fails.
 
     Example: sunarc check --camera --config /etc/sunarc/sunarc.toml
     """

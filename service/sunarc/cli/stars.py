@@ -61,7 +61,7 @@ def stars(
     most: Annotated[int, typer.Option(help="Stars that are written, the surest of each part of the sky.")] = MOST_STARS,
     as_json: AsJson = False,
 ) -> None:
-    """Find and name the stars in images of the night; exit 1 when they are matched in no image.
+    """Detect and identify stars in images of the night; exit 1 when no image has matched stars.
 
     With --beside the output holds the sun's sightings as well, for the next sunarc calibrate. Give two images or more,
     ten minutes apart, so that hot pixels and lamps are known. Needs the extra sunarc[night].

@@ -25,7 +25,7 @@ from sunarc.studies.shadow import SIGMAS_DEG, WIND_M_S, study_shadow, study_shad
 from sunarc.studies.tables import study_tables
 from sunarc.studies.uncertainty import distribution_rows, study_uncertainty
 
-study_cli = typer.Typer(no_args_is_help=True, help="The paper's tables and figures, and errors of shadows.")
+study_cli = typer.Typer(no_args_is_help=True, help="Reproduce the paper's tables and figures; errors of cloud shadows.")
 
 AnyRow = Mapping[str, str | int | float]
 

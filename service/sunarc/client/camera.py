@@ -64,7 +64,7 @@ class CameraModel:
 
     def __init__(self, document: Mapping[str, Any]) -> None:
         if document.get("schema") not in _SCHEMAS:
-            raise ValueError(f"{document.get('schema')!r} is none of {_SCHEMAS}; use a client of its version")
+            raise ValueError(f"{document.get('schema')!r} is not one of {_SCHEMAS}; use a client of its version")
         model, backward, uncertainty = (document[key] for key in ("model", "backward_model", "uncertainty"))
         self.id: str = document["id"]
         self.width, self.height = int(document["image"]["width"]), int(document["image"]["height"])

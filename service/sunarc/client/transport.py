@@ -52,7 +52,7 @@ class Transport:
 
     def __init__(self, address: str, *, token: str | None, timeout_s: float, retries: int) -> None:
         if urllib.parse.urlsplit(address).scheme not in {"http", "https"}:
-            raise ValueError(f"{address!r} is no address; give one as http://imager:8080")
+            raise ValueError(f"{address!r} is not an address; give one as http://imager:8080")
         self._address = address.rstrip("/")
         self._headers = {} if token is None else {"Authorization": f"Bearer {token}"}
         self._timeout_s = timeout_s

@@ -131,7 +131,7 @@ def _require_mask_size(mask: bytes | None, size: tuple[int, int], *, name: str) 
     try:
         shape = scipy.io.loadmat(io.BytesIO(mask))["Mask"][0][0][0].shape  # type: ignore[arg-type]
     except (ValueError, KeyError, IndexError, TypeError, NotImplementedError, MatReadError) as error:
-        problem = f"its mask is no MATLAB array Mask ({error})"
+        problem = f"its mask is not a MATLAB array Mask ({error})"
         raise InputError(field=name, problem=problem, remedy="write it again") from None
     if shape != size:
         problem = f"its mask is {shape[-1]}x{shape[0]} px, its images {size[1]}x{size[0]}"

@@ -207,7 +207,7 @@ def draws_table(document: Mapping[str, Any], *, draws: int, seed: int) -> Table:
     Raises
     ------
     InputError
-        The number of draws or the seed is out of bounds, or the document is none.
+        The number of draws or the seed is out of bounds, or not a calibration document.
     """
     if not 1 <= draws <= MOST_DRAWS_OF_A_FILE:
         remedy = f"give 1 to {MOST_DRAWS_OF_A_FILE}"

@@ -75,7 +75,7 @@ def pair_height(first: View, second: View) -> PairHeight:
     base, axes = in_frame_of(first.site, second.site)
     for name, view in (("pixel_a", first), ("pixel_b", second)):
         if not np.isfinite(view.direction).all() or view.direction[2] <= 0.0:
-            raise InputError(field=name, problem="looks at nothing above the horizon", remedy="give a pixel of the sky")
+            raise InputError(field=name, problem="is not above the horizon", remedy="give a pixel of the sky")
     a, b = first.direction, axes @ second.direction
     tangents = [_tangents(a), _tangents(b)]
     spreads = [first.covariance, axes @ second.covariance @ axes.T]

@@ -95,7 +95,7 @@ def _unit(document: dict[str, Any]) -> Unit:
     if calibration.evidence.options.get("free", "all") != "all" or "lens_prior" in calibration.evidence.options:
         raise InputError(
             field=name,
-            problem="the calibration was given its lens, and tells nothing new of it",
+            problem="the calibration was given its lens, and adds nothing to it",
             remedy="name a calibration that was fitted without --pose-only, --lens-within and --lens-prior",
         )
     return Unit(name, calibration)
@@ -301,7 +301,7 @@ def read_joint_spec(path: Path) -> JointSpec:
     try:
         tables = tomllib.loads(read_file(path).decode())
     except ValueError as error:
-        raise InputError(field=str(path), problem=f"is no TOML ({error})", remedy="correct it") from None
+        raise InputError(field=str(path), problem=f"is not TOML ({error})", remedy="correct it") from None
     entries = tables.pop("entry", None)
     spread = tables.pop("spread", None)
     _refuse_unknown(path.name, tables, _COMMON)
@@ -321,7 +321,7 @@ def read_joint_spec(path: Path) -> JointSpec:
 
 def _entry(where: str, given: object, common: Mapping[str, Any], folder: Path) -> Entry:
     if not isinstance(given, dict):
-        raise InputError(field=where, problem="is no table", remedy="give [[entry]] with camera and file")
+        raise InputError(field=where, problem="is not a table", remedy="give [[entry]] with camera and file")
     _refuse_unknown(where, given, _COMMON | {"camera", "epoch", "file"})
     camera, epoch = (str(given.get(key, "")) for key in ("camera", "epoch"))
     for key, name in (("camera", camera), ("epoch", epoch or "none")):

@@ -40,7 +40,9 @@ def read_image(path: Path) -> Image:
         return image.astype(np.uint8)
     if image is not None and image.dtype == np.uint16:
         return image.astype(np.uint16)
-    raise InputError(field=str(path), problem="is no 8 or 16 bit image", remedy="give a whole PNG, JPEG or TIFF file")
+    raise InputError(
+        field=str(path), problem="is not an image of 8 or 16 bits", remedy="give a whole PNG, JPEG or TIFF file"
+    )
 
 
 _BEYOND_PX = 1.0

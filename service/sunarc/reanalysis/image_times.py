@@ -263,7 +263,7 @@ def _exposure(value: object, *, where: str) -> float | None:
     if value is None:
         return None
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value < math.inf:
-        raise InputError(field=where, problem=f"{value!r} is no exposure", remedy="give microseconds, or null")
+        raise InputError(field=where, problem=f"{value!r} is not an exposure", remedy="give microseconds, or null")
     return float(value) or None
 
 

@@ -281,7 +281,7 @@ def read_cameras(path: Path, *, common: CameraPlan) -> list[CameraPlan]:
     try:
         tables = tomllib.loads(read_file(path).decode()).get("cameras", {})
     except (ValueError, AttributeError) as error:
-        raise InputError(field=str(path), problem=f"is no TOML ({error})", remedy="correct it") from None
+        raise InputError(field=str(path), problem=f"is not TOML ({error})", remedy="correct it") from None
     if not isinstance(tables, dict) or not tables:
         raise InputError(field=str(path), problem="names no camera", remedy="give a table [cameras.NAME] for each")
     return [_plan(name, table, common, path) for name, table in tables.items()]
@@ -294,7 +294,7 @@ def _plan(name: str, table: object, common: CameraPlan, path: Path) -> CameraPla
         problem, remedy = f"{', '.join(unknown)} is unknown", f"use {', '.join(sorted(_KEYS))}"
         raise InputError(field=where, problem=problem, remedy=remedy)
     if not name or "/" in name or name.startswith("."):
-        raise InputError(field=where, problem="is no name for a folder", remedy="use letters, numbers and -")
+        raise InputError(field=where, problem="cannot be the name of a folder", remedy="use letters, numbers and -")
     try:
         return _filled(name, table, common, path.parent)
     except (TypeError, ValueError) as error:
@@ -432,7 +432,7 @@ def index_folder(folder: Path, *, naming: Naming, site: Site, largest_zenith_deg
 
 def _image_paths(folder: Path) -> list[str]:
     if not folder.is_dir():
-        raise InputError(field=str(folder), problem="is no folder", remedy="name a folder of images")
+        raise InputError(field=str(folder), problem="is not a folder", remedy="name a folder of images")
     names = (path for path in folder.rglob("*") if path.suffix.lower() in _SUFFIXES)
     found = sorted(str(path.relative_to(folder)) for path in names)
     if not found:

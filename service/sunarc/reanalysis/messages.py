@@ -11,7 +11,7 @@ MESSAGES = Messages(
     file_not_image=Message("{error}", _LEFT_OUT, "give a whole PNG, JPEG, TIFF or JPEG 2000 file of 8 or 16 bits"),
     file_truncated=Message("the file ends before its image does", _LEFT_OUT, "copy it again from its source"),
     file_animated=Message("the file has {frames} frames", _LEFT_OUT, "write each frame to a file of its own"),
-    file_cmyk=Message("its colours are for print (CMYK)", _LEFT_OUT, "convert it to RGB or grey"),
+    file_cmyk=Message("its colours are CMYK, for print", _LEFT_OUT, "convert it to RGB or grey"),
     file_transparent=Message(
         "{share:.2f} of its pixels are transparent", _LEFT_OUT, "write it without an alpha channel"
     ),
@@ -20,7 +20,9 @@ MESSAGES = Messages(
         _LEFT_OUT,
         "remove the tag where all images have it (exiftool -Orientation= -overwrite_original)",
     ),
-    file_preview=Message("a preview, not linear in light", _LEFT_OUT, "none: the composite beside it is read"),
+    file_preview=Message(
+        "a preview, whose values are not proportional to the light", _LEFT_OUT, "none: the composite beside it is read"
+    ),
     file_copy=Message("another file has the same name, time and exposure", _LEFT_OUT, "none"),
     file_time_pattern=Message("the name does not match {pattern!r}", _LEFT_OUT, "correct --time-pattern"),
     file_time_unknown=Message("no time in its name, sidecar or EXIF", _LEFT_OUT, "give --time-pattern"),
@@ -33,17 +35,17 @@ MESSAGES = Messages(
         "give --time-pattern, as %d-%m-%Y_%H-%M-%S",
     ),
     file_time_zone=Message(
-        "its time {written} has no zone",
+        "its time {written} has no time zone",
         _LEFT_OUT,
         "give --utc-offset: the hours that it is ahead of UTC, 0, or a zone as Europe/Berlin",
     ),
     file_time_twice=Message(
-        "its time {written} was shown twice by the clocks in {zone}, when summer time ended",
+        "its time {written} occurred twice in {zone}, when summer time ended",
         _LEFT_OUT,
-        "none: nothing tells which it is; give such images a sidecar with time_utc",
+        "give such images a sidecar with time_utc",
     ),
     file_time_never=Message(
-        "its time {written} was never shown by the clocks in {zone}: summer time began",
+        "its time {written} does not exist in {zone}: summer time began",
         _LEFT_OUT,
         "correct --utc-offset: a camera that does not follow summer time needs hours, as 1",
     ),
@@ -51,7 +53,7 @@ MESSAGES = Messages(
         "its times are in {units!r}", _LEFT_OUT, "give them in UTC, as seconds since 1970-01-01T00:00:00Z"
     ),
     file_video_times=Message(
-        "its container does not tell when its {frames} frames ({frames_per_s:.0f} a second) were taken",
+        "the video does not state when its {frames} frames ({frames_per_s:.0f} per second) were taken",
         _LEFT_OUT,
         'write a sidecar, {{"times_utc": ["…Z"]}} or {{"start_utc": "…Z", "interval_s": 60}}',
     ),
@@ -59,14 +61,14 @@ MESSAGES = Messages(
     file_at_night=Message(
         "the sun was at {zenith_deg:.1f} degrees from the zenith",
         _LEFT_OUT,
-        "nothing, if that is so; otherwise correct --utc-offset",
+        "none if that is right; otherwise correct --utc-offset",
     ),
     nights_without_calibration=Message(
-        "{n} images of the night: no calibration is served that names their stars",
-        "The images are left out; a later run takes them.",
+        "{n} images of the night: no calibration is served to identify their stars with",
+        "The images are left out; a later run includes them.",
         "calibrate by the sun first, or with sunarc stars --blind, and run this command again",
     ),
-    stars_not_named=Message("no star of it is named: {error}", _LEFT_OUT, "none, where it shows clouds or the moon"),
+    stars_not_named=Message("no star is identified: {error}", _LEFT_OUT, "none where it shows clouds or the moon"),
     night_between_poses=Message(
         "taken between the last sighting of an epoch and the first of the next, or without a calibration",
         _LEFT_OUT,
@@ -75,10 +77,10 @@ MESSAGES = Messages(
     file_too_large=Message("{bytes} bytes, at most {most} are read", _LEFT_OUT, "give images"),
     image_failed=Message("the detector failed: {error}", _LEFT_OUT, "report it with the image"),
     image_kills_workers=Message(
-        "{deaths} workers died that looked at it", _LEFT_OUT, "open it in another program; give workers more memory"
+        "{deaths} workers died while they read it", _LEFT_OUT, "open it in another program; give workers more memory"
     ),
     camera_kills_workers=Message(
-        "{deaths} workers died that fitted it", "The camera has no epochs.", "give workers more memory"
+        "{deaths} workers died while they fitted it", "The camera has no epochs.", "give workers more memory"
     ),
     camera_without_images=Message("no image can be read", "The camera was left out.", "see the reasons of its files"),
     camera_at_night=Message(
@@ -87,8 +89,8 @@ MESSAGES = Messages(
         "correct latitude, longitude (east is positive) or --utc-offset, or give images of the day",
     ),
     cameras_mixed=Message(
-        "{copies} of its {images} images have the name and time of another one ({file}, {other})",
-        "The camera was left out: these are the images of two.",
+        "{copies} of its {images} images have the name and time of another image ({file}, {other})",
+        "The camera was left out: these are the images of two cameras.",
         "give --cameras FILE with a table for each, and their own sources",
     ),
     camera_mirrored=Message(
@@ -99,7 +101,7 @@ MESSAGES = Messages(
     sightings_disagree=Message(
         "{share:.2f} of the sightings agree on a camera, {least:.2f} have to",
         "The camera has no epochs.",
-        "look at the images: are they those of one camera that sees the sun?",
+        "check that the images are those of one camera, and show the sun",
     ),
     worker_died=Message("the process that read it died: {error}", _LEFT_OUT, "open it in another program"),
     mirrored_setting_differs=Message(
@@ -108,7 +110,7 @@ MESSAGES = Messages(
         'set calibration.mirrored = "{mirrored}"',
     ),
     sigma_learned=Message(
-        "sigma of sightings in images ({method}): {factor:.2f} times what the detector states, from {n} sightings",
+        "sigma of sightings in images ({method}): {factor:.2f} times the detector's, estimated from {n} sightings",
         "It was set to their scatter about the calibration; later sightings are stored with it.",
     ),
     file_size_differs=Message(

@@ -213,7 +213,7 @@ def _tar_of(address: str) -> _Opened:
         except (*_FAULTS, OSError):
             continue
         return _listed(address, archive, compressed=mode == "r:*")
-    raise InputError(field=address, problem="is no whole tar archive", remedy="copy it again")
+    raise InputError(field=address, problem="is not a complete tar archive", remedy="copy it again")
 
 
 def _listed(address: str, archive: tarfile.TarFile, *, compressed: bool) -> _Opened:
@@ -221,7 +221,9 @@ def _listed(address: str, archive: tarfile.TarFile, *, compressed: bool) -> _Ope
         members = {info.name: info for info in archive.getmembers() if info.isfile()}
     except (*_FAULTS, OSError) as error:
         archive.close()
-        raise InputError(field=address, problem=f"is no whole tar archive ({error})", remedy="copy it again") from None
+        raise InputError(
+            field=address, problem=f"is not a complete tar archive ({error})", remedy="copy it again"
+        ) from None
     if not compressed:
         archive.close()
         return _Opened(members, None)
@@ -258,4 +260,6 @@ def _zip_of(address: str) -> zipfile.ZipFile:
     try:
         return zipfile.ZipFile(address)
     except (zipfile.BadZipFile, OSError) as error:
-        raise InputError(field=address, problem=f"is no whole zip archive ({error})", remedy="copy it again") from None
+        raise InputError(
+            field=address, problem=f"is not a complete zip archive ({error})", remedy="copy it again"
+        ) from None

@@ -21,17 +21,18 @@ from sunarc.runtime.status import Reason, Severity, StatusRegistry, WorkerState,
 MESSAGES = Messages(
     worker_stuck=Message(
         "worker {name}: no heartbeat for more than {limit_s:g} s",
-        "A worker or loop (`web`: the HTTP server, `schedule`) does not answer; systemd's watchdog is not fed.",
+        "A worker or loop (`web`: the HTTP server, `schedule`) does not answer; systemd's watchdog is not notified.",
         "systemd restarts the service by its watchdog; without systemd, restart it",
     ),
     optional_worker_stuck=Message(
         "worker {name}: no heartbeat for more than {limit_s:g} s; the measurement does not depend on it",
-        "A worker that sends to a hub, a broker or a receiver does not answer; systemd's watchdog is fed all the same.",
+        "A worker that sends to a hub, a broker or a receiver does not answer; systemd's watchdog is notified all the "
+        "same.",
         "check the receiver and the network; if it stays, restart the service",
     ),
     worker_hindered=Message(
         "worker {name} is blocked: {error}",
-        "Something outside keeps a worker from its work.",
+        "A worker cannot work for a reason outside of the service.",
         "fix the cause; it is retried automatically",
     ),
     worker_restarting=Message(

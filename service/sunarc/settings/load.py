@@ -109,7 +109,9 @@ def _refuse_names(given: Mapping[str, Any]) -> None:
         if value == {} and name in _SECTIONS | _REMOVED_SECTIONS:
             continue  # the example of 0.2.0 has sections whose settings are all commented out
         if name in _SECTIONS:
-            raise InputError(field=name, problem=f"{value!r} is no section", remedy=f"write [{name}] and its settings")
+            raise InputError(
+                field=name, problem=f"{value!r} is not a section", remedy=f"write [{name}] and its settings"
+            )
         if name not in _KNOWN:
             near = get_close_matches(name, _KNOWN, n=1)
             remedy = f"did you mean {near[0]}?" if near else "remove it or correct its spelling"

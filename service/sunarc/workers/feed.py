@@ -58,7 +58,7 @@ class HubOptions:
         parts = urllib.parse.urlsplit("https://none" if self.url is None else self.url)
         if parts.scheme not in {"http", "https"} or not parts.hostname or parts.query or parts.username:
             remedy = "give one as https://fleet.example"
-            raise InputError(field="hub.url", problem=f"{self.url!r} is no address", remedy=remedy)
+            raise InputError(field="hub.url", problem=f"{self.url!r} is not an address", remedy=remedy)
         if self.url is not None and self.token_file is None:
             raise InputError(field="hub.token_file", problem="is missing", remedy="sunarc hub token makes a token")
 

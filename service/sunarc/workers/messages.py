@@ -34,20 +34,20 @@ MESSAGES = Messages(
         "restore a copy with `sunarc db restore`, or request a refit",
     ),
     provisional_pose=Message(
-        "pose estimated from {n} sightings since the camera moved, to {sigma_deg:.3f}°",
-        "The stated uncertainty says how far the pose is known.",
+        "pose estimated from {n} sightings since the camera moved, 1-sigma {sigma_deg:.3f}°",
+        "The stated uncertainty includes that of the pose.",
         "wait: every sighting improves it, and the fit after the day replaces it",
     ),
     first_sun=Message(
         "first sightings of the sun: {n} of {least} that a first pose needs, the last at x {x_px:.0f}, y {y_px:.0f}",
         "Directions cannot be given yet.",
-        "see in the image that it is the sun, and which way it goes: north of the tropics counter-clockwise round the "
-        "zenith, south of them clockwise; in a mirrored image the other way",
+        "check in the image that it is the sun, and which way it moves: north of the tropics counter-clockwise round "
+        "the zenith, south of them clockwise; in a mirrored image the other way",
     ),
     first_pose_provisional=Message(
-        "first pose, of {n} sightings: north to {north_sigma_deg:.1f}° (1-sigma), directions to {sigma_deg:.1f}°; the "
+        "first pose, from {n} sightings: 1-sigma of north {north_sigma_deg:.1f}°, of directions {sigma_deg:.1f}°; the "
         "top of the image looks towards azimuth {top_azimuth_deg:.0f}°",
-        "Served as provisional. The stated uncertainty says how far the pose is known.",
+        "Served as provisional. The stated uncertainty includes that of the pose.",
         "compare the top of the image with a map; the sightings of the next minutes improve the pose, and the fit "
         "after a clear day replaces it",
     ),
@@ -57,13 +57,14 @@ MESSAGES = Messages(
         "{remedy}",
     ),
     sun_seen_below_horizon=Message(
-        "the sun is seen where it is at {zenith_deg:.0f}° from the zenith ({n} sightings): below the horizon",
+        "{n} sightings of the sun at times when, at the stated site, it is {zenith_deg:.0f}° from the zenith: below "
+        "the horizon",
         "No calibration can come of these sightings.",
         "correct site.longitude (east is positive) or site.latitude (north is positive), or the clock and its zone",
     ),
     sun_contradicts_site=Message(
         "the sun in the image {seen}, {seen_zenith_deg:.0f}° from its centre; over the stated site it {expected}, "
-        "{zenith_deg:.0f}° from the zenith: its way is {off_deg:.0f}° off ({limit_deg:.0f}° are allowed)",
+        "{zenith_deg:.0f}° from the zenith: its path deviates by {off_deg:.0f}° (at most {limit_deg:.0f}°)",
         "A calibration of these sightings would be wrong, or is refused.",
         "check site.longitude (east is positive), site.latitude (north is positive), that they are not swapped, the "
         "clock, and calibration.mirrored; ignore this where the camera is tilted by more than 15°",
@@ -71,7 +72,7 @@ MESSAGES = Messages(
     daylight_at_night=Message(
         "daylight in the image ({level:.2f} of full scale in {exposure_us:.0f} µs) with the sun {below_deg:.0f}° below "
         "the horizon of the stated site",
-        "The day is taken for the night; no sightings are made.",
+        "The service takes the day for night, and makes no sightings.",
         "correct site.longitude (east is positive), or the clock and its zone; else look for a lamp at the camera",
     ),
     epoch_in_future=Message(
@@ -82,22 +83,20 @@ MESSAGES = Messages(
     day=Message("{date} was {verdict}: {reasons}", "A solar day has ended and was evaluated."),
     night=Message("the night of {date} was {verdict}: {reasons}", "A night has ended and was evaluated."),
     night_images=Message(
-        "stars named in {n} of {images} images, {cloud_fraction:.2f} of them behind cloud",
-        "Its stars are sightings beside the sun's.",
+        "stars identified in {n} of {images} images; cloud fraction {cloud_fraction:.2f}",
+        "The stars are used as sightings, in addition to the sun.",
     ),
-    night_few_images=Message("{n} images, {limit} needed", "Nothing is said of this night."),
-    moon_few=Message(
-        "{n} sightings of the moon agree, {limit} needed", "The moon of this night is not used.", "none: see the others"
-    ),
+    night_few_images=Message("{n} images, {limit} needed", "The night is not evaluated."),
+    moon_few=Message("{n} sightings of the moon agree, {limit} needed", "The moon of this night is not used."),
     moon_outside=Message("the moon is outside of the image, or too low or thin", "The moon is not used."),
     night_frozen=Message(
-        "the camera delivered an image again {n} times", "Its repetitions are not used.", "power-cycle the camera"
+        "the camera delivered the same image again {n} times", "Its repetitions are not used.", "power-cycle the camera"
     ),
     night_without_calibration=Message(
-        "no calibration to name the stars by", "The stars of this night are not used.", "wait for a clear day"
+        "no calibration to identify the stars with", "The stars of this night are not used.", "wait for a clear day"
     ),
     night_given_up=Message(
-        "the verdict of the night was begun {tries} times and never came to an end",
+        "the evaluation of the night was started {tries} times and never finished",
         "The {n} images of this night are not used.",
         "see the log for how the process ended; report it with the log",
     ),
@@ -105,25 +104,25 @@ MESSAGES = Messages(
         "the clock is not trusted", "The stars of this night are not used.", "see the condition of the clock"
     ),
     night_focus_worse=Message(
-        "stars are {ratio:.2f} times as wide as on the nights before, for {nights} nights: {fwhm_px:.2f} px",
-        "The night's sightings are less sure; the sun's disc is hardly changed.",
-        "look at lens and dome: focus, dirt, ice",
+        "for {nights} nights the stars have been {ratio:.2f} times as wide as before: {fwhm_px:.2f} px",
+        "Sightings of stars are less precise; those of the sun hardly change.",
+        "inspect lens and dome: focus, dirt, ice",
     ),
     night_dew_suspected=Message(
         "in the night of {date} the stars lost {fading_mag:.2f} magnitudes while they became {width_growth:.2f} times "
         "as wide and their halo grew by {halo_growth:.2f} of their light: dew, ice or haze",
         "Images of that night's end are less sharp; its sightings carry their own uncertainty.",
-        "look at the dome's heating and its seal; where the sky was hazy there is nothing to do",
+        "inspect the dome's heating and its seal; where the sky was hazy there is nothing to do",
     ),
     warm_pixels_unread=Message(
         "the list of warm pixels cannot be read, {file}: {error}",
-        "Fewer stars are named in the first hour and a half of the next night.",
-        "none: the list is made and written anew in the next night",
+        "Fewer stars are identified in the first hour and a half of the next night.",
+        "none: the list is made again in the next night",
     ),
     warm_pixels_other_sensor=Message(
         "the list of warm pixels is of another sensor, {file}: {stored}; the images are {present}",
-        "It is not used; fewer stars are named in the first hour and a half of the next night.",
-        "none: the list is made and written anew in the next night",
+        "It is not used; fewer stars are identified in the first hour and a half of the next night.",
+        "none: the list is made again in the next night",
     ),
     warm_pixels_unwritten=Message(
         "the list of warm pixels could not be written, {file}: {error}",
@@ -157,7 +156,8 @@ MESSAGES = Messages(
         "check the camera and the time service; see the conditions of camera and clock",
     ),
     refit_not_begun=Message(
-        "it could not begin within {limit_h:.0f} hours: the time of the frames was not known, or the clock not trusted",
+        "the refit could not begin within {limit_h:.0f} hours: the time of the frames was not known, or the clock not "
+        "trusted",
         "The refit failed.",
         "check the camera and the time service, and ask for the refit again",
     ),
@@ -186,24 +186,24 @@ MESSAGES = Messages(
     # hub
     hub_unreachable=Message(
         "the hub was not reached for {hours:g} h: {error}",
-        "Rows wait in the outbox, without a limit; measurements go on.",
+        "Rows wait in the outbox, without a limit; measurements continue.",
         "check the network, the hub, and hub.url",
     ),
     hub_refuses=Message(
         "the hub refuses this imager's rows ({status:g}): {error}",
-        "Rows wait in the outbox, without a limit; measurements go on.",
+        "Rows wait in the outbox, without a limit; measurements continue.",
         "see the hub's /v1/quarantine; make a token there with `sunarc hub token`, or accept the installation",
     ),
     # nightly work of a hub
     nightly_failed=Message(
-        "of the night {night} failed: {jobs}; first error: {error}",
+        "nightly jobs of {night} failed: {jobs}; first error: {error}",
         "Summaries, cross-checks or retention of a hub are late; nothing is lost.",
         "it is tried again every hour; the log has the stack, /v1/nightly the errors",
     ),
     store_full=Message(
         "no row can be stored: {error}",
         "A hub stores nothing; imagers keep their rows and send them again. Not ready.",
-        "free space on the database's disk; it goes on by itself",
+        "free space on the database's disk; the hub then continues by itself",
     ),
     # messages to receivers
     push_failing=Message(
@@ -213,13 +213,14 @@ MESSAGES = Messages(
     ),
     push_unusable=Message(
         "messages cannot be sent to {name}: {error}",
-        "A file or a library that this receiver needs is missing here; messages wait in the archive. All else goes on.",
+        "A file or a library that this receiver needs is missing here; messages wait in the archive. Everything else "
+        "continues.",
         "make the file that is named readable for the service's user, or correct [push]; retried every minute",
     ),
     push_refused=Message(
         "{name} refuses messages, {n:g} until now, the last of kind {kind}: {error}",
         "They are not sent again; later ones are.",
-        "correct the receiver, or its address in push.webhooks; the next message that it takes ends this notice",
+        "correct the receiver, or its address in push.webhooks; the next message that it accepts ends this notice",
     ),
     push_overflow=Message(
         "{lost:g} messages were removed: a receiver left more than {most:g} of them waiting",
@@ -228,8 +229,8 @@ MESSAGES = Messages(
     ),
     # camera and exposures
     gain_not_restored=Message(
-        "the gain that was raised for an exposure of the night is not restored: {error}",
-        "No exposure is taken until it is: the day's sightings would be spoiled.",
+        "the gain that was raised for a night exposure is not restored: {error}",
+        "No exposure is taken until it is: the day's sightings would be wrong.",
         "it is tried again by itself; power-cycle the camera if it stays",
     ),
     camera_lost=Message(
@@ -239,9 +240,10 @@ MESSAGES = Messages(
     ),
     exposures_contradicted=Message(
         "{error}",
-        "The camera answers, and its frames are not as bright as their exposure times say; it is opened again "
+        "The camera answers, but the brightness of its frames contradicts their exposure times; it is opened again "
         "automatically.",
-        "check that nothing else sets the camera's exposure, gain or automatic functions; cloud passes by itself",
+        "check that nothing else sets the camera's exposure, gain or automatic functions; none where clouds are the "
+        "cause",
     ),
     camera_refused=Message(
         "{error}",
@@ -264,7 +266,7 @@ MESSAGES = Messages(
         "set camera.packet_size = {used}, or let jumbo frames pass all the way: camera, switches, host",
     ),
     cycle_too_long=Message(
-        "for {cycles} cycles the normal exposures ({hdr_s:.3g} s in the last one) left no time for sun exposures; no "
+        "for {cycles} cycles the normal exposures ({hdr_s:.3g} s in the last one) left no time for sun exposures: no "
         "sightings, so no calibration",
         "Ten cycles or more without a sun exposure.",
         "set a longer capture.cadence_s, fewer or shorter capture.hdr_exposures_us, a larger camera.packet_size, or a "
@@ -338,8 +340,8 @@ MESSAGES = Messages(
     ),
     database_slow=Message(
         "storing sightings took up to {seconds:.1f} s",
-        "Nothing is lost: exposures go on, and sightings wait in memory for the device.",
-        "look at the device of the state folder (journalctl -k, smartctl, iostat), or move the folder to another one",
+        "Nothing is lost: exposures continue, and sightings wait in memory.",
+        "check the disk of the state folder (journalctl -k, smartctl, iostat), or move the folder to another one",
     ),
     database_salvaged=Message(
         "{text}",

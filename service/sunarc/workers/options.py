@@ -71,7 +71,7 @@ def _checked(field: str, url: str, schemes: tuple[str, ...]) -> urllib.parse.Spl
 
 
 def _refusal(field: str, value: str, remedy: str) -> InputError:
-    return InputError(field=field, problem=f"{value!r} is no address", remedy=remedy)
+    return InputError(field=field, problem=f"{value!r} is not an address", remedy=remedy)
 
 
 def read_login(path: Path | None) -> tuple[str, str] | None:

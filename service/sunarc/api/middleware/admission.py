@@ -59,7 +59,9 @@ def require_write_token(token: bytes | None) -> Callable[..., Awaitable[None]]:
 
     async def with_token(given: Annotated[HTTPAuthorizationCredentials | None, Security(_bearer)]) -> None:
         if token is None:
-            fault = Fault(field="authorization", problem="nothing can be changed here", remedy="set api.token_file")
+            fault = Fault(
+                field="authorization", problem="no change is allowed: no token is set", remedy="set api.token_file"
+            )
             raise RefusedError(HTTPStatus.FORBIDDEN, fault)
         if given is None or not _same(given.credentials, token):
             raise RefusedError(HTTPStatus.UNAUTHORIZED, _NO_TOKEN, headers=_CHALLENGE)
@@ -266,7 +268,7 @@ def too_many(
 ) -> ASGIApp:
     """Return the refusal of what is too much, with the seconds to wait."""
     seconds = math.ceil(wait_s)
-    remedy = f"wait {seconds} s and ask again, with more pixels in one request where there are many"
+    remedy = f"wait {seconds} s and try again, with more pixels per request where there are many"
     fault = Fault(field="request", problem=problem, remedy=remedy)
     return problem_response(
         status,

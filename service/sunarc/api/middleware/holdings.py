@@ -159,7 +159,7 @@ def client_network(scope: Scope) -> str | None:
     try:
         address = ip_address(host)
     except ValueError:
-        raise ClientAddressError(f"{host[:64]!r} is no address") from None
+        raise ClientAddressError(f"{host[:64]!r} is not an address") from None
     if isinstance(address, IPv6Address):
         address = address.ipv4_mapped or address
     if address.is_loopback:

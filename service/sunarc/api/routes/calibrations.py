@@ -51,7 +51,7 @@ _EXPORTED: dict[int | str, dict[str, Any]] = {
 
 
 def calibration_routes(context: ApiContext) -> APIRouter:
-    """Return the routes that tell calibrations."""
+    """Return the routes of calibrations."""
     routes = APIRouter(tags=["calibrations"])
 
     made = {name: SingleFlightCache(partial(_exported, name), key=tag_of) for name in FORMATS}
@@ -64,7 +64,7 @@ def calibration_routes(context: ApiContext) -> APIRouter:
         format_: Annotated[Format, Query(alias="format", description="Of the answer (docs/rest.md).")] = "json",
         if_none_match: IfNoneMatch = None,
     ) -> Response:
-        """Return the calibration that answers now, or the one that answers for the moment `at`."""
+        """Return the calibration that is valid now, or at the time `at`."""
         record = context.of(request).record(at)
         if format_ == "json":
             return written.answer(record, if_none_match)
@@ -215,7 +215,7 @@ def decision_routes(context: ApiContext) -> APIRouter:
 
     @routes.post("/calibrations/{calibration_id}/activate", **of_calibrations)
     def activate(request: Request, calibration_id: CalibrationId, decision: Decision) -> CalibrationSummary:
-        """Make any calibration of the record the current one, from now on; of one that answered before, a copy."""
+        """Make a calibration of the history the current one, from now on; a copy of it where it was current before."""
         return decide(context.archive.reinstate, request, calibration_id, decision)
 
     @routes.post("/calibrations/{calibration_id}/pin", **of_calibrations)

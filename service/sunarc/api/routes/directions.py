@@ -33,7 +33,7 @@ def direction_routes(context: ApiContext, slots: ComputeSlots) -> APIRouter:
         openapi_extra=body_of("BackProjectRequest", "(n, 2) x and y in px."),
     )
     async def back_project(request: Request, at: At = None, draws: Draws = 0, seed: Seed = 0) -> Response:
-        """Tell where pixels look, and how sure that is, now or at the moment `at`."""
+        """Return the directions of pixels, with their uncertainty, now or at the time `at`."""
         return await compute(_BACK_PROJECTION, context, slots, request, Question(at=at, draws=draws, seed=seed))
 
     @routes.post(
@@ -44,7 +44,7 @@ def direction_routes(context: ApiContext, slots: ComputeSlots) -> APIRouter:
         openapi_extra=body_of("ProjectRequest", "(n, 3) vectors, east-north-up, of any length but 0."),
     )
     async def project(request: Request, at: At = None, draws: Draws = 0, seed: Seed = 0) -> Response:
-        """Tell where directions land, and how sure that is, now or at the moment `at`."""
+        """Return the pixels of directions, with their uncertainty, now or at the time `at`."""
         return await compute(_PROJECTION, context, slots, request, Question(at=at, draws=draws, seed=seed))
 
     return routes

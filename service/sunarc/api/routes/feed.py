@@ -80,7 +80,7 @@ class FeedReceiver:
         """Return the number up to which the hub has an imager's rows; RefusedError where it takes none of them."""
         self._require_token(camera, token)
         if not _INSTALLATION.fullmatch(installation):
-            raise self._refused(camera, "", Refusal(reason="malformed", text="the installation's id is no word"))
+            raise self._refused(camera, "", Refusal(reason="malformed", text="the installation's id is not a word"))
         if revision > head_revision():
             text = f"the imager is at revision {revision}, the hub at {head_revision()}"
             raise self._refused(camera, installation, Refusal(reason="newer_imager", text=text))
@@ -104,7 +104,7 @@ class FeedReceiver:
         own = token_digest(token)
         if not sum(hmac.compare_digest(own, digest) for digest in digests):
             # What the request says of itself is not believed: the id would be a stranger's.
-            refusal = Refusal(reason="forged_token", text="the token is none of the camera's, or has ended")
+            refusal = Refusal(reason="forged_token", text="the token is not one of the camera's, or has expired")
             raise self._refused(camera, "", refusal)
 
     def note_too_large(self, camera: str) -> None:
@@ -201,11 +201,11 @@ def _decompressed(body: bytes) -> bytes:
     try:
         content = unpacking.decompress(body, _MOST_BYTES)
     except zlib.error as error:
-        raise InputError(field="body", problem=f"is no gzip ({error})", remedy="compress it") from None
+        raise InputError(field="body", problem=f"is not gzip ({error})", remedy="compress it") from None
     if unpacking.unconsumed_tail:
         raise _TooLargeError(f"the body is larger than {_MOST_BYTES} bytes when decompressed")
     if not unpacking.eof:
-        raise InputError(field="body", problem="is no complete gzip", remedy="send it again")
+        raise InputError(field="body", problem="is not complete gzip", remedy="send it again")
     return content
 
 

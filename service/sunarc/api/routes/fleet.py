@@ -59,12 +59,12 @@ class Quarantine(BaseModel):
 def fleet_routes(
     archive: Archive, now: Callable[[], datetime], registry: CollectorRegistry, status: Callable[[], StatusSnapshot]
 ) -> APIRouter:
-    """Return the routes that tell of the fleet."""
+    """Return the routes of the fleet."""
     routes = APIRouter(tags=["fleet"])
 
     @routes.get("/v1/fleet")
     def fleet() -> Fleet:
-        """Tell every camera of the fleet: where it is, when it last sent something, and how it is."""
+        """Return every camera of the fleet: its site, when it last sent something, and its state."""
         time = now()
         return Fleet(time=time, cameras=members(archive.fleet(), time))
 
@@ -73,17 +73,17 @@ def fleet_routes(
         camera: Annotated[str | None, Query(description="Of this camera alone.")] = None,
         limit: Annotated[int, row_limit()] = 100,
     ) -> Quarantine:
-        """Tell what imagers sent and the hub refused or set apart, each with its reason, the newest first."""
+        """Return what the hub refused or set aside of what imagers sent, each with its reason, the newest first."""
         return Quarantine(rows=list(archive.quarantine(camera, limit=limit)))
 
     @routes.get("/healthz")
     async def healthz() -> Alive:
-        """Tell that the process answers."""
+        """Return 200 while the process answers."""
         return Alive()
 
     @routes.get("/readyz", response_model=Readiness, responses=answers(503))
     def readyz(request: Request) -> Readiness | JSONResponse:
-        """Tell that the database answers and has room (503 where not), and what of the hub's own work fails."""
+        """Return whether the database answers and has room (503 if not), and which of the hub's jobs fail."""
         archive.cameras()
         snapshot = status()
         if snapshot.health != "not_ready":
@@ -96,7 +96,7 @@ def fleet_routes(
         responses={200: {"description": "Prometheus text.", "content": {"text/plain": {}}}},
     )
     def metrics() -> Response:
-        """Tell the numbers of every camera, in Prometheus's text format."""
+        """Return the metrics of every camera in Prometheus's text format."""
         return Response(generate_latest(registry), headers={"content-type": CONTENT_TYPE_LATEST})
 
     return routes
@@ -231,7 +231,7 @@ def nightly_routes(archive: Archive) -> APIRouter:
 
     @routes.get("/v1/nightly")
     def nightly(limit: Annotated[int, row_limit()] = 31) -> Nights:
-        """Tell how the nightly jobs of the last nights went: summaries, retention."""
+        """Return the state of the nightly jobs (summaries, retention) of the last nights."""
         return Nights(runs=list(archive.nightly_runs(limit=limit)))
 
     @routes.get("/v1/summaries")
@@ -241,14 +241,14 @@ def nightly_routes(archive: Archive) -> APIRouter:
         until: Annotated[date | None, Query(description="Before this solar date.")] = None,
         limit: Annotated[int, row_limit()] = 1000,
     ) -> Summaries:
-        """Tell every camera's solar days: sightings, verdict, clock, warnings, calibration and rotation against it."""
+        """Return the solar days of every camera: sightings, verdict, clock, warnings, calibration and rotation."""
         return Summaries(days=list(archive.day_summaries(camera, since=since, until=until, limit=limit)))
 
     @routes.get("/v1/cross-checks")
     def cross_checks(
         camera: Annotated[str | None, Query(description="Of this camera alone.")] = None,
     ) -> CrossChecks:
-        """Tell what neighbours showed last night of each camera's clock, stated longitude and north.
+        """Return last night's cross-checks with neighbours: each camera's clock, stated longitude and north.
 
         Cameras without others within 50 km are not compared. Sizes have their 1-sigma beside them.
         """
@@ -297,7 +297,7 @@ def pair_routes(context: ApiContext) -> APIRouter:
 
     @routes.post("/v1/pairs/{a}/{b}/height", responses=answers(404, 422))
     def height_of_pair(a: CameraName, b: CameraName, asked: PairRequest) -> PairAnswer:
-        """Tell how high a point of a cloud is that two cameras see, with the error of both calibrations.
+        """Return the height of a cloud point that two cameras see, with the uncertainty of both calibrations.
 
         422 where the rays are parallel within their errors, or move apart.
         """

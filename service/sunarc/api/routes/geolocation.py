@@ -93,7 +93,7 @@ class Each(BaseModel):
 
 
 class Places(BaseModel):
-    """Where clouds, or shadows, are. null where there is no place."""
+    """Positions of clouds, or of their shadows. null where there is none."""
 
     east_m: Answers = Field(description="East of the camera, m.", examples=[[1204.1]])
     north_m: Answers = Field(description="North of the camera, m.", examples=[[-310.7]])
@@ -113,7 +113,7 @@ class Places(BaseModel):
 
 
 class PlaceDraws(BaseModel):
-    """Where clouds, or shadows, are by each draw, the first axis; null where there is no place."""
+    """Positions of clouds, or shadows, for each draw, the first axis; null where there is none."""
 
     east_m: list[Answers] = Field(description="(draws, n) metres.", examples=[[[1204.1], [1204.5]]])
     north_m: list[Answers] = Field(description="(draws, n) metres.", examples=[[[-310.7], [-310.2]]])
@@ -164,7 +164,7 @@ LOCATED = (*_OF_ONE, *(f"shadow_{name}" for name in _OF_ONE))
 
 
 def geolocation_routes(context: ApiContext, slots: ComputeSlots) -> APIRouter:
-    """Return the route that tells where clouds are."""
+    """Return the route of the positions of clouds."""
     routes = APIRouter(tags=["directions"])
 
     @routes.post(
@@ -179,7 +179,7 @@ def geolocation_routes(context: ApiContext, slots: ComputeSlots) -> APIRouter:
         ),
     )
     async def geolocate(request: Request, at: At = None, draws: Draws = 0, seed: Seed = 0) -> Response:
-        """Tell where clouds of a given height and their shadows are, now, at the moment `at` or each at its own."""
+        """Return the positions of clouds of a given height and their shadows, now, at `at` or each at its own time."""
         return await compute(_GEOLOCATION, context, slots, request, Question(at=at, draws=draws, seed=seed))
 
     return routes

@@ -22,22 +22,22 @@ from sunarc.runtime.status import StatusSnapshot
 
 
 def health_routes(context: ApiContext, registry: CollectorRegistry) -> APIRouter:
-    """Return the routes that tell how the service is."""
+    """Return the routes of the service's state."""
     routes = APIRouter(tags=["health"])
 
     @routes.get("/healthz")
     async def healthz() -> Alive:
-        """Tell that the process answers."""
+        """Return 200 while the process answers."""
         return Alive()
 
     @routes.get("/readyz", response_model=Readiness, responses=answers(503))
     def readyz(request: Request) -> Readiness | JSONResponse:
-        """Tell whether the service is ready or degraded (200), or not ready (503), each reason with a remedy."""
+        """Return whether the service is ready or degraded (200), or not ready (503), each reason with a remedy."""
         return readiness(context.status(), request.url.path)
 
     @routes.get("/v1/status")
     def status() -> Status:
-        """Tell everything at a glance."""
+        """Return the state of the service, its workers, camera, clock and disk, and the current calibration."""
         return _status(context)
 
     @routes.get(
@@ -46,14 +46,14 @@ def health_routes(context: ApiContext, registry: CollectorRegistry) -> APIRouter
         responses={200: {"description": "Prometheus text.", "content": {"text/plain": {}}}},
     )
     def metrics() -> Response:
-        """Tell the numbers, in Prometheus's text format."""
+        """Return the metrics in Prometheus's text format."""
         return Response(generate_latest(registry), headers={"content-type": CONTENT_TYPE_LATEST})
 
     return routes
 
 
 def readiness(snapshot: StatusSnapshot, path: str) -> Readiness | JSONResponse:
-    """Return the answer of a path that tells whether the service is ready."""
+    """Return the answer to whether the service is ready, for a path."""
     if snapshot.health == "not_ready":
         return _not_ready(snapshot, path)
     return Readiness(status=snapshot.health, reasons=snapshot.reasons, findings=snapshot.findings)
@@ -95,12 +95,12 @@ def _status(context: ApiContext) -> Status:
 
 
 def camera_routes(context: ApiContext) -> APIRouter:
-    """Return the routes that tell which cameras there are."""
+    """Return the route of the cameras."""
     routes = APIRouter(tags=["cameras"])
 
     @routes.get("/v1/cameras")
     def cameras() -> Cameras:
-        """Tell the cameras of the archive; every route of one camera also stands under /v1/cameras/{camera}/."""
+        """Return the cameras of the archive; every route of one camera exists under /v1/cameras/{camera}/ too."""
         return Cameras(default=context.camera, cameras=list(context.archive.cameras()))
 
     return routes

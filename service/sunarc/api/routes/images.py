@@ -84,7 +84,7 @@ def image_routes(context: ApiContext) -> APIRouter:
         limit: Annotated[int, row_limit(1000)] = 100,
         cursor: Cursor = None,
     ) -> Images:
-        """Tell the composites with since <= time < until, the newest first."""
+        """Return the composites with since <= time < until, the newest first."""
         selected, page = context.of(request), page_at(cursor, limit)
         found: list[tuple[datetime, Path]] = []
         if selected.images is not None:
@@ -136,7 +136,7 @@ def _accepted(accept: str | None) -> Kind:
         if any(one in ("*/*", "image/*", _MEDIA_TYPES[kind]) for one in accepted):
             return kind
     fault = Fault(
-        field="accept", problem=f"{accept!r} names no image that is kept", remedy="accept image/png or image/jpeg"
+        field="accept", problem=f"{accept!r} names no format of images", remedy="accept image/png or image/jpeg"
     )
     raise RefusedError(HTTPStatus.NOT_ACCEPTABLE, fault)
 

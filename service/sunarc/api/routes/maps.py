@@ -55,7 +55,7 @@ Radius = Annotated[
 
 
 def map_routes(context: ApiContext, files: AnswerFiles) -> APIRouter:
-    """Return the route that tells what every pixel sees, from a file."""
+    """Return the route of the map of directions, answered from a file."""
     routes = APIRouter(tags=["directions"])
     slots = ComputeSlots(1)
 
@@ -72,7 +72,7 @@ def map_routes(context: ApiContext, files: AnswerFiles) -> APIRouter:
         sun_radius_deg: Radius = None,
         if_none_match: IfNoneMatch = None,
     ) -> Response:
-        """Return every pixel's direction and 1-sigma, now or at the moment `at`, and where the sun then dazzles."""
+        """Return every pixel's direction and 1-sigma, now or at the time `at`, and a mask round the sun."""
         selected, record = await run_in_threadpool(context.answering, request, at)
         sun = None if sun_radius_deg is None else (at or selected.frame_clock(), sun_radius_deg)
         site = None if sun is None else await run_in_threadpool(selected.site_at, sun[0])
@@ -146,7 +146,7 @@ def hidden_by_obstructions(context: ApiContext, record: CalibrationRecord) -> Bo
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     camera = context.ready.get(record).camera
     if image is None or image.shape != (camera.height, camera.width):
-        raise OutsideError(f"api.obstruction_mask {path}: is no image of {camera.width}x{camera.height} pixels")
+        raise OutsideError(f"api.obstruction_mask {path}: is not an image of {camera.width}x{camera.height} pixels")
     return np.asarray(image == 0)
 
 
@@ -215,7 +215,7 @@ def mask_routes(context: ApiContext, files: AnswerFiles) -> APIRouter:
     async def sun_mask(
         request: Request, at: At = None, radius_deg: _RADIUS = 10.0, if_none_match: IfNoneMatch = None
     ) -> Response:
-        """Return where the image looks within a radius of the sun, now or at the moment `at`."""
+        """Return which pixels look within a radius of the sun, now or at the time `at`."""
         return await sent(request, at, if_none_match, name="sun", limit=math.cos(math.radians(radius_deg)))
 
     @routes.get(
@@ -224,7 +224,7 @@ def mask_routes(context: ApiContext, files: AnswerFiles) -> APIRouter:
     async def horizon_mask(
         request: Request, at: At = None, elevation_deg: _ELEVATION = 0.0, if_none_match: IfNoneMatch = None
     ) -> Response:
-        """Return where the image shows the sky above an elevation, and no obstruction of `api.obstruction_mask`."""
+        """Return which pixels show the sky above an elevation, outside the obstructions of `api.obstruction_mask`."""
         return await sent(request, at, if_none_match, name="horizon", limit=math.sin(math.radians(elevation_deg)))
 
     return routes
@@ -364,7 +364,7 @@ def remap_routes(context: ApiContext, files: AnswerFiles) -> APIRouter:
         half_width: _HALF_WIDTH = None,
         if_none_match: IfNoneMatch = None,
     ) -> Response:
-        """Return a composite's preview on the grid, north at the top and east at the right, by what answered then."""
+        """Return a composite's preview on a grid, north at the top, east at the right, by its time's calibration."""
         asked = _Asked(grid=grid, size=size, height_m=height, half_width_m=half_width)
         selected, record = await run_in_threadpool(context.answering, request, time)
         path = await run_in_threadpool(composite_file, selected, time, "jpeg")

@@ -95,7 +95,7 @@ Evening = Annotated[SolarDate, InPath(description="Local mean solar date of the 
 
 
 def night_routes(context: ApiContext) -> APIRouter:
-    """Return the route that tells the verdicts of the nights."""
+    """Return the routes of the nights."""
     routes = APIRouter(tags=["record"])
 
     @routes.get("/nights", responses=answers(422))
@@ -108,7 +108,7 @@ def night_routes(context: ApiContext) -> APIRouter:
         limit: Annotated[int, row_limit()] = 366,
         cursor: Cursor = None,
     ) -> Nights:
-        """Tell the verdicts of the nights that were judged at since <= time < until, the newest first, each once."""
+        """Return the verdicts of the nights evaluated at since <= time < until, the newest first, each once."""
         selected, page = context.of(request), page_at(cursor, limit)
         found = selected.archive.nights(selected.camera, since=since, until=page.until(until), limit=page.rows)
         rows, next_ = page.cut(found, request, time=lambda night: night.decided_at)
@@ -127,7 +127,7 @@ def night_routes(context: ApiContext) -> APIRouter:
 
     @routes.get("/nights/{night}/bodies", responses=answers(404, 422))
     def night_bodies(request: Request, night: Evening) -> NightBodies:
-        """Tell the bright stars, the planets and the moon in the picture of a night, and which were detected."""
+        """Return the bright stars, the planets and the moon in the picture of a night, and which were detected."""
         _, path = _newest(context.of(request), night, _NAMES)
         try:
             return NightBodies.model_validate(json.loads(path.read_text("utf-8")))

@@ -48,7 +48,7 @@ class AzimuthLine(BaseModel):
 
 
 class SunPath(SunTrack):
-    """The sun's way through one day, with its name."""
+    """The sun's path through one day, with its name."""
 
     name: str = Field(description="today, june solstice or december solstice.", examples=["today"])
 
@@ -64,7 +64,7 @@ class Overlay(BaseModel):
 
 
 class Uncertainty(BaseModel):
-    """How sure the calibration is over the image, on a coarse grid of square cells."""
+    """1-sigma of directions over the image, on a coarse grid of square cells."""
 
     calibration: str = Field(description="Id of the calibration that answered.", examples=["20130514T150508Z"])
     x_px: list[float] = Field(description="Of the cells' centres, px.", examples=[[18.0, 54.5]])
@@ -76,7 +76,7 @@ class Uncertainty(BaseModel):
 
 
 class Difference(BaseModel):
-    """How far the directions of two calibrations are from each other over the image, on a coarse grid of cells."""
+    """Angle between the directions of two calibrations over the image, on a coarse grid of cells."""
 
     calibration: str = Field(description="Id of the calibration that answered.", examples=["20130514T150508Z"])
     other: str = Field(description="Id of the one it is compared with.", examples=["20130513T150508Z"])
@@ -127,7 +127,7 @@ def overlay_routes(context: ApiContext) -> APIRouter:
         response_model=Overlay,
     )
     def overlay(request: Request, at: At = None, if_none_match: IfNoneMatch = None) -> Response:
-        """Tell lines to draw over an image: zenith, azimuth, and the sun's paths of today and of the solstices."""
+        """Return lines to draw over an image: zenith angles, azimuths, the sun's paths of today and the solstices."""
         selected = context.of(request)
         return _sent(_overlay(selected, at or selected.frame_clock(), past=at), if_none_match)
 
@@ -143,7 +143,7 @@ def overlay_routes(context: ApiContext) -> APIRouter:
         cells: _Cells = 48,
         if_none_match: IfNoneMatch = None,
     ) -> Response:
-        """Tell how sure the calibration is over the image, on a coarse grid."""
+        """Return the 1-sigma of directions over the image, on a coarse grid."""
         selected = context.of(request)
         record = selected.record(at)
         return _sent(_uncertainty(selected.archive.model(record.id), cells, record.id), if_none_match)
@@ -167,7 +167,7 @@ def _add_difference(routes: APIRouter, context: ApiContext) -> None:
         cells: _Cells = 48,
         if_none_match: IfNoneMatch = None,
     ) -> Response:
-        """Tell how far another calibration's directions are from these over the image, on a coarse grid."""
+        """Return the angle between the directions of two calibrations over the image, on a coarse grid."""
         selected = context.of(request)
         record, second = selected.record(at), selected.calibration(other, field_name="other")
         both = selected.archive.model(record.id), selected.archive.model(second.id)

@@ -39,7 +39,7 @@ def day_air_routes(context: ApiContext) -> APIRouter:
 
     @routes.get("", responses=answers(422))
     def day_air(request: Request, date: DayPath) -> DayAirOut:
-        """Answer the measured air of a solar day; nulls where nothing was measured."""
+        """Return the measured air of a solar day; nulls where nothing was measured."""
         selected = context.of(request)
         stored = selected.archive.day_air(selected.camera, since=date, until=date + timedelta(days=1))
         return air_out(stored[0]) if stored else DayAirOut(temperature_c=None, pressure_hpa=None, set_at=None)
@@ -50,7 +50,7 @@ def day_air_routes(context: ApiContext) -> APIRouter:
         responses=answers(400, 403, 404, 408, 413, 415, 422),
     )
     def set_day_air(request: Request, date: DayPath, air: DayAirIn) -> DayAirOut:
-        """Set the measured air of a solar day, in place of what was set before; both null remove it.
+        """Set the measured air of a solar day, replacing what was set before; both null remove it.
 
         The sun's position on that day is computed with it from now on, and the next refit uses it for the day's
         sightings, except for those that were imported with an air of their own.
@@ -84,7 +84,7 @@ _IMAGE: dict[int | str, dict[str, Any]] = {
 
 
 def record_routes(context: ApiContext) -> APIRouter:
-    """Return the routes that tell what was."""
+    """Return the routes of days and events."""
     routes = APIRouter(tags=["record"])
 
     @routes.get("/days", responses=answers(422))
@@ -96,7 +96,7 @@ def record_routes(context: ApiContext) -> APIRouter:
         limit: Annotated[int, row_limit()] = 366,
         cursor: Cursor = None,
     ) -> Days:
-        """Tell the verdicts of the solar days with since <= date < until, the newest first."""
+        """Return the verdicts of the solar days with since <= date < until, the newest first."""
         selected, page = context.of(request), page_at(cursor, limit)
         found = selected.archive.days(selected.camera, since=since, until=page.until_date(until), limit=page.rows)
         rows, next_ = page.cut(found, request, time=lambda day: day.date)
@@ -113,7 +113,7 @@ def record_routes(context: ApiContext) -> APIRouter:
         limit: Annotated[int, row_limit()] = 100,
         cursor: Cursor = None,
     ) -> Events:
-        """Tell the events with since <= time < until, the newest first."""
+        """Return the events with since <= time < until, the newest first."""
         selected, page = context.of(request), page_at(cursor, limit)
         found = selected.archive.events(
             selected.camera, since=since, until=page.until(until), severity=severity, kind=kind, limit=page.rows
@@ -177,7 +177,7 @@ def housekeeping_routes(context: ApiContext) -> APIRouter:
         since: Since = None,
         until: Until = None,
     ) -> HousekeepingRows:
-        """Tell free disk space and the camera's temperature of hours or days that begin with since <= time < until."""
+        """Return free disk space and camera temperature of hours or days that begin at since <= time < until."""
         selected = context.of(request)
         found = selected.archive.housekeeping(selected.camera, step=step, since=since, until=until)
         return HousekeepingRows(step=step, rows=list(found))
@@ -234,7 +234,7 @@ class Position(NamedTuple):
         found = _ID.fullmatch(text)
         if found is None:
             remedy = "send the id of a message of this stream, or leave it out"
-            raise InputError(field="last-event-id", problem=f"{text[:40]!r} is no id", remedy=remedy)
+            raise InputError(field="last-event-id", problem=f"{text[:40]!r} is not an id", remedy=remedy)
         return cls(int(found[1]), found[2])
 
     @property
@@ -311,7 +311,7 @@ def event_stream_routes(context: ApiContext) -> APIRouter:
             Header(max_length=200, description="Id of the last message received: what came after it is sent."),
         ] = None,
     ) -> Response:
-        """Tell what happens: a state at first, then changes of calibration, conditions, days, workers and frames."""
+        """Stream the state, then changes of calibration, conditions, days, workers and frames as they happen."""
         headers = {"cache-control": "no-cache", "x-accel-buffering": "no"}
         selected = await run_in_threadpool(context.of, request)
         position = Position.of(last_event_id) if last_event_id else None

@@ -28,14 +28,14 @@ def refit_routes(context: ApiContext) -> APIRouter:
         responses=answers(400, 403, 408, 413, 415, 422),
     )
     def request_refit(request: Request, response: Response, asked: RefitRequest | None = None) -> Refit:
-        """Ask for a refit with all sightings; the answer says where to follow it. One that waits already is joined."""
+        """Request a refit with all sightings; the answer has its address. A refit that waits already is returned."""
         refit = context.of(request).request_refit((asked or RefitRequest()).reason)
         response.headers["location"] = f"/v1/refits/{refit.id}"
         return refit
 
     @routes.get("/refits", responses=answers(422))
     def refits(request: Request, limit: Annotated[int, row_limit()] = 100, cursor: Cursor = None) -> Refits:
-        """Tell the refits, the newest first, those that wait and those that ended."""
+        """Return the refits, waiting, running and completed, the newest first."""
         selected, page = context.of(request), page_at(cursor, limit)
         found = selected.archive.refits(selected.camera, until=page.until(None), limit=page.rows)
         rows, next_ = page.cut(found, request, time=lambda refit: refit.requested_at)
@@ -43,7 +43,7 @@ def refit_routes(context: ApiContext) -> APIRouter:
 
     @routes.get("/refits/{refit_id}", responses=answers(404))
     def refit(request: Request, refit_id: RefitId) -> Refit:
-        """Tell how a refit goes, or went."""
+        """Return the state of a refit."""
         refit = context.archive.refit(refit_id)
         if refit.camera != context.of(request).camera:
             raise NotFoundError(field="id", problem=f"refit {refit_id} is another camera's", remedy="see /v1/cameras")

@@ -207,6 +207,6 @@ def byte_range(text: str | None, size: int) -> range | None:
         part = range(max(size - int(last), 0), size)
     if part:
         return part
-    fault = Fault(field="range", problem=f"{text!r} is no part of {size} bytes", remedy="ask for bytes=FIRST-LAST")
+    fault = Fault(field="range", problem=f"{text!r} is not within {size} bytes", remedy="ask for bytes=FIRST-LAST")
     headers = {"content-range": f"bytes */{size}"}
     raise RefusedError(HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE, fault, headers=headers)

@@ -45,12 +45,12 @@ Body = Annotated[
 
 
 def sun_routes(context: ApiContext) -> APIRouter:
-    """Return the routes that speak of the sun."""
+    """Return the routes of the sun."""
     routes = APIRouter(tags=["sun"])
 
     @routes.get("/sun", dependencies=BY_CALIBRATION, responses=answers(404, 422))
     def sun(request: Request, at: At = None) -> Sun:
-        """Tell where the sun is now (by the frames' time) or at the moment `at`, and on which pixel."""
+        """Return the sun's direction and its expected pixel, now (by the frames' time) or at the time `at`."""
         return _sun(context.of(request), at or context.frame_clock(), past=at)
 
     @routes.get("/sun/track", dependencies=BY_CALIBRATION, responses=answers(404, 422))
@@ -63,7 +63,7 @@ def sun_routes(context: ApiContext) -> APIRouter:
         step_s: Annotated[int, Query(ge=10, le=3600, description="Seconds.")] = 120,
         at: At = None,
     ) -> SunTrack:
-        """Return the sun's way through a solar day: that of `date`, of the moment `at`, or today by the frames' time.
+        """Return the sun's path through a solar day: that of `date`, of the time `at`, or today by the frames' time.
 
         The pixels are by the current calibration, or by the one that was valid at `at`.
         """
@@ -85,7 +85,7 @@ def _add_counts(routes: APIRouter, context: ApiContext) -> None:
         ] = None,
         until: Annotated[SolarDate | None, Query(description="Before this date; tomorrow where not given.")] = None,
     ) -> SightingsByDay:
-        """Tell by day how many looks at the sun had which verdict, and the clock's error; of 366 days at most."""
+        """Return the number of detections per day, by verdict, and the maximum clock error, of 366 days at most."""
         selected = context.of(request)
         longitude = selected.site.longitude
         end = until or solar_date(context.frame_clock().timestamp(), longitude=longitude) + timedelta(days=1)
@@ -112,7 +112,7 @@ def _add_sighting_routes(routes: APIRouter, context: ApiContext) -> None:
         limit: Annotated[int, row_limit()] = 1000,
         cursor: Cursor = None,
     ) -> SunPoints:
-        """Tell the sightings with since <= time < until, the newest first, the rejected ones with their reason."""
+        """Return the sightings with since <= time < until, the newest first, the rejected ones with their reason."""
         selected, page = context.of(request), page_at(cursor, limit)
         found = selected.archive.sun_points(
             selected.camera,

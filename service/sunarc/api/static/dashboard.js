@@ -238,7 +238,7 @@ function findingsOf(calibration) {
 function complain(error) {
   if (error instanceof NeedsToken) {
     $("token-form").hidden = false;
-    showHealth("locked", "reading needs a token");
+    showHealth("locked", "a token is needed to read");
   } else showHealth("gone", "the service does not answer");
 }
 

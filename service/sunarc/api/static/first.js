@@ -27,7 +27,7 @@ export function drawFirst({ status, points, residualsBy, counts, calibrations, o
   const today = overlay?.sun_paths.find((way) => way.name === "today");
   fillFacts("first-facts", {
     "Sun in the image": residualsBy === undefined ? "…" : ofSun(status, sightings, counts),
-    "Its way": ofWay(status, sightings, today),
+    "Its path": ofWay(status, sightings, today),
     North: ofNorth(status, pose, sightings.length),
     "First full fit": ofFit(status, sightings, today, site),
   });
@@ -43,7 +43,7 @@ export function drawFirst({ status, points, residualsBy, counts, calibrations, o
 
 function ofSun(status, sightings, counts) {
   const looks = sum(counts, (day) => Object.values(day.verdicts).reduce((all, n) => all + n, 0));
-  if (!sightings.length) return looks ? `not yet: none of ${looks} looks showed it (${verdicts(counts)})` : "not yet: nothing was looked at while the sun was up";
+  if (!sightings.length) return looks ? `not yet: in none of ${looks} images (${verdicts(counts)})` : "not yet: no image was taken while the sun was up";
   const [first, last] = [sightings[0], sightings.at(-1)];
   const at = (point) => `x ${point.x_px.toFixed(0)}, y ${point.y_px.toFixed(0)} px`;
   const n = sightings.length >= MOST_POINTS ? `at least ${MOST_POINTS}` : sightings.length;
@@ -61,13 +61,13 @@ function verdicts(counts) {
 function ofWay(status, sightings, today) {
   const [width, height] = status.image_size ?? [1, 1];
   const turned = turn(sightings.map((point) => [Date.parse(point.time), Math.atan2(point.y_px - height / 2, point.x_px - width / 2) * (180 / Math.PI)]));
-  if (Math.abs(turned) < LEAST_TURN_DEG) return "not yet long enough to tell which way it goes round the middle of the image";
+  if (Math.abs(turned) < LEAST_TURN_DEG) return "not yet long enough to show its sense of rotation about the image's centre";
   const way = turned > 0 ? "clockwise" : "counter-clockwise";
-  const said = `${way} round the middle of the image, by ${Math.abs(turned).toFixed(0)}°`;
+  const said = `${way} about the image's centre, by ${Math.abs(turned).toFixed(0)}°`;
   const expected = azimuthTurn(sightings, today);
   if (expected === null || Math.abs(expected) < LEAST_TURN_DEG) return said;
   const right = expected > 0 ? "counter-clockwise" : "clockwise";
-  return `${said}; in an image that is not mirrored it goes ${right}, by about ${Math.abs(expected).toFixed(0)}°${way === right ? "" : ": compare with calibration.mirrored"}`;
+  return `${said}; in an image that is not mirrored it moves ${right}, by about ${Math.abs(expected).toFixed(0)}°${way === right ? "" : ": compare with calibration.mirrored"}`;
 }
 
 // How far an angle turned, degrees, from [time, angle] in their order.
@@ -86,13 +86,13 @@ function azimuthTurn(sightings, today) {
 
 function ofNorth(status, pose, n) {
   if (pose) {
-    return `± ${telling(pose.north_sigma_deg)}° (1-sigma) after ${pose.n} sightings; the top of the image looks towards azimuth ${pose.top_azimuth_deg.toFixed(0)}°, ${compassPoint(pose.top_azimuth_deg)}. Directions to ${telling(pose.sigma_deg)}°.`;
+    return `± ${telling(pose.north_sigma_deg)}° (1-sigma) after ${pose.n} sightings; the top of the image looks towards azimuth ${pose.top_azimuth_deg.toFixed(0)}°, ${compassPoint(pose.top_azimuth_deg)}. 1-sigma of directions ${telling(pose.sigma_deg)}°.`;
   }
   const waiting = finding(status, "first_sun");
   if (waiting) return `not known yet: ${waiting.n} of ${waiting.least} sightings that a first pose needs`;
   const refused = status.reasons.find((reason) => reason.code === "first_pose_refused");
   if (refused) return `not known: ${refused.text}`;
-  return n ? "not known before the first full fit: the type of lens is not known (first_pose.lens_prior names a file that says it)" : "not known yet";
+  return n ? "not known before the first full fit: the type of lens is not known (set first_pose.lens_prior)" : "not known yet";
 }
 
 const compassPoint = (azimuth) => POINTS[Math.round(azimuth / 45) % 8];
@@ -107,7 +107,7 @@ function ofFit(status, sightings, today, site) {
   const shown = sightings.some((point) => point.time >= (today.time[0] ?? "9"));
   if (over && !shown) return `after the next clear day; at the earliest at ${written(end + DAY_MS)}`;
   const dusk = over ? "the sun has set" : `the sun sets at ${moment(set).slice(11, 16)}`;
-  return `${dusk}; the day is evaluated at ${written(end)}, and fitted if it showed enough of the sun's way. After a cloudy one the next clear day decides.`;
+  return `${dusk}; the day is evaluated at ${written(end)}, and fitted if it showed enough of the sun's path; if it was cloudy, after the next clear day.`;
 }
 
 // What a person can compare, with ✓ or ! where the service knows.
@@ -115,14 +115,14 @@ function checks(status, sun, site) {
   const { clock, camera } = status;
   const list = [[camera?.connected ?? false, camera?.connected ? `camera: ${[camera.model, camera.serial].filter(Boolean).join(", ") || "connected"}` : "camera: not connected"]];
   const synchronised = clock?.synchronised ?? null;
-  list.push([synchronised, synchronised ? `clock: synchronised, within ${telling(clock.max_error_s)} s` : synchronised === null ? "clock: not known whether it is synchronised" : "clock: not synchronised; 4 minutes of error turn the north by a degree and more"]);
+  list.push([synchronised, synchronised ? `clock: synchronised, within ${telling(clock.max_error_s)} s` : synchronised === null ? "clock: synchronisation unknown" : "clock: not synchronised; an error of 4 minutes turns north by 1° or more"]);
   if (site && sun) {
     const up = sun.apparent_zenith < 90;
     list.push([null, `clock and site: at ${degrees(site.latitude, "N", "S")}, ${degrees(site.longitude, "E", "W")} the sun is now ${up ? `${fixed(90 - sun.apparent_zenith, 0, "°")} above the horizon in the ${compassPoint(sun.azimuth)}` : "below the horizon"}: compare with the sky`]);
   }
-  list.push([null, "image: what is marked is the sun, and neither a reflection nor a lamp; the horizon is round the image"]);
+  list.push([null, "image: the mark is on the sun, not on a reflection or a lamp; the horizon is visible all round"]);
   const refused = status.reasons.find((reason) => reason.code === "first_pose_refused");
-  list.push(refused ? [false, `mounting: ${refused.text}; ${refused.remedy}`] : [finding(status, OF_FEW) ? true : null, finding(status, OF_FEW) ? "mounting: not mirrored, and no second north fits as well; compare the top of the image with a map" : "mounting: the camera is level, its image not mirrored (or calibration.mirrored says so)"]);
+  list.push(refused ? [false, `mounting: ${refused.text}; ${refused.remedy}`] : [finding(status, OF_FEW) ? true : null, finding(status, OF_FEW) ? "mounting: not mirrored, and only one azimuth of north fits; compare the top of the image with a map" : "mounting: the camera is level, its image not mirrored (or calibration.mirrored says so)"]);
   return list;
 }
 
@@ -135,6 +135,6 @@ function drawNorth(calibrations, epoch) {
   $("first-north").toggleAttribute("hidden", series.length < 2);
   $("first-north-sum").hidden = series.length < 2;
   if (series.length < 2) return;
-  $("first-north-sum").textContent = `1-sigma of the north, degrees: ${telling(series[0][1])} by the first pose, ${telling(series.at(-1)[1])} by the last`;
+  $("first-north-sum").textContent = `1-sigma of north, degrees: ${telling(series[0][1])} at the first pose, ${telling(series.at(-1)[1])} at the last`;
   drawSeries("first-north", [["x-mark", series]], 0);
 }

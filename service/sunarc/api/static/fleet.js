@@ -68,12 +68,12 @@ function showAll(fleet, quarantine, crossed) {
   const cameras = [...fleet.cameras].sort((a, b) => rank(a) - rank(b));
   const bad = cameras.filter((c) => !["ready", "uncalibrated"].includes(c.state) || wrong(c)).length;
   $("health").dataset.health = bad ? "degraded" : "ready";
-  $("verdict").textContent = bad ? `! ${bad} of ${fleet.cameras.length} need a look` : `✓ ${fleet.cameras.length} cameras`;
+  $("verdict").textContent = bad ? `! ${bad} of ${fleet.cameras.length} need attention` : `✓ ${fleet.cameras.length} cameras`;
   $("headline").textContent = `at ${moment(fleet.time)} UTC`;
   $("cameras").replaceChildren(...cameras.map((c) => ofCamera(c, fleet.time, checks.get(c.camera))));
   $("checks").replaceChildren(...crossed.checks.filter((check) => check.found.length).map(ofCheck));
   $("checks-about").textContent = crossed.night
-    ? `night of ${crossed.night}: ${crossed.checks.length} cameras beside neighbours, ${crossed.checks.filter(alarmed).length} with something wrong` : "none yet";
+    ? `night of ${crossed.night}: ${crossed.checks.length} cameras compared with neighbours, ${crossed.checks.filter(alarmed).length} with an alarm` : "none yet";
   $("quarantine").replaceChildren(...quarantine.rows.map((q) => row(q.camera, q.reason, q.text, String(q.n), moment(q.last_at))));
   drawMap(cameras, wrong);
 }

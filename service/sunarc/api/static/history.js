@@ -47,7 +47,7 @@ function drawCounts(days) {
   for (const day of days) for (const [verdict, count] of Object.entries(day.verdicts)) totals.set(verdict, (totals.get(verdict) ?? 0) + count);
   const verdicts = [...totals.keys()].sort((a, b) => totals.get(b) - totals.get(a));
   const shade = (k) => `shade-${VERDICTS - 1 - (k % VERDICTS)}`;
-  $("counts-sum").textContent = `Looks at the sun by verdict${spanDays() > days.length && spanDays() > 366 ? ", of the last 366 days" : ""}`;
+  $("counts-sum").textContent = `Detections per day, by result${spanDays() > days.length && spanDays() > 366 ? ", of the last 366 days" : ""}`;
   $("counts-legend").replaceChildren(...verdicts.map((verdict, k) => keyed(element("rect", { class: shade(k), width: 10, height: 10 }), `${verdict} (${totals.get(verdict)})`)));
   const highest = Math.max(...days.map((day) => Object.values(day.verdicts).reduce((sum, count) => sum + count, 0)));
   const frame = axes("history-counts", days.map((day) => day.at), 0, highest * 1.05);
@@ -68,11 +68,11 @@ function drawCounts(days) {
 function drawHousekeeping(rows, step) {
   const space = rows.filter((row) => row.disk_free_bytes !== null);
   $("disk-plot").hidden = !space.length;
-  $("disk-sum").textContent = `Least free disk space by ${step}, GB`;
+  $("disk-sum").textContent = `Minimum free disk space per ${step}, GB`;
   if (space.length) drawSeries("history-disk", [["x-mark", space.map((row) => [row.at, row.disk_free_bytes / 1e9])]], step === "day" ? DAY_MS : 0);
   const warm = rows.filter((row) => row.temperature_c !== null);
   $("temperature-plot").hidden = !warm.length;
-  $("temperature-sum").textContent = `Temperature of the camera by ${step}: mean, lowest and highest, °C`;
+  $("temperature-sum").textContent = `Temperature of the camera per ${step}: mean, minimum and maximum, °C`;
   if (!warm.length) return;
   const [low, high] = [Math.min(...warm.map((row) => row.temperature_min_c)), Math.max(...warm.map((row) => row.temperature_max_c))];
   const margin = Math.max(0.1 * (high - low), 0.5);

@@ -55,7 +55,7 @@ function factsOf(night) {
   verdict.append(`${NIGHT_SIGNS[night.verdict]} ${night.verdict}${why.length ? ": " : ""}`, sentences(why.map((one) => one.code.replaceAll("_", " ")), why));
   const facts = { Verdict: verdict };
   if (night.n_accepted) Object.assign(facts, starFacts(night));
-  else facts.Images = `${night.n_images}, in none of which stars were named`;
+  else facts.Images = `${night.n_images}, without identified stars`;
   if (night.n_moon_images) facts.Moon = `${night.n_moon_stored} sightings in ${night.n_moon_images} slots`;
   if (night.n_warm_pixels) facts["Warm pixels"] = `${night.n_warm_pixels}, repaired`;
   if (known.pose) facts["Pose at night"] = `turned by ${axes(known.pose.pose_difference_deg)}° about east, north and up against the day, 1-sigma ${axes(known.pose.pose_sigma_deg)}° (all nights of the calibration)`;
@@ -72,7 +72,7 @@ function starFacts(night) {
   if (night.fading_mag !== null) lens.push(`${telling(Math.abs(night.fading_mag))} mag ${night.fading_mag < 0 ? "brighter" : "fainter"} at its end`);
   const bands = night.zenith_bands.filter((band) => band.transparency !== null);
   const facts = {
-    Stars: `${night.n_matched} named of ${night.n_stars} in an image, in ${night.n_accepted} of ${night.n_images} images; ${night.n_stored} sightings`,
+    Stars: `${night.n_matched} identified of ${night.n_stars} in an image, in ${night.n_accepted} of ${night.n_images} images; ${night.n_stored} sightings`,
     Sky: sky.join(", "),
   };
   if (bands.length) facts["Light by zenith angle"] = bands.map((band) => `${band.from_deg.toFixed(0)}–${band.to_deg.toFixed(0)}°: ${percent(band.transparency)}`).join(", ");
@@ -120,7 +120,7 @@ function drawBodies() {
 function summary(bodies) {
   const stars = bodies.filter((one) => one.found !== null);
   const at = known.bodies ? ` at ${moment(known.bodies.time).slice(0, 16)}` : "";
-  return stars.length ? `${stars.filter((one) => one.found).length} of ${stars.length} bright stars and planets detected${at}.` : `The image with the most detections${at}; no star of it is named.`;
+  return stars.length ? `${stars.filter((one) => one.found).length} of ${stars.length} bright stars and planets detected${at}.` : `The image with the most detections${at}; no star is identified in it.`;
 }
 
 const option = (value, text) => { const made = node("option", text); made.value = value; return made; };

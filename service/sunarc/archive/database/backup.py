@@ -142,7 +142,7 @@ def require_sound(source: Path) -> None:
         answer, revision = str(error), None
     if answer != "ok" or revision is None:
         raise InputError(
-            field="source", problem=f"{source} is no sound archive ({answer})", remedy="restore another copy"
+            field="source", problem=f"{source} is not an intact archive ({answer})", remedy="restore another copy"
         )
 
 

@@ -151,7 +151,7 @@ def server_url(store: str) -> URL:
     if url is None or url.drivername not in {DRIVER, "postgresql"} or not url.database:
         raise InputError(
             field="store",
-            problem="is no address of a PostgreSQL database",
+            problem="is not the address of a PostgreSQL database",
             remedy=f"give {DRIVER}://USER@HOST/DATABASE",
         )
     return url.set(drivername=DRIVER)

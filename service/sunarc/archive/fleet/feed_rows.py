@@ -220,7 +220,7 @@ def read_feed_lines(body: bytes, *, after: int) -> tuple[FeedRow, ...]:
     for number, line in enumerate(body.splitlines(), 1):
         row = _row(line)
         if row is None or row.seq <= max(after, rows[-1].seq if rows else after):
-            problem = "is no row" if row is None else f"has number {row.seq}, which is not after the one before"
+            problem = "is not a row" if row is None else f"has number {row.seq}, which is not after the one before"
             raise InputError(field=f"body, line {number}", problem=problem, remedy='send {"seq", "kind", "data"}')
         rows.append(row)
     return tuple(rows)

@@ -113,7 +113,7 @@ def require_one_type(units: Sequence[Unit]) -> None:
         if any(name not in one.calibration.parameter_names for name in LENS_NAMES):
             raise InputError(
                 field=one.camera,
-                problem="the calibration does not tell the covariance of all of its lens",
+                problem="the calibration does not state the covariance of its whole lens",
                 remedy="calibrate it with --method robust",
             )
 

@@ -55,7 +55,7 @@ class DocumentReader:
         if found is None:
             return math.nan
         if isinstance(found, bool) or not isinstance(found, int | float):
-            raise InputError(field=key, problem=f"{found!r} is no number", remedy="give a number")
+            raise InputError(field=key, problem=f"{found!r} is not a number", remedy="give a number")
         return float(found)
 
     def numbers_of(self, key: str, kind: type[Metrics | Site]) -> dict[str, Any]:
@@ -310,7 +310,7 @@ def _read_camera(read: DocumentReader) -> Camera:
 
 def _size(key: str, value: float) -> int:
     if not (math.isfinite(value) and value >= 1.0):
-        raise InputError(field=key, problem=f"{value} is no size", remedy="give px")
+        raise InputError(field=key, problem=f"{value} is not a size", remedy="give px")
     return int(value)
 
 
