@@ -44,7 +44,8 @@ from sunarc.runtime.status import StatusRegistry
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.sun import sun_angles, sun_directions
 from sunarc.workers.calibrating.monitor import DayJudge
-from sunarc.workers.calibrating.refit import RefitOptions, RefitWorker
+from sunarc.workers.calibrating.refit import RefitWorker
+from sunarc.workers.options import RefitOptions
 
 _START = datetime(2013, 5, 13, 6, 30, tzinfo=UTC)
 _DAYS = 1826

@@ -121,3 +121,13 @@ def test_the_command_line_loads_no_library_that_only_a_fit_or_an_export_needs() 
     code = f"import sys, sunarc.cli.main; print(*[name for name in '{later}'.split() if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120.0, check=True)
     assert done.stdout.strip() == ""
+
+
+def test_an_imager_loads_no_study_simulator_archive_analysis_or_optional_format() -> None:
+    never = ["studies", "simulation", "offline", "reanalysis", "cli"]
+    optional = ["dask", "distributed", "xarray", "h5py", "h5netcdf", "pandas", "matplotlib", "astropy", "fsspec"]
+    code = "import sys, sunarc.app.serving, sunarc.app.service, sunarc.api.app; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120.0, check=True)
+    loaded = set(done.stdout.split())
+    assert "sunarc.app.service" in loaded
+    assert not {*(f"sunarc.{name}" for name in never), *optional} & loaded

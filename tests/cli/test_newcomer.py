@@ -24,7 +24,8 @@ from sunarc.runtime.status import StatusRegistry
 from sunarc.settings.load import load_settings
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.sun import sun_angles, sun_directions
-from sunarc.workers.calibrating.refit import RefitOptions, RefitWorker
+from sunarc.workers.calibrating.refit import RefitWorker
+from sunarc.workers.options import RefitOptions
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc

@@ -69,6 +69,36 @@ def test_a_fit_of_a_file_loads_neither_the_service_nor_the_settings() -> None:
     assert _answer(code) == "[]"
 
 
+FIT = tuple(f"sunarc.calibration.{name}" for name in ("calibrate", "fit", "noise", "paper", "pose", "solve", "start"))
+SCIPY = ("scipy.linalg", "scipy.ndimage", "scipy.optimize", "scipy.spatial")
+
+
+def _loaded(code: str) -> list[str]:
+    """Return the modules that a process has loaded after some code."""
+    return _answer(f"import sys\n{code}\nprint(*sys.modules)").splitlines()[-1].split()
+
+
+@pytest.mark.parametrize("module", ["covariance", "direction_table", "error_model"])
+def test_a_pixel_a_direction_and_a_map_are_answered_without_a_fit(module: str) -> None:
+    loaded = _loaded(f"import sunarc.calibration.answers.{module}, sunarc.calibration.model.document")
+    assert len([name for name in loaded if name.startswith("sunarc.calibration")]) <= 15
+    assert not {*FIT, *SCIPY, "pandas", "cv2", "sqlalchemy", "pydantic"}.intersection(loaded)
+
+
+@pytest.mark.parametrize("command", ["codes", "project", "unproject", "compare", "export"])
+def test_a_command_that_fits_nothing_loads_no_fit(command: str) -> None:
+    code = f"""
+sys.argv = ["sunarc", {command!r}, "--help"]
+from sunarc.cli.main import main
+try:
+    main()
+except SystemExit:
+    pass
+"""
+    loaded = _loaded(code)
+    assert not {*FIT, "sunarc.api", "sunarc.app.service", "sunarc.simulation", "sunarc.studies"}.intersection(loaded)
+
+
 def test_the_list_of_commands_says_what_each_says_of_itself() -> None:
     for name, listed in main._COMMANDS.items():
         found = getattr(__import__(f"sunarc.cli.{listed.module}", fromlist=[listed.name]), listed.name)

@@ -23,8 +23,8 @@ from sunarc.settings.load import load_settings
 from sunarc.settings.model import Settings
 from sunarc.settings.reference import all_settings, dataclass_in
 from sunarc.settings.removed import REMOVED
-from sunarc.workers.calibrating.refit import RefitOptions
 from sunarc.workers.capture import CaptureOptions
+from sunarc.workers.options import RefitOptions
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -17,7 +17,8 @@ from sunarc.cameras.frame import CameraCondition, CameraInfo, Frame
 from sunarc.errors import CameraError
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.workers.calibrating.refit import RefitOptions, RefitWorker
+from sunarc.workers.calibrating.refit import RefitWorker
+from sunarc.workers.options import RefitOptions
 
 NOON = datetime(2013, 5, 13, 18, 30, 10, tzinfo=UTC)
 

@@ -38,8 +38,9 @@ from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.days import day_bounds_unix_s
 from sunarc.sky.sun import sun_angles, sun_directions
 from sunarc.workers.calibrating.monitor import DayJudge
-from sunarc.workers.calibrating.refit import RefitOptions, RefitWorker
+from sunarc.workers.calibrating.refit import RefitWorker
 from sunarc.workers.calibrating.solver_process import Problem
+from sunarc.workers.options import RefitOptions
 
 FloatArray = NDArray[np.float64]
 

@@ -33,7 +33,8 @@ from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.sky.sun import sun_directions
 from sunarc.workers.calibrating.monitor import DayJudge, WatchWorker
 from sunarc.workers.calibrating.provisional_pose import ProvisionalPoseEstimator
-from sunarc.workers.calibrating.refit import RefitOptions, RefitWorker
+from sunarc.workers.calibrating.refit import RefitWorker
+from sunarc.workers.options import RefitOptions
 from sunarc.workers.sun_prediction import SunPredictor
 
 if TYPE_CHECKING:

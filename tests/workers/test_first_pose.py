@@ -17,9 +17,9 @@ from sunarc.archive.archive import CameraArchive, open_archive
 from sunarc.archive.values import CameraRecord
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.changes.values import WatchOptions
-from sunarc.calibration.lens_library.first_pose import FirstPoseOptions, north_sigma_deg, top_azimuth_deg
+from sunarc.calibration.lens_library.first_pose import north_sigma_deg, top_azimuth_deg
 from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread, frame_of, type_camera
-from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.options import CalibrationOptions, FirstPoseOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.errors import InputError
@@ -29,12 +29,8 @@ from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.simulation.truth import SGP
 from sunarc.sky.sun import sun_angles, sun_directions
 from sunarc.workers.calibrating.monitor import WatchWorker
-from sunarc.workers.calibrating.provisional_pose import (
-    FirstPose,
-    LensPriorOptions,
-    ProvisionalPoseEstimator,
-    read_lens_prior,
-)
+from sunarc.workers.calibrating.provisional_pose import FirstPose, ProvisionalPoseEstimator, read_lens_prior
+from sunarc.workers.options import LensPriorOptions
 
 SPREAD = UnitSpread(focal_length=0.003, center_px=8.0, radial_px=0.4, decentering_px=0.3)
 LEVEL = replace(TRUTH, max_angle=2.0)

@@ -15,7 +15,8 @@ from sunarc.archive.archive import Archive
 from sunarc.errors import InputError
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.workers.nightly import NightlyOptions, NightlyWork, nightly_jobs
+from sunarc.workers.nightly import NightlyWork, nightly_jobs
+from sunarc.workers.options import NightlyOptions
 
 NIGHT = datetime(2026, 5, 2, 8, 29, 59, tzinfo=UTC)
 """A second before 2 h after midnight at 97.5 degrees west."""

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.ndimage import spline_filter
 
 from sunarc.array_types import FloatArray
 from sunarc.jit import njit
@@ -160,6 +159,8 @@ class DisplacementTable:
 
 def displacement_table(displacement: Displacement, *, width: int, height: int) -> DisplacementTable:
     """Return the table of a displacement over an image of `width` by `height` px."""
+    from scipy.ndimage import spline_filter  # noqa: PLC0415 - the command line loads without it
+
     orders = np.max(np.array(displacement.orders), axis=0, initial=1)
     steps = [2.0 * half / (_PER_HALF_WAVE * order) for half, order in zip(displacement.half_px, orders, strict=True)]
     counts = [math.ceil(size / step) + 1 + 2 * _MARGIN for size, step in zip((width, height), steps, strict=True)]

@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from sunarc.array_types import FloatArray
 from sunarc.optics.kernels import write_rotation
@@ -31,6 +30,8 @@ def rotation_matrix(rotation_cam_enu: ArrayLike) -> FloatArray:
     """Return the (3, 3) matrix that takes east-north-up to the camera frame, from its rotation vector in radians."""
     vector = np.array(rotation_cam_enu, dtype=np.float64)
     if vector.ndim > 1:
+        from scipy.spatial.transform import Rotation  # noqa: PLC0415 - the command line loads without it
+
         return np.asarray(Rotation.from_rotvec(vector).as_matrix())
     # a fit needs one at a time, thousands of times: without scipy's checks it costs a tenth
     matrix, jacobian = np.empty((3, 3)), np.empty((3, 3))
@@ -40,6 +41,8 @@ def rotation_matrix(rotation_cam_enu: ArrayLike) -> FloatArray:
 
 def rotation_vector(matrix_cam_enu: ArrayLike) -> tuple[float, float, float]:
     """Return the rotation vector in radians of a (3, 3) rotation matrix."""
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - the command line loads without it
+
     x, y, z = Rotation.from_matrix(np.asarray(matrix_cam_enu, dtype=np.float64)).as_rotvec()
     return float(x), float(y), float(z)
 

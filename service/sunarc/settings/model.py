@@ -18,13 +18,17 @@ from sunarc.detection.values import DiscOptions
 from sunarc.imaging.exposure import SunExposureOptions
 from sunarc.runtime.supervisor import SupervisorOptions
 from sunarc.sky.site import Site
-from sunarc.workers.calibrating.provisional_pose import LensPriorOptions
-from sunarc.workers.calibrating.refit import RefitOptions
 from sunarc.workers.capture import CaptureOptions
 from sunarc.workers.clock_watch import ClockOptions
 from sunarc.workers.feed import HubOptions
-from sunarc.workers.nightly import NightlyOptions
-from sunarc.workers.options import NightOptions, PushOptions, SensorOptions
+from sunarc.workers.options import (
+    LensPriorOptions,
+    NightlyOptions,
+    NightOptions,
+    PushOptions,
+    RefitOptions,
+    SensorOptions,
+)
 
 
 class _WithStore(BaseModel):

@@ -5,19 +5,17 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from datetime import datetime, timedelta
 from functools import cache
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from annotated_types import Ge, Le
 
 from sunarc.archive.archive import Archive
-from sunarc.archive.fleet.nightly import LEAST_KEPT, CrossCheck, Found, NightlyRun
+from sunarc.archive.fleet.nightly import CrossCheck, Found, NightlyRun
 from sunarc.archive.values import CalibrationRecord, CameraRecord
 from sunarc.array_types import FloatArray, IntArray
-from sunarc.bounds import require_bounds
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
 from sunarc.cross_checks.causes import StepSize, explain_step
 from sunarc.cross_checks.clocks import ClockOffsets, Lag, clock_offsets
@@ -31,6 +29,7 @@ from sunarc.sky.directions import wrapped_deg
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions
 from sunarc.workers.messages import condition
+from sunarc.workers.options import NightlyOptions
 
 _DAYS = timedelta(days=60)
 """Compared at once; a step that is older has become what was always so."""
@@ -211,22 +210,6 @@ _FAILED = "nightly_failed"
 
 Job = Callable[[datetime], Mapping[str, Any]]
 """Does what is due at a time, and returns what it did, in JSON; done twice, it changes nothing."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NightlyOptions:
-    """What a hub does once a night.
-
-    Attributes
-    ----------
-    keep_sightings_days : sightings of months that ended longer ago are removed from a hub's archive.
-    """
-
-    keep_sightings_days: Annotated[float, Ge(LEAST_KEPT / timedelta(days=1)), Le(36_500.0)] = 36_500.0
-
-    def __post_init__(self) -> None:
-        """Refuse what would remove what is needed."""
-        require_bounds(self, section="nightly")
 
 
 def nightly_jobs(archive: Archive, options: NightlyOptions) -> dict[str, Job]:

@@ -6,12 +6,15 @@ import base64
 import binascii
 import urllib.parse
 from dataclasses import dataclass
+from datetime import timedelta
 from pathlib import Path
 from typing import Annotated
 
 from annotated_types import Ge, Gt, Le, Lt
 
+from sunarc.archive.fleet.nightly import LEAST_KEPT
 from sunarc.bounds import require_bounds
+from sunarc.calibration.model.options import FirstPoseOptions
 from sunarc.cameras.frame import Frame
 from sunarc.detection.values import Sensor, bayer_of
 from sunarc.errors import ConfigurationError, InputError
@@ -157,3 +160,61 @@ def sensor_of(frame: Frame, options: SensorOptions) -> Sensor:
         blooming=options.blooming,
         binning=frame.binning,
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LensPriorOptions(FirstPoseOptions):
+    """What is known of lens and pose before the first full fit.
+
+    Attributes
+    ----------
+    lens_prior : file of the type of lens (`sunarc calibrate --write-lens-prior`); unset: no pose before the first fit.
+    """
+
+    lens_prior: Path | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what is no pose."""
+        require_bounds(self, section="first_pose")
+
+
+CirclePx = Annotated[float, Ge(-1e5), Le(1e5)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RefitOptions:
+    """When and how a refit runs.
+
+    Attributes
+    ----------
+    check_every_s : how often ended days are looked for, real seconds.
+    time_limit_s : longest duration of a solve, real seconds.
+    image_circle_px : x, y and radius of the circle that the lens draws at 90 degrees, where they are known.
+    """
+
+    check_every_s: Annotated[float, Gt(0.0), Le(3600.0)] = 60.0
+    time_limit_s: Annotated[float, Gt(0.0), Le(86_400.0)] = 900.0
+    image_circle_px: tuple[CirclePx, CirclePx, CirclePx] | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse durations that are none, and a circle without a radius."""
+        require_bounds(self, section="refit")
+        if self.image_circle_px is not None and self.image_circle_px[2] <= 0.0:
+            problem = f"the radius {self.image_circle_px[2]:g} is not positive"
+            raise InputError(field="refit.image_circle_px", problem=problem, remedy="give x, y and radius in px")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NightlyOptions:
+    """What a hub does once a night.
+
+    Attributes
+    ----------
+    keep_sightings_days : sightings of months that ended longer ago are removed from a hub's archive.
+    """
+
+    keep_sightings_days: Annotated[float, Ge(LEAST_KEPT / timedelta(days=1)), Le(36_500.0)] = 36_500.0
+
+    def __post_init__(self) -> None:
+        """Refuse what would remove what is needed."""
+        require_bounds(self, section="nightly")

@@ -11,7 +11,6 @@ from tests.calibration.conftest import SGP, simulate
 
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.lens_library.first_pose import (
-    FirstPoseOptions,
     calibrate_with_lens,
     first_pose,
     level,
@@ -20,7 +19,7 @@ from sunarc.calibration.lens_library.first_pose import (
     top_azimuth_deg,
 )
 from sunarc.calibration.lens_library.lens_type import LensType
-from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.options import CalibrationOptions, FirstPoseOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.errors import InputError
 from sunarc.optics.camera import Camera

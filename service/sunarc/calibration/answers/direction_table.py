@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import spline_filter1d
 
 from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.answers.covariance import Uncertain, direction_covariance, uncertainties
@@ -138,6 +137,8 @@ def polar_spline(sheet: FloatArray) -> FloatArray:
 
     The first ring is the axis, and the spokes go round. Where a value is not finite the largest one stands for it.
     """
+    from scipy.ndimage import spline_filter1d  # noqa: PLC0415 - the command line loads without it
+
     rings, spokes = sheet.shape
     sheet = np.where(np.isfinite(sheet), sheet, np.nanmax(sheet, initial=0.0))
     # through the axis a ray goes on at the opposite azimuth: the spline needs no edge there

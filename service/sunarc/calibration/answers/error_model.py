@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from sunarc.array_types import FloatArray, IntArray, Rows, picked
 from sunarc.calibration.answers.direction_table import polar_directions, polar_spline, ring_and_spoke
@@ -208,6 +207,8 @@ def moved(camera: Camera, error_model: CameraErrorModel, change: FloatArray) -> 
 
 def rotated(camera: Camera, rotation: FloatArray) -> Camera:
     """Return a camera after a turn (3,) about its own axes, radians."""
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - the command line loads without it
+
     matrix = Rotation.from_rotvec(rotation).as_matrix() @ rotation_matrix(camera.rotation_cam_enu)
     return replace(camera, rotation_cam_enu=rotation_vector(matrix))
 

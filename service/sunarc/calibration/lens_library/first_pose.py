@@ -10,14 +10,12 @@ azimuth that fits as well.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import Annotated, NamedTuple
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
-from annotated_types import Ge, Gt, Le
 
 from sunarc.array_types import BoolArray, FloatArray
-from sunarc.bounds import require_bounds
 from sunarc.calibration.answers.error_model import (
     CameraErrorModel,
     at_every_angle,
@@ -38,7 +36,7 @@ from sunarc.calibration.lens_library.conditioning import (
     with_lens,
 )
 from sunarc.calibration.lens_library.lens_type import IN_FREE, PARTS, LensType
-from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Mirrored
+from sunarc.calibration.model.options import CalibrationOptions, FirstPoseOptions, ImageCircle, Mirrored
 from sunarc.calibration.model.residual_field import Field, wave_basis
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import FilteredSightings, Sightings, filter_sightings
@@ -129,26 +127,6 @@ _LENS_PX = 1.0
 """By which a lens of the type images neighbouring places differently, beside a common shift."""
 _LARGEST_SIGMA_DEG = 10.0
 """Direction uncertainty, RMS over the sky, from which on a pose is of no use: clouds of the wrong half of the sky."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FirstPoseOptions:
-    """What is known of a camera's pose before its first sighting.
-
-    Attributes
-    ----------
-    tilt_deg : 1-sigma of the tilt about each horizontal axis.
-    top_azimuth_deg : azimuth at the top of the image, as the camera was mounted; unset: not known.
-    top_within_deg : a pose that differs by more is not served.
-    """
-
-    tilt_deg: Annotated[float, Gt(0.0), Le(15.0)] = 3.0
-    top_azimuth_deg: Annotated[float, Ge(0.0), Le(360.0)] | None = None
-    top_within_deg: Annotated[float, Gt(0.0), Le(180.0)] = 30.0
-
-    def __post_init__(self) -> None:
-        """Refuse what is no pose."""
-        require_bounds(self, section="first_pose")
 
 
 class _FoundPose(NamedTuple):

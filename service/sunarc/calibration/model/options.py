@@ -136,3 +136,23 @@ class ImageCircle:
     def __post_init__(self) -> None:
         """Refuse what is no circle."""
         require_bounds(self, section="image circle")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FirstPoseOptions:
+    """What is known of a camera's pose before its first sighting.
+
+    Attributes
+    ----------
+    tilt_deg : 1-sigma of the tilt about each horizontal axis.
+    top_azimuth_deg : azimuth at the top of the image, as the camera was mounted; unset: not known.
+    top_within_deg : a pose that differs by more is not served.
+    """
+
+    tilt_deg: Annotated[float, Gt(0.0), Le(15.0)] = 3.0
+    top_azimuth_deg: Annotated[float, Ge(0.0), Le(360.0)] | None = None
+    top_within_deg: Annotated[float, Gt(0.0), Le(180.0)] = 30.0
+
+    def __post_init__(self) -> None:
+        """Refuse what is no pose."""
+        require_bounds(self, section="first_pose")

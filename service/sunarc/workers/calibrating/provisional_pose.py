@@ -17,32 +17,16 @@ import sunarc
 from sunarc.archive.archive import CameraArchive
 from sunarc.archive.sightings import LENS_CHANGED
 from sunarc.archive.values import CalibrationRecord, PoseEpoch
-from sunarc.bounds import require_bounds
-from sunarc.calibration.lens_library.first_pose import FirstPoseOptions, first_pose
+from sunarc.calibration.lens_library.first_pose import first_pose
 from sunarc.calibration.lens_library.lens_type import LensType, lens_type_from_json
 from sunarc.calibration.model.document import to_document
-from sunarc.calibration.model.options import CalibrationOptions, Mirrored
+from sunarc.calibration.model.options import CalibrationOptions, FirstPoseOptions, Mirrored
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, Sightings
 from sunarc.calibration.pose import estimate_pose
 from sunarc.errors import InputError
 from sunarc.workers.calibrating.solver_process import points_of
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LensPriorOptions(FirstPoseOptions):
-    """What is known of lens and pose before the first full fit.
-
-    Attributes
-    ----------
-    lens_prior : file of the type of lens (`sunarc calibrate --write-lens-prior`); unset: no pose before the first fit.
-    """
-
-    lens_prior: Path | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse what is no pose."""
-        require_bounds(self, section="first_pose")
+from sunarc.workers.options import LensPriorOptions
 
 
 class FirstPose(NamedTuple):

@@ -9,17 +9,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
-from typing import Annotated, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
-from annotated_types import Ge, Gt, Le
 
 import sunarc
 from sunarc.archive.archive import CameraArchive
 from sunarc.archive.sightings import LENS_CHANGED
 from sunarc.archive.values import CalibrationRecord, Event, EventSeverity, PoseEpoch, Refit, RefitState, SunPointColumns
 from sunarc.array_types import IntArray
-from sunarc.bounds import require_bounds
 from sunarc.calibration.changes.step_search import PoseStep
 from sunarc.calibration.messages import MESSAGES as CHANGES
 from sunarc.calibration.model.document import to_document
@@ -47,6 +45,7 @@ from sunarc.workers.calibrating.solver_process import (
     solve_in_child,
 )
 from sunarc.workers.messages import MESSAGES, condition, text_of
+from sunarc.workers.options import RefitOptions
 
 SEARCHED = "epochs_searched"
 """Kind of the event that remembers up to which sighting the record was searched, and which epochs it divided."""
@@ -278,7 +277,6 @@ def _stars(others: SunPointColumns, epochs: Sequence[str], image_size: tuple[int
 
 _log = logging.getLogger(__name__)
 
-CirclePx = Annotated[float, Ge(-1e5), Le(1e5)]
 _POLL_S = 0.5
 _LONGEST_WAIT_S = 86400.0
 """How long a refit waits for a time that can be trusted; the day's own refit comes again after the next clear day."""
@@ -286,29 +284,6 @@ _DAYS_OF_SPREAD = 60
 _Answer = TypeVar("_Answer")
 _MOST_PAST = 8
 """Earlier pose epochs that one refit solves for; each costs as long as the fit itself."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RefitOptions:
-    """When and how a refit runs.
-
-    Attributes
-    ----------
-    check_every_s : how often ended days are looked for, real seconds.
-    time_limit_s : longest duration of a solve, real seconds.
-    image_circle_px : x, y and radius of the circle that the lens draws at 90 degrees, where they are known.
-    """
-
-    check_every_s: Annotated[float, Gt(0.0), Le(3600.0)] = 60.0
-    time_limit_s: Annotated[float, Gt(0.0), Le(86_400.0)] = 900.0
-    image_circle_px: tuple[CirclePx, CirclePx, CirclePx] | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse durations that are none, and a circle without a radius."""
-        require_bounds(self, section="refit")
-        if self.image_circle_px is not None and self.image_circle_px[2] <= 0.0:
-            problem = f"the radius {self.image_circle_px[2]:g} is not positive"
-            raise InputError(field="refit.image_circle_px", problem=problem, remedy="give x, y and radius in px")
 
 
 class RefitWorker:
