@@ -23,7 +23,7 @@ import cv2
 import numpy as np
 
 from sunarc.array_types import BoolArray, Image
-from sunarc.detection.photo.ordinary_image import detect_sun_in_photo
+from sunarc.detection.photo.ordinary_image import Photo, detect_sun_in_photo
 from sunarc.detection.photo.plateau import static_mask
 from sunarc.detection.values import Detection
 from sunarc.reanalysis.files import read_image
@@ -96,7 +96,7 @@ def main() -> None:
     found, begin = [], time.process_time()
     for label in labels:
         image = read_image(label.file)
-        found.append(detect_sun_in_photo(image, full_scale=_FULL_SCALE[str(image.dtype)], static=static))
+        found.append(detect_sun_in_photo(Photo(image, _FULL_SCALE[str(image.dtype)], static=static)))
     seconds = time.process_time() - begin
     if arguments.verbose:
         for label, each in zip(labels, found, strict=True):

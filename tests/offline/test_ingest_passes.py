@@ -19,7 +19,7 @@ from sunarc.archive.archive import open_archive
 from sunarc.archive.values import SunPoint
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.detection.photo.ordinary_image import Exposure
+from sunarc.detection.photo.ordinary_image import Photo
 from sunarc.detection.values import Detection, Expectation
 from sunarc.findings import Finding
 from sunarc.optics.camera import Camera
@@ -125,7 +125,7 @@ def test_a_stack_is_looked_at_again_as_a_whole_where_its_sighting_is_a_ghost(
 ) -> None:
     looked_at: list[tuple[int, bool]] = []
 
-    def find_in_stack(exposures: list[Exposure], *, expectation: Expectation | None, **_: object) -> Detection:
+    def find_in_stack(exposures: list[Photo], *, expectation: Expectation | None, **_: object) -> Detection:
         looked_at.append((len(exposures), expectation is not None))
         return find(exposures[0].image, expectation=expectation)
 

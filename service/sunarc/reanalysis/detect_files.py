@@ -11,7 +11,7 @@ import numpy as np
 
 from sunarc.array_types import BoolArray, Image
 from sunarc.detection.disc.detect import detect_sun
-from sunarc.detection.photo.ordinary_image import detect_sun_in_photo
+from sunarc.detection.photo.ordinary_image import Photo, detect_sun_in_photo
 from sunarc.detection.values import Bayer, Detection, Expectation, Sensor
 from sunarc.errors import InputError, OutsideError
 from sunarc.findings import Finding
@@ -68,15 +68,8 @@ def detect_in_image(
     top = full_scale or full_scale_of(image)
     selected = selected_method(image, method, full_scale=top)
     if selected == "paper":
-        return detect_sun_in_photo(
-            image,
-            full_scale=top,
-            expectation=expectation,
-            static=static,
-            bayer=bayer,
-            exposure_us=exposure_us,
-            elsewhere=elsewhere,
-        )
+        photo = Photo(image, top, exposure_us, static, bayer)
+        return detect_sun_in_photo(photo, expectation=expectation, elsewhere=elsewhere)
     if image.ndim != 2:
         raise InputError(
             field="method", problem="disc wants a raw frame, and the image has colours", remedy="use --method paper"

@@ -26,7 +26,7 @@ from sunarc.archive.sightings import FileSighting, ImageKey, sun_point_of
 from sunarc.archive.values import SunPoint
 from sunarc.array_types import Image
 from sunarc.calibration.model.result import Calibration
-from sunarc.detection.photo.ordinary_image import Exposure, detect_sun_in_stack
+from sunarc.detection.photo.ordinary_image import Photo, detect_sun_in_stack
 from sunarc.detection.photo.plateau import static_mask
 from sunarc.detection.values import Detection, Expectation
 from sunarc.detection.values import Method as DetectionMethod
@@ -549,12 +549,10 @@ def _is_ordinary(images: list[Image], task: Task) -> bool:
 def _detect(stack: dict[int, Image], files: list[Task], task: Task) -> Detection:
     if task.outside:
         return no_sun("paper", task.exposure_us)
-    return detect_sun_in_stack(
-        [Exposure(image, files[n].exposure_us) for n, image in stack.items()],
-        full_scale=max(full_scale_of(image) for image in stack.values()),
-        expectation=task.expectation,
-        static=None if task.static is None else task.static.unpacked(),
-    )
+    full_scale = max(full_scale_of(image) for image in stack.values())
+    static = None if task.static is None else task.static.unpacked()
+    photos = [Photo(image, full_scale, files[n].exposure_us, static) for n, image in stack.items()]
+    return detect_sun_in_stack(photos, expectation=task.expectation)
 
 
 def _member(found: Detection, task: Task, first: Path) -> Detection:

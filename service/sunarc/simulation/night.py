@@ -15,7 +15,7 @@ from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix
 from sunarc.simulation.kernels import add_glow, add_points, transmittance_towards
 from sunarc.simulation.options import Obstruction, SimulatedNight
-from sunarc.simulation.scene_parts import CloudLayer, disc_points, is_blocked
+from sunarc.simulation.scene_parts import CloudLayer, RegionLight, disc_points, is_blocked
 from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.night import FAINTEST_V, SOLAR_SYSTEM_BODIES, BodyPosition, body_position, star_table
 from sunarc.sky.refraction import apparent_elevation
@@ -69,24 +69,20 @@ class NightLight:
         self._middle = np.array(camera.principal_point_px)
         self._edge_px = _EDGE_RAD * camera.focal_length_px[0] * 0.9
 
-    def add(
-        self, light: NDArray[np.float32], field: NDArray[np.float32], *, unix_s: float, exposure_us: float,
-        origin: tuple[int, int], layer: CloudLayer, well_e: float,
-    ) -> None:  # fmt: skip
+    def add(self, region: RegionLight, *, unix_s: float, exposure_us: float, layer: CloudLayer, well_e: float) -> None:
         """Add the night to the light of a region, in full scales per microsecond.
 
         Parameters
         ----------
-        light, field : (h, w) of the region, and what its pixels look at.
+        region : what the light is added to.
         unix_s, exposure_us : middle of the exposure and its length.
-        origin : the region's first pixel.
         layer : the clouds.
         well_e : electrons of a full scale.
         """
         scale = 1e-6 / well_e
         rng = np.random.default_rng([self._seed, 17, round(unix_s * 1e3)])
         moon = body_position("moon", unix_s, self._site) if self._options.moon else None
-        add_glow(field, *self._glow(moon, scale), layer, light)
+        add_glow(region.field, *self._glow(moon, scale), layer, region.light)
         points = [
             self._images(*self._stars(unix_s, exposure_us, rng, layer)),
             self._images(*self._planets(unix_s, layer)),
@@ -95,9 +91,9 @@ class NightLight:
             self._warm(),
         ]
         every = np.concatenate(points)
-        every[:, :2] -= origin
+        every[:, :2] -= region.origin
         every[:, 2] *= scale
-        add_points(every, light)
+        add_points(every, region.light)
 
     def _glow(self, moon: BodyPosition | None, scale: float) -> tuple[NDArray[np.float32], ...]:
         """Return the levels, the town's direction and the moon's, of `add_glow`."""

@@ -19,6 +19,7 @@ from sunarc.simulation.night import NightLight
 from sunarc.simulation.options import Bump, SceneOptions, SensorModel, Weather
 from sunarc.simulation.scene_parts import (
     CloudLayer,
+    RegionLight,
     Stamp,
     cloud_layer,
     disc_points,
@@ -190,8 +191,8 @@ class Scene:
         stamps += self._moon(layer)
         sky_light(field, sun.astype(np.float32), self._levels(sun[2], share), layer, light)
         if self._night is not None and sun[2] < _NIGHT_UP:
-            well_e, at = self.sensor.full_well_e, (x, y)
-            self._night.add(light, field, unix_s=unix_s, exposure_us=exposure_us, origin=at, layer=layer, well_e=well_e)
+            well_e, part = self.sensor.full_well_e, RegionLight(light, field, (x, y))
+            self._night.add(part, unix_s=unix_s, exposure_us=exposure_us, layer=layer, well_e=well_e)
         for stamp in stamps:
             _add(light, stamp, (x, y))
             column_sum = stamp.values.sum(axis=0, keepdims=True) * self.sensor.smear_us_per_row

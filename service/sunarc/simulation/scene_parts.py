@@ -145,6 +145,14 @@ def _fractal_noise(rng: np.random.Generator) -> FloatArray:
 _ROWS_AT_ONCE = 64
 
 
+class RegionLight(NamedTuple):
+    """A region of the image: its light (h, w), what its pixels look at (h, w, 4), and its first pixel."""
+
+    light: NDArray[np.float32]
+    field: NDArray[np.float32]
+    origin: tuple[int, int]
+
+
 @lru_cache(maxsize=1)
 def pixel_field(camera: Camera, *, field_deg: float, obstructions: tuple[Obstruction, ...]) -> NDArray[np.float32]:
     """Return (height, width, 4) float32: east, north, up of each pixel, and what it sees.

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from tests.detection.rendering import FloatArray
 
-from sunarc.detection.photo.ordinary_image import detect_sun_in_photo
+from sunarc.detection.photo.ordinary_image import Photo, detect_sun_in_photo
 from sunarc.detection.values import Expectation
 
-Photo = NDArray[np.uint8]
+Picture = NDArray[np.uint8]
 
 
 class Facts(NamedTuple):
@@ -111,7 +111,7 @@ _UNEVEN_OF_UNIT = 1.9
 
 def sun_photo(
     facts: Facts, rng: np.random.Generator, *, size: int = 480, place: tuple[float, float] | None = None
-) -> tuple[Photo, tuple[float, float]]:
+) -> tuple[Picture, tuple[float, float]]:
     """Return an image, (size, size, 3), and the place of its sun: the one asked for, or any."""
     angle, apart = rng.uniform(0.0, 2.0 * math.pi), 0.35 * size * math.sqrt(rng.uniform(0.0, 1.0))
     x, y = place or (0.5 * size + apart * math.cos(angle), 0.5 * size + apart * math.sin(angle))
@@ -166,7 +166,7 @@ def _distance(dx: FloatArray, dy: FloatArray, facts: Facts, rng: np.random.Gener
     return np.asarray(np.hypot(along / longer, across * longer))
 
 
-def sunless_photo(kind: str, rng: np.random.Generator, *, size: int = 320) -> Photo:
+def sunless_photo(kind: str, rng: np.random.Generator, *, size: int = 320) -> Picture:
     """Return an image without a sun, (size, size, 3)."""
     rows, columns = np.mgrid[:size, :size].astype(np.float64)
     light = np.full((size, size), rng.uniform(0.3, 0.9))
@@ -201,21 +201,21 @@ def _texture(rng: np.random.Generator, size: int, scale_px: float) -> FloatArray
     return np.asarray((part - part.mean()) / max(float(part.std()), 1e-6))
 
 
-def _colours(light: FloatArray, level: int, rng: np.random.Generator) -> Photo:
+def _colours(light: FloatArray, level: int, rng: np.random.Generator) -> Picture:
     """Return three colours of a light, clipped: the faintest is the light itself."""
     gains = rng.permutation([1.0, rng.uniform(1.0, 1.15), rng.uniform(1.05, 1.3)])
     noisy = light[..., None] * gains + rng.normal(0.0, 0.006, (*light.shape, 3))
     return np.asarray(np.round(level * np.clip(noisy, 0.0, 1.0)), dtype=np.uint8)
 
 
-def _with_text(image: Photo) -> Photo:
+def _with_text(image: Picture) -> Picture:
     drawn = image.copy()
     for place in ((3, 12), (3, image.shape[0] - 4)):
         cv2.putText(drawn, "2016-05-30 09:44 UTC+1", place, cv2.FONT_HERSHEY_SIMPLEX, 0.35, (255, 255, 255), 1)
     return drawn
 
 
-def _compressed(image: Photo, quality: int) -> Photo:
+def _compressed(image: Picture, quality: int) -> Picture:
     done, packed = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
     assert done
     return np.asarray(cv2.imdecode(packed, cv2.IMREAD_COLOR), dtype=np.uint8)
@@ -239,7 +239,7 @@ def outcome_of(kind: str, images: int, rng: np.random.Generator, *, size: int | 
     error, sigma = list[float](), list[float]()
     for _ in range(images):
         image, place = sun_photo(KINDS[kind], rng, size=size or KINDS[kind].size)
-        found = detect_sun_in_photo(image, full_scale=255)
+        found = detect_sun_in_photo(Photo(image, 255))
         if found.accepted and found.x_px is not None and found.y_px is not None and found.sigma_px is not None:
             error.append(math.hypot(found.x_px - place[0], found.y_px - place[1]))
             sigma.append(found.sigma_px)
@@ -254,8 +254,8 @@ def accepted_without_a_sun(kind: str, images: int, rng: np.random.Generator, *, 
         angle, apart = rng.uniform(0.0, 2.0 * math.pi), 0.45 * size * math.sqrt(rng.uniform(0.0, 1.0))
         x, y = (0.5 * size + apart * math.cos(angle), 0.5 * size + apart * math.sin(angle))
         expected = Expectation(x_px=x, y_px=y, uncertainty_px=2.0)
-        alone += detect_sun_in_photo(image, full_scale=255).accepted
-        predicted += detect_sun_in_photo(image, full_scale=255, expectation=expected).accepted
+        alone += detect_sun_in_photo(Photo(image, 255)).accepted
+        predicted += detect_sun_in_photo(Photo(image, 255), expectation=expected).accepted
     return alone, predicted
 
 

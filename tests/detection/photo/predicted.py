@@ -23,10 +23,10 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from tests.detection.photo.facts import KINDS, SUNLESS, Photo, sun_photo, sunless_photo
+from tests.detection.photo.facts import KINDS, SUNLESS, Picture, sun_photo, sunless_photo
 
 from sunarc.detection.photo.candidates import candidates_in, whole_part
-from sunarc.detection.photo.ordinary_image import best_of, detect_sun_in_photo
+from sunarc.detection.photo.ordinary_image import Photo, best_of, detect_sun_in_photo
 from sunarc.detection.values import Detection, Expectation, Verdict
 from sunarc.reanalysis.image_files import checked_image
 
@@ -50,7 +50,7 @@ class Compared(NamedTuple):
     seconds: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
-def by_whole(image: Photo, expectation: Expectation) -> Answer:
+def by_whole(image: Picture, expectation: Expectation) -> Answer:
     """Return what the whole image says of a prediction: the former search, its candidates of all the image judged."""
     seen = candidates_in(whole_part(image, static=None, bayer=None), full_scale=255)
     if not seen:
@@ -59,36 +59,36 @@ def by_whole(image: Photo, expectation: Expectation) -> Answer:
     return Answer(best.verdict, (best.seen.rim.x, best.seen.rim.y), best.seen.sigma_px)
 
 
-def by_window(image: Photo, expectation: Expectation) -> Answer:
+def by_window(image: Picture, expectation: Expectation) -> Answer:
     """Return what the window about a prediction says."""
-    found = detect_sun_in_photo(image, full_scale=255, expectation=expectation, elsewhere=False)
+    found = detect_sun_in_photo(Photo(image, 255), expectation=expectation, elsewhere=False)
     place = None if found.x_px is None or found.y_px is None else (found.x_px, found.y_px)
     return Answer(found.verdict, place, found.sigma_px)
 
 
-def compared(image: Photo, place: Place, rng: np.random.Generator) -> Compared:
+def compared(image: Picture, place: Place, rng: np.random.Generator) -> Compared:
     """Return what both searches say of a prediction that is off by its sigma."""
     x, y = (value + float(rng.normal(0.0, _SIGMA_PX)) for value in place)
     expectation = Expectation(x_px=x, y_px=y, uncertainty_px=_SIGMA_PX)
     return Compared(by_whole(image, expectation), by_window(image, expectation))
 
 
-def stand_ins(kind: str, images: int, side: int, rng: np.random.Generator) -> Iterator[tuple[Photo, Place]]:
+def stand_ins(kind: str, images: int, side: int, rng: np.random.Generator) -> Iterator[tuple[Picture, Place]]:
     """Yield images of a kind, with or without a sun, and a place to predict."""
     for number in range(images):
         if kind in KINDS:
             yield sun_photo(KINDS[kind], rng, size=side)
         else:
             image = sunless_photo(kind, rng, size=side)
-            yield image, _place(detect_sun_in_photo(image, full_scale=255), side, rng, anywhere=number % 2 == 1)
+            yield image, _place(detect_sun_in_photo(Photo(image, 255)), side, rng, anywhere=number % 2 == 1)
 
 
-def files_in(folder: Path, images: int, rng: np.random.Generator, *, anywhere: bool) -> Iterator[tuple[Photo, Place]]:
+def files_in(folder: Path, images: int, rng: np.random.Generator, *, anywhere: bool) -> Iterator[tuple[Picture, Place]]:
     """Yield images of a folder, spread over it, and a place to predict."""
     files = sorted(folder.glob("*.jpg"))
     for file in files[:: max(1, len(files) // images)]:
         image = checked_image(file.read_bytes(), file.name).astype(np.uint8, copy=False)
-        found = detect_sun_in_photo(image, full_scale=255)
+        found = detect_sun_in_photo(Photo(image, 255))
         yield image, _place(found, min(image.shape[:2]), rng, anywhere=anywhere)
 
 
@@ -99,7 +99,7 @@ def _place(found: Detection, side: int, rng: np.random.Generator, *, anywhere: b
     return 0.5 * side + far * math.cos(angle), 0.5 * side + far * math.sin(angle)
 
 
-def _timed(image: Photo, one: Compared, place: Place) -> Compared:
+def _timed(image: Picture, one: Compared, place: Place) -> Compared:
     done, encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 90])
     assert done
     expectation = Expectation(x_px=place[0] + 1.0, y_px=place[1] - 1.0, uncertainty_px=_SIGMA_PX)
@@ -131,7 +131,7 @@ def says_the_same(one: Compared) -> bool:
     return one.whole.verdict == one.window.verdict or {one.whole.verdict, one.window.verdict} == elsewhere
 
 
-def _row(title: str, given: Iterator[tuple[Photo, Place]], rng: np.random.Generator) -> str:
+def _row(title: str, given: Iterator[tuple[Picture, Place]], rng: np.random.Generator) -> str:
     rows = [_timed(image, compared(image, place, rng), place) for image, place in given]
     accepted = [
         sum(one.verdict == "clear" for one in side) for side in ([r.whole for r in rows], [r.window for r in rows])

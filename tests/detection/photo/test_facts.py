@@ -7,7 +7,7 @@ import pytest
 from tests.detection.photo.facts import KINDS, SUNLESS, accepted_without_a_sun, outcome_of, sun_photo, sunless_photo
 from tests.detection.photo.predicted import compared, distance_px, stand_ins
 
-from sunarc.detection.photo.ordinary_image import detect_sun_in_photo
+from sunarc.detection.photo.ordinary_image import Photo, detect_sun_in_photo
 from sunarc.detection.values import Expectation
 
 FEW = {"haze": 1, "HDR, Raspberry Pi": 2, "thin cloud": 2}  # of five are accepted
@@ -28,16 +28,16 @@ def test_frames_without_a_sun_are_refused(kind: str) -> None:
 
 def test_a_hill_of_cloud_that_is_taken_for_the_sun_is_refused_where_the_sun_is_predicted_elsewhere() -> None:
     hill = sunless_photo("overcast", np.random.default_rng(1675))
-    found = detect_sun_in_photo(hill, full_scale=255)
+    found = detect_sun_in_photo(Photo(hill, 255))
     assert found.accepted  # one in 400 such frames: a single image does not tell it from a sun in haze
     assert found.x_px is not None
     elsewhere = Expectation(x_px=found.x_px + 15.0, y_px=found.y_px or 0.0, uncertainty_px=2.0)
-    assert not detect_sun_in_photo(hill, full_scale=255, expectation=elsewhere).accepted
+    assert not detect_sun_in_photo(Photo(hill, 255), expectation=elsewhere).accepted
 
 
 def test_an_overlay_brighter_than_a_clipped_sun_is_not_taken_for_it() -> None:
     image, place = sun_photo(KINDS["clipped at 160"], np.random.default_rng(4))
-    found = detect_sun_in_photo(image, full_scale=255)
+    found = detect_sun_in_photo(Photo(image, 255))
     assert int(image.max()) > 200
     assert found.peak_fraction == pytest.approx(160.0 / 255.0, abs=0.02)
     assert (found.x_px, found.y_px) == pytest.approx(place, abs=3.0)

@@ -13,13 +13,14 @@ from tests.detection.photo.suns import glare_image, with_text
 from tests.detection.rendering import FloatArray
 from tests.finding_codes import codes
 
-from sunarc.detection.photo.ordinary_image import Lens, detect_sun_in_photo, radial_bias_px
+from sunarc.detection.photo.ordinary_image import Lens, Photo, detect_sun_in_photo, radial_bias_px
 from sunarc.detection.values import Detection, Expectation
 from sunarc.errors import InputError
 
 
-def found_in(image: NDArray[Any], **arguments: Any) -> Detection:  # noqa: ANN401 - detect_sun_in_photo's own
-    return detect_sun_in_photo(image, full_scale=4095, **arguments)
+def found_in(image: NDArray[Any], **arguments: Any) -> Detection:  # noqa: ANN401 - those of Photo and of the detection
+    of_photo = {name: arguments.pop(name) for name in ("exposure_us", "static", "bayer") if name in arguments}
+    return detect_sun_in_photo(Photo(image, 4095, **of_photo), **arguments)
 
 
 @pytest.mark.parametrize("place", [(100.0, 90.0), (60.3, 120.7), (140.5, 55.2)])
@@ -118,7 +119,7 @@ def test_a_blob_at_the_corner_is_near_its_place_or_not_accepted() -> None:
 @pytest.mark.parametrize("dtype", [np.float64, np.int32, np.bool_])
 def test_another_type_is_refused(dtype: type[np.generic]) -> None:
     with pytest.raises(InputError) as error:
-        detect_sun_in_photo(np.zeros((32, 32), dtype), full_scale=255)
+        detect_sun_in_photo(Photo(np.zeros((32, 32), dtype), 255))
     assert error.value.field == "image"
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tests.detection.photographs import Photograph, photograph
 
-from sunarc.detection.photo.ordinary_image import detect_sun_in_photo
+from sunarc.detection.photo.ordinary_image import Photo, detect_sun_in_photo
 from sunarc.detection.values import Expectation
 
 
@@ -18,7 +18,7 @@ def errors(count: int, seed: int = 3, **scene: Any) -> list[tuple[float, bool]]:
     rng, found = np.random.default_rng(seed), []
     for _ in range(count):
         picture = Photograph(zenith_deg=rng.uniform(10, 75), azimuth_deg=rng.uniform(0, 360), **scene)
-        seen = detect_sun_in_photo(photograph(picture, rng), full_scale=255)
+        seen = detect_sun_in_photo(Photo(photograph(picture, rng), 255))
         if seen.x_px is not None and seen.y_px is not None:
             x, y = picture.sun_px
             found.append((math.hypot(seen.x_px - x, seen.y_px - y), seen.accepted))
@@ -60,7 +60,7 @@ def test_a_blob_pulled_far_off_the_sun_is_not_accepted(scene: dict[str, Any]) ->
 
 @pytest.mark.parametrize("level", [0, 100, 255])
 def test_a_blank_picture_holds_no_sun(level: int) -> None:
-    seen = detect_sun_in_photo(np.full((300, 300, 3), level, np.uint8), full_scale=255)
+    seen = detect_sun_in_photo(Photo(np.full((300, 300, 3), level, np.uint8), 255))
     assert not seen.accepted
 
 
@@ -68,4 +68,4 @@ def test_a_sun_far_from_the_expectation_is_not_accepted() -> None:
     picture = Photograph()
     expectation = Expectation(x_px=picture.sun_px[0] - 200.0, y_px=picture.sun_px[1], uncertainty_px=3.0)
     image = photograph(picture, np.random.default_rng(1))
-    assert not detect_sun_in_photo(image, full_scale=255, expectation=expectation).accepted
+    assert not detect_sun_in_photo(Photo(image, 255), expectation=expectation).accepted

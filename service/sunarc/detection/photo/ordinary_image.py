@@ -229,32 +229,39 @@ _MAX_APPARENT_ZENITH_DEG = 89.6
 """A lower sun is below the horizon: at 89.6 degrees the whole disc (radius 0.27 degrees) is still above it."""
 
 
+class Photo(NamedTuple):
+    """An ordinary or HDR image.
+
+    image : (rows, columns) or (rows, columns, 3) uint8 or uint16; the colours' order does not matter. full_scale : its
+    largest count. exposure_us : None where not known. static : pixels that stand still in the camera's images
+    (`static_mask`), (rows, columns) or reduced; they do not take part. bayer : colours of a raw mosaic; None where the
+    image is none.
+    """
+
+    image: Image
+    full_scale: int
+    exposure_us: float | None = None
+    static: BoolArray | None = None
+    bayer: Bayer | None = None
+
+
 def detect_sun_in_photo(
-    image: Image,
+    photo: Photo,
     *,
-    full_scale: int,
     expectation: Expectation | None = None,
-    static: BoolArray | None = None,
-    bayer: Bayer | None = None,
     robust: bool = True,
     lens: Lens | None = None,
-    exposure_us: float | None = None,
     elsewhere: bool = True,
 ) -> Detection:
     """Find the sun in an ordinary or HDR image.
 
     Parameters
     ----------
-    image : (rows, columns) or (rows, columns, 3) uint8 or uint16; the colours' order does not matter.
-    full_scale : its largest count.
+    photo : the image.
     expectation : where the sun should be, where known: plateaus within 5 of its sigmas (and 2 px) count alone, and are
         looked for in a window about it.
-    static : pixels that stand still in the camera's images (`static_mask`), (rows, columns) or reduced; they do not
-        take part.
-    bayer : colours of a raw mosaic; None where the image is none.
     robust : answer with the rim's circle; otherwise with the medians of the paper's estimators.
     lens : where given, the expected radial bias of the plateau is reported (never subtracted).
-    exposure_us : returned in the result.
     elsewhere : where nothing is at a predicted place, the whole image is searched, and a sun elsewhere is given as a
         reflection, not accepted; else it is hidden, at a fifth of the cost.
 
@@ -266,31 +273,22 @@ def detect_sun_in_photo(
     ------
     InputError : the array is no image.
     """
-    require_photo(image, full_scale=full_scale)
+    require_photo(photo.image, full_scale=photo.full_scale)
     zenith = None if expectation is None else expectation.apparent_zenith
     if zenith is not None and zenith > math.radians(_MAX_APPARENT_ZENITH_DEG):
         below = Finding("sun_below_horizon", {"zenith_deg": math.degrees(zenith)})
-        return _none("below_horizon", below, exposure_us)
-    given = _Given(image, full_scale, static, bayer, exposure_us)
-    found = None if expectation is None else _near(given, expectation, elsewhere=elsewhere)
-    found = _anywhere(given, expectation) if found is None else found
-    return _with_bias(found if robust or found.x_px is None else _papers(found, image, full_scale, zenith), lens)
+        return _none("below_horizon", below, photo.exposure_us)
+    found = None if expectation is None else _near(photo, expectation, elsewhere=elsewhere)
+    found = _anywhere(photo, expectation) if found is None else found
+    return _with_bias(found if robust or found.x_px is None else _papers(found, photo, zenith), lens)
 
 
-class _Given(NamedTuple):
-    image: Image
-    full_scale: int
-    static: BoolArray | None
-    bayer: Bayer | None
-    exposure_us: float | None
-
-
-def _near(given: _Given, expectation: Expectation, *, elsewhere: bool) -> Detection | None:
+def _near(photo: Photo, expectation: Expectation, *, elsewhere: bool) -> Detection | None:
     """Return what is at a predicted place; None where nothing is, and the rest of the image has to be searched.
 
     Light is looked at in a window about the place; in the whole image where a plateau is too wide for the window.
     """
-    image, full_scale, static, bayer, exposure_us = given
+    image, full_scale, exposure_us, static, bayer = photo
     step = window_step(image, bayer)
     part = part_near(image, expectation, step=step, static=static, bayer=bayer)
     seen = candidates_near(part, full_scale=full_scale)
@@ -299,17 +297,16 @@ def _near(given: _Given, expectation: Expectation, *, elsewhere: bool) -> Detect
         seen = candidates_near(part, full_scale=full_scale)
     best = best_of(seen, expectation) if seen else None
     if best is not None and not (elsewhere and best.verdict == "reflection"):
-        return _detection(best, part, given)
+        return _detection(best, part, photo)
     return None if elsewhere else _nothing(part, full_scale, exposure_us)
 
 
-def _anywhere(given: _Given, expectation: Expectation | None) -> Detection:
-    image, full_scale, static, bayer, exposure_us = given
-    part = whole_part(image, static=static, bayer=bayer)
-    seen = candidates_in(part, full_scale=full_scale)
+def _anywhere(photo: Photo, expectation: Expectation | None) -> Detection:
+    part = whole_part(photo.image, static=photo.static, bayer=photo.bayer)
+    seen = candidates_in(part, full_scale=photo.full_scale)
     if seen:
-        return _detection(best_of(seen, expectation), part, given)
-    return _nothing(part, full_scale, exposure_us)
+        return _detection(best_of(seen, expectation), part, photo)
+    return _nothing(part, photo.full_scale, photo.exposure_us)
 
 
 def _nothing(part: Part, full_scale: int, exposure_us: float | None) -> Detection:
@@ -336,8 +333,8 @@ def _none(verdict: Verdict, finding: Finding, exposure_us: float | None, peak: f
     )
 
 
-def _detection(best: Judged, part: Part, given: _Given) -> Detection:
-    rim, full_scale = best.seen.rim, given.full_scale
+def _detection(best: Judged, part: Part, photo: Photo) -> Detection:
+    rim, full_scale = best.seen.rim, photo.full_scale
     return Detection(
         method="paper",
         accepted=best.verdict == "clear",
@@ -347,26 +344,26 @@ def _detection(best: Judged, part: Part, given: _Given) -> Detection:
         y_px=rim.y,
         sigma_px=best.seen.sigma_px,
         peak_fraction=rim.level / full_scale,
-        background_fraction=float(np.median(_sparse(given, part))) / full_scale,
+        background_fraction=float(np.median(_sparse(photo, part))) / full_scale,
         radius_px=rim.radius,
         ellipticity=rim.ellipticity,
         saturated_px=int(np.count_nonzero(part.plane >= _SATURATED * full_scale)),
         spread_px=rim.spread,
-        exposure_us=given.exposure_us,
+        exposure_us=photo.exposure_us,
     )
 
 
-def _sparse(given: _Given, part: Part) -> Image:
+def _sparse(photo: Photo, part: Part) -> Image:
     """Return every 16th row and column of the whole plane."""
     if part.cell == 1:
-        return plane_of(given.image[::_SPARSE, ::_SPARSE], None)
-    whole = part if part.near is None else whole_part(given.image, static=None, bayer=given.bayer)
+        return plane_of(photo.image[::_SPARSE, ::_SPARSE], None)
+    whole = part if part.near is None else whole_part(photo.image, static=None, bayer=photo.bayer)
     return whole.plane[::_SPARSE, ::_SPARSE]
 
 
-def _papers(found: Detection, image: Image, full_scale: int, zenith: float | None) -> Detection:
+def _papers(found: Detection, photo: Photo, zenith: float | None) -> Detection:
     """Return a detection with the position of the paper's estimators in place of the rim's."""
-    estimates = locate(planes_of(image, full_scale=full_scale), apparent_zenith=zenith)
+    estimates = locate(planes_of(photo.image, full_scale=photo.full_scale), apparent_zenith=zenith)
     if estimates is None:
         return found
     x, y = estimates.position
@@ -385,27 +382,13 @@ _AGREE_SIGMAS, _AGREE_RADIUS = 4.0, 0.35
 """Candidates of two exposures are of one thing within so many of their sigmas, or so much of the larger radius."""
 
 
-class Exposure(NamedTuple):
-    """An image, as `detect_sun_in_photo` takes it, and its exposure time; None where that is not known."""
-
-    image: Image
-    exposure_us: float | None
-
-
-def detect_sun_in_stack(
-    exposures: Sequence[Exposure],
-    *,
-    full_scale: int,
-    expectation: Expectation | None = None,
-    static: BoolArray | None = None,
-    bayer: Bayer | None = None,
-) -> Detection:
+def detect_sun_in_stack(exposures: Sequence[Photo], *, expectation: Expectation | None = None) -> Detection:
     """Find the sun in a stack of exposures of one time.
 
     Parameters
     ----------
     exposures : images of one size, in any order; where not all times are known, the lighter one is the longer one.
-    full_scale, expectation, static, bayer : as in `detect_sun_in_photo`.
+    expectation : as in `detect_sun_in_photo`.
 
     Returns
     -------
@@ -422,42 +405,26 @@ def detect_sun_in_stack(
     if len({each.image.shape for each in exposures}) > 1:
         raise InputError(field="exposures", problem="several sizes", remedy="give images of one size")
     ordered = _longest_first(exposures)
-    seen = [
-        detect_sun_in_photo(
-            each.image,
-            full_scale=full_scale,
-            expectation=expectation,
-            static=static,
-            bayer=bayer,
-            exposure_us=each.exposure_us,
-        )
-        for each in ordered
-    ]
+    seen = [detect_sun_in_photo(each, expectation=expectation) for each in ordered]
     accepted = [found for found in seen if found.accepted]
     if not accepted:
         return seen[0]
     anchor = min(accepted, key=lambda found: found.sigma_px or math.inf)
-    agreeing = [
-        (near, each.exposure_us)
-        for each in ordered
-        if (near := _nearest(each.image, anchor, full_scale=full_scale, static=static, bayer=bayer)) is not None
-    ]
+    agreeing = [(near, each.exposure_us) for each in ordered if (near := _nearest(each, anchor)) is not None]
     return _mean(anchor, agreeing)
 
 
-def _longest_first(exposures: Sequence[Exposure]) -> list[Exposure]:
+def _longest_first(exposures: Sequence[Photo]) -> list[Photo]:
     known = [each.exposure_us for each in exposures if each.exposure_us is not None]
     lengths = known if len(known) == len(exposures) else [float(np.mean(each.image)) for each in exposures]
     order = sorted(range(len(exposures)), key=lambda number: -lengths[number])
     return [exposures[number] for number in order]
 
 
-def _nearest(
-    image: Image, anchor: Detection, *, full_scale: int, static: BoolArray | None, bayer: Bayer | None
-) -> Candidate | None:
+def _nearest(photo: Photo, anchor: Detection) -> Candidate | None:
     """Return an exposure's most certain candidate that agrees with the anchor."""
-    part = whole_part(image, static=static, bayer=bayer)
-    found = candidates_in(part, full_scale=full_scale, least_level=_LEAST_LEVEL, least_near=0.0)
+    part = whole_part(photo.image, static=photo.static, bayer=photo.bayer)
+    found = candidates_in(part, full_scale=photo.full_scale, least_level=_LEAST_LEVEL, least_near=0.0)
     agreeing = [each for each in found if _agrees(each, anchor)]
     return min(agreeing, key=lambda each: each.sigma_px, default=None)
 
