@@ -25,7 +25,8 @@ from scipy.spatial.transform import Rotation
 
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.changes.detect_change import update_window
-from sunarc.calibration.changes.values import Change, Sighting, SightingWindow, WatchOptions
+from sunarc.calibration.changes.values import Change, Sighting, SightingWindow
+from sunarc.calibration.model.options import WatchOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.optics.camera import Camera

@@ -41,7 +41,7 @@ from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.night import body_directions
 from sunarc.sky.sun import sun_angles, sun_directions
 from sunarc.utc import utc_time
-from sunarc.workers.calibrating.refit import Task, next_task
+from sunarc.workers.calibrating.refit import RefitTask, next_task
 from sunarc.workers.night.exposures import NightCapture, NightExposures
 from sunarc.workers.night.night import NightWorker
 from sunarc.workers.options import SensorOptions
@@ -111,7 +111,7 @@ class SimulatedImager:
     def fitted(self) -> Calibration:
         """Return the fit of all that the archive has."""
         task = next_task(self.camera, cadence_s=120.0, options=CalibrationOptions(), circle=None, now=self.now)
-        if not isinstance(task, Task):
+        if not isinstance(task, RefitTask):
             raise TypeError(f"nothing to solve: {task}")
         problem = task.problem
         return calibrate(problem.points, site=problem.site, image_size=problem.image_size, options=problem.options)

@@ -27,7 +27,8 @@ from sunarc.archive.database.store import Reserve
 from sunarc.archive.images import DiskOptions, ImageStore
 from sunarc.archive.values import Day, Refit
 from sunarc.runtime.clock import ClockState, SystemClock, VirtualClock
-from sunarc.workers.clock_watch import ClockOptions, ClockWatch, FrameTime
+from sunarc.workers.clock_watch import ClockWatch, FrameTime
+from sunarc.workers.options import ClockOptions
 from sunarc.workers.upkeep import DiskWorker
 
 if TYPE_CHECKING:

@@ -28,9 +28,10 @@ from sunarc.imaging.exposure import SunExposureOptions
 from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.loop import DropOldestQueue
 from sunarc.runtime.status import StatusRegistry
-from sunarc.workers.capture import CaptureOptions, CaptureWorker
+from sunarc.workers.capture import CaptureWorker
 from sunarc.workers.clock_watch import FrameTime
 from sunarc.workers.exposures import SunExposures
+from sunarc.workers.options import CaptureOptions
 
 _SETTLING = 4
 _UP_DEG, _DOWN_DEG = 60.0, 92.0  # apparent zenith angles: in daylight both

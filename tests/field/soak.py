@@ -35,9 +35,10 @@ from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.loop import DropOldestQueue
 from sunarc.runtime.status import StatusRegistry
 from sunarc.simulation.imager import ImagerOptions, scene_of
-from sunarc.workers.capture import CaptureOptions, CaptureWorker
+from sunarc.workers.capture import CaptureWorker
 from sunarc.workers.clock_watch import FrameTime
 from sunarc.workers.exposures import SunExposures
+from sunarc.workers.options import CaptureOptions
 
 ADDRESS = "127.0.0.1"
 START = datetime(2013, 5, 13, 22, 40, tzinfo=UTC)

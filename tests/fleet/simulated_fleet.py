@@ -36,7 +36,8 @@ from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.status import StatusRegistry
 from sunarc.sky.site import Site
 from sunarc.workers import feed
-from sunarc.workers.feed import FeedWorker, HubConnection, HubOptions
+from sunarc.workers.feed import FeedWorker, HubConnection
+from sunarc.workers.options import HubOptions
 
 START = datetime(2026, 1, 1, 12, tzinfo=UTC)
 CADENCE_S = 30.0

@@ -18,7 +18,7 @@ from time import perf_counter
 from tests.fleet.simulated_fleet import Fleet, Imager, feed_worker, fleet_of
 
 from sunarc.archive.archive import open_archive
-from sunarc.workers.feed import HubOptions
+from sunarc.workers.options import HubOptions
 
 _ROWS_A_DAY = 2880
 _AT_ONCE = 2000

@@ -9,7 +9,7 @@ import pytest
 from sunarc.errors import OutsideError
 from sunarc.findings import Finding, Message, Messages
 from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.loop import Attempts, DropOldestQueue, Loop, back_off_s, entries
+from sunarc.runtime.loop import Attempts, DropOldestQueue, Loop, Pauses, entries
 from sunarc.runtime.status import Reason, StatusRegistry
 
 MESSAGES = Messages(failing=Message("{error} for {hours} h", "It fails.", "end its cause"))
@@ -38,7 +38,7 @@ def attempts(clock: VirtualClock, board: StatusRegistry, *, after_s: float = 0.0
     def reason(error: str, hours: float) -> Reason:
         return Reason.of(Finding("failing", {"error": error, "hours": hours}), MESSAGES)
 
-    return Attempts(clock, every_s=2.0, longest_s=15.0, board=board, code="failing", reason=reason, after_s=after_s)
+    return Attempts(clock, Pauses(2.0, 15.0), board=board, code="failing", reason=reason, after_s=after_s)
 
 
 def fail() -> None:
@@ -124,7 +124,7 @@ def test_what_is_no_failure_from_outside_ends_the_loop(clock: VirtualClock, boar
 
 @pytest.mark.parametrize(("failures", "pause_s"), [(1, 1.0), (2, 2.0), (5, 16.0), (6, 30.0), (10_000, 30.0)])
 def test_pauses_double_up_to_the_longest(failures: int, pause_s: float) -> None:
-    assert back_off_s(failures, first_s=1.0, longest_s=30.0) == pause_s
+    assert Pauses(1.0, 30.0).after(failures) == pause_s
 
 
 def test_what_waits_in_a_queue_is_taken_before_the_end() -> None:

@@ -11,8 +11,7 @@ import pytest
 from annotated_types import Ge, Gt, Le, Lt
 
 from sunarc.bounds import OneOf, bounds_of
-from sunarc.calibration.changes.values import WatchOptions
-from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.options import CalibrationOptions, WatchOptions
 from sunarc.calibration.selection import SelectionOptions
 from sunarc.cameras.options import AravisOptions
 from sunarc.detection.values import DiscOptions
@@ -23,8 +22,7 @@ from sunarc.settings.load import load_settings
 from sunarc.settings.model import Settings
 from sunarc.settings.reference import all_settings, dataclass_in
 from sunarc.settings.removed import REMOVED
-from sunarc.workers.capture import CaptureOptions
-from sunarc.workers.options import RefitOptions
+from sunarc.workers.options import CaptureOptions, RefitOptions
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
+import sys
 import tomllib
 from dataclasses import dataclass, field
+from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import pytest
 from annotated_types import Gt, Le
 
+from sunarc.archive.fleet.nightly import LEAST_KEPT
 from sunarc.settings.reference import (
     _of_options,
     _toml,
@@ -141,3 +145,22 @@ def test_the_class_of_an_option_is_found_beside_none() -> None:
 def test_the_page_has_one_row_for_each_setting_and_each_removed_one() -> None:
     rows = [line.split("`")[1] for line in as_markdown().splitlines() if line.startswith("| `")]
     assert sorted(rows) == sorted([setting.name for setting in all_settings()] + list(REMOVED))
+
+
+def test_the_settings_load_neither_the_fit_nor_a_worker() -> None:
+    heavy = (
+        "numba",
+        "scipy",
+        "cv2",
+        "sunarc.calibration.fit",
+        "sunarc.calibration.calibrate",
+        "sunarc.workers.capture",
+    )
+    code = f"import sys, sunarc.settings.load; print([name for name in {heavy} if name in sys.modules])"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "[]"
+
+
+def test_a_hub_keeps_at_least_what_its_archive_needs() -> None:
+    least = next(setting for setting in all_settings() if setting.name == "nightly.keep_sightings_days").allowed
+    assert f"{LEAST_KEPT / timedelta(days=1):g}" in least.split()

@@ -23,10 +23,11 @@ from sunarc.runtime.status import StatusRegistry
 from sunarc.simulation import fake_camera as genicam
 from sunarc.simulation.truth import SGP
 from sunarc.sky.sun import sun_angles
-from sunarc.workers.capture import CaptureOptions, CaptureWorker
+from sunarc.workers.capture import CaptureWorker
 from sunarc.workers.clock_watch import FrameTime
 from sunarc.workers.exposures import SunExposures
 from sunarc.workers.night.exposures import NightCapture, NightExposures
+from sunarc.workers.options import CaptureOptions
 
 __all__ = ["opened"]
 pytestmark = [pytest.mark.gige, pytest.mark.slow, pytest.mark.timeout(240)]

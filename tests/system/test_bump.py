@@ -25,7 +25,7 @@ from sunarc.simulation.scene import Scene, bumped_camera
 from sunarc.simulation.scene_camera import SceneCamera
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.sun import sun_angles, sun_directions
-from sunarc.workers.capture import CaptureOptions
+from sunarc.workers.options import CaptureOptions
 
 CADENCE_S = 60.0
 BUMPED_AT = datetime(2013, 5, 14, 18, 30, 30, tzinfo=UTC)

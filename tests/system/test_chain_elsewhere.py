@@ -31,8 +31,7 @@ from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles, sun_directions
 from sunarc.workers.calibrating.refit import RefitWorker
-from sunarc.workers.capture import CaptureOptions
-from sunarc.workers.options import SensorOptions
+from sunarc.workers.options import CaptureOptions, SensorOptions
 
 CADENCE_S = 1200.0
 

@@ -17,10 +17,11 @@ from sunarc.imaging.exposure import SunExposureOptions
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.loop import DropOldestQueue
 from sunarc.runtime.status import StatusRegistry
-from sunarc.workers.capture import CaptureOptions, CaptureWorker
+from sunarc.workers.capture import CaptureWorker
 from sunarc.workers.clock_watch import FrameTime
 from sunarc.workers.exposures import SunExposures
 from sunarc.workers.night.exposures import NightCapture, NightExposures
+from sunarc.workers.options import CaptureOptions
 
 if TYPE_CHECKING:
     from .conftest import FakeCamera

@@ -15,15 +15,8 @@ from sunarc.archive.archive import Archive, CameraArchive
 from sunarc.errors import InputError, OutsideError
 from sunarc.runtime.clock import ClockState, VirtualClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.workers.clock_watch import (
-    LEAST_ERROR_S,
-    SETTLE_S,
-    SHOW_STEP_S,
-    UNKNOWN_ERROR_S,
-    ClockOptions,
-    ClockWatch,
-    FrameTime,
-)
+from sunarc.workers.clock_watch import LEAST_ERROR_S, SETTLE_S, SHOW_STEP_S, UNKNOWN_ERROR_S, ClockWatch, FrameTime
+from sunarc.workers.options import ClockOptions
 
 from .conftest import NOON
 

@@ -22,9 +22,8 @@ from sunarc.archive.archive import Archive, CameraArchive, open_archive
 from sunarc.archive.database.schema import check, downgrade, upgrade
 from sunarc.archive.database.tables import metadata
 from sunarc.archive.values import CameraRecord, Day, Event, Refit, SunPoint
-from sunarc.calibration.changes.values import WatchOptions
 from sunarc.calibration.model.document import to_document
-from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.options import CalibrationOptions, WatchOptions
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.errors import InputError
 from sunarc.optics.forward import project
@@ -38,7 +37,7 @@ from sunarc.workers.options import RefitOptions
 from sunarc.workers.sun_prediction import SunPredictor
 
 if TYPE_CHECKING:
-    from sunarc.workers.calibrating.refit import Task
+    from sunarc.workers.calibrating.refit import RefitTask
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 NOW = NOON + timedelta(days=3)
@@ -236,7 +235,7 @@ def test_a_refit_that_finds_nothing_new_replaces_a_damaged_calibration(
     path: Path, board: StatusRegistry, clock: VirtualClock
 ) -> None:
     none = Sightings(unix_s=np.empty(0), pixels=np.empty((0, 2)))
-    task = cast("Task", SimpleNamespace(pose_epoch="roof-1", problem=SimpleNamespace(points=none)))
+    task = cast("RefitTask", SimpleNamespace(pose_epoch="roof-1", problem=SimpleNamespace(points=none)))
     archive = open_archive(path)
     verdict = refit_worker(archive, board, clock)._verdict(task, calibration(), archive.current_calibration("roof"))
     archive.close()

@@ -11,8 +11,8 @@ from sunarc.cameras.frame import Frame
 from sunarc.errors import InputError
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.workers.capture import CaptureOptions
 from sunarc.workers.capture_status import DarkFrames
+from sunarc.workers.options import CaptureOptions
 
 from .conftest import FakeCamera
 

@@ -31,7 +31,8 @@ from sunarc.runtime.supervisor import Supervised, Supervisor, SupervisorOptions
 from sunarc.sky.site import Site
 from sunarc.workers import feed
 from sunarc.workers import feed as hub_connection
-from sunarc.workers.feed import _LONGEST_WAIT_S, _SILENT_S, FeedWorker, HubConnection, HubOptions, HubRefusal
+from sunarc.workers.feed import _LONGEST_WAIT_S, _SILENT_S, FeedWorker, HubConnection, HubRefusal
+from sunarc.workers.options import HubOptions
 
 _TICK_S = 0.05
 

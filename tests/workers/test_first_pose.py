@@ -16,10 +16,9 @@ from tests.workers.test_watch import DAY, NOON, SIZE, TRUTH, Imager, off_in_sigm
 from sunarc.archive.archive import CameraArchive, open_archive
 from sunarc.archive.values import CameraRecord
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.changes.values import WatchOptions
 from sunarc.calibration.lens_library.first_pose import north_sigma_deg, top_azimuth_deg
 from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread, frame_of, type_camera
-from sunarc.calibration.model.options import CalibrationOptions, FirstPoseOptions
+from sunarc.calibration.model.options import CalibrationOptions, FirstPoseOptions, WatchOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.errors import InputError

@@ -23,7 +23,7 @@ from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.night import body_directions, night_sky
 from sunarc.sky.sun import sun_angles, sun_directions
 from sunarc.utc import utc_time
-from sunarc.workers.calibrating.refit import Task, next_task
+from sunarc.workers.calibrating.refit import RefitTask, next_task
 from sunarc.workers.calibrating.solver_process import points_of
 
 NOW = datetime(2013, 5, 14, 12, 0, tzinfo=UTC)
@@ -70,13 +70,13 @@ def camera(tmp_path: Path) -> Iterator[CameraArchive]:
     archive.close()
 
 
-def task_of(camera: CameraArchive) -> Task:
+def task_of(camera: CameraArchive) -> RefitTask:
     task = next_task(camera, cadence_s=30.0, options=CalibrationOptions(), circle=None, now=NOW)
-    assert isinstance(task, Task)
+    assert isinstance(task, RefitTask)
     return task
 
 
-def solved(task: Task) -> Calibration:
+def solved(task: RefitTask) -> Calibration:
     problem = task.problem
     return calibrate(problem.points, site=problem.site, image_size=problem.image_size, options=problem.options)
 
@@ -136,6 +136,6 @@ def test_stars_alone_are_nothing_to_solve(tmp_path: Path) -> None:
         circle=None,
         now=NOW,
     )
-    assert not isinstance(found, Task)
+    assert not isinstance(found, RefitTask)
     assert found.code == "no_accepted_sightings"
     archive.close()

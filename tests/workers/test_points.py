@@ -24,7 +24,7 @@ from sunarc.optics.forward import project
 from sunarc.sky.sun import sun_angles, sun_directions
 from sunarc.workers.calibrating import monitor as days
 from sunarc.workers.calibrating.monitor import DayJudge
-from sunarc.workers.calibrating.refit import EpochSearch, Task, next_task
+from sunarc.workers.calibrating.refit import EpochSearch, RefitTask, next_task
 from sunarc.workers.sun_prediction import SunPredictor
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
@@ -74,7 +74,7 @@ def test_a_refit_is_given_the_measured_air(archive: Archive) -> None:
         CameraArchive(archive, name="roof", site=SITE), cadence_s=30.0,
         options=CalibrationOptions(), circle=None, now=NOON + timedelta(days=2),
     )  # fmt: skip
-    assert isinstance(task, Task)
+    assert isinstance(task, RefitTask)
     check_air(task.problem.points)
     check_air(task.of_epoch("roof-1").points)
 

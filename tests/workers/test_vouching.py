@@ -15,9 +15,10 @@ from sunarc.imaging.exposure import SunExposureOptions
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.loop import DropOldestQueue
 from sunarc.runtime.status import StatusRegistry
-from sunarc.workers.capture import CaptureOptions, CaptureWorker, Cycle, CycleConsistencyFilter
+from sunarc.workers.capture import CaptureWorker, Cycle, CycleConsistencyFilter
 from sunarc.workers.clock_watch import FrameTime
 from sunarc.workers.exposures import SunExposures
+from sunarc.workers.options import CaptureOptions
 
 from .conftest import NOON, FakeCamera, StopAfter
 

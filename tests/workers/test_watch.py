@@ -20,10 +20,10 @@ from sunarc.calibration.answers.covariance import hemisphere, project_with_covar
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.changes import detect_change
 from sunarc.calibration.changes.detect_change import update_window
-from sunarc.calibration.changes.values import Change, Sighting, SightingWindow, WatchOptions
+from sunarc.calibration.changes.values import Change, Sighting, SightingWindow
 from sunarc.calibration.messages import MESSAGES
 from sunarc.calibration.model.document import from_document, to_document
-from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.options import CalibrationOptions, WatchOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.errors import OutsideError

@@ -13,8 +13,7 @@ from tests.workers.test_watch import SIZE, TRUTH
 
 from sunarc.archive.archive import CameraArchive
 from sunarc.archive.values import CameraRecord
-from sunarc.calibration.changes.values import WatchOptions
-from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.options import CalibrationOptions, WatchOptions
 from sunarc.calibration.quality.site_checks import site_contradiction
 from sunarc.cameras.frame import Frame
 from sunarc.optics.forward import project

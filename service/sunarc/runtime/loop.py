@@ -6,7 +6,7 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
-from typing import Generic, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 from sunarc.errors import OutsideError
 from sunarc.runtime.clock import Clock
@@ -77,9 +77,15 @@ def entries(queue: DropOldestQueue[T], stop: threading.Event, heartbeat: Callabl
         yield entry
 
 
-def back_off_s(failures: int, *, first_s: float, longest_s: float) -> float:
-    """Return the pause after so many failures in a row: the first one, doubled after each, up to the longest."""
-    return float(min(first_s * 2.0 ** min(failures - 1, 30), longest_s))
+class Pauses(NamedTuple):
+    """Seconds between attempts: after success and a first failure, and the longest after many."""
+
+    every_s: float
+    longest_s: float
+
+    def after(self, failures: int) -> float:
+        """Return the pause after so many failures in a row: the first one, doubled after each, up to the longest."""
+        return float(min(self.every_s * 2.0 ** min(max(failures - 1, 0), 30), self.longest_s))
 
 
 class Attempts:
@@ -88,41 +94,38 @@ class Attempts:
     Parameters
     ----------
     clock : real time.
-    every_s, longest_s : the pause after success and after a first failure, and the longest one after many; without
-        `longest_s` pauses do not grow.
+    pauses : between the attempts.
     board, code : where the condition is set, and its code; cleared by success.
     reason : makes the condition of the error's text, and of the hours since the last success.
     after_s : for how long the work must have failed before that is a condition.
-    errors : what is such a failure; any other error ends the loop.
     """
 
     def __init__(
         self,
         clock: Clock,
+        pauses: Pauses,
         *,
-        every_s: float,
-        longest_s: float | None = None,
         board: StatusRegistry,
         code: str,
         reason: Callable[[str, float], Reason],
         after_s: float = 0.0,
-        errors: tuple[type[Exception], ...] = (OutsideError,),
     ) -> None:
-        self._clock, self._board = clock, board
+        self._clock, self._pauses, self._board = clock, pauses, board
         self._code, self._reason, self._after_s = code, reason, after_s
-        self._every_s, self._longest_s = every_s, every_s if longest_s is None else longest_s
-        self._errors = errors
         self._failures = 0
         self._succeeded_s = clock.monotonic()
 
     def attempt(self, work: Callable[[], float | None]) -> float:
-        """Do the work, and return the seconds until the next time: what it returns, or else the usual pause."""
+        """Do the work, and return the seconds until the next time: what it returns, or else the usual pause.
+
+        An `OutsideError` is a failure; any other error ends the loop.
+        """
         try:
             pause_s = work()
-        except self._errors as error:
+        except OutsideError as error:
             return self.failed(str(error))
         self.succeeded()
-        return self._every_s if pause_s is None else pause_s
+        return self._pauses.every_s if pause_s is None else pause_s
 
     def failed(self, error: str) -> float:
         """Count a failure, set the condition where it has lasted, and return the pause after it."""
@@ -131,7 +134,7 @@ class Attempts:
         failing_s = self._clock.monotonic() - self._succeeded_s
         if failing_s >= self._after_s:
             self._board.set_condition(self._code, self._reason(error, failing_s / 3600.0))
-        return back_off_s(self._failures, first_s=self._every_s, longest_s=self._longest_s)
+        return self._pauses.after(self._failures)
 
     def answered(self) -> None:
         """Count time from now: there was an answer, though perhaps no success."""

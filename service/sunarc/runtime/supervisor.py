@@ -15,7 +15,7 @@ from sunarc.bounds import Positive, require_bounds
 from sunarc.errors import OutsideError
 from sunarc.findings import Finding, Message, Messages
 from sunarc.runtime.clock import Clock
-from sunarc.runtime.loop import back_off_s
+from sunarc.runtime.loop import Pauses
 from sunarc.runtime.status import Reason, Severity, StatusRegistry, WorkerState, WorkerStatus
 
 MESSAGES = Messages(
@@ -155,8 +155,7 @@ class Staleness:
 
 _log = logging.getLogger(__name__)
 
-_FIRST_BACK_OFF_S = 1.0
-_LONGEST_BACK_OFF_S = 30.0
+_BACK_OFF = Pauses(1.0, 30.0)
 _RETRY_FAILED_S = 300.0  # of a worker that died too often; as systemd retries the service (sunarc-retry.timer)
 
 
@@ -357,7 +356,7 @@ class _Life:
             age_s = self._beat.age_s()
             running = self._state == "running"
             self._write(age_s)
-            if running and self._clock.monotonic() - self._born_at > _LONGEST_BACK_OFF_S:
+            if running and self._clock.monotonic() - self._born_at > _BACK_OFF.longest_s:
                 self._recover()
         stuck = self._staleness.update(age_s if running else 0.0)
         return (self._worker.optional or not stuck) and not self.failed
@@ -375,7 +374,7 @@ class _Life:
         if not self._blocked and deaths > 1:
             within_s = self._worker.options.within_s
             self._publish("worker_restarting", severity=self._worker.severity, deaths=deaths, within_s=within_s)
-        self._clock.wait(self._stop, back_off_s(deaths, first_s=_FIRST_BACK_OFF_S, longest_s=_LONGEST_BACK_OFF_S))
+        self._clock.wait(self._stop, _BACK_OFF.after(deaths))
         return True
 
     def _live(self) -> str | None:

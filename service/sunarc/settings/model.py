@@ -11,17 +11,16 @@ from sqlalchemy import URL
 from sunarc.api.options import ApiOptions
 from sunarc.archive.database.connections import server_url
 from sunarc.archive.images import DiskOptions
-from sunarc.calibration.changes.values import WatchOptions
-from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.options import CalibrationOptions, WatchOptions
 from sunarc.cameras.options import AravisOptions, ReplayOptions
 from sunarc.detection.values import DiscOptions
 from sunarc.imaging.exposure import SunExposureOptions
 from sunarc.runtime.supervisor import SupervisorOptions
 from sunarc.sky.site import Site
-from sunarc.workers.capture import CaptureOptions
-from sunarc.workers.clock_watch import ClockOptions
-from sunarc.workers.feed import HubOptions
 from sunarc.workers.options import (
+    CaptureOptions,
+    ClockOptions,
+    HubOptions,
     LensPriorOptions,
     NightlyOptions,
     NightOptions,

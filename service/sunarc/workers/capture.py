@@ -9,22 +9,19 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from datetime import datetime, timedelta
-from typing import Annotated
 
-from annotated_types import Ge, Gt, Le
-
-from sunarc.bounds import require_bounds
 from sunarc.cameras.frame import CameraCondition, Frame, GainCamera, SkyCamera
 from sunarc.errors import CameraError, CameraLostError, ConfigurationError, InputError
 from sunarc.imaging.brightness import MOST_ALL_OVER, Exposed, Level, factor_all_over, level_of
 from sunarc.runtime.clock import Clock
-from sunarc.runtime.loop import DropOldestQueue, Loop, back_off_s
+from sunarc.runtime.loop import DropOldestQueue, Loop, Pauses
 from sunarc.runtime.status import CameraStatus, StatusRegistry
 from sunarc.workers.capture_status import CaptureReport
 from sunarc.workers.clock_watch import FrameTime
 from sunarc.workers.exposures import ExposureSequence, SunExposures
 from sunarc.workers.messages import condition
 from sunarc.workers.night.exposures import DARK_ZENITH_DEG, NightCapture
+from sunarc.workers.options import CaptureOptions
 
 # Consistency of consecutive cycles: the overall brightness may not jump from one to the next.
 
@@ -136,52 +133,6 @@ _DAYLIGHT_ZENITH_DEG = 96.0
 """Composites are made while the sun's apparent zenith angle is below this: until the end of civil twilight."""
 _LEAD_S = 2.0  # before a slot the camera is looked at, and until then the slot before is over
 _LEAD_SHARE = 0.2  # of short cadences
-_SHORTEST_NORMAL_US, _SHORTEST_BRACKET_US = 10.0, 100.0  # no lens shows the sky in less; the sun's are not set
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CaptureOptions:
-    """The cadence.
-
-    Attributes
-    ----------
-    cadence_s : seconds from slot to slot; slots are whole multiples of it since 1970-01-01 UTC.
-    hdr_exposures_us : the normal exposures, in the order taken.
-    sun_zenith_deg : sun exposures are taken while the sun's apparent zenith angle is below this.
-    night_cadence_s : seconds between the exposures of the night, which are not kept: a sign of life, or of its stars.
-    reopen_after_s, reopen_at_most_s : seconds before a lost camera is tried again: the first pause, doubled up to the
-        longest one.
-    camera_clock_error_s : bound of the camera's clock's error, where frames are dated by it (PTP).
-    speed : seconds of the camera's clock in a real second; other than 1 only for a simulated camera.
-    """
-
-    cadence_s: Annotated[float, Gt(0.0), Le(3600.0)] = 30.0
-    hdr_exposures_us: tuple[Annotated[float, Gt(0.0), Le(1e8)], ...] = (3_000.0, 12_000.0, 48_000.0)
-    sun_zenith_deg: Annotated[float, Gt(0.0), Le(92.0)] = 89.6
-    night_cadence_s: Annotated[float, Gt(0.0), Le(86_400.0)] = 600.0
-    reopen_after_s: Annotated[float, Gt(0.0), Le(3600.0)] = 1.0
-    reopen_at_most_s: Annotated[float, Gt(0.0), Le(3600.0)] = 30.0
-    camera_clock_error_s: Annotated[float, Ge(0.0), Le(3600.0)] = 0.001
-    speed: Annotated[float, Gt(0.0), Le(100_000.0)] = 1.0
-
-    def __post_init__(self) -> None:
-        """Refuse a cycle that cannot be kept."""
-        require_bounds(self, section="capture")
-        if not self.hdr_exposures_us:
-            raise InputError(field="capture.hdr_exposures_us", problem="is empty", remedy="give exposures in µs")
-        _require_microseconds(self.hdr_exposures_us)
-
-
-def _require_microseconds(exposures_us: Sequence[float]) -> None:
-    """Refuse normal exposures that only milliseconds explain."""
-    bracket_is_short = len(exposures_us) > 1 and max(exposures_us) < _SHORTEST_BRACKET_US
-    if min(exposures_us) < _SHORTEST_NORMAL_US or bracket_is_short:
-        listed = ", ".join(f"{exposure:g}" for exposure in exposures_us)
-        raise InputError(
-            field="capture.hdr_exposures_us",
-            problem=f"{listed} us are too short for the sky, and look like milliseconds",
-            remedy=f"give microseconds: {', '.join(f'{1000.0 * exposure:g}' for exposure in exposures_us)}",
-        )
 
 
 class CaptureWorker:
@@ -237,7 +188,7 @@ class CaptureWorker:
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Capture until stopped; a lost camera is opened again, ever less often."""
         loop = Loop(self._clock, stop, heartbeat)
-        longest_s, failures = self._options.reopen_at_most_s, 0
+        pauses, failures = Pauses(self._options.reopen_after_s, self._options.reopen_at_most_s), 0
         for _ in loop.turns():
             failures += 1
             try:
@@ -253,7 +204,7 @@ class CaptureWorker:
             except (ConfigurationError, InputError) as error:
                 self._report.refused(error)
                 failures = _REFUSED
-            loop.wait(back_off_s(failures, first_s=self._options.reopen_after_s, longest_s=longest_s))
+            loop.wait(pauses.after(failures))
 
     def _slots(self, camera: SkyCamera, loop: Loop) -> Iterator[datetime]:
         """Serve slot after slot, and yield each that succeeded."""

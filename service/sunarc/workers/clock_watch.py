@@ -9,12 +9,8 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
-from typing import Annotated
-
-from annotated_types import Gt, Le
 
 from sunarc.archive.archive import CameraArchive
-from sunarc.bounds import require_bounds
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
 from sunarc.cameras.options import TAI_MINUS_UTC_S
 from sunarc.errors import InputError, OutsideError
@@ -24,6 +20,7 @@ from sunarc.runtime.loop import Loop
 from sunarc.runtime.status import ClockStatus, Reason, StatusRegistry
 from sunarc.utc import rfc3339, utc_time
 from sunarc.workers.messages import MESSAGES
+from sunarc.workers.options import ClockOptions
 
 _COMPARED = 4
 """Frames whose time is compared with the host's: a bracket, so that a sighting's own frame is among them."""
@@ -244,26 +241,6 @@ LEAST_ERROR_S = 0.02
 """The least bound that a sighting carries, s; just after a correction, time services report 0 to the kernel."""
 SHOW_STEP_S = 3600.0
 """How long a step stands in /readyz, s: an operator who looks once an hour sees it."""
-
-Duration = Annotated[float, Gt(0.0), Le(86_400.0)]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ClockOptions:
-    """How the time of the frames is watched.
-
-    Attributes
-    ----------
-    step_s : wall time that moves against monotonic time by more than this was set; slewing moves both alike.
-    assumed_error_s : bound of the host's clock where it is kept right by something that does not tell the kernel.
-    """
-
-    step_s: Duration = 0.1
-    assumed_error_s: Duration | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse what is no duration."""
-        require_bounds(self, section="clock")
 
 
 class ClockWatch:

@@ -51,7 +51,7 @@ _FROZEN_CODE = "camera_frozen"
 
 
 @dataclass(frozen=True, slots=True)
-class _Position:
+class _DiscPosition:
     time: datetime
     x_px: float
     y_px: float
@@ -91,7 +91,7 @@ class FrozenFrames:
         self._board = board
         self._lock = threading.Lock()
         self._images: OrderedDict[bytes, datetime] = OrderedDict()
-        self._positions: deque[_Position] | None = None
+        self._positions: deque[_DiscPosition] | None = None
         self._discs: deque[_Disc] = deque(maxlen=_MAX_POSITIONS)
         self._in_a_row = 0
 
@@ -140,7 +140,7 @@ class FrozenFrames:
                 before, now = sun_directions(np.array([position.time.timestamp(), time.timestamp()]), self._camera.site)
                 if float(angular_distance(before, now)) > _SUN_MOVED_RAD:
                     return position.time
-        self._positions.append(_Position(time, x_px, y_px))
+        self._positions.append(_DiscPosition(time, x_px, y_px))
         return None
 
     def _without_earlier_disc(self, frame: Frame, detection: Detection) -> Detection:
@@ -157,7 +157,7 @@ class FrozenFrames:
         self._discs.append(_Disc(frame.time, place, frame.image[place].copy()))
         return detection
 
-    def _stored(self, time: datetime) -> deque[_Position]:
+    def _stored(self, time: datetime) -> deque[_DiscPosition]:
         """Return where the sun was seen before this process began."""
         try:
             points = self._camera.sun_points(until=time, newest_first=True, limit=_MAX_POSITIONS)
@@ -165,7 +165,7 @@ class FrozenFrames:
             _log.warning("could not read earlier sightings: %s", error)
             points = ()
         suns = [p for p in points if _is_sun(p)]
-        found = [_Position(p.time, p.x_px, p.y_px) for p in suns if p.x_px is not None and p.y_px is not None]
+        found = [_DiscPosition(p.time, p.x_px, p.y_px) for p in suns if p.x_px is not None and p.y_px is not None]
         return deque(reversed(found), maxlen=_MAX_POSITIONS)
 
     def _count(self, time: datetime, earlier: datetime) -> None:

@@ -12,7 +12,7 @@ import threading
 import urllib.parse
 import urllib.request
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from http import HTTPStatus
 from pathlib import Path
@@ -24,13 +24,14 @@ from sunarc.archive.archive import CameraArchive
 from sunarc.archive.database.schema import head_revision
 from sunarc.archive.fleet.feed_rows import FeedRow, feed_lines
 from sunarc.archive.fleet.outbox import OutboxPosition
-from sunarc.errors import ConfigurationError, InputError, OutsideError
+from sunarc.errors import ConfigurationError, OutsideError
 from sunarc.runtime.clock import Clock
-from sunarc.runtime.loop import Attempts, Loop
+from sunarc.runtime.loop import Attempts, Loop, Pauses
 from sunarc.runtime.status import StatusRegistry
 from sunarc.utc import rfc3339
 from sunarc.workers.http_exchange import HttpRequest, Limit, UnfinishedError, exchange
 from sunarc.workers.messages import condition
+from sunarc.workers.options import HubOptions
 
 _WITHIN_S = 30.0
 """From the beginning of the connection to the end of the answer; more rows than go in that time are sent in parts."""
@@ -38,29 +39,6 @@ _LEAST_BYTES_PER_S = 500.0
 """One row can be sent in no parts: it has the time that it takes at this rate besides."""
 _MOST_READ_BYTES = 65_536
 _COMPRESSION_LEVEL = 4  # rows become a tenth; higher levels cost more time than they save
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HubOptions:
-    """The hub that an imager sends its archive's rows to.
-
-    Attributes
-    ----------
-    url : its address, as "https://fleet.example"; unset: nothing is sent.
-    token_file : a file whose one line is the camera's token, made on the hub by `sunarc hub token`.
-    """
-
-    url: str | None = None
-    token_file: Path | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse an address that is none."""
-        parts = urllib.parse.urlsplit("https://none" if self.url is None else self.url)
-        if parts.scheme not in {"http", "https"} or not parts.hostname or parts.query or parts.username:
-            remedy = "give one as https://fleet.example"
-            raise InputError(field="hub.url", problem=f"{self.url!r} is not an address", remedy=remedy)
-        if self.url is not None and self.token_file is None:
-            raise InputError(field="hub.token_file", problem="is missing", remedy="sunarc hub token makes a token")
 
 
 class HubRefusal(Exception):  # noqa: N818 - an answer, and no fault
@@ -207,8 +185,7 @@ class FeedWorker:
         self._most_rows = _MOST_ROWS
         self._attempts = Attempts(
             clock,
-            every_s=every_s,
-            longest_s=_LONGEST_WAIT_S,
+            Pauses(every_s, _LONGEST_WAIT_S),
             board=board,
             code=_UNREACHABLE,
             reason=lambda error, hours: condition(_UNREACHABLE, hours=round(hours, 1), error=error),

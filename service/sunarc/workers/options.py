@@ -1,18 +1,17 @@
-"""What can be set of the workers: sensor, night, and receivers of messages."""
+"""What can be set of the workers."""
 
 from __future__ import annotations
 
 import base64
 import binascii
 import urllib.parse
+from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import timedelta
 from pathlib import Path
 from typing import Annotated
 
 from annotated_types import Ge, Gt, Le, Lt
 
-from sunarc.archive.fleet.nightly import LEAST_KEPT
 from sunarc.bounds import require_bounds
 from sunarc.calibration.model.options import FirstPoseOptions
 from sunarc.cameras.frame import Frame
@@ -205,6 +204,29 @@ class RefitOptions:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class HubOptions:
+    """The hub that an imager sends its archive's rows to.
+
+    Attributes
+    ----------
+    url : its address, as "https://fleet.example"; unset: nothing is sent.
+    token_file : a file whose one line is the camera's token, made on the hub by `sunarc hub token`.
+    """
+
+    url: str | None = None
+    token_file: Path | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse an address that is none."""
+        parts = urllib.parse.urlsplit("https://none" if self.url is None else self.url)
+        if parts.scheme not in {"http", "https"} or not parts.hostname or parts.query or parts.username:
+            remedy = "give one as https://fleet.example"
+            raise InputError(field="hub.url", problem=f"{self.url!r} is not an address", remedy=remedy)
+        if self.url is not None and self.token_file is None:
+            raise InputError(field="hub.token_file", problem="is missing", remedy="sunarc hub token makes a token")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class NightlyOptions:
     """What a hub does once a night.
 
@@ -213,8 +235,77 @@ class NightlyOptions:
     keep_sightings_days : sightings of months that ended longer ago are removed from a hub's archive.
     """
 
-    keep_sightings_days: Annotated[float, Ge(LEAST_KEPT / timedelta(days=1)), Le(36_500.0)] = 36_500.0
+    keep_sightings_days: Annotated[float, Ge(90.0), Le(36_500.0)] = 36_500.0
 
     def __post_init__(self) -> None:
         """Refuse what would remove what is needed."""
         require_bounds(self, section="nightly")
+
+
+Duration = Annotated[float, Gt(0.0), Le(86_400.0)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClockOptions:
+    """How the time of the frames is watched.
+
+    Attributes
+    ----------
+    step_s : wall time that moves against monotonic time by more than this was set; slewing moves both alike.
+    assumed_error_s : bound of the host's clock where it is kept right by something that does not tell the kernel.
+    """
+
+    step_s: Duration = 0.1
+    assumed_error_s: Duration | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what is no duration."""
+        require_bounds(self, section="clock")
+
+
+_SHORTEST_NORMAL_US, _SHORTEST_BRACKET_US = 10.0, 100.0  # no lens shows the sky in less; the sun's are not set
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CaptureOptions:
+    """The cadence.
+
+    Attributes
+    ----------
+    cadence_s : seconds from slot to slot; slots are whole multiples of it since 1970-01-01 UTC.
+    hdr_exposures_us : the normal exposures, in the order taken.
+    sun_zenith_deg : sun exposures are taken while the sun's apparent zenith angle is below this.
+    night_cadence_s : seconds between the exposures of the night, which are not kept: a sign of life, or of its stars.
+    reopen_after_s, reopen_at_most_s : seconds before a lost camera is tried again: the first pause, doubled up to the
+        longest one.
+    camera_clock_error_s : bound of the camera's clock's error, where frames are dated by it (PTP).
+    speed : seconds of the camera's clock in a real second; other than 1 only for a simulated camera.
+    """
+
+    cadence_s: Annotated[float, Gt(0.0), Le(3600.0)] = 30.0
+    hdr_exposures_us: tuple[Annotated[float, Gt(0.0), Le(1e8)], ...] = (3_000.0, 12_000.0, 48_000.0)
+    sun_zenith_deg: Annotated[float, Gt(0.0), Le(92.0)] = 89.6
+    night_cadence_s: Annotated[float, Gt(0.0), Le(86_400.0)] = 600.0
+    reopen_after_s: Annotated[float, Gt(0.0), Le(3600.0)] = 1.0
+    reopen_at_most_s: Annotated[float, Gt(0.0), Le(3600.0)] = 30.0
+    camera_clock_error_s: Annotated[float, Ge(0.0), Le(3600.0)] = 0.001
+    speed: Annotated[float, Gt(0.0), Le(100_000.0)] = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuse a cycle that cannot be kept."""
+        require_bounds(self, section="capture")
+        if not self.hdr_exposures_us:
+            raise InputError(field="capture.hdr_exposures_us", problem="is empty", remedy="give exposures in µs")
+        _require_microseconds(self.hdr_exposures_us)
+
+
+def _require_microseconds(exposures_us: Sequence[float]) -> None:
+    """Refuse normal exposures that only milliseconds explain."""
+    bracket_is_short = len(exposures_us) > 1 and max(exposures_us) < _SHORTEST_BRACKET_US
+    if min(exposures_us) < _SHORTEST_NORMAL_US or bracket_is_short:
+        listed = ", ".join(f"{exposure:g}" for exposure in exposures_us)
+        raise InputError(
+            field="capture.hdr_exposures_us",
+            problem=f"{listed} us are too short for the sky, and look like milliseconds",
+            remedy=f"give microseconds: {', '.join(f'{1000.0 * exposure:g}' for exposure in exposures_us)}",
+        )

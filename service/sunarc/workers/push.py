@@ -23,7 +23,7 @@ from sunarc.archive.archive import Archive
 from sunarc.archive.fleet.notices import CameraState, Notice
 from sunarc.errors import ConfigurationError, InputError, OutsideError
 from sunarc.runtime.clock import Clock
-from sunarc.runtime.loop import Attempts, Loop
+from sunarc.runtime.loop import Attempts, Loop, Pauses
 from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.runtime.supervisor import worker_code
 from sunarc.utc import rfc3339
@@ -86,8 +86,7 @@ class PushWorker:
         self._archive, self._sink, self._clock, self._board = archive, sink, clock, board
         self._attempts = Attempts(
             clock,
-            every_s=_POLL_S,
-            longest_s=_LONGEST_WAIT_S,
+            Pauses(_POLL_S, _LONGEST_WAIT_S),
             board=board,
             code=worker_code(_FAILING, sink.name),
             reason=lambda error, hours: condition_of(_FAILING, sink.name, hours=round(hours, 2), error=error),

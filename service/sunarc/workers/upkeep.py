@@ -15,7 +15,7 @@ from sunarc.archive.values import Event, Housekeeping, merged
 from sunarc.errors import OutsideError, StoreFullError
 from sunarc.findings import Finding
 from sunarc.runtime.clock import Clock
-from sunarc.runtime.loop import Attempts, Loop
+from sunarc.runtime.loop import Attempts, Loop, Pauses
 from sunarc.runtime.status import DiskStatus, Reason, StatusRegistry
 from sunarc.workers.messages import MESSAGES, condition
 
@@ -57,11 +57,10 @@ class DiskWorker:
         self._board = board
         self._attempts = Attempts(
             clock,
-            every_s=_DISK_EVERY_S,
+            Pauses(_DISK_EVERY_S, _DISK_EVERY_S),
             board=board,
             code=_UNREADABLE,
             reason=lambda error, _: condition(_UNREADABLE, error=error),
-            errors=(OutsideError, OSError),
         )
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
@@ -74,6 +73,12 @@ class DiskWorker:
         return self._attempts.attempt(self._check)
 
     def _check(self) -> None:
+        try:
+            self._clean()
+        except OSError as error:
+            raise OutsideError(str(error)) from error
+
+    def _clean(self) -> None:
         now = self._age_from()
         if now is not None:
             keep = self._options.keep_days
@@ -139,7 +144,7 @@ class DatabaseWorker:
         self._unreported = recovered
         self._attempts = Attempts(
             clock,
-            every_s=_DATABASE_EVERY_S,
+            Pauses(_DATABASE_EVERY_S, _DATABASE_EVERY_S),
             board=board,
             code=_MISSING,
             reason=lambda error, _: condition(_MISSING, error=error),

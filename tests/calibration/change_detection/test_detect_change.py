@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sunarc.calibration.changes.detect_change import distrusted, update_window
-from sunarc.calibration.changes.values import Change, Sighting, SightingWindow, WatchOptions
-from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.changes.values import Change, Sighting, SightingWindow
+from sunarc.calibration.model.options import CalibrationOptions, WatchOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.pose import estimate_pose

@@ -22,7 +22,8 @@ from sunarc.calibration.changes.detect_change import (
     pole_of,
     window_of,
 )
-from sunarc.calibration.changes.values import Change, ChangeKind, SightingWindow, WatchOptions
+from sunarc.calibration.changes.values import Change, ChangeKind, SightingWindow
+from sunarc.calibration.model.options import WatchOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.pose import fit_inlier_mixture
 from sunarc.optics.camera import Camera

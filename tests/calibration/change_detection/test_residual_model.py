@@ -14,7 +14,8 @@ from tests.fixtures.calibration import SGP, small_camera, stated_calibration, su
 
 from sunarc.calibration.answers.error_model import joint_covariance
 from sunarc.calibration.changes.detect_change import errors_at, wandering, window_of
-from sunarc.calibration.changes.values import SightingWindow, WatchOptions
+from sunarc.calibration.changes.values import SightingWindow
+from sunarc.calibration.model.options import WatchOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sunarc.calibration.changes.values import Sighting, SightingWindow, WatchOptions
+from sunarc.calibration.changes.values import Sighting, SightingWindow
+from sunarc.calibration.model.options import WatchOptions
 from sunarc.errors import InputError
 
 

@@ -144,3 +144,13 @@ def test_a_clock_is_doubtful_from_two_seconds_on(clear_day: Simulated, clock_err
     some = clear_day.points.select(slice(0, None, 20))
     points = Sightings(unix_s=some.unix_s, pixels=some.pixels, clock_error_s=np.array(clock_error_s))
     assert measure_day(points, site=clear_day.site).doubtful_clock == doubtful
+
+
+def test_a_tenth_of_doubtful_sightings_that_were_left_out_is_told_and_leaves_the_day_clear(
+    clear_day: Simulated,
+) -> None:
+    kept = clear_day.points.select(np.arange(len(clear_day.points)) % 10 > 0)
+    measure = measure_day(kept, site=clear_day.site, cadence_s=120.0, doubtful_clock=0.1)
+    assert (measure.doubtful_clock, measure.n, decide_day(measure).kind) == (0.1, len(kept), "clear")
+    nothing = measure_day(kept.select(slice(0, 0)), site=clear_day.site, doubtful_clock=1.0)
+    assert (nothing.doubtful_clock, decide_day(nothing).kind) == (1.0, "unusable")

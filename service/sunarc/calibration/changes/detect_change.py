@@ -27,7 +27,8 @@ from sunarc.calibration.answers.error_model import (
     predicted,
     rotated,
 )
-from sunarc.calibration.changes.values import Change, ChangeKind, Hypothesis, Sighting, SightingWindow, WatchOptions
+from sunarc.calibration.changes.values import Change, ChangeKind, Hypothesis, Sighting, SightingWindow
+from sunarc.calibration.model.options import WatchOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.pose import (
     MixtureFit,

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, field
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
-from annotated_types import Ge, Le
 
 from sunarc.array_types import BoolArray, FloatArray, picked
-from sunarc.bounds import require_bounds
 from sunarc.calibration.messages import MESSAGES
 from sunarc.findings import Finding
 from sunarc.optics.camera import Camera
@@ -18,22 +16,6 @@ from sunarc.optics.camera import Camera
 ChangeKind = Literal["bump", "clock", "lens", "refocus", "shift", "mirrored", "site"]
 LENS_KINDS: frozenset[ChangeKind] = frozenset({"lens", "refocus", "shift"})
 """Kinds after which earlier sightings carry no information on the lens."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WatchOptions:
-    """What the change detection does not report as a change.
-
-    Attributes
-    ----------
-    wander_deg : 1-sigma per axis by which a mast and its mount wander with heat and wind, which is no change.
-    """
-
-    wander_deg: Annotated[float, Ge(0.0), Le(5.0)] = 0.01
-
-    def __post_init__(self) -> None:
-        """Refuse what is out of bounds."""
-        require_bounds(self, section="watch")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -158,6 +158,7 @@ def measure_day(
     n_possible: int | None = None,
     observed_unix_s: FloatArray | None = None,
     cadence_s: float = 30.0,
+    doubtful_clock: float | None = None,
 ) -> DayMeasure:
     """Return what one day's sightings show; each pose epoch of the day has an arc of its own.
 
@@ -169,12 +170,16 @@ def measure_day(
     observed_unix_s : (m,) times of the day's sun exposures, those without a sighting included, s since 1970-01-01 UTC;
         None where they are not known: all possible cycles count as observed.
     cadence_s : seconds between cycles.
+    doubtful_clock : share of the day's sightings with a doubtful clock, where those were left out of `points`; None
+        takes it from `points`.
     """
     usable = filter_sightings(points, site=site)
     possible = _possible(points, site, cadence_s) if n_possible is None else n_possible
     sampling = _sampling(points, observed_unix_s, possible, cadence_s)
     if len(usable) < 2:
-        return _nothing(len(usable), possible, sampling.n_observed)
+        return _nothing(len(usable), possible, sampling.n_observed, doubtful_clock or 0.0)
+    if doubtful_clock is None:
+        doubtful_clock = float(np.mean(np.abs(np.nan_to_num(points.clock_error_s)) > MAX_CLOCK_ERROR_S))
     residual, weight = _about_arcs(usable, site)
     on_arc = weight > 0.0
     rmsd, _, _, sd = measures(residual)
@@ -192,7 +197,7 @@ def measure_day(
         rmsd_px=rmsd,
         arc_deg=arc_length_deg(usable.directions[on_arc]),
         solid_angle_sr=solid_angle_sr(usable.directions[on_arc]),
-        doubtful_clock=float(np.mean(np.abs(np.nan_to_num(points.clock_error_s)) > MAX_CLOCK_ERROR_S)),
+        doubtful_clock=doubtful_clock,
     )
 
 
@@ -292,7 +297,7 @@ def _sampling(points: Sightings, observed_unix_s: FloatArray | None, n_possible:
     return sampling_of(np.concatenate([observed_unix_s, points.unix_s]), cadence_s=cadence_s, n_possible=n_possible)
 
 
-def _nothing(n: int, possible: int, observed: int) -> DayMeasure:
+def _nothing(n: int, possible: int, observed: int, doubtful_clock: float) -> DayMeasure:
     return DayMeasure(
         date="",
         n=n,
@@ -305,7 +310,7 @@ def _nothing(n: int, possible: int, observed: int) -> DayMeasure:
         rmsd_px=math.nan,
         arc_deg=0.0,
         solid_angle_sr=0.0,
-        doubtful_clock=0.0,
+        doubtful_clock=doubtful_clock,
     )
 
 

@@ -18,9 +18,10 @@ from sunarc.archive.sightings import ELSEWHERE, LENS_CHANGED
 from sunarc.archive.values import Day, PoseEpoch, Refit, SunPoint, SunPointColumns
 from sunarc.calibration.changes.detect_change import REMEMBERED, update_window
 from sunarc.calibration.changes.step_search import PoseOffset, daily_pose_offset
-from sunarc.calibration.changes.values import LENS_KINDS, Change, Sighting, SightingWindow, WatchOptions
+from sunarc.calibration.changes.values import LENS_KINDS, Change, Sighting, SightingWindow
 from sunarc.calibration.lens_library.first_pose import north_sigma_deg, top_azimuth_deg
 from sunarc.calibration.messages import MESSAGES as CHANGES
+from sunarc.calibration.model.options import WatchOptions
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
 from sunarc.calibration.quality.day_quality import DOUBTFUL_CLOCK_SHARE, decide_day, measure_day
@@ -461,8 +462,8 @@ class DayJudge:
             n_possible=int(np.count_nonzero(up)),
             observed_unix_s=self._camera.observation_times(since=since, until=until, largest_clock_error_s=largest_s),
             cadence_s=self._cadence_s,
+            doubtful_clock=share,
         )
-        measure = replace(measure, doubtful_clock=share)
         decided = decide_day(measure)
         offset = self._pose_offset(columns) if decided.kind in _WORTH_A_REFIT else None
         return Day(

@@ -37,7 +37,7 @@ from sunarc.sky.night import SUN
 from sunarc.utc import DAY_S, utc_time
 from sunarc.workers.calibrating.provisional_pose import is_provisional
 from sunarc.workers.calibrating.solver_process import (
-    Problem,
+    FitProblem,
     SolveFailedError,
     SolverDiedError,
     points_of,
@@ -88,13 +88,13 @@ class EpochSearch:
         self._now = now
         self._last_id = 0
 
-    def due(self) -> Problem | None:
+    def due(self) -> FitProblem | None:
         """Return what is to be searched; None where nothing is new."""
         columns, record = self._near_new(), self._camera.record()
         if columns is None or record is None or float(np.ptp(columns.unix_s)) < DAY_S:
             return None
         self._last_id = int(columns.ids.max())
-        return Problem(
+        return FitProblem(
             points=points_of(columns),
             site=self._camera.site,
             image_size=record.image_size,
@@ -190,7 +190,7 @@ _LIMITS = SelectionOptions()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Task:
+class RefitTask:
     """A solve, and the sightings of the archive that it is given.
 
     Attributes
@@ -200,7 +200,7 @@ class Task:
     selection : how they were picked.
     """
 
-    problem: Problem
+    problem: FitProblem
     used: SunPointColumns
     selection: Selection
 
@@ -209,7 +209,7 @@ class Task:
         """The pose epoch of the result."""
         return self.used.epoch_ids[-1]
 
-    def of_epoch(self, epoch: str) -> Problem:
+    def of_epoch(self, epoch: str) -> FitProblem:
         """Return the same solve, its answer that of another pose epoch."""
         return replace(self.problem, points=points_of(self.used, site=self.problem.site, latest=epoch))
 
@@ -226,7 +226,7 @@ def next_task(
     options: CalibrationOptions,
     circle: ImageCircle | None,
     now: datetime,
-) -> Task | Finding:
+) -> RefitTask | Finding:
     """Return what the record of a camera up to now asks for; or why there is nothing to solve."""
     record, since = camera.record(), since_lens(camera, now)
     read = camera.sun_candidates(since=since, until=now)
@@ -253,14 +253,14 @@ def next_task(
     used = camera.sightings_of_ids(np.concatenate([read.ids[selection.index], stars]))
     if not np.any(used.body == SUN):  # deleted meanwhile
         return Finding("no_accepted_sightings")
-    problem = Problem(
+    problem = FitProblem(
         points=points_of(used, site=camera.site),
         site=camera.site,
         image_size=record.image_size,
         options=options,
         circle=circle,
     )
-    return Task(problem=problem, used=used, selection=selection)
+    return RefitTask(problem=problem, used=used, selection=selection)
 
 
 def _stars(others: SunPointColumns, epochs: Sequence[str], image_size: tuple[int, int]) -> IntArray:
@@ -414,7 +414,7 @@ class RefitWorker:
         if steps is not None:
             self._epochs.keep(steps)
 
-    def _answer_for_past(self, task: Task, child: Mapping[str, Any]) -> None:
+    def _answer_for_past(self, task: RefitTask, child: Mapping[str, Any]) -> None:
         """Serve each earlier pose epoch that nothing answers for: its own pose, and the lens of all sightings."""
         epochs = self._camera.epochs()
         ends = {epoch.id: next_.started_at for epoch, next_ in pairwise(epochs)}
@@ -433,7 +433,7 @@ class RefitWorker:
             if record.accepted:
                 self._camera.archive.answer_between(record.id, since=starts[epoch], until=ends[epoch])
 
-    def _judge(self, refit: Refit, task: Task, solved: Calibration) -> None:
+    def _judge(self, refit: Refit, task: RefitTask, solved: Calibration) -> None:
         current = self._camera.current_calibration()
         epoch = self._camera.current_epoch(at=self._now())
         solved = with_pose_spread(solved, self._pose_spread(epoch))
@@ -459,7 +459,7 @@ class RefitWorker:
         known = [(offset, sigma) for offset, sigma in offsets if offset and sigma]
         return pose_spread_deg([offset for offset, _ in known], [sigma for _, sigma in known])
 
-    def _verdict(self, task: Task, solved: Calibration, current: CalibrationRecord | None) -> Verdict:
+    def _verdict(self, task: RefitTask, solved: Calibration, current: CalibrationRecord | None) -> Verdict:
         if current is None:
             return accept(solved)
         try:
@@ -475,7 +475,7 @@ class RefitWorker:
         return verdict
 
     def _keep(
-        self, task: Task, solved: Calibration, current: CalibrationRecord | None, *, pose_epoch: str | None = None
+        self, task: RefitTask, solved: Calibration, current: CalibrationRecord | None, *, pose_epoch: str | None = None
     ) -> CalibrationRecord:
         """Store the calibration; the first one of a pose epoch answers from the epoch's beginning."""
         now, epoch = self._now(), pose_epoch or task.pose_epoch
@@ -512,7 +512,7 @@ class RefitWorker:
         self._camera.add_event(found, MESSAGES, time=now, severity=severity, details={"calibration": calibration})
 
 
-def _in_child(run: Callable[..., _Answer], problem: Problem, child: Mapping[str, Any]) -> _Answer:
+def _in_child(run: Callable[..., _Answer], problem: FitProblem, child: Mapping[str, Any]) -> _Answer:
     """Solve or search, and once more where the process died: it may have been killed for another's need of memory."""
     try:
         return run(problem, **child)

@@ -43,7 +43,7 @@ class MoonNight(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Image:
+class _MoonImage:
     """The brightest places of the best exposure of a slot."""
 
     time: datetime
@@ -56,7 +56,7 @@ class _Image:
 class _Measured(NamedTuple):
     """An image, what was found in it (in the whole image's pixels), and by how much it is off its prediction, px."""
 
-    image: _Image
+    image: _MoonImage
     found: Detection
     x_px: float
     y_px: float
@@ -77,7 +77,7 @@ class MoonImages:
         self._camera = camera
         self._options = options
         self._exposures = exposures
-        self._images: list[_Image] = []
+        self._images: list[_MoonImage] = []
 
     def add(self, frames: Sequence[Frame]) -> tuple[Frame, tuple[Cutout, ...]]:
         """Keep what is bright in the longest exposure of a slot that is not clipped, and return both."""
@@ -93,7 +93,7 @@ class MoonImages:
 
     def resume(self, frame: Frame, cutouts: tuple[Cutout, ...], *, clock_error_s: float = 0.0) -> None:
         """Keep the bright places of a frame; of one from before a restart with the bound of its time's error then."""
-        image = _Image(
+        image = _MoonImage(
             time=frame.time,
             exposure_us=frame.exposure_us,
             sensor=sensor_of(frame, self._options),
@@ -151,7 +151,7 @@ class MoonImages:
         points = tuple(self._point(one, clock_error_s) for one in measured)
         return MoonNight(points, len(images), tuple(refused))
 
-    def _measured(self, image: _Image, calibration: Calibration, within_px: float) -> _Measured | Finding:
+    def _measured(self, image: _MoonImage, calibration: Calibration, within_px: float) -> _Measured | Finding:
         disc = moon_disc(image.time.timestamp(), self._camera.site_at(image.time))
         expected = predicted_moon(calibration, disc, within_px=within_px)
         if expected is None or disc.lit < LEAST_LIT or disc.direction[2] < np.cos(np.radians(LOWEST_DEG)):

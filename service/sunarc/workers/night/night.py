@@ -142,7 +142,7 @@ clock that was set for seconds or minutes shows a sun that is not there."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Image:
+class _StarImage:
     """An image of the night, without its pixels."""
 
     time: datetime
@@ -209,7 +209,7 @@ class NightWorker:
         self._replaces = replaces
         self._kept = KeptImages(camera) if resumes else None
         self._daylight_since: datetime | None = None
-        self._images: list[_Image] = []
+        self._images: list[_StarImage] = []
         self._picture: NightPicture | None = None
         self._warm = WarmPixelMap(None if warm_pixels is None else WarmPixelFile(warm_pixels, self._report))
         self._serial: str | None = None
@@ -402,7 +402,7 @@ class NightWorker:
         )
 
     def _named(
-        self, images: Sequence[_Image], calibration: Calibration, heartbeat: Callable[[], None]
+        self, images: Sequence[_StarImage], calibration: Calibration, heartbeat: Callable[[], None]
     ) -> list[TakenImage]:
         """Return images with the stars that the calibration names in them."""
         views = []
@@ -417,7 +417,7 @@ class NightWorker:
         ]
 
     def _without_numbers(
-        self, images: Sequence[_Image], findings: tuple[Finding, ...], picture_time: datetime | None
+        self, images: Sequence[_StarImage], findings: tuple[Finding, ...], picture_time: datetime | None
     ) -> Night:
         """Return the verdict on a night whose images say nothing of the sky."""
         evening, now = self._night_of(images[0].time), self._now()
@@ -450,13 +450,13 @@ class NightWorker:
         """Return the solar date of the evening that a night began with."""
         return solar_date(time.timestamp() - 0.5 * DAY_S, longitude=self._camera.site.longitude)
 
-    def _view(self, image: _Image, calibration: Calibration) -> StarView:
+    def _view(self, image: _StarImage, calibration: Calibration) -> StarView:
         stars, site = self._warm.without_warm(image.stars), self._camera.site_at(image.time)
         return star_view(stars, image.time.timestamp(), site=site, calibration=calibration)
 
     def _store(
         self,
-        images: Sequence[_Image],
+        images: Sequence[_StarImage],
         views: Sequence[StarView],
         matched: Sequence[MatchedView],
         *,
@@ -478,7 +478,7 @@ class NightWorker:
             return len(points) if again else new
         return self._camera.archive.add_sun_points(points)
 
-    def _points(self, image: _Image, view: StarView, found: MatchedView) -> list[SunPoint]:
+    def _points(self, image: _StarImage, view: StarView, found: MatchedView) -> list[SunPoint]:
         """Return the surest stars of each part of an image as sightings."""
         record = self._camera.record()
         names, stars = surest_named(view, found, (0, 0) if record is None else record.image_size)
@@ -506,7 +506,7 @@ class NightWorker:
             for row in range(len(stars))
         ]
 
-    def _moonlit_share(self, images: Sequence[_Image]) -> float:
+    def _moonlit_share(self, images: Sequence[_StarImage]) -> float:
         moons = [body_position("moon", image.time.timestamp(), self._camera.site) for image in images]
         return sum(moon.direction[2] > 0.0 and moon.lit > _HALF_LIT for moon in moons) / len(moons)
 
@@ -546,9 +546,9 @@ def _known(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _image_of(kept: KeptStars) -> _Image:
+def _image_of(kept: KeptStars) -> _StarImage:
     frame = kept.note.frame
-    return _Image(
+    return _StarImage(
         time=frame.time,
         exposure_us=frame.exposure_us,
         gain_db=frame.gain_db,
