@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sunarc.archive.images import ImageStore
 from sunarc.errors import InputError
-from sunarc.exports.reading import read_view
+from sunarc.exports.formats import read_view
 from sunarc.exports.view import camera_view, compare
 from sunarc.optics.forward import project
 from sunarc.sky.directions import direction_from_angles

@@ -15,7 +15,7 @@ from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.model.backward import camera_sees
 from sunarc.calibration.model.document import to_document
 from sunarc.exports.exported import Exported
-from sunarc.exports.formats import Format, export
+from sunarc.exports.formats import export
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 
@@ -81,7 +81,7 @@ def sky(camera: Camera) -> tuple[FloatArray, FloatArray]:
     return directions[seen], pixels[seen]
 
 
-Export = Callable[[Format], Exported]
+Export = Callable[[str], Exported]
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from tests.exports.conftest import LENS, document_of
 
-from sunarc.exports.formats import export, export_map
+from sunarc.exports.formats import export
 
 CHECKER = Path(sys.executable).with_name("compliance-checker")
 CONVENTIONS = ("cf:1.11", "acdd:1.3")
@@ -49,7 +49,7 @@ def faults(path: Path) -> dict[str, set[str]]:
 @pytest.mark.parametrize("kind", ["calibration", "map"])
 def test_the_netcdf_files_keep_cf_and_acdd(document: dict[str, Any], tmp_path: Path, kind: str) -> None:
     path = tmp_path / "calibration.nc"
-    path.write_bytes(export_map(document, "netcdf") if kind == "map" else export(document, "netcdf").content)
+    path.write_bytes(export(document, "map-netcdf" if kind == "map" else "netcdf").content)
     found = faults(path)
     assert found["cf:1.11"] == set()
     assert found["acdd:1.3"] <= WITHOUT_STANDARD_NAME

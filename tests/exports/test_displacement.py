@@ -13,8 +13,7 @@ from tests.exports.conftest import LENS, document_of
 from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.model.document import from_document
 from sunarc.calibration.model.residual_field import wave_basis
-from sunarc.exports.formats import FILE_NAMES, Format, export
-from sunarc.exports.reading import read_view
+from sunarc.exports.formats import FORMATS, export, read_view
 from sunarc.optics.forward import project
 
 
@@ -27,9 +26,9 @@ def displaced_document(amplitude_px: float) -> dict[str, object]:
 
 
 @pytest.mark.parametrize(("form", "most_px"), [("json", 1e-6), ("mrcal", 0.02), ("opencv", 0.25), ("ocamcalib", 0.35)])
-def test_an_export_follows_the_displacement(form: Format, most_px: float) -> None:
+def test_an_export_follows_the_displacement(form: str, most_px: float) -> None:
     document = displaced_document(0.3)
-    view = read_view(export(document, form).content, name=FILE_NAMES[form])
+    view = read_view(export(document, form).content, name=FORMATS[form].file)
     sky = hemisphere(400)
     sky = sky[sky[:, 2] > math.cos(math.radians(80.0))]
     seen = project(from_document(document).camera, sky)

@@ -25,7 +25,7 @@ from sunarc.errors import InputError
 from sunarc.exports.asi_core import asi_core_yaml, mask_files
 from sunarc.exports.exported import Table, Variable
 from sunarc.exports.fisheye import fisheye_model, fisheye_view, pixels_of_rays
-from sunarc.exports.formats import FILE_NAMES, FORMATS, MAP_FORMATS, MEDIA_TYPES, export
+from sunarc.exports.formats import FORMATS, export
 from sunarc.exports.mrcal import _bending, _design, cameramodel, splined_model, splined_view
 from sunarc.exports.ocam import ocam_model
 from sunarc.exports.tables import _every, netcdf_bytes, npz_bytes
@@ -192,12 +192,6 @@ def test_a_table_is_read_back_by_numpy_without_pickle() -> None:
     said = json.loads(str(found["attributes"]))
     assert said["attributes"] == {"title": "three"}
     assert (said["x"], said["v"]) == ({"units": "1"}, {"k": [1.0, 2.0]})
-
-
-def test_every_format_has_a_file_name_and_a_media_type() -> None:
-    assert set(FORMATS) == set(FILE_NAMES) == set(MEDIA_TYPES)
-    assert set(MAP_FORMATS) < set(FORMATS)
-    assert len(set(FILE_NAMES.values())) == len(FORMATS)
 
 
 def test_json_is_the_document_itself(straight: dict[str, Any]) -> None:

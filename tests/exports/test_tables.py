@@ -12,7 +12,7 @@ from tests.exports.conftest import FloatArray, worst_stated_px
 
 from sunarc.calibration.answers.covariance import unproject_with_sigma
 from sunarc.calibration.model.document import from_document
-from sunarc.exports.formats import export, export_map
+from sunarc.exports.formats import export
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.sky.directions import angles_from_direction
@@ -23,7 +23,7 @@ def opened(content: bytes) -> Any:  # noqa: ANN401 - of xarray
 
 
 def test_the_map_opens_in_xarray_and_says_what_single_pixels_say(straight: dict[str, Any]) -> None:
-    found = opened(export_map(straight, "netcdf"))
+    found = opened(export(straight, "map-netcdf").content)
     assert found.attrs["Conventions"].startswith("CF-")
     assert "clockwise from north" in found.attrs["comment"]
     assert {name: found[name].attrs["units"] for name in ("zenith", "azimuth", "sigma", "direction")} == {
@@ -47,7 +47,7 @@ def test_the_map_opens_in_xarray_and_says_what_single_pixels_say(straight: dict[
 @pytest.mark.parametrize("wanted", ["map", "calibration"])
 def test_netcdf_keeps_the_rules_of_the_cf_conventions(straight: dict[str, Any], wanted: str) -> None:
     """CF 1.11: 2.6.2 (history), 3.4 (ancillary variables), 4 (coordinates), 5.6 (grid mappings), 6.1 (labels), 7.1."""
-    content = export_map(straight, "netcdf") if wanted == "map" else export(straight, "netcdf").content
+    content = export(straight, "map-netcdf" if wanted == "map" else "netcdf").content
     found = xr.load_dataset(io.BytesIO(content), engine="h5netcdf", decode_cf=False)
     for name, variable in found.variables.items():
         assert "grid_mapping" not in variable.attrs
@@ -92,7 +92,10 @@ def test_the_time_is_the_validity_and_the_whole_says_who_and_what(straight: dict
 
 
 def test_the_npz_of_the_map_holds_the_same(straight: dict[str, Any]) -> None:
-    found, same = opened(export_map(straight, "netcdf")), np.load(io.BytesIO(export_map(straight, "npz")))
+    found, same = (
+        opened(export(straight, "map-netcdf").content),
+        np.load(io.BytesIO(export(straight, "map-npz").content)),
+    )
     for name in ("zenith", "azimuth", "direction", "sigma", "x", "y"):
         np.testing.assert_array_equal(same[name], found[name])
     assert json.loads(str(same["attributes"]))["zenith"]["units"] == "degree"

@@ -11,6 +11,7 @@ from sunarc.archive.messages import MESSAGES as OF_ARCHIVE
 from sunarc.calibration.messages import MESSAGES as OF_CALIBRATION
 from sunarc.cli.options import AsJson, print_json
 from sunarc.detection.messages import MESSAGES as OF_DETECTION
+from sunarc.exports.messages import MESSAGES as OF_EXPORTS
 from sunarc.findings import Messages
 from sunarc.reanalysis.messages import MESSAGES as OF_REANALYSIS
 from sunarc.runtime.supervisor import MESSAGES as OF_RUNTIME
@@ -23,6 +24,7 @@ _TABLES: dict[str, Messages] = {
     "runtime": OF_RUNTIME,
     "workers": OF_WORKERS,
     "app": OF_APP,
+    "exports": OF_EXPORTS,
     "reanalysis": OF_REANALYSIS,
 }
 _HEAD = """# Codes of findings

@@ -10,19 +10,19 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
+from sunarc.calibration.model.document import from_document
 from sunarc.cli.options import AsJson, CalibrationFile, print_json, table
 from sunarc.errors import InputError, OutsideError
 from sunarc.exports.asi_core import asi_core_set
 from sunarc.exports.exported import Exported
-from sunarc.exports.formats import FILE_FORMATS, FORMATS, MAP_FORMATS, export, export_draws, export_file, export_map
-from sunarc.exports.reading import READ_FORMATS
+from sunarc.exports.formats import FORMATS, export_draws, format_of
 from sunarc.exports.remap import Grid
+from sunarc.exports.tables import MAP_FORMATS
 from sunarc.offline.calibration_files import compare_files, rectify_files
 from sunarc.reanalysis.files import read_file
 
 _YAML = (".yaml", ".yml")
-_MAPS = tuple(f"map-{name}" for name in MAP_FORMATS)
-_ALL = (*FORMATS, *FILE_FORMATS, *_MAPS)
+_READ = tuple(one.name for one in FORMATS.values() if one.read is not None)
 
 
 def export_calibration(
@@ -30,7 +30,7 @@ def export_calibration(
         Path, typer.Option("--calibration", help="A calibration document (JSON); for asi-core also a folder of them.")
     ],
     *,
-    format_: Annotated[str, typer.Option("--format", help=f"{', '.join(_ALL)}.")],
+    format_: Annotated[str, typer.Option("--format", help=f"{', '.join(FORMATS)}.")],
     target: Annotated[
         Path | None,
         typer.Option("--output", "-o", help="File (asi-core, azimuth-zenith: folder) to write; else standard output."),
@@ -80,17 +80,7 @@ def _documents(path: Path) -> list[dict[str, object]]:
 def _made(document: dict[str, object], format_: str, *, draws: int, seed: int) -> Exported:
     if draws:
         return _drawn(document, format_, draws=draws, seed=seed)
-    for name in MAP_FORMATS:
-        if format_ == f"map-{name}":
-            return Exported(content=export_map(document, name), error="in single precision")
-    for known in FORMATS:
-        if format_ == known:
-            return export(document, known)
-    for other in FILE_FORMATS:
-        if format_ == other:
-            return export_file(document, other)
-    choices = ", ".join(_ALL)
-    raise InputError(field="--format", problem=f"{format_!r} is unknown", remedy=f"use one of {choices}")
+    return format_of(format_, field="--format").write(from_document(document), document)
 
 
 def _drawn(document: dict[str, object], format_: str, *, draws: int, seed: int) -> Exported:
@@ -120,7 +110,7 @@ def _write(path: Path, content: bytes) -> None:
 
 
 def compare(
-    first: Annotated[Path, typer.Argument(metavar="A", help=f"A camera: {', '.join(READ_FORMATS)}.")],
+    first: Annotated[Path, typer.Argument(metavar="A", help=f"A camera: {', '.join(_READ)}.")],
     second: Annotated[Path, typer.Argument(metavar="B", help="Another one, of images of the same size.")],
     *,
     differences: Annotated[

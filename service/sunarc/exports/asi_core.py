@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -81,13 +81,13 @@ def asi_core_yaml(
     return ("\n".join(lines) + "\n").encode()
 
 
-def read_asi_core(content: bytes, *, name: str, mask: bytes | None) -> View:
+def read_asi_core(content: bytes, *, name: str, beside: Callable[[str], bytes | None]) -> View:
     """Return the view of a camera file of asi_core.
 
     Parameters
     ----------
     content, name : the file and what it is called.
-    mask : the file that it names as its mask; None where that is not there, which its loader allows, too.
+    beside : returns a file that it names, its mask; None where that is not there, which its loader allows, too.
 
     Raises
     ------
@@ -108,7 +108,8 @@ def read_asi_core(content: bytes, *, name: str, mask: bytes | None) -> View:
         problem = f"{ss.size} coefficients in ss and {numbers.size - 7} angles, where asi_core reads 4 and 3"
         raise InputError(field=name, problem=problem, remedy=_SCHEMA)
     xc, yc, c, d, e, width, height = numbers[:7]
-    _require_mask_size(mask, (int(height), int(width)), name=name)
+    called = mask_file(content)
+    _require_mask_size(None if called is None else beside(called), (int(height), int(width)), name=name)
     model = OcamModel(
         pixel_to_ray=ss,
         ray_to_pixel=invpol,

@@ -1,198 +1,377 @@
-"""The same calibration in others' formats, by name."""
+"""Formats of a calibration, one record each: what its files are called, how they are written, read and recognised."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal, get_args
+from typing import Any, Literal, Protocol, get_args
 
 import numpy as np
 
-from sunarc.calibration.answers.direction_table import back_projection_map, lookup
+from sunarc.calibration.answers.direction_table import BackProjectionMap, back_projection_map, lookup
 from sunarc.calibration.answers.error_model import draw_ensemble
 from sunarc.calibration.model.document import from_document
 from sunarc.calibration.model.result import Calibration
 from sunarc.errors import InputError
-from sunarc.exports.asi_core import asi_core_file
+from sunarc.exports.asi_core import asi_core_file, read_asi_core
 from sunarc.exports.exported import PIXELS, Exported, Table, Variable, notes_of
-from sunarc.exports.fisheye import colmap_text, fisheye_model, fisheye_view, opencv_yaml, require_no_mirror, ros_yaml
-from sunarc.exports.mrcal import cameramodel, splined_model, splined_view
-from sunarc.exports.ocam import calib_results, ocam_model, ocam_view
-from sunarc.exports.pixel_maps import fits_file, matlab_file, sixteen_bit_files
-from sunarc.exports.reading import read_view
-from sunarc.exports.remap import remap_table, sky_grid
-from sunarc.exports.tables import calibration_table, map_table, netcdf_bytes, npz_bytes
-from sunarc.exports.view import camera_view, compare
+from sunarc.exports.fisheye import (
+    colmap_text,
+    fisheye_model,
+    fisheye_view,
+    opencv_yaml,
+    read_colmap,
+    read_opencv,
+    read_ros,
+    require_no_mirror,
+    ros_yaml,
+)
+from sunarc.exports.messages import MESSAGES
+from sunarc.exports.mrcal import cameramodel, read_mrcal, splined_model, splined_view
+from sunarc.exports.ocam import calib_results, ocam_model, ocam_view, read_ocamcalib
+from sunarc.exports.pixel_maps import (
+    fits_file,
+    matlab_file,
+    read_fits,
+    read_matlab,
+    read_sixteen_bit,
+    sixteen_bit_files,
+)
+from sunarc.exports.remap import is_remap, read_remap, remap_table, sky_grid
+from sunarc.exports.tables import MapFormat, calibration_table, map_table, read_table, table_bytes
+from sunarc.exports.view import View, camera_view, compare
+from sunarc.findings import Finding
 
-Format = Literal["json", "opencv", "ocamcalib", "asi-core", "mrcal", "netcdf", "npz"]
-FORMATS: tuple[Format, ...] = get_args(Format)
-"""Formats that are served over HTTP."""
-FileFormat = Literal["opencv-remap", "colmap", "ros", "fits", "matlab", "azimuth-zenith-png", "azimuth-zenith-jp2"]
-FILE_FORMATS: tuple[FileFormat, ...] = get_args(FileFormat)
-"""Formats that `sunarc export` writes besides."""
-MapFormat = Literal["netcdf", "npz"]
-MAP_FORMATS: tuple[MapFormat, ...] = get_args(MapFormat)
+ServedFormat = Literal["json", "opencv", "ocamcalib", "asi-core", "mrcal", "netcdf", "npz"]
+"""Names of the formats that are served over HTTP."""
+SERVED: tuple[ServedFormat, ...] = get_args(ServedFormat)
+Document = Mapping[str, Any]
+Beside = Callable[[str], bytes | None]
+"""Returns a file that another one names, None where it is not there."""
+Written = dict[str, bytes]
+Write = Callable[[Calibration, Document], Exported]
+WriteFiles = Callable[[Calibration, Document, list[str]], Written]
 
-MEDIA_TYPES: Mapping[Format, str] = {
-    "json": "application/json",
-    "opencv": "application/yaml",
-    "ocamcalib": "text/plain; charset=utf-8",
-    "asi-core": "application/zip",
-    "mrcal": "text/plain; charset=utf-8",
-    "netcdf": "application/x-netcdf",
-    "npz": "application/x-npz",
-}
-FILE_NAMES: Mapping[Format, str] = {
-    "json": "calibration.json",
-    "opencv": "opencv_fisheye.yml",
-    "ocamcalib": "calib_results.txt",
-    "asi-core": "asi_core_camera.zip",
-    "mrcal": "sunarc.cameramodel",
-    "netcdf": "calibration.nc",
-    "npz": "calibration.npz",
-}
+_PROBED = 9
+"""Pixels along a side that are asked for a direction: a fisheye shows some of them, whatever its field."""
 
 
-def export(document: Mapping[str, Any], form: Format) -> Exported:
+class Read(Protocol):
+    """Returns the view of a camera that a file holds; raises InputError where it is not what its format says."""
+
+    def __call__(self, content: bytes, /, *, name: str, beside: Beside) -> View:
+        """Return the view."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Format:
+    """A format.
+
+    Attributes
+    ----------
+    name : what it is asked for by.
+    file : what its file, or the first of its files, is called; a set names its own.
+    write : makes its files of a calibration and the document of that.
+    read : None where nothing reads it.
+    start : bytes that its files begin with, one of them.
+    inside : bytes that its files contain, one of them. A file without any mark is a calibration document.
+    media_type : over HTTP; None where it is not served.
+    """
+
+    name: str
+    file: str
+    write: Write
+    read: Read | None = None
+    start: tuple[bytes, ...] = ()
+    inside: tuple[bytes, ...] = ()
+    media_type: str | None = None
+
+
+class FormatError(InputError):
+    """A format that is unknown, or cannot be read.
+
+    Parameters
+    ----------
+    field : what names it, or the file.
+    finding : of `MESSAGES`.
+    """
+
+    def __init__(self, field: str, finding: Finding) -> None:
+        super().__init__(field=field, problem=MESSAGES.text_of(finding), remedy=MESSAGES.remedy_of(finding))
+        self.finding = finding
+
+
+def export(document: Document, form: str) -> Exported:
     """Return a calibration document in another format.
 
     Raises
     ------
     InputError
-        The document is none.
+        The document is not a calibration document, the format is unknown, or cannot describe its camera.
     """
-    calibration = from_document(document)
-    match form:
-        case "json":
-            return Exported(content=json.dumps(document).encode(), error="is the calibration itself")
-        case "opencv":
-            return _opencv(calibration, document)
-        case "ocamcalib":
-            return _ocam(calibration, document)
-        case "asi-core":
-            return asi_core_file(calibration, document)
-        case "mrcal":
-            return _mrcal(calibration, document)
-        case "netcdf" | "npz":
-            table, error = calibration_table(calibration, document)
-            return Exported(
-                content=_file(form)(table), error=f"between the pixels of the grid, {error}", difference=error.total
-            )
+    return format_of(form).write(from_document(document), document)
 
 
-def export_file(document: Mapping[str, Any], form: FileFormat) -> Exported:
-    """Return a calibration document in one of the formats that `sunarc export` writes besides `FORMATS`.
+def format_of(name: str, *, field: str = "format") -> Format:
+    """Return a format by its name; FormatError where it is unknown."""
+    if name not in FORMATS:
+        raise FormatError(field, Finding("format_unknown", {"format": name, "known": ", ".join(FORMATS)}))
+    return FORMATS[name]
 
-    Its error is that of the file itself, read back.
+
+def read_view(content: bytes, *, name: str, beside: Beside = lambda _: None) -> View:
+    """Return the view of a camera that a file of any format holds.
 
     Raises
     ------
     InputError
-        The document is none, or the format cannot describe its camera.
+        The format is unknown or without a reader, the file is not what its format says, or no pixel of its image has a
+        direction.
     """
-    calibration = from_document(document)
-    camera, written = calibration.camera, _FILE_WRITERS[form](calibration, document, notes_of(document))
-    name, content = next(iter(written.items()))
-    error = compare(camera_view(camera), read_view(content, name=name, beside=written.get))
-    if form in _WITH_NOTES:
-        written = _FILE_WRITERS[form](calibration, document, [*notes_of(document), f"this file {error}"])
-    beside = {other: made for other, made in written.items() if other != name}
-    return Exported(content=written[name], error=str(error), difference=error.total, name=name, beside=beside)
+    view = _reader(_format_of_content(content), name)(content, name=name, beside=beside)
+    across = [np.linspace(0.0, size - 1.0, _PROBED) for size in (view.width, view.height)]
+    if not np.any(np.isfinite(view.unproject(np.stack(np.meshgrid(*across), axis=-1).reshape(-1, 2)))):
+        raise InputError(
+            field=name, problem="no pixel of its image has a direction", remedy="look for NaN among its numbers"
+        )
+    return view
 
 
-Written = dict[str, bytes]
+def _format_of_content(content: bytes) -> Format:
+    """Return the format of a file: by its start, else by the longest mark in it."""
+    for form in FORMATS.values():
+        if content.startswith(form.start):
+            return form
+    marked = [(len(mark), form) for form in FORMATS.values() for mark in form.inside if mark in content]
+    return max(marked, key=lambda one: one[0])[1] if marked else FORMATS["json"]
 
 
-def _fisheye_file(calibration: Calibration, document: Mapping[str, Any], notes: list[str], *, form: str) -> Written:
-    camera = calibration.camera
-    require_no_mirror(camera, form)
-    size, model = (camera.width, camera.height), fisheye_model(camera, prism=form == "colmap")
-    if form == "colmap":
-        return {"cameras.txt": colmap_text(model, size=size, notes=notes)}
-    return {"camera_info.yaml": ros_yaml(model, size=size, camera=str(document["camera"]), notes=notes)}
+def _reader(form: Format, field: str) -> Read:
+    if form.read is None:
+        raise FormatError(field, Finding("format_without_reader", {"format": form.name}))
+    return form.read
 
 
-def _remap_file(calibration: Calibration, document: Mapping[str, Any], notes: list[str]) -> Written:
-    del document
-    camera = calibration.camera
-    directions = sky_grid(min(camera.width, camera.height))
-    return {"remap.npz": npz_bytes(remap_table(camera, directions, grid="sky", attributes={"notes": notes}))}
+def _read_json(content: bytes, /, *, name: str, beside: Beside) -> View:
+    del beside
+    try:
+        document = json.loads(content)
+    except ValueError:
+        known = ", ".join(one.name for one in FORMATS.values() if one.read is not None)
+        raise FormatError(name, Finding("file_format_unknown", {"known": known})) from None
+    return camera_view(from_document(document).camera)
 
 
-def _map_file(
-    calibration: Calibration, document: Mapping[str, Any], notes: list[str], *, write: Callable[..., Written]
-) -> Written:
-    del document
-    return write(back_projection_map(lookup(calibration)), notes)
+def _read_npz(content: bytes, *, name: str) -> View:
+    return (read_remap if is_remap(content) else read_table)(content, name=name)
 
 
-_FILE_WRITERS: Mapping[FileFormat, Callable[[Calibration, Mapping[str, Any], list[str]], Written]] = {
-    "opencv-remap": _remap_file,
-    "colmap": partial(_fisheye_file, form="colmap"),
-    "ros": partial(_fisheye_file, form="ros"),
-    "fits": partial(_map_file, write=lambda found, notes: {"directions.fits": fits_file(found, notes)}),
-    "matlab": partial(_map_file, write=lambda found, notes: {"directions.mat": matlab_file(found, notes)}),
-    "azimuth-zenith-png": partial(_map_file, write=lambda found, _: sixteen_bit_files(found, suffix=".png")),
-    "azimuth-zenith-jp2": partial(_map_file, write=lambda found, _: sixteen_bit_files(found, suffix=".jp2")),
-}
-_WITH_NOTES = ("opencv-remap", "colmap", "ros", "fits", "matlab")
-"""Formats whose file says its error; two images cannot."""
+def _alone(read: Callable[..., View]) -> Read:
+    """Return a reader of files that name no other."""
+
+    def reader(content: bytes, /, *, name: str, beside: Beside) -> View:
+        del beside
+        return read(content, name=name)
+
+    return reader
 
 
-def export_map(document: Mapping[str, Any], form: MapFormat) -> bytes:
-    """Return the map of what every pixel of a calibration sees."""
-    found = back_projection_map(lookup(from_document(document)))
-    return _file(form)(map_table(found, document, masks={}))
+# Models that are fitted to the camera: the error is that of the model.
 
 
-def export_draws(document: Mapping[str, Any], form: MapFormat, *, draws: int, seed: int) -> bytes:
-    """Return a calibration's arrays with draws of its errors, see `draws_table`."""
-    return _file(form)(draws_table(document, draws=draws, seed=seed))
-
-
-def _file(form: MapFormat) -> Callable[[Table], bytes]:
-    return netcdf_bytes if form == "netcdf" else npz_bytes
-
-
-def _opencv(calibration: Calibration, document: Mapping[str, Any]) -> Exported:
-    camera = calibration.camera
-    model = fisheye_model(camera)
-    error = compare(camera_view(camera), fisheye_view("opencv", model, size=(camera.width, camera.height)))
-    notes = {
-        "calibration": document["id"],
-        "model": "cv2.fisheye: projectPoints(directions, Rodrigues(rotation_cam_enu), zeros, K, D)",
-        "conventions": f"{PIXELS}; rotation_cam_enu takes east-north-up to the camera (x right, y down, z out)",
-        "limit": "the model divides by z: nothing at 90 degrees off the axis and beyond has a pixel",
-        "fit_error": f"this model {error}",
-    }
-    content = opencv_yaml(model, width=camera.width, height=camera.height, notes=notes)
-    return Exported(content=content, error=str(error), difference=error.total)
-
-
-def _mrcal(calibration: Calibration, document: Mapping[str, Any]) -> Exported:
-    camera = calibration.camera
-    model = splined_model(camera)
-    error = compare(camera_view(camera), splined_view(model, size=(camera.width, camera.height)))
+def _of_model(
+    calibration: Calibration, document: Document, view: View, content: Callable[[list[str]], bytes]
+) -> Exported:
+    """Return the file of a model, with its difference to the camera among its notes."""
+    error = compare(camera_view(calibration.camera), view)
     notes = [*notes_of(document), f"this model {error}"]
-    content = cameramodel(model, camera, notes=notes)
-    return Exported(content=content, error=str(error), difference=error.total)
+    return Exported(content=content(notes), error=str(error), difference=error.total)
 
 
-def _ocam(calibration: Calibration, document: Mapping[str, Any]) -> Exported:
-    camera = calibration.camera
-    model = ocam_model(camera)
-    error = compare(camera_view(camera), ocam_view("ocamcalib", model, size=(camera.width, camera.height)))
-    content = calib_results(
-        model, width=camera.width, height=camera.height, notes=[*notes_of(document), f"this model {error}"]
+def _size(calibration: Calibration) -> tuple[int, int]:
+    return calibration.camera.width, calibration.camera.height
+
+
+def _opencv(calibration: Calibration, document: Document) -> Exported:
+    model, (width, height) = fisheye_model(calibration.camera), _size(calibration)
+
+    def content(notes: list[str]) -> bytes:
+        stated = {
+            "calibration": document["id"],
+            "model": "cv2.fisheye: projectPoints(directions, Rodrigues(rotation_cam_enu), zeros, K, D)",
+            "conventions": f"{PIXELS}; rotation_cam_enu takes east-north-up to the camera (x right, y down, z out)",
+            "limit": "the model divides by z: nothing at 90 degrees off the axis and beyond has a pixel",
+            "fit_error": notes[-1],
+        }
+        return opencv_yaml(model, width=width, height=height, notes=stated)
+
+    return _of_model(calibration, document, fisheye_view("opencv", model, size=(width, height)), content)
+
+
+def _mrcal(calibration: Calibration, document: Document) -> Exported:
+    model = splined_model(calibration.camera)
+    view = splined_view(model, size=_size(calibration))
+    return _of_model(calibration, document, view, lambda notes: cameramodel(model, calibration.camera, notes=notes))
+
+
+def _ocamcalib(calibration: Calibration, document: Document) -> Exported:
+    model, (width, height) = ocam_model(calibration.camera), _size(calibration)
+    view = ocam_view("ocamcalib", model, size=(width, height))
+    return _of_model(
+        calibration, document, view, lambda notes: calib_results(model, width=width, height=height, notes=notes)
     )
-    return Exported(content=content, error=str(error), difference=error.total)
+
+
+# Files whose error is that of the file, read back.
+
+
+def _read_back(name: str, write: WriteFiles, calibration: Calibration, document: Document, *, says: bool) -> Exported:
+    """Return the files of a format, the first of which is read for the error; it says that where it can hold a text."""
+    notes = notes_of(document)
+    written = write(calibration, document, notes)
+    file = next(iter(written))
+    view = _reader(FORMATS[name], name)(written[file], name=file, beside=written.get)
+    error = compare(camera_view(calibration.camera), view)
+    if says:
+        written = write(calibration, document, [*notes, f"this file {error}"])
+    beside = {other: content for other, content in written.items() if other != file}
+    return Exported(content=written[file], error=str(error), difference=error.total, name=file, beside=beside)
+
+
+def _colmap(calibration: Calibration, document: Document, notes: list[str]) -> Written:
+    del document
+    require_no_mirror(calibration.camera, "colmap")
+    model = fisheye_model(calibration.camera, prism=True)
+    return {"cameras.txt": colmap_text(model, size=_size(calibration), notes=notes)}
+
+
+def _ros(calibration: Calibration, document: Document, notes: list[str]) -> Written:
+    require_no_mirror(calibration.camera, "ros")
+    model, camera = fisheye_model(calibration.camera), str(document["camera"])
+    return {"camera_info.yaml": ros_yaml(model, size=_size(calibration), camera=camera, notes=notes)}
+
+
+def _remap(calibration: Calibration, document: Document, notes: list[str]) -> Written:
+    del document
+    table = remap_table(calibration.camera, sky_grid(min(_size(calibration))), grid="sky", attributes={"notes": notes})
+    return {"remap.npz": table_bytes(table, "npz")}
+
+
+def _pixels(write: Callable[[BackProjectionMap, list[str]], Written]) -> WriteFiles:
+    """Return what writes the map of what every pixel sees."""
+    return lambda calibration, _, notes: write(back_projection_map(lookup(calibration)), notes)
+
+
+# Tables: parameters, covariance and the directions of a grid, or those of every pixel.
+
+
+def _table(calibration: Calibration, document: Document, *, form: MapFormat) -> Exported:
+    table, error = calibration_table(calibration, document)
+    stated = f"between the pixels of the grid, {error}"
+    return Exported(content=table_bytes(table, form), error=stated, difference=error.total)
+
+
+def _map(calibration: Calibration, document: Document, *, form: MapFormat) -> Exported:
+    table = map_table(back_projection_map(lookup(calibration)), document, masks={})
+    return Exported(content=table_bytes(table, form), error="in single precision")
+
+
+def _json(calibration: Calibration, document: Document) -> Exported:
+    del calibration
+    return Exported(content=json.dumps(document).encode(), error="is the calibration itself")
+
+
+def _file(
+    name: str,
+    file: str,
+    write: WriteFiles,
+    read: Read,
+    *,
+    start: tuple[bytes, ...] = (),
+    inside: tuple[bytes, ...] = (),
+    says: bool = True,
+) -> Format:
+    """Return a format whose error is that of its file, read back."""
+    return Format(
+        name=name, file=file, write=partial(_read_back, name, write, says=says), read=read, start=start, inside=inside
+    )
+
+
+_TEXT = "text/plain; charset=utf-8"
+FORMATS: Mapping[str, Format] = {
+    form.name: form
+    for form in (
+        Format(name="json", file="calibration.json", write=_json, read=_read_json, media_type="application/json"),
+        Format(
+            name="opencv", file="opencv_fisheye.yml", write=_opencv, read=_alone(read_opencv),
+            inside=(b"%YAML", b"opencv_storage", b"<?xml"), media_type="application/yaml",
+        ),
+        Format(
+            name="ocamcalib", file="calib_results.txt", write=_ocamcalib, read=_alone(read_ocamcalib),
+            inside=(b"polynomial coefficients for the DIRECT mapping",), media_type=_TEXT,
+        ),
+        Format(
+            name="asi-core", file="asi_core_camera.zip", write=asi_core_file, read=read_asi_core,
+            inside=(b"internal_calibration",), media_type="application/zip",
+        ),
+        Format(
+            name="mrcal", file="sunarc.cameramodel", write=_mrcal, read=_alone(read_mrcal), inside=(b"LENSMODEL_",),
+            media_type=_TEXT,
+        ),
+        Format(
+            name="netcdf", file="calibration.nc", write=partial(_table, form="netcdf"), read=_alone(read_table),
+            start=(b"\x89HDF",), media_type="application/x-netcdf",
+        ),
+        Format(
+            name="npz", file="calibration.npz", write=partial(_table, form="npz"), read=_alone(_read_npz),
+            start=(b"PK",), media_type="application/x-npz",
+        ),
+        _file("opencv-remap", "remap.npz", _remap, _alone(read_remap), start=(b"PK",)),
+        _file("colmap", "cameras.txt", _colmap, _alone(read_colmap), inside=(b"_FISHEYE ",)),
+        _file("ros", "camera_info.yaml", _ros, _alone(read_ros), inside=(b"distortion_model:",)),
+        _file(
+            "fits", "directions.fits",
+            _pixels(lambda found, notes: {"directions.fits": fits_file(found, notes)}),
+            _alone(read_fits), start=(b"SIMPLE  =",),
+        ),
+        _file(
+            "matlab", "directions.mat",
+            _pixels(lambda found, notes: {"directions.mat": matlab_file(found, notes)}),
+            _alone(read_matlab), start=(b"MATLAB 5.0",),
+        ),
+        _file(
+            "azimuth-zenith-png", "azimuth_visible.png",
+            _pixels(lambda found, _: sixteen_bit_files(found, suffix=".png")),
+            read_sixteen_bit, start=(b"\x89PNG",), says=False,
+        ),
+        _file(
+            "azimuth-zenith-jp2", "azimuth_visible.jp2",
+            _pixels(lambda found, _: sixteen_bit_files(found, suffix=".jp2")),
+            read_sixteen_bit, start=(b"\x00\x00\x00\x0cjP  ",), says=False,
+        ),
+        Format(
+            name="map-netcdf", file="map.nc", write=partial(_map, form="netcdf"), read=_alone(read_table),
+            start=(b"\x89HDF",),
+        ),
+        Format(
+            name="map-npz", file="map.npz", write=partial(_map, form="npz"), read=_alone(read_table), start=(b"PK",)
+        ),
+    )
+}  # fmt: skip
+"""All formats by name; of two that begin alike the first reads both."""
 
 
 # Draws of an ensemble as arrays: what every eighth pixel sees by each of them.
 
 MOST_DRAWS_OF_A_FILE = 1000
 """A file of so many draws of a 2000 x 2000 image has 0.75 GB."""
+
+
+def export_draws(document: Document, form: MapFormat, *, draws: int, seed: int) -> bytes:
+    """Return a calibration's arrays with draws of its errors, see `draws_table`."""
+    return table_bytes(draws_table(document, draws=draws, seed=seed), form)
 
 
 def draws_table(document: Mapping[str, Any], *, draws: int, seed: int) -> Table:

@@ -26,7 +26,7 @@ from sunarc.calibration.projection_choice import calibrate_unknown_lens
 from sunarc.calibration.start.initial_guess import find_image_circle
 from sunarc.calibration.stated_prior import PriorTolerances, calibrate_with_prior
 from sunarc.errors import InputError
-from sunarc.exports.reading import closest_camera
+from sunarc.exports.view import closest_camera
 from sunarc.extras import extra_module
 from sunarc.offline.calibration_files import read_calibration, read_view_file
 from sunarc.optics.camera import Camera

@@ -22,7 +22,7 @@ from sunarc.calibration.model.result import Calibration
 from sunarc.detection.values import Bayer
 from sunarc.errors import InputError, OutsideError
 from sunarc.exports.exported import Table, Variable
-from sunarc.exports.reading import read_view
+from sunarc.exports.formats import read_view
 from sunarc.exports.remap import Grid, grid_directions, reach_m, remap_tables, remapped
 from sunarc.exports.tables import netcdf_bytes, npz_bytes
 from sunarc.exports.view import ZENITH_RANGES_DEG, Comparison, View, compare

@@ -18,7 +18,7 @@ import numpy as np
 from sunarc.calibration.messages import MESSAGES as OF_CALIBRATION
 from sunarc.detection.values import Expectation
 from sunarc.errors import InputError, OutsideError
-from sunarc.exports.formats import FILE_FORMATS, FILE_NAMES, FORMATS, export, export_file, export_map
+from sunarc.exports.formats import FORMATS, export
 from sunarc.findings import Finding
 from sunarc.optics.forward import project
 from sunarc.reanalysis.fit import Final, Rough, document_of
@@ -359,22 +359,16 @@ def exports_of(document: Document) -> tuple[dict[str, bytes], dict[str, str]]:
     """Return the files of a calibration in all formats, and why some have none."""
     files: dict[str, bytes] = {}
     refused: dict[str, str] = {}
-    for form in FORMATS:
-        try:
-            made = export(document, form)
-        except InputError as error:
-            refused[form] = str(error)
+    for form in FORMATS.values():
+        if form.name == "map-npz":  # the map is written once
             continue
-        files |= made.files if made.name else {FILE_NAMES[form]: made.content}
-    for other in FILE_FORMATS:
         try:
-            files |= {f"{other}/{name}": content for name, content in export_file(document, other).files.items()}
+            made = export(document, form.name)
         except InputError as error:
-            refused[other] = str(error)
-    try:
-        files["map.nc"] = export_map(document, "netcdf")
-    except InputError as error:
-        refused["map-netcdf"] = str(error)
+            refused[form.name] = str(error)
+            continue
+        folder = "" if form.media_type or not made.name else f"{form.name}/"
+        files |= {f"{folder}{name or form.file}": content for name, content in made.files.items()}
     return files, refused
 
 

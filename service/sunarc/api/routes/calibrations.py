@@ -20,7 +20,7 @@ from sunarc.api.schemas import Calibrations, CalibrationSummary, ClosedEpoch, De
 from sunarc.archive.values import CalibrationRecord, CalibrationState
 from sunarc.errors import NotFoundError
 from sunarc.exports.exported import Exported
-from sunarc.exports.formats import FILE_NAMES, FORMATS, MEDIA_TYPES, Format, export
+from sunarc.exports.formats import FORMATS, SERVED, ServedFormat, export
 
 _DOCUMENT: dict[int | str, dict[str, Any]] = {
     200: {
@@ -44,7 +44,7 @@ _EXPORTED: dict[int | str, dict[str, Any]] = {
             "Sunarc-Fit-Error-Deg": {"description": "The same, RMS, degrees.", "schema": {"type": "number"}},
         },
         "content": _DOCUMENT[200]["content"]
-        | {media_type.partition(";")[0]: {} for name, media_type in MEDIA_TYPES.items() if name != "json"},
+        | {str(FORMATS[name].media_type).partition(";")[0]: {} for name in SERVED if name != "json"},
     },
     304: _DOCUMENT[304],
 }
@@ -54,14 +54,14 @@ def calibration_routes(context: ApiContext) -> APIRouter:
     """Return the routes of calibrations."""
     routes = APIRouter(tags=["calibrations"])
 
-    made = {name: SingleFlightCache(partial(_exported, name), key=tag_of) for name in FORMATS}
+    made = {name: SingleFlightCache(partial(_exported, name), key=tag_of) for name in SERVED}
     written = _Written()
 
     @routes.get("/calibration", dependencies=BY_CALIBRATION, responses=_EXPORTED | answers(404, 422))
     def calibration(
         request: Request,
         at: At = None,
-        format_: Annotated[Format, Query(alias="format", description="Of the answer (docs/rest.md).")] = "json",
+        format_: Annotated[ServedFormat, Query(alias="format", description="Of the answer (docs/rest.md).")] = "json",
         if_none_match: IfNoneMatch = None,
     ) -> Response:
         """Return the calibration that is valid now, or at the time `at`."""
@@ -164,14 +164,14 @@ def _text(record: CalibrationRecord) -> bytes:
     return json.dumps(record.document, allow_nan=False, separators=(",", ":")).encode()
 
 
-def _exported(format_: Format, record: CalibrationRecord) -> Exported:
+def _exported(format_: ServedFormat, record: CalibrationRecord) -> Exported:
     return export(record.document, format_)
 
 
 def _export(
     record: CalibrationRecord,
-    made: dict[Format, SingleFlightCache[CalibrationRecord, Exported]],
-    format_: Format,
+    made: dict[ServedFormat, SingleFlightCache[CalibrationRecord, Exported]],
+    format_: ServedFormat,
     if_none_match: str | None,
 ) -> Response:
     tag = f'"{tag_of(record)}-{format_}"'
@@ -179,14 +179,14 @@ def _export(
     if matches(if_none_match, tag):
         return Response(status_code=304, headers=headers)
     exported = made[format_].get(record)
-    headers["content-disposition"] = f'attachment; filename="{FILE_NAMES[format_]}"'
+    headers["content-disposition"] = f'attachment; filename="{FORMATS[format_].file}"'
     if exported.difference is not None:
         headers |= {
             "sunarc-fit-error": decimal(exported.difference.rms_px),
             "sunarc-fit-error-max": decimal(exported.difference.max_px),
             "sunarc-fit-error-deg": decimal(exported.difference.rms_deg),
         }
-    return Response(exported.sent, media_type=MEDIA_TYPES[format_], headers=headers)
+    return Response(exported.sent, media_type=FORMATS[format_].media_type, headers=headers)
 
 
 def matches(if_none_match: str | None, tag: str) -> bool:

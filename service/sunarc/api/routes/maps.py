@@ -31,9 +31,9 @@ from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.answers.direction_table import BackProjectionMap, back_projection_map
 from sunarc.errors import InputError, OutsideError
 from sunarc.exports.exported import Variable
-from sunarc.exports.formats import MAP_FORMATS, MEDIA_TYPES, MapFormat
+from sunarc.exports.formats import FORMATS
 from sunarc.exports.remap import Grid, grid_directions, reach_m, remap_table, remap_tables, remapped
-from sunarc.exports.tables import map_table, netcdf_bytes, npz_bytes
+from sunarc.exports.tables import MAP_FORMATS, MapFormat, map_table, table_bytes
 from sunarc.geolocation.locate import clouds
 from sunarc.optics.camera import Camera
 from sunarc.sky.site import Site
@@ -43,7 +43,7 @@ _MAP: dict[int | str, dict[str, Any]] = {
     200: {
         "description": "zenith, azimuth, direction, sigma of every pixel, and masks (docs/rest.md).",
         "headers": {"ETag": {"description": "Changes with the calibration.", "schema": {"type": "string"}}},
-        "content": {MEDIA_TYPES[name]: {} for name in MAP_FORMATS},
+        "content": {str(FORMATS[name].media_type): {} for name in MAP_FORMATS},
     },
     **RANGED,
     304: {"description": "The map is the one that If-None-Match names."},
@@ -111,8 +111,8 @@ def _content(requested: _Map) -> Content:
     if requested.sun is not None and requested.site is not None:
         masks |= _sun_mask(requested.site, *requested.sun, found)
     table = map_table(found, requested.record.document, masks=masks)
-    content = netcdf_bytes(table) if requested.format == "netcdf" else npz_bytes(table)
-    return Content(content=content, media_type=MEDIA_TYPES[requested.format])
+    content = table_bytes(table, requested.format)
+    return Content(content=content, media_type=str(FORMATS[requested.format].media_type))
 
 
 def _tag(requested: _Map) -> str:
@@ -282,7 +282,7 @@ _TABLES: dict[int | str, dict[str, Any]] = {
     200: {
         "description": "map_x, map_y (size, size), single precision; -1 where the image has nothing (docs/rest.md).",
         "headers": _HEADERS,
-        "content": {MEDIA_TYPES[name]: {} for name in ("netcdf", "npz")},
+        "content": {str(FORMATS[name].media_type): {} for name in MAP_FORMATS},
     },
     **RANGED,
     **answers(404, 416, 422),
@@ -346,7 +346,7 @@ def remap_routes(context: ApiContext, files: AnswerFiles) -> APIRouter:
         tagged = _tagged(request, if_none_match, asked.tag(record.id, format_))
         content = partial(_tables, selected, record, asked, format_)
         stated = partial(_stated, selected, record, asked)
-        return await files.answer(tagged, slots, partial(_made, content, stated, MEDIA_TYPES[format_]))
+        return await files.answer(tagged, slots, partial(_made, content, stated, str(FORMATS[format_].media_type)))
 
     @routes.get(
         "/images/{time}/rectified",
@@ -402,7 +402,7 @@ def _tables(context: ApiContext, record: CalibrationRecord, asked: _Asked, forma
         half_width_m=asked.width(),
         place=(site.latitude, site.longitude) if asked.grid == "ground" else None,
     )
-    return netcdf_bytes(table) if format_ == "netcdf" else npz_bytes(table)
+    return table_bytes(table, format_)
 
 
 def _picture(context: ApiContext, record: CalibrationRecord, asked: _Asked, path: Path) -> bytes:
