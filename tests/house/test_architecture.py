@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 from pathlib import Path
 from types import ModuleType
 
@@ -41,3 +42,15 @@ def test_imports_between_rooms_are_read_from_every_form_of_import(drawing: Modul
     found = drawing.imports_between_rooms(tmp_path)
     assert found == {"low": set(), "high": {"low", "other"}, "other": {"low"}}
     assert drawing.without_implied(found) == {"low": set(), "high": {"other"}, "other": {"low"}}
+
+
+def test_each_path_has_at_most_twelve_stations_and_they_exist(root: Path) -> None:
+    page = (root / "docs" / "architecture.md").read_text(encoding="utf-8")
+    paths = re.findall(r"^### The path of a (\w+)\n(.*?)(?=^###|\Z)", page, re.MULTILINE | re.DOTALL)
+    assert [name for name, _ in paths] == ["frame", "sighting", "night", "pixel", "setting"]
+    for name, text in paths:
+        stations = re.findall(r"^\d+\. (.*)$", text, re.MULTILINE)
+        assert 4 <= len(stations) <= 12, name
+        modules = re.findall(r"`([\w/]+\.py)`", "\n".join(stations))
+        assert len(modules) >= len(stations), name
+        assert [module for module in modules if not (root / "service" / "sunarc" / module).is_file()] == []

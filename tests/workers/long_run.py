@@ -39,7 +39,7 @@ from sunarc.sky.days import day_bounds_unix_s
 from sunarc.sky.sun import sun_angles, sun_directions
 from sunarc.workers.calibrating.monitor import DayJudge
 from sunarc.workers.calibrating.refit import RefitWorker
-from sunarc.workers.calibrating.solver_process import FitProblem
+from sunarc.workers.calibrating.solver_process import SolveProblem
 from sunarc.workers.options import RefitOptions
 
 FloatArray = NDArray[np.float64]
@@ -234,7 +234,7 @@ def judged_against(truth: Camera, served: Calibration) -> tuple[float, float, fl
     return error, stated, float(np.mean(square < WITHIN_95))
 
 
-def solve_here(problem: FitProblem, **_: object) -> Calibration:
+def solve_here(problem: SolveProblem, **_: object) -> Calibration:
     """Solve in this process: a year of nights need not start a process each."""
     return calibrate(
         problem.points,

@@ -32,7 +32,7 @@ from sunarc.runtime.status import StatusRegistry
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.sun import sun_angles, sun_directions
 from sunarc.workers.calibrating.refit import SEARCHED, EpochSearch, RefitWorker
-from sunarc.workers.calibrating.solver_process import FitProblem, SolverDiedError, points_of
+from sunarc.workers.calibrating.solver_process import SolveProblem, SolverDiedError, points_of
 
 FloatArray = NDArray[np.float64]
 SIZE = (1748, 1748)
@@ -80,11 +80,11 @@ def import_record(archive: Archive, times: FloatArray, pixels: FloatArray) -> No
     )
 
 
-def solve_here(problem: FitProblem, **_: object) -> Calibration:
+def solve_here(problem: SolveProblem, **_: object) -> Calibration:
     return calibrate(problem.points, site=problem.site, image_size=problem.image_size, options=problem.options)
 
 
-def search_here(problem: FitProblem, **_: object) -> tuple[PoseStep, ...]:
+def search_here(problem: SolveProblem, **_: object) -> tuple[PoseStep, ...]:
     return find_pose_steps(
         problem.points, site=problem.site, image_size=problem.image_size, options=problem.options, lens=problem.lens
     )
@@ -227,7 +227,7 @@ def test_a_search_whose_process_was_killed_is_begun_once_more(
     import_record(archive, times, pixels)
     begun: list[int] = []
 
-    def search_at_the_second_time(problem: FitProblem, **_: object) -> tuple[PoseStep, ...]:
+    def search_at_the_second_time(problem: SolveProblem, **_: object) -> tuple[PoseStep, ...]:
         begun.append(1)
         if len(begun) == 1:
             raise SolverDiedError(Finding("solver_died", {"end": "signal 9"}))

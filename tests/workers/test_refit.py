@@ -32,7 +32,7 @@ from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.sun import sun_angles, sun_directions
 from sunarc.workers.calibrating import solver_process
 from sunarc.workers.calibrating.refit import RefitWorker
-from sunarc.workers.calibrating.solver_process import FitProblem, SolveFailedError, SolverDiedError, solve_in_child
+from sunarc.workers.calibrating.solver_process import SolveFailedError, SolveProblem, SolverDiedError, solve_in_child
 from sunarc.workers.messages import text_of
 
 NOW = datetime(2013, 5, 14, 6, 30, tzinfo=UTC)
@@ -199,7 +199,7 @@ def solve_and_kill(stop: threading.Event) -> Calibration | None:
         for child in multiprocessing.active_children():
             child.terminate()
 
-    problem = FitProblem(points=sightings(every_s=1200.0), site=SGP, image_size=SIZE, options=CalibrationOptions())
+    problem = SolveProblem(points=sightings(every_s=1200.0), site=SGP, image_size=SIZE, options=CalibrationOptions())
     return solve_in_child(problem, clock=SystemClock(), time_limit_s=60.0, stop=stop, heartbeat=kill)
 
 
@@ -219,7 +219,7 @@ def test_a_child_that_dies_before_it_has_read_its_problem_is_one_that_was_killed
 
     monkeypatch.setattr(SpawnProcess, "start", start_and_kill)
     points = sightings(every_s=4.0)  # more than a pipe takes
-    problem = FitProblem(points=points, site=SGP, image_size=SIZE, options=CalibrationOptions())
+    problem = SolveProblem(points=points, site=SGP, image_size=SIZE, options=CalibrationOptions())
     with pytest.raises(SolverDiedError):
         solve_in_child(problem, clock=SystemClock(), time_limit_s=60.0, stop=threading.Event(), heartbeat=lambda: None)
 
@@ -250,7 +250,7 @@ def test_a_child_that_is_ended_a_moment_before_the_stop_leaves_the_refit_unfinis
 
 
 def solve(*, time_limit_s: float = 120.0, stop: threading.Event | None = None) -> Calibration | None:
-    problem = FitProblem(points=sightings(every_s=1200.0), site=SGP, image_size=SIZE, options=CalibrationOptions())
+    problem = SolveProblem(points=sightings(every_s=1200.0), site=SGP, image_size=SIZE, options=CalibrationOptions())
     return solve_in_child(
         problem,
         clock=SystemClock(),

@@ -20,7 +20,7 @@ from sunarc.calibration.model.sightings import Sightings
 from sunarc.runtime.child_process import answer_call
 from sunarc.runtime.clock import SystemClock
 from sunarc.sky.site import Site
-from sunarc.workers.calibrating.solver_process import FitProblem, call_on, solve_in_child
+from sunarc.workers.calibrating.solver_process import SolveProblem, call_on, solve_in_child
 
 
 def refuse(increment: int) -> int:
@@ -32,7 +32,7 @@ def test_a_solve_that_may_not_step_back_is_solved_as_an_equal(monkeypatch: pytes
     receiving, sending = multiprocessing.Pipe()
     nothing = Sightings(unix_s=np.empty(0), pixels=np.empty((0, 2)))
     site = Site(latitude=36.6, longitude=-97.5, altitude=318.0)
-    problem = FitProblem(points=nothing, site=site, image_size=(1748, 1748), options=CalibrationOptions())
+    problem = SolveProblem(points=nothing, site=site, image_size=(1748, 1748), options=CalibrationOptions())
     receiving.send(call_on(problem, calibrate))
     answer_call(sending)
     assert receiving.poll(1.0)
@@ -42,7 +42,7 @@ def test_a_solve_that_may_not_step_back_is_solved_as_an_equal(monkeypatch: pytes
 def test_the_process_of_a_solve_imports_the_core_and_neither_workers_nor_the_database() -> None:
     nothing = Sightings(unix_s=np.empty(0), pixels=np.empty((0, 2)))
     site = Site(latitude=36.6, longitude=-97.5, altitude=318.0)
-    problem = FitProblem(points=nothing, site=site, image_size=(1748, 1748), options=CalibrationOptions())
+    problem = SolveProblem(points=nothing, site=site, image_size=(1748, 1748), options=CalibrationOptions())
     call = call_on(problem, calibrate)
     listing = (
         "import pickle, sys; from sunarc.runtime.child_process import answer_call; pickle.load(sys.stdin.buffer);"
@@ -61,7 +61,7 @@ def test_the_process_of_a_solve_computes_with_one_thread(monkeypatch: pytest.Mon
         monkeypatch.delenv(name)
     nothing = Sightings(unix_s=np.empty(0), pixels=np.empty((0, 2)))
     site = Site(latitude=36.6, longitude=-97.5, altitude=318.0)
-    problem = FitProblem(points=nothing, site=site, image_size=(1748, 1748), options=CalibrationOptions())
+    problem = SolveProblem(points=nothing, site=site, image_size=(1748, 1748), options=CalibrationOptions())
     found: set[str] = set()
     stop = threading.Event()
 

@@ -37,8 +37,8 @@ from sunarc.sky.night import SUN
 from sunarc.utc import DAY_S, utc_time
 from sunarc.workers.calibrating.provisional_pose import is_provisional
 from sunarc.workers.calibrating.solver_process import (
-    FitProblem,
     SolveFailedError,
+    SolveProblem,
     SolverDiedError,
     points_of,
     search_in_child,
@@ -88,13 +88,13 @@ class EpochSearch:
         self._now = now
         self._last_id = 0
 
-    def due(self) -> FitProblem | None:
+    def due(self) -> SolveProblem | None:
         """Return what is to be searched; None where nothing is new."""
         columns, record = self._near_new(), self._camera.record()
         if columns is None or record is None or float(np.ptp(columns.unix_s)) < DAY_S:
             return None
         self._last_id = int(columns.ids.max())
-        return FitProblem(
+        return SolveProblem(
             points=points_of(columns),
             site=self._camera.site,
             image_size=record.image_size,
@@ -200,7 +200,7 @@ class RefitTask:
     selection : how they were picked.
     """
 
-    problem: FitProblem
+    problem: SolveProblem
     used: SunPointColumns
     selection: Selection
 
@@ -209,7 +209,7 @@ class RefitTask:
         """The pose epoch of the result."""
         return self.used.epoch_ids[-1]
 
-    def of_epoch(self, epoch: str) -> FitProblem:
+    def of_epoch(self, epoch: str) -> SolveProblem:
         """Return the same solve, its answer that of another pose epoch."""
         return replace(self.problem, points=points_of(self.used, site=self.problem.site, latest=epoch))
 
@@ -253,7 +253,7 @@ def next_task(
     used = camera.sightings_of_ids(np.concatenate([read.ids[selection.index], stars]))
     if not np.any(used.body == SUN):  # deleted meanwhile
         return Finding("no_accepted_sightings")
-    problem = FitProblem(
+    problem = SolveProblem(
         points=points_of(used, site=camera.site),
         site=camera.site,
         image_size=record.image_size,
@@ -512,7 +512,7 @@ class RefitWorker:
         self._camera.add_event(found, MESSAGES, time=now, severity=severity, details={"calibration": calibration})
 
 
-def _in_child(run: Callable[..., _Answer], problem: FitProblem, child: Mapping[str, Any]) -> _Answer:
+def _in_child(run: Callable[..., _Answer], problem: SolveProblem, child: Mapping[str, Any]) -> _Answer:
     """Solve or search, and once more where the process died: it may have been killed for another's need of memory."""
     try:
         return run(problem, **child)

@@ -51,7 +51,7 @@ class SolverDiedError(SolveFailedError):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class FitProblem:
+class SolveProblem:
     """What `sunarc.calibration.calibrate` or `find_pose_steps` is given; `lens` is for the latter alone."""
 
     points: Sightings
@@ -63,7 +63,7 @@ class FitProblem:
 
 
 def solve_in_child(
-    problem: FitProblem,
+    problem: SolveProblem,
     *,
     clock: Clock,
     time_limit_s: float,
@@ -89,7 +89,7 @@ def solve_in_child(
 
 
 def search_in_child(
-    problem: FitProblem,
+    problem: SolveProblem,
     *,
     clock: Clock,
     time_limit_s: float,
@@ -109,7 +109,7 @@ def search_in_child(
     return answer
 
 
-def call_on(problem: FitProblem, function: Callable[..., _Answer]) -> partial[_Answer]:
+def call_on(problem: SolveProblem, function: Callable[..., _Answer]) -> partial[_Answer]:
     """Return the call of a function of the core on a problem, so that the child imports no more than the core."""
     return partial(
         function,
