@@ -158,7 +158,7 @@ MESSAGES = Messages(
     frame_repeated=Message(
         "the camera delivered the image of {time} again", "Rejected.", "see the condition `camera_frozen`"
     ),
-    file_unreadable=Message("{error}", "The file is no image."),
+    file_unreadable=Message("{error}", "The file is not an image."),
 )
 
 _JOINED_BEFORE = {"saturated_left_out": ", "}

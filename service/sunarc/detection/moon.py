@@ -323,7 +323,7 @@ def detect_moon(image: Image, expected: MoonExpectation, *, sensor: Sensor) -> D
 
     Raises
     ------
-    InputError : the array is no image.
+    InputError : the array is not an image.
     """
     require_photo(image, full_scale=sensor.full_scale)
     if expected.cos_phase < 2.0 * _LEAST_LIT - 1.0:
@@ -479,7 +479,7 @@ def brightest_cutouts(image: Image, *, full_scale: int) -> tuple[Cutout, ...]:
 
     Raises
     ------
-    InputError : the array is no image.
+    InputError : the array is not an image.
     """
     require_photo(image, full_scale=full_scale)
     # a median first: pixels that are stuck at full scale are no lights

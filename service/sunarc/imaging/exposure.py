@@ -153,7 +153,7 @@ def next_sun_exposures(
 
 
 def _count_spoiled(state: SunExposureState, result: SunLook, peaks: Sequence[Peak]) -> int:
-    """Clouds tell nothing; a sun that was seen ends the count."""
+    """Return the count of images without an answer; clouds leave it, a sun that was seen ends it."""
     if result.spoiled:
         return state.cycles_spoiled + 1
     return 0 if peaks else state.cycles_spoiled

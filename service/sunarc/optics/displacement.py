@@ -220,7 +220,7 @@ class Displacement:
     y_px: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        """Refuse what is no displacement."""
+        """Refuse what is not a displacement."""
         if not len(self.orders) == len(self.x_px) == len(self.y_px):
             raise InputError(
                 field="displacement", problem="orders and coefficients differ in number", remedy="give one for each"

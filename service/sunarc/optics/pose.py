@@ -76,17 +76,6 @@ def right_jacobian(rotation_cam_enu: ArrayLike) -> FloatArray:
 
     Reference: J. Solà et al., "A micro Lie theory", arXiv 1812.01537, Eq. 143.
     """
-    w = np.asarray(rotation_cam_enu, dtype=np.float64)
-    angle = float(np.linalg.norm(w))
-    skew = skew_matrix(w)
-    if angle < 1e-5:
-        return np.asarray(np.eye(3) - 0.5 * skew + skew @ skew / 6.0)
-    first = (1.0 - math.cos(angle)) / angle**2
-    second = (angle - math.sin(angle)) / angle**3
-    return np.asarray(np.eye(3) - first * skew + second * (skew @ skew))
-
-
-def skew_matrix(v: FloatArray) -> FloatArray:
-    """Return the (3, 3) matrix whose product with u is v × u."""
-    x, y, z = (float(c) for c in v)
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    matrix, jacobian = np.empty((3, 3)), np.empty((3, 3))
+    write_rotation(np.array(rotation_cam_enu, dtype=np.float64), matrix, jacobian)
+    return jacobian

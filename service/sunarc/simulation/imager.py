@@ -377,7 +377,7 @@ class _Imager:
         self._camera.write_text(genicam.MODEL, "simulated sky", length=32)
 
     def _switch_on(self) -> None:
-        """Be as a camera is after switching on: free-running, everything automatic, controlled by nobody."""
+        """Reset to the state after switching on: free-running, everything automatic, no application in control."""
         self._set_up_registers()
         registers = {
             genicam.POWER_CYCLE: 0,

@@ -129,7 +129,7 @@ class SceneCamera:
         """Change nothing: the next frame is another one."""
 
     def check(self) -> CameraCondition:
-        """Tell whether it still answers (see `SkyCamera`)."""
+        """Return whether it still answers (see `SkyCamera`)."""
         self._raise(None)
         return CameraCondition(temperature_c=21.5)
 

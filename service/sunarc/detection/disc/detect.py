@@ -207,7 +207,7 @@ _MARGIN_PX = 5.0
 _HALOS = (0.9, 1.7, 2.7)  # point spreads by which a saturated disc may look too large
 _BINNED_HALOS = (0.0, 0.9, 1.7)
 _BINNED_WIDTHS = (1.0, 0.7, 1.4)
-"""Starts for means of clipped pixels, whose cost has several valleys (`docs/studies/binned_sun.py`)."""
+"""Starts for means of clipped pixels, whose cost has several local minima (`docs/studies/binned_sun.py`)."""
 _WIDTHS = (1.0, 0.75, 1.3)  # point spreads to start from, of the one expected
 _DEFAULT_OPTIONS = DiscOptions()
 
@@ -237,7 +237,7 @@ def detect_sun(
 
     Raises
     ------
-    InputError : the array is no image of this sensor.
+    InputError : the array is not an image of this sensor.
     """
     require_raw(image, sensor)
     clear = _clear_level(expectation, options, exposure_us)

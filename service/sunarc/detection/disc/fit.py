@@ -225,7 +225,7 @@ def _from_best(problem: DiscProblem, starts: list[FloatArray]) -> tuple[DiscStat
 
     A saturated disc hides its shape: where that is free a poor start may fit well, and the best is taken at once.
     """
-    if problem.window.saturated_px and problem.sensor.binning > 1:  # clipped means: many valleys
+    if problem.window.saturated_px and problem.sensor.binning > 1:  # clipped means: many local minima
         return min((_solve(problem, *with_levels(problem, start)) for start in starts), key=lambda one: one[1].cost)
     if problem.window.saturated_px and problem.prior.free_stretch:
         return _solve(problem, *_best_start(problem, starts))

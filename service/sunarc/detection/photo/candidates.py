@@ -191,7 +191,7 @@ class Candidate(NamedTuple):
 
     @property
     def score(self) -> float:
-        """Say how sun-like it is: large, clipped, round, standing out, in the middle of the glare."""
+        """How sun-like it is: large, clipped, round, standing out, in the middle of the glare."""
         rim, radius = self.rim, self.rim.radius
         uneven = (rim.scatter / (0.1 * radius)) ** 2 + (rim.spread / (0.2 * radius)) ** 2
         off = self.off_glare_px / (3.0 * OFF_GLARE * self.size_px)

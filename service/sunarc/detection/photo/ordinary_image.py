@@ -271,7 +271,7 @@ def detect_sun_in_photo(
 
     Raises
     ------
-    InputError : the array is no image.
+    InputError : the array is not an image.
     """
     require_photo(photo.image, full_scale=photo.full_scale)
     zenith = None if expectation is None else expectation.apparent_zenith

@@ -350,7 +350,7 @@ def detect_stars(
 
     Raises
     ------
-    InputError : the array is no image.
+    InputError : the array is not an image.
     """
     require_photo(image, full_scale=full_scale)
     plane, clipped = plane_of(image, full_scale, bayer)
