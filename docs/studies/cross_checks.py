@@ -20,9 +20,9 @@ from collections.abc import Callable
 import numpy as np
 
 from sunarc.array_types import FloatArray
+from sunarc.calibration.changes.daily_rotations import DailyRotations
 from sunarc.calibration.changes.detect_change import pole_of
-from sunarc.cross_checks.causes import Cause, explain_step, rotation_of_site
-from sunarc.cross_checks.rotation_steps import DailyRotations, find_steps
+from sunarc.cross_checks.rotation_steps import Cause, explain_step, find_steps, rotation_of_site
 from sunarc.sky.days import SECONDS_PER_DEGREE
 from sunarc.sky.site import Site
 

@@ -15,6 +15,7 @@ from sunarc.calibration.answers.error_model import rotated
 from sunarc.calibration.changes import change_points as module
 from sunarc.calibration.changes import step_search as search
 from sunarc.calibration.changes.change_points import best_row
+from sunarc.calibration.changes.daily_rotations import DailyRotations
 from sunarc.calibration.model.sightings import FilteredSightings
 from sunarc.optics.forward import project
 
@@ -138,22 +139,19 @@ def test_what_two_poses_take_from_the_squares_is_in_variances() -> None:
     assert module._gain(after, after, usable, solved) == 0.0
 
 
-def test_a_jump_of_daily_poses_is_between_medians_of_three_days() -> None:
-    turns = np.zeros((10, 3))
-    turns[5:, 0] = 0.3
-    turns[2, 1] = 5.0  # one odd day
-    assert search._jump(turns, 5) == pytest.approx(0.3)
-    assert search._jump(turns, 2) == pytest.approx(0.0)
+def _daily(turn_deg: FloatArray) -> DailyRotations:
+    n = len(turn_deg)
+    covariance = np.broadcast_to(1e-5 * np.eye(3), (n, 3, 3))
+    return DailyRotations(day=np.arange(100.0, 100.0 + n), rotation_deg=turn_deg, covariance_deg2=covariance)
 
 
-def test_places_are_about_the_largest_jump_and_none_without() -> None:
+def test_places_are_about_the_clearest_step_and_none_without() -> None:
     rng = np.random.default_rng(1)
     turns = rng.normal(0.0, 0.003, (30, 3))
     turns[12:, 2] += 0.4
-    daily = search._Daily(np.arange(100, 130), turns)
-    assert search._spans(daily) == [(100 + 12 - 3, 100 + 12 + 2)]
-    assert search._spans(search._Daily(np.arange(30), rng.normal(0.0, 0.003, (30, 3)))) == []
-    assert search._spans(search._Daily(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))) == []
+    assert search._spans(_daily(turns)) == [(100 + 12 - 3, 100 + 12 + 2)]
+    assert search._spans(_daily(rng.normal(0.0, 0.003, (30, 3)))) == []
+    assert search._spans(_daily(np.zeros((0, 3)))) == []
 
 
 def test_steps_that_overlap_one_another_count_once() -> None:
@@ -166,7 +164,7 @@ def test_steps_that_overlap_one_another_count_once() -> None:
 def test_places_near_an_end_of_the_record_begin_or_end_with_it(row: int, expected: tuple[int, int]) -> None:
     turns = np.random.default_rng(2).normal(0.0, 0.003, (30, 3))
     turns[row:, 2] += 0.4
-    assert search._spans(search._Daily(np.arange(100, 130), turns))[0] == expected
+    assert search._spans(_daily(turns))[0] == expected
 
 
 @pytest.mark.parametrize("late_s", [0.0, 200.0, 400.0])

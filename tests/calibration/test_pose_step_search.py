@@ -11,6 +11,7 @@ from tests.fixtures.calibration import SGP, small_camera, stated_calibration
 
 from sunarc.calibration.answers.error_model import rotated
 from sunarc.calibration.changes import step_search as module
+from sunarc.calibration.changes.daily_rotations import DailyRotations
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration, Move
 from sunarc.calibration.model.sightings import Sightings
@@ -60,7 +61,7 @@ def test_the_days_about_a_jump_are_fitted_and_no_others(monkeypatch: pytest.Monk
         fitted.append(np.unique(solar_days(some.unix_s, longitude=SGP.longitude)).tolist())
         return []
 
-    def spans(daily: module._Daily) -> list[tuple[int, int]]:
+    def spans(daily: DailyRotations) -> list[tuple[int, int]]:
         assert daily.day.tolist() == list(range(first, first + 9))
         return [(first + 4, first + 6), (first, first + 1)]
 

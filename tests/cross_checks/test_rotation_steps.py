@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 from tests.cross_checks.cameras import Wrong, neighbours
 
 from sunarc.array_types import FloatArray
+from sunarc.calibration.changes.daily_rotations import DailyRotations, RotationStep, daily_rotations, find_step
 from sunarc.calibration.changes.detect_change import pole_of
-from sunarc.cross_checks.causes import StepSize, explain_step, rotation_of_site
-from sunarc.cross_checks.rotation_steps import DailyRotations, RotationStep, daily_rotations, find_step, find_steps
+from sunarc.cross_checks.rotation_steps import StepSize, explain_step, find_steps, rotation_of_site
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions
 

@@ -1,155 +1,132 @@
-"""How a camera stood turned on each day, when that stepped, and by what rotation.
+"""What neighbouring cameras show of one another: whose rotation changed, and what that may be.
 
-A component's model is a constant, one change, a random walk and white noise in the ratio of the stated variances. The
-walk takes what drifts, as a lens whose error changes with the sun's declination. A change has to beat that model with a
-walk of its own best size, so that the faster a camera drifts the larger a change must be. A change is a step, or a
-turn that goes on for days, as that of a mast that settles; a step has to explain the days better than such a turn.
+The sun's directions are computed for the stated time at the stated site. A clock that is ahead, and a longitude that
+is stated too far east, both turn them about the celestial pole, and the camera seems turned the other way. A track of
+the sun says nothing else of either: 1 s and 1/240 degree are one and the same.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from sunarc.array_types import BoolArray, FloatArray, IntArray, picked
-from sunarc.robust_statistics import MAD_TO_SIGMA, biweights
+from sunarc.array_types import FloatArray, picked
+from sunarc.calibration.changes.daily_rotations import DailyRotations, RotationStep, find_change, is_recent
+from sunarc.calibration.changes.detect_change import pole_of
+from sunarc.calibration.evidence import DAYS_GAIN, RARER, Weighed, log_marginal, most_probable
+from sunarc.sky.days import SECONDS_PER_DEGREE
+from sunarc.sky.directions import wrapped_deg
+from sunarc.sky.site import Site
 
-FEWEST = 20
-"""Sightings of a day that show a rotation: as many as a day's pose offset takes."""
-_ROUNDS, _CUT = 8, 5.0
-_MEDIAN_DISTANCE = 1.1774
-"""Median of a two-dimensional distance over its 1-sigma per axis, (2 ln 2)^½."""
-_LEAST_SIGMA = 1e-7
-"""Radians; a smaller scatter, a ten-thousandth of a pixel, is that of made-up numbers."""
+Cause = Literal["clock", "longitude", "site", "north", "clock_or_north", "moved", "slow_turn"]
+"""`clock`: about the celestial pole, and the stated site is as before. `longitude`, `site`: what is stated of the site
+changed, by the rotation that was seen. `north`: about the vertical. `clock_or_north`: both fit, as they do near the
+poles. `moved`: none of them. `slow_turn`: no step, but a turn of days and weeks
+about another axis than the celestial pole, as that of a mast that settles; no alarm, since the imager's own calibration
+follows it."""
+_UP = np.array([0.0, 0.0, 1.0])
+_FEWEST_OTHERS = 2
+"""Of two cameras that differ none is the one that is wrong."""
+_SIZE_DEG = 0.1
+"""1-sigma of a change about each axis before it is seen: a blow, a camera put straight, 24 s of a clock."""
+_RARER_MOVED, _RARER_NAMED = 2.0, 3.0
+"""Powers of e by which a step about any axis, and one about that of a clock or of north, is rarer than a slow turn; by
+docs/studies/cross_checks.py and pose_changes.py."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DailyRotations:
-    """How a camera stood turned on the days that show the sun, against one calibration.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StepSize:
+    """The most likely cause of a step, and its size by each of the causes that have one number.
 
     Attributes
     ----------
-    day : (n,) numbers of days, rising.
-    rotation_deg : (n, 3) about east, north and up, right-handed, degrees: positive about "up" turns the camera
-        counter-clockwise as seen from above.
-    covariance_deg2 : (n, 3, 3) by the scatter of the day's sightings.
+    change : what was explained: the step, or the slow turn in its place.
+    clock_s, longitude_deg : by how much the clock went ahead, or the stated longitude to the east: the same rotation.
+    north_deg : by how much the camera turned about the vertical, counter-clockwise as seen from above.
     """
 
-    day: FloatArray
-    rotation_deg: FloatArray
-    covariance_deg2: FloatArray
+    cause: Cause
+    change: RotationStep
+    clock_s: float
+    clock_sigma_s: float
+    longitude_deg: float
+    longitude_sigma_deg: float
+    north_deg: float
+    north_sigma_deg: float
 
 
-def daily_rotations(day: FloatArray, *, observed: FloatArray, expected: FloatArray) -> DailyRotations:
-    """Return the rotation of each day with at least 20 sightings that agree.
+def rotation_of_site(before: Site, after: Site) -> FloatArray:
+    """Return the rotation (3,), degrees about east, north and up, by which a new statement of the site turns a camera.
+
+    For differences of a few degrees and less.
+    """
+    east = float(wrapped_deg(after.longitude - before.longitude))
+    return np.array([after.latitude - before.latitude, 0.0, 0.0]) - east * pole_of(before)
+
+
+def explain_step(step: RotationStep, *, before: Site, after: Site) -> StepSize:
+    """Return the most probable explanation of a change.
 
     Parameters
     ----------
-    day : (n,) number of the day of each sighting.
-    observed : (n, 3) directions by the calibration's camera, unit vectors east-north-up; NaN where it sees none.
-    expected : (n, 3) directions of the sun.
+    step : of a camera's rotation against one calibration, or a slow turn.
+    before, after : the site as it was stated for the days before and after it.
     """
-    days, found = [], []
-    known = np.isfinite(observed).all(axis=-1) & np.isfinite(expected).all(axis=-1)
-    for one in np.unique(day[known]).tolist():
-        of_day = known & (day == one)
-        rotation = _rotation(observed[of_day], expected[of_day])
-        if rotation is not None:
-            days.append(one)
-            found.append(rotation)
-    return DailyRotations(
-        day=np.array(days),
-        rotation_deg=np.array([rotation for rotation, _ in found]).reshape(-1, 3),
-        covariance_deg2=np.array([covariance for _, covariance in found]).reshape(-1, 3, 3),
+    changes = [step] if step.slower is None else [step, step.slower]
+    weighed = [one for change in changes for one in _explanations(change, before, after)]
+    cause, change = most_probable(weighed).explanation
+    size = change.rotation_deg
+    information = np.asarray(np.linalg.inv(change.covariance_deg2), dtype=np.float64)
+    pole, pole_sigma = _about(size, information, pole_of(before))
+    north, north_sigma = _about(size, information, _UP)
+    return StepSize(
+        cause=cause,
+        change=change,
+        clock_s=-SECONDS_PER_DEGREE * pole,
+        clock_sigma_s=SECONDS_PER_DEGREE * pole_sigma,
+        longitude_deg=-pole,
+        longitude_sigma_deg=pole_sigma,
+        north_deg=north,
+        north_sigma_deg=north_sigma,
     )
 
 
-def _rotation(observed: FloatArray, expected: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-    """Return the rotation (3,) that takes `observed` to `expected`, degrees, and its covariance; None of too few.
+def _explanations(change: RotationStep, before: Site, after: Site) -> list[Weighed[tuple[Cause, RotationStep]]]:
+    """Return what a change may be: a rotation about any axis, or about one that says what it is."""
+    size = change.rotation_deg
 
-    Wahba's problem with Tukey's weights, again and again.
-    """
-    weight = np.ones(len(observed))
-    for _ in range(_ROUNDS):
-        if np.count_nonzero(weight) < FEWEST:
-            return None
-        rotation = Rotation.align_vectors(expected, observed, weights=weight)[0]
-        distance = np.linalg.norm(expected - rotation.apply(observed), axis=-1)
-        scale = max(float(np.median(distance)) / _MEDIAN_DISTANCE, _LEAST_SIGMA)
-        weight = biweights(np.minimum(distance / (_CUT * scale), 1.0))
-    variance = max(float(weight @ distance**2 / (2.0 * weight.sum())), _LEAST_SIGMA**2)
-    # a small rotation w moves a direction d by w x d, which is (1 - d d^T) of w in size
-    information = np.einsum("n,nij->ij", weight, np.eye(3) - expected[:, :, None] * expected[:, None, :]) / variance
-    covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
-    return np.asarray(rotation.as_rotvec(degrees=True)), np.degrees(np.degrees(covariance))
+    def evidence(axes: FloatArray, left: FloatArray = size) -> float:
+        return log_marginal(left[:, None], change.covariance_deg2, _SIZE_DEG * axes[:, None, :])
 
+    def weighed(cause: Cause, log_evidence: float, rarer: float) -> Weighed[tuple[Cause, RotationStep]]:
+        return Weighed((cause, change), change.gain + log_evidence - of_any, rarer)
 
-_WALK = (0.0, 0.003, 0.03, 0.3, 3.0)
-"""Variance of the walk in a day over that of a day's rotation, tried each: from none to nothing but a walk."""
-_FEWEST_BEFORE, _FEWEST_AFTER = 8, 4
-"""Days: a scatter needs some before, and three days of cloud's making are not a step."""
-MIN_GAIN = 13.0
-"""By how many powers of e a change must explain the days better; by docs/studies/cross_checks.py, so that there is less
-than one false step in a camera-year."""
-_SETTLING_DAYS = (3.0, 6.0, 12.0, 25.0, np.inf)
-"""Time constants of slow turns, tried each: from what a step of few days could be to the length of what is compared;
-so near one another that what is left of a turn is not taken for its neighbours'. Infinite: at one rate."""
-_NEAR, _OUTLYING = 5, 4.0
-"""A day that is further than so many scatters from the median of so many days about it is moved to that limit."""
-_FEWEST_OTHERS = 2
-"""Of two cameras that differ none is the one that is wrong."""
+    of_any = evidence(np.eye(3))
+    clock, north = evidence(pole_of(before)[:, None]), evidence(_UP[:, None])
+    if change.settling_days > 0.0:  # a statement changes at once, and so does north
+        return [weighed("slow_turn", of_any, 0.0), weighed("clock", clock, RARER)]
+    found = [weighed("moved", of_any, _RARER_MOVED)]
+    if min(clock, north) > of_any:
+        found.append(weighed("clock_or_north", max(clock, north), _RARER_NAMED))
+    else:
+        found += [weighed("clock", clock, _RARER_NAMED), weighed("north", north, _RARER_NAMED)]
+    restated = rotation_of_site(before, after)
+    if np.any(restated):
+        named: Cause = "longitude" if before.latitude == after.latitude else "site"
+        found.append(weighed(named, evidence(np.zeros((3, 1)), size - restated), -RARER))
+    return found
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RotationStep:
-    """A change of a camera's rotation: a step, or a slow turn.
-
-    Attributes
-    ----------
-    day : the first one after a step, or on which a turn begins.
-    last_day : the last one that was compared.
-    settling_days : the time in which a turn does 0.63 of its way, days; infinite at one rate, 0 for a step.
-    rotation_deg : (3,) after minus before, about east, north and up; of a turn, up to the last day.
-    covariance_deg2 : (3, 3) of it, by the scatter and the drift of the days.
-    gain : by how many powers of e the change explains the days better than none.
-    n_before, n_after : days.
-    slower : of a step, the slow turn that explains the days best in its place.
-    """
-
-    day: float
-    last_day: float
-    settling_days: float = 0.0
-    rotation_deg: FloatArray
-    covariance_deg2: FloatArray
-    gain: float
-    n_before: int
-    n_after: int
-    slower: RotationStep | None = None
-
-    @property
-    def likeliest(self) -> RotationStep:
-        """The change of the larger gain: the step, or the slow turn in its place."""
-        return self if self.slower is None or self.gain >= self.slower.gain else self.slower
-
-    def progress(self, day: FloatArray) -> FloatArray:
-        """Return which part of the change was done on days (n,): 0 before it, 1 on the last day."""
-        return _progress(day, self.day, self.last_day, self.settling_days)
+def _about(size: FloatArray, information: FloatArray, axis: FloatArray) -> tuple[float, float]:
+    """Return the rotation about an axis that comes nearest, and its 1-sigma."""
+    weight = float(axis @ information @ axis)
+    return float(axis @ information @ size) / weight, weight**-0.5
 
 
-def _progress(day: FloatArray, first: float, last: float, settling_days: float) -> FloatArray:
-    since = np.maximum(day - first, 0.0)
-    if settling_days == 0.0:
-        return np.asarray(day >= first, dtype=np.float64)
-    if np.isinf(settling_days):
-        return np.asarray(since / (last - first))
-    return np.asarray(np.expm1(-since / settling_days) / np.expm1(-(last - first) / settling_days))
-
-
-def find_steps(cameras: Sequence[DailyRotations], *, min_gain: float = MIN_GAIN) -> tuple[RotationStep | None, ...]:
+def find_steps(cameras: Sequence[DailyRotations], *, min_gain: float = DAYS_GAIN) -> tuple[RotationStep | None, ...]:
     """Return the change of each camera of a group of neighbours; None of one that shows none clearly.
 
     What all of them have in common on a day is not a camera's: refraction, a time server, a new version of the
@@ -165,7 +142,7 @@ def find_steps(cameras: Sequence[DailyRotations], *, min_gain: float = MIN_GAIN)
     remaining = list(cameras)
     for _ in cameras:
         steps = {
-            number: _find_change(_beside_others(remaining, number), min_gain)
+            number: find_change(_beside_others(remaining, number), min_gain)
             for number in range(len(cameras))
             if found[number] is None
         }
@@ -176,12 +153,7 @@ def find_steps(cameras: Sequence[DailyRotations], *, min_gain: float = MIN_GAIN)
         first = max(clear, key=lambda number: float(np.linalg.norm(clear[number].likeliest.rotation_deg)))
         found[first] = clear[first]
         remaining[first] = _without(remaining[first], clear[first])
-    return tuple(None if step is None or _is_recent(step) else step for step in found)
-
-
-def _is_recent(step: RotationStep) -> bool:
-    """Whether a step has too few days yet: it may be one of cloud, and would pass for a turn that began before it."""
-    return step.settling_days == 0.0 and step.n_after < _FEWEST_AFTER
+    return tuple(None if step is None or is_recent(step) else step for step in found)
 
 
 def _without(one: DailyRotations, step: RotationStep) -> DailyRotations:
@@ -207,118 +179,3 @@ def _beside_others(cameras: Sequence[DailyRotations], number: int) -> DailyRotat
         count += there
     common = total / np.maximum(count, 1.0)[:, None]
     return picked(replace(own, rotation_deg=own.rotation_deg - common), count > 0.0)
-
-
-def find_step(days: DailyRotations, *, min_gain: float = MIN_GAIN) -> RotationStep | None:
-    """Return the step that explains a camera's daily rotations best; None where none does so clearly.
-
-    Where no step does, but a slow turn, that is returned.
-
-    Parameters
-    ----------
-    days : of at most some 60 days, without what is common to the neighbours.
-    min_gain : the least gain, natural logarithm.
-    """
-    found = _find_change(days, min_gain)
-    return None if found is None or _is_recent(found) else found
-
-
-def _find_change(days: DailyRotations, min_gain: float) -> RotationStep | None:
-    """Return what `find_step` does, or a step of the last days, which is not reported yet."""
-    n = len(days.day)
-    if n < _FEWEST_BEFORE + _FEWEST_AFTER:
-        return None
-    tried = _changes(days.day)
-    # about the principal axes of what is stated the three components err independently
-    axes = np.linalg.eigh(days.covariance_deg2.mean(axis=0))[1]
-    rotations = _limited(days.rotation_deg @ axes)
-    variances = np.einsum("ij,nik,kj->nj", axes, days.covariance_deg2, axes)
-    fits = [_component(days.day, rotations[:, j], variances[:, j], tried.progress) for j in range(3)]
-    gain = np.sum([fit.gain for fit in fits], axis=0)
-
-    def change(of_kind: BoolArray) -> RotationStep:
-        best = int(np.argmax(np.where(of_kind, gain, -np.inf)))
-        first = int(tried.first[best])
-        return RotationStep(
-            day=float(days.day[first]),
-            last_day=float(days.day[-1]),
-            settling_days=float(tried.settling_days[best]),
-            rotation_deg=axes @ np.array([fit.size[best] for fit in fits]),
-            covariance_deg2=axes @ np.diag([fit.variance[best] for fit in fits]) @ axes.T,
-            gain=float(gain[best]),
-            n_before=first,
-            n_after=n - first,
-        )
-
-    is_step = tried.settling_days == 0.0
-    recent = is_step & (tried.first > n - _FEWEST_AFTER)
-    step, turn, newest = change(is_step & ~recent), change(~is_step), change(recent)
-    if newest.gain > max(min_gain, step.gain, turn.gain):
-        return newest
-    if step.gain >= min_gain:
-        return replace(step, slower=turn)
-    return turn if turn.gain >= min_gain else None
-
-
-class _Changes(NamedTuple):
-    """Of each change that is tried: the index of its first day, its time constant, and (n, c) its progress."""
-
-    first: IntArray
-    settling_days: FloatArray
-    progress: FloatArray
-
-
-def _changes(day: FloatArray) -> _Changes:
-    """Return steps, and turns that begin on every second day from the first on."""
-    n = len(day)
-    steps = [(first, 0.0) for first in range(_FEWEST_BEFORE, n)]
-    turns = [(first, tau) for tau in _SETTLING_DAYS for first in range(0, n - _FEWEST_AFTER + 1, 2)]
-    first, settling = (np.array(column) for column in zip(*steps, *turns, strict=True))
-    progress = [_progress(day, float(day[k]), float(day[-1]), tau) for k, tau in (*steps, *turns)]
-    return _Changes(first, settling, np.array(progress).T)
-
-
-class _Fits(NamedTuple):
-    """Of each change: the gain, and its size and variance."""
-
-    gain: FloatArray
-    size: FloatArray
-    variance: FloatArray
-
-
-def _component(day: FloatArray, rotation: FloatArray, variance: FloatArray, progress: FloatArray) -> _Fits:
-    """Return what each change is worth, by generalised least squares for each size of walk."""
-    n = len(day)
-    walk = np.minimum.outer(day - day[0], day - day[0])
-    none, changed, sizes, spreads = [], [], [], []
-    for ratio in _WALK:
-        factor = np.linalg.cholesky(np.diag(variance) + ratio * variance.mean() * walk)
-        white = np.linalg.solve(factor, np.column_stack([np.ones(n), rotation, progress]))
-        constant = white[:, 0] / np.linalg.norm(white[:, 0])
-        white = white[:, 1:] - constant[:, None] * (constant @ white[:, 1:])
-        values, shape = white[:, 0], white[:, 1:]
-        information = np.sum(shape**2, axis=0)
-        size = shape.T @ values / information
-        left = max(float(values @ values), 1e-12)  # rotations without any scatter are none of a camera
-        remaining = np.maximum(left - size**2 * information, 1e-12 * left)
-        constant_part = -np.log(np.diag(factor)).sum()
-        none.append(constant_part - 0.5 * n * np.log(left))
-        changed.append(constant_part - 0.5 * n * np.log(remaining))
-        sizes.append(size)
-        spreads.append(remaining / (n - 2.0) / information)
-    likelihood = np.array(changed)
-    best = np.argmax(likelihood, axis=0)
-    column = np.arange(progress.shape[1])
-    gain = likelihood[best, column] - max(none)
-    return _Fits(gain, np.array(sizes)[best, column], np.array(spreads)[best, column])
-
-
-def _limited(rotations: FloatArray) -> FloatArray:
-    """Return (n, 3) with single days that stand off from those about them moved near; a step stays as it is."""
-    half = _NEAR // 2
-    padded = np.pad(rotations, ((half, half), (0, 0)), mode="edge")
-    near = np.lib.stride_tricks.sliding_window_view(padded, _NEAR, axis=0)
-    middle = np.asarray(np.median(near, axis=-1), dtype=np.float64)
-    off = rotations - middle
-    limit = _OUTLYING * MAD_TO_SIGMA * np.asarray(np.median(np.abs(off), axis=0), dtype=np.float64)
-    return np.asarray(middle + np.clip(off, -limit, limit))

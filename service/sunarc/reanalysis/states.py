@@ -17,6 +17,7 @@ import numpy as np
 
 from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.evidence import SEQUENCE_GAIN, bounded_cost, likeliest_path
 from sunarc.calibration.model.options import CalibrationOptions, Mirrored
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
@@ -269,12 +270,6 @@ def _with_other_lens(states: Sequence[State], points: Sightings, camera: Camera)
 
 Cause = Literal["start", "moved", "lens", "clock"]
 
-_MOST_COST = 8.0
-"""Cost of a sighting that no state explains: 4 sigma. False ones are alike in all states."""
-_CHANGE_COST = 20.0
-"""Cost of a change of the state: three sightings have to speak for it. A camera is changed once a year, at one of some
-thousands of sightings (-8), and three false ones in a row that fit another state are rare."""
-
 
 class Epoch(NamedTuple):
     """A time in which one state held.
@@ -300,8 +295,8 @@ def find_epochs(points: Sightings, states: Sequence[State], camera: Camera) -> t
     states : as `find_states` returns them.
     camera : see there.
     """
-    costs = np.stack([_costs(camera.distances(state, points), state.sigma_px) for state in states], axis=1)
-    path = likeliest_path(costs, change_cost=_CHANGE_COST)
+    costs = np.stack([bounded_cost(camera.distances(state, points), state.sigma_px) for state in states], axis=1)
+    path = likeliest_path(costs, change_cost=SEQUENCE_GAIN)
     bounds = np.flatnonzero(np.diff(path, prepend=-1))
     epochs: list[Epoch] = []
     for number, first in enumerate(bounds.tolist()):
@@ -310,38 +305,6 @@ def find_epochs(points: Sightings, states: Sequence[State], camera: Camera) -> t
         cause = _cause(states[epochs[-1].state], states[state]) if epochs else "start"
         epochs.append(Epoch(state, cause, first, last, float(points.unix_s[first]), float(points.unix_s[last])))
     return epochs, path
-
-
-def _costs(distance_px: FloatArray, sigma_px: float) -> FloatArray:
-    return np.minimum(0.5 * np.square(distance_px / sigma_px), _MOST_COST)
-
-
-def likeliest_path(costs: FloatArray, *, change_cost: float) -> IntArray:
-    """Return the sequence of states with the least cost (Viterbi 1967).
-
-    Parameters
-    ----------
-    costs : (n, k) of each of k states at each of n observations.
-    change_cost : of a change from one state to any other.
-
-    Returns
-    -------
-    (n,) numbers of states; of equal ones that with the least number.
-    """
-    n, k = costs.shape
-    before = np.zeros((n, k), dtype=np.int64)
-    total = costs[0].copy() if n else np.zeros(k)
-    for row in range(1, n):
-        best = int(np.argmin(total))
-        stays = total <= total[best] + change_cost
-        before[row] = np.where(stays, np.arange(k), best)
-        total = np.where(stays, total, total[best] + change_cost) + costs[row]
-    path = np.zeros(n, dtype=np.int64)
-    if n:
-        path[-1] = int(np.argmin(total))
-    for row in range(n - 1, 0, -1):
-        path[row - 1] = before[row, path[row]]
-    return path
 
 
 def _cause(former: State, state: State) -> Cause:

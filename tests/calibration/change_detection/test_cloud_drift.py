@@ -15,8 +15,8 @@ from tests.fixtures.calibration import small_camera, stated_calibration, sun_arc
 from sunarc.calibration.changes import detect_change as module
 from sunarc.calibration.changes.detect_change import Drift, ResidualModel, drift_evidence, update_window, window_of
 from sunarc.calibration.changes.values import Sighting, SightingWindow
+from sunarc.calibration.evidence import fit_inlier_mixture, log_evidence
 from sunarc.calibration.model.options import WatchOptions
-from sunarc.calibration.pose import fit_inlier_mixture, log_evidence
 from sunarc.optics.forward import project
 from sunarc.simulation.truth import SGP
 

@@ -20,12 +20,13 @@ from sunarc.calibration.changes.detect_change import (
     describe_change,
     errors_at,
     pole_of,
+    rarity,
     window_of,
 )
 from sunarc.calibration.changes.values import Change, ChangeKind, SightingWindow
+from sunarc.calibration.evidence import Weighed, most_probable
 from sunarc.calibration.model.options import WatchOptions
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.pose import fit_inlier_mixture
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix
@@ -232,12 +233,6 @@ def test_refocus_and_shift_are_read_back(calibration: Calibration) -> None:
     assert change.size_sigma < 0.3
 
 
-def _scored(kind: ChangeKind, evidence: float, model: ResidualModel) -> module.ScoredHypothesis:
-    of = module._rotation_hypothesis(model, FIRST, np.zeros(3), np.eye(3), kind=kind)
-    held = fit_inlier_mixture(model.covariance, model.sightings, np.ones(N, dtype=bool))
-    return module.ScoredHypothesis(of=of, mixture=replace(held, log_evidence=evidence))
-
-
 @pytest.mark.parametrize(
     ("rival", "lead", "clock_stepped", "expected"),
     [
@@ -250,18 +245,12 @@ def _scored(kind: ChangeKind, evidence: float, model: ResidualModel) -> module.S
     ],
 )
 def test_a_rarer_change_must_be_clearly_more_probable(
-    calibration: Calibration,
-    directions: FloatArray,
-    rival: ChangeKind,
-    lead: float,
-    *,
-    clock_stepped: bool,
-    expected: str,
+    rival: ChangeKind, lead: float, *, clock_stepped: bool, expected: str
 ) -> None:
     """Prior odds as Bayes factors in natural logarithms (Kass and Raftery 1995: 5 is very strong)."""
-    model = changed(calibration, directions, calibration.camera)
-    best, other = _scored("bump", 100.0, model), _scored(rival, 100.0 + lead, model)
-    assert module._most_probable(best, [other], clock_stepped=clock_stepped).of.kind == expected
+    other = Weighed(rival, 100.0 + lead, rarity(rival, clock_stepped=clock_stepped))
+    turn: ChangeKind = "bump"
+    assert most_probable([Weighed(turn, 100.0), other]).explanation == expected
 
 
 @pytest.mark.parametrize(("small", "expected"), [(True, [0, 3, 6, 9, *range(12, 21)]), (False, [*range(14, 21)])])

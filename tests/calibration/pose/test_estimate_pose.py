@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.changes.step_search import daily_pose_offset
+from sunarc.calibration.changes.daily_rotations import daily_pose_offset
 from sunarc.calibration.model.document import from_document, to_document
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration

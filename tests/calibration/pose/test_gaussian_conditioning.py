@@ -12,15 +12,9 @@ from scipy.stats import multivariate_normal
 from tests.fixtures.calibration import random_covariance, small_camera, spread_directions, stated_calibration
 
 from sunarc.calibration.answers.error_model import CameraErrorModel, error_model_of, joint_covariance, predicted
+from sunarc.calibration.evidence import PixelResiduals, false_density, fit_inlier_mixture, log_evidence, log_normal
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.pose import (
-    PixelResiduals,
-    conditioned,
-    false_density,
-    fit_inlier_mixture,
-    log_evidence,
-    log_normal,
-)
+from sunarc.calibration.pose import conditioned
 
 FloatArray = NDArray[np.float64]
 

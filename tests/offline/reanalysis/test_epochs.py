@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sunarc.reanalysis.states import State, _cause, likeliest_path, with_true_clock
+from sunarc.calibration.evidence import likeliest_path
+from sunarc.reanalysis.states import State, _cause, with_true_clock
 
 
 def state(*, lens: int = 0, pose: int = 0, clock: float = 0.0) -> State:

@@ -16,10 +16,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.linalg import cholesky, solve_triangular
 
 from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.evidence import RECORD_GAIN, log_marginal, matern_3_2
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances
 from sunarc.calibration.model.result import Calibration, Move
 from sunarc.calibration.model.sightings import FilteredSightings, Sightings, filter_sightings
@@ -121,20 +121,11 @@ class _Model:
 
     def log_likelihood(self, amplitudes: Amplitudes, episodes: tuple[Episode, ...]) -> float:
         """Return the logarithm of the marginal likelihood; minus infinity where the matrix is not positive definite."""
+        covariance = _covariance(self.rows, amplitudes, episodes)
         try:
-            factor = cholesky(_covariance(self.rows, amplitudes, episodes), lower=True, check_finite=False)
+            return log_marginal(self.residual, covariance, self.derivatives)
         except np.linalg.LinAlgError:
             return -math.inf
-        n, _, p = self.derivatives.shape
-        stacked = np.concatenate([self.residual, self.derivatives.reshape(n, 2 * p)], axis=1)
-        white = solve_triangular(factor, stacked, lower=True, check_finite=False)
-        white_residual, rows = white[:, :2], white[:, 2:].reshape(n, 2, p)
-        # Woodbury's identity once more: unknowns of unit prior variance are integrated out
-        information = np.eye(p) + np.einsum("nai,naj->ij", rows, rows, optimize=True)
-        gradient = np.einsum("nai,na->i", rows, white_residual)
-        square = float(np.sum(white_residual**2) - gradient @ np.linalg.solve(information, gradient))
-        determinant = 4.0 * float(np.sum(np.log(np.diag(factor)))) + float(np.linalg.slogdet(information).logabsdet)
-        return float(-0.5 * (square + determinant) - n * math.log(2.0 * math.pi))
 
 
 def log_bayes_factor(
@@ -243,8 +234,7 @@ def _covariance(rows: _Rows, amplitudes: Amplitudes, episodes: tuple[Episode, ..
     for episode in episodes:
         inside = np.flatnonzero((rows.unix_s >= episode.begin_s) & (rows.unix_s <= episode.end_s))
         square = np.ix_(inside, inside)
-        scaled = math.sqrt(3.0) * rows.separation_s[square] / episode.time_s
-        covariance[square] += episode.amplitude_px**2 * (1.0 + scaled) * np.exp(-scaled)
+        covariance[square] += episode.amplitude_px**2 * matern_3_2(rows.separation_s[square], episode.time_s)
     return np.asarray(covariance)
 
 
@@ -338,10 +328,6 @@ _SMALLEST_NIGHT_DEG = 0.05
 """Mounts wander by less from a day to the next."""
 _GAIN = 40.0
 """What three more unknowns must take from the squares of the residuals, in variances, wherever the move may be."""
-_LEAST_EVIDENCE = 15.0
-"""Powers of e by which a move must be likelier than none: a camera is moved about once a year, at one of hundreds of
-sightings of the day (-11.5 together), and the move should then be 20 times as probable as none (3); none of 1,000
-cameras that stood still reaches it (docs/studies.md)."""
 _MOST = 6
 _FEWEST = 20
 _FLOOR_PX = 1e-3
@@ -423,7 +409,7 @@ def _with_one_more(points: Sightings, usable: FilteredSightings, solved: Calibra
         if gain > _GAIN and turn_deg > suggested.smallest_deg:
             tried.append((gain, found))
     for _, found in sorted(tried, key=lambda item: -item[0]):
-        if _log_bayes_factor(solved, found, usable) > _LEAST_EVIDENCE:
+        if _log_bayes_factor(solved, found, usable) > RECORD_GAIN:
             return found
     return None
 

@@ -28,17 +28,22 @@ from sunarc.calibration.answers.error_model import (
     rotated,
 )
 from sunarc.calibration.changes.values import Change, ChangeKind, Hypothesis, Sighting, SightingWindow
-from sunarc.calibration.model.options import WatchOptions
-from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.pose import (
+from sunarc.calibration.evidence import (
+    MONITOR_GAIN,
+    RARER,
     MixtureFit,
     PixelResiduals,
-    conditioned,
+    Weighed,
     false_density,
     fit_inlier_mixture,
     log_evidence,
-    noise_px,
+    matern_3_2,
+    matern_5_2,
+    most_probable,
 )
+from sunarc.calibration.model.options import WatchOptions
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.pose import conditioned, noise_px
 from sunarc.calibration.robust_loss import finite
 from sunarc.calibration.solve.problem import by_elevation
 from sunarc.calibration.start.initial_guess import ransac_rotation
@@ -113,9 +118,7 @@ def errors_at(window: ResidualModel, at: Predicted) -> FloatArray:
 
 def wandering(unix_s: FloatArray, options: WatchOptions) -> FloatArray:
     """Return (n, n): the covariance of a mount's wandering, rad² (Matérn, once differentiable)."""
-    # Matern with nu = 3/2 (Rasmussen and Williams 2006, eq. 4.17)
-    lag = math.sqrt(3.0) * np.abs(unix_s[:, None] - unix_s) / _WANDER_S
-    return np.asarray(math.radians(options.wander_deg) ** 2 * (1.0 + lag) * np.exp(-lag))
+    return math.radians(options.wander_deg) ** 2 * matern_3_2(unix_s[:, None] - unix_s, _WANDER_S)
 
 
 def _of_air(camera: Camera, directions: FloatArray, site: Site) -> FloatArray:
@@ -141,11 +144,6 @@ _SMALLEST_ROTATION_RAD = math.radians(0.02)
 _RECENT, _STRIDE, _FEW = 12, 3, 4
 _LEAST_AGREEING = 4
 """Fewest sightings after a change that agree on it: three fix a rotation with one to check it."""
-_MIN_LOG_BAYES_FACTOR = 20.0
-"""By how many powers of e a change must explain the sightings better than none; Kass and Raftery (1995) call 5 very
-strong, but here the question is put after every sighting."""
-_CLEARER = 6.0
-"""Powers of e by which a rarer explanation must be better than a turn to be named."""
 _CLEARER_THAN_CLOUD = 4.0
 """Powers of e by which any change must be better than cloud that draws the detections aside."""
 _CLEARER_AT_FIRST = 6.0
@@ -154,7 +152,7 @@ _FEW_AGREEING = 6
 """From so many agreeing sightings on `_CLEARER_THAN_CLOUD` holds: by then an episode of cloud has begun to drift."""
 _LENS_CLEARER_THAN_CLOUD = 12.0
 """The same for a change of the lens, whose many free numbers follow a drift, and after which nothing is kept."""
-_CLOCK_PRIOR = 5.0
+_CLOCK_RARER = 5.0
 """Powers of e that a clock is less likely than a bump where the host's clock reports no step."""
 _AS_LIKELY = 5.0
 _CLOSE, _CLOSE_PX, _FAR_PX = 5.0, 0.5, 25.0
@@ -205,16 +203,17 @@ def best_hypothesis(
     if not best:
         return None
     rivals = _rivals(window, best[0], site, posed_from_few=posed_from_few)
-    selected = _most_probable(best[0], rivals, clock_stepped=clock_stepped)
+    weighed = [Weighed(one, one.evidence, rarity(one.of.kind, clock_stepped=clock_stepped)) for one in rivals]
+    selected = most_probable([Weighed(best[0], best[0].evidence), *weighed]).explanation
     gain = selected.evidence - nothing.log_evidence
-    if gain < _MIN_LOG_BAYES_FACTOR or selected.agreeing < _LEAST_AGREEING:
+    if gain < MONITOR_GAIN or selected.agreeing < _LEAST_AGREEING:
         return None
     if selected.agreeing < int(nothing.inlier[selected.of.first :].sum()):
         return None
     if selected.evidence - drift_evidence(window, selected.of.first) < _clearer_than_cloud(selected):
         return None
     alike = [rotation.of.first for rotation in best if rotation.evidence > selected.evidence - _AS_LIKELY]
-    near = {one.of.kind for one in rivals if one.of.kind in _OF_LENS and one.evidence > selected.evidence - _CLEARER}
+    near = {one.of.kind for one in rivals if one.of.kind in _OF_LENS and one.evidence > selected.evidence - RARER}
     perhaps = tuple(sorted(near)) if selected.of.kind == "bump" else ()
     return describe_change(window, selected.of, selected.mixture, gain=gain, alike=alike, perhaps=perhaps)
 
@@ -387,15 +386,11 @@ def _lens_alone(window: ResidualModel) -> list[ScoredHypothesis]:
     return [_weigh(window, _other_lens(window, of_rotation))]
 
 
-def _most_probable(best: ScoredHypothesis, rivals: list[ScoredHypothesis], *, clock_stepped: bool) -> ScoredHypothesis:
-    """Return the explanation to name: a turn, unless a rarer one is clearly better, or the host's clock was set."""
-
-    def handicap(weighed: ScoredHypothesis) -> float:
-        if weighed.of.kind == "clock":
-            return -_CLEARER if clock_stepped else _CLOCK_PRIOR
-        return _CLEARER
-
-    return max([best, *rivals], key=lambda one: one.evidence - (0.0 if one is best else handicap(one)))
+def rarity(kind: ChangeKind, *, clock_stepped: bool) -> float:
+    """Return by how many powers of e a kind of change is rarer than a turn; a clock that the host set is not."""
+    if kind == "clock":
+        return -RARER if clock_stepped else _CLOCK_RARER
+    return RARER
 
 
 # Evidence of an episode of cloud: detections that drift away smoothly while camera, clock and lens are as they were.
@@ -472,9 +467,7 @@ def _with_drift(window: ResidualModel, drift: Drift) -> FloatArray:
     """Return the covariance (2n, 2n) of the sightings' errors with a drift from one of them on, px²."""
     begin, all_times = drift.begin, window.watch.unix_s
     times = all_times[begin:]
-    # Matern with nu = 5/2 (Rasmussen and Williams 2006, eq. 4.17)
-    lag = math.sqrt(5.0) * np.abs(times[:, None] - times) / drift.time_s
-    kernel = drift.amplitude_px**2 * (1.0 + lag + lag**2 / 3.0) * np.exp(-lag)
+    kernel = drift.amplitude_px**2 * matern_5_2(times[:, None] - times, drift.time_s)
     # the kernel of a line without intercept (ibid., section 4.2.2), zero at the sighting before the first displaced one
     elapsed = times - all_times[max(begin - 1, 0)]
     kernel += drift.slope_px_s**2 * np.outer(elapsed, elapsed)

@@ -26,6 +26,7 @@ from sunarc.calibration.answers.error_model import (
     rotated,
 )
 from sunarc.calibration.changes.change_points import Moved, calibrate_moved
+from sunarc.calibration.evidence import PixelResiduals, false_density, fit_inlier_mixture
 from sunarc.calibration.fit.assemble import Job, calibration_from_fit, no_field, refused
 from sunarc.calibration.lens_library.conditioning import (
     Departure,
@@ -41,12 +42,9 @@ from sunarc.calibration.model.residual_field import Field, wave_basis
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import FilteredSightings, Sightings, filter_sightings
 from sunarc.calibration.pose import (
-    PixelResiduals,
     PoseFit,
     PredictedSightings,
     conditioned_pose,
-    false_density,
-    fit_inlier_mixture,
     noise_px,
     outcome_of,
     settled,

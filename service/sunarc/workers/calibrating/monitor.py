@@ -16,8 +16,8 @@ from sunarc.archive.archive import CameraArchive
 from sunarc.archive.calibrations import EPOCH_CLOSED
 from sunarc.archive.sightings import ELSEWHERE, LENS_CHANGED
 from sunarc.archive.values import Day, PoseEpoch, Refit, SunPoint, SunPointColumns
+from sunarc.calibration.changes.daily_rotations import PoseOffset, daily_pose_offset
 from sunarc.calibration.changes.detect_change import REMEMBERED, update_window
-from sunarc.calibration.changes.step_search import PoseOffset, daily_pose_offset
 from sunarc.calibration.changes.values import LENS_KINDS, Change, Sighting, SightingWindow
 from sunarc.calibration.lens_library.first_pose import north_sigma_deg, top_azimuth_deg
 from sunarc.calibration.messages import MESSAGES as CHANGES

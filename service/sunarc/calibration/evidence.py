@@ -1,0 +1,274 @@
+"""How likely an explanation makes what was observed: the one comparison by which a change is decided.
+
+What is observed (the residuals of sightings, a day's rotations) is normal about what an explanation predicts, its free
+numbers integrated out; single observations may be false. Four searches compare explanations by it: the monitor of each
+sighting, the search within a record, the states of an archive, the neighbours of a camera. They differ in what they
+observe, in the alternatives, and in how often they ask, hence in the evidence that they require.
+References: R. Kass and A. Raftery, "Bayes factors", J. Am. Stat. Assoc. 90 (1995); C. Rasmussen and C. Williams,
+"Gaussian processes for machine learning" (2006), chapters 4 and 5.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Generic, NamedTuple, TypeVar
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+
+from sunarc.array_types import BoolArray, FloatArray, IntArray, Rows, picked
+from sunarc.calibration.robust_loss import finite
+
+_LARGEST_COST = 8.0
+"""Cost of a sighting that no state explains: 4 sigma. False ones are alike in all states."""
+_EXCLUDED_PX2 = 1e6
+"""Variance of a sighting that is left out: it stays in the equations, without information."""
+_FALSE_SHARE = 0.2
+_HALO_PX = 15.0
+_SWEEPS = 8
+
+T = TypeVar("T")
+
+
+MONITOR_GAIN = 20.0
+"""By how many powers of e a change must explain the observations better than none: asked after every sighting.
+
+Kass and Raftery (1995) call 5 very strong; a camera is changed about once a year, and each search asks at many places.
+"""
+RECORD_GAIN = 15.0
+"""The same at one of hundreds of sightings of a day (-11.5 with once a year), and 20 times as probable as none (3);
+none of 1,000 cameras that stood still reaches it (docs/studies.md)."""
+DAYS_GAIN = 13.0
+"""The same for the rotations of some 60 days: less than one false step in a camera-year (docs/studies.md)."""
+SEQUENCE_GAIN = 20.0
+"""The same at one of some thousands of sightings of an archive (-8): three of them have to speak for it, and three
+false ones in a row that fit another state are rare."""
+RARER = 6.0
+"""Powers of e by which a rarer explanation must be better than a turn of the camera to be named."""
+
+
+class Weighed(NamedTuple, Generic[T]):
+    """An explanation, the logarithm of how likely it makes what was observed, and by how much it is rarer."""
+
+    explanation: T
+    log_evidence: float
+    rarer: float = 0.0
+
+
+def most_probable(weighed: Iterable[Weighed[T]]) -> Weighed[T]:
+    """Return the explanation with the largest evidence less its rarity; of equal ones the first."""
+    return max(weighed, key=lambda one: one.log_evidence - one.rarer)
+
+
+def factored(covariance: FloatArray) -> FloatArray:
+    """Return the lower Cholesky factor; LinAlgError also where a direction has no pixel and its covariance is NaN."""
+    if not np.all(np.isfinite(covariance)):
+        raise np.linalg.LinAlgError("an observation is where nothing is predicted")
+    return np.asarray(cholesky(covariance, lower=True, check_finite=False))
+
+
+def whitened(covariance: FloatArray, stacked: FloatArray) -> tuple[FloatArray, float]:
+    """Return columns (n, m) in axes in which a covariance (n, n) is the unit one, and half its log determinant."""
+    factor = factored(covariance)
+    white = solve_triangular(factor, stacked, lower=True, check_finite=False)
+    return np.asarray(white), float(np.sum(np.log(np.diag(factor))))
+
+
+def log_marginal(values: FloatArray, covariance: FloatArray, columns: FloatArray | None = None) -> float:
+    """Return the log density of observations, the free numbers of an explanation integrated out.
+
+    Parameters
+    ----------
+    values : (n, a) observed minus predicted: `a` axes that err independently and alike.
+    covariance : (n, n) of each axis.
+    columns : (n, a, p) by how much each free number, of unit prior variance, moves the prediction; None without any.
+    """
+    n, axes = values.shape
+    count = 0 if columns is None else columns.shape[-1]
+    stacked = values if columns is None else np.concatenate([values, columns.reshape(n, axes * count)], axis=1)
+    white, half_log = whitened(covariance, stacked)
+    left = white[:, :axes]
+    square, log_determinant = float(np.sum(left**2)), 2.0 * axes * half_log
+    if count:
+        # Woodbury's identity: the free numbers' covariance is added to that of the values
+        rows = white[:, axes:].reshape(n, axes, count)
+        information = np.eye(count) + np.einsum("nai,naj->ij", rows, rows, optimize=True)
+        gradient = np.einsum("nai,na->i", rows, left)
+        square -= float(gradient @ np.linalg.solve(information, gradient))
+        log_determinant += float(np.linalg.slogdet(information).logabsdet)
+    return float(-0.5 * (square + log_determinant + n * axes * math.log(2.0 * math.pi)))
+
+
+def matern_3_2(lag: FloatArray, scale: float) -> FloatArray:
+    """Return the correlation of a process that is differentiable once (Rasmussen and Williams, eq. 4.17)."""
+    scaled = math.sqrt(3.0) * np.abs(lag) / scale
+    return np.asarray((1.0 + scaled) * np.exp(-scaled))
+
+
+def matern_5_2(lag: FloatArray, scale: float) -> FloatArray:
+    """Return the correlation of a process that is differentiable twice (Rasmussen and Williams, eq. 4.17)."""
+    scaled = math.sqrt(5.0) * np.abs(lag) / scale
+    return np.asarray((1.0 + scaled + scaled**2 / 3.0) * np.exp(-scaled))
+
+
+# A sequence of states, each of which says where the sightings are; single ones may be false.
+
+
+def bounded_cost(distance_px: FloatArray, sigma_px: float) -> FloatArray:
+    """Return (n,): minus the log likelihood of sightings so far from a state's, that of a false one at most."""
+    return np.minimum(0.5 * np.square(distance_px / sigma_px), _LARGEST_COST)
+
+
+def likeliest_path(costs: FloatArray, *, change_cost: float) -> IntArray:
+    """Return the sequence of states with the least cost (Viterbi 1967).
+
+    Parameters
+    ----------
+    costs : (n, k) of each of k states at each of n observations.
+    change_cost : of a change from one state to any other.
+
+    Returns
+    -------
+    (n,) numbers of states; of equal ones that with the least number.
+    """
+    n, k = costs.shape
+    before = np.zeros((n, k), dtype=np.int64)
+    total = costs[0].copy() if n else np.zeros(k)
+    for row in range(1, n):
+        best = int(np.argmin(total))
+        stays = total <= total[best] + change_cost
+        before[row] = np.where(stays, np.arange(k), best)
+        total = np.where(stays, total, total[best] + change_cost) + costs[row]
+    path = np.zeros(n, dtype=np.int64)
+    if n:
+        path[-1] = int(np.argmin(total))
+    for row in range(n - 1, 0, -1):
+        path[row - 1] = before[row, path[row]]
+    return path
+
+
+# Sightings, some of which are false: the others are jointly normal.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PixelResiduals:
+    """Residuals of sightings about a prediction.
+
+    Attributes
+    ----------
+    residual : (n, 2) seen minus predicted, px.
+    variance : (n,) of each axis, px².
+    false_density : (n,) logarithm of how likely a false sighting is to be just there, px⁻².
+    """
+
+    residual: FloatArray
+    variance: FloatArray
+    false_density: FloatArray
+
+    def select(self, which: Rows) -> PixelResiduals:
+        """Return those that a slice, an index or a mask picks."""
+        return picked(self, which)
+
+
+def false_density(distance_px: FloatArray, *, area_px2: float) -> FloatArray:
+    """Return the logarithm of how likely a false sighting is to be where it is: half of them near, half anywhere.
+
+    Parameters
+    ----------
+    distance_px : (n, 2) from where the sun was expected before anything was known of a change.
+    area_px2 : of the image.
+    """
+    square = np.sum(finite(distance_px) ** 2, axis=-1) / _HALO_PX**2
+    near = np.exp(-0.5 * square) / (2.0 * math.pi * _HALO_PX**2)
+    return np.asarray(np.log(0.5 * near + 0.5 / area_px2))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MixtureFit:
+    """Fit of an inlier mixture to sightings.
+
+    Attributes
+    ----------
+    inlier : (n,) which of them are inliers.
+    log_evidence : of all of them.
+    loo_residual : (n, 2) residual of each about its prediction from all other inliers (leave one out), px.
+    loo_covariance : (n, 2, 2) of that, px².
+    """
+
+    inlier: BoolArray
+    log_evidence: float
+    loo_residual: FloatArray
+    loo_covariance: FloatArray
+
+    @property
+    def surprise(self) -> FloatArray:
+        """Return (n,): squared leave-one-out residual in its own sigmas; 2 on average for true sightings."""
+        return np.asarray(
+            np.einsum("ni,nij,nj->n", self.loo_residual, np.linalg.inv(self.loo_covariance), self.loo_residual)
+        )
+
+
+def fit_inlier_mixture(covariance: FloatArray, sightings: PixelResiduals, inlier: BoolArray) -> MixtureFit:
+    """Return the inliers among sightings, and the log evidence of all.
+
+    Parameters
+    ----------
+    covariance : (2n, 2n) of the prediction's errors at the sightings, px².
+    sightings : the sightings, their residuals about the error model's mean.
+    inlier : (n,) initial inliers; then each is classified by the prediction from the others, until nothing changes.
+    """
+    for _ in range(_SWEEPS):
+        loo_residual, spread = _leave_one_out(covariance, sightings, inlier)
+        true = _log_density(loo_residual, spread) + math.log(1.0 - _FALSE_SHARE)
+        next_ = true > sightings.false_density + math.log(_FALSE_SHARE)
+        if np.array_equal(next_, inlier) or not np.any(next_):
+            break
+        inlier = next_
+    return MixtureFit(
+        inlier=inlier,
+        log_evidence=log_evidence(covariance, sightings, inlier),
+        loo_residual=loo_residual,
+        loo_covariance=spread,
+    )
+
+
+def log_evidence(covariance: FloatArray, sightings: PixelResiduals, inliers: BoolArray) -> float:
+    """Return the log likelihood of all sightings: inliers jointly normal, the others false (`fit_inlier_mixture`)."""
+    false = sightings.false_density[~inliers] + math.log(_FALSE_SHARE)
+    return (
+        log_normal(covariance, sightings, inliers)
+        + int(inliers.sum()) * math.log(1.0 - _FALSE_SHARE)
+        + float(false.sum())
+    )
+
+
+def _leave_one_out(
+    covariance: FloatArray, sightings: PixelResiduals, inlier: BoolArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return leave-one-out residuals (n, 2) by the other inliers, and their covariances (n, 2, 2)."""
+    n = inlier.size
+    variance = np.where(inlier, sightings.variance, _EXCLUDED_PX2)
+    inverse = np.linalg.inv(covariance + np.diag(np.repeat(variance, 2)))
+    # the inverse's diagonal blocks give every leave-one-out residual at the price of one inversion
+    loo_covariance = np.linalg.inv(inverse.reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n)])
+    loo_residual = np.einsum("nij,nj->ni", loo_covariance, (inverse @ sightings.residual.ravel()).reshape(n, 2))
+    spread = loo_covariance + (sightings.variance - variance)[:, None, None] * np.eye(2)
+    spread[~inlier] += 1e-3 * sightings.variance[~inlier, None, None] * np.eye(2)
+    return loo_residual, 0.5 * (spread + np.swapaxes(spread, -1, -2))
+
+
+def _log_density(loo_residual: FloatArray, spread: FloatArray) -> FloatArray:
+    determinant = np.maximum(np.linalg.det(spread), 1e-20)
+    square = np.einsum("ni,nij,nj->n", loo_residual, np.linalg.inv(spread), loo_residual)
+    return np.asarray(-0.5 * square - 0.5 * np.log(determinant) - math.log(2.0 * math.pi))
+
+
+def log_normal(covariance: FloatArray, sightings: PixelResiduals, inlier: BoolArray) -> float:
+    """Return the log density of the inliers together; 0 where there are none."""
+    if not np.any(inlier):
+        return 0.0
+    both = np.repeat(inlier, 2)
+    total = covariance[np.ix_(both, both)] + np.diag(np.repeat(sightings.variance[inlier], 2))
+    return log_marginal(sightings.residual[inlier].reshape(-1, 1), total)

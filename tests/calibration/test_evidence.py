@@ -1,0 +1,75 @@
+"""The evidence of explanations: densities against scipy's, correlations against Bessel functions, choices by hand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.special import gamma, kv
+from scipy.stats import multivariate_normal
+
+from sunarc.array_types import FloatArray
+from sunarc.calibration.evidence import (
+    Weighed,
+    bounded_cost,
+    log_marginal,
+    matern_3_2,
+    matern_5_2,
+    most_probable,
+    whitened,
+)
+
+
+def spread(n: int, *, seed: int) -> FloatArray:
+    root = np.random.default_rng(seed).standard_normal((n, n))
+    return root @ root.T + np.eye(n)
+
+
+@pytest.mark.parametrize(("axes", "free"), [(1, 0), (2, 0), (1, 3), (2, 4), (3, 1)])
+def test_the_marginal_is_the_dense_gaussian_with_the_free_numbers_covariance_added(axes: int, free: int) -> None:
+    rng = np.random.default_rng(axes + 10 * free)
+    covariance, values = spread(5, seed=1), rng.standard_normal((5, axes))
+    columns = rng.standard_normal((5, axes, free))
+    flat = columns.reshape(5 * axes, free)
+    dense = np.kron(covariance, np.eye(axes)) + flat @ flat.T
+    expected = multivariate_normal(np.zeros(5 * axes), dense).logpdf(values.ravel())
+    assert log_marginal(values, covariance, columns) == pytest.approx(float(expected), rel=1e-12)
+    if free == 0:
+        assert log_marginal(values, covariance) == pytest.approx(float(expected), rel=1e-12)
+
+
+def test_whitened_values_have_the_unit_covariance() -> None:
+    covariance = spread(4, seed=2)
+    white, half_log = whitened(covariance, np.eye(4))
+    np.testing.assert_allclose(white.T @ white, np.linalg.inv(covariance), rtol=1e-10, atol=1e-12)
+    assert half_log == pytest.approx(0.5 * np.linalg.slogdet(covariance).logabsdet)
+
+
+@pytest.mark.parametrize("wrong", [np.nan, -5.0])
+def test_a_covariance_that_is_none_has_no_density(wrong: float) -> None:
+    covariance = np.eye(3)
+    covariance[1, 1] = wrong
+    with pytest.raises(np.linalg.LinAlgError):
+        log_marginal(np.zeros((3, 1)), covariance)
+
+
+@pytest.mark.parametrize(("correlation", "nu"), [(matern_3_2, 1.5), (matern_5_2, 2.5)])
+def test_correlations_are_matern_s(correlation: object, nu: float) -> None:
+    assert callable(correlation)
+    lag = np.array([0.3, 1.0, 4.0, 11.0])
+    scaled = math.sqrt(2.0 * nu) * lag / 2.5
+    # Rasmussen and Williams (2006), eq. 4.14
+    expected = 2.0 ** (1.0 - nu) / gamma(nu) * scaled**nu * kv(nu, scaled)
+    np.testing.assert_allclose(correlation(-lag, 2.5), expected, rtol=1e-12)
+    assert correlation(np.zeros(1), 2.5).tolist() == [1.0]
+
+
+def test_the_most_probable_is_the_likeliest_less_its_rarity_and_the_first_of_equals() -> None:
+    assert most_probable([Weighed("turn", 10.0), Weighed("lens", 15.9, 6.0)]).explanation == "turn"
+    assert most_probable([Weighed("turn", 10.0), Weighed("lens", 16.1, 6.0)]).explanation == "lens"
+    assert most_probable([Weighed("turn", 10.0), Weighed("clock", 4.0, -6.0)]).explanation == "turn"
+
+
+def test_a_false_sighting_costs_as_much_however_far_off_it_is() -> None:
+    assert bounded_cost(np.array([0.0, 1.0, 2.0, 5.0, 1e6]), 0.5).tolist() == [0.0, 2.0, 8.0, 8.0, 8.0]
