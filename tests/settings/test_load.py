@@ -21,7 +21,6 @@ from sunarc.runtime.supervisor import SupervisorOptions
 from sunarc.settings.load import load_settings
 from sunarc.settings.model import Settings
 from sunarc.settings.reference import all_settings, dataclass_in
-from sunarc.settings.removed import REMOVED
 from sunarc.workers.options import CaptureOptions, RefitOptions
 
 if TYPE_CHECKING:
@@ -168,16 +167,23 @@ def test_a_misspelt_name_is_refused_by_its_path(folder: Path, name: str) -> None
     assert name in text.removeprefix(f"{name}x: ")  # the nearest name is suggested
 
 
-def test_a_name_that_went_away_is_refused_with_its_remedy(folder: Path) -> None:
-    for name, remedy in REMOVED.items():
-        refused = refusal(write(folder, f"{name} = 1\n{SITE}"))
-        assert refused.startswith(f"{name}: ")
-        assert refused.endswith(f"; {remedy}")
+@pytest.mark.parametrize(
+    "name",
+    [
+        "detection.min_snr",
+        "days.clear_share",
+        "api.burst",
+        "calibration.paper.pose_start",
+        "calibration.tolerances.skew_px",
+    ],
+)
+def test_what_was_a_setting_of_0_2_0_or_is_for_python_only_is_refused(folder: Path, name: str) -> None:
+    assert refusal(write(folder, f"{name} = 1\n{SITE}")).startswith(f"{name}: ")
 
 
-def test_no_removed_name_is_a_setting_or_part_of_a_remedy() -> None:
-    words = {word.strip(",;()") for remedy in REMOVED.values() for word in remedy.split()}
-    assert set(REMOVED) & (set(NAMES) | words) == set()
+@pytest.mark.parametrize("name", ["state", "capture.cadence_s"])
+def test_an_empty_table_in_place_of_a_value_is_refused(folder: Path, name: str) -> None:
+    assert refusal(write(folder, f"{name} = {{}}\n{SITE}")).startswith(f"{name}: ")
 
 
 def test_sections_whose_settings_are_all_commented_out_are_read(folder: Path) -> None:
@@ -185,7 +191,7 @@ def test_sections_whose_settings_are_all_commented_out_are_read(folder: Path) ->
     assert load_settings(write(folder, SITE + empty)).capture == CaptureOptions()
 
 
-def test_a_variable_that_went_away_is_refused_with_its_remedy(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_variable_that_is_no_setting_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SUNARC_CALIBRATION__FREE", "pose")
     assert refusal(write(folder, SITE)).startswith("calibration.free: ")
 

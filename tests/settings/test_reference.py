@@ -25,7 +25,6 @@ from sunarc.settings.reference import (
     attributes_of,
     dataclass_in,
 )
-from sunarc.settings.removed import REMOVED
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc
@@ -142,9 +141,9 @@ def test_the_class_of_an_option_is_found_beside_none() -> None:
     assert dataclass_in(float | None) is None
 
 
-def test_the_page_has_one_row_for_each_setting_and_each_removed_one() -> None:
+def test_the_page_has_one_row_for_each_setting() -> None:
     rows = [line.split("`")[1] for line in as_markdown().splitlines() if line.startswith("| `")]
-    assert sorted(rows) == sorted([setting.name for setting in all_settings()] + list(REMOVED))
+    assert sorted(rows) == sorted(setting.name for setting in all_settings())
 
 
 def test_the_settings_load_neither_the_fit_nor_a_worker() -> None:

@@ -15,7 +15,6 @@ from pydantic import ValidationError
 from sunarc.errors import ConfigurationError, InputError
 from sunarc.settings.model import HubSettings, Settings
 from sunarc.settings.reference import all_settings
-from sunarc.settings.removed import REMOVED
 
 Loaded = TypeVar("Loaded", HubSettings, Settings)
 
@@ -23,7 +22,8 @@ _PREFIX = "SUNARC_"
 _CONFIG_VARIABLE = "SUNARC_CONFIG"
 _KNOWN = {setting.name: setting for setting in all_settings()}
 _SECTIONS = {name.partition(".")[0] for name in _KNOWN if "." in name}
-_REMOVED_SECTIONS = {name.rpartition(".")[0] for name in REMOVED} - _SECTIONS
+_FORMER_SECTIONS = {"calibration.paper", "calibration.tolerances", "days", "refit.selection"}
+"""Sections whose settings are all commented out in the example of 0.2.0, and went away."""
 
 
 def load_settings(path: Path | None) -> Settings:
@@ -50,7 +50,7 @@ def _load(path: Path | None, model: type[Loaded]) -> Loaded:
     given = _merged({} if path is None else _read_toml(path), _environment())
     try:
         _refuse_names(given)
-        given = _without_removed_sections(given)
+        given = _without_former_sections(given)
         # JSON mode takes lists for tuples and texts for paths, and strict mode no number in quotes and no true for 1.
         return model.model_validate_json(json.dumps(given, default=str), strict=True)
     except ValidationError as error:
@@ -102,12 +102,10 @@ def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any
 
 
 def _refuse_names(given: Mapping[str, Any]) -> None:
-    """Raise where a name is no setting, with the remedy of one that was a setting of an earlier version."""
+    """Raise where a name is no setting."""
     for name, value in _leaves(given):
-        if name in REMOVED:
-            raise InputError(field=name, problem="is no longer a setting", remedy=REMOVED[name])
-        if value == {} and name in _SECTIONS | _REMOVED_SECTIONS:
-            continue  # the example of 0.2.0 has sections whose settings are all commented out
+        if value == {} and name in _SECTIONS | _FORMER_SECTIONS:
+            continue
         if name in _SECTIONS:
             raise InputError(
                 field=name, problem=f"{value!r} is not a section", remedy=f"write [{name}] and its settings"
@@ -118,12 +116,12 @@ def _refuse_names(given: Mapping[str, Any]) -> None:
             raise InputError(field=name, problem="unknown setting", remedy=remedy)
 
 
-def _without_removed_sections(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+def _without_former_sections(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Return nested tables without the sections that went away; they are empty, since their settings are refused."""
     return {
-        name: _without_removed_sections(value, f"{prefix}{name}.") if isinstance(value, dict) else value
+        name: _without_former_sections(value, f"{prefix}{name}.") if isinstance(value, dict) else value
         for name, value in table.items()
-        if prefix + name not in _REMOVED_SECTIONS
+        if prefix + name not in _FORMER_SECTIONS
     }
 
 

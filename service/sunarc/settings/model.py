@@ -65,7 +65,7 @@ class HubSettings(_WithStore):
 
 
 class Settings(_WithStore):
-    """Everything that can be set, by section; fields that `removed.REMOVED` names are for Python only.
+    """Everything that can be set, by section; `settings.reference` knows which fields are for Python only.
 
     Attributes
     ----------

@@ -12,7 +12,6 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from sunarc.bounds import Bound, OneOf, bounds_of, bounds_text
 from sunarc.settings.model import Settings
-from sunarc.settings.removed import REMOVED
 
 _HEADING = """\
 # Settings
@@ -21,14 +20,21 @@ Every setting of the TOML file given with `--config`, with its default and its b
 `SUNARC_SECTION__NAME=value`. Unknown names and values out of bounds are refused. This page is the output of
 `sunarc settings`.
 """
-_REMOVED_HEADING = """\
-## Settings that went away
-
-They are refused, with what replaces them.
-
-| setting | instead |
-|---|---|
-"""
+_FOR_PYTHON = (
+    "api.burst",
+    "api.max_",
+    "api.request_within_s",
+    "calibration.field_floor_px",
+    "calibration.max_",
+    "calibration.paper.",
+    "calibration.site_error_m",
+    "calibration.tolerances.",
+    "camera.answer_timeout_s",
+    "capture.reopen_",
+    "supervisor.max_restarts",
+    "supervisor.within_s",
+)
+"""What the names of options' fields begin with that tests and studies vary, and no file sets."""
 _ATTRIBUTE = re.compile(r"^    (\w+(?:, \w+)*) : (.*(?:\n        .*)*)", re.MULTILINE)
 
 
@@ -63,7 +69,7 @@ def all_settings() -> list[Setting]:
             top.append(Setting(name=name, default=default, allowed=allowed, meaning=meanings.get(name, "")))
         else:
             sections += list(_of_options(options, name))
-    return [setting for setting in top + sections if setting.name not in REMOVED]
+    return [setting for setting in top + sections if not setting.name.startswith(_FOR_PYTHON)]
 
 
 def as_markdown() -> str:
@@ -75,8 +81,7 @@ def as_markdown() -> str:
         parts.append(
             "\n".join([f"## {title}\n", "| setting | default | allowed | meaning |", "|---|---|---|---|", *rows, ""])
         )
-    removed = "\n".join(f"| `{name}` | {remedy} |" for name, remedy in REMOVED.items())
-    return "\n".join([*parts, _REMOVED_HEADING + removed + "\n"])
+    return "\n".join(parts)
 
 
 def attributes_of(documented: type) -> dict[str, str]:
