@@ -11,7 +11,7 @@ from sunarc.cameras.frame import Frame
 from sunarc.errors import InputError
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.workers.capture_status import DarkFrames
+from sunarc.workers.capture_status import CaptureReport
 from sunarc.workers.options import CaptureOptions
 
 from .conftest import FakeCamera
@@ -25,32 +25,32 @@ def frame(clock: VirtualClock, *, light: bool) -> Frame:
 
 
 def test_ten_black_slots_by_day_are_not_ready_and_light_ends_it(clock: VirtualClock, board: StatusRegistry) -> None:
-    watch = DarkFrames(board)
+    watch = CaptureReport(board, name="roof")
     for _ in range(9):
-        watch.add([frame(clock, light=False)], apparent_zenith=40.0)
+        watch.normal_frames([frame(clock, light=False)], apparent_zenith=40.0)
     assert board.snapshot().health == "ready"
-    watch.add([frame(clock, light=False)], apparent_zenith=40.0)
+    watch.normal_frames([frame(clock, light=False)], apparent_zenith=40.0)
     (reason,) = board.snapshot().reasons
     assert (reason.code, reason.severity) == ("black_frames", "not_ready")
     assert reason.data == {"slots": 10, "exposure_us": 48000.0}
-    watch.add([frame(clock, light=False)], apparent_zenith=95.0)
+    watch.normal_frames([frame(clock, light=False)], apparent_zenith=95.0)
     assert board.snapshot().health == "not_ready"  # the cap is still on after sunset
-    watch.add([frame(clock, light=True)], apparent_zenith=85.0)
+    watch.normal_frames([frame(clock, light=True)], apparent_zenith=85.0)
     assert board.snapshot().health == "ready"
 
 
 def test_black_frames_at_dusk_and_in_the_night_say_nothing(clock: VirtualClock, board: StatusRegistry) -> None:
-    watch = DarkFrames(board)
+    watch = CaptureReport(board, name="roof")
     for _ in range(50):
-        watch.add([frame(clock, light=False)], apparent_zenith=81.0)
+        watch.normal_frames([frame(clock, light=False)], apparent_zenith=81.0)
     assert board.snapshot().health == "ready"
 
 
 def test_the_longest_exposure_decides(clock: VirtualClock, board: StatusRegistry) -> None:
-    watch = DarkFrames(board)
+    watch = CaptureReport(board, name="roof")
     short = replace(frame(clock, light=False), exposure_us=3000.0)
     for _ in range(20):
-        watch.add([short, frame(clock, light=True)], apparent_zenith=40.0)
+        watch.normal_frames([short, frame(clock, light=True)], apparent_zenith=40.0)
     assert board.snapshot().health == "ready"
 
 

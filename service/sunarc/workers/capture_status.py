@@ -13,52 +13,47 @@ from sunarc.cameras.frame import CameraCondition, CameraInfo, Frame
 from sunarc.errors import CameraError, CameraTimeoutError, ConfigurationError, ExposureMismatchError, InputError
 from sunarc.imaging.brightness import is_dark
 from sunarc.runtime.clock import Clock
-from sunarc.runtime.status import CameraStatus, CaptureStatus, StatusRegistry
+from sunarc.runtime.status import CameraStatus, CaptureStatus, Severity, StatusRegistry
 from sunarc.workers.clock_watch import FrameTime
 from sunarc.workers.messages import condition
 from sunarc.workers.night.exposures import DARK_ZENITH_DEG
 
-BLACK_FRAMES = "black_frames"
 LIT_ZENITH_DEG = 80.0
 """The sun's apparent zenith angle below which the longest normal exposure shows the sky in any weather."""
 _DARK_SLOTS = 10
 
 
-class DarkFrames:
-    """Counts the slots in a row whose longest exposure is black, and sets the condition `black_frames`.
+class RepeatedCondition:
+    """A condition of what has happened so often in a row.
 
     Parameters
     ----------
-    board : where the condition is set.
+    board, code : where the condition is set, and its code.
+    key : the name of the count in the condition's data.
+    least : how often is a condition.
+    severity : of the condition.
     """
 
-    def __init__(self, board: StatusRegistry) -> None:
-        self._board = board
-        self._dark = 0
+    def __init__(
+        self, board: StatusRegistry, code: str, *, key: str = "cycles", least: int = 1, severity: Severity = "degraded"
+    ) -> None:
+        self._board, self._code, self._key, self._least, self._severity = board, code, key, least, severity
+        self.n = 0
 
-    def add(self, frames: Sequence[Frame], *, apparent_zenith: float) -> None:
-        """Add a slot's normal frames. By night and in twilight a black frame says nothing; a bright one always does."""
-        longest = max(frames, key=lambda frame: frame.exposure_us)
-        if not is_dark(longest.image, full_scale=longest.full_scale):
-            self._dark = 0
-            self._board.set_condition(BLACK_FRAMES, None)
-        elif apparent_zenith < LIT_ZENITH_DEG:
-            self._dark += 1
-            if self._dark >= _DARK_SLOTS:
-                data = {"slots": self._dark, "exposure_us": longest.exposure_us}
-                self._board.set_condition(BLACK_FRAMES, condition(BLACK_FRAMES, severity="not_ready", **data))
+    def note(self, happened: bool, **data: float | str) -> None:  # noqa: FBT001 - what it is about
+        """Count that it happened, or begin anew; set or clear the condition."""
+        self.n = self.n + 1 if happened else 0
+        reason = condition(self._code, severity=self._severity, **{self._key: self.n, **data})
+        self._board.set_condition(self._code, reason if self.n >= self._least else None)
 
 
 _log = logging.getLogger(__name__)
 _LASTING = 10  # cycles in a row
-_FAILING = "exposures_failing"
-_OVERRUN = "cycle_too_long"
 _DAYLIGHT = "daylight_at_night"
 _LIT_LEVEL, _DAYLIGHT_PER_S, _LIT_FRAMES = 0.15, 1.0, 2
 """Median over full scale, and the same in a second: the day has 10 a second, a night with a full moon 1e-4."""
 _FULL_LEVEL = 0.9
 _REDUCED = "packets_too_large"
-_SUN_FAILING = "sun_exposures_failing"
 _SUN_LASTING = 3
 
 
@@ -77,11 +72,11 @@ class CaptureReport:
         self._camera = CameraStatus(name=name, connected=False)
         self._counts = CaptureStatus()
         self._missed_slots = MissedSlots(board)
-        self._dark_frames = DarkFrames(board)
-        self._incomplete = 0  # cycles in a row
-        self._overrun = 0
+        self._dark = RepeatedCondition(board, "black_frames", key="slots", least=_DARK_SLOTS, severity="not_ready")
+        self._incomplete = RepeatedCondition(board, "exposures_failing")
+        self._overrun = RepeatedCondition(board, "cycle_too_long", least=_LASTING)
         self._lit = 0  # exposures of the night in a row that show daylight
-        self._sun_failed = 0
+        self._sun_failed = RepeatedCondition(board, "sun_exposures_failing", least=_SUN_LASTING)
         self._failure = ""
 
     @property
@@ -117,10 +112,8 @@ class CaptureReport:
         self._counts = replace(self._counts, jitter_s=jitter_s, jitter_max_s=worst_s, hdr_s=hdr_s)
         self.add(cycles=1, complete=int(complete))
         self.publish()
-        self._incomplete = 0 if complete else self._incomplete + 1
-        self._overrun = self._overrun + 1 if overran else 0
-        self._report_failing()
-        self._report_overrun(hdr_s)
+        self._incomplete.note(not complete, error=self._failure)
+        self._overrun.note(overran, hdr_s=hdr_s)
 
     def sun_slot(self, *, observed: bool, failed: bool, missed_before: int, dropped: int) -> None:
         """Take note of a slot with the sun up.
@@ -135,13 +128,14 @@ class CaptureReport:
         self.add(sun_missed=missed_before + int(not observed))
         self._counts = replace(self._counts, sun_dropped=dropped)
         self._missed_slots.add(missed_before=missed_before)
-        self._sun_failed = self._sun_failed + 1 if failed else 0
-        reason = condition(_SUN_FAILING, cycles=self._sun_failed, error=self._failure)
-        self._board.set_condition(_SUN_FAILING, reason if self._sun_failed >= _SUN_LASTING else None)
+        self._sun_failed.note(failed, error=self._failure)
 
     def normal_frames(self, frames: Sequence[Frame], *, apparent_zenith: float) -> None:
-        """Record a slot's normal exposures."""
-        self._dark_frames.add(frames, apparent_zenith=apparent_zenith)
+        """Record a slot's normal exposures; by night and in twilight a black one says nothing, a bright one always."""
+        longest = max(frames, key=lambda frame: frame.exposure_us)
+        dark = is_dark(longest.image, full_scale=longest.full_scale)
+        if not dark or apparent_zenith < LIT_ZENITH_DEG:
+            self._dark.note(dark, exposure_us=longest.exposure_us)
 
     def frame(self, frame: Frame) -> None:
         """Record a frame."""
@@ -165,17 +159,8 @@ class CaptureReport:
     def sign_of_life(self, *, succeeded: bool) -> None:
         """Record whether the night's test exposure succeeded."""
         self.publish()
-        self._incomplete = 0 if succeeded else self._incomplete + 1
-        self._overrun = 0
-        self._report_failing()
-
-    def _report_failing(self) -> None:
-        reason = condition(_FAILING, cycles=self._incomplete, error=self._failure)
-        self._board.set_condition(_FAILING, reason if self._incomplete else None)
-
-    def _report_overrun(self, hdr_s: float) -> None:
-        reason = condition(_OVERRUN, cycles=self._overrun, hdr_s=hdr_s)
-        self._board.set_condition(_OVERRUN, reason if self._overrun >= _LASTING else None)
+        self._incomplete.note(not succeeded, error=self._failure)
+        self._overrun.n = 0  # the condition stays over the night: a cycle of the next day ends it
 
     def opened(self, info: CameraInfo) -> None:
         """Record that the camera answers."""
@@ -206,8 +191,8 @@ class CaptureReport:
         if (
             self._camera.connected
         ):  # it costs a cycle, and is shown until one is complete, though the camera answers again
-            self._incomplete, self._failure = self._incomplete + 1, str(error)
-            self._report_failing()
+            self._failure = str(error)
+            self._incomplete.note(True, error=self._failure)
         self.publish()
         self._camera = CameraStatus(name=self._name, connected=False)
         self._board.note(camera=self._camera)
