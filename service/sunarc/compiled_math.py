@@ -11,7 +11,7 @@ from sunarc.jit import njit
 
 
 @njit(nogil=True)
-def halved(factor: FloatArray, vector: FloatArray, size: int) -> float:
+def forward_substitution(factor: FloatArray, vector: FloatArray, size: int) -> float:
     """Replace a vector (size,) by L⁻¹ v, and return the square of that: v' M⁻¹ v."""
     square = 0.0
     for i in range(size):
@@ -24,8 +24,8 @@ def halved(factor: FloatArray, vector: FloatArray, size: int) -> float:
 
 
 @njit(nogil=True)
-def turned_back(factor: FloatArray, vector: FloatArray, size: int) -> None:
-    """Replace a vector (size,) by L'⁻¹ v: after `halved` it is M⁻¹ v."""
+def back_substitution(factor: FloatArray, vector: FloatArray, size: int) -> None:
+    """Replace a vector (size,) by L'⁻¹ v: after `forward_substitution` it is M⁻¹ v."""
     for i in range(size - 1, -1, -1):
         total = vector[i]
         for k in range(i + 1, size):
@@ -34,7 +34,7 @@ def turned_back(factor: FloatArray, vector: FloatArray, size: int) -> None:
 
 
 @njit(nogil=True)
-def factored(matrix: FloatArray, size: int, rows: int) -> float:
+def cholesky_factor(matrix: FloatArray, size: int, rows: int) -> float:
     """Factor the lower half of a matrix in place (Cholesky), further rows with it; return its log determinant.
 
     NaN where the matrix is not positive.
@@ -57,16 +57,16 @@ def factored(matrix: FloatArray, size: int, rows: int) -> float:
 
 
 @njit(nogil=True)
-def solved(matrix: FloatArray, vector: FloatArray) -> bool:
+def cholesky_solve(matrix: FloatArray, vector: FloatArray) -> bool:
     """Replace a vector (f,) by the solution; return False where a matrix (f, f; lower half) is not positive.
 
     The factor stands in place of the matrix afterwards.
     """
     f = vector.size
-    if math.isnan(factored(matrix, f, f)):
+    if math.isnan(cholesky_factor(matrix, f, f)):
         return False
-    halved(matrix, vector, f)
-    turned_back(matrix, vector, f)
+    forward_substitution(matrix, vector, f)
+    back_substitution(matrix, vector, f)
     return True
 
 

@@ -94,29 +94,29 @@ def test_slopes_are_the_finite_differences() -> None:
         np.testing.assert_allclose(slopes[..., axis], difference, atol=1e-10)
 
 
-def test_taken_out_is_the_inverse() -> None:
+def test_the_inverse_undoes_the_displacement() -> None:
     field, pixels = smooth(amplitude_px=2.0), np.random.default_rng(4).uniform(0.0, SIZE, (200, 2))
-    before = field.taken_out(pixels)
+    before = field.inverse(pixels)
     assert np.max(np.abs(before - pixels)) > 1.0
     np.testing.assert_allclose(before + field.at(before), pixels, atol=1e-10)
 
 
-def test_taken_out_beyond_the_box_is_the_pixel_itself_and_nan_stays_nan() -> None:
+def test_the_inverse_beyond_the_box_is_the_pixel_itself_and_nan_stays_nan() -> None:
     """In a block with pixels that have an inverse, and in one that is not full."""
     field, inside = smooth(), np.random.default_rng(6).uniform(0.0, SIZE, (300, 2))
-    expected = field.taken_out(inside)
+    expected = field.inverse(inside)
     pixels = inside.copy()
     pixels[5], pixels[140], pixels[299] = [np.nan, 5.0], [CENTER, -1e9], [CENTER + field.half_px[0] + 1.0, CENTER]
-    found = field.taken_out(pixels)
+    found = field.inverse(pixels)
     assert np.isnan(found[5]).all()
     np.testing.assert_array_equal(found[[140, 299]], pixels[[140, 299]])
     others = np.setdiff1d(np.arange(300), [5, 140, 299])
     np.testing.assert_allclose(found[others], expected[others], atol=1e-12)
 
 
-def test_taken_out_is_what_a_general_solver_finds() -> None:
+def test_the_inverse_is_what_a_general_solver_finds() -> None:
     field, pixels = smooth(), np.random.default_rng(7).uniform(0.0, SIZE, (10, 2))
-    for pixel, found in zip(pixels, field.taken_out(pixels), strict=True):
+    for pixel, found in zip(pixels, field.inverse(pixels), strict=True):
 
         def off(place: FloatArray, given: FloatArray = pixel) -> FloatArray:
             return np.asarray(place + field.at(place[None])[0] - given)
@@ -127,7 +127,7 @@ def test_taken_out_is_what_a_general_solver_finds() -> None:
 def test_a_field_that_folds_the_image_has_no_inverse() -> None:
     folding = smooth(amplitude_px=2000.0)
     pixels = np.random.default_rng(5).uniform(0.0, SIZE, (100, 2))
-    before = folding.taken_out(pixels)
+    before = folding.inverse(pixels)
     found = np.all(np.isfinite(before), axis=-1)
     assert not np.all(found)
     np.testing.assert_allclose((before + folding.at(before))[found], pixels[found], atol=1e-9)

@@ -13,7 +13,7 @@ from tests.fixtures.calibration import small_camera
 
 from sunarc.compiled_math import sine_and_cosine_of_half
 from sunarc.optics.forward import decentering_shift, distorted_radius
-from sunarc.optics.inverse import take_out_decentering, unproject
+from sunarc.optics.inverse import remove_decentering, unproject
 from sunarc.optics.projections import PROJECTIONS, Projection
 
 _BARE: dict[str, Any] = {
@@ -37,7 +37,7 @@ def test_the_decentering_is_taken_out_as_a_general_solver_does(strength: float) 
         return np.asarray(shifted(q) - at)
 
     x, y = points.copy()
-    take_out_decentering(coefficients, x, y)
+    remove_decentering(coefficients, x, y)
     for i in range(40):
         expected = fsolve(missed, points[:, i], args=(points[:, i],), xtol=1e-13)
         np.testing.assert_allclose([x[i], y[i]], expected, atol=1e-11)
@@ -46,7 +46,7 @@ def test_the_decentering_is_taken_out_as_a_general_solver_does(strength: float) 
 
 def test_the_centre_stays_and_no_number_stays_none() -> None:
     x, y = np.array([0.0, math.nan]), np.array([0.0, 0.2])
-    take_out_decentering(np.array([1e-3, 2e-3, 0.1, 0.0]), x, y)
+    remove_decentering(np.array([1e-3, 2e-3, 0.1, 0.0]), x, y)
     assert (x[0], y[0]) == (0.0, 0.0)
     assert math.isnan(x[1])
 

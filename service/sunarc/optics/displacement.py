@@ -142,7 +142,7 @@ def write_field_and_slopes(
 
 
 @njit(nogil=True)
-def write_taken_out(box: FloatArray, coefficients: FloatArray, pixels: FloatArray, result: FloatArray) -> None:
+def write_inverse(box: FloatArray, coefficients: FloatArray, pixels: FloatArray, result: FloatArray) -> None:
     """Write (n, 2): what is displaced to pixels (n, 2), by Newton's method with the slopes at the pixels.
 
     NaN where the last step, times the ratio of it to the one before (which is the next one), does not become as small
@@ -247,14 +247,14 @@ class Displacement:
         write_field_and_slopes(*_box_and_coefficients(self), pixel, result, slopes)
         return result, slopes
 
-    def taken_out(self, pixels: FloatArray) -> FloatArray:
+    def inverse(self, pixels: FloatArray) -> FloatArray:
         """Return (n, 2): the pixels of the lens alone that are displaced to pixels (n, 2).
 
         By Newton's method with the slopes at the pixels themselves: fields are of tenths of a pixel over hundreds, so a
         round gains five digits. NaN where it does not converge, as with a field that folds the image over.
         """
         result = np.empty(pixels.shape)
-        write_taken_out(*_box_and_coefficients(self), np.ascontiguousarray(pixels, dtype=np.float64), result)
+        write_inverse(*_box_and_coefficients(self), np.ascontiguousarray(pixels, dtype=np.float64), result)
         return result
 
 

@@ -39,7 +39,7 @@ _BLOCK = 256
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
-def take_out_decentering(decentering: FloatArray, x_hat: FloatArray, y_hat: FloatArray) -> None:
+def remove_decentering(decentering: FloatArray, x_hat: FloatArray, y_hat: FloatArray) -> None:
     """Replace points (n,), in focal lengths, by those q with q + shift(q) at them: Eq. 12 taken out."""
     p1, p2, p3, p4 = decentering[0], decentering[1], decentering[2], decentering[3]
     x, y = x_hat.copy(), y_hat.copy()
@@ -160,7 +160,7 @@ def write_exact_directions(lens: InverseLens, rotation: FloatArray, pixels: Floa
             y[k] = (pixels[begin + k, 1] - y0) / fy
             x[k] = (column - x0 - skew * y[k]) / fx
         if decentering[0] != 0.0 or decentering[1] != 0.0:
-            take_out_decentering(decentering, x, y)
+            remove_decentering(decentering, x, y)
         for k in range(size):
             radius[k] = math.sqrt(x[k] * x[k] + y[k] * y[k])
             if not radius[k] <= edge * (1.0 + 1e-12):
@@ -190,7 +190,7 @@ def unproject(camera: Camera, pixel: ArrayLike) -> FloatArray:
     """
     place = np.asarray(pixel, dtype=np.float64)
     if camera.displacement is not None:
-        place = camera.displacement.taken_out(place.reshape(-1, 2)).reshape(place.shape)
+        place = camera.displacement.inverse(place.reshape(-1, 2)).reshape(place.shape)
     flat = np.ascontiguousarray(place.reshape(-1, 2))
     result = np.empty((flat.shape[0], 3))
     optics, radial = kernel_optics(camera), np.array(camera.radial)

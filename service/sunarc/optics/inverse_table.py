@@ -147,13 +147,13 @@ class DisplacementTable:
     step_px: tuple[float, float]
     coefficients: FloatArray
 
-    def taken_out(self, pixels: FloatArray) -> FloatArray:
-        """Return (n, 2): what `Displacement.taken_out` returns for pixels (n, 2), to 1e-6 px."""
+    def inverse(self, pixels: FloatArray) -> FloatArray:
+        """Return (n, 2): what `Displacement.inverse` returns for pixels (n, 2), to 1e-6 px."""
         pixel = np.ascontiguousarray(pixels, dtype=np.float64)
         result = np.empty(pixel.shape)
-        if _write_taken_out(self.coefficients, self.origin_px, self.step_px, pixel, result):
+        if _write_inverse(self.coefficients, self.origin_px, self.step_px, pixel, result):
             beyond = np.isinf(result[:, 0])
-            result[beyond] = self.displacement.taken_out(pixel[beyond])
+            result[beyond] = self.displacement.inverse(pixel[beyond])
         return result
 
 
@@ -167,7 +167,7 @@ def displacement_table(displacement: Displacement, *, width: int, height: int) -
     origin = (-0.5 - _MARGIN * steps[0], -0.5 - _MARGIN * steps[1])
     axes = [origin[a] + steps[a] * np.arange(counts[a]) for a in (0, 1)]
     nodes = np.stack(np.meshgrid(*axes, indexing="xy"), axis=-1)
-    shift = nodes - displacement.taken_out(nodes.reshape(-1, 2)).reshape(nodes.shape)
+    shift = nodes - displacement.inverse(nodes.reshape(-1, 2)).reshape(nodes.shape)
     coefficients = np.stack([spline_filter(shift[..., a], order=3, mode="mirror") for a in (0, 1)], axis=-1)
     return DisplacementTable(
         displacement=displacement,
@@ -178,7 +178,7 @@ def displacement_table(displacement: Displacement, *, width: int, height: int) -
 
 
 @njit(nogil=True)
-def _write_taken_out(
+def _write_inverse(
     coefficients: FloatArray,
     origin: tuple[float, float],
     step: tuple[float, float],
@@ -248,7 +248,7 @@ class InverseTable:
         """Write into `result` (..., 3) what `directions` returns; both arrays are contiguous."""
         flat, into = pixels.reshape(-1, 2), result.reshape(-1, 3)
         if self.displacement is not None:
-            flat = self.displacement.taken_out(flat)
+            flat = self.displacement.inverse(flat)
         if self.rounds is None:
             into[:] = unproject(self.camera.lens_alone(), flat)
         elif directions_of(self.constants, self.rotation, self.pieces, self.rounds, flat, into):

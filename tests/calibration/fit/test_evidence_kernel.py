@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from tests.fixtures.calibration import random_covariance
 
 from sunarc.calibration.fit.kernels import evidence_terms
-from sunarc.compiled_math import factored
+from sunarc.compiled_math import cholesky_factor
 
 FloatArray = NDArray[np.float64]
 
@@ -63,7 +63,7 @@ def test_a_ridge_is_a_share_of_the_diagonal() -> None:
 def test_a_factor_gives_back_the_matrix_and_solves_further_rows() -> None:
     matrix = random_covariance(6, seed=5)
     work = matrix.copy()
-    determinant = factored(work, 4, 6)
+    determinant = cholesky_factor(work, 4, 6)
     lower = np.tril(work[:4, :4])
     np.testing.assert_allclose(lower @ lower.T, matrix[:4, :4])
     np.testing.assert_allclose(work[4:, :4] @ lower.T, matrix[4:, :4])
@@ -71,4 +71,4 @@ def test_a_factor_gives_back_the_matrix_and_solves_further_rows() -> None:
 
 
 def test_a_matrix_that_is_not_positive_has_no_determinant() -> None:
-    assert math.isnan(factored(np.array([[1.0, 0.0], [2.0, 1.0]]), 2, 2))
+    assert math.isnan(cholesky_factor(np.array([[1.0, 0.0], [2.0, 1.0]]), 2, 2))

@@ -16,7 +16,7 @@ GLARE = (0.4, 0.1, 0.5, 2.2, 1.8)
 
 
 def inputs(*, colours: int = 1, binning: int = 1, seed: int = 0, **changes: Any) -> dict[str, Any]:  # noqa: ANN401 - mixed
-    """Return arguments of `compared`: random planes, every pixel but two used."""
+    """Return arguments of `likelihood_of`: random planes, every pixel but two used."""
     rng = np.random.default_rng(seed)
     pixel = np.delete(np.arange(ROWS * COLUMNS), [3, 17])
     rows, columns = np.divmod(pixel, COLUMNS)
@@ -54,7 +54,7 @@ def compared(arguments: dict[str, Any]) -> tuple[float, FloatArray, FloatArray, 
         clip=arguments["clip"],
         by_counts=arguments["by_counts"],
     )
-    cost, residual, weight, jacobian = kernels.compared(
+    cost, residual, weight, jacobian = kernels.likelihood_of(
         arguments["planes"],
         (arguments["moved"], arguments["scale"]),
         arguments["glare"],

@@ -15,7 +15,7 @@ import numpy as np
 from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.solve.priors import N_LENS
 from sunarc.calibration.solve.row_kernels import Sighted, residuals_and_columns_of, vectors_of
-from sunarc.compiled_math import factored, halved, turned_back
+from sunarc.compiled_math import back_substitution, cholesky_factor, forward_substitution
 from sunarc.jit import njit
 from sunarc.optics.kernels import Optics
 
@@ -54,7 +54,7 @@ def evidence_terms(  # noqa: PLR0917 - compiled functions take positions
             scale[i] = 1.0 / math.sqrt(matrix[others[i], others[i]] + precision)
             vector[i] = scale[i] * (vectors[n, others[i]] - precision * at[others[i]])
         _write_scaled(matrix, others, scale, first, ridge, work)
-        alone = -factored(work, o, p) + halved(work, vector, o)
+        alone = -cholesky_factor(work, o, p) + forward_substitution(work, vector, o)
         for i in range(o):
             alone += 2.0 * math.log(scale[i])
         _eliminate(matrix, vectors[n], first, work, vector, small, pull)
@@ -423,10 +423,10 @@ def _write_step(matrix: FloatArray, vector: FloatArray, ridge: float, work: Floa
         for j in range(i + 1):
             work[i, j] = scale[i] * scale[j] * matrix[i, j]
         work[i, i] += ridge
-    if math.isnan(factored(work, p, p)):
+    if math.isnan(cholesky_factor(work, p, p)):
         return 0.0
-    promise = halved(work, step, p)
-    turned_back(work, step, p)
+    promise = forward_substitution(work, step, p)
+    back_substitution(work, step, p)
     for i in range(p):
         step[i] *= scale[i]
     return float(promise)

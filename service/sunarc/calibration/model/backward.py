@@ -116,7 +116,7 @@ def back_project(camera: Camera, model: BackwardModel, pixels: ArrayLike) -> Flo
     """
     pixel = np.asarray(pixels, dtype=np.float64)
     if camera.displacement is not None:
-        pixel = camera.displacement.taken_out(pixel.reshape(-1, 2)).reshape(pixel.shape)
+        pixel = camera.displacement.inverse(pixel.reshape(-1, 2)).reshape(pixel.shape)
     x_hat, y_hat = calibrated(camera, pixel)
     radial = np.array(model.radial) * _scale(camera) ** _ORDERS
     coefficients = np.array([*model.decentering[:2], *radial, *model.decentering[2:]])

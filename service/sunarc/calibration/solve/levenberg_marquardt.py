@@ -16,7 +16,7 @@ from sunarc.calibration.robust_loss import tukey_weights
 from sunarc.calibration.solve.priors import LENS, N_LENS
 from sunarc.calibration.solve.problem import FitProblem, Observations
 from sunarc.calibration.solve.row_kernels import add_products, block_size, reach_of, weigh
-from sunarc.compiled_math import solved
+from sunarc.compiled_math import cholesky_solve
 from sunarc.jit import njit
 from sunarc.optics.camera import Param
 from sunarc.optics.forward import kernel_optics
@@ -245,7 +245,7 @@ def damped_step_of(  # noqa: PLR0917 - compiled functions take positions
         for j in range(i + 1):
             work[i, j] = normal[moving[i], moving[j]] * scale[i] * scale[j]
         work[i, i] += damping + RIDGE
-    if not solved(work, step):
+    if not cholesky_solve(work, step):
         step[:] = 0.0
         return
     for i in range(f):

@@ -19,7 +19,7 @@ from sunarc.detection.values import Sensor
 from sunarc.jit import njit
 
 Indices = NDArray[np.intp]
-Compared = tuple[float, FloatArray, FloatArray, FloatArray]
+Likelihood = tuple[float, FloatArray, FloatArray, FloatArray]
 
 _STEPPED = 0.1  # counts² of noise below which it does not blur the steps of rounding
 
@@ -57,14 +57,14 @@ class Levels(NamedTuple):
 
 
 @njit(nogil=True)
-def compared(  # noqa: PLR0917 - compiled functions take positions
+def likelihood_of(  # noqa: PLR0917 - compiled functions take positions
     planes: FloatArray,
     moved: tuple[Indices, FloatArray],
     glare: tuple[float, float, float, float, float],
     pixels: UsedPixels,
     levels: Levels,
     readout: Readout,
-) -> Compared:
+) -> Likelihood:
     """Compare a disc's model with the pixels.
 
     Parameters
@@ -385,7 +385,7 @@ def with_levels(problem: DiscProblem, nonlinear: FloatArray) -> tuple[DiscState,
     dark = DiscState(nonlinear, np.zeros(colours), np.zeros(colours), np.zeros(4))
     planes = _planes(problem, dark)
     # The model is not known yet, so that the variance comes from the counts themselves.
-    misfit = _compared(problem, dark, planes, moved=(), by_counts=True)
+    misfit = _likelihood(problem, dark, planes, moved=(), by_counts=True)
     linear = problem.window.linear.ravel()[problem.pixels.place]
     matrix, gradient = normal_of(misfit[3], misfit[2] * linear, misfit[1])
     levels = inverse(matrix) @ gradient
@@ -435,20 +435,20 @@ def _rendered(problem: DiscProblem, state: DiscState, sources: Sources, *, psf: 
 
 def _evaluated(problem: DiscProblem, state: DiscState, planes: FloatArray) -> Evaluation:
     moved = tuple(_MOVED[k] for k in problem.prior.free)
-    misfit, residual, weight, jacobian = _compared(problem, state, planes, moved=moved)
+    misfit, residual, weight, jacobian = _likelihood(problem, state, planes, moved=moved)
     pull = _pulls(problem.prior, state)
     return Evaluation(misfit + pull[0] ** 2 + pull[1] ** 2, residual, weight, jacobian, planes)
 
 
-def _compared(
+def _likelihood(
     problem: DiscProblem, state: DiscState, planes: FloatArray, *, moved: tuple[int, ...], by_counts: bool = False
-) -> Compared:
+) -> Likelihood:
     psf, (x, y) = math.exp(state.nonlinear[PSF]), (state.nonlinear[:2] - problem.origin).tolist()
     a, b, d = state.nonlinear[STRETCH].tolist()
     # (d, b, a) / det is the inverse of the symmetric stretch: pixels to solar radii, over the glare's core.
     core = _GLARE_CORE * max(abs(a * d - b * b), 1e-9)
     gain = problem.sensor.gain_e_per_count
-    answer: Compared = compared(
+    answer: Likelihood = likelihood_of(
         planes,
         (np.array(moved, dtype=np.intp), np.array([psf if plane == BY_PSF else 1.0 for plane in moved])),
         (d / core, b / core, a / core, x, y),
@@ -473,7 +473,7 @@ def _clip(sensor: Sensor) -> float:
 def unevenness(problem: DiscProblem, state: DiscState, evaluation: Evaluation) -> float:
     """Return the decrease of chi² by a disc of linear and quadratic brightness."""
     moved = tuple(_MOVED[k] for k in problem.prior.free) + _UNEVEN
-    wider = evaluation._replace(jacobian=_compared(problem, state, evaluation.planes, moved=moved)[3])
+    wider = evaluation._replace(jacobian=_likelihood(problem, state, evaluation.planes, moved=moved)[3])
     matrix, gradient = normal_equations(problem, state, wider)
     return float(gradient @ inverse(matrix) @ gradient)
 

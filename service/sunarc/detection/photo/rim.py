@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray, Image
-from sunarc.compiled_math import solved
+from sunarc.compiled_math import cholesky_solve
 from sunarc.detection.photo.plateau import Plateau
 from sunarc.jit import njit
 from sunarc.robust_statistics import MAD_TO_SIGMA
@@ -66,7 +66,7 @@ def _step(
     for j in range(3, _SIZE):
         normal[j, j] += held
         step[j] -= held * state[j]
-    if not solved(normal, step):
+    if not cholesky_solve(normal, step):
         step[:] = 0.0
     return step, inliers
 
