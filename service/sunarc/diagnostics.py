@@ -52,7 +52,7 @@ from sunarc.workers.push import Sink
 Outcome = Literal["ok", "warn", "fail"]
 _TRIAL_FRAMES = 12
 _SHORT_US = 100.0
-_SILENT = (
+SILENT = (
     "the camera answers commands, but no packet of a frame arrives: let UDP from its address through this host's "
     "firewall, and see that its packets are not above the network's MTU and that it takes software triggers"
 )
@@ -85,8 +85,8 @@ def survey(settings: Settings, *, clock: Clock) -> Iterator[CheckResult]:
         if isinstance(camera, AravisCamera):
             yield from (CheckResult(what, "ok", text) for what, text in camera.abilities())
             yield from _stream(camera)
-        yield _exposures(camera, settings.capture.hdr_exposures_us)
-        yield _trial(camera, settings.capture.hdr_exposures_us)
+        yield check_exposures(camera, settings.capture.hdr_exposures_us)
+        yield check_frames(camera, settings.capture.hdr_exposures_us)
 
 
 def _identity(camera: SkyCamera) -> CheckResult:
@@ -101,7 +101,8 @@ def _stream(camera: AravisCamera) -> Iterator[CheckResult]:
         yield from (CheckResult("stream", "warn", text) for text in camera.link.complaints)
 
 
-def _exposures(camera: SkyCamera, requested_us: Sequence[float]) -> CheckResult:
+def check_exposures(camera: SkyCamera, requested_us: Sequence[float]) -> CheckResult:
+    """Check that the camera can take the requested exposures."""
     info = camera.info
     step = f" in steps of {info.exposure_step_us:g}" if info.exposure_step_us > 0.0 else ""
     text = f"{info.exposure_min_us:.8g} to {info.exposure_max_us:.8g} us{step}"
@@ -115,7 +116,7 @@ def _exposures(camera: SkyCamera, requested_us: Sequence[float]) -> CheckResult:
     return CheckResult("exposures", "ok", text)
 
 
-def _trial(camera: SkyCamera, exposures_us: Sequence[float]) -> CheckResult:
+def check_frames(camera: SkyCamera, exposures_us: Sequence[float]) -> CheckResult:
     """Take some frames, and say how many were complete."""
     lost, silent, refused, last = 0, 0, 0, ""
     for number in range(_TRIAL_FRAMES):
@@ -130,7 +131,7 @@ def _trial(camera: SkyCamera, exposures_us: Sequence[float]) -> CheckResult:
     if complete == _TRIAL_FRAMES:
         return CheckResult("frames", "ok", text)
     if silent == _TRIAL_FRAMES:
-        return CheckResult("frames", "fail", f"{text}; {_SILENT}")
+        return CheckResult("frames", "fail", f"{text}; {SILENT}")
     remedy = "look at packet size, MTU and net.core.rmem_max" if lost else "see what else sets the camera"
     return CheckResult("frames", "warn" if complete else "fail", f"{text}; the last fault: {last}; {remedy}")
 

@@ -229,7 +229,7 @@ def test_a_stream_ends_when_the_service_stops(made: Made) -> None:
     context = cast("ApiContext", SimpleNamespace(**names, record_or_none=lambda _: None))
 
     async def all_of_it() -> list[str]:
-        return [text async for text in event_stream._messages(Follower(context, None), lambda: True)]
+        return [text async for text in event_stream.stream_messages(Follower(context, None), lambda: True)]
 
     (told,) = asyncio.run(all_of_it())
     assert "event: state" in told

@@ -25,7 +25,7 @@ from tests.workers.test_full_disk import mounted
 
 from sunarc.api.app import create_hub_app
 from sunarc.api.options import ApiOptions
-from sunarc.api.routes.feed import _MOST_BYTES, token_digest
+from sunarc.api.routes.feed import MOST_BYTES, token_digest
 from sunarc.api.routes.fleet import SILENT
 from sunarc.archive.archive import Archive, open_archive
 from sunarc.archive.database.schema import head_revision
@@ -163,7 +163,7 @@ def test_a_hub_changes_nothing_that_an_imager_decides(hub: Hub, imager: Archive,
         ({"body": b"no gzip"}, 422, "malformed"),
         ({"body": gzip.compress(b"{}\n")}, 422, "malformed"),
         ({"body": gzip.compress(b"x" * 1000)[:-9]}, 422, "malformed"),
-        ({"body": gzip.compress(b"\n" * (_MOST_BYTES + 1))}, 413, "body_too_large"),
+        ({"body": gzip.compress(b"\n" * (MOST_BYTES + 1))}, 413, "body_too_large"),
         ({"body": b"x" * 8_000_001}, 413, "body_too_large"),
         ({"after": 9}, 200, "gap"),
     ],

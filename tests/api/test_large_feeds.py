@@ -14,7 +14,7 @@ from tests.fixtures.fleet import NOW
 
 from sunarc.api.app import create_hub_app
 from sunarc.api.options import ApiOptions
-from sunarc.api.routes.feed import _LARGE_AT_ONCE, _LARGE_BYTES, FeedReceiver
+from sunarc.api.routes.feed import LARGE_AT_ONCE, LARGE_BYTES, FeedReceiver
 from sunarc.archive.archive import open_archive
 from sunarc.archive.database.schema import head_revision
 from sunarc.runtime.status import StatusSnapshot
@@ -32,12 +32,12 @@ class Storing:
         self._lock = threading.Lock()
 
     def take(self, *, body: bytes, after: int, **_: object) -> int:
-        if len(body) <= _LARGE_BYTES:
+        if len(body) <= LARGE_BYTES:
             return after
         with self._lock:
             self.now += 1
             self.largest = max(self.largest, self.now)
-            if self.now == _LARGE_AT_ONCE:
+            if self.now == LARGE_AT_ONCE:
                 self.full.set()
         self.go_on.wait(20.0)
         with self._lock:
@@ -51,7 +51,7 @@ def test_small_bodies_are_stored_while_more_large_ones_wait_than_there_are_threa
     storing = Storing()
     monkeypatch.setattr(FeedReceiver, "take", lambda _self, **how: storing.take(**how))
     make_empty(tmp_path / "hub.sqlite")
-    large = random.Random(0).randbytes(_LARGE_BYTES + 1)
+    large = random.Random(0).randbytes(LARGE_BYTES + 1)
 
     async def scenario() -> tuple[int, list[int]]:
         status = StatusSnapshot(version="1", started_at=NOW)
@@ -75,4 +75,4 @@ def test_small_bodies_are_stored_while_more_large_ones_wait_than_there_are_threa
     with open_archive(tmp_path / "hub.sqlite") as archive:
         small, others = asyncio.run(scenario())
     assert (small, set(others)) == (200, {200})
-    assert storing.largest == _LARGE_AT_ONCE
+    assert storing.largest == LARGE_AT_ONCE

@@ -18,7 +18,7 @@ from sunarc.api.options import ApiOptions
 from sunarc.archive.archive import open_archive
 from sunarc.archive.values import CameraRecord
 from sunarc.calibration.model.document import to_document
-from sunarc.geolocation.locate import _frame
+from sunarc.geolocation.locate import local_frame
 from sunarc.optics.forward import project
 from sunarc.runtime.status import StatusSnapshot
 from sunarc.sky.site import Site
@@ -32,8 +32,8 @@ CLOUD = Site(latitude=36.61, longitude=-97.52, altitude=2318.0)
 
 def pixel_of(name: str, place: Site = CLOUD) -> list[float]:
     """Return where a camera sees a place."""
-    axes, origin = _frame(SITES[name])
-    ray = axes @ (_frame(place)[1] - origin)
+    axes, origin = local_frame(SITES[name])
+    ray = axes @ (local_frame(place)[1] - origin)
     return [float(number) for number in project(LENS, ray / np.linalg.norm(ray))]
 
 

@@ -136,7 +136,7 @@ def test_what_answers_is_found_without_asking_for_every_time(seed: int) -> None:
     rng = np.random.default_rng(seed)
     times = np.unique(rng.uniform(1e9, 1e9 + 1e6, 5000).round(3))
     context = _Steps(sorted(rng.uniform(1e9, 1e9 + 1e6, 5).tolist()))
-    found = answering._records(cast("ApiContext", context), times, times)
+    found = answering.records_at(cast("ApiContext", context), times, times)
     n_asked = context.asked
     expected = [context.record_or_none(datetime.fromtimestamp(time, UTC)) for time in times.tolist()]
     assert [record.id for record in found] == [record.id for record in expected]

@@ -22,7 +22,7 @@ from tests.fixtures.settings import new_settings
 from sunarc.app import serving, simulating
 from sunarc.app.cameras import camera_opener, camera_record
 from sunarc.app.service import Service, imager_recording
-from sunarc.app.serving import Server, _monitored, _schedule, serve_imager, with_credentials
+from sunarc.app.serving import Server, daily_schedule, monitored_parts, serve_imager, with_credentials
 from sunarc.archive.archive import open_archive
 from sunarc.archive.database.schema import upgrade
 from sunarc.archive.sightings import ELSEWHERE
@@ -111,7 +111,7 @@ def test_only_what_sends_to_others_is_optional(tmp_path: Path, camera: OpenCamer
     push = {"webhooks": ["http://127.0.0.1:9/"], "webhook_secret_file": tmp_path / "secret", "mqtt": "mqtt://127.0.0.1"}
     hub = {"url": "http://127.0.0.1:9", "token_file": tmp_path / "secret"}
     running = made(new_settings(tmp_path, camera=CAMERA, hub=hub, push=push), camera, clock)
-    workers = (*running.workers(), *imager_recording(running), *serving._push_workers(running))
+    workers = (*running.workers(), *imager_recording(running), *serving.push_workers_of(running))
     running.archive.close()
     sending = {"feed", "notices", "push_mqtt", f"push_{webhook_name('http://127.0.0.1:9/')}"}
     assert {worker.name for worker in workers if worker.optional} == sending
@@ -221,7 +221,7 @@ def test_tokens_of_systemd_are_used_where_no_file_is_set(tmp_path: Path, monkeyp
 def test_the_web_servers_loop_and_the_schedule_are_watched(service: Service) -> None:
     config = uvicorn.Config(lambda *_: None, lifespan="off", log_level="warning")
     server = Server(config, on_started=lambda: None, heartbeat=Heartbeat(service.clock.monotonic))
-    web, schedule = _monitored(service, server=server, schedule=_schedule(service))
+    web, schedule = monitored_parts(service, server=server, schedule=daily_schedule(service))
     assert (web.name, web.stale_after_s) == ("web", 30.0)
     assert (schedule.name, schedule.stale_after_s) == ("schedule", service.settings.refit.check_every_s + 600.0)
 

@@ -18,7 +18,7 @@ from tests.fixtures.fleet import NOON, new_imager, sighting
 from sunarc.archive.archive import Archive, open_archive
 from sunarc.archive.database.tables import metadata
 from sunarc.archive.fleet.feed_rows import FED, STATUS, FeedRow, columns_of, feed_lines, problem_of, read_feed_lines
-from sunarc.archive.fleet.outbox import _triggers
+from sunarc.archive.fleet.outbox import outbox_triggers
 from sunarc.archive.values import Day, DayAir, Event, Housekeeping, Refit
 from sunarc.errors import InputError
 from sunarc.findings import Finding
@@ -84,7 +84,7 @@ def test_every_table_is_sent_or_left_out_for_a_reason() -> None:
         of_the_service_alone | of_the_feed | of_its_own_receivers | made_on_the_hub | names_rows_by_the_imagers_own_ids
     )
     assert set(FED) == set(metadata.tables) - left_out
-    assert len(dict(_triggers())) == 3 * len(FED)
+    assert len(dict(outbox_triggers())) == 3 * len(FED)
 
 
 def test_numbers_keep_all_their_digits(imager: Archive) -> None:

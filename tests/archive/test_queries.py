@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.database.schema import _revisions, check, downgrade, upgrade
+from sunarc.archive.database.schema import check, downgrade, known_revisions, upgrade
 from sunarc.archive.sightings import sun_point_of
 from sunarc.archive.values import SunPoint
 from sunarc.detection.values import Detection
@@ -176,7 +176,7 @@ def test_a_sighting_has_every_number_of_its_detection() -> None:
     assert (point.exposure_us, point.clock_error_s, point.time, point.pose_epoch) == (20.0, 0.5, NOON, "e")
 
 
-@pytest.mark.parametrize("revision", _revisions()[-4:-1])
+@pytest.mark.parametrize("revision", known_revisions()[-4:-1])
 def test_sightings_survive_the_way_down_to_a_revision_and_up_again(
     archive: Archive, path: Path, points: list[SunPoint], revision: str
 ) -> None:

@@ -14,9 +14,9 @@ from sunarc.calibration.answers.covariance import hemisphere, project_with_covar
 from sunarc.calibration.answers.error_model import (
     MOST_DRAWS,
     Ensemble,
-    _drawn,
-    _root,
+    covariance_root,
     draw_ensemble,
+    draw_errors,
     error_model_of,
     joint_covariance,
     predicted,
@@ -94,7 +94,7 @@ def test_a_displacement_is_the_derivatives_times_the_errors_and_the_field(calibr
     errors = error_model_of(calibration)
     size = errors.mean.size + 2 * errors.variances.size
     seeds = [int.from_bytes(hashlib.sha256(b"a").digest()[:8], "big"), 5]
-    parameters, coefficients = _drawn(
+    parameters, coefficients = draw_errors(
         errors, np.random.Generator(np.random.PCG64(seeds)).standard_normal((3, size + 1))[:, :-1]
     )
     at = predicted(errors, calibration.camera, SKY)
@@ -161,7 +161,7 @@ def test_the_root_of_a_covariance_of_unlike_units_gives_it_back() -> None:
     rng = np.random.default_rng(2)
     matrix = rng.standard_normal((5, 3)) * np.array([1e-6, 1.0, 1e4, 1e-2, 10.0])[:, None]
     covariance = matrix @ matrix.T  # of rank 3: rounding makes eigenvalues of 0 negative
-    root = _root(covariance)
+    root = covariance_root(covariance)
     scale = np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
     np.testing.assert_allclose(root @ root.T / scale, covariance / scale, atol=1e-12)
 

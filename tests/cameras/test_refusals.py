@@ -13,7 +13,7 @@ import pytest
 from sunarc.cameras.aravis import AravisCamera
 from sunarc.cameras.options import AravisOptions
 from sunarc.cameras.packed import pack
-from sunarc.diagnostics import _trial as frames_of_trial
+from sunarc.diagnostics import check_frames as frames_of_trial
 from sunarc.errors import CameraError, CameraLostError
 from sunarc.runtime.clock import VirtualClock
 

@@ -224,6 +224,6 @@ def test_a_document_that_is_none_is_one_line_and_exit_2(sunarc: Sunarc, tmp_path
 def test_the_field_is_shown_with_its_part_in_the_prediction(
     amplitude: float, mean: list[list[float]], said: str
 ) -> None:
-    found = module._field({"amplitude_px": amplitude, "length_px": 420.0, "mean": mean})
+    found = module.field_text({"amplitude_px": amplitude, "length_px": 420.0, "mean": mean})
     assert found.endswith(said)
     assert ("0.300 px over 420 px" in found) == (amplitude > 0.0)

@@ -100,14 +100,14 @@ except SystemExit:
 
 
 def test_the_list_of_commands_says_what_each_says_of_itself() -> None:
-    for name, listed in main._COMMANDS.items():
+    for name, listed in main.COMMANDS.items():
         found = getattr(__import__(f"sunarc.cli.{listed.module}", fromlist=[listed.name]), listed.name)
         said = str(found.info.help) if isinstance(found, typer.Typer) else str(inspect.getdoc(found))
         assert said.split("\n\n")[0].replace("\n", " ") == listed.help, name
 
 
 def test_every_module_with_commands_is_in_the_list() -> None:
-    listed = {command.module for command in main._COMMANDS.values()}
+    listed = {command.module for command in main.COMMANDS.values()}
     shared = {"__init__", "main", "options"}
     assert {path.stem for path in Path(main.__file__).parent.glob("*.py")} - shared == listed
 

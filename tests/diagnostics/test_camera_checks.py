@@ -14,7 +14,7 @@ from tests.fixtures.settings import new_settings
 
 from sunarc import diagnostics as camera_checks
 from sunarc.cameras.frame import CameraCondition, CameraInfo, Frame
-from sunarc.diagnostics import _exposures, _trial, survey
+from sunarc.diagnostics import check_exposures, check_frames, survey
 from sunarc.errors import CameraError, CameraLostError, CameraSilentError, CameraTimeoutError
 from sunarc.runtime.clock import VirtualClock
 
@@ -51,7 +51,7 @@ class TrialCamera:
 
 
 def outcome(camera: TrialCamera, exposures_us: Sequence[float] = (50.0, 600.0)) -> str:
-    what, found, _ = _trial(camera, exposures_us)
+    what, found, _ = check_frames(camera, exposures_us)
     assert what == "frames"
     return found
 
@@ -72,10 +72,10 @@ def test_one_frame_that_fails_is_a_warning_and_all_are_a_failure(fault: CameraEr
 
 
 def test_only_a_camera_without_any_packet_is_a_case_for_the_firewall() -> None:
-    silent = _trial(TrialCamera(*[CameraSilentError("silent")] * 12), (50.0,))
-    mixed = _trial(TrialCamera(*[CameraSilentError("silent")] * 11, CameraTimeoutError("late")), (50.0,))
-    assert camera_checks._SILENT in silent[2]
-    assert camera_checks._SILENT not in mixed[2]
+    silent = check_frames(TrialCamera(*[CameraSilentError("silent")] * 12), (50.0,))
+    mixed = check_frames(TrialCamera(*[CameraSilentError("silent")] * 11, CameraTimeoutError("late")), (50.0,))
+    assert camera_checks.SILENT in silent[2]
+    assert camera_checks.SILENT not in mixed[2]
 
 
 @pytest.mark.parametrize(
@@ -92,7 +92,7 @@ def test_exposures_are_held_against_the_cameras_bounds(
     bounds_us: tuple[float, float], wanted_us: tuple[float, ...], expected: str
 ) -> None:
     info = replace(INFO, exposure_min_us=bounds_us[0], exposure_max_us=bounds_us[1])
-    assert _exposures(TrialCamera(info=info), wanted_us)[:2] == ("exposures", expected)
+    assert check_exposures(TrialCamera(info=info), wanted_us)[:2] == ("exposures", expected)
 
 
 def test_a_survey_opens_the_camera_once_and_closes_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

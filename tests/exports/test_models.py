@@ -26,9 +26,9 @@ from sunarc.exports.asi_core import asi_core_yaml, mask_files
 from sunarc.exports.exported import Table, Variable
 from sunarc.exports.fisheye import fisheye_model, fisheye_view, pixels_of_rays
 from sunarc.exports.formats import FORMATS, export
-from sunarc.exports.mrcal import _bending, _design, cameramodel, splined_model, splined_view
+from sunarc.exports.mrcal import cameramodel, spline_bending, spline_weights, splined_model, splined_view
 from sunarc.exports.ocam import ocam_model
-from sunarc.exports.tables import _every, netcdf_bytes, npz_bytes
+from sunarc.exports.tables import every_nth, netcdf_bytes, npz_bytes
 from sunarc.exports.view import camera_view, compare, sky_of
 from sunarc.optics.camera import Camera
 
@@ -57,7 +57,7 @@ def test_an_equidistant_lens_is_opencvs_without_distortion() -> None:
 @pytest.mark.parametrize("u", [(0.0, 0.0), (0.31, -0.72), (-1.2, 0.4)])
 def test_the_surface_is_scipys_cubic_b_spline(u: tuple[float, float]) -> None:
     control, per_u = np.random.default_rng(0).normal(size=(40, 40)), 10.0
-    ours = (_design(np.array([u]), per_u) @ control.ravel())[0]
+    ours = (spline_weights(np.array([u]), per_u) @ control.ravel())[0]
     knots = np.arange(-2.0, 42.0)
     spline = [BSpline(knots, np.eye(40)[k], 3) for k in range(40)]
     x, y = (value * per_u + 19.5 for value in u)
@@ -67,14 +67,14 @@ def test_the_surface_is_scipys_cubic_b_spline(u: tuple[float, float]) -> None:
 
 def test_the_weights_of_every_ray_sum_to_one_and_beyond_the_knots_too() -> None:
     u = np.random.default_rng(1).uniform(-9.0, 9.0, (50, 2))
-    assert np.asarray(_design(u, 10.0).sum(axis=1)) == pytest.approx(1.0)
+    assert np.asarray(spline_weights(u, 10.0).sum(axis=1)) == pytest.approx(1.0)
 
 
 def test_a_smooth_surface_is_not_bent() -> None:
     rows, columns = np.mgrid[:40, :40]
     surface = (0.3 + 0.1 * columns - 0.2 * rows + 0.01 * rows * columns + 0.005 * columns**2).ravel()
-    assert np.abs(_bending() @ surface).max() < 1e-9
-    assert np.abs(_bending() @ (columns**3).ravel()).max() == pytest.approx(6.0)
+    assert np.abs(spline_bending() @ surface).max() < 1e-9
+    assert np.abs(spline_bending() @ (columns**3).ravel()).max() == pytest.approx(6.0)
 
 
 def test_mrcals_file_has_the_pose_and_the_size() -> None:
@@ -161,7 +161,7 @@ def test_the_mask_is_one_down_to_the_horizon_and_zero_below_and_outside(tmp_path
     ("step", "size", "rows"), [(8, 17, [0, 8, 16]), (8, 18, [0, 8, 16, 17]), (8, 1, [0]), (1, 3, [0, 1, 2])]
 )
 def test_a_grid_has_its_last_pixel_once(step: int, size: int, rows: list[int]) -> None:
-    assert _every(step, size).tolist() == rows
+    assert every_nth(step, size).tolist() == rows
 
 
 def table() -> Table:

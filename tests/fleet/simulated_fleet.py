@@ -167,11 +167,11 @@ def fleet_of(count: int, *, seed: int = 0, apart: bool = False) -> Iterator[Flee
 @contextmanager
 def quick_retries(longest_s: float = 0.5) -> Iterator[None]:
     """Let imagers try again soon: what takes minutes of waiting takes seconds."""
-    former, feed._LONGEST_WAIT_S = feed._LONGEST_WAIT_S, longest_s
+    former, feed.LONGEST_WAIT_S = feed.LONGEST_WAIT_S, longest_s
     try:
         yield
     finally:
-        feed._LONGEST_WAIT_S = former
+        feed.LONGEST_WAIT_S = former
 
 
 def run_with_faults(

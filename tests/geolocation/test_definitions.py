@@ -9,7 +9,15 @@ import pytest
 from numpy.typing import NDArray
 from pyproj import Transformer
 
-from sunarc.geolocation.locate import ECCENTRICITY2, SEMI_MAJOR_M, Located, _frame, clouds, geodetic_position, shadows
+from sunarc.geolocation.locate import (
+    ECCENTRICITY2,
+    SEMI_MAJOR_M,
+    Located,
+    clouds,
+    geodetic_position,
+    local_frame,
+    shadows,
+)
 from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.site import Site
 
@@ -39,7 +47,7 @@ def test_the_ellipsoid_is_wgs_84() -> None:
 
 def test_the_frame_of_a_site_is_proj_s_and_orthonormal() -> None:
     for site in PLACES:
-        axes, origin = _frame(site)
+        axes, origin = local_frame(site)
         np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-15)
         assert np.linalg.det(axes) == pytest.approx(1.0)
         here = geocentric(*(np.array([v]) for v in (site.latitude, site.longitude, site.altitude)))[0]
@@ -54,7 +62,7 @@ def test_places_go_to_proj_and_back() -> None:
     for site in PLACES:
         enu = rng.normal(0.0, [60e3, 60e3, 5e3], (30, 3))
         geodetic = geodetic_position(enu, site)
-        axes, origin = _frame(site)
+        axes, origin = local_frame(site)
         theirs = (geocentric(geodetic.latitude, geodetic.longitude, geodetic.altitude) - origin) @ axes.T
         np.testing.assert_allclose(theirs, enu, atol=1e-5)
         above = geocentric(geodetic.latitude, geodetic.longitude, geodetic.altitude + 100.0)

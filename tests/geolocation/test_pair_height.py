@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pyproj import Transformer
 
 from sunarc.errors import InputError
-from sunarc.geolocation.locate import _frame
+from sunarc.geolocation.locate import local_frame
 from sunarc.geolocation.pair_height import View, pair_height
 from sunarc.sky.site import Site
 
@@ -27,7 +27,7 @@ def direction_to(site: Site, *, latitude: float, longitude: float, altitude: flo
         np.array(transformer.transform(*place))
         for place in ((longitude, latitude, altitude), (site.longitude, site.latitude, site.altitude))
     ]
-    ray = _frame(site)[0] @ (ends[0] - ends[1])
+    ray = local_frame(site)[0] @ (ends[0] - ends[1])
     return np.asarray(ray / np.linalg.norm(ray))
 
 

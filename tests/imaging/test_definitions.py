@@ -14,13 +14,13 @@ from sunarc.errors import InputError
 from sunarc.imaging.brightness import (
     Exposed,
     Level,
-    _trimmed,
     factor_all_over,
     is_dark,
     level_of,
     light_ratio_contradiction,
+    trimmed_mean,
 )
-from sunarc.imaging.hdr import _merge, merge_hdr
+from sunarc.imaging.hdr import merge_exposures, merge_hdr
 from sunarc.imaging.preview import preview as preview_of
 
 FloatArray = NDArray[np.float64]
@@ -73,9 +73,8 @@ def test_the_merge_interpreted_is_the_merge_compiled() -> None:
         0.98 * FULL_SCALE,
         2.0**2 + 1.0 / 12.0,
         1.0 / 2.5,
-        (FULL_SCALE - BLACK) / 1000.0,
     )
-    image, lost = _merge.py_func(*arguments)
+    image, lost = merge_exposures.py_func(*arguments)
     merged = merge_hdr([SHORT, LONG], [1000.0, 4000.0], sensor=SENSOR)
     np.testing.assert_array_equal(image, merged.image)
     np.testing.assert_array_equal(image, image_by_hand())
@@ -183,7 +182,7 @@ def test_without_contrast_nothing_can_be_said() -> None:
 
 def test_a_trimmed_mean_leaves_out_a_tenth_at_either_end() -> None:
     values = np.array([0, *[50, 60] * 9, 4095], dtype=np.uint16)
-    found = _trimmed(values)
+    found = trimmed_mean(values)
     assert found.mean == pytest.approx(55.0)
     assert found.error == pytest.approx(5.0 / 4.0)  # of the 16 that stay
 

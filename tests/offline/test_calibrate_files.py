@@ -19,7 +19,7 @@ from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.stated_prior import PriorTolerances
 from sunarc.errors import InputError
 from sunarc.exports.formats import export
-from sunarc.offline.calibrate_files import _start_camera, calibrate_file, image_circle_of
+from sunarc.offline.calibrate_files import calibrate_file, image_circle_of, start_camera
 from sunarc.runtime.clock import VirtualClock
 
 NOW = datetime(2013, 5, 14, tzinfo=UTC)
@@ -69,7 +69,7 @@ def test_the_lens_of_other_images_is_not_kept(tmp_path: Path) -> None:
 def test_a_start_of_another_format_is_the_closest_camera(tmp_path: Path) -> None:
     start = tmp_path / "fisheye.yml"
     start.write_bytes(export(document_of(LENS), "opencv").content)
-    camera = _start_camera(start, (1748, 1600), CalibrationOptions(projection="equisolid"))
+    camera = start_camera(start, (1748, 1600), CalibrationOptions(projection="equisolid"))
     assert (camera.projection, camera.mirrored, camera.max_angle) == ("equisolid", False, math.radians(100.0))
     assert camera.focal_length_px == pytest.approx(LENS.focal_length_px, rel=0.02)
     assert camera.rotation_cam_enu == pytest.approx(LENS.rotation_cam_enu, abs=0.01)
@@ -80,9 +80,9 @@ def test_a_start_of_the_other_handedness_is_refused(tmp_path: Path, mirrored: An
     start = tmp_path / "start.json"
     start.write_text(json.dumps(document_of(replace(LENS, mirrored=hand))))
     with pytest.raises(InputError) as refused:
-        _start_camera(start, (1748, 1600), CalibrationOptions(mirrored=mirrored))
+        start_camera(start, (1748, 1600), CalibrationOptions(mirrored=mirrored))
     assert refused.value.field == "--start"
-    assert _start_camera(start, (1748, 1600), CalibrationOptions(mirrored="auto")).mirrored == hand
+    assert start_camera(start, (1748, 1600), CalibrationOptions(mirrored="auto")).mirrored == hand
 
 
 def test_a_file_without_a_pose_is_no_prior_of_the_pose(tmp_path: Path) -> None:

@@ -11,24 +11,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sunarc.offline.compile_kernels import _CENTRE_PX, _drawn_sun, compile_kernels
+from sunarc.offline.compile_kernels import CENTRE_PX, compile_kernels, drawn_sun
 
 ROOT = Path(__file__).parents[2]
 MODULE = sys.modules[compile_kernels.__module__]  # the room's name of it is the function
 
 
 def test_the_drawn_sun_has_the_area_of_its_disc() -> None:
-    drawn = _drawn_sun(255) / 255.0
+    drawn = drawn_sun(255) / 255.0
     area = float(np.sum(drawn - 0.01)) / 0.6
     assert area == pytest.approx(np.pi * 9.0**2, rel=0.02)
 
 
 def test_the_drawn_sun_is_centred() -> None:
-    drawn = _drawn_sun(4095)
+    drawn = drawn_sun(4095)
     y, x = np.mgrid[: drawn.shape[0], : drawn.shape[1]]
     weight = drawn - drawn.min()
     centre = [float(np.sum(axis * weight) / np.sum(weight)) for axis in (x, y)]
-    assert centre == pytest.approx([_CENTRE_PX] * 2, abs=0.01)
+    assert centre == pytest.approx([CENTRE_PX] * 2, abs=0.01)
 
 
 def test_read_only_frames_of_8_and_16_bit_are_detected_with_and_without_expectation(

@@ -12,11 +12,11 @@ import pytest
 from sunarc.archive.sightings import FileSighting
 from sunarc.errors import OutsideError
 from sunarc.reanalysis.index import ImageFile
-from sunarc.reanalysis.ingest_summary import _ACCEPTED, _REJECTED, _TILE_PX, _TITLE_PX, write_contact_sheet
+from sunarc.reanalysis.ingest_summary import ACCEPTED, REJECTED, TILE_PX, TITLE_PX, write_contact_sheet
 
 Pixels = np.ndarray[Any, np.dtype[Any]]
-SIDE = 2 * _TILE_PX
-ROW_PX = _TILE_PX + _TITLE_PX
+SIDE = 2 * TILE_PX
+ROW_PX = TILE_PX + TITLE_PX
 
 
 def read(path: Path) -> Pixels:
@@ -49,16 +49,16 @@ def test_a_row_for_each_verdict_the_most_frequent_first(tmp_path: Path) -> None:
     target = tmp_path / "new" / "sheet.png"
     write_contact_sheet(tmp_path, found, target)
     sheet = read(target)
-    assert sheet.shape == (2 * ROW_PX, 10 * _TILE_PX, 3)
-    first, second = sheet[_TITLE_PX:ROW_PX], sheet[ROW_PX + _TITLE_PX :]
+    assert sheet.shape == (2 * ROW_PX, 10 * TILE_PX, 3)
+    first, second = sheet[TITLE_PX:ROW_PX], sheet[ROW_PX + TITLE_PX :]
     for number in range(5):
         tile = first[:, SIDE * number : SIDE * (number + 1)]
-        row, column = np.median(marked(tile[:, :_TILE_PX], _ACCEPTED), axis=0)
+        row, column = np.median(marked(tile[:, :TILE_PX], ACCEPTED), axis=0)
         assert (row, column) == pytest.approx((50.0, 150.0), abs=1.0)  # half the size
-        row, column = np.median(marked(tile[:, _TILE_PX:], _ACCEPTED), axis=0)
-        assert (row, column) == pytest.approx((_TILE_PX / 2, _TILE_PX / 2), abs=2.0)
-    assert marked(second, _REJECTED).size
-    assert not marked(second, _ACCEPTED).size
+        row, column = np.median(marked(tile[:, TILE_PX:], ACCEPTED), axis=0)
+        assert (row, column) == pytest.approx((TILE_PX / 2, TILE_PX / 2), abs=2.0)
+    assert marked(second, REJECTED).size
+    assert not marked(second, ACCEPTED).size
     assert not second[:, 2 * SIDE :].any()  # two examples
 
 
@@ -67,8 +67,8 @@ def test_an_image_without_a_sun_and_one_that_is_gone_are_no_fault(tmp_path: Path
     (tmp_path / images[1].path).unlink()
     write_contact_sheet(tmp_path, {one: sighting(one, "hidden") for one in images}, tmp_path / "sheet.png")
     sheet = read(tmp_path / "sheet.png")
-    assert sheet[_TITLE_PX : ROW_PX - 20, :_TILE_PX].min() == 40
-    assert not sheet[_TITLE_PX:, SIDE : 2 * SIDE].any()
+    assert sheet[TITLE_PX : ROW_PX - 20, :TILE_PX].min() == 40
+    assert not sheet[TITLE_PX:, SIDE : 2 * SIDE].any()
 
 
 def test_a_sheet_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:

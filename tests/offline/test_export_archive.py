@@ -18,7 +18,7 @@ from sunarc.archive.archive import Archive
 from sunarc.archive.values import Day, DayAir, Refit, SunPoint
 from sunarc.errors import InputError, OutsideError
 from sunarc.findings import Finding
-from sunarc.offline.archive_tables import _cell, export_everything
+from sunarc.offline.archive_tables import export_everything, table_cell
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 
@@ -113,7 +113,7 @@ def test_the_netcdf_file_holds_the_numbers_with_units(tmp_path: Path) -> None:
     ],
 )
 def test_a_cell_is_the_value_as_text_or_number(value: object, cell: object) -> None:
-    assert _cell(value) == cell
+    assert table_cell(value) == cell
 
 
 @pytest.mark.usefixtures("archive")

@@ -13,7 +13,7 @@ from PIL import Image
 from tests.fixtures.settings import new_settings
 
 from sunarc.errors import InputError
-from sunarc.reanalysis.image_times import Naming, _from_name, taken
+from sunarc.reanalysis.image_times import Naming, taken, time_from_name
 from sunarc.reanalysis.ingest import IngestOptions, ingest_folder
 from sunarc.reanalysis.ingest_summary import Summary
 from sunarc.reanalysis.messages import RefusedImageError
@@ -52,28 +52,28 @@ def ingested(folder: Path) -> Summary:
     ],
 )
 def test_usual_names_are_understood(name: str) -> None:
-    assert _from_name(name, NO_OFFSET) == NOON
+    assert time_from_name(name, NO_OFFSET) == NOON
 
 
 def test_a_fraction_of_a_second_in_the_name_counts() -> None:
-    assert _from_name("20130513T183000.25Z.png", NO_OFFSET) == NOON + timedelta(milliseconds=250)
+    assert time_from_name("20130513T183000.25Z.png", NO_OFFSET) == NOON + timedelta(milliseconds=250)
 
 
 def test_a_name_with_z_is_utc_whatever_the_offset() -> None:
-    assert _from_name("20130513T183000Z.png", timedelta(hours=-5)) == NOON
+    assert time_from_name("20130513T183000Z.png", timedelta(hours=-5)) == NOON
 
 
 def test_a_name_without_zone_is_the_offset_ahead_of_utc() -> None:
-    assert _from_name("20130513T133000.png", timedelta(hours=-5)) == NOON
+    assert time_from_name("20130513T133000.png", timedelta(hours=-5)) == NOON
 
 
 @pytest.mark.parametrize("name", ["sky.png", "20131313T183000.png", "20130513T256000.png", "2013-05-13.png"])
 def test_a_name_without_a_time_tells_none(name: str) -> None:
-    assert _from_name(name, NO_OFFSET) is None
+    assert time_from_name(name, NO_OFFSET) is None
 
 
 def test_a_time_before_the_year_1_after_its_offset_is_none() -> None:
-    assert _from_name("00010101T000000.png", timedelta(hours=5)) is None
+    assert time_from_name("00010101T000000.png", timedelta(hours=5)) is None
 
 
 def test_a_pattern_with_a_zone_needs_no_offset(tmp_path: Path) -> None:

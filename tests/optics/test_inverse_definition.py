@@ -14,7 +14,7 @@ from tests.optics.reference import STRANGE, field_of, pixel_by_hand, pixels_by_h
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import distorted_radius, local_stretch, project, radius_slope, rising_limit, tangent_basis
 from sunarc.optics.inverse import unproject
-from sunarc.optics.inverse_table import _rounds, directions_of, inverse_table
+from sunarc.optics.inverse_table import decentering_rounds, directions_of, inverse_table
 from sunarc.optics.projections import PROJECTIONS, angle_limit
 
 FloatArray = NDArray[np.float64]
@@ -117,13 +117,13 @@ def test_the_rounds_bring_the_fixed_point_to_a_ten_billionth_and_no_further_than
     for camera in CAMERAS[::2]:
         largest = float(distorted_radius(camera, camera.max_angle))
         weak = replace(camera, decentering=(2e-4, -1e-4, 0.1, -0.05))
-        assert _rounds(replace(camera, decentering=(0.0, 0.0, 0.1, 0.1)), largest) == 0
-        few, more = (_rounds(one, 1.0) for one in (weak, replace(weak, decentering=(0.02, 0.0, 0.0, 0.0))))
+        assert decentering_rounds(replace(camera, decentering=(0.0, 0.0, 0.1, 0.1)), largest) == 0
+        few, more = (decentering_rounds(one, 1.0) for one in (weak, replace(weak, decentering=(0.02, 0.0, 0.0, 0.0))))
         assert few is not None
         assert more is not None
         assert 1 <= few <= 5
         assert few < more <= 20
-        assert _rounds(replace(weak, decentering=(0.6, 0.0, 0.0, 0.0)), 1.0) is None  # it never converges
+        assert decentering_rounds(replace(weak, decentering=(0.6, 0.0, 0.0, 0.0)), 1.0) is None  # it never converges
 
 
 def test_a_decentering_whose_rounds_diverge_is_answered_exactly() -> None:

@@ -17,13 +17,13 @@ from annotated_types import Gt, Le
 
 from sunarc.archive.fleet.nightly import LEAST_KEPT
 from sunarc.settings.reference import (
-    _of_options,
-    _toml,
-    _type_name,
     all_settings,
     as_markdown,
     attributes_of,
     dataclass_in,
+    of_options,
+    toml_text,
+    type_name,
 )
 
 if TYPE_CHECKING:
@@ -99,12 +99,12 @@ class Outer:
 
 
 def test_options_within_options_get_a_dotted_path_in_the_order_of_the_fields() -> None:
-    names = [setting.name for setting in _of_options(Outer, "outer")]
+    names = [setting.name for setting in of_options(Outer, "outer")]
     assert names == ["outer.size", "outer.levels", "outer.kind", "outer.inner.depth"]
 
 
 def test_each_setting_has_its_default_bounds_and_meaning() -> None:
-    found = {one.name: (one.default, one.allowed, one.meaning) for one in _of_options(Outer, "outer")}
+    found = {one.name: (one.default, one.allowed, one.meaning) for one in of_options(Outer, "outer")}
     assert found["outer.size"] == ("required", "a whole number", "px.")
     assert found["outer.levels"] == ("[0.5, 1.0]", "a list of numbers", "several.")
     assert found["outer.kind"] == ('"a"', 'one of "a", "b"', "which.")
@@ -123,17 +123,17 @@ def test_each_setting_has_its_default_bounds_and_meaning() -> None:
     ],
 )
 def test_a_type_is_named_as_toml_has_it(annotation: Any, name: str) -> None:  # noqa: ANN401 - any annotation
-    assert _type_name(annotation) == name
+    assert type_name(annotation) == name
 
 
 @pytest.mark.parametrize("value", [True, False, 3, 2.5, "text", (1, 2), Path("/var/lib")])
 def test_a_default_is_written_so_that_toml_reads_it_back(value: object) -> None:
-    read = tomllib.loads(f"value = {_toml(value)}")["value"]
+    read = tomllib.loads(f"value = {toml_text(value)}")["value"]
     assert read == (list(value) if isinstance(value, tuple) else str(value) if isinstance(value, Path) else value)
 
 
 def test_a_default_of_none_is_unset() -> None:
-    assert _toml(None) == "unset"
+    assert toml_text(None) == "unset"
 
 
 def test_the_class_of_an_option_is_found_beside_none() -> None:

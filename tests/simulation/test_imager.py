@@ -18,7 +18,7 @@ from sunarc.errors import OutsideError
 from sunarc.runtime.clock import VirtualClock
 from sunarc.simulation import fake_camera as genicam
 from sunarc.simulation.fake_camera import FakeCamera, Request
-from sunarc.simulation.imager import _DARK_US, _MAX_IMAGES, ImagerOptions, _Imager, _write_truth
+from sunarc.simulation.imager import DARK_US, MAX_IMAGES, ImagerOptions, _Imager, write_truth
 from sunarc.simulation.scene import Scene
 
 START = datetime(2013, 5, 13, 17, tzinfo=UTC)
@@ -179,7 +179,7 @@ def test_a_stale_exposure_is_that_of_the_frame_before(bench: Bench) -> None:
 
 def test_a_black_frame_is_exposed_to_no_light(bench: Bench) -> None:
     bench.registers.write(genicam.BLACK, 1)
-    assert bench.exposures(20) == [_DARK_US]
+    assert bench.exposures(20) == [DARK_US]
 
 
 def test_a_repeated_frame_is_the_last_of_the_same_request_with_a_new_time(bench: Bench) -> None:
@@ -199,7 +199,7 @@ def test_what_was_not_sent_before_cannot_be_repeated(bench: Bench) -> None:
 
 
 def test_the_images_of_the_oldest_requests_are_forgotten(bench: Bench) -> None:
-    bench.exposures(*range(10, 10 + _MAX_IMAGES + 1))
+    bench.exposures(*range(10, 10 + MAX_IMAGES + 1))
     bench.registers.write(genicam.REPEAT_FRAME, 1)
     before = len(bench.scene.asked)
     bench.frame(11)
@@ -214,7 +214,7 @@ def test_the_first_frames_after_a_start_are_bad_in_turn_and_the_next_are_not(ben
     assert np.all(bench.frame(20)[0].view(np.uint16).reshape(3, 4)[1:] == 0)
     assert bench.exposures(40, 60) == [20.0, 60.0]
     bench.registers.write(genicam.ACQUISITION, 1)
-    assert bench.exposures(80, 20, 40) == [_DARK_US, 20.0, 40.0]
+    assert bench.exposures(80, 20, 40) == [DARK_US, 20.0, 40.0]
     assert np.all(bench.frame(40)[0] > 0)
 
 
@@ -337,4 +337,4 @@ def test_the_registers_begin_with_the_sensor_of_the_scene(bench: Bench) -> None:
 def test_a_truth_that_cannot_be_written_is_an_outside_fault(tmp_path: Path) -> None:
     scene = SimpleNamespace(camera=small_camera(), site=ImagerOptions().site)
     with pytest.raises(OutsideError):
-        _write_truth(tmp_path / "absent" / "truth.json", cast("Scene", scene), name="x", created_at=START)
+        write_truth(tmp_path / "absent" / "truth.json", cast("Scene", scene), name="x", created_at=START)

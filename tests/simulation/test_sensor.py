@@ -15,7 +15,7 @@ from sunarc.optics.camera import Camera
 from sunarc.optics.pose import rotation_matrix
 from sunarc.simulation.kernels import count_light, sky_light, transmittance_towards
 from sunarc.simulation.options import Bump, Obstruction, SceneOptions, SensorModel
-from sunarc.simulation.scene import Scene, _add, behind_mosaic, bumped_camera, run_over
+from sunarc.simulation.scene import Scene, add_stamp, behind_mosaic, bumped_camera, run_over
 from sunarc.simulation.scene_parts import (
     CLEAR_SKY,
     Stamp,
@@ -194,10 +194,10 @@ def test_an_edge_hides_its_share_of_the_diameter_from_the_left(share: float) -> 
 
 def test_a_stamp_is_added_where_it_overlaps() -> None:
     image, stamp = np.zeros((4, 5), np.float32), Stamp(-1, 2, np.arange(1.0, 7.0).reshape(2, 3))
-    _add(image, stamp, (0, 0))
+    add_stamp(image, stamp, (0, 0))
     assert image[2:, :2].tolist() == [[2.0, 3.0], [5.0, 6.0]]
     assert image.sum() == 16.0
-    _add(image, stamp, (100, 0))
+    add_stamp(image, stamp, (100, 0))
     assert image.sum() == 16.0
 
 

@@ -10,7 +10,7 @@ from pvlib.solarposition import get_solarposition
 
 from sunarc.sky.directions import angular_distance, direction_from_angles
 from sunarc.sky.site import Site
-from sunarc.sky.sun import _delta_t_s, sun_angles
+from sunarc.sky.sun import sun_angles, terrestrial_minus_universal_s
 
 SITES = [
     Site(latitude=36.604043, longitude=-97.484856, altitude=318.0),
@@ -31,7 +31,7 @@ def pvlib_angles(site: Site, method: str) -> pd.DataFrame:
         pressure=site.pressure_pa,
         temperature=site.temperature,
         method=method,
-        **({"delta_t": _delta_t_s(UNIX_S)} if method == "nrel_numpy" else {}),
+        **({"delta_t": terrestrial_minus_universal_s(UNIX_S)} if method == "nrel_numpy" else {}),
     )
     return rows
 

@@ -18,7 +18,7 @@ PAPERS_DELTA_T_S = 67.0
 
 
 def test_the_printed_digits_come_out_with_the_papers_delta_t(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sunarc.sky.sun, "_delta_t_s", lambda _: PAPERS_DELTA_T_S)
+    monkeypatch.setattr(sunarc.sky.sun, "terrestrial_minus_universal_s", lambda _: PAPERS_DELTA_T_S)
     angles = sun_angles(MOMENT, GOLDEN)
     assert float(angles.apparent_zenith) == pytest.approx(APPARENT_ZENITH, abs=0.6e-5)
     assert float(angles.azimuth) == pytest.approx(AZIMUTH, abs=0.6e-5)
@@ -37,4 +37,4 @@ def test_our_own_delta_t_moves_the_sun_by_less_than_a_fifth_of_an_arcsecond() ->
 def test_delta_t_is_what_was_observed(year: int, delta_t_s: float) -> None:
     # observed values, 1 January (IERS); 1 s is 0.00001 degrees of sun
     unix_s = datetime(year, 1, 1, tzinfo=UTC).timestamp()
-    assert sunarc.sky.sun._delta_t_s(np.array([unix_s])) == pytest.approx(delta_t_s, abs=2.5)
+    assert sunarc.sky.sun.terrestrial_minus_universal_s(np.array([unix_s])) == pytest.approx(delta_t_s, abs=2.5)

@@ -17,17 +17,17 @@ from sunarc.optics.forward import project
 from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.sun import sun_directions
 from sunarc.studies.figures import (
-    _draw_angles,
-    _draw_arrows,
-    _draw_components,
-    _draw_rejected,
-    _headline,
-    _within,
+    draw_angles,
+    draw_arrows,
+    draw_components,
+    draw_rejected,
+    headline,
     new_sheet,
     sky_figure,
     sky_sigma,
+    within_image,
 )
-from sunarc.studies.residuals import Residuals, _used, residuals_of
+from sunarc.studies.residuals import Residuals, residuals_of, used_sightings
 
 CAMERA = ideal_camera()  # level, 200 px per radian, its centre at (319.5, 239.5)
 NOON_S = 1_368_469_800.0
@@ -63,7 +63,7 @@ def drawn(axes: Axes) -> dict[str, list[tuple[float, float]]]:
 
 
 def test_components_are_drawn_apart_and_the_used_ones_set_the_limit(axes: Axes) -> None:
-    _draw_components(axes, np.array([1.0, 2.0, 3.0]), THREE)
+    draw_components(axes, np.array([1.0, 2.0, 3.0]), THREE)
     lines = drawn(axes)
     assert lines["x, used"] == [(1.0, 1.0), (2.0, 0.5)]
     assert lines["y, used"] == [(1.0, -2.0), (2.0, 0.5)]
@@ -73,7 +73,7 @@ def test_components_are_drawn_apart_and_the_used_ones_set_the_limit(axes: Axes) 
 
 
 def test_angles_are_drawn_from_zero(axes: Axes) -> None:
-    _draw_angles(axes, np.array([1.0, 2.0, 3.0]), THREE)
+    draw_angles(axes, np.array([1.0, 2.0, 3.0]), THREE)
     expected = [(1.0, 0.1 * math.sqrt(5.0)), (2.0, 0.1 * math.sqrt(0.5))]
     np.testing.assert_allclose(drawn(axes)["used"], expected)
     assert axes.get_ylim() == pytest.approx((0.0, 0.14 * math.sqrt(5.0)))
@@ -81,20 +81,20 @@ def test_angles_are_drawn_from_zero(axes: Axes) -> None:
 
 @pytest.mark.parametrize(("off", "beyond"), [([0.9, -0.9], 0), ([0.98, -0.5], 1), ([2.0, -3.0], 2)])
 def test_the_rejected_beyond_the_edge_are_counted(axes: Axes, off: list[float], beyond: int) -> None:
-    _draw_rejected(axes, np.arange(2.0), np.array(off), 1.0, mark="x", label="rejected")
+    draw_rejected(axes, np.arange(2.0), np.array(off), 1.0, mark="x", label="rejected")
     (line,) = axes.lines
     assert line.get_label() == ("rejected" if beyond == 0 else f"rejected ({beyond} beyond the edge)")
     np.testing.assert_allclose(np.asarray(line.get_ydata(), dtype=np.float64), np.clip(off, -0.97, 0.97))
 
 
 def test_where_none_is_rejected_nothing_is_drawn(axes: Axes) -> None:
-    _draw_rejected(axes, np.zeros(0), np.zeros(0), 1.0, mark="x", label="rejected")
+    draw_rejected(axes, np.zeros(0), np.zeros(0), 1.0, mark="x", label="rejected")
     assert len(axes.lines) == 0
 
 
 def arrows_of(residuals: Residuals) -> tuple[Quiver, Quiver]:
     axes = new_sheet(width_px=400, height_px=300).subplots()
-    _draw_arrows(axes, CAMERA, residuals)
+    draw_arrows(axes, CAMERA, residuals)
     rejected, used = (one for one in axes.collections if isinstance(one, Quiver))
     return rejected, used
 
@@ -122,7 +122,7 @@ def test_a_unit_is_as_long_as_the_stated_share_of_the_image() -> None:
 
 def test_the_map_has_the_images_edges_with_y_down() -> None:
     axes = new_sheet(width_px=400, height_px=300).subplots()
-    _draw_arrows(axes, CAMERA, THREE)
+    draw_arrows(axes, CAMERA, THREE)
     assert axes.get_xlim() == (-0.5, 639.5)
     assert axes.get_ylim() == (479.5, -0.5)
 
@@ -131,14 +131,14 @@ def test_the_map_has_the_images_edges_with_y_down() -> None:
 def test_the_headline_has_the_counts_and_the_verdict(*, accepted: bool, word: str) -> None:
     made = stated_calibration(CAMERA)
     made = replace(made, verdict=replace(made.verdict, accepted=accepted))
-    words = _headline(made)
+    words = headline(made)
     assert words.startswith(f"{made.evidence.n_used} of {made.evidence.n_supplied} ")
     assert word in words
 
 
 def test_a_calibration_without_a_fit_has_no_scatter_in_its_headline() -> None:
     made = stated_calibration(CAMERA)
-    assert "RMSE" not in _headline(replace(made, metrics=replace(made.metrics, n=0)))
+    assert "RMSE" not in headline(replace(made, metrics=replace(made.metrics, n=0)))
 
 
 def points_of(offsets: list[tuple[float, float]], *, sigma: list[float] | None = None) -> tuple[Sightings, Any]:
@@ -170,21 +170,21 @@ def test_of_other_sightings_those_nearest_in_their_own_sigmas_were_used() -> Non
     points, made = points_of([(1.0, 0.0), (2.0, 0.0), (3.0, 0.0)], sigma=[0.1, 1.0, 10.0])
     made = replace(made, evidence=replace(made.evidence, n_used=2))
     offset = np.array([(1.0, 0.0), (2.0, 0.0), (3.0, 0.0)])
-    assert _used(made, points, offset).tolist() == [False, True, True]
+    assert used_sightings(made, points, offset).tolist() == [False, True, True]
 
 
 def test_a_sighting_without_a_sigma_is_judged_by_the_median_of_the_others() -> None:
     points, made = points_of([(1.0, 0.0), (2.0, 0.0), (3.0, 0.0)], sigma=[0.5, math.nan, 1.5])
     made = replace(made, evidence=replace(made.evidence, n_used=1))
     # in sigmas: 2, 2 / 1.0, 3 / 1.5: all alike, so the first; a nearer one without a sigma is taken instead
-    assert _used(made, points, np.array([(1.0, 0.0), (2.0, 0.0), (3.0, 0.0)])).tolist() == [True, False, False]
-    assert _used(made, points, np.array([(1.0, 0.0), (1.9, 0.0), (3.0, 0.0)])).tolist() == [False, True, False]
+    assert used_sightings(made, points, np.array([(1.0, 0.0), (2.0, 0.0), (3.0, 0.0)])).tolist() == [True, False, False]
+    assert used_sightings(made, points, np.array([(1.0, 0.0), (1.9, 0.0), (3.0, 0.0)])).tolist() == [False, True, False]
 
 
 def test_a_sighting_that_is_not_finite_was_never_used() -> None:
     points, made = points_of([(1.0, 0.0), (2.0, 0.0)])
     offset = np.array([(math.nan, 0.0), (2.0, 0.0)])
-    assert _used(made, points, offset).tolist() == [False, True]
+    assert used_sightings(made, points, offset).tolist() == [False, True]
 
 
 @pytest.mark.parametrize(
@@ -195,7 +195,7 @@ def test_the_sky_is_within_the_image_or_beyond_its_edges(
 ) -> None:
     """80 degrees are 279 px: within the 320 px to the sides, beyond the 240 px up and down."""
     direction = direction_from_angles(zenith_deg=zenith_deg, azimuth_deg=azimuth_deg)
-    assert bool(_within(CAMERA, direction)) == inside
+    assert bool(within_image(CAMERA, direction)) == inside
 
 
 def test_a_pixel_of_doubt_of_the_principal_point_is_the_same_angle_along_the_radius() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, rayleigh
 
-from sunarc.studies.tables import SD_OF_DISTANCE, _episodes, clear_noise, cloud_noise
+from sunarc.studies.tables import SD_OF_DISTANCE, clear_noise, cloud_noise, episodes
 
 
 def test_the_distance_of_round_errors_is_rayleighs() -> None:
@@ -32,16 +32,16 @@ def test_without_noise_there_is_none() -> None:
 
 @pytest.mark.parametrize("share", [0.05, 0.22, 0.6])
 def test_episodes_cover_the_share_and_no_more_than_one_beyond(share: float) -> None:
-    covered = _episodes(np.random.default_rng(2), 5000, share)
+    covered = episodes(np.random.default_rng(2), 5000, share)
     assert share <= covered.mean() < share + 0.03
 
 
 def test_no_episodes_where_none_are_asked_for() -> None:
-    assert not _episodes(np.random.default_rng(2), 100, 0.0).any()
+    assert not episodes(np.random.default_rng(2), 100, 0.0).any()
 
 
 def test_episodes_last_twelve_frames_in_the_mean() -> None:
-    covered = _episodes(np.random.default_rng(3), 200_000, 0.02)
+    covered = episodes(np.random.default_rng(3), 200_000, 0.02)
     begins = int(np.sum(np.diff(covered.astype(int)) == 1))
     assert covered.sum() / begins == pytest.approx(12.0, rel=0.15)  # those that touch count as one
 
@@ -58,7 +58,7 @@ def test_all_errors_scatter_as_asked_and_those_between_the_clouds_less(share: fl
 def _episodes_of(rng: np.random.Generator, n: int, share: float) -> np.ndarray:
     """Return which sightings `cloud_noise` covers: it draws the core's errors first."""
     rng.normal(0.0, 0.43, (n, 2))
-    return _episodes(rng, n, share)
+    return episodes(rng, n, share)
 
 
 def test_errors_within_an_episode_are_correlated_and_bounded() -> None:

@@ -13,7 +13,7 @@ from sunarc.optics.pose import pose_angles
 from sunarc.simulation.truth import true_camera
 from sunarc.studies.figures import parameter_figure, rmse_figure
 from sunarc.studies.published import CASES, TRUE_RMSE
-from sunarc.studies.reports import _write_csv, make_folder, writing_into
+from sunarc.studies.reports import make_folder, write_csv, writing_into
 from sunarc.studies.tables import COLUMNS, published_row, truth_row
 from sunarc.studies.trials import QUANTITIES
 from sunarc.studies.uncertainty import Uncertainty, distribution_rows, trial_rows, true_values
@@ -49,7 +49,7 @@ def test_an_error_that_is_not_of_the_disk_passes(tmp_path: Path) -> None:
 
 def test_numbers_have_nine_digits_and_what_is_missing_is_empty(tmp_path: Path) -> None:
     rows: list[dict[str, str | int | float]] = [{"a": 1.0 / 3.0, "b": 12, "c": "x,y"}, {"a": 1e-7}]
-    path = _write_csv(tmp_path / "t.csv", ("a", "b", "c"), rows)
+    path = write_csv(tmp_path / "t.csv", ("a", "b", "c"), rows)
     assert path.read_text() == 'a,b,c\n0.333333333,12,"x,y"\n1e-07,,\n'
     with path.open(newline="") as file:
         assert next(csv.DictReader(file))["c"] == "x,y"

@@ -15,16 +15,16 @@ from sunarc.optics.inverse import unproject
 from sunarc.sky.directions import angular_distance
 from sunarc.sky.sun import sun_directions
 from sunarc.studies.figures import (
-    _limit,
-    _nice,
-    _some,
     contour_levels,
     key,
     letter,
     new_sheet,
+    nice_number,
+    panel_limit,
     residual_figure,
     sky_figure,
     sky_sigma,
+    some_rows,
 )
 from sunarc.studies.residuals import residuals_of
 
@@ -46,18 +46,18 @@ from sunarc.studies.residuals import residuals_of
     ],
 )
 def test_the_nearest_of_one_two_and_five(value: float, nice: float) -> None:
-    assert _nice(value) == pytest.approx(nice)
+    assert nice_number(value) == pytest.approx(nice)
 
 
 @pytest.mark.parametrize(("count", "drawn"), [(0, 0), (200, 200), (201, 101), (1000, 200), (1001, 167)])
 def test_at_most_200_arrows_evenly_chosen(count: int, drawn: int) -> None:
-    rows = _some(np.ones(count, np.bool_))
+    rows = some_rows(np.ones(count, np.bool_))
     assert rows.size == drawn
     assert rows.size == 0 or rows[0] == 0
 
 
 def test_only_what_belongs_is_chosen() -> None:
-    assert _some(np.array([False, True, False, True])).tolist() == [1, 3]
+    assert some_rows(np.array([False, True, False, True])).tolist() == [1, 3]
 
 
 @pytest.mark.parametrize(
@@ -71,7 +71,7 @@ def test_only_what_belongs_is_chosen() -> None:
     ],
 )
 def test_the_used_sightings_set_the_limit_of_a_panel(size: list[float], used: list[bool], limit: float) -> None:
-    assert _limit(np.array(size), np.array(used, np.bool_)) == pytest.approx(limit)
+    assert panel_limit(np.array(size), np.array(used, np.bool_)) == pytest.approx(limit)
 
 
 @pytest.mark.parametrize(

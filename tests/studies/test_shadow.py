@@ -61,7 +61,7 @@ def test_rays_that_miss_one_another_give_the_closest_approach() -> None:
 def test_the_height_of_a_cloud_above_the_middle_scatters_as_the_closed_form_says() -> None:
     height, baseline, sigma = 1200.0, 800.0, 0.05
     middle = [0.5 * baseline, 0.0, height]
-    seen = module._turned(sigma, draws=4000, seed=3)
+    seen = module.turned_errors(sigma, draws=4000, seed=3)
     first, second = seen(to(middle)[None], 0), seen(to(middle, from_east_m=baseline)[None], 1)
     found = pair_height(first, second, baseline_m=baseline)[:, 0]
     expected = overhead_height_sigma_m(sigma_deg=sigma, height_m=height, baseline_m=baseline)
@@ -78,7 +78,7 @@ def test_a_shadow_falls_away_from_the_sun() -> None:
 
 
 def test_the_shadow_of_a_known_height_overhead_moves_by_height_times_the_turn() -> None:
-    seen = module._turned(0.1, draws=4000, seed=4)
+    seen = module.turned_errors(0.1, draws=4000, seed=4)
     sun = direction_from_angles(zenith_deg=40.0, azimuth_deg=180.0)
     place = shadow_place(seen(np.array([[0.0, 0.0, 1.0]]), 0), np.full((4000, 1), 2000.0), sun)[:, 0]
     assert np.std(place, axis=0) == pytest.approx(2000.0 * math.radians(0.1), rel=0.05)

@@ -31,7 +31,7 @@ from sunarc.runtime.supervisor import Supervised, Supervisor, SupervisorOptions
 from sunarc.sky.site import Site
 from sunarc.workers import feed
 from sunarc.workers import feed as hub_connection
-from sunarc.workers.feed import _LONGEST_WAIT_S, _SILENT_S, FeedWorker, HubConnection, HubRefusal
+from sunarc.workers.feed import LONGEST_WAIT_S, SILENT_S, FeedWorker, HubConnection, HubRefusal
 from sunarc.workers.options import HubOptions
 
 _TICK_S = 0.05
@@ -205,9 +205,9 @@ def test_a_hub_that_is_silent_for_long_is_a_condition_and_is_asked_at_most_once_
     worker, bench.wire.faults = bench.worker(), ["cut"] * 100
     waits = [step(worker) for _ in range(12)]
     assert waits[:3] == [5.0, 10.0, 20.0]
-    assert max(waits) == _LONGEST_WAIT_S
+    assert max(waits) == LONGEST_WAIT_S
     assert bench.codes() == set()
-    bench.clock.advance(_SILENT_S)
+    bench.clock.advance(SILENT_S)
     step(worker)
     assert bench.codes() == {"hub_unreachable"}
     bench.wire.faults.clear()

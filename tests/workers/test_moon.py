@@ -26,7 +26,7 @@ from sunarc.simulation.scene import Scene
 from sunarc.simulation.truth import SGP
 from sunarc.sky.night import MoonDisc, body_position, moon_disc
 from sunarc.workers.night.exposures import MOST_LEVEL, MoonExposures
-from sunarc.workers.night.moon import MoonImages, MoonNight, _level
+from sunarc.workers.night.moon import MoonImages, MoonNight, brightest_level
 from sunarc.workers.options import SensorOptions
 
 HALF = datetime(2013, 5, 18, 3, 20, tzinfo=UTC)
@@ -129,7 +129,9 @@ def test_the_level_of_a_moon_is_that_of_its_brightest_pixel(
     for slot in range(4):
         seen = frame(begin + timedelta(minutes=10 * slot), exposure_us, pixel_format=pixel_format)
         cutouts = brightest_cutouts(seen.image, full_scale=seen.full_scale)
-        assert _level(seen, cutouts) == pytest.approx(float(np.max(cutouts[0].image)) / seen.full_scale, rel=1e-6)
+        assert brightest_level(seen, cutouts) == pytest.approx(
+            float(np.max(cutouts[0].image)) / seen.full_scale, rel=1e-6
+        )
 
 
 @pytest.mark.parametrize("stuck", [((10, 10),), ((10, 10), (10, 11)), ((24, 28), (25, 28))])
@@ -137,14 +139,14 @@ def test_two_stuck_pixels_do_not_make_the_level(stuck: tuple[tuple[int, int], ..
     """Alone in the sky, beside each other, and at the moon's limb, where some of its light lies about them."""
     seen = frame(HALF, 160.0)
     (moon, *_) = brightest_cutouts(seen.image, full_scale=seen.full_scale)
-    level = _level(seen, (moon,))
+    level = brightest_level(seen, (moon,))
     image = moon.image.copy()
     for row, column in stuck:
         image[row, column] = seen.full_scale
-    assert level <= _level(seen, (Cutout(moon.x, moon.y, image),)) < MOST_LEVEL
+    assert level <= brightest_level(seen, (Cutout(moon.x, moon.y, image),)) < MOST_LEVEL
     whole = np.full_like(image, seen.full_scale)
-    assert _level(seen, (Cutout(moon.x, moon.y, whole),)) == 1.0
-    assert _level(seen, ()) == 0.0
+    assert brightest_level(seen, (Cutout(moon.x, moon.y, whole),)) == 1.0
+    assert brightest_level(seen, ()) == 0.0
 
 
 def test_clouds_before_the_moon_leave_nothing_and_the_reason(archive: Archive) -> None:

@@ -233,7 +233,7 @@ def test_a_child_that_a_damaged_kernel_ends_has_all_kernels_compiled_anew(
     (folder / "kernel.nbc").touch()
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(folder))
     with pytest.raises(SolverDiedError):
-        solver_process._in_child(
+        solver_process.in_child(
             partial(signal.raise_signal, number),
             clock=SystemClock(), time_limit_s=60.0, stop=threading.Event(), heartbeat=lambda: None,
         )  # fmt: skip

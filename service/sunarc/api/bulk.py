@@ -125,7 +125,7 @@ def answering_each(context: ApiContext, request: Request, asked: FloatArray) -> 
     selected, times = context.of(request), np.unique(asked)
     days = solar_days(times, longitude=selected.site.longitude)
     require_few(len(np.unique(days)), most=_MOST_DAYS, field="at", what="solar days")
-    records = _records(selected, times, asked)
+    records = records_at(selected, times, asked)
     changes = [k for k in range(len(times)) if k == 0 or days[k] != days[k - 1] or records[k] is not records[k - 1]]
     answers = tuple(
         Answering(context=selected, record=records[k], ready=selected.ready.get(records[k]), time=moment(times[k]))
@@ -137,7 +137,7 @@ def answering_each(context: ApiContext, request: Request, asked: FloatArray) -> 
     return Answering(context=selected, record=first.record, ready=first.ready, time=moment(asked[0]), each=each)
 
 
-def _records(context: ApiContext, times: FloatArray, asked: FloatArray) -> list[CalibrationRecord]:
+def records_at(context: ApiContext, times: FloatArray, asked: FloatArray) -> list[CalibrationRecord]:
     """Return what answers at each of rising times.
 
     A calibration answers for one interval of time (one that is made current again does so as a copy), so that what

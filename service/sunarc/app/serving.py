@@ -127,7 +127,7 @@ def _serve_at(listening: socket.socket, settings: Settings) -> int:
         notifier, snapshot=service.board.snapshot, address=_address(settings), monotonic=clock.monotonic
     )
     server = _web_server(service, on_started=status.ready)
-    schedule = _schedule(service)
+    schedule = daily_schedule(service)
     first_frame = FirstFrame(service.board)
     stop_on_signals(server)
     with ExitStack() as stack:
@@ -135,12 +135,12 @@ def _serve_at(listening: socket.socket, settings: Settings) -> int:
         stack.callback(service.archive.close)
         supervisor = stack.enter_context(
             supervised(
-                (*service.workers(), *recording, *_push_workers(service)),
+                (*service.workers(), *recording, *push_workers_of(service)),
                 clock=clock,
                 board=service.board,
                 feed=notifier.watchdog,
                 on_failed=lambda: _stop_serving(server),
-                monitored=_monitored(service, server=server, schedule=schedule),
+                monitored=monitored_parts(service, server=server, schedule=schedule),
                 on_check=(schedule.follow_clock, first_frame.check, service.check_sightings, status.update),
             )
         )
@@ -260,7 +260,8 @@ def _stop_serving(server: uvicorn.Server) -> None:
     server.should_exit = True
 
 
-def _monitored(service: Service, *, server: Server, schedule: Schedule) -> tuple[Monitored, ...]:
+def monitored_parts(service: Service, *, server: Server, schedule: Schedule) -> tuple[Monitored, ...]:
+    """Return the web server and the schedule as parts whose heartbeats are watched."""
     stale_after_s = min(service.settings.supervisor.stale_after_s, LOOP_STALE_S)
     return (
         Monitored(name="web", heartbeat=server.heartbeat, stale_after_s=stale_after_s),
@@ -272,7 +273,8 @@ def _monitored(service: Service, *, server: Server, schedule: Schedule) -> tuple
     )
 
 
-def _push_workers(service: Service) -> tuple[Supervised, ...]:
+def push_workers_of(service: Service) -> tuple[Supervised, ...]:
+    """Return the workers that send messages to receivers."""
     return push_workers(
         service.settings.push,
         archive=service.archive,
@@ -284,7 +286,8 @@ def _push_workers(service: Service) -> tuple[Supervised, ...]:
     )
 
 
-def _schedule(service: Service) -> Schedule:
+def daily_schedule(service: Service) -> Schedule:
+    """Return the schedule that judges completed days."""
     return Schedule(
         service.judge_completed_days,
         every_s=service.settings.refit.check_every_s,

@@ -391,7 +391,7 @@ def fit_as_paper(
     in_epoch = usable.epoch == last
     one = observed.select(in_epoch).weighted(np.ones(int(np.sum(in_epoch))))
     bins = time_bins(usable).select(in_epoch) if quickly else None
-    camera = _start(cameras[last], one, options)
+    camera = start_camera(cameras[last], one, options)
     last_of_stage = (Param.TRANSLATION_Z, Param.K9, Param.P4)
     for last_moving in last_of_stage:
         moving = np.arange(last_moving + 1)
@@ -411,7 +411,7 @@ def fit_as_paper(
     return FitOutcome(
         cameras=[*cameras[:last], camera],
         parameter_names=tuple(PARAMETER_NAMES[i] for i in moving),
-        covariance=variance * _inverse(jacobian[:, moving]),
+        covariance=variance * normal_inverse(jacobian[:, moving]),
         field=no_field(camera, size=moving.size),
         residual=np.nan_to_num(residual),
         used=in_epoch,
@@ -431,7 +431,7 @@ def _means(observed: Observations, bins: Bins, camera: Camera) -> Observations:
     return replace(gathered, pixels=project_fast(camera, gathered.directions) + mean)
 
 
-def _inverse(jacobian: FloatArray) -> FloatArray:
+def normal_inverse(jacobian: FloatArray) -> FloatArray:
     """Return (J'J)⁻¹ with its columns brought to one size first; what nothing determines comes out large."""
     size = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
     scaled = jacobian / size
@@ -439,7 +439,7 @@ def _inverse(jacobian: FloatArray) -> FloatArray:
     return np.asarray(inverse / size[:, None] / size, dtype=np.float64)
 
 
-def _start(camera: Camera, observed: Observations, options: CalibrationOptions) -> Camera:
+def start_camera(camera: Camera, observed: Observations, options: CalibrationOptions) -> Camera:
     """Return K0 with the pose of the chosen start, without distortion."""
     focal = 0.5 * (camera.focal_length_px[0] + camera.focal_length_px[1])
     plain = replace(camera, focal_length_px=(focal, focal), skew_px=0.0, radial=(0.0,) * 8, decentering=(0.0,) * 4)
@@ -463,24 +463,26 @@ def _minimised(
 
     Levenberg-Marquardt on the normal equations, their columns brought to one size.
     """
-    optics, weighed = kernel_optics(_unlimited(camera)), _penalties(camera, options).weighed()
+    optics, weighed = kernel_optics(unlimited(camera)), penalties_of(camera, options).weighed()
     vector = minimised(optics, as_seen(observed), weighed, camera.to_vector(), moving, limits)
     return camera.with_parameters(vector)
 
 
-def _unlimited(camera: Camera) -> Camera:
+def unlimited(camera: Camera) -> Camera:
+    """Return a camera with the largest angle that its projection allows."""
     return replace(camera, max_angle=angle_limit(camera.projection) * (1.0 - 1e-6))
 
 
-def _penalties(camera: Camera, options: CalibrationOptions) -> Penalties:
+def penalties_of(camera: Camera, options: CalibrationOptions) -> Penalties:
+    """Return the penalties of the paper's constraints on a camera."""
     edge = _PERSPECTIVE_EDGE if camera.projection == "perspective" else math.pi / 2
     return Penalties.of(camera.projection, options.paper, largest_angle=edge)
 
 
 def equations(camera: Camera, observed: Observations, options: CalibrationOptions) -> Equations:
     """Return the misfit of a camera that answers at any angle, each sighting weighed by its information."""
-    pixels, rows = project_with_rows_fast(_unlimited(camera), observed.directions)
-    values, slopes = _penalties(camera, options).values_and_slopes(camera.to_vector())
+    pixels, rows = project_with_rows_fast(unlimited(camera), observed.directions)
+    values, slopes = penalties_of(camera, options).values_and_slopes(camera.to_vector())
     root = np.sqrt(observed.information)[:, None]
     misfit = np.concatenate([(root * finite(pixels - observed.pixels)).ravel(), values])
     return Equations(misfit, np.concatenate([(root[..., None] * rows).reshape(-1, slopes.shape[1]), slopes]))
@@ -507,7 +509,7 @@ def direct_linear_pose(camera: Camera, observed: Observations) -> Camera:
     center, spread = world.mean(axis=0), float(np.mean(np.linalg.norm(world - world.mean(axis=0), axis=-1)))
     scale = math.sqrt(3.0) / spread
     normalised = np.concatenate([scale * (world - center), np.ones((world.shape[0], 1))], axis=1)
-    blocks = np.einsum("ni,naj->naji", normalised, _left_null_spaces(rays)).reshape(-1, 3, 4)
+    blocks = np.einsum("ni,naj->naji", normalised, left_null_spaces(rays)).reshape(-1, 3, 4)
     solution = np.linalg.svd(blocks.reshape(-1, 12), full_matrices=False)[2][-1].reshape(3, 4)
     undo = np.eye(4)
     undo[:3] *= scale
@@ -515,7 +517,7 @@ def direct_linear_pose(camera: Camera, observed: Observations) -> Camera:
     return _posed(camera, solution @ undo, world, rays)
 
 
-def _left_null_spaces(rays: FloatArray) -> FloatArray:
+def left_null_spaces(rays: FloatArray) -> FloatArray:
     """Return (n, 2, 3): two unit vectors orthogonal to each ray and to each other."""
     helper = np.where(np.abs(rays[:, 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
     first = np.cross(helper, rays)

@@ -75,7 +75,7 @@ _CORRECTION = 1.0 - 0.5 * _KEEP**2 * _TAIL / (1.0 - _TAIL)
 def robust_scale(distance: FloatArray, share: float, floor: float) -> float:
     """Return `robust_sigma` of distances (n,), at least one, for compiled loops."""
     # the distance of a round Gaussian is Rayleigh: its quantile q lies at sqrt(-2 ln(1 - q)) sigma
-    nearest = _quantile(distance, share)
+    nearest = chi_quantile(distance, share)
     first = nearest / math.sqrt(-2.0 * math.log1p(-share))
     # the well-behaved ones stay within the cut: it would else close in on those of few that a fit passes through
     floor = max(floor, nearest / _KEEP)
@@ -83,7 +83,7 @@ def robust_scale(distance: FloatArray, share: float, floor: float) -> float:
 
 
 @njit(nogil=True)
-def _quantile(values: FloatArray, share: float) -> float:
+def chi_quantile(values: FloatArray, share: float) -> float:
     """Return `numpy.quantile` of (n,) values, linear between neighbours, without its cost a call."""
     place = share * (values.size - 1)
     below = min(int(place), max(values.size - 2, 0))

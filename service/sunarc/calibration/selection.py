@@ -223,7 +223,7 @@ def _passes(record: Candidates, among: IntArray, day: IntArray, site: Site, opti
     member = of_run[run]
     count = np.bincount(member, minlength=key.size)
     of_patch, of_epoch = key // (n_days * n_epochs), key // n_days % n_epochs
-    grade = _grade(record.sigma_px[among], member, count)
+    grade = sigma_grade(record.sigma_px[among], member, count)
     bits = _bits_reversed(key % n_days)
     order = np.lexsort((bits, grade, of_epoch < n_epochs - 1, of_patch))
     count, of_patch, of_epoch = count[order], of_patch[order], of_epoch[order]
@@ -244,7 +244,7 @@ def _patches(slots: FloatArray, site: Site, width_deg: float) -> IntArray:
     return sky_patches(sun_directions((slot + 0.5) * _PATCH_SLOT_S, site), width_deg=width_deg)[member]
 
 
-def _grade(sigma_px: FloatArray, member: IntArray, count: IntArray) -> IntArray:
+def sigma_grade(sigma_px: FloatArray, member: IntArray, count: IntArray) -> IntArray:
     """Return how often a pass's sigma is twice the record's usual one: 0, 1, …; 0 where none is stated."""
     has_sigma = np.isfinite(sigma_px) & (sigma_px > 0.0)
     if not np.any(has_sigma):

@@ -90,7 +90,7 @@ def calibrate_with_prior(
     )
     if len(usable) < FEWEST:
         return refused(job, (Finding("too_few_sightings", {"n": len(usable), "least": FEWEST}),))
-    basis = _basis(prior, tolerances)
+    basis = whitened_basis(prior, tolerances)
     start = _stated(prior, basis, job)
     sigma_px = noise_px(start, points.sigma_px[usable.index])
     turned_rad = None if tolerances.pose_deg is None else math.radians(tolerances.pose_deg)
@@ -113,7 +113,7 @@ def _contradicted(departure: float) -> Finding:
     return Finding("prior_contradicted", {"departure": departure, "limit": _LARGEST_DEPARTURE})
 
 
-def _basis(prior: Camera, tolerances: PriorTolerances) -> FloatArray:
+def whitened_basis(prior: Camera, tolerances: PriorTolerances) -> FloatArray:
     """Return (20, 17): the lens's parameters among `FREE` per 1 sigma of each of its whitened coordinates."""
     focal = float(np.mean(prior.focal_length_px))
     edge = float(ideal_radius(prior.projection, _RIGHT_ANGLE if prior.projection != "perspective" else 1.0))

@@ -369,7 +369,7 @@ def _print_calibration(document: dict[str, Any]) -> None:
             "1-sigma over the sky",
             f"{significant(sky['sky_rms_deg'], 2)}° RMS, {significant(sky['sky_max_deg'], 2)}° at most",
         ],
-        ["field beside the lens", _field(sky["field"])],
+        ["field beside the lens", field_text(sky["field"])],
         ["verdict", "accepted" if verdict["accepted"] else "marginal" if verdict["marginal"] else "refused"],
         *(["", reason] for reason in verdict["reasons"]),
         *(["remedy", remedy] for remedy in _remedies(verdict)),
@@ -383,7 +383,7 @@ def _remedies(verdict: dict[str, Any]) -> list[str]:
     return [one for one in dict.fromkeys(found) if one != "none"]
 
 
-def _field(field: dict[str, Any]) -> str:
+def field_text(field: dict[str, Any]) -> str:
     """Return how large and how smooth the field is, and whether the prediction has its mean."""
     if field["amplitude_px"] == 0.0:
         return "none"

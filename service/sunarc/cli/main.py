@@ -26,7 +26,7 @@ class _Command(NamedTuple):
     help: str
 
 
-_COMMANDS = {
+COMMANDS = {
     "calibrate": _Command(
         "calibrate",
         "calibrate",
@@ -114,7 +114,7 @@ class _Commands(TyperGroup):
 
 def _loaded(name: str) -> Any:  # noqa: ANN401 - click's command
     """Return a command with its options."""
-    module, attribute, _ = _COMMANDS[name]
+    module, attribute, _ = COMMANDS[name]
     found = getattr(importlib.import_module(f"sunarc.cli.{module}"), attribute)
     alone = _new_group(TyperGroup)
     if isinstance(found, typer.Typer):
@@ -137,7 +137,7 @@ def _new_group(cls: type[TyperGroup]) -> typer.Typer:
 
 
 cli = _new_group(_Commands)
-for _name, _command in _COMMANDS.items():
+for _name, _command in COMMANDS.items():
     cli.command(_name, help=_command.help)(lambda: None)
 
 

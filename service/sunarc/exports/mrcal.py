@@ -50,9 +50,9 @@ def splined_model(camera: Camera) -> SplinedModel:
     x0, y0 = camera.principal_point_px
     center = np.array([camera.width - 1.0 - x0 if camera.mirrored else x0, y0])
     u = 2.0 * sky.rays[:, :2] / (1.0 + sky.rays[:, 2:])
-    design = _design(u, _knots_per_u(fov_deg))
+    design = spline_weights(u, _knots_per_u(fov_deg))
     displacement = (sky.pixels - center) / focal - u
-    bending = _bending()
+    bending = spline_bending()
     # Control points beyond the image have no data: the third differences continue the surface smoothly.
     normal = (design.T @ design + _STIFFNESS * (bending.T @ bending)).tocsc()
     control = spsolve(normal, design.T @ displacement)
@@ -89,7 +89,7 @@ def splined_view(model: SplinedModel, *, size: tuple[int, int]) -> View:
             u = 2.0 * rays[:, :2] / (1.0 + rays[:, 2:])
         valid = np.hypot(u[:, 0], u[:, 1]) <= 2.0 * math.tan(half / 2.0)
         u = np.where(valid[:, None], u, 0.0)
-        pixels = (u + _design(u, _knots_per_u(_fov_deg(model.name))) @ control) * focal + center
+        pixels = (u + spline_weights(u, _knots_per_u(_fov_deg(model.name))) @ control) * focal + center
         return np.where(valid[:, None], pixels, np.nan)
 
     return lens_view(
@@ -138,7 +138,7 @@ def _fov_deg(name: str) -> float:
     return float(name.rpartition("=")[2])
 
 
-def _design(u: FloatArray, knots_per_u: float) -> csr_array:
+def spline_weights(u: FloatArray, knots_per_u: float) -> csr_array:
     """Return (n, knots²): the weight of every control point, the row of the image slowest."""
     # Four knots carry each place; just below the last but one, so that the fourth exists.
     position = np.clip(u * knots_per_u + (_KNOTS - 1) / 2.0, 1.0, _KNOTS - 2.0 - 1e-9)
@@ -158,7 +158,7 @@ def _design(u: FloatArray, knots_per_u: float) -> csr_array:
     return csr_array((value.ravel(), (row.ravel(), index.ravel())), shape=(count, _KNOTS**2))
 
 
-def _bending() -> csr_array:
+def spline_bending() -> csr_array:
     """Return what holds the control points that no ray reaches: differences of the third order."""
     third = csr_array(np.diff(np.eye(_KNOTS), n=3, axis=0))
     identity = csr_array(np.eye(_KNOTS))

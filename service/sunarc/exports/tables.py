@@ -129,7 +129,7 @@ def calibration_table(calibration: Calibration, document: Mapping[str, Any]) -> 
     """
     camera = calibration.camera
     size = (camera.width, camera.height)
-    x, y = _every(_STEP, camera.width), _every(_STEP, camera.height)
+    x, y = every_nth(_STEP, camera.width), every_nth(_STEP, camera.height)
     grid = np.stack(np.meshgrid(x, y), axis=-1).astype(np.float64)
     # The grid is that of the service's own table, so that a file and the API give the same directions.
     directions = lookup(calibration).back_project(grid.reshape(-1, 2)).reshape(len(y), len(x), -1)
@@ -163,7 +163,7 @@ def calibration_table(calibration: Calibration, document: Mapping[str, Any]) -> 
     return Table(variables=variables, attributes=attributes), error
 
 
-def _every(step: int, size: int) -> IntArray:
+def every_nth(step: int, size: int) -> IntArray:
     """Return every so manieth pixel, and the last one."""
     return np.unique(np.r_[np.arange(0, size, step), size - 1])
 

@@ -36,7 +36,7 @@ class GeodeticPosition(NamedTuple):
 
 def geodetic_position(position_m: FloatArray, site: Site) -> GeodeticPosition:
     """Return the places of points (n, 3), metres east, north and up of a site."""
-    axes, origin = _frame(site)
+    axes, origin = local_frame(site)
     x, y, z = np.moveaxis(position_m @ axes + origin, -1, 0)
     across = np.hypot(x, y)
     latitude = np.arctan2(z, across * (1.0 - ECCENTRICITY2))
@@ -52,12 +52,12 @@ def geodetic_position(position_m: FloatArray, site: Site) -> GeodeticPosition:
 
 def in_frame_of(site: Site, other: Site) -> tuple[FloatArray, FloatArray]:
     """Return where another site is, (3,) metres east, north and up of a site, and (3, 3): its axes to the site's."""
-    axes, origin = _frame(site)
-    other_axes, other_origin = _frame(other)
+    axes, origin = local_frame(site)
+    other_axes, other_origin = local_frame(other)
     return axes @ (other_origin - origin), axes @ other_axes.T
 
 
-def _frame(site: Site) -> tuple[FloatArray, FloatArray]:
+def local_frame(site: Site) -> tuple[FloatArray, FloatArray]:
     """Return the (3, 3) rows east, north, up and the site itself, in the Earth's own frame."""
     latitude, longitude = math.radians(site.latitude), math.radians(site.longitude)
     sine, cosine = math.sin(latitude), math.cos(latitude)

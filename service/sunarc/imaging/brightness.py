@@ -149,11 +149,11 @@ def _thinned(indices: IntArray) -> IntArray:
 
 
 def _contrast(image: Image, bright: IntArray, dark: IntArray) -> _Level:
-    above, below = _trimmed(image[bright]), _trimmed(image[dark])
+    above, below = trimmed_mean(image[bright]), trimmed_mean(image[dark])
     return _Level(mean=above.mean - below.mean, error=float(np.hypot(above.error, below.error)))
 
 
-def _trimmed(values: Image) -> _Level:
+def trimmed_mean(values: Image) -> _Level:
     """Return the mean without the extremes."""
     ordered: FloatArray = np.sort(values).astype(np.float64)
     cut = int(_TRIM * ordered.size)

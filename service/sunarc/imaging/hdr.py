@@ -59,7 +59,9 @@ def merge_hdr(images: Sequence[Image], exposures_us: Sequence[float], *, sensor:
     exposures = np.asarray(exposures_us, dtype=np.float64)[order]
     read_variance = (sensor.read_noise_e / sensor.gain_e_per_count) ** 2 + 1.0 / 12.0
     full = float(sensor.full_scale)
-    merged, saturated = _merge(stack, exposures, sensor.black_level, full, read_variance, 1.0 / sensor.gain_e_per_count)
+    merged, saturated = merge_exposures(
+        stack, exposures, sensor.black_level, full, read_variance, 1.0 / sensor.gain_e_per_count
+    )
     return HdrImage(
         image=merged,
         counts_per_us=(full - sensor.black_level) / float(exposures[0]) / _FULL,
@@ -78,7 +80,7 @@ def _require_alike(images: Sequence[Image], exposures_us: Sequence[float]) -> No
 
 
 @njit(nogil=True)
-def _merge(  # noqa: PLR0917 - numba compiles no keyword-only arguments
+def merge_exposures(  # noqa: PLR0917 - numba compiles no keyword-only arguments
     stack: Image,
     exposures: FloatArray,
     black: float,

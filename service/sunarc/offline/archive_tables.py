@@ -127,12 +127,13 @@ def _write_csv(path: Path, kind: type[Any], values: Iterable[Any]) -> int:
         writer = csv.writer(file)
         writer.writerow(names)
         for value in values:
-            writer.writerow([_cell(getattr(value, name)) for name in names])
+            writer.writerow([table_cell(getattr(value, name)) for name in names])
             written += 1
     return written
 
 
-def _cell(value: Any) -> str | float | int:  # noqa: ANN401 - whatever a field holds
+def table_cell(value: Any) -> str | float | int:  # noqa: ANN401 - whatever a field holds
+    """Return a value as a cell of a CSV table."""
     if value is None:
         return ""
     if isinstance(value, bool):

@@ -140,14 +140,14 @@ def calibrate_file(
         _require_size(known.camera, image_size)
         solved = estimate_pose(points, start=known, site=site, options=options)
     elif start is not None and within is not None:
-        prior = _start_camera(start, image_size, options, posed=within.pose_deg is not None)
+        prior = start_camera(start, image_size, options, posed=within.pose_deg is not None)
         solved = calibrate_with_prior(points, prior=prior, tolerances=within, site=site, options=options)
     elif start is None and not projection_known:
         solved, points = calibrate_unknown_lens(
             points, site=site, image_size=image_size, options=options, circle=circle
         )
     else:
-        begin = None if start is None else _start_camera(start, image_size, options)
+        begin = None if start is None else start_camera(start, image_size, options)
         solved, points = calibrate_moved(
             points, site=site, image_size=image_size, options=options, circle=circle, start=begin
         )
@@ -186,7 +186,7 @@ def read_points(path: Path, image_size: tuple[int, int]) -> Sightings:
     )
 
 
-def _start_camera(
+def start_camera(
     path: Path, image_size: tuple[int, int], options: CalibrationOptions, *, posed: bool = False
 ) -> Camera:
     """Return the camera to begin at: that of a document, or the one closest to what a file of another format says.

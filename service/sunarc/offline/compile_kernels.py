@@ -23,7 +23,7 @@ from sunarc.sky.sun import sun_angles, sun_directions
 
 _SIZE = 160
 _SUN_RADIUS_PX = 9.0  # about the sun's through a fisheye of 2 megapixels
-_CENTRE_PX = 81.3
+CENTRE_PX = 81.3
 
 _SITE = Site(latitude=36.6, longitude=0.0, altitude=318.0)
 _DAY = 1_368_403_200.0  # 13 May 2013, 0 h UTC; any day would do
@@ -59,11 +59,11 @@ def compile_kernels(*, first_sighting_alone: bool = False) -> None:
 def _sight() -> None:
     """Detect a drawn sun in frames of 8 and 16 bit, and merge them."""
     expected = Expectation(
-        x_px=_CENTRE_PX + 0.5, y_px=_CENTRE_PX - 0.5, stretch_px_per_rad=((1500.0, 0.0), (0.0, 1500.0))
+        x_px=CENTRE_PX + 0.5, y_px=CENTRE_PX - 0.5, stretch_px_per_rad=((1500.0, 0.0), (0.0, 1500.0))
     )
     for full_scale in (255, 4095):
         sensor = Sensor(full_scale=full_scale, gain_e_per_count=10_000.0 / full_scale, black_level=0.01 * full_scale)
-        drawn = _drawn_sun(full_scale)
+        drawn = drawn_sun(full_scale)
         frame: Image = drawn.astype(np.uint8) if full_scale < 256 else drawn.astype(np.uint16)
         frame.flags.writeable = False  # as the camera's frames are, another type to numba
         for expectation in (None, expected):
@@ -71,9 +71,10 @@ def _sight() -> None:
         merge_hdr([frame, frame], [10.0, 40.0], sensor=sensor)
 
 
-def _drawn_sun(full_scale: int) -> FloatArray:
+def drawn_sun(full_scale: int) -> FloatArray:
+    """Return an image with a disc as the sun's."""
     y, x = np.mgrid[:_SIZE, :_SIZE]
-    edge = np.clip(_SUN_RADIUS_PX + 0.5 - np.hypot(x - _CENTRE_PX, y - _CENTRE_PX), 0.0, 1.0)
+    edge = np.clip(_SUN_RADIUS_PX + 0.5 - np.hypot(x - CENTRE_PX, y - CENTRE_PX), 0.0, 1.0)
     drawn: FloatArray = (0.01 + 0.6 * edge) * full_scale
     return drawn
 

@@ -291,7 +291,7 @@ def inverse_table(camera: Camera) -> InverseTable:
         constants=constants,
         rotation=rotation_matrix(camera.rotation_cam_enu),
         pieces=np.ascontiguousarray(pieces),
-        rounds=_rounds(camera, largest),
+        rounds=decentering_rounds(camera, largest),
         displacement=None if beside is None else displacement_table(beside, width=camera.width, height=camera.height),
     )
 
@@ -330,7 +330,7 @@ def _cubic(value: FloatArray, slope: FloatArray) -> FloatArray:
     )
 
 
-def _rounds(camera: Camera, largest: float) -> int | None:
+def decentering_rounds(camera: Camera, largest: float) -> int | None:
     """Return how many fixed-point rounds bring the decentering's error below 1e-10 focal lengths, as tried out."""
     if not any(camera.decentering[:2]):
         return 0

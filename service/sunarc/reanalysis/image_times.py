@@ -196,7 +196,7 @@ def taken(path: Path, naming: Naming) -> tuple[datetime, float | None]:
     sidecar = path.with_suffix(".json")
     if sidecar.exists():
         return _from_sidecar(sidecar, exposure_us)
-    captured_at = _from_document(path) or _from_name(path.name, offset) or _from_exif(path, offset)
+    captured_at = _from_document(path) or time_from_name(path.name, offset) or _from_exif(path, offset)
     if captured_at is None:
         raise RefusedImageError(path.name, no_time_finding(path.name))
     return captured_at, exposure_us
@@ -226,7 +226,8 @@ def _from_document(path: Path) -> datetime | None:
         return None
 
 
-def _from_name(name: str, offset: UtcOffset) -> datetime | None:
+def time_from_name(name: str, offset: UtcOffset) -> datetime | None:
+    """Return the time in a file's name; None where it has none."""
     named = time_in_name(name)
     try:
         return None if named is None else named.utc(offset, name=name)

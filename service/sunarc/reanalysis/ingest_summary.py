@@ -97,12 +97,12 @@ def sentence_of(finding: Finding) -> str:
 
 
 _EXAMPLES = 5
-_TILE_PX = 220
-_TITLE_PX = 30
+TILE_PX = 220
+TITLE_PX = 30
 _CROP_RADII = 6.0
 """Half a crop's side, in radii of what was found."""
 _LEAST_CROP_PX = 24
-_ACCEPTED, _REJECTED, _TEXT = (0, 200, 0), (0, 140, 255), (230, 230, 230)
+ACCEPTED, REJECTED, _TEXT = (0, 200, 0), (0, 140, 255), (230, 230, 230)
 
 _Picture = np.ndarray[Any, np.dtype[np.uint8]]
 
@@ -135,16 +135,16 @@ def write_contact_sheet(folder: Path, found: Mapping[ImageFile, FileSighting], t
 def _row(folder: Path, verdict: str, images: Sequence[ImageFile], found: Mapping[ImageFile, FileSighting]) -> _Picture:
     some = np.unique(np.linspace(0, len(images) - 1, _EXAMPLES).astype(int))
     tiles = [_example(folder / images[index].path, found[images[index]]) for index in some]
-    row = np.zeros((_TITLE_PX + _TILE_PX, 2 * _TILE_PX * _EXAMPLES, 3), dtype=np.uint8)
-    _write(row, f"{verdict}: {len(images)}", (6, _TITLE_PX - 9), scale=0.7)
+    row = np.zeros((TITLE_PX + TILE_PX, 2 * TILE_PX * _EXAMPLES, 3), dtype=np.uint8)
+    _write(row, f"{verdict}: {len(images)}", (6, TITLE_PX - 9), scale=0.7)
     for number, tile in enumerate(tiles):
-        row[_TITLE_PX:, 2 * _TILE_PX * number : 2 * _TILE_PX * (number + 1)] = tile
+        row[TITLE_PX:, 2 * TILE_PX * number : 2 * TILE_PX * (number + 1)] = tile
     return row
 
 
 def _example(path: Path, sighting: FileSighting) -> _Picture:
     """Return one example, (tile, 2 tiles, 3); an image that is gone meanwhile leaves it dark."""
-    tile = np.zeros((_TILE_PX, 2 * _TILE_PX, 3), dtype=np.uint8)
+    tile = np.zeros((TILE_PX, 2 * TILE_PX, 3), dtype=np.uint8)
     try:
         image = read_checked_image(path)
     except InputError:
@@ -152,12 +152,12 @@ def _example(path: Path, sighting: FileSighting) -> _Picture:
     small, shrink = _fitted(_colours(image))
     if sighting.x_px is not None and sighting.y_px is not None:
         at = round(shrink * sighting.x_px), round(shrink * sighting.y_px)
-        colour = _ACCEPTED if sighting.accepted else _REJECTED
+        colour = ACCEPTED if sighting.accepted else REJECTED
         cv2.drawMarker(small, at, colour, markerType=cv2.MARKER_CROSS, markerSize=18, thickness=1)
         crop = _crop(image, sighting)
-        tile[: crop.shape[0], _TILE_PX : _TILE_PX + crop.shape[1]] = crop
+        tile[: crop.shape[0], TILE_PX : TILE_PX + crop.shape[1]] = crop
     tile[: small.shape[0], : small.shape[1]] = small
-    _write(tile, path.name[-34:], (3, _TILE_PX - 5), scale=0.36)
+    _write(tile, path.name[-34:], (3, TILE_PX - 5), scale=0.36)
     return tile
 
 
@@ -171,7 +171,7 @@ def _crop(image: Image, sighting: FileSighting) -> _Picture:
         return np.zeros((1, 1, 3), dtype=np.uint8)
     enlarged, scale = _fitted(_colours(part))
     centre = round(scale * (x - left)), round(scale * (y - top))
-    colour = _ACCEPTED if sighting.accepted else _REJECTED
+    colour = ACCEPTED if sighting.accepted else REJECTED
     cv2.drawMarker(enlarged, centre, colour, markerType=cv2.MARKER_CROSS, markerSize=9, thickness=1)
     if radius > 0.0:
         cv2.circle(enlarged, centre, round(scale * radius), colour, 1)
@@ -180,7 +180,7 @@ def _crop(image: Image, sighting: FileSighting) -> _Picture:
 
 def _fitted(picture: _Picture) -> tuple[_Picture, float]:
     """Return a picture as large as a tile holds, and by how much it was enlarged."""
-    scale = _TILE_PX / max(picture.shape[:2])
+    scale = TILE_PX / max(picture.shape[:2])
     size = max(1, round(scale * picture.shape[1])), max(1, round(scale * picture.shape[0]))
     method = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_NEAREST
     return np.ascontiguousarray(cv2.resize(picture, size, interpolation=method), dtype=np.uint8), scale

@@ -298,7 +298,7 @@ def predictions(camera: CameraImages, states: Sequence[State], epochs: Sequence[
             ImageFile(image.file, (round(1e6 * (image.unix_s - state.clock_offset_s)), 0.0, image.file))
             for image in members
         ]
-        expected += [_rounded(one) for one in expectations(state.calibration, shifted, site=camera.plan.site)]
+        expected += [rounded(one) for one in expectations(state.calibration, shifted, site=camera.plan.site)]
     return expected
 
 
@@ -308,7 +308,8 @@ def epoch_at(epochs: Sequence[Epoch], unix_s: float) -> int:
     return max(int(np.searchsorted(starts, unix_s, side="right")) - 1, 0)
 
 
-def _rounded(one: Expectation | None) -> Expectation | None:
+def rounded(one: Expectation | None) -> Expectation | None:
+    """Return a prediction rounded to a quarter of a pixel, its sigma to half a pixel."""
     if one is None:
         return None
     stretch = one.stretch_px_per_rad

@@ -302,12 +302,13 @@ def find_epochs(points: Sightings, states: Sequence[State], camera: Camera) -> t
     for number, first in enumerate(bounds.tolist()):
         last = int(bounds[number + 1]) - 1 if number + 1 < bounds.size else len(points) - 1
         state = int(path[first])
-        cause = _cause(states[epochs[-1].state], states[state]) if epochs else "start"
+        cause = cause_of(states[epochs[-1].state], states[state]) if epochs else "start"
         epochs.append(Epoch(state, cause, first, last, float(points.unix_s[first]), float(points.unix_s[last])))
     return epochs, path
 
 
-def _cause(former: State, state: State) -> Cause:
+def cause_of(former: State, state: State) -> Cause:
+    """Return what changed from one state to the next."""
     if state.lens != former.lens:
         return "lens"
     return "moved" if state.pose != former.pose else "clock"

@@ -64,11 +64,11 @@ def all_settings() -> list[Setting]:
     for name, field in Settings.model_fields.items():
         options = dataclass_in(field.annotation)
         if options is None:
-            default = "required" if field.is_required() else _toml(field.default)
+            default = "required" if field.is_required() else toml_text(field.default)
             allowed = _allowed(field.annotation)
             top.append(Setting(name=name, default=default, allowed=allowed, meaning=meanings.get(name, "")))
         else:
-            sections += list(_of_options(options, name))
+            sections += list(of_options(options, name))
     return [setting for setting in top + sections if not setting.name.startswith(_FOR_PYTHON)]
 
 
@@ -90,12 +90,13 @@ def attributes_of(documented: type) -> dict[str, str]:
     return {name: " ".join(text.split()) for names, text in found for name in names.split(", ")}
 
 
-def _of_options(options: type, section: str) -> Iterator[Setting]:
+def of_options(options: type, section: str) -> Iterator[Setting]:
+    """Yield the settings of one section, and of the sections within."""
     hints, bounds, meanings = get_type_hints(options), bounds_of(options), attributes_of(options)
     for field in fields(options):
         name, inner = f"{section}.{field.name}", dataclass_in(hints[field.name])
         if inner is not None:
-            yield from _of_options(inner, name)
+            yield from of_options(inner, name)
             continue
         yield Setting(
             name=name,
@@ -107,8 +108,8 @@ def _of_options(options: type, section: str) -> Iterator[Setting]:
 
 def _default(field: Field[Any]) -> str:
     if field.default is not MISSING:
-        return _toml(field.default)
-    return "required" if field.default_factory is MISSING else _toml(field.default_factory())
+        return toml_text(field.default)
+    return "required" if field.default_factory is MISSING else toml_text(field.default_factory())
 
 
 def dataclass_in(annotation: Any) -> Any:  # noqa: ANN401 - any annotation
@@ -123,26 +124,28 @@ def _allowed(annotation: Any, bounds: tuple[Bound, ...] = ()) -> str:  # noqa: A
         bounds = (OneOf(get_args(annotation)),)
     if any(isinstance(bound, OneOf) for bound in bounds):
         return bounds_text(bounds)
-    return f"{_type_name(annotation)} {bounds_text(tuple(dict.fromkeys(bounds))) if bounds else ''}".strip()
+    return f"{type_name(annotation)} {bounds_text(tuple(dict.fromkeys(bounds))) if bounds else ''}".strip()
 
 
-def _type_name(annotation: Any) -> str:  # noqa: ANN401 - any annotation
+def type_name(annotation: Any) -> str:  # noqa: ANN401 - any annotation
+    """Return the name of a setting's type as TOML has it."""
     names = {str: "text", bool: "true or false", int: "a whole number", float: "a number", Path: "a path"}
     if annotation in names:
         return names[annotation]
     if get_origin(annotation) is tuple:
         items = [one for one in get_args(annotation) if one is not ...]
         number = "" if ... in get_args(annotation) else f"{len(items)} "
-        return f"a list of {number}{_type_name(items[0]).removeprefix('a ')}s"
-    alternatives = [_type_name(one) for one in get_args(annotation) if one is not type(None)]
+        return f"a list of {number}{type_name(items[0]).removeprefix('a ')}s"
+    alternatives = [type_name(one) for one in get_args(annotation) if one is not type(None)]
     return " or ".join(dict.fromkeys(alternatives))
 
 
-def _toml(value: object) -> str:
+def toml_text(value: object) -> str:
+    """Return a value as TOML writes it."""
     if value is None:
         return "unset"
     if isinstance(value, tuple):
-        return f"[{', '.join(_toml(one) for one in value)}]"
+        return f"[{', '.join(toml_text(one) for one in value)}]"
     return json.dumps(str(value) if isinstance(value, Path) else value)
 
 

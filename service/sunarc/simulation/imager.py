@@ -51,9 +51,9 @@ _TEMPERATURE_C = 21.5
 _ORDERS_POLL_S = 0.05
 _TRIGGER_POLL_S = 0.005
 """By so much at most a real exposure begins after its trigger."""
-_MAX_IMAGES = 8
+MAX_IMAGES = 8
 """Images that can be repeated: those of a cycle."""
-_DARK_US = 1e-6
+DARK_US = 1e-6
 """Exposure, µs, in which even the sun leaves no count: a closed dome."""
 SLOWEST = 10.0
 """Speed that an overloaded host is not slowed below."""
@@ -151,7 +151,7 @@ def run_imager(
         imager = _Imager(options, scene, camera, stop=stop, clock=clock)
         camera.fill_with(imager.fill)
         if options.truth is not None:
-            _write_truth(options.truth, imager.scene, name=options.name, created_at=options.start)
+            write_truth(options.truth, imager.scene, name=options.name, created_at=options.start)
         _log.info("simulated imager at %s, %s, speed %g", options.address, options.start.isoformat(), options.speed)
         running(camera)
         while not clock.wait(stop, _TRIGGER_POLL_S if options.real_exposures else _ORDERS_POLL_S):
@@ -274,7 +274,7 @@ class _Imager:
         """Keep an image to be repeated; of the oldest requests none is kept."""
         self._last_images.pop(request, None)
         self._last_images[request] = image
-        while len(self._last_images) > _MAX_IMAGES:
+        while len(self._last_images) > MAX_IMAGES:
             del self._last_images[next(iter(self._last_images))]
 
     def _repeated(self, request: Request) -> Image | None:
@@ -329,7 +329,7 @@ class _Imager:
         percent = self._camera.read(genicam.WRONG_EXPOSURE) or self._camera.read(genicam.ALL_EXPOSURES) or 100
         self._camera.write(genicam.WRONG_EXPOSURE, 0)
         if self._camera.read(genicam.BLACK) or bad == "black":
-            return _DARK_US
+            return DARK_US
         stale = (
             bad == "old_exposure" or bool(self._camera.read(genicam.STALE_EXPOSURE))
         ) and self._previous_exposure_us > 0.0
@@ -410,7 +410,8 @@ def _weathers(clouds: str) -> tuple[Weather, ...]:
     return tuple(known[name] for name in names)
 
 
-def _write_truth(path: Path, scene: Scene, *, name: str, created_at: datetime) -> None:
+def write_truth(path: Path, scene: Scene, *, name: str, created_at: datetime) -> None:
+    """Write the document of the simulated camera's true parameters."""
     document = truth_document(scene.camera, scene.site, name=name, created_at=created_at)
     partial = path.with_name(path.name + ".part")
     try:

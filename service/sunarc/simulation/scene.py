@@ -194,9 +194,9 @@ class Scene:
             well_e, part = self.sensor.full_well_e, RegionLight(light, field, (x, y))
             self._night.add(part, unix_s=unix_s, exposure_us=exposure_us, layer=layer, well_e=well_e)
         for stamp in stamps:
-            _add(light, stamp, (x, y))
+            add_stamp(light, stamp, (x, y))
             column_sum = stamp.values.sum(axis=0, keepdims=True) * self.sensor.smear_us_per_row
-            _add(smear[None, :], Stamp(stamp.x, 0, column_sum * self.sensor.full_well_e), (x, 0))
+            add_stamp(smear[None, :], Stamp(stamp.x, 0, column_sum * self.sensor.full_well_e), (x, 0))
         return light, smear
 
     def _stamps(self, sun: FloatArray, layer: CloudLayer) -> tuple[list[Stamp], float]:
@@ -275,7 +275,7 @@ def bumped_camera(camera: Camera, bump: Bump) -> Camera:
     return replace(camera, rotation_cam_enu=rotation_vector(rotation_matrix(camera.rotation_cam_enu) @ back))
 
 
-def _add(image: NDArray[np.float32], stamp: Stamp, origin: tuple[int, int]) -> None:
+def add_stamp(image: NDArray[np.float32], stamp: Stamp, origin: tuple[int, int]) -> None:
     """Add a stamp to an image whose first pixel is `origin` of the sensor, where they overlap."""
     x, y = stamp.x - origin[0], stamp.y - origin[1]
     height, width = stamp.values.shape

@@ -50,7 +50,7 @@ def geocentric(unix_s: FloatArray, delta_t_s: float) -> Geocentric:
     slots = np.unique(slot)
     nodes = np.unique(np.add.outer(slots, np.arange(-1.0, 3.0)))
     if unix_s.size < _WORTH_WHILE * nodes.size:
-        return _by_series(unix_s, delta_t_s)
+        return by_series(unix_s, delta_t_s)
     table = _slow_columns(nodes * _STEP_S, delta_t_s)
     first = np.searchsorted(nodes, slot - 1.0)
     columns = np.sum(_cubic(unix_s / _STEP_S - slot)[:, :, None] * table[first[:, None] + np.arange(4)], axis=1)
@@ -77,7 +77,7 @@ def _cubic(s: FloatArray) -> FloatArray:
 
 def _slow_columns(unix_s: FloatArray, delta_t_s: float) -> FloatArray:
     """Return (n, 5): unit vector to the sun, its distance, and the nutation in right ascension, degrees."""
-    at = _by_series(unix_s, delta_t_s)
+    at = by_series(unix_s, delta_t_s)
     alpha, delta = np.radians(at.right_ascension), np.radians(at.declination)
     nutation = (at.sidereal - _mean_sidereal(unix_s) + 180.0) % 360.0 - 180.0
     across = np.cos(delta)
@@ -89,7 +89,8 @@ def _mean_sidereal(unix_s: FloatArray) -> FloatArray:
     return np.asarray(_SPA.mean_sidereal_time(day, _SPA.julian_century(day)))
 
 
-def _by_series(unix_s: FloatArray, delta_t_s: float) -> Geocentric:
+def by_series(unix_s: FloatArray, delta_t_s: float) -> Geocentric:
+    """Return the geocentric sun by the series of the solar position algorithm, term by term."""
     distance = _SPA.heliocentric_radius_vector
     day = _SPA.julian_ephemeris_day(_SPA.julian_day(unix_s), delta_t_s)
     millennium = _SPA.julian_ephemeris_millennium(_SPA.julian_ephemeris_century(day))
@@ -102,7 +103,7 @@ SOLAR_RADIUS = math.radians(0.2666)
 """The sun's mean angular radius, radians (959.63 arcseconds at one astronomical unit)."""
 
 _SPA = load_spa()
-_SECONDS_PER_JULIAN_YEAR = 31_557_600.0
+SECONDS_PER_JULIAN_YEAR = 31_557_600.0
 
 
 class SunAngles(NamedTuple):
@@ -134,7 +135,7 @@ def sun_angles(
         empty = np.zeros(times.shape)
         return SunAngles(empty, empty.copy(), empty.copy())
     zenith, apparent_zenith, azimuth = _topocentric(
-        geocentric(flat, _delta_t_s(flat)),
+        geocentric(flat, terrestrial_minus_universal_s(flat)),
         site,
         pressure_hpa=_measured_or(pressure, site.pressure_pa, flat) / 100.0,
         temperature=_measured_or(temperature, site.temperature, flat),
@@ -198,8 +199,8 @@ def _measured_or(measured: ArrayLike | None, assumed: float, times: FloatArray) 
     return np.where(np.isfinite(values), values, assumed)
 
 
-def _delta_t_s(unix_s: FloatArray) -> float:
+def terrestrial_minus_universal_s(unix_s: FloatArray) -> float:
     """Terrestrial time minus UT in seconds; a decade's drift of it moves the sun by less than 0.0003 degrees."""
-    year = 1970.0 + float(np.mean(unix_s)) / _SECONDS_PER_JULIAN_YEAR
+    year = 1970.0 + float(np.mean(unix_s)) / SECONDS_PER_JULIAN_YEAR
     whole_year = math.floor(year)
     return float(_SPA.calculate_deltat(whole_year, 1 + 11 * (year - whole_year)))

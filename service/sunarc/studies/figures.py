@@ -89,19 +89,20 @@ def residual_figure(calibration: Calibration, residuals: Residuals) -> Figure:
         ("t", residuals.unix_s / DAY_S, "time (UTC)"),  # matplotlib counts time in days from 1970
         ("z", residuals.apparent_zenith_deg, "apparent zenith of the sun (°)"),
     ):
-        _draw_components(panels[f"px_{name}"], across, residuals)
+        draw_components(panels[f"px_{name}"], across, residuals)
         letter(panels[f"px_{name}"], x=label, y="seen − predicted (px)")
-        _draw_angles(panels[f"deg_{name}"], across, residuals)
+        draw_angles(panels[f"deg_{name}"], across, residuals)
         letter(panels[f"deg_{name}"], x=label, y="angle between seen and true sun (°)")
     for panel in (panels["px_t"], panels["deg_t"]):
         _count_in_time(panel)
         key(panel, location="upper left", columns=2)
-    _draw_arrows(panels["map"], calibration.camera, residuals)
-    figure.suptitle(_headline(calibration), fontsize=TITLE_PT)
+    draw_arrows(panels["map"], calibration.camera, residuals)
+    figure.suptitle(headline(calibration), fontsize=TITLE_PT)
     return figure
 
 
-def _headline(calibration: Calibration) -> str:
+def headline(calibration: Calibration) -> str:
+    """Return the title of the figure."""
     metrics, evidence = calibration.metrics, calibration.evidence
     verdict = "accepted" if calibration.verdict.accepted else "refused"
     counts = f"{evidence.n_used} of {evidence.n_supplied} sightings used"
@@ -115,34 +116,36 @@ def _count_in_time(axes: Axes) -> None:
     axes.xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call] # same
 
 
-def _draw_components(axes: Axes, across: FloatArray, residuals: Residuals) -> None:
-    limit = _limit(np.abs(residuals.offset_px).max(axis=-1, initial=0.0), residuals.used)
+def draw_components(axes: Axes, across: FloatArray, residuals: Residuals) -> None:
+    """Draw the residuals' components by time."""
+    limit = panel_limit(np.abs(residuals.offset_px).max(axis=-1, initial=0.0), residuals.used)
     used, rejected = residuals.used, ~residuals.used
     for component, name, colour in ((0, "x", BLUE), (1, "y", ORANGE)):
         axes.plot(across[used], residuals.offset_px[used, component], ".", ms=3, color=colour, label=f"{name}, used")
     for component, mark in ((0, "x"), (1, "+")):
         label = f"{'xy'[component]}, rejected"
-        _draw_rejected(axes, across[rejected], residuals.offset_px[rejected, component], limit, mark=mark, label=label)
+        draw_rejected(axes, across[rejected], residuals.offset_px[rejected, component], limit, mark=mark, label=label)
     axes.axhline(0.0, color=INK, linewidth=0.8)
     axes.set_ylim(-limit, limit)
 
 
-def _draw_angles(axes: Axes, across: FloatArray, residuals: Residuals) -> None:
-    limit = _limit(residuals.offset_deg, residuals.used)
+def draw_angles(axes: Axes, across: FloatArray, residuals: Residuals) -> None:
+    """Draw residuals by zenith angle."""
+    limit = panel_limit(residuals.offset_deg, residuals.used)
     used, rejected = residuals.used, ~residuals.used
     axes.plot(across[used], residuals.offset_deg[used], ".", ms=3, color=BLUE, label="used")
-    _draw_rejected(axes, across[rejected], residuals.offset_deg[rejected], limit, mark="x", label="rejected")
+    draw_rejected(axes, across[rejected], residuals.offset_deg[rejected], limit, mark="x", label="rejected")
     axes.set_ylim(0.0, limit)
 
 
-def _limit(size: FloatArray, used: BoolArray) -> float:
+def panel_limit(size: FloatArray, used: BoolArray) -> float:
     """Return how far the panel reaches: the used sightings decide, where there are any."""
     shown = size[used] if np.any(used) else size
     largest = float(np.nanmax(shown, initial=0.0))
     return _HEADROOM * largest if largest > 0.0 else 1.0
 
 
-def _draw_rejected(axes: Axes, across: FloatArray, off: FloatArray, limit: float, *, mark: str, label: str) -> None:
+def draw_rejected(axes: Axes, across: FloatArray, off: FloatArray, limit: float, *, mark: str, label: str) -> None:
     """Draw rejected sightings; those beyond the panel stand on its edge."""
     if off.size:
         clipped = np.clip(off, -0.97 * limit, 0.97 * limit)
@@ -151,16 +154,17 @@ def _draw_rejected(axes: Axes, across: FloatArray, off: FloatArray, limit: float
         axes.plot(across, clipped, mark, ms=5, color=VERMILLION, label=label_text, zorder=3)
 
 
-def _draw_arrows(axes: Axes, camera: Camera, residuals: Residuals) -> None:
+def draw_arrows(axes: Axes, camera: Camera, residuals: Residuals) -> None:
+    """Draw residuals over the image as arrows."""
     square = np.sum(residuals.offset_px[residuals.used] ** 2, axis=-1)
-    unit = _nice(float(np.sqrt(np.mean(square)))) if square.size else 1.0
+    unit = nice_number(float(np.sqrt(np.mean(square)))) if square.size else 1.0
     per_px = _ARROW * camera.width / unit
     _outline(axes, camera)
     for belongs, name, colour, key_x in (
         (~residuals.used, "rejected", VERMILLION, 0.5),
         (residuals.used, "used", BLUE, 0.04),
     ):
-        rows = _some(belongs)
+        rows = some_rows(belongs)
         shift = np.array(residuals.offset_px[rows])
         shift *= np.minimum(1.0, _LONGEST_ARROW * unit / np.maximum(np.linalg.norm(shift, axis=-1), 1e-12))[:, None]
         arrows = axes.quiver(
@@ -191,12 +195,13 @@ def _outline(axes: Axes, camera: Camera) -> None:
             axes.text(x, y, name, color=INK, fontsize=TITLE_PT, ha="center", va="center", clip_on=True, zorder=5)
 
 
-def _some(which: BoolArray) -> NDArray[np.intp]:
+def some_rows(which: BoolArray) -> NDArray[np.intp]:
+    """Return at most so many rows as arrows are drawn."""
     rows = np.flatnonzero(which)
     return rows[:: max(1, -(-rows.size // _MOST_ARROWS))]
 
 
-def _nice(value: float) -> float:
+def nice_number(value: float) -> float:
     """Return the nearest of 1, 2, 5 times a power of ten, 1 for 0."""
     if value <= 0.0:
         return 1.0
@@ -240,10 +245,11 @@ def sky_sigma(calibration: Calibration, *, zenith_deg: FloatArray, azimuth_deg: 
     grid_z, grid_a = np.meshgrid(zenith_deg, azimuth_deg, indexing="ij")
     directions = direction_from_angles(zenith_deg=grid_z, azimuth_deg=grid_a).reshape(-1, 3)
     sigma = sigma_deg(calibration, directions)
-    return np.where(_within(calibration.camera, directions), sigma, np.nan).reshape(grid_z.shape)
+    return np.where(within_image(calibration.camera, directions), sigma, np.nan).reshape(grid_z.shape)
 
 
-def _within(camera: Camera, directions: FloatArray) -> BoolArray:
+def within_image(camera: Camera, directions: FloatArray) -> BoolArray:
+    """Return which directions land within the image."""
     pixels = project(camera, directions)
     with np.errstate(invalid="ignore"):
         inside = (pixels >= -0.5) & (pixels <= np.array([camera.width, camera.height]) - 0.5)

@@ -52,8 +52,8 @@ def write_uncertainty(study: Uncertainty, *, folder: Path) -> tuple[Path, ...]:
     with writing_into(folder):
         distributions, trials = distribution_rows(study), trial_rows(study)
         return (
-            _write_csv(folder / "uncertainty.csv", tuple(distributions[0]), distributions),
-            _write_csv(folder / "uncertainty_trials.csv", tuple(trials[0]), trials),
+            write_csv(folder / "uncertainty.csv", tuple(distributions[0]), distributions),
+            write_csv(folder / "uncertainty_trials.csv", tuple(trials[0]), trials),
             save_png(rmse_figure(study), folder / "uncertainty_rmse.png"),
             save_png(parameter_figure(study), folder / "uncertainty_parameters.png"),
         )
@@ -66,7 +66,7 @@ def write_shadow(rows: Sequence[ShadowRow], *, folder: Path) -> tuple[Path, ...]
 
     with writing_into(folder):
         table = [asdict(row) for row in rows]
-        files = [_write_csv(folder / "shadow.csv", tuple(table[0]), table)]
+        files = [write_csv(folder / "shadow.csv", tuple(table[0]), table)]
         if len({row.sigma_deg for row in rows}) > 1:
             files.append(save_png(shadow_figure(rows), folder / "shadow.png"))
         return tuple(files)
@@ -75,10 +75,11 @@ def write_shadow(rows: Sequence[ShadowRow], *, folder: Path) -> tuple[Path, ...]
 def write_tables(rows: Sequence[TableRow], *, folder: Path) -> tuple[Path, ...]:
     """Write `tables.csv`."""
     with writing_into(folder):
-        return (_write_csv(folder / "tables.csv", COLUMNS, rows),)
+        return (write_csv(folder / "tables.csv", COLUMNS, rows),)
 
 
-def _write_csv(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, str | int | float]]) -> Path:
+def write_csv(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, str | int | float]]) -> Path:
+    """Write rows as CSV."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)

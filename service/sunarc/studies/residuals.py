@@ -59,11 +59,11 @@ def residuals_of(calibration: Calibration, points: Sightings) -> Residuals:
         offset_deg=np.degrees(angular_distance(detected[valid], directions[valid])),
         apparent_zenith_deg=zenith[valid],
         azimuth_deg=azimuth[valid],
-        used=_used(calibration, points, offset)[valid],
+        used=used_sightings(calibration, points, offset)[valid],
     )
 
 
-def _used(calibration: Calibration, points: Sightings, offset: FloatArray) -> BoolArray:
+def used_sightings(calibration: Calibration, points: Sightings, offset: FloatArray) -> BoolArray:
     """Return which sightings the fit used; of one made from other sightings, the nearest that are as many."""
     if calibration.used is not None and calibration.used.size == len(points):
         return calibration.used

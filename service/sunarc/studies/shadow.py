@@ -89,7 +89,7 @@ def study_shadow(
     """
     rows = []
     for sigma in sigmas_deg:
-        rows += _rows(_turned(sigma, draws=draws, seed=seed), sigma)
+        rows += _rows(turned_errors(sigma, draws=draws, seed=seed), sigma)
         after_each()
     return rows
 
@@ -152,7 +152,7 @@ def overhead_height_sigma_m(*, sigma_deg: float, height_m: float, baseline_m: fl
     return math.sqrt(2.0) * height_m**2 / baseline_m * square * math.radians(sigma_deg)
 
 
-def _turned(sigma_deg: float, *, draws: int, seed: int) -> DirectionErrors:
+def turned_errors(sigma_deg: float, *, draws: int, seed: int) -> DirectionErrors:
     """Return the errors of cameras whose pose is off by small turns about any axis."""
     rng = np.random.default_rng(seed)
     turns = [Rotation.from_rotvec(math.radians(sigma_deg) * rng.standard_normal((draws, 3))) for _ in range(2)]

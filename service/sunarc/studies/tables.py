@@ -171,7 +171,7 @@ def cloud_noise(rng: np.random.Generator, n: int, *, inlier_px: float, share: fl
     sd_px : standard deviation of all distances that the episodes' size is chosen for.
     """
     inlier = rng.normal(0.0, inlier_px, (n, 2))
-    covered = _episodes(rng, n, share)
+    covered = episodes(rng, n, share)
     shock = rng.standard_t(_HEAVY_TAIL, (n, 2)) * math.sqrt(1.0 - _CORRELATION**2)
     episode = np.array(list(accumulate(shock, lambda before, step: _CORRELATION * before + step)))
 
@@ -186,7 +186,8 @@ def cloud_noise(rng: np.random.Generator, n: int, *, inlier_px: float, share: fl
     return drawn(float(brentq(too_wide, 1e-3, 1e3)))
 
 
-def _episodes(rng: np.random.Generator, n: int, share: float) -> BoolArray:
+def episodes(rng: np.random.Generator, n: int, share: float) -> BoolArray:
+    """Return which sightings (n,) lie in episodes of wrong detections, a share of all."""
     covered = np.zeros(n, dtype=bool)
     while covered.mean() < share:
         begin, length = rng.integers(n), rng.geometric(1.0 / _CLOUD_FRAMES)

@@ -156,8 +156,8 @@ _QUICK_S = 7.5
 """An exchange that took no longer, a quarter of what it may take, shows that the next may have twice the rows."""
 _MOST_BYTES = 1_000_000  # of JSON, a tenth of that on the way
 _STATUS_EVERY_S = 60.0
-_LONGEST_WAIT_S = 60.0
-_SILENT_S = 900.0
+LONGEST_WAIT_S = 60.0
+SILENT_S = 900.0
 """A hub that was not reached for so long is a condition; a network that is lost for minutes is none."""
 _UNREACHABLE, _REFUSED = "hub_unreachable", "hub_refuses"
 
@@ -185,11 +185,11 @@ class FeedWorker:
         self._most_rows = _MOST_ROWS
         self._attempts = Attempts(
             clock,
-            Pauses(every_s, _LONGEST_WAIT_S),
+            Pauses(every_s, LONGEST_WAIT_S),
             board=board,
             code=_UNREACHABLE,
             reason=lambda error, hours: condition(_UNREACHABLE, hours=round(hours, 1), error=error),
-            after_s=_SILENT_S,
+            after_s=SILENT_S,
         )
         self._status_s = -math.inf
         self._enabled = False

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tests.fixtures.calibration import random_covariance
 
-from sunarc.calibration.fit.kernels import _exponential, add_moments, write_inverses
+from sunarc.calibration.fit.kernels import add_moments, exponential, write_inverses
 from sunarc.calibration.fit.marginal_likelihood import RIDGE, general_inverses
 
 
@@ -48,4 +48,4 @@ def test_moments_are_products_from_both_sides_at_each_place_and_choice() -> None
 
 def test_the_exponential_is_that_of_the_library() -> None:
     x = np.linspace(0.0, 40.0, 997)
-    np.testing.assert_allclose([_exponential(float(one)) for one in x], np.exp(-x), rtol=1e-10, atol=1e-17)
+    np.testing.assert_allclose([exponential(float(one)) for one in x], np.exp(-x), rtol=1e-10, atol=1e-17)

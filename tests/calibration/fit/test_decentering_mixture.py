@@ -81,9 +81,9 @@ def test_unknown_coefficients_only_add_to_the_covariance(
 
 
 def test_the_places_hold_nearly_all_of_the_prior() -> None:
-    places = module._NODES
+    places = module.NODES
     assert places.shape == (25, 2)
-    mass = np.exp(-0.5 * np.sum(places**2, axis=-1)) * np.exp(module._CELL)
+    mass = np.exp(-0.5 * np.sum(places**2, axis=-1)) * np.exp(module.CELL)
     assert 0.96 < mass.sum() < 1.0
 
 
@@ -142,8 +142,8 @@ def test_the_fits_of_the_whole_lens_are_the_linear_ones_where_it_is_linear(
     fitted: LinearSystem, problem: FitProblem
 ) -> None:
     sums = BilinearSums.about(problem, fitted, fitted.at, SCALES)
-    linear, whole = sums.conditional(module._NODES), module._of_whole_lens(problem, fitted, fitted.at, SCALES)
-    share, expected = (module._shares(sums.free(), one) for one in (linear, whole))
+    linear, whole = sums.conditional(module.NODES), module.of_whole_lens(problem, fitted, fitted.at, SCALES)
+    share, expected = (module.shares(sums.free(), one) for one in (linear, whole))
     np.testing.assert_allclose(share, expected, atol=0.01)
     for name in ("shift", "covariance", "coefficients", "cross"):
         found, wanted = (np.tensordot(of, getattr(one, name), 1) for of, one in ((share, linear), (expected, whole)))
@@ -157,15 +157,15 @@ def test_a_linear_fit_is_doubted_where_the_whole_lens_is_less_probable(
 ) -> None:
     """A lens of 0.1 px of decentering is linear about its fit; one of 1 px, from a start that is off, is not."""
     sums = BilinearSums.about(problem, fitted, fitted.at, SCALES)
-    nodes = sums.conditional(module._NODES)
+    nodes = sums.conditional(module.NODES)
     none = sums.free()
     assert sums.true_penalty(problem, fitted, np.zeros(fitted.at.size)) == pytest.approx(
         penalty(fitted.normal(), fitted.basis, SCALES) - float(np.sum(fitted.at[HIGHER] ** 2)), rel=1e-9
     )
-    assert module._is_linear(sums, problem, fitted, nodes, module._shares(none, nodes))
+    assert module.is_linear(sums, problem, fitted, nodes, module.shares(none, nodes))
     sums = BilinearSums.about(problem, system, at, SCALES)
-    nodes = sums.conditional(module._NODES)
-    assert not module._is_linear(sums, problem, system, nodes, np.ones(25))
+    nodes = sums.conditional(module.NODES)
+    assert not module.is_linear(sums, problem, system, nodes, np.ones(25))
 
 
 def test_a_fit_far_beyond_the_places_is_mixed_by_fits_of_the_whole_lens(
@@ -175,9 +175,9 @@ def test_a_fit_far_beyond_the_places_is_mixed_by_fits_of_the_whole_lens(
     far[15] = 3.1
     system = fitted.moved(problem, far)
     sums = BilinearSums.about(problem, system, far, SCALES)
-    assert not module._is_linear(sums, problem, system, sums.conditional(module._NODES), np.zeros(25))
+    assert not module.is_linear(sums, problem, system, sums.conditional(module.NODES), np.zeros(25))
     mixed = mixed_over_decentering(_posterior(system), problem, system, far, SCALES)
-    monkeypatch.setattr(module, "_is_linear", lambda *_: False)
+    monkeypatch.setattr(module, "is_linear", lambda *_: False)
     again = mixed_over_decentering(_posterior(system), problem, system, far, SCALES)
     np.testing.assert_array_equal(mixed.covariance, again.covariance)
 
@@ -189,7 +189,7 @@ def test_the_mean_of_the_conditional_evidences_is_about_the_free_one(
     small = at.copy()
     small[13:15] = 0.0  # without p1 and p2, p3 and p4 have no effect
     sums = BilinearSums.about(problem, system.moved(problem, small), small, SCALES)
-    places = sums.conditional(module._NODES).log_evidence - 0.5 * np.sum(module._NODES**2, axis=1) + module._CELL
+    places = sums.conditional(module.NODES).log_evidence - 0.5 * np.sum(module.NODES**2, axis=1) + module.CELL
     assert float(np.logaddexp.reduce(places)) == pytest.approx(float(sums.free().log_evidence[0]), abs=2.0)
 
 
@@ -200,7 +200,7 @@ def test_the_positive_part_keeps_what_adds_and_drops_what_takes() -> None:
     shape = root @ turn
     excess = (shape * np.array([3.0, 0.5, -0.4, -2.0])) @ shape.T
     expected = (shape * np.array([3.0, 0.5, 0.0, 0.0])) @ shape.T
-    part, projection = module._positive_part(excess, reference)
+    part, projection = module.positive_part(excess, reference)
     np.testing.assert_allclose(part, expected, atol=1e-8)
     np.testing.assert_allclose(projection @ excess, expected, atol=1e-8)
     np.testing.assert_allclose(projection @ projection, projection, atol=1e-8)

@@ -131,7 +131,7 @@ def test_the_share_within_an_ellipse_is_that_of_draws() -> None:
     moments = np.stack([random_covariance(2, seed=s) for s in range(3)])[:, None]
     stated = random_covariance(2, seed=9)[None]
     rng = np.random.default_rng(4)
-    found = module._coverage(_triples(moments), _triples(stated))
+    found = module.coverage(_triples(moments), _triples(stated))
     for k in range(3):
         draws = rng.multivariate_normal(np.zeros(2), moments[k, 0], 40_000)
         inside = np.einsum("ni,ij,nj->n", draws, np.linalg.inv(stated[0]), draws) < -2.0 * math.log(0.05)
@@ -145,8 +145,8 @@ def _triples(matrices: FloatArray) -> FloatArray:
 
 def test_a_gaussian_holds_its_own_95_percent() -> None:
     one = _triples(random_covariance(2, seed=3)[None])
-    assert module._coverage(one[None], one)[0] == pytest.approx(0.95, abs=1e-9)
-    assert module._coverage(4.0 * one[None], one)[0] == pytest.approx(1.0 - 0.05**0.25, abs=1e-9)
+    assert module.coverage(one[None], one)[0] == pytest.approx(0.95, abs=1e-9)
+    assert module.coverage(4.0 * one[None], one)[0] == pytest.approx(1.0 - 0.05**0.25, abs=1e-9)
 
 
 def test_the_coverage_is_that_of_numpy_for_all_shapes_and_sizes() -> None:
@@ -157,25 +157,25 @@ def test_the_coverage_is_that_of_numpy_for_all_shapes_and_sizes() -> None:
     stated = np.stack([random_covariance(2, seed=100 + n) for n in range(7)]) * rng.uniform(0.5, 2.0, (7, 1, 1))
     values = np.linalg.eigvals(np.linalg.solve(stated, moments)).real
     half, gap = values.mean(axis=-1), 0.5 * np.abs(values[..., 0] - values[..., 1])
-    square = half[..., None] + gap[..., None] * module._COS_DOUBLED
-    outside = np.exp(-0.5 * module._ELLIPSE / np.maximum(square, 1e-12)).mean(axis=(1, 2))
-    np.testing.assert_allclose(module._coverage(_triples(moments), _triples(stated)), 1.0 - outside, atol=1e-9)
+    square = half[..., None] + gap[..., None] * module.COS_DOUBLED
+    outside = np.exp(-0.5 * module.ELLIPSE / np.maximum(square, 1e-12)).mean(axis=(1, 2))
+    np.testing.assert_allclose(module.coverage(_triples(moments), _triples(stated)), 1.0 - outside, atol=1e-9)
 
 
 def test_the_stated_95_percent_hold_95_percent_of_the_mixture(
     system: LinearSystem, grid: HyperparameterGrid, problem: FitProblem, at: FloatArray
 ) -> None:
-    choices = module._plausible(system.normal(), grid, at)
-    moments = module._at_probes(choices, grid.basis, problem, at)
-    tilt = module._honest_tilt(choices, moments)
+    choices = module.plausible(system.normal(), grid, at)
+    moments = module.at_probes(choices, grid.basis, problem, at)
+    tilt = module.honest_tilt(choices, moments)
     assert -3.0 < tilt < 1.5
     stated = np.tensordot(choices.tilted(tilt), moments, 1)
-    held = float(choices.share @ module._coverage(moments, stated))
+    held = float(choices.share @ module.coverage(moments, stated))
     assert held == pytest.approx(0.95, abs=0.005)
 
 
 def test_a_tilt_is_a_power_of_the_amplitude(system: LinearSystem, grid: HyperparameterGrid, at: FloatArray) -> None:
-    choices = module._plausible(system.normal(), grid, at)
+    choices = module.plausible(system.normal(), grid, at)
     np.testing.assert_allclose(choices.tilted(0.0), choices.share)
     expected = choices.share * choices.amplitude**1.5
     np.testing.assert_allclose(choices.tilted(1.5), expected / expected.sum())
@@ -183,15 +183,15 @@ def test_a_tilt_is_a_power_of_the_amplitude(system: LinearSystem, grid: Hyperpar
 
 
 def test_without_a_probe_there_is_no_tilt(system: LinearSystem, grid: HyperparameterGrid, at: FloatArray) -> None:
-    choices = module._plausible(system.normal(), grid, at)
-    assert module._honest_tilt(choices, np.zeros((len(choices.shift), 3, 0))) == 0.0
+    choices = module.plausible(system.normal(), grid, at)
+    assert module.honest_tilt(choices, np.zeros((len(choices.shift), 3, 0))) == 0.0
 
 
 def test_the_plausible_choices_hold_nearly_all_probability(
     system: LinearSystem, grid: HyperparameterGrid, at: FloatArray
 ) -> None:
     weight = normalised(log_weights(system.normal(), grid))
-    choices = module._plausible(system.normal(), grid, at)
+    choices = module.plausible(system.normal(), grid, at)
     kept = len(choices.shift)
     assert kept < weight.size
     largest = np.sort(weight.ravel())[::-1]
@@ -214,7 +214,7 @@ def test_probes_are_the_directions_within_the_image_to_its_edges(
     grid: HyperparameterGrid, axis: int, *, last: bool, off_px: float
 ) -> None:
     """The centre is moved until one direction lands just within or without the edge of the outermost pixels."""
-    camera, sky = small_camera(), hemisphere(module._PROBES)
+    camera, sky = small_camera(), hemisphere(module.PROBES)
     pixels = project(camera, sky)
     edge = [camera.width, camera.height][axis] - 0.5 if last else -0.5
     nearest = int(np.nanargmin(np.abs(pixels[:, axis] - edge) + 1e3 * ~_within(camera, pixels, axis=1 - axis)))

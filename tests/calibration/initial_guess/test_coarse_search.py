@@ -13,7 +13,7 @@ from tests.fixtures.calibration import ideal_camera, observed, small_camera, sma
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.robust_loss import robust_sigma
 from sunarc.calibration.solve.problem import Observations
-from sunarc.calibration.start.initial_guess import _misfit, field_angle, first_cameras, single_problem
+from sunarc.calibration.start.initial_guess import candidate_misfit, field_angle, first_cameras, single_problem
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 
@@ -109,7 +109,7 @@ def test_sightings_that_are_all_as_far_off_have_the_scatter_of_their_distance(of
     zero = np.zeros(problem.size)
     scale = robust_sigma(np.full(40, off_px), share=0.5, floor=0.05)
     expected = 0.3 * 40 * math.log(scale**2 + off_px**2 / (2.0 * math.log(2.0)))
-    assert _misfit(problem, zero, np.zeros(problem.size), moved, camera) == pytest.approx(expected, abs=0.02)
+    assert candidate_misfit(problem, zero, np.zeros(problem.size), moved, camera) == pytest.approx(expected, abs=0.02)
 
 
 def test_a_camera_that_looks_down_or_has_no_focal_length_is_impossible() -> None:
@@ -120,4 +120,4 @@ def test_a_camera_that_looks_down_or_has_no_focal_length_is_impossible() -> None
         replace(camera, rotation_cam_enu=(math.pi, 0.0, 0.0)),
         replace(camera, focal_length_px=(-200.0, 200.0)),
     ):
-        assert _misfit(problem, zero, zero, clean, impossible) == math.inf
+        assert candidate_misfit(problem, zero, zero, clean, impossible) == math.inf

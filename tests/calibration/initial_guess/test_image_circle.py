@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.calibration.start.initial_guess import _circle_through, _grey, _refined, find_image_circle
+from sunarc.calibration.start.initial_guess import as_grey, circle_through, find_image_circle, refined_circle
 from sunarc.errors import InputError
 
 
@@ -20,14 +20,14 @@ def _frame(x: float, y: float, radius: float, *, size: tuple[int, int] = (240, 3
 
 
 def test_three_points_by_hand() -> None:
-    found = _circle_through(np.array([3.0, 1.0, -1.0]), np.array([2.0, 4.0, 2.0]))
+    found = circle_through(np.array([3.0, 1.0, -1.0]), np.array([2.0, 4.0, 2.0]))
     np.testing.assert_allclose(found, [1.0, 2.0, 2.0], rtol=1e-9)
 
 
 def test_points_off_the_circle_count_less() -> None:
     angle = np.linspace(0.0, 2.0 * math.pi, 60, endpoint=False)
     radius = np.where(np.arange(60) % 10 == 0, 115.0, 100.0)
-    x, y, found = _circle_through(50.0 + radius * np.cos(angle), 60.0 + radius * np.sin(angle))
+    x, y, found = circle_through(50.0 + radius * np.cos(angle), 60.0 + radius * np.sin(angle))
     np.testing.assert_allclose([x, y, found], [50.0, 60.0, 100.0], atol=0.1)
 
 
@@ -64,10 +64,10 @@ def test_noise_has_no_circle() -> None:
 def test_grey_is_the_root_of_the_share_of_the_brightest_percentile() -> None:
     image = np.zeros((40, 40), dtype=np.uint16)
     image[:20], image[20:] = 1000, 250
-    found = _grey(image)
+    found = as_grey(image)
     assert found.dtype == np.uint8
     assert (int(found[0, 0]), int(found[-1, -1])) == (255, 127)
-    assert int(_grey(np.zeros((40, 40), dtype=np.uint8)).max()) == 0
+    assert int(as_grey(np.zeros((40, 40), dtype=np.uint8)).max()) == 0
 
 
 @pytest.mark.parametrize("shape", [(31, 100), (100, 31), (100,), (2, 40, 40, 3), (0, 0)])
@@ -82,5 +82,5 @@ def test_rays_whose_steepest_drop_is_weak_do_not_bend_the_circle() -> None:
     distance, angle = np.hypot(columns - 160.0, rows - 120.0), np.arctan2(rows - 120.0, columns - 160.0)
     edge = 20.0 + 180.0 * np.clip(100.5 - distance, 0.0, 1.0)
     trees = 20.0 + 18.0 * np.clip(96.5 - distance, 0.0, 1.0)
-    found = _refined(np.where(np.abs(angle) < 0.6 * math.pi, trees, edge), 160.0, 120.0, 100.0)
+    found = refined_circle(np.where(np.abs(angle) < 0.6 * math.pi, trees, edge), 160.0, 120.0, 100.0)
     np.testing.assert_allclose(found, [160.0, 120.0, 100.0], atol=0.3)

@@ -129,8 +129,8 @@ def test_a_start_comes_to_rest_at_the_minimum(
     begin[17:20] += [0.01, 0.0, -0.01]
     found = begin
     for _ in range(3):
-        found = multistart._settled(problem, seen, found, precision=precision)
-    again = multistart._settled(problem, seen, found, precision=precision)
+        found = multistart.settled(problem, seen, found, precision=precision)
+    again = multistart.settled(problem, seen, found, precision=precision)
     change = problem.residuals(found, seen) - problem.residuals(again, seen)
     assert np.max(np.abs(change)) < 0.02
     assert np.median(np.linalg.norm(problem.residuals(found, seen), axis=-1)) < 0.07
@@ -184,7 +184,7 @@ def test_starts_that_image_every_sighting_alike_are_one(
     slightly, far = truth.copy(), truth.copy()
     slightly[Whitened.CENTER_X] += 1e-5
     far[Whitened.CENTER_X] += 0.5
-    found = multistart._distinct(problem, seen, [truth, slightly, far, far.copy()])
+    found = multistart.distinct_starts(problem, seen, [truth, slightly, far, far.copy()])
     assert len(found) == 2
     assert found[0] is truth
     assert found[1] is far

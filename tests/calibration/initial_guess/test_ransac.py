@@ -89,7 +89,7 @@ def test_a_trial_solves_the_normal_equations_of_its_sample() -> None:
     rng = np.random.default_rng(4)
     residual, rows = rng.standard_normal((7, 2)), rng.standard_normal((7, 2, 3))
     start, precision = np.array([0.1, -0.2, 0.3]), np.array([1.0, 2.0, 0.5])
-    found = module._trials(residual, rows, start, precision)
+    found = module.sampled_steps(residual, rows, start, precision)
     flat = rows.reshape(14, 3) / 0.7
     normal = flat.T @ flat + np.diag(precision)
     expected = np.linalg.solve(normal, flat.T @ residual.ravel() / 0.7 - precision * start)
@@ -100,7 +100,7 @@ def test_a_trial_solves_the_normal_equations_of_its_sample() -> None:
 def test_trials_draw_from_every_stretch() -> None:
     residual = np.repeat(np.arange(70.0), 2).reshape(70, 2)
     rows = np.ones((70, 2, 1))
-    found = module._trials(residual, rows, np.zeros(1), np.full(1, 1e-12))[:, 0]
+    found = module.sampled_steps(residual, rows, np.zeros(1), np.full(1, 1e-12))[:, 0]
     # the mean of one number out of each of 7 stretches of 10
     assert np.mean(found) == pytest.approx(34.5, abs=1.0)
     assert np.std(found) == pytest.approx(np.sqrt(99.0 / 12.0 / 7.0), rel=0.25)
@@ -111,7 +111,7 @@ def test_tightening_ends_at_the_weighted_fixed_point() -> None:
     rows = rng.standard_normal((80, 2, 2))
     residual = rows @ [0.5, -1.0] + 0.05 * rng.standard_normal((80, 2))
     residual[:16] += 4.0
-    found = module._tightened(np.zeros(2), residual, rows, np.zeros(2), np.full(2, 1e-9), WELL_BEHAVED)
+    found = module.tightened_step(np.zeros(2), residual, rows, np.zeros(2), np.full(2, 1e-9), WELL_BEHAVED)
     np.testing.assert_allclose(found, [0.5, -1.0], atol=0.03)
     plain = np.linalg.lstsq(rows.reshape(-1, 2), residual.ravel())[0]
     assert np.linalg.norm(found - [0.5, -1.0]) < 0.5 * np.linalg.norm(plain - [0.5, -1.0]) + 0.02
@@ -121,7 +121,7 @@ def test_disagreement_is_the_sum_of_logarithms(problem: FitProblem, truth: Float
     seen = _seen(problem, truth, false=0.0)
     distance = np.linalg.norm(problem.residuals(truth, seen), axis=-1)
     expected = float(np.sum(np.log(1.0 + (distance / 0.1) ** 2)))
-    assert module._disagreement(problem, seen, truth, 0.1) == pytest.approx(expected)
+    assert module.disagreement(problem, seen, truth, 0.1) == pytest.approx(expected)
 
 
 def test_the_disagreement_is_cauchys_loss_of_distances_in_their_own_sigmas(
@@ -132,7 +132,7 @@ def test_the_disagreement_is_cauchys_loss_of_distances_in_their_own_sigmas(
     seen = replace(seen, pixels=seen.pixels + off, information=np.array([1.0 / 25.0, 1.0, 4.0]))
     # 5 px of a sigma of 5 px, and 1 px of a sigma of 0.5 px
     expected = np.log1p((1.0 / 0.5) ** 2) + np.log1p((2.0 / 0.5) ** 2)
-    assert module._disagreement(problem, seen, truth, 0.5) == pytest.approx(expected, rel=1e-6)
+    assert module.disagreement(problem, seen, truth, 0.5) == pytest.approx(expected, rel=1e-6)
 
 
 def _lines(problem: FitProblem, truth: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -154,12 +154,12 @@ def test_trials_are_those_of_linear_least_squares(
 def test_a_step_is_refined_as_in_numpy(problem: FitProblem, precision: FloatArray, truth: FloatArray) -> None:
     (residual, rows), start = _lines(problem, truth), _pose_off(truth)
     flat, right, step = rows.reshape(-1, rows.shape[-1]), residual.ravel(), np.zeros(problem.size)
-    found = module._tightened(step, residual, rows, start, precision, WELL_BEHAVED)
-    for cut in module._CUTS:
+    found = module.tightened_step(step, residual, rows, start, precision, WELL_BEHAVED)
+    for cut in module.CUTS:
         after = (right - flat @ step).reshape(-1, 2)
         distance = np.hypot(after[:, 0], after[:, 1])
-        sigma = robust_sigma(distance, floor=module._FLOOR_PX)
-        assert robust_scale(distance, WELL_BEHAVED, module._FLOOR_PX) == pytest.approx(sigma, rel=1e-12)
+        sigma = robust_sigma(distance, floor=module.FLOOR_PX)
+        assert robust_scale(distance, WELL_BEHAVED, module.FLOOR_PX) == pytest.approx(sigma, rel=1e-12)
         weight = np.repeat(1.0 / (1.0 + (distance / (sigma * cut)) ** 2) ** 2 / sigma**2, 2)
         normal = (flat * weight[:, None]).T @ flat + np.diag(precision)
         step = np.linalg.solve(normal, (right * weight) @ flat - precision * start)

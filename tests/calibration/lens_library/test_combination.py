@@ -10,10 +10,10 @@ import pytest
 
 from sunarc.calibration.lens_library.joint import (
     Unit,
-    _log_evidences,
     estimated_spread,
     further_unit,
     lens_type_of,
+    log_evidences,
 )
 from sunarc.calibration.lens_library.lens_type import Information, LensType, UnitSpread, frame_of, usual_precision
 from sunarc.calibration.solve.priors import N_LENS
@@ -76,7 +76,7 @@ def test_the_evidence_of_a_spread_is_the_density_of_what_was_seen() -> None:
                 for i, c in enumerate(each)
             )
         )
-    found = _log_evidences(known, spreads, usual)
+    found = log_evidences(known, spreads, usual)
     assert found[1] - found[0] == pytest.approx(expected[1] - expected[0], abs=1e-6)
 
 

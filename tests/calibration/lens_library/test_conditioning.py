@@ -67,7 +67,7 @@ def test_the_lens_is_the_product_of_sightings_and_type(fitted: Fitted, lens: Len
     found = with_lens(calibration, lens, points=fitted(1)[0], options=OPTIONS)
     assert gaussian_of(found, frame).covariance == pytest.approx(covariance, abs=1e-5)
     to = conditioned_lens(calibration, lens).lens
-    changed = conditioning._changed(calibration, lens, to, OPTIONS)
+    changed = conditioning.moved_to_lens(calibration, lens, to, OPTIONS)
     assert frame.whitened(changed.camera) == pytest.approx(to.mean, abs=1e-6)
     sigma = np.sqrt(np.diag(to.covariance))
     assert np.abs((frame.whitened(found.camera) - to.mean) / sigma).max() < 1.0  # solved again, not linearised

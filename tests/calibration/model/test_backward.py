@@ -77,23 +77,23 @@ def test_slopes_are_the_differences_of_the_point() -> None:
     at += np.r_[0.01, -0.02, np.full(8, 2e-3), 0.1, 0.05, -0.1]
 
     def point(coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
-        return backward._ideal_point(camera, coefficients, x_hat.ravel(), y_hat.ravel())
+        return backward.ideal_point(camera, coefficients, x_hat.ravel(), y_hat.ravel())
 
-    found = backward._slopes(camera, at, x_hat.ravel(), y_hat.ravel())
+    found = backward.ideal_point_derivatives(camera, at, x_hat.ravel(), y_hat.ravel())
     np.testing.assert_allclose(found, numerical_derivative(point, at), atol=1e-7)
     assert found.shape == (42, 2, 13)
 
 
 def test_the_start_meets_a_lens_without_decentering_already() -> None:
     camera = replace(small_camera(), decentering=(0.0,) * 4)
-    rays, pixels = backward._synthetic(camera)
+    rays, pixels = backward.synthetic_rays(camera)
     x_hat, y_hat = calibrated(camera, pixels)
     radius = ideal_radius(camera.projection, np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]))
     azimuth = np.arctan2(rays[:, 1], rays[:, 0])
     target = radius[:, None] * np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
-    start = backward._first(camera, x_hat, y_hat, target)
+    start = backward.first_coefficients(camera, x_hat, y_hat, target)
     off = camera.focal_length_px[0] * np.linalg.norm(
-        backward._ideal_point(camera, start, x_hat, y_hat) - target, axis=-1
+        backward.ideal_point(camera, start, x_hat, y_hat) - target, axis=-1
     )
     assert np.max(off) < 0.01  # px; its decentering of 1e-6 makes 0.002
 
@@ -116,7 +116,7 @@ def test_the_coefficients_are_those_of_scipys_least_squares() -> None:
         return np.stack([x * np.exp(at[0] * x), x**2, x**3, x**4], axis=-1)
 
     start = np.array([3.0, 0.0, 0.0, 0.0])
-    found = backward._least_squares(misfit, slopes, start)
+    found = backward.least_squares(misfit, slopes, start)
     expected = least_squares(misfit, start, jac=slopes, method="lm", ftol=1e-12)
     assert np.sum(misfit(found) ** 2) == pytest.approx(2.0 * expected.cost, rel=1e-5)
     assert 2.0 * expected.cost < 1e-3 * np.sum(misfit(start) ** 2)

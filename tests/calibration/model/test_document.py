@@ -9,7 +9,7 @@ import pytest
 from tests.fixtures.calibration import current_document, distinctive_calibration
 
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
-from sunarc.calibration.model.document import _field, from_document
+from sunarc.calibration.model.document import field_document, from_document
 from sunarc.calibration.model.residual_field import Field, wave_basis
 from sunarc.errors import InputError
 
@@ -23,18 +23,18 @@ def field() -> Field:
 
 
 def test_a_field_travels_whole_and_none_has_no_waves(field: Field) -> None:
-    document = _field(field)
+    document = field_document(field)
     assert document["orders"] == field.basis.orders.tolist()
     np.testing.assert_allclose(document["cross"], field.cross, rtol=1e-7)
-    assert _field(replace(field, amplitude_px=0.0))["orders"] == []
+    assert field_document(replace(field, amplitude_px=0.0))["orders"] == []
 
 
 def test_a_displacement_travels_with_its_field_and_without_one(field: Field) -> None:
     mean = np.zeros((2, len(field.basis.orders)))
     mean[0, 7], mean[1, 3] = 12.0, -5.0
     shift = field.basis.displacement(mean)
-    np.testing.assert_allclose(_field(field, shift)["mean"], mean)
-    alone = _field(replace(field, amplitude_px=0.0), shift)
+    np.testing.assert_allclose(field_document(field, shift)["mean"], mean)
+    alone = field_document(replace(field, amplitude_px=0.0), shift)
     np.testing.assert_allclose(alone["mean"], mean)
     assert alone["known"] == []
     assert alone["coupling"] == [[], []]

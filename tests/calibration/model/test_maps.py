@@ -90,8 +90,8 @@ def test_the_kernels_in_python_are_the_compiled_ones(ready: Lookup) -> None:
         np.testing.assert_allclose(compiled, plain, rtol=1e-12)
         assert 0.0 <= plain[0] <= rings - 1.0
         assert 0.0 <= plain[1] <= spokes
-    assert module._in_image.py_func((640, 480), -0.5, 479.5) == 1.0
-    assert module._in_image.py_func((640, 480), -0.51, 0.0) == 0.0
+    assert module.in_image.py_func((640, 480), -0.5, 479.5) == 1.0
+    assert module.in_image.py_func((640, 480), -0.51, 0.0) == 0.0
 
 
 @pytest.mark.parametrize("place", [0.0, 0.3, 5.5, 93.999, 94.0, 95.0])

@@ -9,30 +9,30 @@ import pytest
 from tests.fixtures.calibration import ideal_camera
 
 from sunarc.calibration.answers.direction_table import (
-    _RINGS,
-    _SPOKES,
-    _in_image,
+    RINGS,
+    SPOKES,
+    in_image,
     polar_spline,
     ring_and_spoke,
 )
 from sunarc.optics.inverse_table import inverse_table, spline_weights
 
 CONSTANTS = inverse_table(ideal_camera()).constants
-RINGS, SPOKES = 20, 36
+N_RINGS, N_SPOKES = 20, 36
 
 
 @pytest.mark.parametrize("angle_deg", [0.0, 0.5, 4.9, 89.9, 180.0, 270.0, 359.5])
 def test_the_spoke_is_the_angle_about_the_principal_point_from_0_to_below_all(angle_deg: float) -> None:
     angle = math.radians(angle_deg)
     x, y = 319.5 + 80.0 * math.cos(angle), 239.5 + 80.0 * math.sin(angle)
-    ring, spoke = ring_and_spoke(CONSTANTS, RINGS, SPOKES, 10.0, x, y)
+    ring, spoke = ring_and_spoke(CONSTANTS, N_RINGS, N_SPOKES, 10.0, x, y)
     assert ring == pytest.approx(80.0 / 200.0 * 10.0)
     assert spoke == pytest.approx(angle_deg / 10.0, abs=1e-9)
-    assert 0.0 <= spoke < SPOKES
+    assert 0.0 <= spoke < N_SPOKES
 
 
 def test_beyond_the_last_ring_the_last_one_answers() -> None:
-    assert ring_and_spoke(CONSTANTS, RINGS, SPOKES, 10.0, 319.5 + 1e4, 239.5)[0] == RINGS - 1.0
+    assert ring_and_spoke(CONSTANTS, N_RINGS, N_SPOKES, 10.0, 319.5 + 1e4, 239.5)[0] == N_RINGS - 1.0
 
 
 @pytest.mark.parametrize("place", [0.0, 0.25, 3.5, 6.999, 7.0])
@@ -52,14 +52,14 @@ def test_the_weights_are_those_of_a_cubic_b_spline(place: float) -> None:
     ("x", "y", "inside"), [(-0.5, -0.5, 1.0), (7.5, 5.5, 1.0), (-0.51, 2.0, 0.0), (7.51, 2.0, 0.0), (2.0, 5.51, 0.0)]
 )
 def test_the_image_reaches_to_the_outer_edges_of_its_pixels(x: float, y: float, inside: float) -> None:
-    assert _in_image((8, 6), x, y) == inside
+    assert in_image((8, 6), x, y) == inside
 
 
 def test_the_spline_passes_through_its_sheet() -> None:
-    ring, spoke = np.mgrid[:_RINGS, :_SPOKES]
-    sheet = 2.0 + (ring / _RINGS) ** 2 * np.cos(2.0 * math.pi * spoke / _SPOKES)
+    ring, spoke = np.mgrid[:RINGS, :SPOKES]
+    sheet = 2.0 + (ring / RINGS) ** 2 * np.cos(2.0 * math.pi * spoke / SPOKES)
     c = polar_spline(sheet)
-    assert c.shape == (_RINGS + 2, _SPOKES + 3)
+    assert c.shape == (RINGS + 2, SPOKES + 3)
     across = (c[:-2] + 4.0 * c[1:-1] + c[2:]) / 6.0
     through = (across[:, :-3] + 4.0 * across[:, 1:-2] + across[:, 2:-1]) / 6.0
     np.testing.assert_allclose(through, sheet, atol=1e-9)

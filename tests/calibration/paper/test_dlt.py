@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.fixtures.calibration import ideal_camera, observed, small_camera, spread_directions
 
-from sunarc.calibration.paper import _left_null_spaces, direct_linear_pose
+from sunarc.calibration.paper import direct_linear_pose, left_null_spaces
 from sunarc.calibration.solve.problem import Observations
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
@@ -63,7 +63,7 @@ def test_pixels_without_a_ray_are_left_aside() -> None:
 
 def test_null_spaces_are_orthonormal_and_across_their_ray() -> None:
     rays = np.concatenate([spread_directions(20, widest_deg=179.0), np.eye(3), -np.eye(3)])
-    found = _left_null_spaces(rays)
+    found = left_null_spaces(rays)
     np.testing.assert_allclose(np.einsum("naj,nj->na", found, rays), 0.0, atol=1e-12)
     np.testing.assert_allclose(
         np.einsum("naj,nbj->nab", found, found), np.broadcast_to(np.eye(2), (26, 2, 2)), atol=1e-12

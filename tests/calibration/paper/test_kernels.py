@@ -9,7 +9,7 @@ import pytest
 from tests.fixtures.calibration import observed, small_camera, spread_directions
 
 from sunarc.calibration.model.options import CalibrationOptions, EllipseScope, PaperOptions
-from sunarc.calibration.paper import _penalties, _unlimited, compiled_equations
+from sunarc.calibration.paper import compiled_equations, penalties_of, unlimited
 from sunarc.calibration.paper import equations as equations_in_numpy
 from sunarc.calibration.solve.levenberg_marquardt import as_seen
 from sunarc.optics.camera import Camera
@@ -22,9 +22,9 @@ def _compiled(camera: Camera, options: CalibrationOptions, count: int = 50) -> t
     seen = observed(small_camera(mirrored=camera.mirrored), spread_directions(count), sigma_px=0.5)
     normal, gradient = np.empty((23, 23)), np.empty(23)
     cost = compiled_equations(
-        kernel_optics(_unlimited(camera)),
+        kernel_optics(unlimited(camera)),
         as_seen(seen.weighted(np.linspace(0.5, 3.0, count))),
-        _penalties(camera, options).weighed(),
+        penalties_of(camera, options).weighed(),
         camera.to_vector(),
         normal,
         gradient,
@@ -56,7 +56,7 @@ def test_a_sighting_that_the_lens_cannot_show_costs_and_pulls_nothing() -> None:
     camera = replace(small_camera("perspective"), radial=(0.0,) * 8)
     behind = observed(small_camera(), -spread_directions(3), sigma_px=0.0)
     normal, gradient = np.empty((23, 23)), np.empty(23)
-    args = kernel_optics(_unlimited(camera)), _penalties(camera, options).weighed()
+    args = kernel_optics(unlimited(camera)), penalties_of(camera, options).weighed()
     empty = behind.select(slice(0, 0))
     none = compiled_equations(args[0], as_seen(empty), args[1], camera.to_vector(), normal, gradient)
     alone = gradient.copy()

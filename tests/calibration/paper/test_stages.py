@@ -20,7 +20,7 @@ from tests.fixtures.calibration import (
 from sunarc.calibration.fit.assemble import FitOutcome
 from sunarc.calibration.model.options import CalibrationOptions, PaperOptions
 from sunarc.calibration.model.sightings import FilteredSightings
-from sunarc.calibration.paper import _inverse, _start, fit_as_paper
+from sunarc.calibration.paper import fit_as_paper, normal_inverse, start_camera
 from sunarc.calibration.solve.problem import Observations
 from sunarc.optics.camera import PARAMETER_NAMES
 from sunarc.optics.forward import project
@@ -109,12 +109,12 @@ def test_only_the_latest_pose_counts(seen: Observations) -> None:
 
 def test_the_inverse_is_that_of_the_normal_matrix() -> None:
     jacobian = np.random.default_rng(1).standard_normal((30, 5)) * [1.0, 1e4, 1e-4, 1.0, 10.0]
-    found = _inverse(jacobian)
+    found = normal_inverse(jacobian)
     np.testing.assert_allclose(found @ (jacobian.T @ jacobian), np.eye(5), atol=1e-6)
     undetermined = jacobian.copy()
     undetermined[:, 4] = undetermined[:, 3]
-    assert np.all(np.isfinite(_inverse(undetermined)))
-    assert _inverse(undetermined)[3, 3] > 1e6
+    assert np.all(np.isfinite(normal_inverse(undetermined)))
+    assert normal_inverse(undetermined)[3, 3] > 1e6
     assert random_covariance(2).shape == (2, 2)
 
 
@@ -123,7 +123,7 @@ def test_the_first_camera_has_no_distortion_and_the_chosen_pose(
     seen: Observations, pose_start: str, *, fit_translation: bool
 ) -> None:
     paper = PaperOptions(pose_start=pose_start, fit_translation=fit_translation)  # type: ignore[arg-type]
-    start = _start(small_camera(), seen, replace(OPTIONS, paper=paper))
+    start = start_camera(small_camera(), seen, replace(OPTIONS, paper=paper))
     assert start.focal_length_px == (220.5, 220.5)
     assert (start.skew_px, start.radial, start.decentering) == (0.0, (0.0,) * 8, (0.0,) * 4)
     turned = start.rotation_cam_enu != small_camera().rotation_cam_enu

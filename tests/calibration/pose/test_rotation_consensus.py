@@ -99,7 +99,7 @@ def test_the_answer_does_not_change_from_call_to_call() -> None:
 def test_axes_of_a_pair_are_orthonormal_and_right_handed_with_its_middle_first() -> None:
     vectors = spread_directions(6)
     pairs = np.array([[0, 1], [2, 3], [5, 4]])
-    triads = module._triads(vectors, pairs)
+    triads = module.triads(vectors, pairs)
     np.testing.assert_allclose(np.swapaxes(triads, -1, -2) @ triads, np.tile(np.eye(3), (3, 1, 1)), atol=1e-12)
     np.testing.assert_allclose(np.linalg.det(triads), 1.0)
     first, second = vectors[pairs[:, 0]], vectors[pairs[:, 1]]

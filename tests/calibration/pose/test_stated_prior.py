@@ -14,7 +14,7 @@ from sunarc.calibration.calibrate import calibrate, reproduce_calibration
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.solve.priors import FREE
-from sunarc.calibration.stated_prior import PriorTolerances, _basis, calibrate_with_prior
+from sunarc.calibration.stated_prior import PriorTolerances, calibrate_with_prior, whitened_basis
 from sunarc.errors import InputError
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
@@ -36,7 +36,7 @@ def some(simulator: Simulator, truth: Camera, count: int, *, seed: int = 0) -> S
 
 def stated(truth: Camera, tolerances: PriorTolerances, *, seed: int) -> Camera:
     """Draw a statement of a camera whose errors are those of the tolerances."""
-    rng, basis = np.random.default_rng(seed), _basis(truth, tolerances)
+    rng, basis = np.random.default_rng(seed), whitened_basis(truth, tolerances)
     vector = truth.to_vector()
     vector[FREE] += basis @ rng.standard_normal(basis.shape[1])
     return rotated(truth.with_parameters(vector), np.radians(tolerances.pose_deg or 0.0) * rng.standard_normal(3))
@@ -89,7 +89,7 @@ def test_what_the_sightings_do_not_say_stays_as_uncertain_as_it_was_stated(
 ) -> None:
     seen = some(simulator, clear_day.camera, 3)
     found = with_prior(seen, clear_day.camera)
-    basis = _basis(clear_day.camera, TOLERANCES)
+    basis = whitened_basis(clear_day.camera, TOLERANCES)
     prior, after = np.sqrt(np.diag(basis @ basis.T)), np.sqrt(np.diag(found.covariance))
     scale = FREE.tolist().index(0)
     assert 0.5 < after[scale] / prior[scale] <= 1.0

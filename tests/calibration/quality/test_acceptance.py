@@ -129,7 +129,7 @@ def test_sightings_are_met_in_their_measured_air(calibrated: Calibration, clear_
     air = np.full(times.size, 40.0)
     pixels = project(calibrated.camera, sun_directions(times, calibrated.site, temperature=air))
     measured, assumed = (
-        acceptance._chi_square(calibrated, Sightings(unix_s=times, pixels=pixels, temperature=one), 0.02)
+        acceptance.chi_square(calibrated, Sightings(unix_s=times, pixels=pixels, temperature=one), 0.02)
         for one in (air, np.full(times.size, np.nan))
     )
     assert measured < 1e-9
@@ -142,7 +142,7 @@ def test_a_fit_of_the_same_days_that_moved_by_a_thousandth_of_a_sigma_says_the_s
 ) -> None:
     again = swayed(calibrated, sigmas)
     assert ("no_change" in codes(accept(again, calibrated).findings)) == same
-    assert acceptance._says_the_same(again, calibrated) == same
+    assert acceptance.says_the_same(again, calibrated) == same
 
 
 @pytest.mark.parametrize("sigma_px", [0.0, np.nan])

@@ -101,7 +101,7 @@ def test_false_questions_are_rare_among_cameras_tilted_by_any_angle() -> None:
 
 def test_the_mounts_density_is_one_over_the_sphere() -> None:
     def density(_: float, zenith: float) -> float:
-        return float(module._mounted(np.array([math.sin(zenith), 0.0, math.cos(zenith)]))) * math.sin(zenith)
+        return float(module.mount_density(np.array([math.sin(zenith), 0.0, math.cos(zenith)]))) * math.sin(zenith)
 
     total, _ = dblquad(density, 0.0, math.pi, 0.0, 2.0 * math.pi, epsabs=1e-6)
     assert total == pytest.approx(1.0, abs=0.01)

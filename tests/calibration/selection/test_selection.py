@@ -12,8 +12,8 @@ from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.selection import (
     Candidates,
     SelectionOptions,
-    _grade,
     select_sightings,
+    sigma_grade,
     sky_patches,
     solid_angle_sr,
 )
@@ -130,8 +130,8 @@ def test_a_pass_is_graded_by_the_mean_of_its_sigmas_in_powers_of_two() -> None:
     member = np.array([0, 0, 0, 0, 0, 1, 2, 2, 3, 4])
     count = np.bincount(member)
     # a lone sighting of four times the usual sigma is two grades down, beside a usual one it is one; finer is usual
-    assert _grade(sigma, member, count).tolist() == [0, 2, 1, 0, 0]
-    assert _grade(np.full(10, np.nan), member, count).tolist() == [0, 0, 0, 0, 0]
+    assert sigma_grade(sigma, member, count).tolist() == [0, 2, 1, 0, 0]
+    assert sigma_grade(np.full(10, np.nan), member, count).tolist() == [0, 0, 0, 0, 0]
 
 
 def test_patches_of_the_whole_sphere_have_numbers_of_their_own() -> None:

@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import sqrtm
 from tests.detection.rendering import FloatArray, Image
 
-from sunarc.detection.disc.detect import _moments, brightest_spots, measure_spot, semi_axes, symmetric_root
+from sunarc.detection.disc.detect import brightest_spots, measure_spot, moments, semi_axes, symmetric_root
 from sunarc.robust_statistics import median_of
 
 
@@ -124,7 +124,7 @@ def test_moments_are_those_of_what_exceeds_half_the_level() -> None:
     rows, columns = np.nonzero(mean > 50.0)
     weight = mean[rows, columns] - 50.0
     x, y = (float(np.average(axis, weights=weight)) for axis in (columns, rows))
-    found = _moments(mean, x0=100.5, y0=200.5)
+    found = moments(mean, x0=100.5, y0=200.5)
     assert (found.x, found.y, found.level, found.background) == pytest.approx((x + 100.5, y + 200.5, 100.0, 0.0))
     covariance = [
         [np.mean((a - p) * (b - q)) for b, q in ((columns, x), (rows, y))] for a, p in ((columns, x), (rows, y))
@@ -136,4 +136,4 @@ def test_moments_are_those_of_what_exceeds_half_the_level() -> None:
 def test_a_spot_of_one_pixel_has_the_least_axes() -> None:
     mean = np.zeros((9, 11))
     mean[4, 5] = 100.0
-    assert _moments(mean, x0=0.0, y0=0.0).semi_axes == pytest.approx((math.sqrt(1e-3), math.sqrt(1e-3)))
+    assert moments(mean, x0=0.0, y0=0.0).semi_axes == pytest.approx((math.sqrt(1e-3), math.sqrt(1e-3)))

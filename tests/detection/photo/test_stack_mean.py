@@ -7,7 +7,7 @@ import math
 import pytest
 
 from sunarc.detection.photo.candidates import Candidate
-from sunarc.detection.photo.ordinary_image import _agrees, _mean
+from sunarc.detection.photo.ordinary_image import agrees, weighted_mean
 from sunarc.detection.photo.rim import Rim
 from sunarc.detection.values import Detection
 
@@ -48,7 +48,7 @@ def anchor(x: float = 10.0, y: float = 5.0, *, sigma_px: float = 0.1, radius_px:
 def test_the_mean_is_weighted_by_inverse_variances() -> None:
     """Weights of 100 and 25 per px²: 0.6 px apart the mean is 0.12 px from the first, and chi² is 7.2 of 2."""
     seen = [(candidate(10.0, 5.0, sigma_px=0.1, radius=4.0), 50.0), (candidate(10.6, 5.0, sigma_px=0.2), 800.0)]
-    found = _mean(anchor(), seen)
+    found = weighted_mean(anchor(), seen)
     assert (found.x_px, found.y_px) == pytest.approx((10.12, 5.0))
     assert found.findings[-1].data["chi2"] == pytest.approx(3.6)
     assert found.sigma_px == pytest.approx(0.1 * math.sqrt(3.6))
@@ -56,24 +56,26 @@ def test_the_mean_is_weighted_by_inverse_variances() -> None:
 
 
 def test_exposures_that_agree_better_than_they_state_are_no_better_than_the_best() -> None:
-    found = _mean(anchor(), [(candidate(10.0, 5.0, sigma_px=0.3), 50.0), (candidate(10.0, 5.0, sigma_px=0.2), 800.0)])
+    found = weighted_mean(
+        anchor(), [(candidate(10.0, 5.0, sigma_px=0.3), 50.0), (candidate(10.0, 5.0, sigma_px=0.2), 800.0)]
+    )
     assert found.sigma_px == pytest.approx(0.2)
 
 
 def test_one_exposure_alone_leaves_the_anchor() -> None:
-    assert _mean(anchor(), [(candidate(11.0, 5.0, sigma_px=0.1), 50.0)]) == anchor()
+    assert weighted_mean(anchor(), [(candidate(11.0, 5.0, sigma_px=0.1), 50.0)]) == anchor()
 
 
-@pytest.mark.parametrize(("distance_px", "agrees"), [(3.4, True), (3.6, False)])
+@pytest.mark.parametrize(("distance_px", "expected"), [(3.4, True), (3.6, False)])
 @pytest.mark.parametrize("radii", [(10.0, 4.0), (4.0, 10.0)])
 def test_places_within_a_third_of_the_larger_radius_agree(
-    radii: tuple[float, float], distance_px: float, *, agrees: bool
+    radii: tuple[float, float], distance_px: float, *, expected: bool
 ) -> None:
     seen = candidate(10.0 + 0.6 * distance_px, 5.0 - 0.8 * distance_px, sigma_px=0.01, radius=radii[0])
-    assert _agrees(seen, anchor(sigma_px=0.01, radius_px=radii[1])) == agrees
+    assert agrees(seen, anchor(sigma_px=0.01, radius_px=radii[1])) == expected
 
 
-@pytest.mark.parametrize(("distance_px", "agrees"), [(19.9, True), (20.1, False)])
-def test_places_within_four_sigmas_of_both_agree(distance_px: float, *, agrees: bool) -> None:
+@pytest.mark.parametrize(("distance_px", "expected"), [(19.9, True), (20.1, False)])
+def test_places_within_four_sigmas_of_both_agree(distance_px: float, *, expected: bool) -> None:
     seen = candidate(10.0 + distance_px, 5.0, sigma_px=3.0, radius=1.0)
-    assert _agrees(seen, anchor(sigma_px=4.0, radius_px=1.0)) == agrees
+    assert agrees(seen, anchor(sigma_px=4.0, radius_px=1.0)) == expected

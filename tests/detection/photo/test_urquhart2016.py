@@ -203,13 +203,13 @@ def test_a_blob_at_the_corner_is_found() -> None:
 
 def test_the_fast_path_has_half_a_kernel_around_the_blob(monkeypatch: pytest.MonkeyPatch) -> None:
     reaches: list[int] = []
-    around = urquhart2016._around
+    around = urquhart2016.surroundings
 
     def noted(planes: Planes, blob: Blob, reach: int) -> tuple[slice, slice]:
         reaches.append(reach)
         return around(planes, blob, reach)
 
-    monkeypatch.setattr(urquhart2016, "_around", noted)
+    monkeypatch.setattr(urquhart2016, "surroundings", noted)
     planes = planes_of(sky(x=212.0, y=251.0, radius=12.0), full_scale=4095)
     locate(planes, apparent_zenith=math.radians(20.0))
     blob = sun_blob(planes.counts)
@@ -247,5 +247,5 @@ def test_forstners_strip_is_as_wide_on_either_side_of_the_sun(monkeypatch: pytes
 def test_the_centre_is_sought_in_the_blobs_box_and_8_px_around_as_far_as_the_window_reaches(
     box: tuple[int, int, int, int], first: tuple[int, int], rows: tuple[int, int], columns: tuple[int, int]
 ) -> None:
-    found = urquhart2016._among((100, 120), Blob(0.0, 0.0, 5.0, box), first=first)
+    found = urquhart2016.centre_window((100, 120), Blob(0.0, 0.0, 5.0, box), first=first)
     assert found == (slice(*rows), slice(*columns))

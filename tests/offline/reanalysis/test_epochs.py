@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sunarc.calibration.evidence import likeliest_path
-from sunarc.reanalysis.states import State, _cause, with_true_clock
+from sunarc.reanalysis.states import State, cause_of, with_true_clock
 
 
 def state(*, lens: int = 0, pose: int = 0, clock: float = 0.0) -> State:
@@ -46,9 +46,9 @@ def test_few_observations_have_a_path(n: int, k: int) -> None:
 
 
 def test_a_cause_is_the_lens_before_the_pose_before_the_clock() -> None:
-    assert _cause(state(), state(lens=1, pose=1, clock=3600.0)) == "lens"
-    assert _cause(state(), state(pose=1, clock=3600.0)) == "moved"
-    assert _cause(state(), state(clock=3600.0)) == "clock"
+    assert cause_of(state(), state(lens=1, pose=1, clock=3600.0)) == "lens"
+    assert cause_of(state(), state(pose=1, clock=3600.0)) == "moved"
+    assert cause_of(state(), state(clock=3600.0)) == "clock"
 
 
 def test_the_right_clock_is_the_one_that_most_sightings_of_a_pose_have() -> None:

@@ -10,7 +10,7 @@ import pytest
 from sunarc.detection.values import Expectation
 from sunarc.reanalysis.index import ArchiveImage, CameraImages, CameraPlan, Selector
 from sunarc.reanalysis.look import Item
-from sunarc.reanalysis.passes import CHUNK, _rounded, chunks_of, epoch_at
+from sunarc.reanalysis.passes import CHUNK, chunks_of, epoch_at, rounded
 from sunarc.reanalysis.states import Epoch
 from sunarc.simulation.truth import SGP
 from sunarc.utc import DAY_S
@@ -46,17 +46,17 @@ def test_new_images_of_another_day_leave_the_chunks_of_the_others_as_they_were()
 
 
 @pytest.mark.parametrize(
-    ("x", "rounded", "sigma", "sigma_rounded"),
+    ("x", "expected", "sigma", "sigma_rounded"),
     [(10.1, 10.0, 1.2, 1.0), (10.13, 10.25, 0.1, 0.5), (-0.2, -0.25, 1.3, 1.5)],
 )
 def test_a_prediction_is_rounded_to_a_quarter_of_a_pixel(
-    x: float, rounded: float, sigma: float, sigma_rounded: float
+    x: float, expected: float, sigma: float, sigma_rounded: float
 ) -> None:
-    one = _rounded(Expectation(x_px=x, y_px=x, uncertainty_px=sigma, stretch_px_per_rad=((101.0, 1.0), (-2.0, 98.0))))
+    one = rounded(Expectation(x_px=x, y_px=x, uncertainty_px=sigma, stretch_px_per_rad=((101.0, 1.0), (-2.0, 98.0))))
     assert one is not None
-    assert (one.x_px, one.y_px, one.uncertainty_px) == (rounded, rounded, sigma_rounded)
+    assert (one.x_px, one.y_px, one.uncertainty_px) == (expected, expected, sigma_rounded)
     assert one.stretch_px_per_rad == ((100.0, 0.0), (0.0, 100.0))
-    assert _rounded(None) is None
+    assert rounded(None) is None
 
 
 def test_an_image_belongs_to_the_epoch_of_the_last_sighting_before_it() -> None:

@@ -27,11 +27,11 @@ from sunarc.archive.fleet.feed_rows import FeedBatch, Reason, Refusal, read_feed
 from sunarc.errors import InputError, OutsideError
 from sunarc.json_fields import described
 
-_MOST_BYTES = 64_000_000
+MOST_BYTES = 64_000_000
 """Of a body when it is decompressed; an imager sends a million at once, and one calibration has a few."""
-_LARGE_BYTES = 10_000
+LARGE_BYTES = 10_000
 """Of a compressed body, about 200 rows: what an imager sends that was away."""
-_LARGE_AT_ONCE = 2
+LARGE_AT_ONCE = 2
 """Large bodies that are stored at the same time; the others wait for one another, and small ones for none of them."""
 _STATUS: dict[Reason, HTTPStatus] = {
     "unknown_camera": HTTPStatus.NOT_FOUND,
@@ -126,7 +126,7 @@ def token_digest(token: str) -> str:
 def feed_routes(receiver: FeedReceiver) -> APIRouter:
     """Return the route that takes what imagers send."""
     routes = APIRouter(tags=["fleet"])
-    large = asyncio.Semaphore(_LARGE_AT_ONCE)
+    large = asyncio.Semaphore(LARGE_AT_ONCE)
 
     @routes.put("/v1/cameras/{camera}/feed", responses=answers(401, 404, 408, 409, 413, 422))
     async def feed(
@@ -139,7 +139,7 @@ def feed_routes(receiver: FeedReceiver) -> APIRouter:
         scheme, token = get_authorization_scheme_param(request.headers.get("authorization"))
         body = await request.body()
         # After a failure of the hub all imagers catch up: without a limit they would have every thread of the pool.
-        async with large if len(body) > _LARGE_BYTES else nullcontext():
+        async with large if len(body) > LARGE_BYTES else nullcontext():
             committed = await run_in_threadpool(
                 receiver.take,
                 camera=camera,
@@ -199,11 +199,11 @@ def _decompressed(body: bytes) -> bytes:
     """Return a gzip body's content, no more of it than is allowed: a small one can hold gigabytes."""
     unpacking = zlib.decompressobj(wbits=31)
     try:
-        content = unpacking.decompress(body, _MOST_BYTES)
+        content = unpacking.decompress(body, MOST_BYTES)
     except zlib.error as error:
         raise InputError(field="body", problem=f"is not gzip ({error})", remedy="compress it") from None
     if unpacking.unconsumed_tail:
-        raise _TooLargeError(f"the body is larger than {_MOST_BYTES} bytes when decompressed")
+        raise _TooLargeError(f"the body is larger than {MOST_BYTES} bytes when decompressed")
     if not unpacking.eof:
         raise InputError(field="body", problem="is not complete gzip", remedy="send it again")
     return content

@@ -316,7 +316,7 @@ def event_stream_routes(context: ApiContext) -> APIRouter:
         selected = await run_in_threadpool(context.of, request)
         position = Position.of(last_event_id) if last_event_id else None
         follower = await run_in_threadpool(Follower, selected, position)
-        content = _nothing() if asked_by_head(request.scope) else _messages(follower, context.stopping)
+        content = _nothing() if asked_by_head(request.scope) else stream_messages(follower, context.stopping)
         return StreamingResponse(content, media_type=MEDIA_TYPE, headers=headers)
 
     return routes
@@ -327,7 +327,7 @@ async def _nothing() -> AsyncIterator[str]:
     yield
 
 
-async def _messages(follower: Follower, stopping: Callable[[], bool]) -> AsyncIterator[str]:
+async def stream_messages(follower: Follower, stopping: Callable[[], bool]) -> AsyncIterator[str]:
     """Yield the stream's text until the service stops: messages as they come, comments where none comes."""
     yield f"retry: {_RETRY_MS}\n{follower.state().text}"
     silent_s = 0.0

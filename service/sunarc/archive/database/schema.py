@@ -55,7 +55,7 @@ class Check:
 
 def head_revision() -> str:
     """Return the revision that this version needs."""
-    return _revisions()[-1]
+    return known_revisions()[-1]
 
 
 def upgrade(path: Path) -> Path | None:
@@ -73,7 +73,7 @@ def upgrade(path: Path) -> Path | None:
             revision = _revision(connection)
         if revision == head_revision():
             return None
-        if revision is not None and revision not in _revisions():
+        if revision is not None and revision not in known_revisions():
             raise _newer(revision, str(path))
         copy = backup(path, _copy_path(path, revision), replace=True) if existed else None
         _migrate(engine, to="head")
@@ -91,7 +91,7 @@ def upgrade_server(url: URL) -> bool:
         with reading(engine) as connection:
             require_writable(connection)
             revision = _revision(connection)
-        if revision is not None and revision not in _revisions():
+        if revision is not None and revision not in known_revisions():
             raise _newer(revision, name_of(url))
         if revision != head_revision():
             _migrate(engine, to="head")
@@ -133,7 +133,7 @@ def downgrade(path: Path, revision: str) -> Path:
     What only the newer revision can hold is lost; everything else stays.
     """
     require_file(path, command="sunarc db upgrade")
-    revisions = _revisions()
+    revisions = known_revisions()
     engine = create_archive_engine(path, foreign_keys=False, create=True)
     try:
         with reading(engine) as connection:
@@ -161,7 +161,7 @@ def require_file(path: Path, *, command: str) -> None:
 def require_head(connection: Connection, *, where: str, command: str) -> None:
     """Refuse a database of another revision."""
     revision, head = _revision(connection), head_revision()
-    if revision is None or revision in _revisions():
+    if revision is None or revision in known_revisions():
         if revision != head:
             raise SchemaError(f"{where} is at revision {revision}, this version needs {head}; run: {command}")
         return
@@ -187,7 +187,7 @@ def _revision(connection: Connection) -> str | None:
     return None if found is None else str(found)
 
 
-def _revisions() -> tuple[str, ...]:
+def known_revisions() -> tuple[str, ...]:
     """Return the revisions that this version knows, oldest first: a migration's file begins with its own."""
     revisions = sorted(file.stem.split("_")[0] for file in (_migrations() / "versions").glob("[0-9]*.py"))
     if not revisions:

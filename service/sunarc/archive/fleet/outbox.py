@@ -52,7 +52,7 @@ class Outbox(Store):
         """
         if self._file is None:
             raise ConfigurationError("hub.url: only an archive in SQLite is sent to a hub; unset `store` or `hub.url`")
-        wanted = dict(_triggers())
+        wanted = dict(outbox_triggers())
         with self._writing() as connection:
             present = {str(name): str(sql) for name, sql in connection.execute(text(_TRIGGERS))}
             begun = connection.scalar(select(func.count()).select_from(outbox_position)) == 1
@@ -170,7 +170,8 @@ def _queue(connection: Connection, kinds: Iterable[str]) -> None:
         connection.exec_driver_sql(f"INSERT INTO outbox (kind, data) {rows}")
 
 
-def _triggers() -> Iterator[tuple[str, str]]:
+def outbox_triggers() -> Iterator[tuple[str, str]]:
+    """Yield the triggers that queue changed rows, each with its name and its SQL."""
     for kind, (_, key) in FED.items():
         changed = " OR ".join(f'OLD."{column.name}" IS NOT NEW."{column.name}"' for column in columns_of(kind).values())
         moved = " OR ".join(f'OLD."{name}" IS NOT NEW."{name}"' for name in key)

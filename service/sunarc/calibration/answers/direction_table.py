@@ -34,8 +34,8 @@ BACK_PROJECTED = ("zenith_deg", "azimuth_deg", "east", "north", "up", "sigma_deg
 PROJECTED = ("x_px", "y_px", "sigma_px", "cov_xx_px2", "cov_xy_px2", "cov_yy_px2", "inside")
 """Columns of what `Lookup.project` returns."""
 
-_RINGS = 96
-_SPOKES = 192
+RINGS = 96
+SPOKES = 192
 _PADDING = 6
 _CHUNK = 32_768
 
@@ -99,14 +99,14 @@ def lookup(calibration: Uncertain) -> Lookup:
     """Return a calibration made ready; takes some tenths of a second."""
     camera = calibration.camera
     table = inverse_table(camera)
-    radius = np.linspace(0.0, table.constants.limit, _RINGS)
-    azimuth = np.linspace(0.0, 2.0 * math.pi, _SPOKES, endpoint=False)
+    radius = np.linspace(0.0, table.constants.limit, RINGS)
+    azimuth = np.linspace(0.0, 2.0 * math.pi, SPOKES, endpoint=False)
     covariance, sigma = uncertainties(calibration, polar_directions(table, radius, azimuth))
     # the Cholesky factor is smooth where the covariance is, and any spline of it is positive definite
     xx = np.sqrt(np.maximum(covariance[:, 0, 0], 1e-12))
     yx = covariance[:, 1, 0] / xx
     yy = np.sqrt(np.maximum(covariance[:, 1, 1] - yx**2, 0.0))
-    sheets = np.stack([xx, yx, yy, sigma], axis=-1).reshape(_RINGS, _SPOKES, 4)
+    sheets = np.stack([xx, yx, yy, sigma], axis=-1).reshape(RINGS, SPOKES, 4)
     splines = np.stack([polar_spline(sheets[..., k]) for k in range(4)], axis=-1)
     return Lookup(
         camera=camera,
@@ -179,7 +179,8 @@ def ring_and_spoke(  # noqa: PLR0917 - compiled functions take positions
 
 
 @njit(nogil=True)
-def _in_image(size: tuple[int, int], x: float, y: float) -> float:
+def in_image(size: tuple[int, int], x: float, y: float) -> float:
+    """Return which pixels are within the image."""
     return 1.0 if -0.5 <= x <= size[0] - 0.5 and -0.5 <= y <= size[1] - 0.5 else 0.0
 
 
@@ -212,7 +213,7 @@ def _write_angles(  # noqa: PLR0917 - compiled functions take positions
         result[i, 0] = math.degrees(math.atan2(math.sqrt(east * east + north * north), up))
         result[i, 1] = azimuth if azimuth >= 0.0 else (azimuth + 360.0) % 360.0
         result[i, 2], result[i, 3], result[i, 4] = east, north, up
-        result[i, 5], result[i, 6] = max(total, 0.0), _in_image(size, x, y)
+        result[i, 5], result[i, 6] = max(total, 0.0), in_image(size, x, y)
 
 
 @njit(nogil=True)
@@ -241,7 +242,7 @@ def _write_pixels(  # noqa: PLR0917 - compiled functions take positions
                 xx, yx, yy = xx + weight * node[0], yx + weight * node[1], yy + weight * node[2]
         result[i, 0], result[i, 1] = x, y
         result[i, 3], result[i, 4], result[i, 5] = xx * xx, xx * yx, yx * yx + yy * yy
-        result[i, 2], result[i, 6] = math.sqrt(0.5 * (result[i, 3] + result[i, 5])), _in_image(size, x, y)
+        result[i, 2], result[i, 6] = math.sqrt(0.5 * (result[i, 3] + result[i, 5])), in_image(size, x, y)
 
 
 # What every pixel sees, and how sure that is, at once.

@@ -304,7 +304,7 @@ def draw_ensemble(calibration: Calibration, *, draws: int, seed: int, calibratio
     at = predicted(errors, calibration.camera, polar_directions(table, radius, azimuth))
     sheets = np.empty((draws, _RINGS + 2, _SPOKES + 3, 2))
     normal = _normals(calibration_id, seed, draws, errors.mean.size + 2 * errors.variances.size + 1)
-    parameters, coefficients = _drawn(errors, normal[:, :-1])
+    parameters, coefficients = draw_errors(errors, normal[:, :-1])
     for k in range(draws):
         moved = at.rows @ parameters[k] + at.basis_values @ coefficients[k].T
         moved = np.nan_to_num(moved).reshape(_RINGS, _SPOKES, 2)
@@ -318,14 +318,14 @@ def _normals(calibration_id: str, seed: int, draws: int, size: int) -> FloatArra
     return np.random.Generator(np.random.PCG64([of_id, seed])).standard_normal((draws, size))
 
 
-def _drawn(errors: CameraErrorModel, normal: FloatArray) -> tuple[FloatArray, FloatArray]:
+def draw_errors(errors: CameraErrorModel, normal: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return parameters' errors (k, p) and coefficients (k, 2, m) from standard normal numbers (k, p + 2m)."""
     size = errors.mean.size
-    drawn = normal @ _root(field_and_parameters(errors)).T
+    drawn = normal @ covariance_root(field_and_parameters(errors)).T
     return drawn[:, :size], drawn[:, size:].reshape(len(normal), 2, -1)
 
 
-def _root(covariance: FloatArray) -> FloatArray:
+def covariance_root(covariance: FloatArray) -> FloatArray:
     """Return F with F Fᵀ the covariance (p, p); what rounding made negative counts as 0."""
     scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(np.float64).tiny))
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))

@@ -281,12 +281,12 @@ def write_coverage(
         for cosine in cosines:
             for k in range(n):
                 square = half[k] + gap[k] * cosine
-                outside[k] += _exponential(min(0.5 * ellipse / max(square, 1e-12), _FAR))
+                outside[k] += exponential(min(0.5 * ellipse / max(square, 1e-12), _FAR))
         result[number] = 1.0 - outside.sum() / (n * cosines.size)
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"}, inline="always")
-def _exponential(x: float) -> float:
+def exponential(x: float) -> float:
     """Return exp(-x) for x from 0 to 40, to 3e-11, in a form that loops over many take in vector registers."""
     t, value = x / 2.0**_SQUARINGS, 0.0
     for n in range(_TERMS - 1, -1, -1):

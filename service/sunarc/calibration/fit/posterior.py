@@ -124,7 +124,7 @@ def _coupling(covariance: FloatArray, cross: FloatArray) -> FloatArray:
 
 
 _NOMINAL_COVERAGE = 0.95
-_ELLIPSE = -2.0 * math.log(1.0 - _NOMINAL_COVERAGE)
+ELLIPSE = -2.0 * math.log(1.0 - _NOMINAL_COVERAGE)
 """Square of the Mahalanobis distance that holds 95 % of a Gaussian in the plane."""
 _TILTS = (-3.0, 1.5)
 _SAME_COVERAGE = 2e-4
@@ -132,8 +132,8 @@ _SAME_COVERAGE = 2e-4
 _MOST_STEPS = 20
 _TAIL_TILT = 0.5
 _WEIGHT_RETAINED = 0.985
-_PROBES = 60
-_COS_DOUBLED = np.cos((np.arange(8) + 0.5) * math.pi / 8.0)
+PROBES = 60
+COS_DOUBLED = np.cos((np.arange(8) + 0.5) * math.pi / 8.0)
 """Directions round a quarter of an ellipse, as the cosine of twice their angle."""
 
 
@@ -210,9 +210,9 @@ def marginalised_covariance(
     `mean` (2, m) are the coefficients of the field that is part of the prediction; None: it has no part in it, and its
     errors are those before any sighting.
     """
-    choices = _plausible(normal, grid, unknowns, mean)
-    moments = _at_probes(choices, grid.basis, problem, unknowns)
-    weight = choices.tilted(_honest_tilt(choices, moments))
+    choices = plausible(normal, grid, unknowns, mean)
+    moments = at_probes(choices, grid.basis, problem, unknowns)
+    weight = choices.tilted(honest_tilt(choices, moments))
     power = weight * choices.amplitude**2
     amplitude = math.sqrt(float(power.sum()))
     length = math.exp(float(power @ np.log(choices.length) / power.sum()))
@@ -225,7 +225,7 @@ def marginalised_covariance(
     return PosteriorCovariance(covariance, seen_field(replace(unseen, cross=cross), normal, covariance))
 
 
-def _plausible(
+def plausible(
     normal: NormalEquations, grid: HyperparameterGrid, unknowns: FloatArray, mean: FloatArray | None = None
 ) -> _Choices:
     """Return the scales that hold nearly all of the probability, tilted towards large fields or not."""
@@ -266,7 +266,7 @@ def _plausible(
     )
 
 
-def _at_probes(choices: _Choices, basis: WaveBasis, problem: FitProblem, unknowns: FloatArray) -> FloatArray:
+def at_probes(choices: _Choices, basis: WaveBasis, problem: FitProblem, unknowns: FloatArray) -> FloatArray:
     """Return (k, 3, n): the error's second moments xx, xy, yy under each choice, at places spread over the sky.
 
     Camera and field together, see `covariance`, and how far the choice's fit is from the one that is doubted. Without a
@@ -299,15 +299,15 @@ def _at_probes(choices: _Choices, basis: WaveBasis, problem: FitProblem, unknown
 
 def sky_rows(problem: FitProblem, unknowns: FloatArray, basis: WaveBasis) -> tuple[FloatArray, FloatArray]:
     """Return derivatives (n, 2, p) and basis values (n, m) of sky that the last epoch's camera shows."""
-    sky = hemisphere(_PROBES)
-    nowhere = np.zeros((_PROBES, 2))
-    epoch = np.full(_PROBES, problem.n_epochs - 1)
+    sky = hemisphere(PROBES)
+    nowhere = np.zeros((PROBES, 2))
+    epoch = np.full(PROBES, problem.n_epochs - 1)
     minus, rows = problem.linearised(
         unknowns,
         Observations(
             directions=sky,
             pixels=nowhere,
-            information=np.ones(_PROBES),
+            information=np.ones(PROBES),
             epoch=epoch,
             systematic_px=np.zeros((1, 2, problem.n_systematic)),
         ),
@@ -316,14 +316,14 @@ def sky_rows(problem: FitProblem, unknowns: FloatArray, basis: WaveBasis) -> tup
     return rows[shown], basis.values(-minus[shown])
 
 
-def _honest_tilt(choices: _Choices, moments: FloatArray) -> float:
+def honest_tilt(choices: _Choices, moments: FloatArray) -> float:
     """Return the power of the amplitude with which the tilted mean holds as much of the mixture as it says."""
     if moments.shape[2] == 0:
         return 0.0
 
     def excess(tilt: float) -> float:
         stated = np.tensordot(choices.tilted(tilt), moments, 1)
-        return float(choices.share @ _coverage(moments, stated)) - _NOMINAL_COVERAGE
+        return float(choices.share @ coverage(moments, stated)) - _NOMINAL_COVERAGE
 
     return root_of_rising(excess, *_TILTS, close=_SAME_COVERAGE)
 
@@ -353,13 +353,13 @@ def root_of_rising(function: Callable[[float], float], low: float, high: float, 
     return middle
 
 
-def _coverage(moments: FloatArray, covariance: FloatArray) -> FloatArray:
+def coverage(moments: FloatArray, covariance: FloatArray) -> FloatArray:
     """Return (k,): the share of Gaussians (k, 3, n) within the 95 % ellipses of stated covariances (3, n).
 
     With l₁, l₂ the eigenvalues of stated⁻¹ · moments, it is the mean over φ of 1 - exp(-q / 2 (l₁ cos² φ + l₂ sin² φ)).
     """
     share = np.empty(moments.shape[0])
-    write_coverage(moments, covariance, _ELLIPSE, _COS_DOUBLED, share)
+    write_coverage(moments, covariance, ELLIPSE, COS_DOUBLED, share)
     return share
 
 
@@ -374,9 +374,9 @@ def _coverage(moments: FloatArray, covariance: FloatArray) -> FloatArray:
 # each place is solved on the whole lens.
 
 _SPACING = 1.0
-_NODES = np.array(list(itertools.product(np.arange(-2.0, 2.5, _SPACING), repeat=2)))
+NODES = np.array(list(itertools.product(np.arange(-2.0, 2.5, _SPACING), repeat=2)))
 """Values of p3 and p4 in units of their prior's 1-sigma: they hold 98 % of it in each."""
-_CELL = math.log(_SPACING**2 / (2.0 * math.pi))
+CELL = math.log(_SPACING**2 / (2.0 * math.pi))
 _RIDGE = 1e-12
 _KNOWN = 0.15
 """1-sigma of p3 and p4, in units of the prior's, below which they are known and the Gaussian holds."""
@@ -542,14 +542,14 @@ def mixed_over_decentering(  # noqa: PLR0917 - the fit, piece by piece
     if float(np.sqrt(np.max(np.diag(inner)))) < _KNOWN:
         return posterior
     sums = BilinearSums.about(problem, system, unknowns, scales)
-    free, nodes = sums.free(), sums.conditional(_NODES)
-    share = _shares(free, nodes)
-    if not _is_linear(sums, problem, system, nodes, share):
-        nodes = _of_whole_lens(problem, system, unknowns, scales)
-        share = _shares(free, nodes)
+    free, nodes = sums.free(), sums.conditional(NODES)
+    share = shares(free, nodes)
+    if not is_linear(sums, problem, system, nodes, share):
+        nodes = of_whole_lens(problem, system, unknowns, scales)
+        share = shares(free, nodes)
     moments = nodes.covariance + nodes.shift[:, :, None] * nodes.shift[:, None, :]
     excess = np.tensordot(share, moments - free.covariance, 1)
-    part, positive = _positive_part(excess, free.covariance[0])
+    part, positive = positive_part(excess, free.covariance[0])
     covariance = posterior.covariance + part
     if mean is None:
         return posterior._replace(covariance=covariance)
@@ -559,17 +559,17 @@ def mixed_over_decentering(  # noqa: PLR0917 - the fit, piece by piece
     return PosteriorCovariance(covariance, seen_field(field, system.normal(), covariance))
 
 
-def _shares(free: Conditionals, nodes: Conditionals) -> FloatArray:
+def shares(free: Conditionals, nodes: Conditionals) -> FloatArray:
     """Return (k,): how probable the places are.
 
     The free fit takes part: where the grid misses the optimum, the Gaussian about it holds.
     """
-    log_mass = np.r_[free.log_evidence, nodes.log_evidence - 0.5 * np.sum(_NODES**2, axis=1) + _CELL]
+    log_mass = np.r_[free.log_evidence, nodes.log_evidence - 0.5 * np.sum(NODES**2, axis=1) + CELL]
     share = np.exp(log_mass - np.max(log_mass))
     return np.asarray((share / share.sum())[1:])
 
 
-def _is_linear(
+def is_linear(
     sums: BilinearSums, problem: FitProblem, system: LinearSystem, nodes: Conditionals, share: FloatArray
 ) -> bool:
     """Return whether the whole lens is, at all plausible places, about as probable as the linear fits are.
@@ -584,12 +584,12 @@ def _is_linear(
     return True
 
 
-def _of_whole_lens(problem: FitProblem, system: LinearSystem, unknowns: FloatArray, scales: Scales) -> Conditionals:
+def of_whole_lens(problem: FitProblem, system: LinearSystem, unknowns: FloatArray, scales: Scales) -> Conditionals:
     """Return the conditional fits of the whole lens, p3 and p4 in its prior's mean and not in its basis."""
     in_axes, transform = system.in_field_axes(scales)
     prior, start, found = problem.prior, unknowns.copy(), []
     start[HIGHER] = 0.0
-    for place in _NODES:
+    for place in NODES:
         basis = prior.basis.copy()
         basis[:, HIGHER] = 0.0
         held = replace(problem, prior=replace(prior, mean=prior.mean + prior.basis[:, HIGHER] @ place, basis=basis))
@@ -602,7 +602,7 @@ def _of_whole_lens(problem: FitProblem, system: LinearSystem, unknowns: FloatArr
     return Conditionals(*(np.array(column) for column in zip(*found, strict=True)))
 
 
-def _positive_part(excess: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
+def positive_part(excess: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return a symmetric matrix (p, p) without what it takes from a covariance, in units of that one.
 
     And the projection (p, p) that does so.

@@ -152,7 +152,7 @@ def with_lens(solved: Calibration, lens: LensType, *, points: Sightings, options
         return contradicted(solved, found.departure)
     seen = filter_sightings(points, site=solved.site, image_size=(solved.camera.width, solved.camera.height))
     used = np.ones(len(seen), dtype=bool) if solved.used is None else solved.used[seen.index]
-    changed = _changed(solved, lens, found.lens, options)
+    changed = moved_to_lens(solved, lens, found.lens, options)
     latest = used & (seen.epoch == seen.epoch.max(initial=0))
     field_px = solved.field.amplitude_px
     if solved.camera.displacement is None and field_px < _LARGE_FIELD * solved.evidence.sigma_px:
@@ -174,7 +174,7 @@ def conditioned_lens(solved: Calibration, lens: LensType) -> Conditioned:
     return Conditioned(Gaussian(mean, 0.5 * (covariance + covariance.T)), departure)
 
 
-def _changed(solved: Calibration, lens: LensType, to: Gaussian, options: CalibrationOptions) -> Calibration:
+def moved_to_lens(solved: Calibration, lens: LensType, to: Gaussian, options: CalibrationOptions) -> Calibration:
     """Return a calibration whose lens is another one; pose and field follow by their regression on the lens.
 
     What the field's own errors lose by that is left as it was: they are stated a little too large.

@@ -172,7 +172,7 @@ def estimated_spread(known: Sequence[Information], stated: UnitSpread, *, focal_
     usual = usual_precision(math.nan)
     factors = np.array(list(product(_FACTORS, repeat=4)))
     base = np.array([stated.focal_length * focal_px, stated.center_px, stated.radial_px, stated.decentering_px])
-    log_weight = _log_evidences(known, factors * base, usual)
+    log_weight = log_evidences(known, factors * base, usual)
     log_weight = log_weight - 0.5 * np.sum((np.log(factors) / _FACTOR_LOG_SIGMA) ** 2, axis=1)
     weight = np.exp(log_weight - log_weight.max())
     found = np.sqrt(weight @ factors**2 / weight.sum())
@@ -184,7 +184,7 @@ def estimated_spread(known: Sequence[Information], stated: UnitSpread, *, focal_
     )
 
 
-def _log_evidences(known: Sequence[Information], spreads: FloatArray, usual: FloatArray) -> FloatArray:
+def log_evidences(known: Sequence[Information], spreads: FloatArray, usual: FloatArray) -> FloatArray:
     """Return (k,): the log evidence of spreads (k, 4), but for a constant."""
     scales = np.stack([spread_scales(*one) for one in spreads.tolist()])
     precision = np.broadcast_to(np.diag(usual + _TINY), (len(scales), N_LENS, N_LENS)).copy()

@@ -51,7 +51,7 @@ def fit_backward(camera: Camera) -> BackwardModel:
     It is of the lens alone: a displacement is taken out of the pixel before.
     """
     camera = camera.lens_alone()
-    rays, pixels = _synthetic(camera)
+    rays, pixels = synthetic_rays(camera)
     if pixels.shape[0] < 40:
         return NO_BACKWARD
     x_hat, y_hat = calibrated(camera, pixels)
@@ -61,18 +61,20 @@ def fit_backward(camera: Camera) -> BackwardModel:
     focal = camera.focal_length_px[0]
 
     def misfit(coefficients: FloatArray) -> FloatArray:
-        return np.asarray(focal * (_ideal_point(camera, coefficients, x_hat, y_hat) - target_point)).ravel()
+        return np.asarray(focal * (ideal_point(camera, coefficients, x_hat, y_hat) - target_point)).ravel()
 
     def slopes(coefficients: FloatArray) -> FloatArray:
-        return np.asarray(focal * _slopes(camera, coefficients, x_hat, y_hat)).reshape(-1, coefficients.size)
+        return np.asarray(focal * ideal_point_derivatives(camera, coefficients, x_hat, y_hat)).reshape(
+            -1, coefficients.size
+        )
 
-    found = _least_squares(misfit, slopes, _first(camera, x_hat, y_hat, target_point))
+    found = least_squares(misfit, slopes, first_coefficients(camera, x_hat, y_hat, target_point))
     worst = float(np.max(np.linalg.norm(misfit(found).reshape(-1, 2), axis=-1)))
     radial = found[2:10] / _scale(camera) ** _ORDERS
     return BackwardModel(radial=tuple(map(float, radial)), decentering=_decentering(found), max_error_px=worst)
 
 
-def _least_squares(
+def least_squares(
     misfit: Callable[[FloatArray], FloatArray], slopes: Callable[[FloatArray], FloatArray], start: FloatArray
 ) -> FloatArray:
     """Return the coefficients of the least squares by Levenberg-Marquardt, from a start (k,).
@@ -120,7 +122,7 @@ def back_project(camera: Camera, model: BackwardModel, pixels: ArrayLike) -> Flo
     x_hat, y_hat = calibrated(camera, pixel)
     radial = np.array(model.radial) * _scale(camera) ** _ORDERS
     coefficients = np.array([*model.decentering[:2], *radial, *model.decentering[2:]])
-    point = _ideal_point(camera, coefficients, x_hat, y_hat)
+    point = ideal_point(camera, coefficients, x_hat, y_hat)
     radius = np.hypot(point[..., 0], point[..., 1])
     theta = ideal_angle(camera.projection, radius)
     # on the axis the direction is arbitrary, and its factor is 0
@@ -131,7 +133,7 @@ def back_project(camera: Camera, model: BackwardModel, pixels: ArrayLike) -> Flo
     )
 
 
-def _first(camera: Camera, x_hat: FloatArray, y_hat: FloatArray, target: FloatArray) -> FloatArray:
+def first_coefficients(camera: Camera, x_hat: FloatArray, y_hat: FloatArray, target: FloatArray) -> FloatArray:
     """Start from the forward model's own decentering, which is the backward one's to first order.
 
     It is not let be 0: q3 to q5 have no effect where q1 = q2 = 0. The radial coefficients are those of linear least
@@ -162,7 +164,7 @@ def _scale(camera: Camera) -> float:
     return float(ideal_radius(camera.projection, math.pi / 4 if camera.projection == "perspective" else math.pi / 2))
 
 
-def _ideal_point(camera: Camera, coefficients: FloatArray, x_hat: FloatArray, y_hat: FloatArray) -> FloatArray:
+def ideal_point(camera: Camera, coefficients: FloatArray, x_hat: FloatArray, y_hat: FloatArray) -> FloatArray:
     """Return (..., 2): where the ideal projection would have put the ray (Eqs. 14 to 17)."""
     radius = np.hypot(x_hat, y_hat)
     safe = np.where(radius > 0.0, radius, 1.0)
@@ -174,8 +176,10 @@ def _ideal_point(camera: Camera, coefficients: FloatArray, x_hat: FloatArray, y_
     return np.asarray(point * factor[..., None])
 
 
-def _slopes(camera: Camera, coefficients: FloatArray, x_hat: FloatArray, y_hat: FloatArray) -> FloatArray:
-    """Return (n, 2, 13): derivatives of `_ideal_point` by the coefficients, for x_hat and y_hat of shape (n,)."""
+def ideal_point_derivatives(
+    camera: Camera, coefficients: FloatArray, x_hat: FloatArray, y_hat: FloatArray
+) -> FloatArray:
+    """Return (n, 2, 13): derivatives of `ideal_point` by the coefficients, for x_hat and y_hat of shape (n,)."""
     radius = np.hypot(x_hat, y_hat)
     safe = np.where(radius > 0.0, radius, 1.0)
     decentering, u, v = np.r_[coefficients[:2], coefficients[10:]], x_hat / safe, y_hat / safe
@@ -192,7 +196,7 @@ def _slopes(camera: Camera, coefficients: FloatArray, x_hat: FloatArray, y_hat: 
     return np.concatenate([by_shift[..., :2], by_radial, by_shift[..., 2:]], axis=-1)
 
 
-def _synthetic(camera: Camera) -> tuple[FloatArray, FloatArray]:
+def synthetic_rays(camera: Camera) -> tuple[FloatArray, FloatArray]:
     """Return rays in the camera frame and their pixels, over the part of the image that is seen."""
     limit = math.radians(80.0) if camera.projection == "perspective" else math.pi / 2
     limit = rising_limit(camera, up_to=min(limit, camera.max_angle))

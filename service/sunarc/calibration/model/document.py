@@ -165,7 +165,7 @@ def _uncertainty(calibration: Calibration) -> Document:
     return {
         "parameters": list(calibration.parameter_names),
         "covariance": calibration.covariance.tolist(),
-        "field": _field(calibration.field, calibration.camera.displacement),
+        "field": field_document(calibration.field, calibration.camera.displacement),
         "sky_rms_deg": _number(calibration.sky_rms_deg),
         "sky_max_deg": _number(calibration.sky_max_deg),
     }
@@ -185,7 +185,7 @@ def _model(camera: Camera) -> Document:
     }
 
 
-def _field(field: Field, displacement: Displacement | None = None) -> Document:
+def field_document(field: Field, displacement: Displacement | None = None) -> Document:
     """Return the field; that of amplitude 0 has the waves of the displacement, as a simulated camera's may."""
     if field.amplitude_px == 0.0:
         basis = replace(field.basis, orders=np.zeros((0, 2), dtype=np.int64))

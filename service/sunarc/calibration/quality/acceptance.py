@@ -169,7 +169,7 @@ def _compared(
         return [([Finding("handedness_differs")], [])]
     if not same_pose:
         return []
-    if _says_the_same(candidate, current):
+    if says_the_same(candidate, current):
         return [([], [Finding("no_change", {"limit": _NEW})])]
     refusals, warnings = _change(candidate, current)
     if warnings and _met_better(candidate, current, unseen):
@@ -197,7 +197,8 @@ def _knows_more(candidate: Calibration, current: Calibration) -> bool:
     return bool(set(new.days) - set(old.days)) and new.n_used > 0.8 * old.n_used
 
 
-def _says_the_same(candidate: Calibration, current: Calibration) -> bool:
+def says_the_same(candidate: Calibration, current: Calibration) -> bool:
+    """Return whether both are of the same sightings, and differ by less than is stated."""
     new, old = candidate.evidence, current.evidence
     if (new.days, new.n_used, candidate.method) != (old.days, old.n_used, current.method):
         return False
@@ -223,11 +224,11 @@ def _met_better(candidate: Calibration, current: Calibration, unseen: Sightings 
     noise = candidate.evidence.sigma_px * math.sqrt(max(candidate.evidence.inflation, 1.0))
     if unseen is None or len(unseen) == 0 or not noise > 0.0:
         return False
-    gain = _chi_square(current, unseen, noise) - _chi_square(candidate, unseen, noise)
+    gain = chi_square(current, unseen, noise) - chi_square(candidate, unseen, noise)
     return gain > _PROOF
 
 
-def _chi_square(calibration: Calibration, points: Sightings, noise_px: float) -> float:
+def chi_square(calibration: Calibration, points: Sightings, noise_px: float) -> float:
     """Return the sum of squares of sightings about a camera in units of the noise; none counts more than an outlier."""
     directions = apparent_directions(points, site=calibration.site)
     difference = points.pixels - project(calibration.camera, directions)

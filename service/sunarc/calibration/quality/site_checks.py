@@ -60,7 +60,7 @@ def tilt_question(camera: Camera, site: Site) -> Finding | None:
     if tilt_deg <= _QUESTIONED_DEG:
         return None
     best = max(_explanations(axis, site), key=lambda one: one.density)
-    odds = best.density / (_NO_MISTAKE * float(_mounted(axis)))
+    odds = best.density / (_NO_MISTAKE * float(mount_density(axis)))
     if odds < _NOT_WORTH_ASKING:
         return Finding("camera_tilted", {"tilt_deg": tilt_deg, "odds": 0.0})
     if best.code == "camera_tilted_by_latitude":
@@ -97,11 +97,11 @@ def _explained(
 ) -> _Explanation:
     """Return the explanation of the optical axis by turns of the sky, with the one that counts most."""
     turned = rotation_matrix(np.radians(turns_deg)[:, None] * about) @ axis
-    densities = shares * _mounted(turned)
+    densities = shares * mount_density(turned)
     return _Explanation(code, float(densities.sum()), float(turns_deg[np.argmax(densities)]))
 
 
-def _mounted(axis: FloatArray) -> FloatArray:
+def mount_density(axis: FloatArray) -> FloatArray:
     """Return (...): how probable it is that a mount holds the optical axis in directions (..., 3), per steradian."""
     tilt_deg, sigma = angles_from_direction(axis)[0], math.radians(_LEVELLED_DEG)
     levelled = np.exp(-0.5 * (tilt_deg / _LEVELLED_DEG) ** 2) / (2.0 * math.pi * sigma**2)

@@ -241,10 +241,10 @@ def _polished(
             problem, observed, unknowns, precision=precision, sigma=sigma, free=free, iterations=12, tolerance=1e-3
         ).unknowns
     found = problem.camera(unknowns)
-    return replace(found, max_angle=camera.max_angle), _misfit(problem, unknowns, precision, observed, found)
+    return replace(found, max_angle=camera.max_angle), candidate_misfit(problem, unknowns, precision, observed, found)
 
 
-def _misfit(
+def candidate_misfit(
     problem: FitProblem, unknowns: FloatArray, precision: FloatArray, observed: Observations, camera: Camera
 ) -> float:
     """Return how implausible a candidate is, in half squares: scatter, prior, tilt."""
@@ -303,7 +303,7 @@ def find_image_circle(image: ArrayLike, *, angle_deg: float = 90.0) -> ImageCirc
     -------
     The circle to about a pixel: the Hough transform's, then a least-squares circle through the edge's steepest points.
     """
-    grey = _grey(image)
+    grey = as_grey(image)
     shrink = min(1.0, _WORKING_SIZE / min(grey.shape))
     small = cv2.resize(grey, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
     blurred = cv2.medianBlur(small, 5)
@@ -321,11 +321,12 @@ def find_image_circle(image: ArrayLike, *, angle_deg: float = 90.0) -> ImageCirc
     if circles is None:
         return None
     x, y, radius = (float(v) / shrink for v in np.asarray(circles).reshape(-1, 3)[0])
-    x, y, radius = _refined(grey.astype(np.float64), x, y, radius)
+    x, y, radius = refined_circle(grey.astype(np.float64), x, y, radius)
     return ImageCircle(x=x, y=y, radius=radius, angle_deg=angle_deg)
 
 
-def _grey(image: ArrayLike) -> NDArray[np.uint8]:
+def as_grey(image: ArrayLike) -> NDArray[np.uint8]:
+    """Return a frame as 8 bit grey values; InputError where it is not a frame."""
     array = np.asarray(image)
     if array.ndim not in (2, 3) or array.size == 0 or min(array.shape[:2]) < 32:
         raise InputError(field="image", problem=f"shape {array.shape}", remedy="give a frame of at least 32 × 32 px")
@@ -335,7 +336,7 @@ def _grey(image: ArrayLike) -> NDArray[np.uint8]:
     return np.asarray(np.clip(255.0 * np.sqrt(np.clip(values, 0.0, None) / top), 0.0, 255.0), dtype=np.uint8)
 
 
-def _refined(grey: FloatArray, x: float, y: float, radius: float) -> tuple[float, float, float]:
+def refined_circle(grey: FloatArray, x: float, y: float, radius: float) -> tuple[float, float, float]:
     """Fit a circle through the steepest outward drop along rays, those that lie off counting less and less."""
     angle = np.linspace(0.0, 2.0 * np.pi, _RAYS, endpoint=False)
     offset = np.arange(-0.06 * radius, 0.06 * radius, 0.5)
@@ -352,11 +353,12 @@ def _refined(grey: FloatArray, x: float, y: float, radius: float) -> tuple[float
         if strong.sum() < 24:
             break
         edge = reach[best + 2][strong]
-        x, y, radius = _circle_through(x + np.cos(angle[strong]) * edge, y + np.sin(angle[strong]) * edge)
+        x, y, radius = circle_through(x + np.cos(angle[strong]) * edge, y + np.sin(angle[strong]) * edge)
     return x, y, radius
 
 
-def _circle_through(px: FloatArray, py: FloatArray) -> tuple[float, float, float]:
+def circle_through(px: FloatArray, py: FloatArray) -> tuple[float, float, float]:
+    """Return centre and radius of the circle through points."""
     weight = np.ones_like(px)
     for _ in range(10):
         rows = np.stack([2.0 * px, 2.0 * py, np.ones_like(px)], axis=-1) * weight[:, None]
@@ -425,7 +427,7 @@ def _of_pairs(world: FloatArray, rays: FloatArray) -> FloatArray:
     pairs = pairs[separation > _LEAST_SEPARATION]
     if pairs.shape[0] == 0:
         return np.zeros((0, 3))
-    matrix = _triads(rays, pairs) @ np.swapaxes(_triads(world, pairs), -1, -2)
+    matrix = triads(rays, pairs) @ np.swapaxes(triads(world, pairs), -1, -2)
     return np.asarray(Rotation.from_matrix(matrix).as_rotvec())
 
 
@@ -433,7 +435,7 @@ def _distance(vectors: FloatArray, pairs: IntArray) -> FloatArray:
     return np.asarray(np.linalg.norm(vectors[pairs[:, 0]] - vectors[pairs[:, 1]], axis=-1))
 
 
-def _triads(vectors: FloatArray, pairs: IntArray) -> FloatArray:
+def triads(vectors: FloatArray, pairs: IntArray) -> FloatArray:
     """Return (k, 3, 3): right-handed axes that each pair spans, its middle first."""
     first, second = vectors[pairs[:, 0]], vectors[pairs[:, 1]]
     middle = first + second

@@ -153,9 +153,9 @@ def best_start(problem: FitProblem, observed: Observations, start: FloatArray, *
     starts = [ransac_start(problem, observed, start, precision=precision), *_plain_starts(problem, few, start)]
     for _ in range(_SETTLING):
         # those that have come to one place go on as one
-        distinct = _distinct(problem, few, starts)
-        starts = [_settled(problem, few, at, precision=precision, tolerance=_SETTLED) for at in distinct]
-    return lowest(problem, observed, _distinct(problem, few, starts), precision=precision)
+        distinct = distinct_starts(problem, few, starts)
+        starts = [settled(problem, few, at, precision=precision, tolerance=_SETTLED) for at in distinct]
+    return lowest(problem, observed, distinct_starts(problem, few, starts), precision=precision)
 
 
 def least_squares(
@@ -203,7 +203,7 @@ def undistorted(unknowns: FloatArray) -> FloatArray:
     return plain
 
 
-def _settled(
+def settled(
     problem: FitProblem, observed: Observations, start: FloatArray, *, precision: FloatArray, tolerance: float = 1e-6
 ) -> FloatArray:
     """Return the robust fit from one start at the scale that it leaves over."""
@@ -250,7 +250,7 @@ def _plain_starts(problem: FitProblem, few: Observations, start: FloatArray) -> 
     return [*found, staged_least_squares(problem, few, start, tolerance=_NEAR)]
 
 
-def _distinct(problem: FitProblem, observed: Observations, starts: list[FloatArray]) -> list[FloatArray]:
+def distinct_starts(problem: FitProblem, observed: Observations, starts: list[FloatArray]) -> list[FloatArray]:
     """Return the starts without those that image all sightings where an earlier one does: both have one minimum."""
     root = np.sqrt(observed.information)[:, None]
     residuals = [problem.residuals(at, observed) * root for at in starts]
@@ -289,9 +289,9 @@ _SEED = 20160830
 _TRUST_PX = 0.7
 _LARGEST_SQUARE = 1e60
 """Bound of squared sigmas, so that products of four stay finite: far from the sightings residuals have any size."""
-_CUTS = np.repeat([3.0, 1.5], [4, _ROUNDS - 4])
+CUTS = np.repeat([3.0, 1.5], [4, _ROUNDS - 4])
 """Distances, in the scale found, at which a sighting counts a quarter in each round: fewer and fewer count."""
-_FLOOR_PX = 1e-3
+FLOOR_PX = 1e-3
 
 
 def ransac_start(
@@ -308,7 +308,7 @@ def ransac_start(
     """
     thin = observed.select(np.unique(np.linspace(0, len(observed) - 1, _MAX_SIGHTINGS).astype(int)))
     residual, rows = problem.linearised(start, thin)
-    steps = _trials(residual, rows, start, precision)
+    steps = sampled_steps(residual, rows, start, precision)
     steps = np.concatenate([np.zeros((1, start.size)), steps])
     share = surely_well_behaved(len(thin), problem.size)
     close = max(
@@ -320,8 +320,8 @@ def ransac_start(
     good = np.argsort(_disagreements(_after(residual[few], rows[few], steps), weight[few].copy()))[:_GOOD]
     steps = steps[np.sort(good)]
     agreed = _disagreements(_after(residual, rows, steps), weight)
-    best = [_tightened(steps[k], residual, rows, start, precision, share) for k in np.argsort(agreed)[:3]]
-    return min([start, *(start + step for step in best)], key=lambda at: _disagreement(problem, thin, at, close))
+    best = [tightened_step(steps[k], residual, rows, start, precision, share) for k in np.argsort(agreed)[:3]]
+    return min([start, *(start + step for step in best)], key=lambda at: disagreement(problem, thin, at, close))
 
 
 def _after(residual: FloatArray, rows: FloatArray, steps: FloatArray) -> FloatArray:
@@ -335,7 +335,7 @@ def _distances(residual: FloatArray, rows: FloatArray, steps: FloatArray, inform
     return np.asarray(np.hypot(after[:, ::2], after[:, 1::2]) * np.sqrt(information))
 
 
-def _trials(residual: FloatArray, rows: FloatArray, start: FloatArray, precision: FloatArray) -> FloatArray:
+def sampled_steps(residual: FloatArray, rows: FloatArray, start: FloatArray, precision: FloatArray) -> FloatArray:
     """Return the steps (trials, p) that samples of sightings ask for, one out of each stretch of time."""
     rng = np.random.default_rng(_SEED)
     # one sighting of each stretch of the arc: random ones would often be neighbours
@@ -344,13 +344,13 @@ def _trials(residual: FloatArray, rows: FloatArray, start: FloatArray, precision
     return np.asarray(trial_steps(residual, rows, picks, start, precision, _TRUST_PX))
 
 
-def _tightened(  # noqa: PLR0917 - the kernel takes positions
+def tightened_step(  # noqa: PLR0917 - the kernel takes positions
     step: FloatArray, residual: FloatArray, rows: FloatArray, start: FloatArray, precision: FloatArray, share: float
 ) -> FloatArray:
     """Return the step refined on all sightings, those far off counting less and less."""
     columns = np.ascontiguousarray(np.moveaxis(rows, -1, 0).swapaxes(1, 2)).reshape(rows.shape[-1], -1)
     return np.asarray(
-        tightened(step, np.ascontiguousarray(residual.T), columns, start, precision, _CUTS, share, _FLOOR_PX)
+        tightened(step, np.ascontiguousarray(residual.T), columns, start, precision, CUTS, share, FLOOR_PX)
     )
 
 
@@ -373,7 +373,8 @@ def _disagreements(after: FloatArray, information: FloatArray) -> FloatArray:
     return result
 
 
-def _disagreement(problem: FitProblem, observed: Observations, at: FloatArray, close: float) -> float:
+def disagreement(problem: FitProblem, observed: Observations, at: FloatArray, close: float) -> float:
+    """Return how far steps disagree with the sightings."""
     distance = np.linalg.norm(problem.residuals(at, observed), axis=-1) * np.sqrt(observed.information)
     return float(np.sum(np.log1p((distance / close) ** 2)))
 

@@ -109,14 +109,15 @@ def measure_spot(image: Image, *, x: int, y: int, reach: int) -> Spot:
         x0, y0 = max(0, min(x - reach, image.shape[1] - 2)), max(0, min(y - reach, image.shape[0] - 2))
         part = image[y0 : y + reach + 2, x0 : x + reach + 2].astype(np.float64)
         mean = 0.25 * (part[:-1, :-1] + part[1:, :-1] + part[:-1, 1:] + part[1:, 1:])
-        spot = _moments(mean, x0=x0 + 0.5, y0=y0 + 0.5)
+        spot = moments(mean, x0=x0 + 0.5, y0=y0 + 0.5)
         if last or math.hypot(spot.x - x, spot.y - y) < 0.3 * reach:
             break
         x, y = round(spot.x), round(spot.y)
     return spot
 
 
-def _moments(mean: FloatArray, *, x0: float, y0: float) -> Spot:
+def moments(mean: FloatArray, *, x0: float, y0: float) -> Spot:
+    """Return centre and size of a bright region by its moments."""
     level = float(mean.max())
     background = median_of(np.concatenate([mean[0], mean[-1], mean[:, 0], mean[:, -1]]))
     x, y, xx, xy, yy = _moments_above(mean, 0.5 * (level + background))

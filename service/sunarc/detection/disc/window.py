@@ -114,7 +114,7 @@ def column_smear(image: Image, *, x0: int, x1: int, y0: int, y1: int, mosaic: bo
     for parity in range(2 if mosaic else 1):
         rows = _rows_beyond(image.shape[0], parity, y0, y1)
         for step in (_STEP, _FINE_STEP):
-            profile = _profile(image[rows[:: step // _FINE_STEP], x0:x1])
+            profile = excess_of_columns(image[rows[:: step // _FINE_STEP], x0:x1])
             if not profile.any():
                 break
         profiles[parity] = profile
@@ -126,7 +126,7 @@ def _rows_beyond(height: int, parity: int, y0: int, y1: int) -> NDArray[np.intp]
     return rows[(rows < y0) | (rows >= y1)]
 
 
-def _profile(beyond: Image) -> FloatArray:
+def excess_of_columns(beyond: Image) -> FloatArray:
     """Return what each column of some rows has in excess; zeros where it is noise."""
     nothing = np.zeros(beyond.shape[1])
     if beyond.shape[0] < _FEWEST_ROWS or beyond.shape[1] == 0:

@@ -411,7 +411,7 @@ def detect_sun_in_stack(exposures: Sequence[Photo], *, expectation: Expectation 
         return seen[0]
     anchor = min(accepted, key=lambda found: found.sigma_px or math.inf)
     agreeing = [(near, each.exposure_us) for each in ordered if (near := _nearest(each, anchor)) is not None]
-    return _mean(anchor, agreeing)
+    return weighted_mean(anchor, agreeing)
 
 
 def _longest_first(exposures: Sequence[Photo]) -> list[Photo]:
@@ -425,17 +425,18 @@ def _nearest(photo: Photo, anchor: Detection) -> Candidate | None:
     """Return an exposure's most certain candidate that agrees with the anchor."""
     part = whole_part(photo.image, static=photo.static, bayer=photo.bayer)
     found = candidates_in(part, full_scale=photo.full_scale, least_level=_LEAST_LEVEL, least_near=0.0)
-    agreeing = [each for each in found if _agrees(each, anchor)]
+    agreeing = [each for each in found if agrees(each, anchor)]
     return min(agreeing, key=lambda each: each.sigma_px, default=None)
 
 
-def _agrees(seen: Candidate, anchor: Detection) -> bool:
+def agrees(seen: Candidate, anchor: Detection) -> bool:
+    """Return whether a candidate is within the errors of a detection's position."""
     distance = math.hypot(seen.rim.x - (anchor.x_px or 0.0), seen.rim.y - (anchor.y_px or 0.0))
     reach = _AGREE_SIGMAS * math.hypot(seen.sigma_px, anchor.sigma_px or 0.0)
     return distance <= max(reach, _AGREE_RADIUS * max(seen.rim.radius, anchor.radius_px or 0.0))
 
 
-def _mean(anchor: Detection, agreeing: Sequence[tuple[Candidate, float | None]]) -> Detection:
+def weighted_mean(anchor: Detection, agreeing: Sequence[tuple[Candidate, float | None]]) -> Detection:
     """Return the anchor at the weighted mean of what agrees with it."""
     if len(agreeing) < 2:
         return anchor

@@ -221,7 +221,7 @@ def locate(planes: Planes, *, apparent_zenith: float | None, full_image: bool = 
         return None
     sigma = gaussian_sigma_px(apparent_zenith) if apparent_zenith is not None else _blob_sigma(blob)
     cut_out = kernels(diameter=blob.diameter, sigma=sigma)
-    rows, columns = (_ALL, _ALL) if full_image else _around(planes, blob, cut_out[0].shape[0] // 2)
+    rows, columns = (_ALL, _ALL) if full_image else surroundings(planes, blob, cut_out[0].shape[0] // 2)
     part = planes.value(rows, columns)
     found = [strongest(part, kernel) for kernel in cut_out]
     xs, ys = [x + (columns.start or 0) for x, _ in found], [y + (rows.start or 0) for _, y in found]
@@ -233,13 +233,13 @@ def locate(planes: Planes, *, apparent_zenith: float | None, full_image: bool = 
     half = 5.0 * sigma + 0.5 * blob.diameter
     strip = slice(max(0, round(middle - half)), round(middle + half) + 1)
     surrounded = planes.value(rows, strip)
-    within = None if full_image else _among(surrounded.shape, blob, first=(strip.start, rows.start))
+    within = None if full_image else centre_window(surrounded.shape, blob, first=(strip.start, rows.start))
     x, y = forstner(surrounded, sigma=sigma, within=within)
     xs, ys = [*xs, x + strip.start], [*ys, y + (rows.start or 0)]
     return Estimates(tuple(xs if smear is None else [*xs, smear]), tuple(ys), blob.diameter, sigma)
 
 
-def _among(shape: tuple[int, ...], blob: Blob, *, first: tuple[int, int]) -> tuple[slice, slice]:
+def centre_window(shape: tuple[int, ...], blob: Blob, *, first: tuple[int, int]) -> tuple[slice, slice]:
     """Return the rows and columns of a window at `first` (x, y) in which the blob's centre must lie."""
     (x, y, width, height), (x0, y0) = blob.box, first
     top, left = max(0, y - _SPARE_PX - y0), max(0, x - _SPARE_PX - x0)
@@ -254,7 +254,7 @@ def _blob_sigma(blob: Blob) -> float:
     return max(0.5 * blob.diameter, 1.0)
 
 
-def _around(planes: Planes, blob: Blob, reach: int) -> tuple[slice, slice]:
+def surroundings(planes: Planes, blob: Blob, reach: int) -> tuple[slice, slice]:
     """Return the blob's surroundings, so wide that a kernel of that reach sees all from any place in the blob."""
     x, y, width, height = blob.box
     margin = reach + _SPARE_PX

@@ -82,7 +82,7 @@ def solve_in_child(
     SolveFailedError : when it failed, or took longer than `time_limit_s`.
     """
     call = call_on(problem, calibrate)
-    answer = _in_child(call, clock=clock, time_limit_s=time_limit_s, stop=stop, heartbeat=heartbeat)
+    answer = in_child(call, clock=clock, time_limit_s=time_limit_s, stop=stop, heartbeat=heartbeat)
     if answer is not None and not isinstance(answer, Calibration):
         raise SolveFailedError(Finding("solve_failed", {"error": str(answer)}))
     return answer
@@ -103,7 +103,7 @@ def search_in_child(
     SolveFailedError : when the process died or took longer than `time_limit_s`.
     """
     call = partial(call_on(problem, find_pose_steps), lens=problem.lens)
-    answer = _in_child(call, clock=clock, time_limit_s=time_limit_s, stop=stop, heartbeat=heartbeat)
+    answer = in_child(call, clock=clock, time_limit_s=time_limit_s, stop=stop, heartbeat=heartbeat)
     if answer is not None and not isinstance(answer, tuple):
         raise SolveFailedError(Finding("search_failed", {"error": str(answer)}))
     return answer
@@ -121,7 +121,7 @@ def call_on(problem: SolveProblem, function: Callable[..., _Answer]) -> partial[
     )
 
 
-def _in_child(
+def in_child(
     call: Callable[[], object],
     *,
     clock: Clock,

@@ -83,7 +83,7 @@ class MoonImages:
         """Keep what is bright in the longest exposure of a slot that is not clipped, and return both."""
         looked = [(frame, brightest_cutouts(frame.image, full_scale=frame.full_scale)) for frame in frames]
         near = self._near_prediction()
-        levels = [(frame, cutouts, _level(frame, near(frame, cutouts))) for frame, cutouts in looked]
+        levels = [(frame, cutouts, brightest_level(frame, near(frame, cutouts))) for frame, cutouts in looked]
         if self._exposures is not None and frames:
             self._exposures.report(frames[0].time, tuple((frame.exposure_us, level) for frame, _, level in levels))
         good = [one for one in levels if 0.0 < one[2] < MOST_LEVEL]
@@ -223,7 +223,7 @@ def predicted_moon(calibration: Calibration, disc: MoonDisc, *, within_px: float
     )
 
 
-def _level(frame: Frame, cutouts: Sequence[Cutout]) -> float:
+def brightest_level(frame: Frame, cutouts: Sequence[Cutout]) -> float:
     """Return the level of the brightest pixel of the brightest place over full scale; 0 without one.
 
     Behind a mosaic it is of the brightest colour, whose few pixels a moon of a few pixels may clip alone. Two pixels
