@@ -216,7 +216,7 @@ def require_photo(image: Image, *, full_scale: int) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiscOptions:
-    """What is known of the sun in microsecond frames; the limits of its detection are constants (`disc.limits`).
+    """What is known of the sun in microsecond frames; the limits of its detection are constants (`disc.detect`).
 
     Attributes
     ----------
