@@ -11,7 +11,7 @@ from pyproj import Transformer
 
 from sunarc.errors import InputError
 from sunarc.geolocation.locate import local_frame
-from sunarc.geolocation.pair_height import View, pair_height
+from sunarc.geolocation.pair_height import PairView, pair_height
 from sunarc.sky.site import Site
 
 FloatArray = NDArray[np.float64]
@@ -31,11 +31,11 @@ def direction_to(site: Site, *, latitude: float, longitude: float, altitude: flo
     return np.asarray(ray / np.linalg.norm(ray))
 
 
-def view(site: Site, direction: FloatArray, sigma: float = SIGMA) -> View:
-    return View(site=site, direction=direction, covariance=sigma**2 * (np.eye(3) - np.outer(direction, direction)))
+def view(site: Site, direction: FloatArray, sigma: float = SIGMA) -> PairView:
+    return PairView(site=site, direction=direction, covariance=sigma**2 * (np.eye(3) - np.outer(direction, direction)))
 
 
-def views(latitude: float, longitude: float, altitude: float) -> tuple[View, View]:
+def views(latitude: float, longitude: float, altitude: float) -> tuple[PairView, PairView]:
     first, second = (
         view(site, direction_to(site, latitude=latitude, longitude=longitude, altitude=altitude))
         for site in (HERE, THERE)

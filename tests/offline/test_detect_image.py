@@ -13,14 +13,14 @@ from tests.detection.photo.suns import glare_image
 from sunarc.detection.values import Detection
 from sunarc.findings import Finding
 from sunarc.reanalysis.detect_files import Method
-from sunarc.reanalysis.look import Task, detect_in_file, pack_mask
+from sunarc.reanalysis.look import LookTask, detect_in_file, pack_mask
 
 SIZE = (60, 50)
 
 
-def task(path: Path, *, level: int = 0, method: Method = "auto", outside: bool = False) -> Task:
+def task(path: Path, *, level: int = 0, method: Method = "auto", outside: bool = False) -> LookTask:
     cv2.imwrite(str(path), np.full((SIZE[1], SIZE[0]), level, dtype=np.uint8))
-    return Task(path=path, exposure_us=20.0, method=method, size=SIZE, outside=outside)
+    return LookTask(path=path, exposure_us=20.0, method=method, size=SIZE, outside=outside)
 
 
 @pytest.mark.parametrize(
@@ -42,7 +42,7 @@ def test_what_stands_still_takes_no_part(tmp_path: Path, hidden: bool) -> None: 
     cv2.imwrite(str(tmp_path / "a.png"), image)
     still = np.zeros(image.shape, dtype=np.bool_)
     still[60:120, 70:130] = hidden
-    one = Task(path=tmp_path / "a.png", exposure_us=None, method="paper", size=(200, 200), static=pack_mask(still))
+    one = LookTask(path=tmp_path / "a.png", exposure_us=None, method="paper", size=(200, 200), static=pack_mask(still))
     found = detect_in_file(one)
     assert isinstance(found, Detection)
     assert found.accepted is not hidden
@@ -51,10 +51,10 @@ def test_what_stands_still_takes_no_part(tmp_path: Path, hidden: bool) -> None: 
 
 
 def test_a_refused_image_and_one_that_the_method_cannot_take_are_findings(tmp_path: Path) -> None:
-    assert detect_in_file(Task(path=tmp_path / "b.png", exposure_us=None, method="auto", size=SIZE)) == Finding(
+    assert detect_in_file(LookTask(path=tmp_path / "b.png", exposure_us=None, method="auto", size=SIZE)) == Finding(
         "file_not_image", {"error": "No such file or directory"}
     )
     cv2.imwrite(str(tmp_path / "c.png"), np.zeros((SIZE[1], SIZE[0], 3), dtype=np.uint8))
-    found = detect_in_file(Task(path=tmp_path / "c.png", exposure_us=None, method="disc", size=SIZE))
+    found = detect_in_file(LookTask(path=tmp_path / "c.png", exposure_us=None, method="disc", size=SIZE))
     assert isinstance(found, Finding)
     assert found.code == "file_not_image"

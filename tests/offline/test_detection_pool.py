@@ -14,30 +14,30 @@ from sunarc.detection.values import Detection
 from sunarc.findings import Finding
 from sunarc.reanalysis import ingest as run
 from sunarc.reanalysis.ingest import Answers, detect_in_files, detect_in_pool
-from sunarc.reanalysis.look import Task
+from sunarc.reanalysis.look import LookTask
 
 N_TASKS = 8
 EXPECTED = ["hidden" if n % 5 else "file_size_differs" for n in range(N_TASKS)]
 
 
-def tasks(folder: Path) -> list[Task]:
+def tasks(folder: Path) -> list[LookTask]:
     made = []
     for number in range(N_TASKS):
         path = f"{number}.png"
         size = 40 if number % 5 else 41
         cv2.imwrite(str(folder / path), np.zeros((size, size), dtype=np.uint8))
-        made.append(Task(path=folder / path, exposure_us=20.0, method="auto", size=(40, 40)))
+        made.append(LookTask(path=folder / path, exposure_us=20.0, method="auto", size=(40, 40)))
     return made
 
 
-def dying(task: Task) -> Answers:
+def dying(task: LookTask) -> Answers:
     """Do as a process does that the kernel ends on one image."""
     if task.path.name == "2.png":
         os.kill(os.getpid(), signal.SIGKILL)
     return detect_in_files(task)
 
 
-def blocking(_task: Task) -> Answers:
+def blocking(_task: LookTask) -> Answers:
     """Answer which signals a process does not receive."""
     return (Finding("blocked", {"signals": " ".join(map(str, signal.pthread_sigmask(signal.SIG_BLOCK, [])))}),)
 

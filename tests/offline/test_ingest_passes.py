@@ -29,7 +29,7 @@ from sunarc.reanalysis import ingest as detect_stack
 from sunarc.reanalysis import ingest as run
 from sunarc.reanalysis import look as detect_image
 from sunarc.reanalysis.ingest import PREDICTED, UNPREDICTED, IngestOptions, ingest_folder
-from sunarc.reanalysis.ingest_summary import Summary, sentence_of
+from sunarc.reanalysis.ingest_summary import IngestSummary, sentence_of
 from sunarc.sky.sun import sun_directions
 
 MORNING = datetime(2013, 5, 13, 14, 0, tzinfo=UTC)
@@ -86,7 +86,7 @@ def images(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "images"
 
 
-def ingested(images: Path, monkeypatch: pytest.MonkeyPatch, fits: Fits, **more: Any) -> Summary:  # noqa: ANN401
+def ingested(images: Path, monkeypatch: pytest.MonkeyPatch, fits: Fits, **more: Any) -> IngestSummary:  # noqa: ANN401
     monkeypatch.setattr(consensus, "calibrate", fits)
     return ingest_folder(new_settings(images.parent), images, options=IngestOptions(**more))
 

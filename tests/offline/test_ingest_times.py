@@ -15,7 +15,7 @@ from tests.fixtures.settings import new_settings
 from sunarc.errors import InputError
 from sunarc.reanalysis.image_times import Naming, taken, time_from_name
 from sunarc.reanalysis.ingest import IngestOptions, ingest_folder
-from sunarc.reanalysis.ingest_summary import Summary
+from sunarc.reanalysis.ingest_summary import IngestSummary
 from sunarc.reanalysis.messages import RefusedImageError
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
@@ -36,7 +36,7 @@ def with_exif(path: Path, tags: dict[int, str]) -> Path:
     return path
 
 
-def ingested(folder: Path) -> Summary:
+def ingested(folder: Path) -> IngestSummary:
     return ingest_folder(new_settings(folder), folder / "images", options=IngestOptions())
 
 

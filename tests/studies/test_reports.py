@@ -16,10 +16,10 @@ from sunarc.studies.published import CASES, TRUE_RMSE
 from sunarc.studies.reports import make_folder, write_csv, writing_into
 from sunarc.studies.tables import COLUMNS, published_row, truth_row
 from sunarc.studies.trials import QUANTITIES
-from sunarc.studies.uncertainty import Uncertainty, distribution_rows, trial_rows, true_values
+from sunarc.studies.uncertainty import UncertaintyStudy, distribution_rows, trial_rows, true_values
 
 RNG = np.random.default_rng(0)
-STUDY = Uncertainty(
+STUDY = UncertaintyStudy(
     methods=("paper", "robust"),
     sigma_px=np.array([0.0, 5.0, 10.0]),
     seed=3,

@@ -45,7 +45,7 @@ _MOST_PARSED = 8
 _FIELDS = ("id", "camera", "method", "pose_epoch")
 
 
-class Calibrations(Store):
+class StoredCalibrations(Store):
     """The part of the archive with calibrations; none is ever deleted."""
 
     def __init__(self, engine: Engine, file: DatabaseFile | None) -> None:
@@ -310,7 +310,7 @@ def _record(document: Mapping[str, Any], parent: str | None) -> CalibrationRecor
 _COPY = re.compile(r"-r\d+$")
 
 
-class History(Calibrations):
+class History(StoredCalibrations):
     """The part of the archive with manual decisions; each is also an event."""
 
     def reinstate(self, calibration_id: str, *, at: datetime, reason: str) -> CalibrationRecord:

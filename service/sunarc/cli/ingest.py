@@ -15,7 +15,7 @@ from sunarc.errors import InputError
 from sunarc.reanalysis.detect_files import METHODS
 from sunarc.reanalysis.image_times import Naming, utc_offset_of
 from sunarc.reanalysis.ingest import IngestOptions, ingest_folder, usable_processors
-from sunarc.reanalysis.ingest_summary import Summary, sentence_of
+from sunarc.reanalysis.ingest_summary import IngestSummary, sentence_of
 from sunarc.settings.load import load_settings
 
 _LISTED = 20
@@ -78,7 +78,7 @@ def ingest(
         print(_next_command(summary, config))
 
 
-def _next_command(summary: Summary, config: Path | None) -> str:
+def _next_command(summary: IngestSummary, config: Path | None) -> str:
     """Return what to type next."""
     if not any(summary.by_verdict.values()):
         return "next: check the reasons above (the times of the files: --time-pattern, --utc-offset)"
@@ -86,7 +86,7 @@ def _next_command(summary: Summary, config: Path | None) -> str:
     return f"next: sunarc calibrate{named}"
 
 
-def _print_summary(summary: Summary) -> None:
+def _print_summary(summary: IngestSummary) -> None:
     record = summary.as_json()
     for row in record["files_skipped"][:_LISTED]:
         print(f"skipped {row['file']}: {row['reason']}")

@@ -22,7 +22,7 @@ _LEAST_SIGMAS = 4.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class View:
+class PairView:
     """How one camera sees the point.
 
     Attributes
@@ -60,7 +60,7 @@ class PairHeight:
     angle_deg: float
 
 
-def pair_height(first: View, second: View) -> PairHeight:
+def pair_height(first: PairView, second: PairView) -> PairHeight:
     """Return the height of what two cameras see at the same time.
 
     The point on each ray that is nearest to the other ray is taken, and the mean of the two by the inverse squares of

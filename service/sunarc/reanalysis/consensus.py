@@ -49,7 +49,7 @@ camera was moved, hardly fewer by false ones."""
 Found = tuple[ImageFile, FileSighting]
 
 
-class Sighted(Protocol):
+class WithPosition(Protocol):
     """What a prediction is compared with."""
 
     @property
@@ -188,7 +188,7 @@ def expectations(
     ]
 
 
-def is_consistent(sighting: Sighted, expected: Expectation | None) -> bool:
+def is_consistent(sighting: WithPosition, expected: Expectation | None) -> bool:
     """Return whether an accepted sighting lies where the sun should be: it need not be looked for again."""
     if not sighting.accepted or expected is None or sighting.x_px is None or sighting.y_px is None:
         return False

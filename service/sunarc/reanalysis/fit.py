@@ -23,7 +23,7 @@ from sunarc.calibration.robust_loss import robust_sigma
 from sunarc.calibration.selection import select_sightings, surest_of_epochs
 from sunarc.findings import Finding
 from sunarc.reanalysis.look import key_of
-from sunarc.reanalysis.states import Camera, Epoch, State, find_epochs, find_states, joined, with_true_clock
+from sunarc.reanalysis.states import ArchiveCamera, Epoch, State, find_epochs, find_states, joined, with_true_clock
 from sunarc.utc import utc_time
 
 _FEWEST_FOR_STEPS = 150
@@ -38,7 +38,7 @@ class Fitted(NamedTuple):
     stars: Sightings | None = None
 
 
-def with_small_steps(points: Sightings, path: IntArray, states: Sequence[State], camera: Camera) -> list[State]:
+def with_small_steps(points: Sightings, path: IntArray, states: Sequence[State], camera: ArchiveCamera) -> list[State]:
     """Return states with those of small steps of the pose, which no single sighting shows."""
     together = joined(points, path, states)
     refined = list(states)
@@ -61,7 +61,7 @@ def with_small_steps(points: Sightings, path: IntArray, states: Sequence[State],
     return refined
 
 
-def _posed(state: State, points: Sightings, camera: Camera) -> State:
+def _posed(state: State, points: Sightings, camera: ArchiveCamera) -> State:
     posed = estimate_pose(points, start=state.calibration, site=camera.site, options=camera.loosely())
     return state._replace(calibration=posed)
 
@@ -70,7 +70,7 @@ def fit_poses(
     points: Sightings,
     path: IntArray,
     states: Sequence[State],
-    camera: Camera,
+    camera: ArchiveCamera,
     *,
     stars: Sightings | None = None,
 ) -> dict[int, Fitted]:
@@ -110,7 +110,7 @@ def _numbered(points: Sightings, order: Sequence[int]) -> Sightings:
     return replace(points, epoch=np.array([number[one] for one in points.epoch.tolist()], dtype=np.int64))
 
 
-def _stars_beside(stars: Sightings, order: Sequence[int], camera: Camera) -> Sightings | None:
+def _stars_beside(stars: Sightings, order: Sequence[int], camera: ArchiveCamera) -> Sightings | None:
     """Return the stars that a fit of some poses uses, the last pose's first; None where they have none."""
     of_lens = stars.select(np.isin(stars.epoch, np.array(order)))
     if len(of_lens) == 0:
@@ -169,7 +169,7 @@ def document_of(
     )
 
 
-def doubts(calibration: Calibration, camera: Camera) -> tuple[Finding, ...]:
+def doubts(calibration: Calibration, camera: ArchiveCamera) -> tuple[Finding, ...]:
     """Return what a camera's first fit says against the site or the times that were given."""
     found = []
     wanted = camera.options.mirrored
@@ -186,7 +186,7 @@ class CameraSightings(NamedTuple):
     """Accepted sightings of a camera at their stated times, and the states that are known so far."""
 
     points: Sightings
-    camera: Camera
+    camera: ArchiveCamera
     states: tuple[State, ...] = ()
 
 
@@ -245,7 +245,7 @@ def starry_analysis(of: Starry) -> Final:
     return final._replace(fitted=better_of(final.fitted, both))
 
 
-def _refined(state: State, fitted: dict[int, Fitted], points: Sightings, camera: Camera) -> State:
+def _refined(state: State, fitted: dict[int, Fitted], points: Sightings, camera: ArchiveCamera) -> State:
     """Return a state with the calibration that was fitted to all of its sightings."""
     found = fitted.get(state.pose)
     if found is None or found.calibration.evidence.n_used == 0 or len(points) == 0:

@@ -203,7 +203,7 @@ MOST_BYTES = 1 << 30
 _HEAD_BYTES = 1 << 17
 
 
-class Frame(NamedTuple):
+class FileImage(NamedTuple):
     """An image in a file: its number there, its mid-exposure time (aware, UTC) and exposure, None where not known."""
 
     number: int
@@ -216,7 +216,7 @@ def kind_of(name: str) -> Kind | None:
     return _KINDS.get(PurePosixPath(name).suffix.lower())
 
 
-def frames_in(source: ImageSource, name: str, *, sidecar: Callable[[], bytes | None]) -> list[Frame]:
+def frames_in(source: ImageSource, name: str, *, sidecar: Callable[[], bytes | None]) -> list[FileImage]:
     """Return the images in a file; a picture is not read for that.
 
     Parameters
@@ -235,7 +235,7 @@ def frames_in(source: ImageSource, name: str, *, sidecar: Callable[[], bytes | N
         return netcdf_frames(source.path(name) or _content(source, name), name)
     if kind == "video":
         return video_frames(source.path(name) or _content(source, name), name, sidecar=sidecar())
-    return [Frame(0)]
+    return [FileImage(0)]
 
 
 def images_in(
@@ -301,7 +301,7 @@ _MEAN = "AVEPIXEL"
 """The mean of 256 frames in the files of RMS, whose first image is the maximum."""
 
 
-def fits_frame(content: bytes, name: str) -> Frame:
+def fits_frame(content: bytes, name: str) -> FileImage:
     """Return the time and exposure that a FITS file's header states."""
     merged = _fits_cards(content, name)
     exposure_s = next((_number(merged[key]) for key in _EXPOSURES if key in merged), math.nan)
@@ -309,7 +309,7 @@ def fits_frame(content: bytes, name: str) -> Frame:
     middle, begin = _fits_time(merged, "DATE-AVG"), _fits_time(merged, "DATE-OBS")
     if middle is None and begin is not None:
         middle = begin + timedelta(seconds=0.5 * exposure_s if exposure_us is not None else 0.0)
-    return Frame(0, middle, exposure_us)
+    return FileImage(0, middle, exposure_us)
 
 
 def fits_image(content: bytes, name: str, *, size: tuple[int, int] | None) -> Image:
@@ -399,7 +399,7 @@ _UNITS = re.compile(
 _SECONDS = {"days": 86_400.0, "hours": 3600.0, "minutes": 60.0, "seconds": 1.0, "milliseconds": 1e-3}
 
 
-def netcdf_frames(file: Path | bytes, name: str) -> list[Frame]:
+def netcdf_frames(file: Path | bytes, name: str) -> list[FileImage]:
     """Return the images of a NetCDF file, with the times of their coordinate (CF conventions, section 4.4).
 
     Raises
@@ -411,7 +411,9 @@ def netcdf_frames(file: Path | bytes, name: str) -> list[Frame]:
         times = opened.variables[images.dimensions[0]]
         values = np.asarray(times[...], dtype=np.float64)
         begin, unit_s = _units(str(_text(times.attrs.get("units", ""))), name)
-        return [Frame(n, begin + timedelta(seconds=unit_s * float(value))) for n, value in enumerate(values.tolist())]
+        return [
+            FileImage(n, begin + timedelta(seconds=unit_s * float(value))) for n, value in enumerate(values.tolist())
+        ]
 
 
 def netcdf_images(
@@ -471,7 +473,7 @@ _REAL_TIME_S = 1.0
 """Interval of a container's frames from which it is taken for that of the images: a time-lapse plays many a second."""
 
 
-def video_frames(file: Path | bytes, name: str, *, sidecar: bytes | None) -> list[Frame]:
+def video_frames(file: Path | bytes, name: str, *, sidecar: bytes | None) -> list[FileImage]:
     """Return the images of a video with their times.
 
     Parameters
@@ -494,7 +496,7 @@ def video_frames(file: Path | bytes, name: str, *, sidecar: bytes | None) -> lis
         times = [created + timedelta(seconds=number / rate) for number in range(count)]
     else:
         raise RefusedImageError(name, Finding("file_video_times", {"frames": count, "frames_per_s": rate}))
-    return [Frame(number, time) for number, time in enumerate(times)]
+    return [FileImage(number, time) for number, time in enumerate(times)]
 
 
 def video_images(

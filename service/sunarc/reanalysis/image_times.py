@@ -26,7 +26,7 @@ from sunarc.cameras.replay import exposure_of_name
 from sunarc.errors import InputError
 from sunarc.findings import Finding
 from sunarc.imaging.metadata import document_of
-from sunarc.reanalysis.image_files import Frame, ImageSource, frames_in, kind_of
+from sunarc.reanalysis.image_files import FileImage, ImageSource, frames_in, kind_of
 from sunarc.reanalysis.messages import RefusedImageError
 from sunarc.utc import parse_time
 
@@ -381,7 +381,7 @@ def _of_picture(source: ImageSource, name: str, named: NamedTime | None, rules: 
     return TimedFrame(0, _utc(named, name, rules), exposure_us, named.family, prefix)
 
 
-def _of_header(frame: Frame, name: str, named: NamedTime | None, rules: TimeRules, *, family: str) -> TimedFrame:
+def _of_header(frame: FileImage, name: str, named: NamedTime | None, rules: TimeRules, *, family: str) -> TimedFrame:
     """Return a frame with the time of its file's header, or of its name where it has none."""
     prefix = "" if named is None else named.prefix
     if frame.time is not None:

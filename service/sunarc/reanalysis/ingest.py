@@ -37,13 +37,13 @@ from sunarc.reanalysis.detect_files import Method, full_scale_of, selected_metho
 from sunarc.reanalysis.image_files import read_checked_image
 from sunarc.reanalysis.image_times import Naming
 from sunarc.reanalysis.index import ImageFile, Index, Skipped, index_folder, usual_size
-from sunarc.reanalysis.ingest_nights import Nights, ingest_nights
-from sunarc.reanalysis.ingest_summary import Summary, newest_verdicts, write_contact_sheet
+from sunarc.reanalysis.ingest_nights import FolderNights, ingest_nights
+from sunarc.reanalysis.ingest_summary import IngestSummary, newest_verdicts, write_contact_sheet
 from sunarc.reanalysis.learned_sigma import ValidCamera, factor_in_force, learn_sigma, with_factor
 from sunarc.reanalysis.look import (
     FileAnswer,
+    LookTask,
     PackedMask,
-    Task,
     detect_in_file,
     detect_in_read,
     no_sun,
@@ -116,7 +116,7 @@ def usable_processors() -> int:
 
 def ingest_folder(
     settings: Settings, folder: Path, *, options: IngestOptions, progress: ReportProgress = lambda *_: None
-) -> Summary:
+) -> IngestSummary:
     """Look for the sun in every image below a folder, and store what was found.
 
     First without a prediction; then the camera that most sightings agree on predicts the sun, and images whose
@@ -301,9 +301,9 @@ class Run:
             self._store(waiting, ingest_pass)
         return skipped
 
-    def _tasks(self, moments: Sequence[Moment], expected: Sequence[Expectation | None] | None) -> Iterator[Task]:
+    def _tasks(self, moments: Sequence[Moment], expected: Sequence[Expectation | None] | None) -> Iterator[LookTask]:
         for number, (image, *others) in enumerate(moments):
-            yield Task(
+            yield LookTask(
                 path=self.index.folder / image.path,
                 exposure_us=image.exposure_us,
                 method=self.options.method,
@@ -360,15 +360,15 @@ def _summary(
     looked_at: Sequence[ImageFile],
     skipped: Sequence[Skipped],
     camera_findings: tuple[Finding, ...],
-    nights: Nights,
+    nights: FolderNights,
     options: IngestOptions,
-) -> Summary:
+) -> IngestSummary:
     sheet = options.contact_sheet or settings.state / "ingest" / "contact-sheet.png"
     if found:
         write_contact_sheet(index.folder, found, sheet)
     new = [found[image] for image in looked_at if image in found]
     accepted, stacked = sum(one.accepted for one in new), sum(one.verdict == IN_STACK for one in new)
-    return Summary(
+    return IngestSummary(
         accepted=accepted,
         rejected=len(new) - accepted - stacked,
         stacked=stacked,
@@ -427,7 +427,7 @@ _AHEAD = 4
 """Tasks handed to each process before the first answer is read: bounds the memory of a long run."""
 
 
-def detect_in_pool(tasks: Iterable[Task], *, n_tasks: int, processes: int) -> Iterator[Answers]:
+def detect_in_pool(tasks: Iterable[LookTask], *, n_tasks: int, processes: int) -> Iterator[Answers]:
     """Yield the answers of the tasks, in their order; fewer than a process is worth are computed here.
 
     An image whose process dies (a fault of a decoder, too little memory) is left out, and the others go on.
@@ -436,16 +436,16 @@ def detect_in_pool(tasks: Iterable[Task], *, n_tasks: int, processes: int) -> It
         yield from map(detect_in_files, tasks)
         return
     waiting = iter(tasks)
-    lost: list[Task] | None = []
+    lost: list[LookTask] | None = []
     while lost is not None:
         for task in lost:
             yield _alone(task)
         lost = yield from _until_a_process_dies(waiting, processes)
 
 
-def _until_a_process_dies(tasks: Iterator[Task], processes: int) -> Generator[Answers, None, list[Task] | None]:
+def _until_a_process_dies(tasks: Iterator[LookTask], processes: int) -> Generator[Answers, None, list[LookTask] | None]:
     """Yield answers; return the tasks that were under way when a process died, None when all are done."""
-    under_way: deque[tuple[Task, Future[Answers]]] = deque()
+    under_way: deque[tuple[LookTask, Future[Answers]]] = deque()
     pool = _pool(processes)
     try:
         for task in tasks:
@@ -463,7 +463,7 @@ def _until_a_process_dies(tasks: Iterator[Task], processes: int) -> Generator[An
     return None
 
 
-def _submitted(pool: ProcessPoolExecutor, task: Task) -> Future[Answers]:
+def _submitted(pool: ProcessPoolExecutor, task: LookTask) -> Future[Answers]:
     """Return the future answer of a task; a pool that is broken already answers with its error."""
     # The process that this may start inherits the mask: Ctrl-C is for the run, which lets each image be finished.
     former = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -477,7 +477,7 @@ def _submitted(pool: ProcessPoolExecutor, task: Task) -> Future[Answers]:
         signal.pthread_sigmask(signal.SIG_SETMASK, former)
 
 
-def _alone(task: Task) -> Answers:
+def _alone(task: LookTask) -> Answers:
     """Return the answers of a task in a process of its own; that it died is an answer, too."""
     with _pool(1) as pool:
         try:
@@ -511,7 +511,7 @@ IN_STACK: Final = "in_stack"
 """Verdict of an exposure whose stack has its sighting in another file."""
 
 
-def detect_in_files(task: Task) -> tuple[FileAnswer, ...]:
+def detect_in_files(task: LookTask) -> tuple[FileAnswer, ...]:
     """Read the files of a task and look for the sun in them; return an answer for each, in their order.
 
     Exposures of one time that an ordinary image is among are a stack: its sighting is the first one's answer, the
@@ -530,7 +530,7 @@ def detect_in_files(task: Task) -> tuple[FileAnswer, ...]:
     return tuple(answers.get(n) or _alone_of_detect_stack(images[n], one) for n, one in enumerate(files))
 
 
-def _alone_of_detect_stack(image: Image | Finding, task: Task) -> FileAnswer:
+def _alone_of_detect_stack(image: Image | Finding, task: LookTask) -> FileAnswer:
     return image if isinstance(image, Finding) else detect_in_read(image, task)
 
 
@@ -541,12 +541,12 @@ def _stack_of(images: list[Image | Finding]) -> dict[int, Image]:
     return {n: image for n, image in read.items() if (image.shape, image.dtype) == kinds[0]}
 
 
-def _is_ordinary(images: list[Image], task: Task) -> bool:
+def _is_ordinary(images: list[Image], task: LookTask) -> bool:
     scale = max(full_scale_of(image) for image in images)
     return any(selected_method(image, task.method, full_scale=scale) == "paper" for image in images)
 
 
-def _detect(stack: dict[int, Image], files: list[Task], task: Task) -> Detection:
+def _detect(stack: dict[int, Image], files: list[LookTask], task: LookTask) -> Detection:
     if task.outside:
         return no_sun("paper", task.exposure_us)
     full_scale = max(full_scale_of(image) for image in stack.values())
@@ -555,7 +555,7 @@ def _detect(stack: dict[int, Image], files: list[Task], task: Task) -> Detection
     return detect_sun_in_stack(photos, expectation=task.expectation)
 
 
-def _member(found: Detection, task: Task, first: Path) -> Detection:
+def _member(found: Detection, task: LookTask, first: Path) -> Detection:
     """Return the answer for an exposure whose stack has its sighting in another file."""
     return Detection(
         method=found.method,

@@ -56,7 +56,7 @@ class NightOutcome:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Nights:
+class FolderNights:
     """The nights of a folder.
 
     Attributes
@@ -81,7 +81,7 @@ def ingest_nights(
     *,
     reprocess: bool,
     progress: ReportNight,
-) -> Nights:
+) -> FolderNights:
     """Name the stars in images of the night, and store them with the verdict of each night.
 
     A night is known by its row: one that has nine tenths of the folder's images is left as it is. Without a served
@@ -98,11 +98,11 @@ def ingest_nights(
     """
     camera = CameraArchive(archive, name=settings.name, site=settings.site)
     if not images:
-        return Nights()
+        return FolderNights()
     record = camera.record()
     if camera.current_model() is None or record is None:
         without = Finding("nights_without_calibration", {"n": len(images)})
-        return Nights(skipped=_left_out(images, settings), findings=(without,))
+        return FolderNights(skipped=_left_out(images, settings), findings=(without,))
     seen = {} if reprocess else {night.date: night.n_images for night in camera.nights()}
     found, known, skipped, done = list[NightOutcome](), 0, list[Skipped](), 0
     for night, every in by_night(images, longitude=settings.site.longitude):
@@ -122,7 +122,7 @@ def ingest_nights(
             progress("naming stars", done, len(images))
         if n_read:
             found.append(_outcome(worker.finish()))
-    return Nights(looked_at=tuple(found), known=known, skipped=tuple(skipped))
+    return FolderNights(looked_at=tuple(found), known=known, skipped=tuple(skipped))
 
 
 def _worker(camera: CameraArchive, settings: Settings, *, now: datetime, replaces: bool) -> NightWorker:

@@ -27,7 +27,7 @@ _TABLES = (MESSAGES, OF_CALIBRATION, OF_WORKERS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Summary:
+class IngestSummary:
     """Counts of a folder's images.
 
     Attributes

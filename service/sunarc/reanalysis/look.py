@@ -198,7 +198,7 @@ FileAnswer = Detection | Finding
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Task:
+class LookTask:
     """An image to look at.
 
     Attributes
@@ -228,13 +228,13 @@ class Task:
         return ((self.path, self.exposure_us), *self.more)
 
 
-def detect_in_file(task: Task) -> FileAnswer:
+def detect_in_file(task: LookTask) -> FileAnswer:
     """Read one image and look for the sun in it."""
     image = read_for(task)
     return image if isinstance(image, Finding) else detect_in_read(image, task)
 
 
-def read_for(task: Task) -> Image | Finding:
+def read_for(task: LookTask) -> Image | Finding:
     """Return the image of a task, or why it is left out."""
     try:
         return read_checked_image(task.path, size=task.size)
@@ -242,7 +242,7 @@ def read_for(task: Task) -> Image | Finding:
         return error.finding
 
 
-def detect_in_read(image: Image, task: Task) -> FileAnswer:
+def detect_in_read(image: Image, task: LookTask) -> FileAnswer:
     """Look for the sun in an image that was read."""
     if task.outside:
         return no_sun(selected_method(image, task.method, full_scale=full_scale_of(image)), task.exposure_us)

@@ -90,7 +90,7 @@ def frame_of(image: Image, unix_s: float, exposure_us: float | None, number: int
 _DIGITS = 4
 
 
-class Night(NamedTuple):
+class CameraNight(NamedTuple):
     """A night of a camera: what names its stars, and the images that are looked at."""
 
     naming: StarNaming
@@ -105,11 +105,11 @@ class Night(NamedTuple):
         return key_of((model, self.images))
 
 
-class Nights(NamedTuple):
+class CameraNights(NamedTuple):
     """The nights of a camera, and its images of nights that no calibration is for."""
 
     camera: CameraImages
-    nights: tuple[Night, ...]
+    nights: tuple[CameraNight, ...]
     left_out: tuple[ArchiveImage, ...]
 
     @property
@@ -139,10 +139,10 @@ class Nights(NamedTuple):
         return chunks
 
 
-class NightImage(NamedTuple):
+class ImageWithStars(NamedTuple):
     """An image of a night, and the stars that were named in it."""
 
-    night: Night
+    night: CameraNight
     image: ArchiveImage
     stars: NamedStars
 
@@ -150,24 +150,24 @@ class NightImage(NamedTuple):
 class NightsLooked(NamedTuple):
     """The nights of a camera, and what was found in their images, in the order of `nights.images`."""
 
-    nights: Nights
+    nights: CameraNights
     looked: Looked
 
-    def named(self) -> Iterator[NightImage]:
+    def named(self) -> Iterator[ImageWithStars]:
         """Yield the images whose stars were named."""
         nights = (night for night in self.nights.nights for _ in night.images)
         for night, image, one in zip(nights, self.looked.images, self.looked.found, strict=True):
             if isinstance(one, NamedStars):
-                yield NightImage(night, image, one)
+                yield ImageWithStars(night, image, one)
 
 
-def nights_of(camera: CameraImages, states: Sequence[State], epochs: Sequence[Epoch]) -> Nights:
+def nights_of(camera: CameraImages, states: Sequence[State], epochs: Sequence[Epoch]) -> CameraNights:
     """Return the nights of a camera, each with the calibration of its epoch, and 60 of its images at most.
 
     Images between the last sighting of an epoch and the first of the next are left out: which pose they were taken in
     is not known. Without an epoch all are.
     """
-    nights, left_out = list[Night](), list[ArchiveImage]()
+    nights, left_out = list[CameraNight](), list[ArchiveImage]()
     for _, every in by_night(camera.nights, longitude=camera.plan.site.longitude):
         first, last = every[0].unix_s, every[-1].unix_s
         number = epoch_at(epochs, first) if epochs else 0
@@ -176,8 +176,8 @@ def nights_of(camera: CameraImages, states: Sequence[State], epochs: Sequence[Ep
             continue
         state = states[epochs[number].state]
         naming = StarNaming(state.calibration, camera.plan.site, state.clock_offset_s)
-        nights += [Night(naming, tuple(evenly(part)), number) for part in _by_source(every)]
-    return Nights(camera, tuple(nights), tuple(left_out))
+        nights += [CameraNight(naming, tuple(evenly(part)), number) for part in _by_source(every)]
+    return CameraNights(camera, tuple(nights), tuple(left_out))
 
 
 def _item(image: ArchiveImage) -> Item:

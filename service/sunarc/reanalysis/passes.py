@@ -35,7 +35,7 @@ SEARCHED, PREDICTED, STARS = 1, 2, 3
 """Passes; the third is over the images of the night."""
 
 
-class Sun(NamedTuple):
+class FoundSun(NamedTuple):
     """What a run keeps of a detection: all of it stands in the ledger. Without a position where it was rejected."""
 
     accepted: bool
@@ -45,7 +45,7 @@ class Sun(NamedTuple):
     sigma_px: float | None = None
 
 
-Found = Sun | NamedStars | Finding
+Found = FoundSun | NamedStars | Finding
 ReportProgress = Callable[[str, int, int], None]
 
 
@@ -57,7 +57,7 @@ class Looked(NamedTuple):
 
     def points(self) -> tuple[Sightings, list[int]]:
         """Return the accepted sightings at their stated times, and the number of the image of each."""
-        accepted = [(row, one) for row, one in enumerate(self.found) if isinstance(one, Sun) and one.accepted]
+        accepted = [(row, one) for row, one in enumerate(self.found) if isinstance(one, FoundSun) and one.accepted]
         points = Sightings(
             unix_s=np.array([self.images[row].unix_s for row, _ in accepted]),
             pixels=np.array([[one.x_px, one.y_px] for _, one in accepted], dtype=np.float64).reshape(-1, 2),
@@ -148,11 +148,11 @@ class Passes(NamedTuple):
 
         Answers of the ledger that still hold are taken, and it is given the new ones.
         """
-        asked: dict[str, _Asked] = {}
+        asked: dict[str, _Question] = {}
         chunks: list[Chunk] = []
         total = 0
         for one in work:
-            camera = _Asked(one, self.ledger, stage)
+            camera = _Question(one, self.ledger, stage)
             asked[one.camera.plan.name] = camera
             total += len(one.items)
             if one.chunks is not None:
@@ -173,7 +173,7 @@ class Passes(NamedTuple):
         return [one.found for one in asked.values()]
 
 
-class _Asked:
+class _Question:
     """A camera's answers in a pass, as they come.
 
     Attributes
@@ -234,12 +234,12 @@ def kept(found: Detection | NamedStars | Finding) -> Found:
         return found
     if not found.accepted:
         return _rejected(found.verdict)
-    return Sun(accepted=True, verdict=found.verdict, x_px=found.x_px, y_px=found.y_px, sigma_px=found.sigma_px)
+    return FoundSun(accepted=True, verdict=found.verdict, x_px=found.x_px, y_px=found.y_px, sigma_px=found.sigma_px)
 
 
 @cache  # one value for all of them: most images of a cloudy year are alike
-def _rejected(verdict: Verdict) -> Sun:
-    return Sun(accepted=False, verdict=verdict)
+def _rejected(verdict: Verdict) -> FoundSun:
+    return FoundSun(accepted=False, verdict=verdict)
 
 
 def _complete(images: tuple[ArchiveImage, ...], found: Iterable[Found | None]) -> Looked:
@@ -260,11 +260,11 @@ def _not_as_expected(looked: Looked, expected: Sequence[Expectation | None]) -> 
     return [
         (number, Item(image.file, image.number, image.exposure_us, one, one is None, _place(found)))
         for number, (image, found, one) in enumerate(zip(looked.images, looked.found, expected, strict=True))
-        if isinstance(found, Sun) and not is_consistent(found, one)
+        if isinstance(found, FoundSun) and not is_consistent(found, one)
     ]
 
 
-def _place(found: Sun) -> tuple[float, float] | None:
+def _place(found: FoundSun) -> tuple[float, float] | None:
     return None if found.x_px is None or found.y_px is None else (found.x_px, found.y_px)
 
 

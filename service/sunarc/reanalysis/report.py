@@ -18,7 +18,7 @@ from sunarc.errors import OutsideError
 from sunarc.findings import Finding
 from sunarc.optics.forward import project
 from sunarc.reanalysis.image_files import images_in
-from sunarc.reanalysis.passes import Sun
+from sunarc.reanalysis.passes import FoundSun
 from sunarc.reanalysis.results import CameraResult, Summary, epoch_name
 from sunarc.reanalysis.sources import open_source
 from sunarc.reanalysis.states import Epoch, State
@@ -161,7 +161,7 @@ def _distance(state: State, unix_s: Any, pixels: Any, result: CameraResult) -> A
 def _days(result: CameraResult) -> str:
     times = np.array([image.unix_s for image in result.looked.images])
     day = solar_days(times, longitude=result.camera.plan.site.longitude)
-    seen = np.array([isinstance(one, Sun) and one.accepted for one in result.looked.found])
+    seen = np.array([isinstance(one, FoundSun) and one.accepted for one in result.looked.found])
     days = np.unique(day)
     rows = [
         (

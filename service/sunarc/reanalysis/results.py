@@ -26,7 +26,7 @@ from sunarc.reanalysis.index import CameraImages, Failure, Indexed
 from sunarc.reanalysis.learned_sigma import sigma_factor
 from sunarc.reanalysis.messages import MESSAGES
 from sunarc.reanalysis.nights import NightsLooked
-from sunarc.reanalysis.passes import Looked, Sun
+from sunarc.reanalysis.passes import FoundSun, Looked
 from sunarc.reanalysis.states import Epoch
 from sunarc.sky.sun import sun_directions
 from sunarc.utc import DAY_S, rfc3339, utc_time
@@ -83,7 +83,7 @@ def _pixel(one: Expectation | None) -> tuple[float, float]:
 
 def _is_seen(looked: Looked, row: int) -> bool:
     found = looked.found[row]
-    return isinstance(found, Sun) and found.accepted
+    return isinstance(found, FoundSun) and found.accepted
 
 
 _HEADER = ("camera", "time_utc", "file", "x_px", "y_px", "sigma_px", "body", "verdict", "epoch")
@@ -93,7 +93,7 @@ Made = TypeVar("Made")
 Document = dict[str, Any]
 
 
-class Each(Protocol):
+class ParallelMap(Protocol):
     """Has a function called with each of some values, somewhere; None for those that it could not be done with."""
 
     def __call__(self, run: Callable[[Given], Made], given: Sequence[Given], /) -> list[Made | None]:
@@ -144,7 +144,9 @@ class Summary:
         return replace(self, report={**self.report, "seconds": round(seconds, 1)})
 
 
-def write_results(target: Path, results: Sequence[CameraResult], indexed: Indexed, *, each: Each | None) -> Summary:
+def write_results(
+    target: Path, results: Sequence[CameraResult], indexed: Indexed, *, each: ParallelMap | None
+) -> Summary:
     """Write the tables, calibrations, masks and exports of a run into its folder.
 
     Parameters
@@ -223,7 +225,7 @@ def _sightings(result: CameraResult) -> list[tuple[object, ...]]:
     table = []
     for row, epoch, offset_s in zip(rows, epochs, offsets, strict=True):
         image, found = result.looked.images[row], result.looked.found[row]
-        assert isinstance(found, Sun)  # noqa: S101 - it was accepted
+        assert isinstance(found, FoundSun)  # noqa: S101 - it was accepted
         sigma = None if found.sigma_px is None else round(found.sigma_px * factor, 4)
         time = rfc3339(utc_time(image.unix_s - offset_s))
         pixel = (round(found.x_px or 0.0, 4), round(found.y_px or 0.0, 4))
@@ -290,11 +292,11 @@ def _epochs(result: CameraResult, documents: Mapping[tuple[str, str], Document])
 
 def _camera(result: CameraResult, documents: Mapping[tuple[str, str], Document]) -> Document:
     def accepted(looked: Looked) -> int:
-        return sum(isinstance(one, Sun) and one.accepted for one in looked.found)
+        return sum(isinstance(one, FoundSun) and one.accepted for one in looked.found)
 
-    verdicts = Counter(one.verdict for one in result.looked.found if isinstance(one, Sun))
+    verdicts = Counter(one.verdict for one in result.looked.found if isinstance(one, FoundSun))
     pairs = [
-        tuple(isinstance(one, Sun) and one.accepted for one in both)
+        tuple(isinstance(one, FoundSun) and one.accepted for one in both)
         for both in zip(result.searched.found, result.looked.found, strict=True)
     ]
     return {
@@ -341,7 +343,7 @@ def _refusal(failure: Failure) -> Document:
 
 
 def _write_exports(
-    folder: Path, documents: Mapping[tuple[str, str], Document], each: Each
+    folder: Path, documents: Mapping[tuple[str, str], Document], each: ParallelMap
 ) -> dict[str, dict[str, str]]:
     """Write accepted calibrations in all formats; return why some are missing, by calibration and format."""
     accepted = {key: one for key, one in documents.items() if one["verdict"]["accepted"]}

@@ -26,7 +26,7 @@ from sunarc.reanalysis.nights import NightsLooked, name_stars, nights_of, star_p
 from sunarc.reanalysis.passes import Looked, Passes, ReportProgress, predictions
 from sunarc.reanalysis.report import write_report
 from sunarc.reanalysis.results import CameraResult, Horizon, Summary, learn_horizon, write_results
-from sunarc.reanalysis.states import Camera
+from sunarc.reanalysis.states import ArchiveCamera
 from sunarc.runtime.clock import Clock
 
 _ANOTHER = "wait for that run to end, or give another folder (-o)"
@@ -155,8 +155,8 @@ def _with_stars(
     return {number: one for number, one in zip(starry, fitted, strict=True) if one is not None}
 
 
-def _known(camera: CameraImages) -> Camera:
-    return Camera(camera.plan.site, camera.size, camera.plan.options)
+def _known(camera: CameraImages) -> ArchiveCamera:
+    return ArchiveCamera(camera.plan.site, camera.size, camera.plan.options)
 
 
 def _horizon(camera: CameraImages, looked: Looked, final: Final | None) -> Horizon | None:

@@ -72,7 +72,7 @@ class State(NamedTuple):
     sigma_px: float
 
 
-class Camera(NamedTuple):
+class ArchiveCamera(NamedTuple):
     """What is known of a camera: site, image size (width, height) and how it is fitted."""
 
     site: Site
@@ -105,7 +105,7 @@ class Found(NamedTuple):
     finding: Finding | None = None
 
 
-def find_states(points: Sightings, camera: Camera) -> Found:
+def find_states(points: Sightings, camera: ArchiveCamera) -> Found:
     """Return the states that explain a camera's sightings.
 
     Parameters
@@ -138,7 +138,7 @@ def _thinned(points: Sightings, site: Site) -> tuple[Sightings, IntArray]:
     return points.select(index), day[index]
 
 
-def _unexplained(states: Sequence[State], points: Sightings, day: IntArray, camera: Camera) -> list[int]:
+def _unexplained(states: Sequence[State], points: Sightings, day: IntArray, camera: ArchiveCamera) -> list[int]:
     """Return the days of which too few sightings are near any state's prediction; a day may be of two states."""
     near = np.zeros(len(points), dtype=bool)
     for state in states:
@@ -152,7 +152,7 @@ def _near_px(sigma_px: float) -> float:
 
 
 def _next_state(
-    states: Sequence[State], points: Sightings, day: IntArray, open_days: Sequence[int], camera: Camera
+    states: Sequence[State], points: Sightings, day: IntArray, open_days: Sequence[int], camera: ArchiveCamera
 ) -> tuple[State | None, Finding | None]:
     """Return the state of the first days that none explains."""
     finding: Finding | None = None
@@ -175,7 +175,7 @@ def _next_state(
 
 
 def _judged(
-    calibration: Calibration, offset_s: float, points: Sightings, camera: Camera, sigma_px: float
+    calibration: Calibration, offset_s: float, points: Sightings, camera: ArchiveCamera, sigma_px: float
 ) -> tuple[float, float]:
     """Return the share of sightings that a camera explains, and their robust scatter."""
     distance = camera.distances_of(calibration, points, offset_s)
@@ -183,7 +183,7 @@ def _judged(
     return float(np.mean(distance < _near_px(sigma_px))), scatter
 
 
-def _with_other_clock(states: Sequence[State], points: Sightings, camera: Camera) -> State | None:
+def _with_other_clock(states: Sequence[State], points: Sightings, camera: ArchiveCamera) -> State | None:
     """Return a known state with its clock ahead or behind."""
     best: tuple[float, State] | None = None
     for state in states:
@@ -194,7 +194,7 @@ def _with_other_clock(states: Sequence[State], points: Sightings, camera: Camera
     return None if best is None else best[1]
 
 
-def _best_offset_s(state: State, points: Sightings, camera: Camera) -> float:
+def _best_offset_s(state: State, points: Sightings, camera: ArchiveCamera) -> float:
     """Return the offset of the clock with which a state explains sightings best."""
     some = points.select(np.unique(np.linspace(0, len(points) - 1, _TRIED).astype(int)))
     near = _near_px(state.sigma_px)
@@ -210,7 +210,7 @@ def _best_offset_s(state: State, points: Sightings, camera: Camera) -> float:
     return state.clock_offset_s + (whole if abs(offset - whole) < _WHOLE_S else offset)
 
 
-def _cheapest(state: State, points: Sightings, offsets: FloatArray, camera: Camera, near_px: float) -> float:
+def _cheapest(state: State, points: Sightings, offsets: FloatArray, camera: ArchiveCamera, near_px: float) -> float:
     """Return that of some offsets with which sightings are nearest to a state's predictions."""
     times = points.unix_s - state.clock_offset_s - offsets[:, None]
     predicted = project_fast(state.calibration.camera, sun_directions(times, camera.site).reshape(-1, 3))
@@ -218,7 +218,7 @@ def _cheapest(state: State, points: Sightings, offsets: FloatArray, camera: Came
     return float(offsets[int(np.argmin(np.mean(np.minimum(distance / near_px, 1.0) ** 2, axis=1)))])
 
 
-def _in_other_pose(states: Sequence[State], points: Sightings, camera: Camera) -> State | None:
+def _in_other_pose(states: Sequence[State], points: Sightings, camera: ArchiveCamera) -> State | None:
     """Return a known lens in a new pose."""
     for state in reversed(_one_a_lens(states)):
         posed = estimate_pose(
@@ -238,7 +238,9 @@ def _one_a_lens(states: Sequence[State]) -> list[State]:
     return list({state.lens: state for state in states}.values())
 
 
-def _with_other_lens(states: Sequence[State], points: Sightings, camera: Camera) -> tuple[State | None, Finding | None]:
+def _with_other_lens(
+    states: Sequence[State], points: Sightings, camera: ArchiveCamera
+) -> tuple[State | None, Finding | None]:
     """Return a new lens, and why there is none."""
     clock = states[-1].clock_offset_s if states else 0.0
     hand: Mirrored = "auto" if not states else "yes" if states[-1].calibration.camera.mirrored else "no"
@@ -286,7 +288,7 @@ class Epoch(NamedTuple):
     end_unix_s: float
 
 
-def find_epochs(points: Sightings, states: Sequence[State], camera: Camera) -> tuple[list[Epoch], IntArray]:
+def find_epochs(points: Sightings, states: Sequence[State], camera: ArchiveCamera) -> tuple[list[Epoch], IntArray]:
     """Return the epochs in the order of time, and the state of each sighting (n,).
 
     Parameters

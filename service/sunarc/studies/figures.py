@@ -27,7 +27,7 @@ from sunarc.sky.directions import direction_from_angles
 from sunarc.studies.published import FOCAL_LENGTH_P90, PRINCIPAL_POINT_P90, TRUE_RMSE
 from sunarc.studies.residuals import Residuals
 from sunarc.studies.shadow import RAMP_W_M2, WIND_M_S, WINDOW_S, ShadowRow
-from sunarc.studies.uncertainty import Uncertainty, true_values
+from sunarc.studies.uncertainty import UncertaintyStudy, true_values
 from sunarc.utc import DAY_S
 
 BLUE, VERMILLION, GREEN, ORANGE, GREY, INK = "#0072B2", "#D55E00", "#009E73", "#E69F00", "#8A8A8A", "#222222"
@@ -343,7 +343,7 @@ _NORMAL_P90 = 1.645
 _NOISE = "noise of a sighting, σ (px per axis)"
 
 
-def rmse_figure(study: Uncertainty) -> Figure:
+def rmse_figure(study: UncertaintyStudy) -> Figure:
     """Return the figure of the true error, on the arc (the paper's Fig. 4) and over the sky."""
     figure = new_sheet(width_px=RMSE_SHEET_PX[0], height_px=RMSE_SHEET_PX[1])
     on_arc, on_sky = figure.subplots(1, 2)
@@ -365,7 +365,7 @@ def rmse_figure(study: Uncertainty) -> Figure:
     return figure
 
 
-def parameter_figure(study: Uncertainty) -> Figure:
+def parameter_figure(study: UncertaintyStudy) -> Figure:
     """Return the figure of four parameters (the paper's Fig. 5), a row for each method, each panel to its own scale."""
     figure = new_sheet(width_px=PARAMETER_SHEET_PX[0], height_px=PARAMETER_SHEET_PX[1])
     names = ("αx", "αy", "x0", "y0")
@@ -379,7 +379,7 @@ def parameter_figure(study: Uncertainty) -> Figure:
     return figure
 
 
-def _draw_parameter(axes: Axes, study: Uncertainty, method: Method, column: int) -> None:
+def _draw_parameter(axes: Axes, study: UncertaintyStudy, method: Method, column: int) -> None:
     truth, sigma = float(true_values()[column]), study.sigma_px
     _draw_distribution(axes, study, method, column, truth=truth)
     bound = _NORMAL_P90 * study.bound[method][:, column]
@@ -396,12 +396,12 @@ def _draw_parameter(axes: Axes, study: Uncertainty, method: Method, column: int)
     axes.set_xlim(0.0, float(sigma[-1]))
 
 
-def _study_headline(study: Uncertainty) -> str:
+def _study_headline(study: UncertaintyStudy) -> str:
     count = study.trials[study.methods[0]].shape[1]
     return f"one arc of 13 May 2013, {count} fits a level, seed {study.seed}; bands: 50 % and 90 % of the fits"
 
 
-def _draw_distribution(axes: Axes, study: Uncertainty, method: Method, column: int, *, truth: float) -> None:
+def _draw_distribution(axes: Axes, study: UncertaintyStudy, method: Method, column: int, *, truth: float) -> None:
     """Draw mean, median and bands, from the first level with noise on: without any, nothing is distributed."""
     drawn, sigma, colour = study.trials[method][1:, :, column] - truth, study.sigma_px[1:], _COLOURS[method]
     for low, high, strength in ((0.05, 0.95, 0.15), (0.25, 0.75, 0.25)):

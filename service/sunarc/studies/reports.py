@@ -15,7 +15,7 @@ from sunarc.extras import extra_module
 from sunarc.studies.residuals import residuals_of
 from sunarc.studies.shadow import ShadowRow
 from sunarc.studies.tables import COLUMNS, TableRow
-from sunarc.studies.uncertainty import Uncertainty, distribution_rows, trial_rows
+from sunarc.studies.uncertainty import UncertaintyStudy, distribution_rows, trial_rows
 
 _DIGITS = 9
 
@@ -44,7 +44,7 @@ def make_folder(folder: Path) -> None:
         pass
 
 
-def write_uncertainty(study: Uncertainty, *, folder: Path) -> tuple[Path, ...]:
+def write_uncertainty(study: UncertaintyStudy, *, folder: Path) -> tuple[Path, ...]:
     """Write `uncertainty.csv` (distributions), `uncertainty_trials.csv` (every fit), and two figures."""
     extra_module("matplotlib", extra="studies")  # loaded when something is drawn
     from sunarc.studies.figures import parameter_figure, rmse_figure, save_png  # noqa: PLC0415 - same

@@ -26,7 +26,7 @@ QUANTILES: Mapping[str, float] = {"p05": 0.05, "p25": 0.25, "median": 0.5, "p75"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Uncertainty:
+class UncertaintyStudy:
     """What the trials came to.
 
     Attributes
@@ -53,7 +53,7 @@ def study_uncertainty(
     seed: int = 1,
     jobs: int = 1,
     after_each: Callable[[], None] = lambda: None,
-) -> Uncertainty:
+) -> UncertaintyStudy:
     """Fit the synthetic arc of 13 May 2013 again and again, with noise from 0 to 10 px per axis.
 
     Parameters
@@ -80,7 +80,7 @@ def study_uncertainty(
         )
         for method in methods
     }
-    return Uncertainty(
+    return UncertaintyStudy(
         methods=tuple(methods), sigma_px=sigmas, seed=seed, trials=dict(zip(methods, results, strict=True)), bound=bound
     )
 
@@ -91,7 +91,7 @@ def true_values() -> FloatArray:
     return np.array([0.0, 0.0, *truth.focal_length_px, *truth.principal_point_px])
 
 
-def distribution_rows(study: Uncertainty) -> list[Row]:
+def distribution_rows(study: UncertaintyStudy) -> list[Row]:
     """Return one row a method, level and quantity: truth, mean, quantiles, and the bound."""
     return [
         {
@@ -110,7 +110,7 @@ def distribution_rows(study: Uncertainty) -> list[Row]:
     ]
 
 
-def trial_rows(study: Uncertainty) -> list[Row]:
+def trial_rows(study: UncertaintyStudy) -> list[Row]:
     """Return one row a fit."""
     return [
         {

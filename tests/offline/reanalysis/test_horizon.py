@@ -7,7 +7,7 @@ import numpy as np
 
 from sunarc.detection.values import Expectation
 from sunarc.reanalysis.index import ArchiveImage
-from sunarc.reanalysis.passes import Looked, Sun
+from sunarc.reanalysis.passes import FoundSun, Looked
 from sunarc.reanalysis.results import HIDDEN, SEEN, UNKNOWN, learn_horizon
 from sunarc.utc import DAY_S
 
@@ -22,7 +22,7 @@ def looked_at(days: int, *, cloudy: frozenset[int] = frozenset()) -> tuple[Looke
         for place in range(30):
             images.append(ArchiveImage(round(1e6 * (day * DAY_S + 60.0 * place)), "a", place, "", None, ""))
             seen = place not in MAST and day not in cloudy
-            found.append(Sun(seen, "clear" if seen else "hidden", 1.0, 1.0))
+            found.append(FoundSun(seen, "clear" if seen else "hidden", 1.0, 1.0))
             expected.append(Expectation(x_px=15.0 + 15.0 * place, y_px=200.0 + day / 10.0))
     return Looked(tuple(images), tuple(found)), expected
 

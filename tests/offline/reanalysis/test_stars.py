@@ -25,9 +25,9 @@ from sunarc.reanalysis.fit import CameraSightings, Final, Starry, better_of, doc
 from sunarc.reanalysis.index import ArchiveImage, CameraImages, CameraPlan, Selector
 from sunarc.reanalysis.ledger import Ledger
 from sunarc.reanalysis.look import Chunk, NamedStars
-from sunarc.reanalysis.nights import Nights, NightsLooked, name_stars, nights_of, star_points
+from sunarc.reanalysis.nights import CameraNights, NightsLooked, name_stars, nights_of, star_points
 from sunarc.reanalysis.passes import Passes
-from sunarc.reanalysis.states import Camera, Epoch, State
+from sunarc.reanalysis.states import ArchiveCamera, Epoch, State
 from sunarc.sky.night import STAR, body_directions
 from sunarc.sky.sun import sun_directions
 from sunarc.utc import DAY_S
@@ -90,7 +90,7 @@ def epoch(number: int, first_s: float, last_s: float) -> Epoch:
 ONE = (epoch(0, -DAY_S, 9.0 * DAY_S),)
 
 
-def looked(nights: Nights, folder: Path) -> tuple[NightsLooked, list[Chunk]]:
+def looked(nights: CameraNights, folder: Path) -> tuple[NightsLooked, list[Chunk]]:
     """Return what is found in nights, by a ledger in a folder, and what was looked at for it."""
     cluster: Any = InProcess()
     with Ledger(f"sqlite:///{folder / 'ledger.sqlite'}") as ledger:
@@ -194,7 +194,7 @@ def starry(found: NightsLooked) -> Starry:
     points = Sightings(
         unix_s=times + LATE_S, pixels=project(CAMERA, directions) + noise, sigma_px=np.full(times.size, 0.05)
     )
-    camera = Camera(SITE, (SIZE, SIZE), CalibrationOptions(projection="equisolid"))
+    camera = ArchiveCamera(SITE, (SIZE, SIZE), CalibrationOptions(projection="equisolid"))
     path = np.zeros(times.size, dtype=np.int64)
     stars = star_points(found, (STATE,), ONE)
     assert stars is not None

@@ -13,7 +13,7 @@ from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.optics.forward import project
 from sunarc.reanalysis.fit import CameraSightings, Final, Rough, final_analysis, first_analysis
-from sunarc.reanalysis.states import Camera
+from sunarc.reanalysis.states import ArchiveCamera
 from sunarc.simulation.made_archive import CameraChange, MadeArchive, MadeCamera, camera_at, true_times
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions
@@ -51,8 +51,8 @@ def truth(**camera: object) -> Truth:
     return Truth(made_camera, MadeArchive(cameras=(made_camera,), days=8, per_day=20, size=SIZE))
 
 
-def known(site: Site) -> Camera:
-    return Camera(site, (SIZE, SIZE), CalibrationOptions())
+def known(site: Site) -> ArchiveCamera:
+    return ArchiveCamera(site, (SIZE, SIZE), CalibrationOptions())
 
 
 @cache

@@ -15,7 +15,7 @@ from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.reanalysis.fit import CameraSightings, final_analysis
-from sunarc.reanalysis.states import Camera, State
+from sunarc.reanalysis.states import ArchiveCamera, State
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles
 
@@ -97,7 +97,7 @@ def test_days_of_false_sightings_do_not_count_against_a_fit() -> None:
 
 def test_the_epoch_of_an_archive_is_refused_where_one_state_was_taken_for_both() -> None:
     points = archive(0, days=14, per_day=4, first_share=0.35)
-    camera = Camera(SITE, SIZE, OPTIONS)
+    camera = ArchiveCamera(SITE, SIZE, OPTIONS)
     state = State(fitted(points, UNJUDGED), lens=0, pose=0, clock_offset_s=0.0, sigma_px=0.6)
     final = final_analysis(CameraSightings(points, camera, (state,)))
     assert len(final.epochs) == 1

@@ -14,7 +14,7 @@ from fastapi.responses import FileResponse, JSONResponse, Response
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
 from prometheus_client.core import GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, ConfigDict, Field
 
 from sunarc.api.context import ApiContext
 from sunarc.api.parameters import Body, Number, Pixel, row_limit
@@ -26,7 +26,7 @@ from sunarc.archive.archive import Archive
 from sunarc.archive.fleet.feed_rows import FleetCamera, Quarantined
 from sunarc.archive.fleet.nightly import CrossChecks, DaySummary, NightlyRun
 from sunarc.errors import InputError, OutsideError
-from sunarc.geolocation.pair_height import View, pair_height
+from sunarc.geolocation.pair_height import PairView, pair_height
 from sunarc.json_fields import Time, described
 from sunarc.runtime.status import StatusSnapshot
 
@@ -213,8 +213,10 @@ def _number(camera: FleetCamera, name: str) -> float | None:
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
 
 
-class Nights(BaseModel):
+class NightlyRuns(BaseModel):
     """How the work of the last nights went."""
+
+    model_config = ConfigDict(title="Nights")
 
     runs: Annotated[list[NightlyRun], described("The newest first.")]
 
@@ -230,9 +232,9 @@ def nightly_routes(archive: Archive) -> APIRouter:
     routes = APIRouter(tags=["fleet"])
 
     @routes.get("/v1/nightly")
-    def nightly(limit: Annotated[int, row_limit()] = 31) -> Nights:
+    def nightly(limit: Annotated[int, row_limit()] = 31) -> NightlyRuns:
         """Return the state of the nightly jobs (summaries, retention) of the last nights."""
-        return Nights(runs=list(archive.nightly_runs(limit=limit)))
+        return NightlyRuns(runs=list(archive.nightly_runs(limit=limit)))
 
     @routes.get("/v1/summaries")
     def summaries(
@@ -330,7 +332,7 @@ def pair_routes(context: ApiContext) -> APIRouter:
     return routes
 
 
-def _view(context: ApiContext, time: datetime, pixel: list[float], field: str) -> tuple[View, str]:
+def _view(context: ApiContext, time: datetime, pixel: list[float], field: str) -> tuple[PairView, str]:
     """Return how a camera sees a pixel at a time, and the id of the calibration that says so."""
     record = context.record(time)
     ready = context.ready.get(record)
@@ -339,4 +341,4 @@ def _view(context: ApiContext, time: datetime, pixel: list[float], field: str) -
         covariance = ready.direction_covariance(np.ascontiguousarray(direction))
     if not np.isfinite(covariance).all():
         raise InputError(field=field, problem="lies outside the camera's field", remedy="give a pixel of the sky")
-    return View(site=context.site_at(time), direction=direction[0], covariance=covariance[0]), record.id
+    return PairView(site=context.site_at(time), direction=direction[0], covariance=covariance[0]), record.id

@@ -208,7 +208,7 @@ _STREAM: dict[int | str, dict[str, Any]] = {
 }
 
 
-class Message(NamedTuple):
+class StreamMessage(NamedTuple):
     """One message of the stream."""
 
     kind: Kind
@@ -260,28 +260,28 @@ class Follower:
         self.position = position or known
         self._behind = position is not None
 
-    def state(self) -> Message:
+    def state(self) -> StreamMessage:
         """Return how things are now."""
         conditions = list(self._status.conditions.values())
         data = {"health": self._status.health, "calibration": self._calibration() or None, "conditions": conditions}
-        return Message("state", data, self.position.text)
+        return StreamMessage("state", data, self.position.text)
 
-    def news(self) -> list[Message]:
+    def news(self) -> list[StreamMessage]:
         """Return what happened since the last question, the oldest first."""
         revision = self._context.archive.revision()
         stored = list(self._stored()) if revision != self._revision or self._behind else []
         self._revision, self._behind = revision, False
         before, self._status = self._status, self._context.status()
         changed = _changes(before, self._status)
-        return [*stored, *(Message(kind, data, self.position.text) for kind, data in changed)]
+        return [*stored, *(StreamMessage(kind, data, self.position.text) for kind, data in changed)]
 
-    def _stored(self) -> Iterator[Message]:
+    def _stored(self) -> Iterator[StreamMessage]:
         archive, known = self._context.archive, self.position
         events = archive.events_after(known.event, camera=self._context.camera, limit=_MOST_MISSED)
         changes = stored_changes(events, self._calibration(), after_event=known.event, known=known.calibration)
         for kind, data, event, calibration in changes:
             self.position = Position(event, calibration)
-            yield Message(kind, data, self.position.text)
+            yield StreamMessage(kind, data, self.position.text)
 
     def _calibration(self) -> str:
         record = self._context.record_or_none(None)

@@ -23,7 +23,7 @@ _MOST_EVENTS = 500
 """Events of one camera that are taken at once; the others at the next time."""
 
 
-class Change(NamedTuple):
+class StoreChange(NamedTuple):
     """Something that is new in the store, and the newest event's number and the current calibration after it."""
 
     kind: NoticeKind
@@ -85,7 +85,7 @@ class CameraState:
     sky_rms_deg: float | None = None
 
 
-def stored_changes(events: Iterable[Event], current: str, *, after_event: int, known: str) -> Iterator[Change]:
+def stored_changes(events: Iterable[Event], current: str, *, after_event: int, known: str) -> Iterator[StoreChange]:
     """Yield what is new in the store, events in their order and then the calibration.
 
     Parameters
@@ -97,9 +97,9 @@ def stored_changes(events: Iterable[Event], current: str, *, after_event: int, k
     for one in events:
         number = one.id or number
         kind: Any = one.kind if one.kind in _OWN_KINDS else "event"
-        yield Change(kind, _EVENT.dump_python(one, mode="json"), number, known)
+        yield StoreChange(kind, _EVENT.dump_python(one, mode="json"), number, known)
     if current != known:
-        yield Change("calibration", {"calibration": current or None, "previous": known or None}, number, current)
+        yield StoreChange("calibration", {"calibration": current or None, "previous": known or None}, number, current)
 
 
 class Notices(Store):
@@ -154,7 +154,9 @@ class Notices(Store):
         with self._writing(camera=camera) as connection:
             rows: list[dict[str, Any]] = []
             if position is None:
-                position = _Position(_last_event(connection, camera), _current(connection, camera), conditions, now)
+                position = _NoticePosition(
+                    _last_event(connection, camera), _current(connection, camera), conditions, now
+                )
             else:
                 rows, position = _news(connection, position, look)
             if rows:
@@ -196,7 +198,7 @@ class Notices(Store):
         return {row.sink: SinkState(seq=row.seq, waiting=row.waiting, refused=row.refused) for row in rows}
 
 
-class _Position(NamedTuple):
+class _NoticePosition(NamedTuple):
     """Up to where a camera's notices are stored; `since` is the first moment of which there are any."""
 
     event: int
@@ -214,9 +216,9 @@ class _Look(NamedTuple):
     clears: bool
 
 
-def _position(connection: Connection, camera: str) -> _Position | None:
+def _position(connection: Connection, camera: str) -> _NoticePosition | None:
     row = connection.execute(select(notice_position).where(notice_position.c.camera == camera)).one_or_none()
-    return None if row is None else _Position(row.event, row.calibration, row.conditions, row.since)
+    return None if row is None else _NoticePosition(row.event, row.calibration, row.conditions, row.since)
 
 
 def _last_event(connection: Connection, camera: str) -> int:
@@ -232,7 +234,9 @@ def _current(connection: Connection, camera: str) -> str:
     return str(connection.scalar(select(c.id).where(c.camera == camera, c.state == "current")) or "")
 
 
-def _news(connection: Connection, position: _Position, look: _Look) -> tuple[list[dict[str, Any]], _Position]:
+def _news(
+    connection: Connection, position: _NoticePosition, look: _Look
+) -> tuple[list[dict[str, Any]], _NoticePosition]:
     """Return the rows of new notices, and the position after them."""
     camera, conditions, now, clears = look
     following = select(event).where(_of_camera(camera), event.c.id > position.event).order_by(event.c.id)
