@@ -57,7 +57,7 @@ _FX, _FY, _SKEW = int(Param.FOCAL_LENGTH_X_PX), int(Param.FOCAL_LENGTH_Y_PX), in
 _RADIAL, _RADIALS, _P1, _POSE = int(Param.K2), int(Param.P1 - Param.K2), int(Param.P1), int(Param.ROTATION_X)
 
 
-class WeightedProblem(NamedTuple):
+class PenaltyArrays(NamedTuple):
     """The penalties c1, c2, c3 as numbers, see `Penalties`; the weights are in them, those of c2 and c3 over √n.
 
     orthogonality (8,); circularity, edge_radius, edge_powers (8,), cosine and sine (24,) of the edge, and whether its
@@ -86,7 +86,7 @@ class Limits(NamedTuple):
 
 @njit(nogil=True)
 def minimised(  # noqa: PLR0917 - compiled functions take positions
-    optics: Optics, seen: Seen, weighed: WeightedProblem, start: FloatArray, moving: IntArray, limits: Limits
+    optics: Optics, seen: Seen, weighed: PenaltyArrays, start: FloatArray, moving: IntArray, limits: Limits
 ) -> FloatArray:
     """Return the parameters (23,) where Levenberg-Marquardt converges: a step gains less than a share of the cost.
 
@@ -120,7 +120,7 @@ def minimised(  # noqa: PLR0917 - compiled functions take positions
 
 @njit(nogil=True)
 def compiled_equations(  # noqa: PLR0917 - compiled functions take positions
-    optics: Optics, seen: Seen, weighed: WeightedProblem, vector: FloatArray, normal: FloatArray, gradient: FloatArray
+    optics: Optics, seen: Seen, weighed: PenaltyArrays, vector: FloatArray, normal: FloatArray, gradient: FloatArray
 ) -> float:
     """Write the normal equations (23, 23) and the pull (23,) of Eq. 26 at some parameters; return its squares."""
     normal[:] = 0.0
@@ -156,7 +156,7 @@ def _by_parameters(products: FloatArray, normal: FloatArray, gradient: FloatArra
 
 
 @njit(nogil=True)
-def _orthogonality(weighed: WeightedProblem, vector: FloatArray, normal: FloatArray, gradient: FloatArray) -> float:
+def _orthogonality(weighed: PenaltyArrays, vector: FloatArray, normal: FloatArray, gradient: FloatArray) -> float:
     """Add c1, and return its square."""
     row, value = np.zeros(_SIZE), 0.0
     for k in range(_RADIALS):
@@ -166,7 +166,7 @@ def _orthogonality(weighed: WeightedProblem, vector: FloatArray, normal: FloatAr
 
 
 @njit(nogil=True)
-def _circularity(weighed: WeightedProblem, vector: FloatArray, normal: FloatArray, gradient: FloatArray) -> float:
+def _circularity(weighed: PenaltyArrays, vector: FloatArray, normal: FloatArray, gradient: FloatArray) -> float:
     """Add c2, and return its square: the deviations of the edge's distance from its mean."""
     count = weighed.cosine.size
     rows, distances = np.zeros((count, _SIZE)), np.empty(count)
@@ -186,7 +186,7 @@ def _circularity(weighed: WeightedProblem, vector: FloatArray, normal: FloatArra
 
 @njit(nogil=True)
 def _edge_row(  # noqa: PLR0917 - compiled functions take positions
-    weighed: WeightedProblem, vector: FloatArray, radius: float, u: float, v: float, row: FloatArray
+    weighed: PenaltyArrays, vector: FloatArray, radius: float, u: float, v: float, row: FloatArray
 ) -> float:
     """Return the distance of the edge's image from the principal point, px, and write its derivatives (23,)."""
     fx, fy, skew = vector[_FX], vector[_FY], vector[_SKEW]
@@ -216,7 +216,7 @@ def _edge_row(  # noqa: PLR0917 - compiled functions take positions
 
 
 @njit(nogil=True)
-def _monotony(weighed: WeightedProblem, vector: FloatArray, normal: FloatArray, gradient: FloatArray) -> float:
+def _monotony(weighed: PenaltyArrays, vector: FloatArray, normal: FloatArray, gradient: FloatArray) -> float:
     """Add c3, and return its square: the radius's slope where it falls."""
     row, cost = np.zeros(_SIZE), 0.0
     for i in range(weighed.ideal_slope.size):
@@ -288,9 +288,9 @@ class Penalties:
             slope_by_radial=(theta / _RIGHT_ANGLE)[:, None] ** (orders - 1) * orders / _RIGHT_ANGLE,
         )
 
-    def weighed(self) -> WeightedProblem:
+    def weighed(self) -> PenaltyArrays:
         """Return the penalties as the compiled loop takes them."""
-        return WeightedProblem(
+        return PenaltyArrays(
             orthogonality=self.options.orthogonality_weight * self.orthogonality,
             circularity=self.options.circularity_weight / math.sqrt(_AZIMUTHS),
             edge_radius=self.edge_radius,
