@@ -123,7 +123,7 @@ def test_the_formulae_of_the_page_on_the_model_are_the_table_s() -> None:
         np.testing.assert_allclose(value_of(found[name], theta), ideal_radius(name, theta), rtol=1e-14)
 
 
-def test_schema_settings_and_maths_name_the_projections_of_the_table() -> None:
+def test_schema_and_settings_name_the_projections_of_the_table() -> None:
     schema = json.loads((DOCS / "calibration.schema.json").read_text(encoding="utf-8"))
     named = [part["enum"] for part in _objects(schema) if "equisolid" in part.get("enum", ())]
     assert named
@@ -132,10 +132,6 @@ def test_schema_settings_and_maths_name_the_projections_of_the_table() -> None:
     line = next(one for one in shown.splitlines() if re.match(r"# projection\b", one))
     assert set(line.rpartition("#")[2].replace(" ", "").split(",")) == set(PROJECTIONS)
     assert tomllib.loads(line.removeprefix("#").strip())["projection"] in PROJECTIONS
-    maths = (DOCS / "maths.md").read_text(encoding="utf-8")
-    listed = re.search(r"five projections \(([^)]*)\)", maths)
-    assert listed is not None
-    assert set(re.split(r",\s+", listed[1])) == set(PROJECTIONS)
 
 
 def _objects(node: object) -> list[dict[str, list[str]]]:
