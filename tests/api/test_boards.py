@@ -121,7 +121,6 @@ def clock_watch(made: Made, state: ClockState, options: ClockOptions) -> ClockWa
     clock = VirtualClock(made.noon)
     clock.set_state(state)
     return ClockWatch(
-        clock=clock,
         frame_time=FrameTime(clock, follows_camera=False),
         camera=CameraArchive(made.archive, name="roof", site=SITE),
         options=options,

@@ -13,7 +13,7 @@ from tests.fixtures.board import START
 from sunarc.errors import OutsideError
 from sunarc.runtime.clock import SystemClock, VirtualClock
 from sunarc.runtime.status import StatusRegistry, WorkerStatus
-from sunarc.runtime.supervisor import Heartbeat, Monitored, Supervised, Supervisor, SupervisorOptions, Worker
+from sunarc.runtime.supervisor import Heartbeat, Monitored, Supervised, Supervisor, SupervisorOptions, Watchdog, Worker
 
 PATIENCE_S = 20.0  # only a failing test waits as long
 
@@ -422,7 +422,7 @@ def test_a_monitored_loop_without_a_heartbeat_is_stuck_and_the_watchdog_not_fed(
 ) -> None:
     heartbeat = Heartbeat(clock.monotonic)
     loop = Monitored(name="web", heartbeat=heartbeat, stale_after_s=30.0)
-    supervisor = Supervisor([], clock=clock, board=board, monitored=[loop])
+    supervisor = Supervisor([], clock=clock, board=board, watchdog=Watchdog(monitored=[loop]))
     clock.advance(30.0)
     assert supervisor.check()
     clock.advance(0.5)
@@ -446,7 +446,10 @@ def test_what_a_periodic_check_raises_is_logged_and_the_watchdog_is_fed_all_the_
 
     with caplog.at_level(logging.ERROR):
         supervisor = Supervisor(
-            [], clock=clock, board=board, feed=lambda: meals.append(clock.monotonic()), on_check=[fail]
+            [],
+            clock=clock,
+            board=board,
+            watchdog=Watchdog(feed=lambda: meals.append(clock.monotonic()), on_check=[fail]),
         )
         supervisor.start()
         for _ in range(2):
@@ -556,8 +559,7 @@ def test_the_watchdog_is_fed_while_all_are_alive(board: StatusRegistry) -> None:
         [Supervised(name="capture", make_worker=Factory([obey_and_tell(runs)]))],
         clock=SystemClock(),
         board=board,
-        feed=fed.release,
-        check_every_s=0.001,
+        watchdog=Watchdog(feed=fed.release, every_s=0.001),
     )
     supervisor.start()
     for _ in range(5):
@@ -593,7 +595,7 @@ def test_the_watchdog_goes_hungry_while_one_is_stuck(board: StatusRegistry) -> N
         ],
         clock=clock,
         board=board,
-        feed=lambda: meals.append(clock.monotonic()),
+        watchdog=Watchdog(feed=lambda: meals.append(clock.monotonic())),
     )
     supervisor.start()
     assert runs.wait(PATIENCE_S)

@@ -42,7 +42,6 @@ def watch_with(clock: VirtualClock, archive: Archive, board: StatusRegistry) -> 
         finds_steps: bool = True,
     ) -> ClockWatch:
         made = ClockWatch(
-            clock=clock,
             frame_time=frame_time or FrameTime(clock, follows_camera=False),
             camera=CameraArchive(archive, name="roof", site=SITE),
             options=options or ClockOptions(),

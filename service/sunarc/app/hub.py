@@ -16,7 +16,7 @@ from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.daily_job import Schedule
 from sunarc.runtime.host import listen, notifier_from
 from sunarc.runtime.status import StatusRegistry
-from sunarc.runtime.supervisor import Heartbeat, Monitored
+from sunarc.runtime.supervisor import Heartbeat, Monitored, Watchdog
 from sunarc.settings.model import HubSettings
 from sunarc.workers.nightly import NightlyWork, nightly_jobs
 
@@ -71,13 +71,15 @@ def _serve_at(listening: socket.socket, archive: Archive, settings: HubSettings)
             (*workers, *hub_recording(archive, board, clock)),
             clock=clock,
             board=board,
-            feed=notifier.watchdog,
+            watchdog=Watchdog(
+                feed=notifier.watchdog,
+                monitored=[
+                    Monitored(name="web", heartbeat=heartbeat, stale_after_s=LOOP_STALE_S),
+                    Monitored(name="schedule", heartbeat=schedule.heartbeat, stale_after_s=_LONGEST_NIGHT_S),
+                ],
+                on_check=[schedule.follow_clock],
+            ),
             on_failed=lambda: None,  # no worker of a hub ends it
-            monitored=[
-                Monitored(name="web", heartbeat=heartbeat, stale_after_s=LOOP_STALE_S),
-                Monitored(name="schedule", heartbeat=schedule.heartbeat, stale_after_s=_LONGEST_NIGHT_S),
-            ],
-            on_check=[schedule.follow_clock],
         ),
         running(schedule),
     ):

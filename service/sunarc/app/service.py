@@ -198,7 +198,6 @@ class Service:
 
     def _new_clock_watch(self) -> ClockWatch:
         return ClockWatch(
-            clock=self.clock,
             frame_time=self.frame_time,
             camera=self.camera,
             options=self.settings.clock,

@@ -33,7 +33,7 @@ from sunarc.runtime.clock import Clock, SystemClock
 from sunarc.runtime.daily_job import Schedule
 from sunarc.runtime.host import credential, listen, notifier_from, prepare_state, watchdog_interval_s
 from sunarc.runtime.status import StatusRegistry
-from sunarc.runtime.supervisor import Heartbeat, Monitored, Supervised, Supervisor
+from sunarc.runtime.supervisor import Heartbeat, Monitored, Supervised, Supervisor, Watchdog
 from sunarc.settings.model import Settings
 
 _STOP_WITHIN_S = 4.0
@@ -45,22 +45,21 @@ def supervised(
     *,
     clock: Clock,
     board: StatusRegistry,
-    feed: Callable[[], None],
+    watchdog: Watchdog,
     on_failed: Callable[[], None],
-    monitored: Sequence[Monitored],
-    on_check: Sequence[Callable[[], None]],
 ) -> Iterator[Supervisor]:
-    """Run workers, and stop them at the end; the parameters are those of `Supervisor`."""
+    """Run workers, and stop them at the end; the parameters are those of `Supervisor`.
+
+    The watchdog is fed thrice in the time that systemd grants, and at least every second.
+    """
     interval_s = watchdog_interval_s(os.environ, pid=os.getpid())
+    every_s = 1.0 if interval_s is None else min(interval_s / 3.0, 1.0)
     supervisor = Supervisor(
         workers,
         clock=clock,
         board=board,
-        feed=feed,
-        check_every_s=1.0 if interval_s is None else min(interval_s / 3.0, 1.0),
+        watchdog=replace(watchdog, every_s=every_s),
         on_failed=on_failed,
-        monitored=monitored,
-        on_check=on_check,
     )
     supervisor.start()
     try:
@@ -138,10 +137,12 @@ def _serve_at(listening: socket.socket, settings: Settings) -> int:
                 (*service.workers(), *recording, *push_workers_of(service)),
                 clock=clock,
                 board=service.board,
-                feed=notifier.watchdog,
+                watchdog=Watchdog(
+                    feed=notifier.watchdog,
+                    monitored=monitored_parts(service, server=server, schedule=schedule),
+                    on_check=(schedule.follow_clock, first_frame.check, service.check_sightings, status.update),
+                ),
                 on_failed=lambda: _stop_serving(server),
-                monitored=monitored_parts(service, server=server, schedule=schedule),
-                on_check=(schedule.follow_clock, first_frame.check, service.check_sightings, status.update),
             )
         )
         stack.enter_context(running(schedule))

@@ -208,6 +208,25 @@ class Supervised:
     optional: bool = False
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Watchdog:
+    """What the supervisor's watchdog looks at, and whom it tells.
+
+    Attributes
+    ----------
+    feed : called while no worker or monitored loop is stuck (optional workers apart) and no essential worker has
+        failed: the watchdog's keep-alive. None starts no thread for it.
+    every_s : seconds between two checks.
+    monitored : loops that run elsewhere, watched by their heartbeats.
+    on_check : called at every check; what they raise is logged.
+    """
+
+    feed: Callable[[], None] | None = None
+    every_s: float = 5.0
+    monitored: Sequence[Monitored] = ()
+    on_check: Sequence[Callable[[], None]] = ()
+
+
 class Supervisor:
     """Runs workers until `stop`, each in a thread named after it.
 
@@ -222,11 +241,8 @@ class Supervisor:
     workers : what to run, names distinct.
     clock : real time; heartbeats, back-offs and windows are measured by it.
     board : where states and reasons are written.
-    feed : called from a thread of its own every `check_every_s` while no worker or monitored loop is stuck (optional
-        workers apart) and no essential worker has failed (the watchdog's keep-alive); None starts no such thread.
+    watchdog : what is checked, from a thread of its own.
     on_failed : called once, when the first essential worker fails, from that worker's thread.
-    monitored : loops that run elsewhere, watched by their heartbeats.
-    on_check : called at every turn of the watchdog's thread; what they raise is logged.
     """
 
     def __init__(
@@ -235,23 +251,19 @@ class Supervisor:
         *,
         clock: Clock,
         board: StatusRegistry,
-        feed: Callable[[], None] | None = None,
-        check_every_s: float = 5.0,
+        watchdog: Watchdog = Watchdog(),
         on_failed: Callable[[], None] | None = None,
-        monitored: Sequence[Monitored] = (),
-        on_check: Sequence[Callable[[], None]] = (),
     ) -> None:
         self.failed = threading.Event()
         self._stop = threading.Event()
         self._clock = clock
         self._board = board
-        self._feed = feed
-        self._check_every_s = check_every_s
+        self._watchdog = watchdog
         self._on_failed = on_failed
         self._lives = [_Life(worker, clock=clock, board=board, stop=self._stop) for worker in workers]
-        self._monitors = [Monitor(loop, board=board) for loop in monitored]
-        self._on_check = tuple(on_check)
-        if len({life.name for life in self._lives} | {loop.name for loop in monitored}) < len(workers) + len(monitored):
+        self._monitors = [Monitor(loop, board=board) for loop in watchdog.monitored]
+        names = [worker.name for worker in workers] + [loop.name for loop in watchdog.monitored]
+        if len(set(names)) < len(names):
             raise ValueError("two workers have the same name")
         self._threads: list[threading.Thread] = []
         self._lock = threading.Lock()
@@ -264,7 +276,7 @@ class Supervisor:
             self._threads = [
                 threading.Thread(target=self._keep, args=(life,), name=life.name, daemon=True) for life in self._lives
             ]
-            if self._feed is not None:
+            if self._watchdog.feed is not None:
                 self._threads.append(threading.Thread(target=self._watch, name="watchdog", daemon=True))
             for thread in self._threads:
                 thread.start()
@@ -295,14 +307,14 @@ class Supervisor:
 
     def _watch(self) -> None:
         while not self._stop.is_set():
-            if self.check() and self._feed is not None:
-                self._feed()
-            for called in self._on_check:
+            if self.check() and self._watchdog.feed is not None:
+                self._watchdog.feed()
+            for called in self._watchdog.on_check:
                 try:
                     called()
                 except Exception:  # noqa: BLE001 - the watchdog's thread must go on
                     _log.exception("a periodic check failed")
-            self._clock.wait(self._stop, self._check_every_s)
+            self._clock.wait(self._stop, self._watchdog.every_s)
 
     def _keep(self, life: _Life) -> None:
         life.keep()

@@ -41,7 +41,7 @@ class FrameTime:
             raise InputError(
                 field="capture.speed", problem="the host's clock runs at speed 1", remedy='set timestamps = "camera"'
             )
-        self._clock = clock
+        self.clock = clock
         self._follows_camera = follows_camera
         self._speed = speed
         self._lock = threading.Lock()
@@ -55,7 +55,7 @@ class FrameTime:
 
     def set_speed(self, speed: float) -> None:
         """Go on at another speed from now on; only a simulated camera changes it."""
-        now, at = self.now(), self._clock.monotonic()
+        now, at = self.now(), self.clock.monotonic()
         with self._lock:
             if self._last is not None:
                 self._last = (now, at)
@@ -75,7 +75,7 @@ class FrameTime:
         host_offset_s : the camera's time less the host's, seconds; None where the host dated the frame.
         """
         with self._lock:
-            self._last = (captured_at, self._clock.monotonic())
+            self._last = (captured_at, self.clock.monotonic())
             if host_offset_s is not None:
                 self._offsets_s.append(host_offset_s)
 
@@ -90,10 +90,10 @@ class FrameTime:
         with self._lock:
             last = self._last
         if not self._follows_camera or last is None:
-            return self._clock.now()
+            return self.clock.now()
         captured_at, at = last
         # Between frames the time goes on by the monotonic clock, which no time service sets.
-        return captured_at + timedelta(seconds=(self._clock.monotonic() - at) * self._speed)
+        return captured_at + timedelta(seconds=(self.clock.monotonic() - at) * self._speed)
 
     def real_seconds_until(self, time: datetime) -> float:
         """Return how long to wait for a moment in frame time; negative when it is past."""
@@ -248,7 +248,7 @@ class ClockWatch:
 
     Parameters
     ----------
-    clock, frame_time : real time, and the time that dates frames.
+    frame_time : the time that dates frames, with the clock that it is counted by.
     camera : its archive, where a step is stored and the bounds of sightings are widened.
     options : how closely to look.
     camera_error_s : bound of the camera's disciplined clock where it dates the frames; None where the host's does.
@@ -259,7 +259,6 @@ class ClockWatch:
     def __init__(
         self,
         *,
-        clock: Clock,
         frame_time: FrameTime,
         camera: CameraArchive,
         options: ClockOptions,
@@ -267,7 +266,7 @@ class ClockWatch:
         finds_steps: bool,
         board: StatusRegistry,
     ) -> None:
-        self._clock = clock
+        self._clock = frame_time.clock
         self._frame_time = frame_time
         self._camera = camera
         self._options = options
@@ -276,7 +275,7 @@ class ClockWatch:
         self._board = board
         self._lock = threading.Lock()
         self._last: ClockReading | None = None
-        self._undisturbed_since_s = clock.monotonic()
+        self._undisturbed_since_s = frame_time.clock.monotonic()
         self._agreement = ClockAgreement()
         self._gradual = GradualSteps()
         self._untrusted = UntrustedTimes()
