@@ -27,7 +27,7 @@ from sunarc.calibration.model.options import CalibrationOptions, WatchOptions
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.cross_checks.rotation_steps import explain_step, find_steps
 from sunarc.reanalysis.fit import CameraSightings, final_analysis, first_analysis
-from sunarc.reanalysis.states import Camera
+from sunarc.reanalysis.states import ArchiveCamera
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions
 
@@ -143,7 +143,7 @@ def within_record(rng: np.random.Generator, case: str) -> list[str]:
 def archive(rng: np.random.Generator, case: str) -> list[str]:
     """Return the causes of the epochs in eight days; troubles are four times as large."""
     seen = points(rng, case, times_of(range(8), 40), day=4, scale=4.0)
-    camera = Camera(SITE, SIZE, OPTIONS)
+    camera = ArchiveCamera(SITE, SIZE, OPTIONS)
     final = final_analysis(CameraSightings(seen, camera, first_analysis(CameraSightings(seen, camera)).states))
     return [epoch.cause + dated(epoch.start_unix_s, 4) for epoch in final.epochs[1:]]
 

@@ -24,7 +24,7 @@ FloatArray = NDArray[np.float64]
 
 NOON = 1_368_403_200.0 + 43_200.0 + 97.484856 * 240.0
 """13 May 2013, local mean solar noon at SGP."""
-SEARCH = module._StepSearch(site=SGP, image_size=(640, 480), options=CalibrationOptions(), circle=None)
+SEARCH = module.StepSearch(site=SGP, image_size=(640, 480), options=CalibrationOptions(), circle=None)
 
 
 def test_each_step_is_dated_by_the_poses_on_its_two_sides(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -56,7 +56,7 @@ def test_the_days_about_a_jump_are_fitted_and_no_others(monkeypatch: pytest.Monk
     first = int(solar_days(times[:1], longitude=SGP.longitude)[0])
     fitted: list[list[int]] = []
 
-    def verified(_: module._StepSearch, whole: Sightings, some: Sightings) -> list[module.PoseStep]:
+    def verified(_: module.StepSearch, whole: Sightings, some: Sightings) -> list[module.PoseStep]:
         assert len(whole) == len(points)
         fitted.append(np.unique(solar_days(some.unix_s, longitude=SGP.longitude)).tolist())
         return []
@@ -65,8 +65,8 @@ def test_the_days_about_a_jump_are_fitted_and_no_others(monkeypatch: pytest.Monk
         assert daily.day.tolist() == list(range(first, first + 9))
         return [(first + 4, first + 6), (first, first + 1)]
 
-    monkeypatch.setattr(module._StepSearch, "_verified", verified)
-    monkeypatch.setattr(module, "_spans", spans)
+    monkeypatch.setattr(module.StepSearch, "_verified", verified)
+    monkeypatch.setattr(module, "step_spans", spans)
     assert SEARCH.steps(points, _known_lens()) == []
     assert fitted == [[first + 4, first + 5, first + 6], [first, first + 1]]
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from sunarc.client import Imager, ImagerError
-from sunarc.client.transport import Transport, _wait_s
+from sunarc.client.transport import Transport, retry_wait_s
 
 Answer = tuple[int, dict[str, str], bytes]
 OK: Answer = (200, {}, b'{"azimuth": 1.0}')
@@ -132,7 +132,7 @@ def test_the_wait_doubles_up_to_ten_seconds_unless_one_is_stated(
     stated: str | None, attempt: int, wait_s: float
 ) -> None:
     error = ImagerError("busy", status=503, problem={"retry_after_s": stated})
-    assert _wait_s(error, attempt) == wait_s
+    assert retry_wait_s(error, attempt) == wait_s
 
 
 def test_a_request_carries_the_token_and_the_query(server: ScriptedServer) -> None:

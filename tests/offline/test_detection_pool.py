@@ -64,7 +64,7 @@ def test_answers_keep_the_order_and_an_image_that_kills_its_process_is_left_out(
 
 def test_an_interrupt_is_for_the_run_and_not_for_its_processes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(run, "detect_in_files", blocking)
-    (answer,) = run._alone(tasks(tmp_path)[0])
+    (answer,) = run.answered_alone(tasks(tmp_path)[0])
     assert isinstance(answer, Finding)
     assert str(signal.SIGINT) in str(answer.data["signals"]).split()
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])

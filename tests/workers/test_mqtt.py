@@ -59,7 +59,7 @@ def test_messages_and_the_retained_state(bench: Pushing, broker: Mosquitto) -> N
     assert kept[THERE] == "online"
     assert (kept[STATE]["health"], kept[STATE]["problem"], kept[STATE]["conditions"]) == ("degraded", "ON", [DUSTY])
     assert EVENTS not in kept
-    worker._sink.close(orderly=True)
+    worker.sink.close(orderly=True)
     assert retained(broker.port)[THERE] == "offline"
     listener.close()
 
@@ -90,7 +90,7 @@ def test_a_broker_that_is_stopped_and_started_loses_nothing(bench: Pushing, brok
     kept = retained(broker.port)
     assert (kept[STATE]["health"], kept[THERE]) == ("ready", "online")
     assert len([topic for topic in kept if topic.startswith("homeassistant/")]) == 5
-    worker._sink.close(orderly=False)
+    worker.sink.close(orderly=False)
     after.close()
 
 
@@ -100,7 +100,7 @@ def test_a_service_that_is_killed_goes_on_where_it_was(bench: Pushing, broker: M
     bench.happen(2, "mqtt")
     first = bench.worker(sink(bench, broker.port))
     step(first)
-    first._sink.close(orderly=False)  # as the kernel closes what a process had
+    first.sink.close(orderly=False)  # as the kernel closes what a process had
     listener.wait_for(4)
     assert listener.of(THERE)[-1] == "offline"  # the last will
     bench.restart()
@@ -112,7 +112,7 @@ def test_a_service_that_is_killed_goes_on_where_it_was(bench: Pushing, broker: M
     assert [message["data"]["text"] for message in listener.of(EVENTS)] == ["0", "1", "0", "1"]
     assert len({message["id"] for message in listener.of(EVENTS)}) == 4
     assert listener.of(THERE)[-1] == "online"
-    second._sink.close(orderly=True)
+    second.sink.close(orderly=True)
     listener.close()
 
 
@@ -127,7 +127,7 @@ def test_a_receipt_that_is_lost_doubles_one_message_under_its_id(
         patched.setattr(bench.archive, "notice_done", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):  # killed between the receipt and the note of it
             step(worker)
-    worker._sink.close(orderly=False)
+    worker.sink.close(orderly=False)
     step(bench.worker(sink(bench, broker.port)))
     listener.wait_for(3)
     ids = [message["id"] for message in listener.of(EVENTS)]
@@ -145,7 +145,7 @@ def test_an_idle_connection_is_kept_and_states_are_sent_when_they_change(bench: 
         step(worker)
     listener.listen(0.2)
     assert [topic for topic, _, _ in listener.heard] == [THERE, STATE]
-    worker._sink.close(orderly=True)
+    worker.sink.close(orderly=True)
     listener.close()
 
 
@@ -170,7 +170,7 @@ def test_a_login_is_refused_and_taken(bench: Pushing, broker: Mosquitto, monkeyp
         if codes:
             (reason,) = bench.board.snapshot().reasons
             assert "Not authorized" in str(reason.data["error"])
-        worker._sink.close(orderly=True)
+        worker.sink.close(orderly=True)
     locked.stop()
 
 
@@ -192,7 +192,7 @@ def test_a_certificate_is_checked(bench: Pushing, broker: Mosquitto, monkeypatch
     worker = bench.worker(sink(bench, sealed.port, "mqtts"))
     step(worker)
     assert (bench.codes(), bench.archive.sink_states()["mqtt"].waiting) == (set(), 0)
-    worker._sink.close(orderly=True)
+    worker.sink.close(orderly=True)
     sealed.stop()
 
 
@@ -255,11 +255,11 @@ def test_a_login_that_is_none_is_a_condition_until_it_is_one(bench: Pushing, bro
     (bench.folder / "login").write_text(text)
     worker = bench.worker(sink(bench, broker.port, mqtt_login_file=bench.folder / "login"))
     with pytest.raises(ConfigurationError):
-        worker._sink.probe()
+        worker.sink.probe()
     assert (step(worker), bench.codes()) == (60.0, {"push_unusable_mqtt"})
     (bench.folder / "login").write_text("sunarc:word")
     assert (step(worker), bench.codes()) == (1.0, set())
-    worker._sink.close(orderly=False)
+    worker.sink.close(orderly=False)
 
 
 def test_a_missing_library_is_a_condition(bench: Pushing, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -276,7 +276,7 @@ def test_a_probe_leaves_what_the_running_service_shows(bench: Pushing, broker: M
     sink(bench, broker.port).probe()
     assert retained(broker.port) == before
     assert before[THERE] == "online"
-    worker._sink.close(orderly=False)
+    worker.sink.close(orderly=False)
 
 
 def test_the_announcement_to_home_assistant_has_what_it_needs() -> None:

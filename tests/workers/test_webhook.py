@@ -322,7 +322,7 @@ def test_a_secret_that_is_none_is_a_condition_until_it_is_one(bench: Pushing, te
         assert (step(worker), bench.codes()) == (60.0, {f"push_unusable_{name}"})
         (bench.folder / "secret").unlink()
         with pytest.raises(ConfigurationError):
-            worker._sink.probe()
+            worker.sink.probe()
         assert (step(worker), bench.codes()) == (60.0, {f"push_unusable_{name}"})
         (bench.folder / "secret").write_text(SECRET)
         assert (step(worker), bench.codes()) == (1.0, set())

@@ -136,7 +136,7 @@ class Transport:
         """Wait before a request that failed is asked again; raise the error where it would fail again, or often did."""
         if attempt >= self._retries or error.status not in (None, *_AGAIN):
             raise error
-        time.sleep(_wait_s(error, attempt))  # noqa: TID251 - it stands outside the service and its clock
+        time.sleep(retry_wait_s(error, attempt))  # noqa: TID251 - it stands outside the service and its clock
 
     def _answer(self, request: urllib.request.Request) -> tuple[bytes, Mapping[str, str]]:
         try:
@@ -162,7 +162,8 @@ def _refusal(error: urllib.error.HTTPError) -> ImagerError:
     return refusal
 
 
-def _wait_s(error: ImagerError, attempt: int) -> float:
+def retry_wait_s(error: ImagerError, attempt: int) -> float:
+    """Return how long to wait before a request is asked again, s."""
     retry_after = str(error.problem.get("retry_after_s") or "")
     wait_s = float(retry_after) if retry_after.isdecimal() else _FIRST_WAIT_S * 2.0**attempt
     return min(wait_s, _LONGEST_WAIT_S)

@@ -439,7 +439,7 @@ def detect_in_pool(tasks: Iterable[LookTask], *, n_tasks: int, processes: int) -
     lost: list[LookTask] | None = []
     while lost is not None:
         for task in lost:
-            yield _alone(task)
+            yield answered_alone(task)
         lost = yield from _until_a_process_dies(waiting, processes)
 
 
@@ -477,7 +477,7 @@ def _submitted(pool: ProcessPoolExecutor, task: LookTask) -> Future[Answers]:
         signal.pthread_sigmask(signal.SIG_SETMASK, former)
 
 
-def _alone(task: LookTask) -> Answers:
+def answered_alone(task: LookTask) -> Answers:
     """Return the answers of a task in a process of its own; that it died is an answer, too."""
     with _pool(1) as pool:
         try:

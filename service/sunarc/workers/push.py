@@ -83,7 +83,7 @@ class PushWorker:
     """
 
     def __init__(self, *, archive: Archive, sink: Sink, clock: Clock, board: StatusRegistry) -> None:
-        self._archive, self._sink, self._clock, self._board = archive, sink, clock, board
+        self._archive, self.sink, self._clock, self._board = archive, sink, clock, board
         self._attempts = Attempts(
             clock,
             Pauses(_POLL_S, _LONGEST_WAIT_S),
@@ -98,47 +98,47 @@ class PushWorker:
         try:
             Loop(self._clock, stop, heartbeat).repeat(partial(self.step, stop, heartbeat))
         finally:
-            self._sink.close(orderly=stop.is_set())
+            self.sink.close(orderly=stop.is_set())
 
     def step(self, stop: threading.Event, heartbeat: Callable[[], None]) -> float:
         """Send what there is, and return the seconds until the next time."""
         try:
             return self._attempts.attempt(partial(self._send_some, stop, heartbeat))
         except (ConfigurationError, InputError) as error:
-            self._show(_UNUSABLE, condition_of(_UNUSABLE, self._sink.name, error=str(error)))
+            self._show(_UNUSABLE, condition_of(_UNUSABLE, self.sink.name, error=str(error)))
             return _LONGEST_WAIT_S
 
     def _send_some(self, stop: threading.Event, heartbeat: Callable[[], None]) -> float | None:
         try:
-            self._sink.refresh(heartbeat)
-            notices = self._archive.notices_after(self._sink.name, limit=_MOST_AT_ONCE)
+            self.sink.refresh(heartbeat)
+            notices = self._archive.notices_after(self.sink.name, limit=_MOST_AT_ONCE)
             for notice in notices:
                 heartbeat()
                 if stop.is_set():
                     break
                 self._deliver(notice, heartbeat)
         except (OutsideError, ConfigurationError, InputError):
-            self._sink.close(orderly=False)
+            self.sink.close(orderly=False)
             raise
         self._show(_UNUSABLE, None)
         return 0.0 if len(notices) == _MOST_AT_ONCE else None
 
     def _deliver(self, notice: Notice, heartbeat: Callable[[], None]) -> None:
         try:
-            self._sink.deliver(notice, heartbeat)
+            self.sink.deliver(notice, heartbeat)
         except NoticeRefusedError as refusal:
-            self._archive.notice_done(self._sink.name, notice.seq, refused=True)
-            n = self._archive.sink_states()[self._sink.name].refused
-            reason = condition_of(_REFUSED, self._sink.name, n=n, kind=notice.kind, error=str(refusal))
+            self._archive.notice_done(self.sink.name, notice.seq, refused=True)
+            n = self._archive.sink_states()[self.sink.name].refused
+            reason = condition_of(_REFUSED, self.sink.name, n=n, kind=notice.kind, error=str(refusal))
             self._show(_REFUSED, reason)
-            _log.warning("%s refused message %s (%s): %s", self._sink.name, notice.id, notice.kind, refusal)
+            _log.warning("%s refused message %s (%s): %s", self.sink.name, notice.id, notice.kind, refusal)
         else:
-            self._archive.notice_done(self._sink.name, notice.seq)
+            self._archive.notice_done(self.sink.name, notice.seq)
             self._show(_REFUSED, None)
         self._attempts.succeeded()
 
     def _show(self, code: str, reason: Reason | None) -> None:
-        self._board.set_condition(worker_code(code, self._sink.name), reason)
+        self._board.set_condition(worker_code(code, self.sink.name), reason)
 
 
 _SETTLED_S = 60.0

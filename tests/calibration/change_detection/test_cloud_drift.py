@@ -42,7 +42,7 @@ def _window(drift: FloatArray, *, trusted: int = FIRST) -> ResidualModel:
 
 def test_a_drift_is_a_twice_differentiable_matern_process_from_its_begin_on() -> None:
     window = _window(np.zeros((N, 2)))
-    added = module._with_drift(window, Drift(8, 2.0, 700.0)) - window.covariance
+    added = module.drift_covariance(window, Drift(8, 2.0, 700.0)) - window.covariance
     np.testing.assert_array_equal(added[:16], 0.0)
     blocks = added.reshape(N, 2, N, 2)
     np.testing.assert_array_equal(blocks[:, 0, :, 1], 0.0)
@@ -56,8 +56,8 @@ def test_a_drift_is_a_twice_differentiable_matern_process_from_its_begin_on() ->
 
 def test_a_ramp_adds_the_variance_of_a_line_from_the_sighting_before_its_first() -> None:
     window = _window(np.zeros((N, 2)))
-    plain = module._with_drift(window, Drift(8, 0.5, 2400.0))
-    added = (module._with_drift(window, Drift(8, 0.5, 2400.0, 0.01)) - plain).reshape(N, 2, N, 2)
+    plain = module.drift_covariance(window, Drift(8, 0.5, 2400.0))
+    added = (module.drift_covariance(window, Drift(8, 0.5, 2400.0, 0.01)) - plain).reshape(N, 2, N, 2)
     # of a line s t with the 1-sigma slope 0.01 px/s: cov(s t, s u) = 0.01^2 t u, t and u in s since sighting 7
     seconds = np.where(np.arange(N) < 8, 0.0, 60.0 * (np.arange(N) - 7.0))
     for axis in (0, 1):
@@ -71,7 +71,7 @@ def test_the_evidence_is_the_mean_over_begins_amplitudes_times_and_ramps() -> No
     ramps = itertools.product((0, 6, 10, 12), (0.5,), (2400.0,), (0.0005, 0.002, 0.008))
     each = []
     for drift in itertools.starmap(Drift, [*smooth, *ramps]):
-        covariance = module._with_drift(window, drift)
+        covariance = module.drift_covariance(window, drift)
         each.append((log_evidence(covariance, window.sightings, np.ones(N, dtype=bool)), covariance))
     mean = float(logsumexp([one for one, _ in each])) - math.log(len(each))
     best, covariance = max(each, key=lambda pair: pair[0])
@@ -163,12 +163,12 @@ def test_a_false_sighting_among_the_drift_is_counted_as_false() -> None:
     ],
 )
 def test_runs_begin_where_more_than_one_row_is_missing(rows: list[int], begins: set[int]) -> None:
-    assert module._begins_of_runs(np.array(rows, dtype=np.intp)) == begins
+    assert module.begins_of_runs(np.array(rows, dtype=np.intp)) == begins
 
 
 def test_sightings_before_the_episode_count_where_they_were_trusted() -> None:
     window = _window(np.zeros((N, 2)))
     window = replace(window, watch=replace(window.watch, trusted=np.arange(N) % 2 == 0))
-    found = module._inliers(window, 10)
+    found = module.inliers_from(window, 10)
     assert found[:10].tolist() == [True, False] * 5
     assert np.all(found[10:])

@@ -157,7 +157,7 @@ def test_the_evidence_of_a_rotation_is_the_gaussian_integral_over_it(
     """The rotation's free numbers are marginalised: the density of all residuals under the widened covariance."""
     turn = np.radians([0.3, -0.2, 0.1])
     model = changed(calibration, directions, rotated(calibration.camera, turn))
-    scored = module._rotation_from(model, FIRST, least=4)
+    scored = module.rotation_from(model, FIRST, least=4)
     assert scored is not None
     assert np.all(scored.mixture.inlier)
     of = scored.of
@@ -178,7 +178,7 @@ def test_a_rotation_that_fewer_agree_with_is_not_weighed(calibration: Calibratio
     rng = np.random.default_rng(3)
     pixels = project(calibration.camera, directions)
     pixels[FIRST:] = rng.uniform([0.0, 0.0], [640.0, 480.0], (N - FIRST, 2))
-    assert module._rotation_from(window(calibration, directions, pixels), FIRST, least=8) is None
+    assert module.rotation_from(window(calibration, directions, pixels), FIRST, least=8) is None
 
 
 def test_the_clock_s_hypothesis_is_the_rotation_about_the_pole(
@@ -186,9 +186,9 @@ def test_the_clock_s_hypothesis_is_the_rotation_about_the_pole(
 ) -> None:
     pole = rotation_matrix(calibration.camera.rotation_cam_enu) @ pole_of(SGP)
     model = changed(calibration, directions, rotated(calibration.camera, 0.01 * pole))
-    best = module._rotation_from(model, FIRST, least=4)
+    best = module.rotation_from(model, FIRST, least=4)
     assert best is not None
-    clock = module._clock(model, best, SGP)
+    clock = module.clock_hypothesis(model, best, SGP)
     rotation = -clock.mean[model.error_model.rotation]
     assert rotation @ pole == pytest.approx(0.01, rel=0.15)
     np.testing.assert_allclose(np.cross(rotation, pole), 0.0, atol=1e-12)
@@ -200,8 +200,8 @@ def test_another_lens_has_its_free_numbers(
     calibration: Calibration, directions: FloatArray, kind: ChangeKind, count: int
 ) -> None:
     model = changed(calibration, directions, calibration.camera)
-    still = module._rotation_hypothesis(model, FIRST, np.zeros(3), np.zeros((3, 0)), kind="bump")
-    other = module._other_lens(model, still, kind=kind)
+    still = module.rotation_hypothesis(model, FIRST, np.zeros(3), np.zeros((3, 0)), kind="bump")
+    other = module.lens_hypothesis(model, still, kind=kind)
     assert other.kind == kind
     assert other.free.shape[1] == count
     names = list(model.error_model.selected)
@@ -269,9 +269,9 @@ def test_a_change_may_begin_lately_or_at_every_third_or_at_what_is_not_trusted(
         assert least == 4
         tried.append(first)
 
-    monkeypatch.setattr(module, "_rotation_from", none)
+    monkeypatch.setattr(module, "rotation_from", none)
     model = window(calibration, directions, project(calibration.camera, directions))
-    assert module._best_rotation(model, small=small, least=4) == []
+    assert module.best_rotations(model, small=small, least=4) == []
     assert tried == expected
 
 
@@ -288,7 +288,7 @@ def test_a_change_is_dated_by_the_first_sightings_that_explain_as_likely(
     model = changed(calibration, directions, rotated(calibration.camera, np.radians([1.0, 0.0, 0.0])))
     change = found(model, small=True)
     assert change is not None
-    rotations = module._best_rotation(model, small=True, least=4)
+    rotations = module.best_rotations(model, small=True, least=4)
     best = max(one.evidence for one in rotations)
     assert noted == [[one.of.first for one in rotations if best - one.evidence < 5.0]]
     assert FIRST in noted[0]

@@ -301,7 +301,7 @@ _PICTURE: dict[int | str, dict[str, Any]] = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Asked:
+class _AskedTables:
     """A grid: what of, how large, how high and how wide."""
 
     grid: Grid
@@ -341,7 +341,7 @@ def remap_routes(context: ApiContext, files: AnswerFiles) -> APIRouter:
         if_none_match: IfNoneMatch = None,
     ) -> Response:
         """Return float32 tables that take an image to the grid: cv2.remap(image, map_x, map_y, cv2.INTER_LINEAR)."""
-        asked = _Asked(grid=grid, size=size, height_m=height, half_width_m=half_width)
+        asked = _AskedTables(grid=grid, size=size, height_m=height, half_width_m=half_width)
         selected, record = await run_in_threadpool(context.answering, request, at)
         tagged = _tagged(request, if_none_match, asked.tag(record.id, format_))
         content = partial(_tables, selected, record, asked, format_)
@@ -365,7 +365,7 @@ def remap_routes(context: ApiContext, files: AnswerFiles) -> APIRouter:
         if_none_match: IfNoneMatch = None,
     ) -> Response:
         """Return a composite's preview on a grid, north at the top, east at the right, by its time's calibration."""
-        asked = _Asked(grid=grid, size=size, height_m=height, half_width_m=half_width)
+        asked = _AskedTables(grid=grid, size=size, height_m=height, half_width_m=half_width)
         selected, record = await run_in_threadpool(context.answering, request, time)
         path = await run_in_threadpool(composite_file, selected, time, "jpeg")
         tagged = _tagged(request, if_none_match, asked.tag(record.id, path.stem))
@@ -389,7 +389,7 @@ def _camera(context: ApiContext, record: CalibrationRecord) -> Camera:
     return context.ready.get(record).camera
 
 
-def _tables(context: ApiContext, record: CalibrationRecord, asked: _Asked, format_: MapFormat) -> bytes:
+def _tables(context: ApiContext, record: CalibrationRecord, asked: _AskedTables, format_: MapFormat) -> bytes:
     of_ground = {} if asked.grid == "sky" else {"height_m": asked.height_m, "half_width_m": asked.width()}
     attributes = {"calibration": record.id, **of_ground}
     directions = asked.directions(asked.size)
@@ -405,7 +405,7 @@ def _tables(context: ApiContext, record: CalibrationRecord, asked: _Asked, forma
     return table_bytes(table, format_)
 
 
-def _picture(context: ApiContext, record: CalibrationRecord, asked: _Asked, path: Path) -> bytes:
+def _picture(context: ApiContext, record: CalibrationRecord, asked: _AskedTables, path: Path) -> bytes:
     image, camera = decoded_preview(path), _camera(context, record)
     if image.shape[:2] != (camera.height, camera.width):
         problem = (
@@ -416,7 +416,7 @@ def _picture(context: ApiContext, record: CalibrationRecord, asked: _Asked, path
     return bytes(cv2.imencode(".png", found)[1].tobytes())
 
 
-def _stated(context: ApiContext, record: CalibrationRecord, asked: _Asked) -> dict[str, str]:
+def _stated(context: ApiContext, record: CalibrationRecord, asked: _AskedTables) -> dict[str, str]:
     """Return the headers: which calibration, and its error over the grid, on the sky and on the ground."""
     ready = context.ready.get(record)
     directions = asked.directions(_CELLS).reshape(-1, 3)

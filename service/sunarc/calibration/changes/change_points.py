@@ -98,7 +98,7 @@ class Episode(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Rows:
+class StepRows:
     """Gathered sightings near a step, and kernels between them, each (n, n)."""
 
     unix_s: FloatArray
@@ -112,16 +112,16 @@ class _Rows:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Model:
+class StepModel:
     """A linearised hypothesis: residuals (n, 2), derivatives (n, 2, p) by unknowns of unit prior variance."""
 
-    rows: _Rows
+    rows: StepRows
     residual: FloatArray
     derivatives: FloatArray
 
     def log_likelihood(self, amplitudes: Amplitudes, episodes: tuple[Episode, ...]) -> float:
         """Return the logarithm of the marginal likelihood; minus infinity where the matrix is not positive definite."""
-        covariance = _covariance(self.rows, amplitudes, episodes)
+        covariance = noise_covariance(self.rows, amplitudes, episodes)
         try:
             return log_marginal(self.residual, covariance, self.derivatives)
         except np.linalg.LinAlgError:
@@ -152,18 +152,20 @@ def log_bayes_factor(
     picked = np.flatnonzero(near)
     if not np.any(picked < row) or not np.any(picked >= row):
         return -math.inf
-    member = _members(picked, row, usable)
-    rows = _rows(picked, member, row, usable, two[1])
+    member = group_members(picked, row, usable)
+    rows = step_rows(picked, member, row, usable, two[1])
     models = []
     for (camera, residual), angle_rad in ((one, 0.0), (two, turn_rad)):
-        gathered = _medians(residual[picked], member)
-        models.append(_Model(rows=rows, residual=gathered, derivatives=_derivatives(camera, rows, turn_rad=angle_rad)))
-    windows = _windows(rows)
+        gathered = group_medians(residual[picked], member)
+        models.append(
+            StepModel(rows=rows, residual=gathered, derivatives=_derivatives(camera, rows, turn_rad=angle_rad))
+        )
+    windows = cloud_windows(rows)
     without, with_turn = (_best(model, windows) for model in models)
     return with_turn - without - 1.5  # the turn that was fitted is one 1-sigma of its prior in each axis
 
 
-def _members(picked: IntArray, row: int, usable: FilteredSightings) -> IntArray:
+def group_members(picked: IntArray, row: int, usable: FilteredSightings) -> IntArray:
     """Return (n,): the group of consecutive sightings, of one day and side of the step, that each belongs to."""
     size = -(-picked.size // _MOST_ROWS)
     run = np.r_[0, np.cumsum((np.diff(usable.day[picked]) != 0) | (np.diff(picked >= row) != 0))]
@@ -172,18 +174,20 @@ def _members(picked: IntArray, row: int, usable: FilteredSightings) -> IntArray:
     return member.astype(np.int64)
 
 
-def _medians(values: FloatArray, member: IntArray) -> FloatArray:
+def group_medians(values: FloatArray, member: IntArray) -> FloatArray:
     """Return the medians of groups (k, 2) of consecutive values (n, 2)."""
     starts = np.flatnonzero(np.r_[True, np.diff(member) != 0])
     return np.array([np.median(part, axis=0) for part in np.split(values, starts[1:])])
 
 
-def _rows(picked: IntArray, member: IntArray, row: int, usable: FilteredSightings, residual: FloatArray) -> _Rows:
+def step_rows(
+    picked: IntArray, member: IntArray, row: int, usable: FilteredSightings, residual: FloatArray
+) -> StepRows:
     """Return what both hypotheses share; the noise's scale and gross errors are those of the residuals about two."""
     count = np.bincount(member)
     middle = np.searchsorted(member, np.arange(count.size)) + count // 2
     times, directions = usable.unix_s[picked][middle], usable.directions[picked][middle]
-    medians = _medians(residual[picked], member)
+    medians = group_medians(residual[picked], member)
     sigma = robust_sigma(np.linalg.norm(medians, axis=-1), share=0.5, floor=_FLOOR_PX)
     relative = usable.sigma_px[picked][middle]
     gross = np.linalg.norm(medians - _running_median(medians), axis=-1) / (sigma * relative)
@@ -193,7 +197,7 @@ def _rows(picked: IntArray, member: IntArray, row: int, usable: FilteredSighting
     separation = np.abs(times[:, None] - times)
     step = float(np.median(np.diff(times))) if times.size > 1 else 1.0
     angle = np.linalg.norm(directions[:, None] - directions, axis=-1)
-    return _Rows(
+    return StepRows(
         unix_s=times,
         directions=directions,
         variance=variance,
@@ -210,7 +214,7 @@ def _running_median(values: FloatArray) -> FloatArray:
     return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * _LOCAL + 1, axis=0), axis=-1))
 
 
-def _derivatives(camera: Camera, rows: _Rows, *, turn_rad: float) -> FloatArray:
+def _derivatives(camera: Camera, rows: StepRows, *, turn_rad: float) -> FloatArray:
     """Return (n, 2, p): the prediction by lens, pose and (`turn_rad` > 0) step, each of unit prior variance."""
     widest = float(np.clip(camera.max_angle, 0.1, _RIGHT_ANGLE))
     prior = lens_prior(camera, tolerances=LensTolerances(), circle=None, field_angle=widest)
@@ -225,7 +229,7 @@ def _derivatives(camera: Camera, rows: _Rows, *, turn_rad: float) -> FloatArray:
     return np.concatenate([derivatives, step], axis=-1)
 
 
-def _covariance(rows: _Rows, amplitudes: Amplitudes, episodes: tuple[Episode, ...]) -> FloatArray:
+def noise_covariance(rows: StepRows, amplitudes: Amplitudes, episodes: tuple[Episode, ...]) -> FloatArray:
     """Return the covariance (n, n) of one axis of the residuals, px²."""
     noise = amplitudes.autoregressive**2 * rows.autoregressive[int(amplitudes.autoregressive_time)]
     noise = noise + amplitudes.misfit**2 * rows.misfit[int(amplitudes.misfit_angle)]
@@ -238,7 +242,7 @@ def _covariance(rows: _Rows, amplitudes: Amplitudes, episodes: tuple[Episode, ..
     return np.asarray(covariance)
 
 
-def _windows(rows: _Rows) -> list[tuple[float, float]]:
+def cloud_windows(rows: StepRows) -> list[tuple[float, float]]:
     """Return intervals in which cloud may have been: at the ends, beside and across the step, and regularly."""
     times, found = rows.unix_s, []
     at = float(times[rows.after][0])
@@ -249,15 +253,15 @@ def _windows(rows: _Rows) -> list[tuple[float, float]]:
     return found
 
 
-def _best(model: _Model, windows: list[tuple[float, float]]) -> float:
+def _best(model: StepModel, windows: list[tuple[float, float]]) -> float:
     """Return the largest log likelihood over amplitudes and up to three episodes."""
-    amplitudes, best = _amplitudes(model, Amplitudes(), ())
+    amplitudes, best = fitted_amplitudes(model, Amplitudes(), ())
     episodes: tuple[Episode, ...] = ()
     for _ in range(_MOST_EPISODES):
         tried = [(*episodes, _episode(model, window)) for window in windows]
         values = [model.log_likelihood(amplitudes, some) for some in tried]
-        refined = _refined(model, amplitudes, tried[int(np.argmax(values))])
-        next_amplitudes, value = _amplitudes(model, amplitudes, refined)
+        refined = refined_episodes(model, amplitudes, tried[int(np.argmax(values))])
+        next_amplitudes, value = fitted_amplitudes(model, amplitudes, refined)
         value -= _EPISODE_GAIN * len(refined)
         if value <= best:
             break
@@ -265,14 +269,14 @@ def _best(model: _Model, windows: list[tuple[float, float]]) -> float:
     return best
 
 
-def _episode(model: _Model, window: tuple[float, float]) -> Episode:
+def _episode(model: StepModel, window: tuple[float, float]) -> Episode:
     """Return an episode of the amplitude that the residuals have within an interval."""
     inside = (model.rows.unix_s >= window[0]) & (model.rows.unix_s <= window[1])
     size = float(np.median(np.linalg.norm(model.residual[inside], axis=-1))) if np.any(inside) else 0.0
     return Episode(*window, amplitude_px=max(size, 2.0 * model.rows.sigma_px), time_s=_EPISODE_TIMES_S[1])
 
 
-def _refined(model: _Model, amplitudes: Amplitudes, episodes: tuple[Episode, ...]) -> tuple[Episode, ...]:
+def refined_episodes(model: StepModel, amplitudes: Amplitudes, episodes: tuple[Episode, ...]) -> tuple[Episode, ...]:
     """Return the episodes, the last one with its best interval, amplitude and correlation time."""
 
     def best(tried: Iterable[Episode]) -> tuple[Episode, ...]:
@@ -295,7 +299,7 @@ def _refined(model: _Model, amplitudes: Amplitudes, episodes: tuple[Episode, ...
     return episodes
 
 
-def _amplitudes(model: _Model, begin: Amplitudes, episodes: tuple[Episode, ...]) -> tuple[Amplitudes, float]:
+def fitted_amplitudes(model: StepModel, begin: Amplitudes, episodes: tuple[Episode, ...]) -> tuple[Amplitudes, float]:
     """Return the amplitudes of the largest log likelihood by coordinate ascent on the grid, and that likelihood."""
     best, value = begin, model.log_likelihood(begin, episodes)
     for _ in range(2):
@@ -398,14 +402,14 @@ def _with_one_more(points: Sightings, usable: FilteredSightings, solved: Calibra
     """Return the fit with one move more, or None where none makes it clearly better."""
     residual = _residuals(solved, usable)
     tried: list[tuple[float, Moved]] = []
-    for suggested in (*_jumps(residual, usable), *_nights(residual, usable)):
+    for suggested in (*jumps_within_days(residual, usable), *night_changes(residual, usable)):
         found = _parted_at(suggested.row, points, usable, solved.camera, fit)
         if found is None:
             continue
         numbered = replace(usable, epoch=found.points.epoch[usable.index])
         ended = int(usable.epoch[suggested.row])
-        turn_deg = _turn_deg(*found.calibration.poses[ended : ended + 2])
-        gain = _gain(residual, _residuals(found.calibration, numbered), usable, found.calibration)
+        turn_deg = rotation_between_deg(*found.calibration.poses[ended : ended + 2])
+        gain = robust_gain(residual, _residuals(found.calibration, numbered), usable, found.calibration)
         if gain > _GAIN and turn_deg > suggested.smallest_deg:
             tried.append((gain, found))
     for _, found in sorted(tried, key=lambda item: -item[0]):
@@ -425,7 +429,7 @@ def _log_bayes_factor(solved: Calibration, found: Moved, usable: FilteredSightin
         usable,
         one=(_lens_in(solved, solved.poses[ended]), _residuals(solved, usable)),
         two=(_lens_in(found.calibration, after), _residuals(found.calibration, numbered)),
-        turn_rad=math.radians(_turn_deg(found.calibration.poses[ended], after)),
+        turn_rad=math.radians(rotation_between_deg(found.calibration.poses[ended], after)),
     )
 
 
@@ -484,7 +488,7 @@ def _residuals(solved: Calibration, usable: FilteredSightings) -> FloatArray:
     return finite(usable.pixels - predicted)
 
 
-def _gain(before: FloatArray, after: FloatArray, usable: FilteredSightings, solved: Calibration) -> float:
+def robust_gain(before: FloatArray, after: FloatArray, usable: FilteredSightings, solved: Calibration) -> float:
     """Return what the robust squares lost, in variances of a sighting whose neighbours err like it."""
     distances = [np.hypot(residual[:, 0], residual[:, 1]) / usable.sigma_px for residual in (before, after)]
     sigma = robust_sigma(distances[1], floor=_FLOOR_PX)
@@ -492,12 +496,12 @@ def _gain(before: FloatArray, after: FloatArray, usable: FilteredSightings, solv
     return 2.0 * (one - other) / max(solved.evidence.inflation, 1.0)
 
 
-def _jumps(residual: FloatArray, usable: FilteredSightings) -> list[_Parted]:
+def jumps_within_days(residual: FloatArray, usable: FilteredSightings) -> list[_Parted]:
     """Return where the residuals jump within a day and a pose, against how they scatter there and wander elsewhere."""
     if len(usable) < 2 * _SIDE:
         return []
     time = usable.unix_s - usable.unix_s[0]
-    jump, scatter = _misses(residual, time)
+    jump, scatter = line_misses(residual, time)
     usual = float(np.median(jump)) / _MEDIAN_DISTANCE
     first, last = np.arange(jump.size), np.arange(jump.size) + 2 * _SIDE - 1
     run = usable.day * (1 + int(usable.epoch.max())) + usable.epoch
@@ -511,7 +515,7 @@ def _jumps(residual: FloatArray, usable: FilteredSightings) -> list[_Parted]:
     return found
 
 
-def _misses(residual: FloatArray, time: FloatArray) -> tuple[FloatArray, FloatArray]:
+def line_misses(residual: FloatArray, time: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return by how much the lines through the sightings before and after each gap miss one another, px.
 
     Both have one slope. With it the smaller of the 1-sigmas per axis about the two, px.
@@ -531,10 +535,10 @@ def _misses(residual: FloatArray, time: FloatArray) -> tuple[FloatArray, FloatAr
     return np.linalg.norm(ends[1] - ends[0], axis=-1), np.minimum(*scatter)
 
 
-def _nights(residual: FloatArray, usable: FilteredSightings) -> list[_Parted]:
+def night_changes(residual: FloatArray, usable: FilteredSightings) -> list[_Parted]:
     """Return the night over which the residuals of the same hours differ most, where it stands out from the others."""
     rows = [np.flatnonzero(usable.day == day) for day in np.unique(usable.day)]
-    nights = [(late[0], _same_hours(residual, usable, early, late)) for early, late in pairwise(rows)]
+    nights = [(late[0], same_hours_difference(residual, usable, early, late)) for early, late in pairwise(rows)]
     comparable = [
         (int(row), difference)
         for row, difference in nights
@@ -552,7 +556,7 @@ def _one_pose(usable: FilteredSightings, row: int) -> bool:
     return bool(usable.epoch[row] == usable.epoch[row - 1])
 
 
-def _same_hours(residual: FloatArray, usable: FilteredSightings, early: IntArray, late: IntArray) -> float:
+def same_hours_difference(residual: FloatArray, usable: FilteredSightings, early: IntArray, late: IntArray) -> float:
     """Return by how much a day's residuals differ from the day before at the same hours (RMS of medians), px."""
     hours = np.mod(usable.unix_s[late] - usable.unix_s[early[0]], DAY_S)
     before = np.mod(usable.unix_s[early] - usable.unix_s[early[0]], DAY_S)
@@ -568,7 +572,8 @@ def _same_hours(residual: FloatArray, usable: FilteredSightings, early: IntArray
     return float(np.sqrt(np.mean(np.sum(np.square(medians), axis=-1))))
 
 
-def _turn_deg(one: tuple[float, float, float], other: tuple[float, float, float]) -> float:
+def rotation_between_deg(one: tuple[float, float, float], other: tuple[float, float, float]) -> float:
+    """Return the angle of the rotation between two poses, degrees."""
     cosine = 0.5 * (np.trace(rotation_matrix(one).T @ rotation_matrix(other)) - 1.0)
     return math.degrees(math.acos(min(max(float(cosine), -1.0), 1.0)))
 
@@ -582,7 +587,7 @@ def _with_moves(solved: Calibration, usable: FilteredSightings) -> Calibration:
             Move(
                 before_unix_s=float(usable.unix_s[row]),
                 after_unix_s=float(usable.unix_s[row + 1]),
-                turn_deg=_turn_deg(solved.poses[epoch], solved.poses[epoch + 1]),
+                turn_deg=rotation_between_deg(solved.poses[epoch], solved.poses[epoch + 1]),
                 pose_before=solved.poses[epoch],
             )
         )

@@ -198,7 +198,7 @@ def best_hypothesis(
     clock_stepped, posed_from_few : see `update_window`.
     """
     nothing = fit_inlier_mixture(window.covariance, window.sightings, window.watch.trusted)
-    best = _best_rotation(window, small=small, least=_LEAST_AGREEING)
+    best = best_rotations(window, small=small, least=_LEAST_AGREEING)
     best = best or _lens_alone(window)
     if not best:
         return None
@@ -225,7 +225,7 @@ def _clearer_than_cloud(scored: ScoredHypothesis) -> float:
     return _CLEARER_AT_FIRST if scored.agreeing < _FEW_AGREEING else _CLEARER_THAN_CLOUD
 
 
-def _best_rotation(window: ResidualModel, *, small: bool, least: int) -> list[ScoredHypothesis]:
+def best_rotations(window: ResidualModel, *, small: bool, least: int) -> list[ScoredHypothesis]:
     """Return the turns from one sighting on that may be, the best first; a change begins with what was not trusted."""
     n = len(window.watch)
     recent = range(max(n - _RECENT, 0), n - least + 1)
@@ -240,7 +240,7 @@ def _best_rotation(window: ResidualModel, *, small: bool, least: int) -> list[Sc
 
 
 def _rotations(window: ResidualModel, starts: list[int], *, least: int) -> list[ScoredHypothesis]:
-    found = [_rotation_from(window, first, least=least) for first in starts]
+    found = [rotation_from(window, first, least=least) for first in starts]
     return sorted((rotation for rotation in found if rotation is not None), key=lambda rotation: -rotation.evidence)
 
 
@@ -270,7 +270,7 @@ def _flat(rows: FloatArray) -> FloatArray:
     return rows.reshape(-1, rows.shape[-1])
 
 
-def _rotation_from(window: ResidualModel, first: int, *, least: int) -> ScoredHypothesis | None:
+def rotation_from(window: ResidualModel, first: int, *, least: int) -> ScoredHypothesis | None:
     """Return the turn that most sightings from one on agree with; None where fewer than `least` do."""
     watch = window.watch
     directions, pixels = watch.directions[first:], watch.pixels[first:]
@@ -281,12 +281,13 @@ def _rotation_from(window: ResidualModel, first: int, *, least: int) -> ScoredHy
     if np.sum(np.linalg.norm(misfit, axis=-1) < _CLOSE * tolerance) < least:
         return None
     size = max(float(np.linalg.norm(rotation)), _SMALLEST_ROTATION_RAD)
-    return _weigh(window, _rotation_hypothesis(window, first, rotation, size * np.eye(3), kind="bump"))
+    return _weigh(window, rotation_hypothesis(window, first, rotation, size * np.eye(3), kind="bump"))
 
 
-def _rotation_hypothesis(
+def rotation_hypothesis(
     window: ResidualModel, first: int, rotation: FloatArray, freedom: FloatArray, *, kind: ChangeKind
 ) -> Hypothesis:
+    """Return the hypothesis of a rotation from one sighting on, with its prior."""
     size = window.error_model.mean.size
     free, mean = np.zeros((size, freedom.shape[1])), np.zeros(size)
     free[window.error_model.rotation], mean[window.error_model.rotation] = freedom, -rotation
@@ -305,22 +306,26 @@ def _rivals(
     window: ResidualModel, best: ScoredHypothesis, site: Site, *, posed_from_few: bool
 ) -> list[ScoredHypothesis]:
     """Return the other explanations of what the best turn explains."""
-    still = _rotation_hypothesis(window, best.of.first, np.zeros(3), np.zeros((3, 0)), kind="bump")
-    others = [_clock(window, best, site), *_flips(window, site, best.of.first), _other_lens(window, best.of)]
-    others += [_other_lens(window, still, kind=kind) for kind in ("refocus", "shift")]
-    complete = _rotation_from(window, 0, least=_FEW) if posed_from_few and best.of.first > 0 else None
+    still = rotation_hypothesis(window, best.of.first, np.zeros(3), np.zeros((3, 0)), kind="bump")
+    others = [
+        clock_hypothesis(window, best, site),
+        *_flips(window, site, best.of.first),
+        lens_hypothesis(window, best.of),
+    ]
+    others += [lens_hypothesis(window, still, kind=kind) for kind in ("refocus", "shift")]
+    complete = rotation_from(window, 0, least=_FEW) if posed_from_few and best.of.first > 0 else None
     if complete is not None:
-        others += [_other_lens(window, complete.of, kind=kind) for kind in _OF_LENS]
+        others += [lens_hypothesis(window, complete.of, kind=kind) for kind in _OF_LENS]
     return [_weigh(window, other) for other in others]
 
 
-def _clock(window: ResidualModel, best: ScoredHypothesis, site: Site) -> Hypothesis:
+def clock_hypothesis(window: ResidualModel, best: ScoredHypothesis, site: Site) -> Hypothesis:
     """Return the turn about the celestial pole alone that comes nearest to a turn."""
     pole = rotation_matrix(window.camera.rotation_cam_enu) @ pole_of(site)
     nearest = float(-best.of.mean[window.error_model.rotation] @ pole)
     size = max(abs(nearest), _SMALLEST_ROTATION_RAD)
     rotation = nearest * pole
-    return _rotation_hypothesis(window, best.of.first, rotation, size * pole[:, None], kind="clock")
+    return rotation_hypothesis(window, best.of.first, rotation, size * pole[:, None], kind="clock")
 
 
 def pole_of(site: Site) -> FloatArray:
@@ -353,7 +358,7 @@ def _flips(window: ResidualModel, site: Site, first: int) -> list[Hypothesis]:
     ]
 
 
-def _other_lens(window: ResidualModel, rotation: Hypothesis, *, kind: ChangeKind = "lens") -> Hypothesis:
+def lens_hypothesis(window: ResidualModel, rotation: Hypothesis, *, kind: ChangeKind = "lens") -> Hypothesis:
     """Return a turn with a lens of which little is known, or of which only the focus or the place is another."""
     names = list(window.error_model.selected)
     camera, size = window.camera, window.error_model.mean.size
@@ -382,8 +387,8 @@ def _lens_alone(window: ResidualModel) -> list[ScoredHypothesis]:
     directions, pixels = window.watch.directions[first:], window.watch.pixels[first:]
     rotation = ransac_rotation(window.camera, directions, pixels, np.full(pixels.shape[0], _ROUGH_PX))
     size = max(float(np.linalg.norm(rotation)), _SMALLEST_ROTATION_RAD)
-    of_rotation = _rotation_hypothesis(window, first, rotation, size * np.eye(3), kind="bump")
-    return [_weigh(window, _other_lens(window, of_rotation))]
+    of_rotation = rotation_hypothesis(window, first, rotation, size * np.eye(3), kind="bump")
+    return [_weigh(window, lens_hypothesis(window, of_rotation))]
 
 
 def rarity(kind: ChangeKind, *, clock_stepped: bool) -> float:
@@ -431,15 +436,17 @@ def drift_evidence(window: ResidualModel, first: int) -> float:
     untrusted = np.flatnonzero(~window.watch.trusted)
     begins = {max(first - back, 0) for back in _ONSETS_BACK}
     # the episode need not begin with the change: the change may count sightings before it as false
-    begins |= _begins_of_runs(untrusted) | _begins_of_runs(untrusted[untrusted <= first])
+    begins |= begins_of_runs(untrusted) | begins_of_runs(untrusted[untrusted <= first])
     reached, best, likeliest = [], -math.inf, Drift(first, 0.0, 1.0)
     for drift in _drifts(begins):
-        reached.append(log_evidence(_with_drift(window, drift), window.sightings, _inliers(window, drift.begin)))
+        reached.append(
+            log_evidence(drift_covariance(window, drift), window.sightings, inliers_from(window, drift.begin))
+        )
         if reached[-1] > best:
             best, likeliest = reached[-1], drift
     # the likeliest one once more, with false sightings among the episode's
-    inliers = _inliers(window, likeliest.begin)
-    among_false = fit_inlier_mixture(_with_drift(window, likeliest), window.sightings, inliers).log_evidence
+    inliers = inliers_from(window, likeliest.begin)
+    among_false = fit_inlier_mixture(drift_covariance(window, likeliest), window.sightings, inliers).log_evidence
     return float(logsumexp(reached)) - math.log(len(reached)) + max(among_false - best, 0.0)
 
 
@@ -452,18 +459,19 @@ def _drifts(begins: Iterable[int]) -> Iterator[Drift]:
             yield Drift(begin, _RAMP_AMPLITUDE_PX, _RAMP_TIME_S, slope_px_s)
 
 
-def _inliers(window: ResidualModel, begin: int) -> BoolArray:
+def inliers_from(window: ResidualModel, begin: int) -> BoolArray:
+    """Return which sightings are trusted before one of them, and all from it on."""
     return np.asarray(window.watch.trusted | (np.arange(len(window.watch)) >= begin))
 
 
-def _begins_of_runs(rows: IntArray) -> set[int]:
+def begins_of_runs(rows: IntArray) -> set[int]:
     """Return where the last and the longest run of rows begin; a single row between does not end a run."""
     runs = [run for run in np.split(rows, np.flatnonzero(np.diff(rows) > 2) + 1) if run.size]
     longest = max(map(len, runs), default=0)
     return {int(run[0]) for run in runs if run is runs[-1] or len(run) == longest}
 
 
-def _with_drift(window: ResidualModel, drift: Drift) -> FloatArray:
+def drift_covariance(window: ResidualModel, drift: Drift) -> FloatArray:
     """Return the covariance (2n, 2n) of the sightings' errors with a drift from one of them on, px²."""
     begin, all_times = drift.begin, window.watch.unix_s
     times = all_times[begin:]

@@ -65,7 +65,7 @@ def find_pose_steps(
     effective = CalibrationOptions() if options is None else options
     if effective.method != "robust":
         return ()
-    search = _StepSearch(site=site, image_size=image_size, options=effective, circle=circle)
+    search = StepSearch(site=site, image_size=image_size, options=effective, circle=circle)
     steps: list[PoseStep] = []
     for epoch in np.unique(points.epoch).tolist():
         in_epoch = points.select(points.epoch == epoch)
@@ -73,7 +73,9 @@ def find_pose_steps(
     return tuple(sorted(steps))
 
 
-class _StepSearch(NamedTuple):
+class StepSearch(NamedTuple):
+    """What a search for steps of the pose knows of the record."""
+
     site: Site
     image_size: tuple[int, int]
     options: CalibrationOptions
@@ -87,11 +89,11 @@ class _StepSearch(NamedTuple):
             spans = [(days[0], days[-1])] if days.size else []
         else:
             fitted_lens = self._lens(thin, day, days) if lens is None else lens
-            spans = [] if fitted_lens is None else _spans(self._daily(thin, fitted_lens))
+            spans = [] if fitted_lens is None else step_spans(self._daily(thin, fitted_lens))
         found: list[PoseStep] = []
         for first, last in spans:
             found += self._verified(points, thin.select((day >= first) & (day <= last)))
-        return _distinct(found)
+        return distinct_steps(found)
 
     def _lens(self, thin: Sightings, day: IntArray, days: IntArray) -> Calibration | None:
         """Return the fit of a few days that scatters least; a step within them makes it scatter."""
@@ -148,7 +150,7 @@ def _thinned(points: Sightings, site: Site) -> tuple[Sightings, IntArray]:
     return points.select(usable.index[rows]), usable.day[rows]
 
 
-def _spans(days: DailyRotations) -> list[tuple[int, int]]:
+def step_spans(days: DailyRotations) -> list[tuple[int, int]]:
     """Return the first and last day about each step of the daily rotations, the clearest first."""
     gain = step_gains(days)
     found: list[tuple[int, int]] = []
@@ -160,7 +162,7 @@ def _spans(days: DailyRotations) -> list[tuple[int, int]]:
     return found
 
 
-def _distinct(steps: list[PoseStep]) -> list[PoseStep]:
+def distinct_steps(steps: list[PoseStep]) -> list[PoseStep]:
     """Return the steps without those that overlap one found in another place."""
     retained: list[PoseStep] = []
     for step in sorted(steps):
