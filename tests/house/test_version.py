@@ -10,7 +10,7 @@ import pytest
 
 
 def package_version(root: Path, tree: Path) -> str:
-    command = [root / "deploy" / "build-deb", "--version", "--tree", tree]
+    command: list[str | Path] = [root / "deploy" / "build-deb", "--version", "--tree", tree]
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
 
 
