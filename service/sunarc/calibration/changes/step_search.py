@@ -13,13 +13,11 @@ import numpy as np
 from sunarc.array_types import IntArray
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.changes.change_points import best_row, calibrate_moved
-from sunarc.calibration.changes.daily_rotations import DailyRotations, daily_rotations, step_gains
+from sunarc.calibration.changes.daily_rotations import DailyRotations, daily_pose_offset, step_gains
 from sunarc.calibration.evidence import DAYS_GAIN
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import Calibration, Move
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
-from sunarc.calibration.start.initial_guess import as_far_as_it_rises
-from sunarc.optics.inverse import unproject
 from sunarc.sky.site import Site
 
 _PER_DAY = 150
@@ -89,7 +87,7 @@ class StepSearch(NamedTuple):
             spans = [(days[0], days[-1])] if days.size else []
         else:
             fitted_lens = self._lens(thin, day, days) if lens is None else lens
-            spans = [] if fitted_lens is None else step_spans(self._daily(thin, fitted_lens))
+            spans = [] if fitted_lens is None else step_spans(self._daily(thin, day, fitted_lens))
         found: list[PoseStep] = []
         for first, last in spans:
             found += self._verified(points, thin.select((day >= first) & (day <= last)))
@@ -112,10 +110,17 @@ class StepSearch(NamedTuple):
                 fits.append((solved.metrics.rmse_px, solved.evidence.n_rejected, solved))
         return min(fits, key=lambda item: item[:2])[2] if fits else None
 
-    def _daily(self, thin: Sightings, lens: Calibration) -> DailyRotations:
-        usable = filter_sightings(thin, site=self.site)
-        observed = unproject(as_far_as_it_rises(lens.camera), usable.pixels)
-        return daily_rotations(usable.day.astype(np.float64), observed=observed, expected=usable.directions)
+    def _daily(self, thin: Sightings, day: IntArray, lens: Calibration) -> DailyRotations:
+        """Return the rotation of each day, the lens's errors allowed for: another focus is no rotation."""
+        days = np.unique(day)
+        offsets = [daily_pose_offset(thin.select(day == one), calibration=lens, site=self.site) for one in days]
+        known = [(one, offset) for one, offset in zip(days.tolist(), offsets, strict=True) if offset is not None]
+        sigma = np.array([offset.sigma_deg for _, offset in known]).reshape(-1, 3, 1)
+        return DailyRotations(
+            day=np.array([one for one, _ in known], dtype=np.float64),
+            rotation_deg=np.array([offset.turn_deg for _, offset in known]).reshape(-1, 3),
+            covariance_deg2=sigma**2 * np.eye(3),
+        )
 
     def _verified(self, points: Sightings, some: Sightings) -> list[PoseStep]:
         """Return the steps that a fit of a few days finds, dated among all sightings."""
