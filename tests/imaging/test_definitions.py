@@ -70,7 +70,7 @@ def test_the_merge_interpreted_is_the_merge_compiled() -> None:
         np.stack([SHORT, LONG]),
         np.array([1000.0, 4000.0]),
         BLACK,
-        0.98 * FULL_SCALE,
+        float(FULL_SCALE),
         2.0**2 + 1.0 / 12.0,
         1.0 / 2.5,
     )
