@@ -15,7 +15,6 @@ FRAGMENT = 150
 LARGEST_FACE = 20
 """Names that a package may export."""
 APART = {
-    "sunarc.api.routes.refits": "a file of routes for each resource",
     "sunarc.app.hub": "the parts of the hub, which `sunarc serve --role hub` alone loads",
     "sunarc.app.simulating": "app alone may choose the simulator",
     "sunarc.cross_checks.clocks": "of the core, which computes; its reader is a worker",

@@ -33,7 +33,7 @@ from sunarc.api.middleware.holdings import Holdings
 from sunarc.api.middleware.request_bodies import BodyReader, Boundary, HeadRequests
 from sunarc.api.options import ApiOptions
 from sunarc.api.problems import Fault, FaultGuard, FaultLog, Problem, add_problem_handlers, answers, require_known_names
-from sunarc.api.routes.calibrations import calibration_routes, decision_routes
+from sunarc.api.routes.calibrations import calibration_routes, decision_routes, refit_routes
 from sunarc.api.routes.directions import direction_routes
 from sunarc.api.routes.feed import FeedReceiver, FeedSizes, feed_routes
 from sunarc.api.routes.fleet import FleetCollector, fleet_page, fleet_routes, nightly_routes, pair_routes
@@ -45,7 +45,6 @@ from sunarc.api.routes.metrics import CountRequests, RequestCounts, StatusCollec
 from sunarc.api.routes.nights import night_routes
 from sunarc.api.routes.overlay import overlay_routes
 from sunarc.api.routes.record import day_air_routes, event_stream_routes, housekeeping_routes, record_routes
-from sunarc.api.routes.refits import refit_routes
 from sunarc.api.routes.stored_answers import AnswerFiles
 from sunarc.api.routes.sun import sun_routes
 from sunarc.api.schemas import BackProjectRequest, ProjectRequest
