@@ -90,7 +90,7 @@ def sky_error_px(day: Day, binning: int) -> tuple[float, float]:
     """Return the calibration's error over the sky and its stated 1-sigma, px of the sensor."""
     truth = true_camera()
     solved = calibrate(
-        Sightings(unix_s=day.unix_s, pixels=day.pixels), site=SGP,
+        Sightings.of(unix_s=day.unix_s, pixels=day.pixels), site=SGP,
         image_size=(truth.width // binning, truth.height // binning),
     )  # fmt: skip
     directions = hemisphere(600)

@@ -67,7 +67,7 @@ def calibrated() -> Calibration:
     """Return the fit of a year's clear days."""
     times = np.concatenate([times_of(day, 900.0) for day in range(0, 360, 12)])
     noise = np.random.default_rng(1).normal(0.0, _SIGMA_PX, (times.size, 2))
-    points = Sightings(unix_s=times, pixels=project(_TRUTH, sun_directions(times, SGP)) + noise)
+    points = Sightings.of(unix_s=times, pixels=project(_TRUTH, sun_directions(times, SGP)) + noise)
     return calibrate(points, site=SGP, image_size=(_TRUTH.width, _TRUTH.height))
 
 

@@ -105,7 +105,7 @@ class Days:
         """Return the verdict of a day."""
         seen, pixels = clear & observed, self._track + self._rng.normal(0.0, NOISE_PX, self._track.shape)
         measure = measure_day(
-            Sightings(unix_s=self.times[seen], pixels=pixels[seen]),
+            Sightings.of(unix_s=self.times[seen], pixels=pixels[seen]),
             site=SITE,
             n_possible=self.times.size,
             observed_unix_s=self.times[observed],

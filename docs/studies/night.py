@@ -128,7 +128,7 @@ def stars_of(
         pixels.append(found.pixels[chosen] + far[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
         sigma.append(found.sigma_px[chosen])
         directions.append(toward[shown][chosen])
-    return Sightings(
+    return Sightings.of(
         unix_s=np.concatenate(times),
         pixels=np.concatenate(pixels),
         sigma_px=np.concatenate(sigma),
@@ -141,7 +141,7 @@ def detected(camera: Camera, times: FloatArray, noise: FloatArray, *, field: pop
     """Return the sun's sightings."""
     pixels = project(camera, air.raised(sun_directions(times, pop.SGP), times))
     pixels = pixels if field is None else pixels + field(pixels)
-    return Sightings(unix_s=times, pixels=pixels + noise, sigma_px=np.full(times.size, 0.03))
+    return Sightings.of(unix_s=times, pixels=pixels + noise, sigma_px=np.full(times.size, 0.03))
 
 
 def together(first: Sightings, second: Sightings) -> Sightings:

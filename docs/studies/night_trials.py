@@ -262,7 +262,7 @@ class Made:
         if verdict not in {"clear", "partly"} or stored < ENOUGH_STARS:
             return said
         joined = {name: np.concatenate(parts) for name, parts in columns.items()}
-        stars_found = Sightings(**joined, kind=np.full(stored, Kind.STAR))
+        stars_found = Sightings.of(**joined, kind=np.full(stored, Kind.STAR))
         parts_of = image_parts(stars_found.pixels, IMAGE)
         stars_found = stars_found.select(surest_of_parts(parts_of, stars_found.sigma_px, MOST_STARS))
         both = clear_nights.fitted(clear_nights.together(self.sun, stars_found))

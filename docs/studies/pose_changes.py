@@ -125,7 +125,7 @@ def pixels(rng: np.random.Generator, case: str, unix_s: FloatArray, *, day: int,
 def points(rng: np.random.Generator, case: str, unix_s: FloatArray, *, day: int, scale: float = 1.0) -> Sightings:
     """Return sightings."""
     seen = pixels(rng, case, unix_s, day=day, scale=scale)
-    return Sightings(unix_s=unix_s, pixels=seen, sigma_px=np.full(unix_s.size, NOISE_PX))
+    return Sightings.of(unix_s=unix_s, pixels=seen, sigma_px=np.full(unix_s.size, NOISE_PX))
 
 
 def dated(unix_s: float, day: int) -> str:

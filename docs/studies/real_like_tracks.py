@@ -194,7 +194,7 @@ def _drawn(rng: np.random.Generator, wanted: Draw) -> Track | None:
     seen = np.rint(seen) if draw.rounded else seen
     kept = slice(None, None, draw.thin)
     return Track(
-        points=Sightings(unix_s=times[kept], pixels=seen[kept]),
+        points=Sightings.of(unix_s=times[kept], pixels=seen[kept]),
         site=site,
         image_size=size,
         drawn=draw,

@@ -126,7 +126,7 @@ def _sightings(camera: Camera) -> Sightings:
     times = _START.timestamp() - 86_400.0 * np.array([[1.0], [10.0], [20.0], [30.0]]) + np.arange(0.0, 86_400.0, 300.0)
     times = times[sun_angles(times, SGP).apparent_zenith < 85.0]
     pixels = project(camera, sun_directions(times, SGP))
-    return Sightings(unix_s=times, pixels=pixels + np.random.default_rng(1).normal(0.0, 0.02, pixels.shape))
+    return Sightings.of(unix_s=times, pixels=pixels + np.random.default_rng(1).normal(0.0, 0.02, pixels.shape))
 
 
 def _measure(pid: int, *, minutes: float) -> None:

@@ -36,8 +36,6 @@ def picked(table: _Table, which: Rows) -> _Table:
 def stacked(parts: Sequence[_Table]) -> _Table:
     """Return a frozen dataclass of columns, each (n, ...), with the rows of several, at least one, in their order."""
     columns: Any = parts[0]
-    rows: _Table = replace(
-        columns,
-        **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(columns)},
-    )
+    names = [one.name for one in fields(columns) if isinstance(getattr(columns, one.name), np.ndarray)]
+    rows: _Table = replace(columns, **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
     return rows

@@ -17,8 +17,8 @@ from sunarc.calibration.fit.marginal_likelihood import Scales, prior_precision
 from sunarc.calibration.fit.normal_equations import irls_converged, linear_system
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.residual_field import wave_basis
-from sunarc.calibration.model.sightings import FilteredSightings, Sightings, filter_sightings
-from sunarc.calibration.solve.problem import FitProblem, Observations, observations, time_bins
+from sunarc.calibration.model.sightings import Sightings, filter_sightings
+from sunarc.calibration.solve.problem import FitProblem, observations, time_bins
 from sunarc.calibration.start.initial_guess import single_problem
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
@@ -50,15 +50,15 @@ def points() -> Sightings:
     times = np.concatenate([noon + 86_400.0 * d + np.arange(-43_200.0, 43_200.0, 30.0) for d in days])
     times = times[sun_angles(times, SGP).apparent_zenith < 89.6][:15_966]
     pixels = project(TRUTH, sun_directions(times, SGP))
-    return Sightings(unix_s=times, pixels=pixels + np.random.default_rng(0).normal(0.0, 0.5, pixels.shape))
+    return Sightings.of(unix_s=times, pixels=pixels + np.random.default_rng(0).normal(0.0, 0.5, pixels.shape))
 
 
 class _Task:
     """One cost, one start: 15 966 sightings, Gaussian noise of 0.5 px, the lens's priors."""
 
     def __init__(self, points: Sightings) -> None:
-        self.usable: FilteredSightings = filter_sightings(points, site=SGP)
-        self.seen: Observations = observations(self.usable).weighted(np.full(len(self.usable), 4.0))
+        self.usable: Sightings = filter_sightings(points, site=SGP)
+        self.seen: Sightings = observations(self.usable).weighted(np.full(len(self.usable), 4.0))
         start = replace(TRUTH, focal_length_px=(605.0, 605.0), principal_point_px=(876.0, 880.0), radial=(0.0,) * 8)
         start = replace(start, decentering=(1e-5, 1e-5, 0.0, 0.0), rotation_cam_enu=(0.02, -0.01, 0.81))
         self.problem: FitProblem = single_problem(self.seen, start, CalibrationOptions(), None)

@@ -31,7 +31,7 @@ def _fitted(temperature: float, *, measured: bool = False) -> Calibration:
     pixels = project(TRUTH, sun_directions(times, replace(SGP, temperature=temperature)))
     noise = np.random.default_rng(5).normal(0.0, 0.03, pixels.shape)
     air = np.full(times.size, temperature if measured else np.nan)
-    return calibrate(Sightings(unix_s=times, pixels=pixels + noise, temperature=air), site=SGP, image_size=SIZE)
+    return calibrate(Sightings.of(unix_s=times, pixels=pixels + noise, temperature=air), site=SGP, image_size=SIZE)
 
 
 def _judged(fit: Calibration) -> tuple[float, float, NDArray[np.bool_]]:

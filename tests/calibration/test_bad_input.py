@@ -29,7 +29,7 @@ def _refused(points: Sightings, site: Site) -> list[str]:
 
 
 def test_no_sightings(clear_day: Simulated) -> None:
-    assert _refused(Sightings(unix_s=np.zeros(0), pixels=np.zeros((0, 2))), clear_day.site) == ["too_few_sightings"]
+    assert _refused(Sightings.of(unix_s=np.zeros(0), pixels=np.zeros((0, 2))), clear_day.site) == ["too_few_sightings"]
 
 
 def test_too_few_sightings(clear_day: Simulated) -> None:
@@ -39,33 +39,33 @@ def test_too_few_sightings(clear_day: Simulated) -> None:
 def test_one_minute_only(clear_day: Simulated) -> None:
     times = clear_day.points.unix_s[200] + np.linspace(0.0, 60.0, 60)
     pixels = clear_day.points.pixels[200] + np.linspace(0.0, 0.3, 60)[:, None]
-    assert "arc_too_short" in _refused(Sightings(unix_s=times, pixels=pixels), clear_day.site)
+    assert "arc_too_short" in _refused(Sightings.of(unix_s=times, pixels=pixels), clear_day.site)
 
 
 def test_all_on_one_pixel(clear_day: Simulated) -> None:
     pixels = np.full_like(clear_day.points.pixels, 800.0)
-    assert _refused(Sightings(unix_s=clear_day.points.unix_s, pixels=pixels), clear_day.site) == ["static_sightings"]
+    assert _refused(Sightings.of(unix_s=clear_day.points.unix_s, pixels=pixels), clear_day.site) == ["static_sightings"]
 
 
 def test_nothing_but_nan(clear_day: Simulated) -> None:
     pixels = np.full_like(clear_day.points.pixels, np.nan)
-    assert "dropped_not_finite" in _refused(Sightings(unix_s=clear_day.points.unix_s, pixels=pixels), clear_day.site)
+    assert "dropped_not_finite" in _refused(Sightings.of(unix_s=clear_day.points.unix_s, pixels=pixels), clear_day.site)
 
 
 def test_duplicate_times_count_once(clear_day: Simulated) -> None:
     times = np.repeat(clear_day.points.unix_s[:10], 30)
-    assert "dropped_duplicate_time" in _refused(Sightings(unix_s=times, pixels=np.zeros((300, 2))), clear_day.site)
+    assert "dropped_duplicate_time" in _refused(Sightings.of(unix_s=times, pixels=np.zeros((300, 2))), clear_day.site)
 
 
 def test_random_pixels(clear_day: Simulated) -> None:
     pixels = np.random.default_rng(0).uniform(0.0, 1748.0, clear_day.points.pixels.shape)
-    _refused(Sightings(unix_s=clear_day.points.unix_s, pixels=pixels), clear_day.site)
+    _refused(Sightings.of(unix_s=clear_day.points.unix_s, pixels=pixels), clear_day.site)
 
 
 def test_some_nan_and_some_doubles_do_no_harm(clear_day: Simulated) -> None:
     times = np.r_[clear_day.points.unix_s, clear_day.points.unix_s[:5], np.nan]
     pixels = np.r_[clear_day.points.pixels, clear_day.points.pixels[:5], [[3.0, 4.0]]]
-    found = calibrate(Sightings(unix_s=times, pixels=pixels), site=clear_day.site, image_size=SIZE)
+    found = calibrate(Sightings.of(unix_s=times, pixels=pixels), site=clear_day.site, image_size=SIZE)
     assert found.verdict.accepted, found.verdict.reasons
     assert {"dropped_not_finite", "dropped_duplicate_time"} <= set(codes(found.verdict.findings))
 
@@ -74,14 +74,14 @@ def test_some_nan_and_some_doubles_do_no_harm(clear_day: Simulated) -> None:
 def test_a_mirrored_track_says_so(clear_day: Simulated, swapped: bool) -> None:  # noqa: FBT001
     x, y = clear_day.points.pixels.T
     pixels = np.stack([y, x] if swapped else [SIZE[0] - 1 - x, y], axis=1)
-    found = calibrate(Sightings(unix_s=clear_day.points.unix_s, pixels=pixels), site=clear_day.site, image_size=SIZE)
+    found = calibrate(Sightings.of(unix_s=clear_day.points.unix_s, pixels=pixels), site=clear_day.site, image_size=SIZE)
     assert not found.verdict.accepted
     first = found.verdict.findings[0]
     assert (first.code, first.data["mirrored"]) == ("other_handedness_fits", "yes")
 
 
 def test_what_is_refused_for_another_reason_is_not_called_mirrored(clear_day: Simulated) -> None:
-    late = Sightings(unix_s=clear_day.points.unix_s + 3600.0, pixels=clear_day.points.pixels)
+    late = Sightings.of(unix_s=clear_day.points.unix_s + 3600.0, pixels=clear_day.points.pixels)
     assert "other_handedness_fits" not in _refused(late, clear_day.site)
 
 
@@ -93,7 +93,7 @@ def test_an_image_size_that_is_too_large_is_doubted(clear_day: Simulated) -> Non
 
 
 def test_times_an_hour_off_say_what_else_would_explain_it(clear_day: Simulated) -> None:
-    late = Sightings(unix_s=clear_day.points.unix_s + 3600.0, pixels=clear_day.points.pixels)
+    late = Sightings.of(unix_s=clear_day.points.unix_s + 3600.0, pixels=clear_day.points.pixels)
     assert "camera_tilted_by_clock" in _refused(late, clear_day.site)
 
 
@@ -103,14 +103,14 @@ def test_a_sun_below_the_horizon_tells_a_wrong_site_or_clock(
 ) -> None:
     site, points = clear_day.site, clear_day.points
     wrong = Site(latitude=latitude * site.latitude, longitude=longitude * site.longitude, altitude=site.altitude)
-    late = Sightings(unix_s=points.unix_s + 3600.0 * hours, pixels=points.pixels)
+    late = Sightings.of(unix_s=points.unix_s + 3600.0 * hours, pixels=points.pixels)
     assert "sightings_below_horizon" in _refused(late, wrong)
 
 
 def test_a_few_false_sightings_after_sunset_do_no_harm(clear_day: Simulated) -> None:
     times = np.r_[clear_day.points.unix_s, clear_day.points.unix_s[-1] + 3600.0 + 60.0 * np.arange(5.0)]
     pixels = np.r_[clear_day.points.pixels, 200.0 + 50.0 * np.arange(10.0).reshape(5, 2)]
-    found = calibrate(Sightings(unix_s=times, pixels=pixels), site=clear_day.site, image_size=SIZE)
+    found = calibrate(Sightings.of(unix_s=times, pixels=pixels), site=clear_day.site, image_size=SIZE)
     assert found.verdict.accepted, found.verdict.reasons
     assert "dropped_below_horizon" in codes(found.verdict.findings)
 
@@ -126,7 +126,7 @@ def test_ninety_minutes_of_sun_are_too_little_for_a_first_fit(simulator: Simulat
 def test_sightings_beside_the_image_are_left_out(clear_day: Simulated) -> None:
     times, pixels = clear_day.points.unix_s, clear_day.points.pixels.copy()
     pixels[7, 0] = SIZE[0] - 0.46
-    found = calibrate(Sightings(unix_s=times, pixels=pixels), site=clear_day.site, image_size=SIZE)
+    found = calibrate(Sightings.of(unix_s=times, pixels=pixels), site=clear_day.site, image_size=SIZE)
     assert found.verdict.accepted
     assert {one.code: one.data for one in found.verdict.findings}["dropped_outside_image"] == {"n": 1}
     assert found.used is not None
@@ -139,7 +139,7 @@ def test_sightings_beside_the_image_are_left_out(clear_day: Simulated) -> None:
 )
 def test_columns_that_do_not_belong_together(times: np.ndarray, pixels: np.ndarray) -> None:
     with pytest.raises(InputError):
-        Sightings(unix_s=times, pixels=pixels)
+        Sightings.of(unix_s=times, pixels=pixels)
 
 
 def test_impossible_choices() -> None:

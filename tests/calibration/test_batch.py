@@ -32,7 +32,7 @@ def _circle(dx: float) -> ImageCircle:
 
 def _alone(pixels: FloatArray, method: Method, circle: ImageCircle | None) -> Camera:
     return calibrate(
-        Sightings(unix_s=TIMES, pixels=pixels),
+        Sightings.of(unix_s=TIMES, pixels=pixels),
         site=pop.SGP,
         image_size=(TRUTH.width, TRUTH.height),
         options=CalibrationOptions(method=method),

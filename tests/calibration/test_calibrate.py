@@ -128,7 +128,7 @@ def test_the_sun_of_other_places_serves_as_well(simulator: Simulator, latitude: 
 
 def test_poses_of_two_epochs_share_a_lens(simulator: Simulator, tilted: Camera) -> None:
     first, second = simulator(sigma_px=0.1), simulator(tilted, days=(1.0,), sigma_px=0.1, seed=2)
-    points = Sightings(
+    points = Sightings.of(
         unix_s=np.r_[first.points.unix_s, second.points.unix_s],
         pixels=np.r_[first.points.pixels, second.points.pixels],
         epoch=np.r_[np.zeros(len(first.points)), np.ones(len(second.points))],
@@ -177,7 +177,7 @@ def test_half_of_the_sightings_may_be_moved_alike(simulator: Simulator) -> None:
     bad = rng.random(len(seen.points)) < 0.5
     away = rng.normal([6.6, -6.7], 3.0, (bad.size, 2))
     moved = seen.points.pixels + np.where(bad[:, None], away, 0.0)
-    points = Sightings(unix_s=seen.points.unix_s, pixels=moved)
+    points = Sightings.of(unix_s=seen.points.unix_s, pixels=moved)
     found = calibrate(points, site=seen.site, image_size=SIZE)
     assert seen.track_error_px(found.camera) < 0.15
 
@@ -199,7 +199,7 @@ def test_stated_covariance_covers_the_error(simulator: Simulator, lens_populatio
 def test_real_detections_fit() -> None:
     with REAL.open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    points = Sightings(
+    points = Sightings.of(
         unix_s=np.array([datetime.fromisoformat(row["time_utc"]).timestamp() for row in rows]),
         pixels=np.array([[float(row["x_px"]), float(row["y_px"])] for row in rows]),
     )

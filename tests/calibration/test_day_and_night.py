@@ -69,7 +69,7 @@ def stars(night: Night) -> Sightings:
     pixels = pixels + night.coma_px * (size / edge) ** 1.5 * outwards / size + rng.normal(0.0, 0.07, (STARS, 2))
     wrong = rng.uniform(size=STARS) < night.wrong
     pixels[wrong] += rng.uniform(-8.0, 8.0, (wrong.sum(), 2))
-    return Sightings(
+    return Sightings.of(
         unix_s=MIDNIGHT + 60.0 * np.arange(STARS, dtype=np.float64),
         pixels=pixels,
         sigma_px=np.full(STARS, 0.07),

@@ -27,7 +27,7 @@ def _drawn(seed: int, days: int, sigma_px: float) -> tuple[Camera, Sightings]:
     pixels = project(truth, sun_directions(times, SGP))
     inside = np.all((pixels > 0.0) & (pixels < truth.width), axis=-1)
     some = np.sort(rng.choice(np.flatnonzero(inside), N, replace=False))
-    return truth, Sightings(unix_s=times[some], pixels=pixels[some] + rng.normal(0.0, sigma_px, (N, 2)))
+    return truth, Sightings.of(unix_s=times[some], pixels=pixels[some] + rng.normal(0.0, sigma_px, (N, 2)))
 
 
 def _covered(fit: Calibration, truth: Camera) -> float:
@@ -63,6 +63,6 @@ def test_gross_errors_among_few_sightings_are_not_served() -> None:
     truth, points = _drawn(0, 1, 0.05)
     pixels = points.pixels.copy()
     pixels[[3, 9, 15]] += [[60.0, 0.0], [0.0, -80.0], [50.0, 50.0]]
-    fit = calibrate(Sightings(unix_s=points.unix_s, pixels=pixels), site=SGP, image_size=(truth.width, truth.height))
+    fit = calibrate(Sightings.of(unix_s=points.unix_s, pixels=pixels), site=SGP, image_size=(truth.width, truth.height))
     error = np.linalg.norm(project(fit.camera, hemisphere(200)) - project(truth, hemisphere(200)), axis=-1)
     assert not fit.verdict.accepted or np.nanmedian(error) < 10.0

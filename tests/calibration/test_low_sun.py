@@ -22,7 +22,7 @@ def test_precise_sightings_of_a_low_sun_are_no_outliers(lens_seed: int) -> None:
     directions = sun_directions(times, SGP)
     pixels = project(truth, directions)
     noise = np.random.default_rng(lens_seed).normal(0.0, 0.003, pixels.shape)
-    found = calibrate(Sightings(unix_s=times, pixels=pixels + noise), site=SGP, image_size=(1748, 1748))
+    found = calibrate(Sightings.of(unix_s=times, pixels=pixels + noise), site=SGP, image_size=(1748, 1748))
     assert found.evidence.n_rejected <= 0.02 * times.size
     error = project(found.camera, directions) - pixels
     assert np.sqrt(np.mean(np.sum(error**2, axis=-1))) <= 0.01

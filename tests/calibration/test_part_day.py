@@ -21,7 +21,7 @@ def _covered(lens_seed: int) -> float:
     times = times_of((0.0,), site=SGP, cadence_s=300.0)[:107]
     pixels = project(truth, sun_directions(times, SGP))
     noise = np.random.default_rng(lens_seed).normal(0.0, 0.003, pixels.shape)
-    points = Sightings(unix_s=times, pixels=pixels + noise)
+    points = Sightings.of(unix_s=times, pixels=pixels + noise)
     fit = calibrate(points, site=SGP, image_size=(truth.width, truth.height))
     sky = hemisphere(500)
     found, covariance = project_with_covariance(fit, sky)

@@ -141,7 +141,7 @@ def test_the_half_of_a_real_track_that_is_turned_gets_its_own_pose() -> None:
     with REAL.open() as file:
         rows = list(csv.DictReader(file))
     times = np.array([datetime.fromisoformat(row["time_utc"]).timestamp() for row in rows])
-    points = Sightings(unix_s=times, pixels=np.array([[float(row["x_px"]), float(row["y_px"])] for row in rows]))
+    points = Sightings.of(unix_s=times, pixels=np.array([[float(row["x_px"]), float(row["y_px"])] for row in rows]))
     site = Site(latitude=54.495866, longitude=11.237683, altitude=9.0)
     options = CalibrationOptions(projection="equidistant")
     still = calibrate(points, site=site, image_size=(1920, 1920), options=options)

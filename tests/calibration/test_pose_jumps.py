@@ -16,13 +16,13 @@ from sunarc.calibration.changes import change_points as module
 from sunarc.calibration.changes import step_search as search
 from sunarc.calibration.changes.change_points import best_row
 from sunarc.calibration.changes.daily_rotations import DailyRotations
-from sunarc.calibration.model.sightings import FilteredSightings
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.optics.forward import project
 
 FloatArray = NDArray[np.float64]
 
 
-def _usable(unix_s: FloatArray, *, day: NDArray[np.int64] | None = None) -> FilteredSightings:
+def _usable(unix_s: FloatArray, *, day: NDArray[np.int64] | None = None) -> Sightings:
     directions = sun_arc(unix_s.size)
     return filtered_sightings(unix_s, project(small_camera(), directions), directions, day=day)
 

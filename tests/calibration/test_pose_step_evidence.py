@@ -15,7 +15,7 @@ from tests.fixtures.calibration import filtered_sightings, small_camera, sun_arc
 from sunarc.calibration.answers.error_model import rotated
 from sunarc.calibration.changes import change_points as module
 from sunarc.calibration.changes.change_points import Amplitudes, Episode, log_bayes_factor
-from sunarc.calibration.model.sightings import FilteredSightings
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.optics.forward import project
 
 FloatArray = NDArray[np.float64]
@@ -23,7 +23,7 @@ FloatArray = NDArray[np.float64]
 N, ROW = 60, 30
 
 
-def _usable(pixels: FloatArray, directions: FloatArray) -> FilteredSightings:
+def _usable(pixels: FloatArray, directions: FloatArray) -> Sightings:
     times = 1.4e9 + 600.0 * np.arange(pixels.shape[0], dtype=np.float64)
     return filtered_sightings(times, pixels, directions)
 

@@ -35,7 +35,7 @@ def test_each_step_is_dated_by_the_poses_on_its_two_sides(monkeypatch: pytest.Mo
     row = np.arange(60)[:, None]
     sun = sun_directions(times, SGP)
     at_last = np.where(row < 40, project(second, sun), project(third, sun))
-    points = Sightings(unix_s=times, pixels=np.where(row < 20, project(first, sun), at_last))
+    points = Sightings.of(unix_s=times, pixels=np.where(row < 20, project(first, sun), at_last))
     moves = (
         _move(times[15], times[25], 0.6, first),
         _move(times[33], times[44], 0.7, second),
@@ -52,7 +52,7 @@ def test_each_step_is_dated_by_the_poses_on_its_two_sides(monkeypatch: pytest.Mo
 def test_the_days_about_a_jump_are_fitted_and_no_others(monkeypatch: pytest.MonkeyPatch) -> None:
     times = (NOON + 86_400.0 * np.arange(9.0)[:, None] + 300.0 * np.arange(-15.0, 15.0)).ravel()
     camera = small_camera()
-    points = Sightings(unix_s=times, pixels=project(camera, sun_directions(times, SGP)))
+    points = Sightings.of(unix_s=times, pixels=project(camera, sun_directions(times, SGP)))
     first = int(solar_days(times[:1], longitude=SGP.longitude)[0])
     fitted: list[list[int]] = []
 

@@ -21,7 +21,7 @@ from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.noise import NoiseGroups
 from sunarc.calibration.solve.priors import lens_prior
-from sunarc.calibration.solve.problem import FitProblem, Observations, observations, problem_for
+from sunarc.calibration.solve.problem import FitProblem, observations, problem_for
 from sunarc.calibration.start.multistart import lowest
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix
@@ -88,7 +88,7 @@ def test_where_every_second_sighting_states_far_more_that_is_stated() -> None:
     assert finding.data["factor"] == factor
 
 
-def _problem(track_seed: int) -> tuple[FitProblem, Observations, NoiseGroups, NDArray[np.float64]]:
+def _problem(track_seed: int) -> tuple[FitProblem, Sightings, NoiseGroups, NDArray[np.float64]]:
     """Return the problem of a clear track, its sightings, their groups and the unknowns of a camera near the truth."""
     track = real_like_track(track_seed, EQUIDISTANT, cloud="none", tilt_deg=2.0, half_day=False, gaps=False)
     fit = calibrate(track.points, site=track.site, image_size=track.image_size, options=track.options)
@@ -130,7 +130,7 @@ def test_a_real_track_drawn_aside_by_cloud_for_16_minutes_fits_as_before() -> No
     aside = drawn_aside(np.random.default_rng(6), np.clip(share, 0.0, 1.0), 5.0) * clouded[:, None]
     site = Site(latitude=54.495866, longitude=11.237683, altitude=9.0)
     options = CalibrationOptions(projection="equidistant")
-    points = Sightings(unix_s=times, pixels=pixels + aside)
+    points = Sightings.of(unix_s=times, pixels=pixels + aside)
     found = calibrate(points, site=site, image_size=(1920, 1920), options=options)
     paper = calibrate(points, site=site, image_size=(1920, 1920), options=replace(options, method="paper"))
     assert found.verdict.accepted, found.verdict.reasons

@@ -48,7 +48,7 @@ def test_six_hundred_stars_of_one_moment_are_as_good_as_theory(seed: int) -> Non
     camera = pop.random_camera(rng)
     directions = _spread(rng, 600)
     pixels = project(camera, directions) + rng.normal(0.0, 0.28, (600, 2))
-    fit = _fitted(camera, Sightings(unix_s=np.full(600, NIGHT), pixels=pixels, directions=directions))
+    fit = _fitted(camera, Sightings.of(unix_s=np.full(600, NIGHT), pixels=pixels, directions=directions))
     assert fit.verdict.accepted
     assert fit.evidence.n_used > 590
     assert fit.evidence.sigma_px == pytest.approx(0.28, rel=0.1)
@@ -64,7 +64,7 @@ def test_stars_beside_the_sun_help_even_where_their_sigma_is_stated_wrong(factor
     sun = pop.sightings(camera, times, pop.white_noise(rng, times.size, 0.5))
     directions = _spread(rng, 150)
     stars = project(camera, directions) + rng.normal(0.0, 0.005 * factor, (150, 2))
-    joint = Sightings(
+    joint = Sightings.of(
         unix_s=np.r_[times, np.full(150, NIGHT)],
         pixels=np.concatenate([sun.pixels, stars]),
         sigma_px=np.r_[np.full(times.size, 0.5), np.full(150, 0.005)],
@@ -78,7 +78,7 @@ def test_stars_beside_the_sun_help_even_where_their_sigma_is_stated_wrong(factor
 def test_a_stated_direction_is_taken_and_the_others_are_the_sun_s() -> None:
     times = pop.MAY_13 + 3600.0 * np.array([18.0, 19.0])
     east = np.array([[0.6, 0.0, 0.8], [np.nan] * 3])
-    points = Sightings(unix_s=times, pixels=np.ones((2, 2)), directions=2.0 * east)
+    points = Sightings.of(unix_s=times, pixels=np.ones((2, 2)), directions=2.0 * east)
     found = apparent_directions(points, site=pop.SGP)
     np.testing.assert_allclose(found[0], [0.6, 0.0, 0.8])
     np.testing.assert_allclose(found[1], sun_directions(times[1:], pop.SGP)[0])
@@ -92,11 +92,11 @@ def test_the_track_comes_first_and_stars_of_one_moment_stay_but_for_repeated_one
     nothing = np.full(3, np.nan)
     directions = np.stack([nothing, stars[0], nothing, stars[1], stars[2], nothing])
     pixels = np.array([[9.0, 9.0], [1.0, 1.0], [8.0, 8.0], [2.0, 2.0], [2.0, 2.0], [8.0, 8.0]])
-    found = filter_sightings(Sightings(unix_s=times, pixels=pixels, directions=directions), site=pop.SGP)
+    found = filter_sightings(Sightings.of(unix_s=times, pixels=pixels, directions=directions), site=pop.SGP)
     assert found.alone.tolist() == [False, False, True, True]
     assert found.unix_s.tolist() == [times[1], times[0], times[1], times[1]]
     assert {tuple(one) for one in found.pixels[2:]} == {(1.0, 1.0), (2.0, 2.0)}
-    assert [(one.code, one.data["n"]) for one in found.dropped] == [("dropped_duplicate_time", 2)]
+    assert [(one.code, one.data["n"]) for one in found.filtering.dropped] == [("dropped_duplicate_time", 2)]
     assert time_bins(found).member.tolist() == [0, 1, 2, 3]
 
 
@@ -105,7 +105,7 @@ def test_stated_sigmas_keep_their_ratios_and_those_of_the_sun_are_bounded() -> N
     directions = np.full((12, 3), np.nan)
     directions[6:] = _spread(np.random.default_rng(0), 6)
     sigma = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 0.01, 0.1, 0.1, 0.1, 0.1, 0.1, 0.5])
-    points = Sightings(unix_s=times, pixels=np.arange(24.0).reshape(12, 2), sigma_px=sigma, directions=directions)
+    points = Sightings.of(unix_s=times, pixels=np.arange(24.0).reshape(12, 2), sigma_px=sigma, directions=directions)
     found = filter_sightings(points, site=pop.SGP)
     relative = found.sigma_px / found.sigma_px[0]
     np.testing.assert_allclose(relative[:6], [1.0, 1.0, 1.0, 1.0, 1.0, 1.0 / 3.0])
@@ -115,7 +115,7 @@ def test_stated_sigmas_keep_their_ratios_and_those_of_the_sun_are_bounded() -> N
 @pytest.mark.parametrize("direction", [[0.0, 0.0, 0.0], [np.inf, 0.0, 0.0]])
 def test_a_vector_without_a_direction_is_refused(direction: list[float]) -> None:
     with pytest.raises(InputError) as refused:
-        Sightings(unix_s=np.zeros(1), pixels=np.ones((1, 2)), directions=np.array([direction]))
+        Sightings.of(unix_s=np.zeros(1), pixels=np.ones((1, 2)), directions=np.array([direction]))
     assert refused.value.field == "directions"
 
 
@@ -129,7 +129,7 @@ def test_a_field_is_not_lost_where_stars_outnumber_a_finer_sun() -> None:
     directions = _spread(rng, 1200)
     pixels, sigma = project(camera, directions), rng.uniform(0.1, 0.3, 1200)
     stars = pixels + field(pixels) + rng.normal(size=pixels.shape) * sigma[:, None]
-    points = Sightings(
+    points = Sightings.of(
         unix_s=np.r_[sun.unix_s, np.full(1200, NIGHT)],
         pixels=np.r_[sun.pixels, stars],
         sigma_px=np.r_[np.full(times.size, 0.03), sigma],

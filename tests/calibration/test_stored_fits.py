@@ -47,7 +47,7 @@ def _sightings(camera: Camera, times: FloatArray, *, sigma_px: float, seed: int)
     """Return sightings with white noise, to 1e-6 px: the last digit of `project` does not reach the fit."""
     pixels = project(camera, sun_directions(times, SGP))
     noise = np.random.default_rng(seed).normal(0.0, sigma_px, pixels.shape)
-    return Sightings(unix_s=times, pixels=np.round(pixels + noise, 6))
+    return Sightings.of(unix_s=times, pixels=np.round(pixels + noise, 6))
 
 
 def _equisolid() -> Calibration:

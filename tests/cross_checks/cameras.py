@@ -74,7 +74,7 @@ class Neighbour:
             self.camera, rotation_cam_enu=rotation_vector(rotation_matrix(self.camera.rotation_cam_enu) @ turn.T)
         )
         pixels = project(camera, sun_directions(true_s, self.site)) + rng.normal(0.0, NOISE_PX, (n, 2))
-        return Sightings(unix_s=true_s + (self.wrong.clock_s if after else 0.0), pixels=pixels)
+        return Sightings.of(unix_s=true_s + (self.wrong.clock_s if after else 0.0), pixels=pixels)
 
     def rotations(self, days: FloatArray, rng: np.random.Generator) -> DailyRotations:
         seen = {day: self.sightings(day, rng) for day in days.astype(int).tolist()}

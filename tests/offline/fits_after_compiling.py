@@ -39,7 +39,7 @@ def with_stars(sun: Sightings, *, wrong_px: float = 0.0) -> Sightings:
     """Return the sightings of the sun and those of a hundred stars of the night after it."""
     directions = hemisphere(100)
     pixels = project(CAMERA, directions) + np.random.default_rng(6).normal(0.0, 0.07 + wrong_px, (len(directions), 2))
-    night = Sightings(
+    night = Sightings.of(
         unix_s=float(sun.unix_s[-1]) + 30_000.0 + 60.0 * np.arange(len(directions), dtype=np.float64),
         pixels=pixels,
         sigma_px=np.full(len(directions), 0.07),

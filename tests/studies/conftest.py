@@ -45,7 +45,7 @@ def cloudy_points() -> Sightings:
     times = times[sun_angles(times, SGP).apparent_zenith < 88.0]
     noise = np.random.default_rng(1).normal(0.0, 0.1, (times.size, 2))
     noise[::10, 0] += 15.0
-    return Sightings(unix_s=times, pixels=project(true_camera(0), sun_directions(times, SGP)) + noise)
+    return Sightings.of(unix_s=times, pixels=project(true_camera(0), sun_directions(times, SGP)) + noise)
 
 
 @pytest.fixture(scope="session")

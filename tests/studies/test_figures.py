@@ -147,8 +147,8 @@ def points_of(offsets: list[tuple[float, float]], *, sigma: list[float] | None =
     times = NOON_S + 600.0 * np.arange(len(offsets), dtype=np.float64)
     pixels = project(CAMERA, sun_directions(times, made.site)) + np.array(offsets)
     if sigma is None:
-        return Sightings(unix_s=times, pixels=pixels), made
-    return Sightings(unix_s=times, pixels=pixels, sigma_px=np.array(sigma)), made
+        return Sightings.of(unix_s=times, pixels=pixels), made
+    return Sightings.of(unix_s=times, pixels=pixels, sigma_px=np.array(sigma)), made
 
 
 def test_residuals_are_the_offsets_that_were_put_in() -> None:

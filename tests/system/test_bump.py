@@ -37,7 +37,7 @@ def of_the_day_before() -> Calibration:
     times = datetime(2013, 5, 13, 6, tzinfo=UTC).timestamp() + np.arange(0.0, 86_400.0, 240.0)
     times = times[sun_angles(times, SGP).apparent_zenith < 88.0]
     noise = np.random.default_rng(3).normal(0.0, 0.02, (times.size, 2))
-    points = Sightings(unix_s=times, pixels=project(true_camera(), sun_directions(times, SGP)) + noise)
+    points = Sightings.of(unix_s=times, pixels=project(true_camera(), sun_directions(times, SGP)) + noise)
     return calibrate(points, site=SGP, image_size=(1748, 1748))
 
 

@@ -234,7 +234,7 @@ def test_a_new_calibration_ends_the_condition(path: Path, board: StatusRegistry,
 def test_a_refit_that_finds_nothing_new_replaces_a_damaged_calibration(
     path: Path, board: StatusRegistry, clock: VirtualClock
 ) -> None:
-    none = Sightings(unix_s=np.empty(0), pixels=np.empty((0, 2)))
+    none = Sightings.of(unix_s=np.empty(0), pixels=np.empty((0, 2)))
     task = cast("RefitTask", SimpleNamespace(pose_epoch="roof-1", problem=SimpleNamespace(points=none)))
     archive = open_archive(path)
     verdict = refit_worker(archive, board, clock)._verdict(task, calibration(), archive.current_calibration("roof"))

@@ -131,7 +131,7 @@ def full_fit() -> Calibration:
     times = times[sun_angles(times, SGP).apparent_zenith < 88.0]
     noise = np.random.default_rng(3).normal(0.0, 0.02, (times.size, 2))
     pixels = project(TRUTH, sun_directions(times, SGP)) + noise
-    return calibrate(Sightings(unix_s=times, pixels=pixels), site=SGP, image_size=SIZE)
+    return calibrate(Sightings.of(unix_s=times, pixels=pixels), site=SGP, image_size=SIZE)
 
 
 def store_current(imager: NewImager, full: Calibration) -> None:

@@ -43,7 +43,7 @@ def sightings(*, every_s: float = 240.0, sigma_px: float = 0.02) -> Sightings:
     times = datetime(2013, 5, 13, 6, tzinfo=UTC).timestamp() + np.arange(0.0, 86_400.0, every_s)
     times = times[sun_angles(times, SGP).apparent_zenith < 88.0]
     noise = np.random.default_rng(3).normal(0.0, sigma_px, (times.size, 2))
-    return Sightings(unix_s=times, pixels=project(true_camera(), sun_directions(times, SGP)) + noise)
+    return Sightings.of(unix_s=times, pixels=project(true_camera(), sun_directions(times, SGP)) + noise)
 
 
 @pytest.fixture(scope="module")

@@ -30,7 +30,7 @@ def refuse(increment: int) -> int:
 def test_a_solve_that_may_not_step_back_is_solved_as_an_equal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "nice", refuse)  # as the filter of deploy/sunarc.service does
     receiving, sending = multiprocessing.Pipe()
-    nothing = Sightings(unix_s=np.empty(0), pixels=np.empty((0, 2)))
+    nothing = Sightings.of(unix_s=np.empty(0), pixels=np.empty((0, 2)))
     site = Site(latitude=36.6, longitude=-97.5, altitude=318.0)
     problem = SolveProblem(points=nothing, site=site, image_size=(1748, 1748), options=CalibrationOptions())
     receiving.send(call_on(problem, calibrate))
@@ -40,7 +40,7 @@ def test_a_solve_that_may_not_step_back_is_solved_as_an_equal(monkeypatch: pytes
 
 
 def test_the_process_of_a_solve_imports_the_core_and_neither_workers_nor_the_database() -> None:
-    nothing = Sightings(unix_s=np.empty(0), pixels=np.empty((0, 2)))
+    nothing = Sightings.of(unix_s=np.empty(0), pixels=np.empty((0, 2)))
     site = Site(latitude=36.6, longitude=-97.5, altitude=318.0)
     problem = SolveProblem(points=nothing, site=site, image_size=(1748, 1748), options=CalibrationOptions())
     call = call_on(problem, calibrate)
@@ -59,7 +59,7 @@ def test_the_process_of_a_solve_computes_with_one_thread(monkeypatch: pytest.Mon
     for name in limits:
         monkeypatch.setenv(name, "")  # so that it is unset again
         monkeypatch.delenv(name)
-    nothing = Sightings(unix_s=np.empty(0), pixels=np.empty((0, 2)))
+    nothing = Sightings.of(unix_s=np.empty(0), pixels=np.empty((0, 2)))
     site = Site(latitude=36.6, longitude=-97.5, altitude=318.0)
     problem = SolveProblem(points=nothing, site=site, image_size=(1748, 1748), options=CalibrationOptions())
     found: set[str] = set()

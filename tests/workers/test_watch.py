@@ -56,7 +56,7 @@ def good() -> Calibration:
     times = DAY + np.arange(0.0, 86_400.0, 240.0)
     times = times[sun_angles(times, SGP).apparent_zenith < 88.0]
     noise = np.random.default_rng(3).normal(0.0, 0.02, (times.size, 2))
-    points = Sightings(unix_s=times, pixels=project(TRUTH, sun_directions(times, SGP)) + noise)
+    points = Sightings.of(unix_s=times, pixels=project(TRUTH, sun_directions(times, SGP)) + noise)
     return calibrate(points, site=SGP, image_size=SIZE)
 
 

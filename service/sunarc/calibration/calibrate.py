@@ -17,7 +17,7 @@ from sunarc.calibration.fit.robust_fit import RobustFit, fit_robustly, grid_of
 from sunarc.calibration.fit.robust_rounds import robust_camera
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances, Mirrored, PaperOptions
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import FilteredSightings, Sightings, filter_sightings
+from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.noise import NoiseGroups
 from sunarc.calibration.paper import fit_as_paper
 from sunarc.calibration.quality.acceptance import with_pose_spread
@@ -25,7 +25,7 @@ from sunarc.calibration.quality.fit_checks import Handedness, before_fit, below_
 from sunarc.calibration.robust_loss import robust_sigma
 from sunarc.calibration.solve.levenberg_marquardt import information, most_probable
 from sunarc.calibration.solve.priors import LensPrior, Whitened, lens_prior
-from sunarc.calibration.solve.problem import FitProblem, Observations, observations, problem_for
+from sunarc.calibration.solve.problem import FitProblem, observations, problem_for
 from sunarc.calibration.start.initial_guess import camera_from_circle, field_angle, first_cameras, single_problem
 from sunarc.calibration.start.multistart import SMALLEST_SIGMA_PX, distance_sigmas
 from sunarc.errors import InputError
@@ -135,13 +135,13 @@ def calibration_of(fit: RobustFit, job: Job, picked: Start) -> Calibration:
     return _explained(calibration_from_fit(outcome, job, picked.handedness), job, picked.cost)
 
 
-def robust_fit(observed: Observations, job: Job, cameras: list[Camera]) -> RobustFit:
+def robust_fit(observed: Sightings, job: Job, cameras: list[Camera]) -> RobustFit:
     """Return the robust fit of a job from first cameras, one an epoch."""
     problem = single_problem(observed, cameras[0], job.options, job.circle, n_epochs=len(cameras))
     return fit_robustly(problem, observed, job.usable, problem.unknowns(cameras), options=job.options)
 
 
-def most_plausible_start(observed: Observations, job: Job) -> Start | None:
+def most_plausible_start(observed: Sightings, job: Job) -> Start | None:
     """Return the start for the handedness that is set, or for the more plausible of both; None where none is found."""
     options = job.options
     both: tuple[Mirrored, Mirrored] = ("no", "yes")
@@ -189,8 +189,8 @@ class Batch:
 
     camera: Camera
     options: CalibrationOptions
-    usable: FilteredSightings
-    observed: Observations
+    usable: Sightings
+    observed: Sightings
     n_supplied: int
     groups: NoiseGroups
     grid: HyperparameterGrid
@@ -283,7 +283,7 @@ class Batch:
             prior = replace(prior, mean=mean)
         return problem_for(self.camera, prior, n_epochs=1, max_angle=np.radians(self.options.max_angle_deg))
 
-    def _robust(self, observed: Observations, problem: FitProblem) -> Camera:
+    def _robust(self, observed: Sightings, problem: FitProblem) -> Camera:
         plain = self._without_field(observed, problem)
         found = robust_camera(problem, observed, plain, groups=self.groups, grid=self.grid, near_minimum=True)
         camera = found.problem.camera(found.unknowns)
@@ -292,7 +292,7 @@ class Batch:
         mean = found.field_mean(found.system(observed, self.groups.bins).normal())
         return camera if mean is None else replace(camera, displacement=found.grid.basis.displacement(mean))
 
-    def _without_field(self, observed: Observations, problem: FitProblem) -> FloatArray:
+    def _without_field(self, observed: Sightings, problem: FitProblem) -> FloatArray:
         """Return the unknowns of the robust fit from the known camera: the weights by turns with the bins' solution."""
         tolerances, bins = self.options.tolerances, self.groups.bins
         precision = prior_precision(problem.size, tolerances.radial_px, tolerances.decentering_px)

@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray, IntArray
-from sunarc.calibration.model.sightings import FilteredSightings, Kind
+from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.calibration.robust_loss import INFORMATION_PER_WEIGHT, robust_sigma, surely_well_behaved, tukey_weights
 from sunarc.calibration.solve.priors import N_LENS
-from sunarc.calibration.solve.problem import Bins, Observations, time_bins
+from sunarc.calibration.solve.problem import Bins, time_bins
 from sunarc.calibration.start.multistart import SMALLEST_SIGMA_PX
 from sunarc.robust_statistics import median_of
 
@@ -136,7 +136,7 @@ class NoiseGroups(NamedTuple):
     unknowns: int = 0
 
     @classmethod
-    def of(cls, usable: FilteredSightings) -> NoiseGroups:
+    def of(cls, usable: Sightings) -> NoiseGroups:
         """Return the course of sightings."""
         run = 2 * (usable.day * (1 + int(usable.epoch.max(initial=0))) + usable.epoch) + usable.alone
         each_apart = np.where(usable.alone, -1 - np.arange(len(usable)), run)
@@ -163,14 +163,14 @@ class Noise:
     inflation: FloatArray
     sigma_px: float
 
-    def information(self, observed: Observations) -> FloatArray:
+    def information(self, observed: Sightings) -> FloatArray:
         """Return (n,) px⁻²."""
         variance = self.scale**2 * self.inflation
         return np.asarray(observed.information * self.weight * INFORMATION_PER_WEIGHT / variance)
 
 
 def measured_noise(
-    residuals: FloatArray, observed: Observations, groups: NoiseGroups, *, leverage: FloatArray | None = None
+    residuals: FloatArray, observed: Sightings, groups: NoiseGroups, *, leverage: FloatArray | None = None
 ) -> Noise:
     """Return the noise as it shows in what a fit leaves over.
 
@@ -211,7 +211,7 @@ def _scale(distance: FloatArray, groups: NoiseGroups) -> FloatArray:
 
 
 def _by_height(
-    distance: FloatArray, residuals: FloatArray, weight: FloatArray, observed: Observations, groups: NoiseGroups
+    distance: FloatArray, residuals: FloatArray, weight: FloatArray, observed: Sightings, groups: NoiseGroups
 ) -> FloatArray | None:
     """Return (n,): how the noise of the sun's track differs with its height, 1 for all else; None: it does not."""
     sun = groups.group == _SUN_TRACK

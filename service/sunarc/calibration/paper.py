@@ -11,7 +11,7 @@ import numpy as np
 from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.fit.assemble import FitOutcome, no_field
 from sunarc.calibration.model.options import CalibrationOptions, PaperOptions
-from sunarc.calibration.model.sightings import FilteredSightings
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.robust_loss import finite
 from sunarc.calibration.solve.levenberg_marquardt import (
     FIRST_DAMPING,
@@ -21,7 +21,7 @@ from sunarc.calibration.solve.levenberg_marquardt import (
     as_seen,
     damped_step_of,
 )
-from sunarc.calibration.solve.problem import Bins, Observations, time_bins
+from sunarc.calibration.solve.problem import Bins, time_bins
 from sunarc.calibration.solve.row_kernels import add_products, weigh
 from sunarc.calibration.start.initial_guess import as_far_as_it_rises
 from sunarc.jit import njit
@@ -368,8 +368,8 @@ _PERSPECTIVE_EDGE = math.radians(60.0)
 
 
 def fit_as_paper(
-    observed: Observations,
-    usable: FilteredSightings,
+    observed: Sightings,
+    usable: Sightings,
     cameras: list[Camera],
     *,
     options: CalibrationOptions,
@@ -422,7 +422,7 @@ def fit_as_paper(
     )
 
 
-def _means(observed: Observations, bins: Bins, camera: Camera) -> Observations:
+def _means(observed: Sightings, bins: Bins, camera: Camera) -> Sightings:
     """Return one observation a bin, its residual by a camera the mean one; all of them where one is not in view."""
     residual = observed.pixels - project_fast(camera, observed.directions)
     if not np.all(np.isfinite(residual)):
@@ -439,7 +439,7 @@ def normal_inverse(jacobian: FloatArray) -> FloatArray:
     return np.asarray(inverse / size[:, None] / size, dtype=np.float64)
 
 
-def start_camera(camera: Camera, observed: Observations, options: CalibrationOptions) -> Camera:
+def start_camera(camera: Camera, observed: Sightings, options: CalibrationOptions) -> Camera:
     """Return K0 with the pose of the chosen start, without distortion."""
     focal = 0.5 * (camera.focal_length_px[0] + camera.focal_length_px[1])
     plain = replace(camera, focal_length_px=(focal, focal), skew_px=0.0, radial=(0.0,) * 8, decentering=(0.0,) * 4)
@@ -457,7 +457,7 @@ class Equations(NamedTuple):
 
 
 def _minimised(
-    camera: Camera, observed: Observations, moving: IntArray, options: CalibrationOptions, limits: Limits
+    camera: Camera, observed: Sightings, moving: IntArray, options: CalibrationOptions, limits: Limits
 ) -> Camera:
     """Return the camera at the minimum of Eq. 26.
 
@@ -479,7 +479,7 @@ def penalties_of(camera: Camera, options: CalibrationOptions) -> Penalties:
     return Penalties.of(camera.projection, options.paper, largest_angle=edge)
 
 
-def equations(camera: Camera, observed: Observations, options: CalibrationOptions) -> Equations:
+def equations(camera: Camera, observed: Sightings, options: CalibrationOptions) -> Equations:
     """Return the misfit of a camera that answers at any angle, each sighting weighed by its information."""
     pixels, rows = project_with_rows_fast(unlimited(camera), observed.directions)
     values, slopes = penalties_of(camera, options).values_and_slopes(camera.to_vector())
@@ -491,7 +491,7 @@ def equations(camera: Camera, observed: Observations, options: CalibrationOption
 # The pose by the direct linear transform (Eqs. 23 to 25).
 
 
-def direct_linear_pose(camera: Camera, observed: Observations) -> Camera:
+def direct_linear_pose(camera: Camera, observed: Sightings) -> Camera:
     """Return the camera with the pose and translation of the direct linear transform.
 
     Sun directions of one or two days lie nearly in a plane, and the transform then says next to nothing: that is what

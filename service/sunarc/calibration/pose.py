@@ -37,10 +37,10 @@ from sunarc.calibration.evidence import (
 from sunarc.calibration.fit.assemble import FitOutcome, Job, calibration_from_fit, refused
 from sunarc.calibration.model.options import CalibrationOptions, Mirrored
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import FilteredSightings, Sightings, filter_sightings
+from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.quality.fit_checks import Handedness
 from sunarc.calibration.robust_loss import finite, robust_sigma
-from sunarc.calibration.solve.problem import Bins, Observations
+from sunarc.calibration.solve.problem import Bins
 from sunarc.calibration.start.initial_guess import ransac_rotation
 from sunarc.findings import Finding
 from sunarc.optics.camera import Camera
@@ -101,7 +101,7 @@ def gathered(
     each = -(-true.variance.size // MOST)
     member = np.arange(true.variance.size) // max(each, 1)
     bins = Bins(member=member, count=int(member[-1]) + 1 if member.size else 0)
-    observed = Observations(
+    observed = Sightings(
         directions=true.directions, pixels=true.pixels, information=1.0 / true.variance, epoch=0 * member
     )
     residual = finite(true.pixels - project_fast(camera, true.directions))
@@ -350,7 +350,7 @@ def _mixed(fits: list[CameraErrorModel], log_weight: FloatArray) -> CameraErrorM
     return replace(fits[0], mean=mean, covariance=covariance, field=replace(fits[0].field, cross=cross))
 
 
-def outcome_of(fit: PoseFit, start: Calibration, usable: FilteredSightings, *, wander_rad: float) -> FitOutcome:
+def outcome_of(fit: PoseFit, start: Calibration, usable: Sightings, *, wander_rad: float) -> FitOutcome:
     """Return what every method hands over; the turn's axes become those of the rotation vector."""
     error_model, size = fit.error_model, fit.error_model.mean.size
     covariance = error_model.covariance.copy()

@@ -21,10 +21,10 @@ from sunarc.calibration.fit.normal_equations import linear_system
 from sunarc.calibration.fit.robust_fit import RobustFit
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import Verdict
-from sunarc.calibration.model.sightings import FilteredSightings, Sightings, filter_sightings
+from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.quality.fit_checks import before_fit, missing_hours
 from sunarc.calibration.robust_loss import robust_sigma, tukey_loss
-from sunarc.calibration.solve.problem import Observations, observations, time_bins
+from sunarc.calibration.solve.problem import observations, time_bins
 from sunarc.calibration.start.multistart import SMALLEST_SIGMA_PX, distance_sigmas
 from sunarc.findings import Finding
 from sunarc.optics.projections import PROJECTIONS, Projection
@@ -160,7 +160,7 @@ def _choice(fits: dict[Projection, _Fit], job: Job) -> ProjectionChoice:
 
 
 def _log_evidences(
-    fits: dict[Projection, RobustFit], observed: Observations, usable: FilteredSightings
+    fits: dict[Projection, RobustFit], observed: Sightings, usable: Sightings
 ) -> dict[Projection, float]:
     """Return the log evidence of each, but for a constant."""
     distances = {name: distance_sigmas(fit.problem, observed, fit.unknowns) for name, fit in fits.items()}

@@ -133,7 +133,7 @@ def _stated(prior: Camera, basis: FloatArray, job: Job) -> Calibration:
 
     Its noise is what the sightings state of themselves.
     """
-    stated, without_fit = job.usable.stated_sigma_px, refused(job, ())
+    stated, without_fit = job.usable.filtering.stated_sigma_px, refused(job, ())
     return replace(
         without_fit,
         evidence=replace(without_fit.evidence, sigma_px=stated),

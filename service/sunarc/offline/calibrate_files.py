@@ -175,7 +175,7 @@ def read_points(path: Path, image_size: tuple[int, int]) -> Sightings:
     """Return a CSV file's sightings; InputError where they are of images of another size, or the file is none."""
     table = read_sightings(read_lines(path), name=path.name)
     require_inside(table.pixels, image_size, name=path.name)
-    return Sightings(
+    return Sightings.of(
         unix_s=table.unix_s,
         pixels=table.pixels,
         sigma_px=table.sigma_px,

@@ -97,12 +97,12 @@ def _fit() -> None:
 def _made_day() -> Sightings:
     times = _DAY + np.arange(0.0, 86_400.0, _CADENCE_S)
     times = times[sun_angles(times, _SITE).apparent_zenith < 85.0]
-    return Sightings(unix_s=times, pixels=_seen(sun_directions(times, _SITE)))
+    return Sightings.of(unix_s=times, pixels=_seen(sun_directions(times, _SITE)))
 
 
 def _made_night() -> Sightings:
     stars = hemisphere(_STARS)
-    return Sightings(
+    return Sightings.of(
         unix_s=_DAY + 86_400.0 + 60.0 * np.arange(len(stars), dtype=np.float64),
         pixels=_seen(stars),
         directions=stars,

@@ -379,7 +379,7 @@ def _points(start: BlindStart, images: Sequence[NightDetections], size: tuple[in
         pixels.append(seen.pixels[sound])
         sigma.append(seen.sigma_px[sound])
         directions.append(image.sky.directions[image.sky.rows_of(names)])
-    every = Sightings(
+    every = Sightings.of(
         unix_s=np.concatenate(times),
         pixels=np.concatenate(pixels),
         sigma_px=np.concatenate(sigma),

@@ -117,7 +117,7 @@ def _fitted(archive: Archive, settings: Settings, found: Sequence[Found]) -> Cal
     if record is None or not found:
         return (Finding("no_accepted_sightings"),)
     some = [found[n] for n in np.unique(np.linspace(0, len(found) - 1, _MOST_SIGHTINGS).astype(int))]
-    points = Sightings(
+    points = Sightings.of(
         unix_s=np.array([image.unix_s for image, _ in some]),
         pixels=np.array([[one.x_px, one.y_px] for _, one in some], dtype=np.float64),
         sigma_px=np.array([np.nan if one.sigma_px is None else one.sigma_px for _, one in some]),

@@ -250,7 +250,7 @@ def star_points(found: NightsLooked, states: Sequence[State], epochs: Sequence[E
     if not rows:
         return None
     unix_s, pose, body, x, y, sigma = (np.array(column) for column in zip(*rows, strict=True))
-    return Sightings(
+    return Sightings.of(
         unix_s=unix_s,
         pixels=np.column_stack([x, y]),
         sigma_px=sigma,

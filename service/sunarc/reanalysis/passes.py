@@ -58,7 +58,7 @@ class Looked(NamedTuple):
     def points(self) -> tuple[Sightings, list[int]]:
         """Return the accepted sightings at their stated times, and the number of the image of each."""
         accepted = [(row, one) for row, one in enumerate(self.found) if isinstance(one, FoundSun) and one.accepted]
-        points = Sightings(
+        points = Sightings.of(
             unix_s=np.array([self.images[row].unix_s for row, _ in accepted]),
             pixels=np.array([[one.x_px, one.y_px] for _, one in accepted], dtype=np.float64).reshape(-1, 2),
             sigma_px=np.array([math.nan if one.sigma_px is None else one.sigma_px for _, one in accepted]),

@@ -65,7 +65,7 @@ def simulated_case(case: Case, rng: np.random.Generator) -> tuple[Arc, Sightings
         noise = cloud_noise(rng, len(arc), inlier_px=_INLIER_PX, share=case.cloud_share, sd_px=case.sd_m_px)
     else:
         noise = clear_noise(rng, len(arc), sd_px=case.sd_m_px)
-    return arc, Sightings(unix_s=arc.unix_s, pixels=arc.pixels + noise)
+    return arc, Sightings.of(unix_s=arc.unix_s, pixels=arc.pixels + noise)
 
 
 def fitted_row(case: Case, *, method: Method, seed: int) -> TableRow:

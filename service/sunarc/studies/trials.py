@@ -118,7 +118,7 @@ def _batch(method: Method) -> Batch:
     truth, arc = true_camera(0), synthetic_arc()
     return Batch.near(
         truth,
-        Sightings(unix_s=arc.unix_s, pixels=arc.pixels),
+        Sightings.of(unix_s=arc.unix_s, pixels=arc.pixels),
         site=SGP,
         options=CalibrationOptions(method=method),
         circle=found_circle(np.random.default_rng(0), truth),

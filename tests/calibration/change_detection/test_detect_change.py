@@ -161,7 +161,7 @@ def test_another_lens_is_named_at_once_or_when_its_pose_does_not_hold(calibrated
     if first.kind == "lens":
         return
     begun = times >= first.at_unix_s
-    few = Sightings(unix_s=times[begun][: number - 30], pixels=pixels[begun][: number - 30])
+    few = Sightings.of(unix_s=times[begun][: number - 30], pixels=pixels[begun][: number - 30])
     posed = estimate_pose(few, start=calibrated, site=SGP, options=CalibrationOptions(level_within_deg=40.0))
     _, second = watched(posed, times[begun], pixels[begun], posed_from_few=True)
     assert second is not None

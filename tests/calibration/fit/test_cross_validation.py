@@ -15,7 +15,7 @@ from sunarc.calibration.fit.normal_equations import irls_converged, linear_syste
 from sunarc.calibration.fit.posterior import PosteriorCovariance
 from sunarc.calibration.fit.robust_fit import RobustFit
 from sunarc.calibration.model.residual_field import Field
-from sunarc.calibration.model.sightings import FilteredSightings
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.problem import Bins
 
 FloatArray = NDArray[np.float64]
@@ -26,7 +26,7 @@ SCALES = Scales(0.002, 120.0, 2.0, 0.7)
 
 def _fit(
     n_days: int, *, sigma_px: float = 0.2, stated_px: float = 0.2, seed: int = 1, with_field: bool = False
-) -> tuple[RobustFit, FilteredSightings]:
+) -> tuple[RobustFit, Sightings]:
     """Return a fit of days whose sightings are spread over the sky, with known scales."""
     n = n_days * PER_DAY
     camera = replace(small_camera(), focal_length_px=(220.5, 220.5), skew_px=0.0)  # as the prior expects
@@ -61,7 +61,7 @@ def _fit(
         information=information,
         log_odds={},
     )
-    usable = FilteredSightings(
+    usable = Sightings(
         index=np.arange(n),
         unix_s=np.arange(n, dtype=np.float64),
         pixels=seen.pixels,
@@ -70,7 +70,6 @@ def _fit(
         epoch=np.zeros(n, dtype=np.int64),
         day=np.repeat(np.arange(n_days), PER_DAY),
         refraction_sd=np.zeros((n, 1)),
-        dropped=(),
     )
     return robust, usable
 
@@ -155,7 +154,7 @@ def test_the_field_of_the_other_days_is_part_of_the_prediction() -> None:
     assert with_field.rmse_px / with_field.expected_px == pytest.approx(1.0, abs=0.15)
 
 
-def _apart(usable: FilteredSightings) -> FilteredSightings:
+def _apart(usable: Sightings) -> Sightings:
     """Return sightings ten minutes apart: each has a bin of its own."""
     return replace(usable, unix_s=600.0 * np.arange(len(usable), dtype=np.float64))
 

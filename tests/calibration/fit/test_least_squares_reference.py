@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from tests.fixtures.calibration import observed, small_camera, small_problem, sun_arc
 
 from sunarc.calibration.fit.robust_rounds import at_least_least_squares
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.noise import NoiseGroups
 from sunarc.calibration.robust_loss import UNSEEN_PX, tukey_loss
-from sunarc.calibration.solve.problem import Bins, FitProblem, Observations
+from sunarc.calibration.solve.problem import Bins, FitProblem
 from sunarc.calibration.start.multistart import distance_sigmas, least_squares
 
 FloatArray = NDArray[np.float64]
@@ -21,7 +22,7 @@ FloatArray = NDArray[np.float64]
 SIGMA = 0.1
 
 
-def _each_alone(seen: Observations, *, alone: bool = True) -> NoiseGroups:
+def _each_alone(seen: Sightings, *, alone: bool = True) -> NoiseGroups:
     """Return the course of sightings in bins of their own; `alone`, none has a neighbour that could err alike."""
     n = len(seen)
     bins, same = Bins(member=np.arange(n), count=n), np.zeros(n, dtype=np.int64)
@@ -34,28 +35,28 @@ def problem() -> FitProblem:
 
 
 @pytest.fixture(scope="module")
-def seen() -> Observations:
+def seen() -> Sightings:
     return observed(small_camera(), sun_arc(150), sigma_px=SIGMA)
 
 
 @pytest.fixture(scope="module")
-def plain(problem: FitProblem, seen: Observations) -> FloatArray:
+def plain(problem: FitProblem, seen: Sightings) -> FloatArray:
     return least_squares(problem, seen, problem.unknowns([small_camera()]))
 
 
-def _levels(problem: FitProblem, seen: Observations, at: FloatArray) -> tuple[FloatArray, float]:
+def _levels(problem: FitProblem, seen: Sightings, at: FloatArray) -> tuple[FloatArray, float]:
     distance = distance_sigmas(problem, seen, at)
     costs = np.array([np.sum(tukey_loss(distance, sigma=f * SIGMA)) for f in (0.7, 1.0, 1.4)])
     return costs, float(np.median(distance))
 
 
-def test_a_fit_that_is_as_good_stays(problem: FitProblem, seen: Observations, plain: FloatArray) -> None:
+def test_a_fit_that_is_as_good_stays(problem: FitProblem, seen: Sightings, plain: FloatArray) -> None:
     assert at_least_least_squares(problem, seen, _each_alone(seen), plain, sigma=SIGMA) is plain
 
 
 @pytest.mark.parametrize("off", [0.005, 0.02])
 def test_a_fit_that_is_worse_is_brought_to_the_bound(
-    problem: FitProblem, seen: Observations, plain: FloatArray, off: float
+    problem: FitProblem, seen: Sightings, plain: FloatArray, off: float
 ) -> None:
     start = plain.copy()
     start[18] += off
@@ -74,7 +75,7 @@ def test_a_fit_that_is_worse_is_brought_to_the_bound(
 
 
 def test_what_neighbours_that_err_alike_let_least_squares_gain_is_allowed(
-    problem: FitProblem, plain: FloatArray, seen: Observations
+    problem: FitProblem, plain: FloatArray, seen: Sightings
 ) -> None:
     # The truth costs 9 % more than least squares. Without neighbours 7 % are allowed, with a lag-1 correlation of 0.5
     # nearly three times as much.
@@ -88,10 +89,10 @@ def test_what_neighbours_that_err_alike_let_least_squares_gain_is_allowed(
     assert np.any(at_least_least_squares(problem, alike, _each_alone(alike), plain, sigma=SIGMA) != plain)
 
 
-def test_outliers_do_not_change_what_is_asked(problem: FitProblem, seen: Observations, plain: FloatArray) -> None:
+def test_outliers_do_not_change_what_is_asked(problem: FitProblem, seen: Sightings, plain: FloatArray) -> None:
     pixels = seen.pixels.copy()
     pixels[::10] += 5.0
-    wrong = Observations(directions=seen.directions, pixels=pixels, information=seen.information, epoch=seen.epoch)
+    wrong = Sightings(directions=seen.directions, pixels=pixels, information=seen.information, epoch=seen.epoch)
     found = at_least_least_squares(problem, wrong, _each_alone(wrong), plain, sigma=SIGMA)
     np.testing.assert_array_equal(found, plain)
 
@@ -109,9 +110,7 @@ def test_least_squares_of_the_bins_means_is_that_of_all(problem: FitProblem) -> 
     assert ratio - 1.0 < 2e-4  # decision 0023 allows 0.012
 
 
-def test_a_sighting_where_the_lens_sees_nothing_takes_no_part_in_its_bin(
-    problem: FitProblem, seen: Observations
-) -> None:
+def test_a_sighting_where_the_lens_sees_nothing_takes_no_part_in_its_bin(problem: FitProblem, seen: Sightings) -> None:
     at = problem.unknowns([small_camera()])
     narrow = replace(problem, template=replace(problem.template, max_angle=math.radians(60.0)))
     unseen = np.any(narrow.residuals(at, seen) == UNSEEN_PX, axis=-1)

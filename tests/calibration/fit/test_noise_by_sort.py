@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.noise import Noise, NoiseGroups, measured_noise
-from sunarc.calibration.solve.problem import Bins, Observations
+from sunarc.calibration.solve.problem import Bins
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -20,7 +21,7 @@ DRAWN = np.random.default_rng(3).standard_normal((ZENITH.size, 2))
 def _noise_of(residuals: FloatArray, *, group: int | IntArray, leverage: FloatArray | None = None) -> Noise:
     n = ZENITH.size
     directions = np.stack([np.sin(ZENITH), np.zeros(n), np.cos(ZENITH)], axis=-1)
-    observed = Observations(
+    observed = Sightings(
         directions=directions, pixels=np.zeros((n, 2)), information=np.ones(n), epoch=np.zeros(n, dtype=np.int64)
     )
     groups = NoiseGroups(

@@ -20,8 +20,9 @@ from sunarc.calibration.fit.normal_equations import (
     system_about,
 )
 from sunarc.calibration.model.residual_field import WaveBasis, wave_basis
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.priors import LENS, precisions
-from sunarc.calibration.solve.problem import Bins, FitProblem, Observations
+from sunarc.calibration.solve.problem import Bins, FitProblem
 
 FloatArray = NDArray[np.float64]
 
@@ -40,7 +41,7 @@ def problem() -> FitProblem:
 
 
 @pytest.fixture(scope="module")
-def seen() -> Observations:
+def seen() -> Sightings:
     return observed(small_camera(), sun_arc(60), sigma_px=0.2)
 
 
@@ -52,12 +53,12 @@ def at(problem: FitProblem) -> FloatArray:
 
 
 @pytest.fixture
-def system(problem: FitProblem, seen: Observations, at: FloatArray, basis: WaveBasis) -> LinearSystem:
+def system(problem: FitProblem, seen: Sightings, at: FloatArray, basis: WaveBasis) -> LinearSystem:
     return linear_system(problem, seen, BINS, at, information=np.full(60, 25.0), basis=basis)
 
 
 def test_a_bin_has_the_mean_residual_of_its_sightings(
-    system: LinearSystem, problem: FitProblem, seen: Observations, at: FloatArray
+    system: LinearSystem, problem: FitProblem, seen: Sightings, at: FloatArray
 ) -> None:
     expected = problem.residuals(at, seen).reshape(15, 4, 2).mean(axis=1)
     np.testing.assert_allclose(system.residual, expected, atol=1e-12)
@@ -179,7 +180,7 @@ def test_a_start_far_off_is_brought_back(system: LinearSystem, problem: FitProbl
         assert costs[0] == pytest.approx(costs[1], abs=0.05)
 
 
-def test_unknown_air_is_among_the_equations(problem: FitProblem, seen: Observations, basis: WaveBasis) -> None:
+def test_unknown_air_is_among_the_equations(problem: FitProblem, seen: Sightings, basis: WaveBasis) -> None:
     with_air = replace(problem, n_air=1)
     sd = np.full((60, 1), 1e-3)
     unknowns = with_air.unknowns([small_camera()])

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from tests.fixtures.calibration import ideal_camera, observed, small_camera, small_problem, spread_directions, sun_arc
 
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.robust_loss import robust_sigma
-from sunarc.calibration.solve.problem import Observations
 from sunarc.calibration.start.initial_guess import candidate_misfit, field_angle, first_cameras, single_problem
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
@@ -23,24 +23,24 @@ OPTIONS = CalibrationOptions()
 CIRCLE = ImageCircle(x=315.0, y=243.0, radius=220.5 * math.sqrt(2.0))
 
 
-def _misses(camera: Camera, seen: Observations) -> float:
+def _misses(camera: Camera, seen: Sightings) -> float:
     return float(np.median(np.linalg.norm(project(camera, seen.directions) - seen.pixels, axis=-1)))
 
 
 @pytest.fixture(scope="module")
-def seen() -> Observations:
+def seen() -> Sightings:
     return observed(small_camera(), sun_arc(90), sigma_px=0.1)
 
 
 @pytest.mark.parametrize("circle", [CIRCLE, None], ids=["circle", "search"])
-def test_the_camera_is_found_from_an_arc(seen: Observations, circle: ImageCircle | None) -> None:
+def test_the_camera_is_found_from_an_arc(seen: Sightings, circle: ImageCircle | None) -> None:
     cameras, cost = first_cameras(seen, image_size=(640, 480), options=OPTIONS, circle=circle, start=None)
     assert len(cameras) == 1
     assert math.isfinite(cost)
     assert _misses(cameras[0], seen) < 0.6
 
 
-def test_a_start_is_taken_in_place_of_a_search(seen: Observations) -> None:
+def test_a_start_is_taken_in_place_of_a_search(seen: Sightings) -> None:
     start = replace(small_camera(), rotation_cam_enu=(0.0, 0.0, 0.0))
     cameras, _ = first_cameras(seen, image_size=(640, 480), options=OPTIONS, circle=None, start=start)
     assert _misses(cameras[0], seen) < 0.3
@@ -51,7 +51,7 @@ def test_every_epoch_has_its_pose_with_the_lens_of_the_longest() -> None:
     x, y, z = camera.rotation_cam_enu
     other = replace(camera, rotation_cam_enu=(x + 0.1, y, z - 0.2))
     first, second = observed(camera, sun_arc(40), epoch=0), observed(other, sun_arc(60, declination_deg=-5.0), epoch=1)
-    both = Observations(
+    both = Sightings(
         directions=np.concatenate([first.directions, second.directions]),
         pixels=np.concatenate([first.pixels, second.pixels]),
         information=np.ones(100),
@@ -93,7 +93,7 @@ def test_a_perspective_lens_is_looked_at_a_little_beyond_its_sightings() -> None
     assert field_angle(camera, wide, OPTIONS) == pytest.approx(math.radians(80.0))
 
 
-def test_the_problem_s_prior_is_about_the_camera(seen: Observations) -> None:
+def test_the_problem_s_prior_is_about_the_camera(seen: Sightings) -> None:
     problem = single_problem(seen, small_camera(), OPTIONS, CIRCLE, n_epochs=2)
     assert problem.n_epochs == 2
     np.testing.assert_allclose(problem.prior.mean[[0, 1, 3, 4]], [220.5, 220.5, 315.0, 243.0])

@@ -10,10 +10,11 @@ import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibration import loose_precision, observed, small_camera, small_problem, sun_arc
 
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.robust_loss import UNSEEN_PX, robust_sigma, tukey_loss
 from sunarc.calibration.solve.levenberg_marquardt import most_probable
 from sunarc.calibration.solve.priors import DECENTERING, HIGHER, LENS, RADIAL, Whitened
-from sunarc.calibration.solve.problem import FitProblem, Observations
+from sunarc.calibration.solve.problem import FitProblem
 from sunarc.calibration.start import multistart
 from sunarc.calibration.start.multistart import (
     best_of_starts,
@@ -47,7 +48,7 @@ def truth(problem: FitProblem) -> FloatArray:
 
 
 @pytest.fixture(scope="module")
-def seen(problem: FitProblem, truth: FloatArray) -> Observations:
+def seen(problem: FitProblem, truth: FloatArray) -> Sightings:
     return observed(problem.camera(truth), sun_arc(120), sigma_px=0.05)
 
 
@@ -57,7 +58,7 @@ def test_the_indices_of_the_decentering_are_those_of_the_lens() -> None:
 
 
 def test_a_sighting_beyond_the_angle_that_the_camera_answers_is_missed(
-    problem: FitProblem, truth: FloatArray, seen: Observations
+    problem: FitProblem, truth: FloatArray, seen: Sightings
 ) -> None:
     axis = rotation_matrix(truth[problem.pose_slice(0)])[2]
     limit = float(np.median(np.arccos(seen.directions @ axis)))
@@ -68,7 +69,7 @@ def test_a_sighting_beyond_the_angle_that_the_camera_answers_is_missed(
     np.testing.assert_allclose(distance[~beyond], distance_sigmas(problem, seen, truth)[~beyond])
 
 
-def test_distances_are_in_relative_sigmas(problem: FitProblem, truth: FloatArray, seen: Observations) -> None:
+def test_distances_are_in_relative_sigmas(problem: FitProblem, truth: FloatArray, seen: Sightings) -> None:
     heavier = seen.weighted(np.full(120, 4.0))
     expected = 2.0 * np.linalg.norm(problem.residuals(truth, seen), axis=-1)
     np.testing.assert_allclose(distance_sigmas(problem, heavier, truth), expected)
@@ -89,7 +90,7 @@ def test_loosened_precisions_hold_skew_and_aspect_alone(problem: FitProblem) -> 
     np.testing.assert_allclose(found[17:], 1e-9)
 
 
-def test_least_squares_goes_below_the_noise(problem: FitProblem, truth: FloatArray, seen: Observations) -> None:
+def test_least_squares_goes_below_the_noise(problem: FitProblem, truth: FloatArray, seen: Sightings) -> None:
     begin = truth.copy()
     begin[17:20] += 0.01
     found = least_squares(problem, seen, begin)
@@ -98,7 +99,7 @@ def test_least_squares_goes_below_the_noise(problem: FitProblem, truth: FloatArr
 
 
 def test_the_lowest_is_by_one_scale_for_all(
-    problem: FitProblem, precision: FloatArray, truth: FloatArray, seen: Observations
+    problem: FitProblem, precision: FloatArray, truth: FloatArray, seen: Sightings
 ) -> None:
     """A camera that misses everything alike has a scale of its own at which it would look good."""
     shifted = truth.copy()
@@ -107,7 +108,7 @@ def test_the_lowest_is_by_one_scale_for_all(
     assert lowest(problem, seen, [truth, shifted], precision=precision) is truth
 
 
-def test_the_lowest_counts_the_prior_too(problem: FitProblem, truth: FloatArray, seen: Observations) -> None:
+def test_the_lowest_counts_the_prior_too(problem: FitProblem, truth: FloatArray, seen: Sightings) -> None:
     other = truth + 0.0
     other[17] += 1e-7
     held = np.zeros(problem.size)
@@ -123,7 +124,7 @@ def test_the_lowest_counts_the_prior_too(problem: FitProblem, truth: FloatArray,
 
 
 def test_a_start_comes_to_rest_at_the_minimum(
-    problem: FitProblem, precision: FloatArray, truth: FloatArray, seen: Observations
+    problem: FitProblem, precision: FloatArray, truth: FloatArray, seen: Sightings
 ) -> None:
     begin = truth.copy()
     begin[17:20] += [0.01, 0.0, -0.01]
@@ -137,7 +138,7 @@ def test_a_start_comes_to_rest_at_the_minimum(
 
 
 def test_least_squares_in_stages_frees_the_radial_then_the_decentering_distortion(
-    problem: FitProblem, truth: FloatArray, seen: Observations, monkeypatch: pytest.MonkeyPatch
+    problem: FitProblem, truth: FloatArray, seen: Sightings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fixed: list[tuple[bool, bool]] = []
     solve = most_probable
@@ -154,7 +155,7 @@ def test_least_squares_in_stages_frees_the_radial_then_the_decentering_distortio
 
 
 def test_the_best_of_the_starts_is_the_truth_s_among_outliers(
-    problem: FitProblem, precision: FloatArray, truth: FloatArray, seen: Observations
+    problem: FitProblem, precision: FloatArray, truth: FloatArray, seen: Sightings
 ) -> None:
     pixels = seen.pixels.copy()
     pixels[80:110] += [4.0, -3.0]  # an episode, alike for a quarter of the arc
@@ -165,7 +166,7 @@ def test_the_best_of_the_starts_is_the_truth_s_among_outliers(
     assert np.median(off) < 0.1
 
 
-def test_the_sign_of_the_decentering_is_found(problem: FitProblem, precision: FloatArray, seen: Observations) -> None:
+def test_the_sign_of_the_decentering_is_found(problem: FitProblem, precision: FloatArray, seen: Sightings) -> None:
     """From the opposite decentering the fit does not stay in the valley that it begins in."""
     truth = problem.unknowns([replace(small_camera(), focal_length_px=(220.5, 220.5), skew_px=0.0)])
     begin = truth.copy()
@@ -179,7 +180,7 @@ def test_the_sign_of_the_decentering_is_found(problem: FitProblem, precision: Fl
 
 
 def test_starts_that_image_every_sighting_alike_are_one(
-    problem: FitProblem, truth: FloatArray, seen: Observations
+    problem: FitProblem, truth: FloatArray, seen: Sightings
 ) -> None:
     slightly, far = truth.copy(), truth.copy()
     slightly[Whitened.CENTER_X] += 1e-5

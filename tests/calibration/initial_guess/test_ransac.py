@@ -9,8 +9,9 @@ import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibration import loose_precision, observed, small_camera, small_problem, sun_arc
 
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.robust_loss import WELL_BEHAVED, robust_scale, robust_sigma
-from sunarc.calibration.solve.problem import FitProblem, Observations
+from sunarc.calibration.solve.problem import FitProblem
 from sunarc.calibration.start import multistart as module
 from sunarc.calibration.start.multistart import ransac_start, trial_steps
 
@@ -32,7 +33,7 @@ def truth(problem: FitProblem) -> FloatArray:
     return problem.unknowns([small_camera()])
 
 
-def _seen(problem: FitProblem, truth: FloatArray, *, false: float) -> Observations:
+def _seen(problem: FitProblem, truth: FloatArray, *, false: float) -> Sightings:
     seen = observed(problem.camera(truth), sun_arc(200), sigma_px=0.05)
     rng = np.random.default_rng(2)
     wrong = rng.random(200) < false

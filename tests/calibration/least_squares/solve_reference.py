@@ -8,6 +8,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from sunarc.array_types import BoolArray, FloatArray
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.robust_loss import tukey_loss
 from sunarc.calibration.solve.levenberg_marquardt import (
     DAMPING_FALLS,
@@ -19,12 +20,12 @@ from sunarc.calibration.solve.levenberg_marquardt import (
     Solution,
     information,
 )
-from sunarc.calibration.solve.problem import FitProblem, Observations
+from sunarc.calibration.solve.problem import FitProblem
 
 
 def most_probable_reference(
     problem: FitProblem,
-    observed: Observations,
+    observed: Sightings,
     start: FloatArray,
     *,
     precision: FloatArray,
@@ -85,7 +86,7 @@ def damped_step(normal: FloatArray, gradient: FloatArray, damping: float) -> Flo
 
 
 def _cost(
-    residual: FloatArray, observed: Observations, unknowns: FloatArray, precision: FloatArray, sigma: float | None
+    residual: FloatArray, observed: Sightings, unknowns: FloatArray, precision: FloatArray, sigma: float | None
 ) -> float:
     prior = 0.5 * float(np.sum(precision * unknowns**2))
     square = np.sum(residual**2, axis=-1) * observed.information

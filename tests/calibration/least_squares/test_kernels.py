@@ -19,6 +19,7 @@ from tests.fixtures.calibration import (
     spread_directions,
 )
 
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.robust_loss import UNSEEN_PX
 from sunarc.calibration.solve.levenberg_marquardt import (
     Goal,
@@ -28,7 +29,7 @@ from sunarc.calibration.solve.levenberg_marquardt import (
     equations,
     most_probable,
 )
-from sunarc.calibration.solve.problem import FitProblem, Observations
+from sunarc.calibration.solve.problem import FitProblem
 from sunarc.optics.projections import PROJECTIONS, Projection
 
 FloatArray = NDArray[np.float64]
@@ -36,7 +37,7 @@ FloatArray = NDArray[np.float64]
 
 def _case(
     projection: Projection = "equidistant", *, mirrored: bool = False, epochs: int = 1
-) -> tuple[FitProblem, Observations, FloatArray]:
+) -> tuple[FitProblem, Sightings, FloatArray]:
     """Return a problem of so many poses, sightings with a gross error, and unknowns off the answer."""
     camera = small_camera(projection, mirrored=mirrored)
     problem = small_problem(camera, n_epochs=epochs)
@@ -48,7 +49,7 @@ def _case(
     ]
     pixels = np.concatenate([one.pixels for one in seen])
     pixels[3] += 40.0
-    together = Observations(
+    together = Sightings(
         directions=np.concatenate([one.directions for one in seen]),
         pixels=pixels,
         information=np.linspace(0.5, 2.0, pixels.shape[0]),

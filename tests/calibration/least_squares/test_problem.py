@@ -20,7 +20,7 @@ from tests.fixtures.calibration import (
 
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.solve.priors import N_LENS
-from sunarc.calibration.solve.problem import Observations, by_elevation, observations, problem_for
+from sunarc.calibration.solve.problem import by_elevation, observations, problem_for
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project, project_with_rows_fast
 from sunarc.optics.projections import Projection, angle_limit
@@ -65,7 +65,7 @@ def test_residuals_are_observed_minus_predicted() -> None:
 def test_a_direction_that_the_camera_cannot_see_is_ten_thousand_pixels_off() -> None:
     camera = small_camera("orthographic")
     down = np.array([[0.1, 0.2, -math.sqrt(0.95)]])
-    seen = Observations(
+    seen = Sightings(
         directions=down, pixels=np.zeros((1, 2)), information=np.ones(1), epoch=np.zeros(1, dtype=np.int64)
     )
     problem = small_problem(camera)
@@ -153,7 +153,7 @@ def test_directions_beyond_the_angle_that_the_camera_answers_are_told_apart_in_e
     elevation = np.radians([80.0, 2.0, -4.0, -6.0, 25.0, -31.0])
     south = np.stack([np.zeros(6), -np.cos(elevation), np.sin(elevation)], axis=-1)
     for epoch, lean in enumerate((0.0, 30.0)):
-        seen = Observations(
+        seen = Sightings(
             directions=south, pixels=np.zeros((6, 2)), information=np.ones(6), epoch=np.full(6, epoch, dtype=np.int64)
         )
         off_axis = 90.0 - np.degrees(elevation) + lean
@@ -170,7 +170,7 @@ def test_observations_hold_the_inverse_square_of_the_relative_sigma() -> None:
     times = 1_368_468_000.0 + 600.0 * np.arange(30.0)
     pixels = np.stack([100.0 + 5.0 * np.arange(30.0), 200.0 + 3.0 * np.arange(30.0)], axis=-1)
     sigma = np.where(np.arange(30) % 2, 0.2, 0.1)
-    usable = filter_sightings(Sightings(unix_s=times, pixels=pixels, sigma_px=sigma), site=SGP)
+    usable = filter_sightings(Sightings.of(unix_s=times, pixels=pixels, sigma_px=sigma), site=SGP)
     seen = observations(usable)
     ratio = seen.information[usable.index % 2 == 0][0] / seen.information[usable.index % 2 == 1][0]
     assert ratio == pytest.approx(4.0)

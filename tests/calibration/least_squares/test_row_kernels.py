@@ -9,9 +9,10 @@ import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibration import observed, small_camera, small_problem, spread_directions
 
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.robust_loss import UNSEEN_PX
 from sunarc.calibration.solve.priors import LENS, N_LENS
-from sunarc.calibration.solve.problem import FitProblem, Observations, by_elevation
+from sunarc.calibration.solve.problem import FitProblem, by_elevation
 from sunarc.optics.camera import PARAMETER_NAMES, POSE
 from sunarc.optics.forward import project_with_rows_fast
 from sunarc.optics.projections import PROJECTIONS, Projection
@@ -22,7 +23,7 @@ FloatArray = NDArray[np.float64]
 EPOCHS, CAUSES = 2, 2
 
 
-def _case(projection: Projection, *, mirrored: bool) -> tuple[FitProblem, Observations, FloatArray]:
+def _case(projection: Projection, *, mirrored: bool) -> tuple[FitProblem, Sightings, FloatArray]:
     """Return a problem of two poses in unknown air, sightings of both by turns, and unknowns off the answer."""
     camera = small_camera(projection, mirrored=mirrored)
     problem = replace(small_problem(camera, n_epochs=EPOCHS), n_air=CAUSES)
@@ -34,7 +35,7 @@ def _case(projection: Projection, *, mirrored: bool) -> tuple[FitProblem, Observ
     return problem, seen, unknowns + 0.03 * np.sin(np.arange(unknowns.size))
 
 
-def _reference(problem: FitProblem, seen: Observations, unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _reference(problem: FitProblem, seen: Sightings, unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return residuals (n, 2) and rows (n, 2, size) as numpy makes them."""
     departure = np.sum(seen.refraction_sd * unknowns[-CAUSES:], axis=-1)
     directions = raised(seen.directions, departure)

@@ -18,9 +18,10 @@ from tests.fixtures.calibration import (
     spread_directions,
 )
 
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.robust_loss import tukey_loss, tukey_weights
 from sunarc.calibration.solve.levenberg_marquardt import information, most_probable
-from sunarc.calibration.solve.problem import FitProblem, Observations
+from sunarc.calibration.solve.problem import FitProblem
 
 FloatArray = NDArray[np.float64]
 
@@ -66,7 +67,7 @@ def test_information_with_a_loss_is_the_weight_over_the_variance() -> None:
     assert found[2] == 0.0
 
 
-def _case() -> tuple[FitProblem, Observations, FloatArray, FloatArray]:
+def _case() -> tuple[FitProblem, Sightings, FloatArray, FloatArray]:
     camera = small_camera()
     problem = small_problem(camera)
     seen = observed(camera, spread_directions(60), sigma_px=0.2)
@@ -88,7 +89,7 @@ def test_plain_squares_with_priors_are_those_of_scipy() -> None:
 
 
 def _robust_cost(
-    problem: FitProblem, seen: Observations, precision: FloatArray, sigma: float, unknowns: FloatArray
+    problem: FitProblem, seen: Sightings, precision: FloatArray, sigma: float, unknowns: FloatArray
 ) -> float:
     residual = problem.residuals(unknowns, seen)
     loss = tukey_loss(np.linalg.norm(residual, axis=-1), sigma=sigma)

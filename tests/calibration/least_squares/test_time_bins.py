@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.calibration.model.sightings import FilteredSightings
-from sunarc.calibration.solve.problem import Bins, Observations, time_bins
+from sunarc.calibration.model.sightings import Sightings
+from sunarc.calibration.solve.problem import Bins, time_bins
 
 FloatArray = NDArray[np.float64]
 
 
-def _usable(unix_s: FloatArray, *, day: object = 0, epoch: object = 0) -> FilteredSightings:
+def _usable(unix_s: FloatArray, *, day: object = 0, epoch: object = 0) -> Sightings:
     n = unix_s.size
-    return FilteredSightings(
+    return Sightings(
         index=np.arange(n),
         unix_s=unix_s,
         pixels=np.zeros((n, 2)),
@@ -23,7 +23,6 @@ def _usable(unix_s: FloatArray, *, day: object = 0, epoch: object = 0) -> Filter
         epoch=np.broadcast_to(np.asarray(epoch, dtype=np.int64), (n,)),
         day=np.broadcast_to(np.asarray(day, dtype=np.int64), (n,)),
         refraction_sd=np.zeros((n, 1)),
-        dropped=(),
     )
 
 
@@ -68,9 +67,9 @@ def test_the_slots_of_a_day_begin_with_its_first_sighting() -> None:
 
 
 @pytest.fixture
-def seen() -> Observations:
+def seen() -> Sightings:
     directions = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [0.0, 1.0, 0.0]])
-    return Observations(
+    return Sightings(
         directions=directions,
         pixels=np.array([[0.0, 0.0], [4.0, 8.0], [7.0, 7.0]]),
         information=np.ones(3),
@@ -82,7 +81,7 @@ def seen() -> Observations:
 BINS = Bins(member=np.array([0, 0, 1]), count=2)
 
 
-def test_means_are_weighted_by_information(seen: Observations) -> None:
+def test_means_are_weighted_by_information(seen: Sightings) -> None:
     residual = np.array([[1.0, 0.0], [5.0, -4.0], [2.0, 3.0]])
     gathered, mean = BINS.gathered(seen, residual, np.array([0.3, 0.1, 0.2]))
     np.testing.assert_allclose(mean, [[2.0, -1.0], [2.0, 3.0]])
@@ -94,7 +93,7 @@ def test_means_are_weighted_by_information(seen: Observations) -> None:
     assert gathered.epoch.tolist() == [0, 1]
 
 
-def test_a_bin_without_information_keeps_its_first_sighting_and_says_nothing(seen: Observations) -> None:
+def test_a_bin_without_information_keeps_its_first_sighting_and_says_nothing(seen: Sightings) -> None:
     gathered, mean = BINS.gathered(seen, np.ones((3, 2)), np.array([0.0, 0.0, 2.0]))
     assert gathered.information.tolist() == [0.0, 2.0]
     np.testing.assert_allclose(gathered.directions[0], seen.directions[0])
@@ -110,7 +109,7 @@ def test_the_mean_of_a_bin_has_the_variance_of_its_information() -> None:
     means = []
     for _ in range(2000):
         noise = rng.standard_normal((4, 2)) / np.sqrt(information)[:, None]
-        data = Observations(
+        data = Sightings(
             directions=directions, pixels=noise, information=information, epoch=np.zeros(4, dtype=np.int64)
         )
         gathered, mean = bins.gathered(data, noise, information)

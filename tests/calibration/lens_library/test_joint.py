@@ -144,7 +144,7 @@ def test_a_camera_of_another_lens_is_refused_and_says_nothing_of_the_type(
 
 
 def test_nothing_usable_gives_refusals_and_no_type() -> None:
-    empty = Sightings(unix_s=np.zeros(0), pixels=np.zeros((0, 2)))
+    empty = Sightings.of(unix_s=np.zeros(0), pixels=np.zeros((0, 2)))
     joint = calibrate_jointly([entry("a", empty)])
     assert joint.lens is None
     assert joint.calibrations[0].verdict.findings[0].code == "too_few_sightings"
@@ -160,7 +160,7 @@ def test_nothing_usable_gives_refusals_and_no_type() -> None:
     ],
 )
 def test_what_cannot_share_a_lens_is_named(change: dict[str, Any], field: str) -> None:
-    empty = Sightings(unix_s=np.zeros(0), pixels=np.zeros((0, 2)))
+    empty = Sightings.of(unix_s=np.zeros(0), pixels=np.zeros((0, 2)))
     with pytest.raises(InputError) as refused:
         calibrate_jointly([entry("a", empty), entry(change.pop("name", "b"), empty, **change)])
     assert refused.value.field == field

@@ -108,7 +108,7 @@ def test_the_map_says_what_single_pixels_say(calibrated: Calibration) -> None:
 
 
 def test_a_clock_error_turns_the_sky_by_what_the_earth_turns(clear_day: Simulated, calibrated: Calibration) -> None:
-    points = Sightings(unix_s=clear_day.points.unix_s, pixels=clear_day.points.pixels, clock_error_s=np.array(60.0))
+    points = Sightings.of(unix_s=clear_day.points.unix_s, pixels=clear_day.points.pixels, clock_error_s=np.array(60.0))
     doubted = calibrate(points, site=clear_day.site, image_size=SIZE)
     toward_equator = np.array([0.0, -math.sin(math.radians(36.6)), math.cos(math.radians(36.6))])
     added = sigma_deg(doubted, toward_equator[None]) ** 2 - sigma_deg(calibrated, toward_equator[None]) ** 2

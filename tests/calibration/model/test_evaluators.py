@@ -79,10 +79,10 @@ def own_documents() -> Own:
     noise = np.random.default_rng(3).normal(0.0, 0.05, (times.size, 2))
     pixels = project(truth, sun) + noise
     bent = pixels + 3.0 * np.sin(pixels[:, ::-1] / 60.0)
-    day, beside = (Sightings(unix_s=times, pixels=one) for one in (pixels, bent))
+    day, beside = (Sightings.of(unix_s=times, pixels=one) for one in (pixels, bent))
     size = (truth.width, truth.height)
     seen = np.all(np.isfinite(project(truth, SKY)), axis=-1) & (SKY[:, 2] > 0.2)
-    stars = Sightings(
+    stars = Sightings.of(
         unix_s=times[-1] + 36_000.0 + 60.0 * np.arange(seen.sum(), dtype=np.float64),
         pixels=project(truth, SKY[seen]) + np.random.default_rng(4).normal(0.0, 0.05, (seen.sum(), 2)),
         sigma_px=np.full(seen.sum(), 0.05),

@@ -22,7 +22,7 @@ NOON = 1_368_403_200.0 + 43_200.0 + 97.484856 * 240.0
 
 def _points(times: FloatArray, **columns: object) -> Sightings:
     pixels = np.stack([300.0 + 0.01 * (times - NOON), 200.0 + 0.005 * (times - NOON)], axis=-1)
-    return Sightings(unix_s=times, pixels=pixels, **columns)  # type: ignore[arg-type]
+    return Sightings.of(unix_s=times, pixels=pixels, **columns)  # type: ignore[arg-type]
 
 
 def _around_noon(count: int = 20, *, step_s: float = 600.0) -> FloatArray:
@@ -50,7 +50,7 @@ def test_the_columns_are_copies() -> None:
 
 
 def test_no_sightings_are_sightings() -> None:
-    points = Sightings(unix_s=np.zeros(0), pixels=np.zeros(0))
+    points = Sightings.of(unix_s=np.zeros(0), pixels=np.zeros(0))
     assert len(points) == 0
     assert points.pixels.shape == (0, 2)
     assert len(filter_sightings(points, site=SGP)) == 0
@@ -98,9 +98,9 @@ def test_what_is_not_finite_doubled_or_below_the_horizon_is_left_out_and_counted
     points = _points(times)
     pixels = points.pixels.copy()
     pixels[0, 1] = np.nan
-    usable = filter_sightings(Sightings(unix_s=times, pixels=np.nan_to_num(pixels, nan=np.nan)), site=SGP)
+    usable = filter_sightings(Sightings.of(unix_s=times, pixels=np.nan_to_num(pixels, nan=np.nan)), site=SGP)
     assert usable.index.tolist() == list(range(1, 10))
-    assert len(usable.dropped) == 3  # not finite, below the horizon, of a time already there
+    assert len(usable.filtering.dropped) == 3  # not finite, below the horizon, of a time already there
 
 
 def test_one_time_may_stand_in_two_epochs() -> None:

@@ -45,8 +45,8 @@ def test_an_overlay_among_true_sightings_is_left_out_and_named(
     still = np.any(points.pixels != seen.points.pixels, axis=-1)
     usable = filter_sightings(points, site=seen.site)
     assert np.array_equal(np.sort(usable.index), np.flatnonzero(~still))
-    assert len(usable.static) == len(places)
-    assert sum(position.n for position in usable.static) == still.sum()
+    assert len(usable.filtering.static) == len(places)
+    assert sum(position.n for position in usable.filtering.static) == still.sum()
     found = calibrate(points, site=seen.site, image_size=SIZE)
     assert found.verdict.accepted, found.verdict.reasons
     assert found.used is not None
@@ -74,9 +74,9 @@ def test_whole_pixels_at_a_high_cadence_are_the_sun(simulator: Simulator, latitu
     times = times[sun_angles(times, site).apparent_zenith < 89.6]
     camera = replace(simulator().camera, focal_length_px=(focal_px, focal_px), radial=(0.0,) * 8)
     pixels = np.rint(project(camera, sun_directions(times, site)))
-    usable = filter_sightings(Sightings(unix_s=times, pixels=pixels), site=site)
+    usable = filter_sightings(Sightings.of(unix_s=times, pixels=pixels), site=site)
     assert len(usable) == times.size
-    assert usable.static == ()
+    assert usable.filtering.static == ()
 
 
 def test_gross_errors_at_one_place_do_not_make_the_sun_stand_still(simulator: Simulator) -> None:
@@ -84,4 +84,4 @@ def test_gross_errors_at_one_place_do_not_make_the_sun_stand_still(simulator: Si
     pixels = np.rint(seen.points.pixels)
     pixels[::2000] = pixels[1500]
     usable = filter_sightings(replace(seen.points, pixels=pixels), site=seen.site)
-    assert usable.static == ()
+    assert usable.filtering.static == ()

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from tests.fixtures.calibration import ideal_camera, observed, small_camera, spread_directions
 
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.paper import direct_linear_pose, left_null_spaces
-from sunarc.calibration.solve.problem import Observations
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix
 
 
-def _of(camera: Camera, *, count: int = 40) -> Observations:
+def _of(camera: Camera, *, count: int = 40) -> Sightings:
     return observed(camera, spread_directions(count, widest_deg=70.0))
 
 

@@ -13,8 +13,8 @@ from tests.fixtures.calibration import penalties
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, PaperOptions
 from sunarc.calibration.model.result import Calibration, measures
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.paper import direct_linear_pose
-from sunarc.calibration.solve.problem import Observations
 from sunarc.calibration.start.initial_guess import wahba
 from sunarc.optics.forward import project
 from sunarc.optics.pose import pose_angles
@@ -71,12 +71,12 @@ def test_c1_c2_and_c3_feel_what_they_should(clear_day: Simulated) -> None:
     assert np.max(np.abs(penalties(bent, included, largest_angle=edge))) > 100.0
 
 
-def _all_over_the_sky(clear_day: Simulated) -> Observations:
+def _all_over_the_sky(clear_day: Simulated) -> Sightings:
     rng = np.random.default_rng(0)
     directions = rng.standard_normal((200, 3))
     directions[:, 2] = np.abs(directions[:, 2]) + 0.2
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
-    return Observations(
+    return Sightings(
         directions=directions,
         pixels=project(clear_day.camera, directions),
         information=np.ones(200),

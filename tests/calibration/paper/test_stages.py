@@ -19,9 +19,8 @@ from tests.fixtures.calibration import (
 
 from sunarc.calibration.fit.assemble import FitOutcome
 from sunarc.calibration.model.options import CalibrationOptions, PaperOptions
-from sunarc.calibration.model.sightings import FilteredSightings
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.paper import fit_as_paper, normal_inverse, start_camera
-from sunarc.calibration.solve.problem import Observations
 from sunarc.optics.camera import PARAMETER_NAMES
 from sunarc.optics.forward import project
 
@@ -30,9 +29,9 @@ FloatArray = NDArray[np.float64]
 OPTIONS = CalibrationOptions(method="paper")
 
 
-def _usable(seen: Observations) -> FilteredSightings:
+def _usable(seen: Sightings) -> Sightings:
     n = len(seen)
-    return FilteredSightings(
+    return Sightings(
         index=np.arange(n),
         unix_s=np.arange(n, dtype=np.float64),
         pixels=seen.pixels,
@@ -41,23 +40,22 @@ def _usable(seen: Observations) -> FilteredSightings:
         epoch=seen.epoch,
         day=np.zeros(n, dtype=np.int64),
         refraction_sd=np.zeros((n, 1)),
-        dropped=(),
     )
 
 
 @pytest.fixture(scope="module")
-def seen() -> Observations:
+def seen() -> Sightings:
     round_lens = replace(small_camera(), focal_length_px=(220.0, 220.0), skew_px=0.0)
     return observed(round_lens, spread_directions(80, widest_deg=85.0), sigma_px=0.1)
 
 
 @pytest.fixture(scope="module")
-def fitted(seen: Observations) -> FitOutcome:
+def fitted(seen: Sightings) -> FitOutcome:
     start = replace(small_camera(), focal_length_px=(215.0, 215.0), radial=(0.0,) * 8, decentering=(0.0,) * 4)
     return fit_as_paper(seen, _usable(seen), [start], options=OPTIONS)
 
 
-def test_the_residuals_are_those_of_the_camera(fitted: FitOutcome, seen: Observations) -> None:
+def test_the_residuals_are_those_of_the_camera(fitted: FitOutcome, seen: Sightings) -> None:
     expected = seen.pixels - project(fitted.cameras[0], seen.directions)
     np.testing.assert_allclose(fitted.residual, expected, atol=1e-6)
     assert np.all(fitted.used)
@@ -72,7 +70,7 @@ def test_the_noise_is_found_with_the_degrees_of_freedom(fitted: FitOutcome) -> N
     assert fitted.sigma_px == pytest.approx(expected)
 
 
-def test_the_cost_is_stationary(fitted: FitOutcome, seen: Observations) -> None:
+def test_the_cost_is_stationary(fitted: FitOutcome, seen: Sightings) -> None:
     camera = fitted.cameras[0]
     moving = [PARAMETER_NAMES.index(name) for name in fitted.parameter_names]
 
@@ -97,7 +95,7 @@ def test_without_a_translation_it_has_none_and_with_one_it_is_among_the_names(fi
     assert fitted.cameras[0].translation == (0.0, 0.0, 0.0)
 
 
-def test_only_the_latest_pose_counts(seen: Observations) -> None:
+def test_only_the_latest_pose_counts(seen: Sightings) -> None:
     epoch = (np.arange(80) >= 20).astype(np.int64)
     parted = replace(seen, epoch=epoch)
     start = replace(small_camera(), focal_length_px=(215.0, 215.0))
@@ -120,7 +118,7 @@ def test_the_inverse_is_that_of_the_normal_matrix() -> None:
 
 @pytest.mark.parametrize(("pose_start", "fit_translation"), [("wahba", False), ("dlt", False), ("dlt", True)])
 def test_the_first_camera_has_no_distortion_and_the_chosen_pose(
-    seen: Observations, pose_start: str, *, fit_translation: bool
+    seen: Sightings, pose_start: str, *, fit_translation: bool
 ) -> None:
     paper = PaperOptions(pose_start=pose_start, fit_translation=fit_translation)  # type: ignore[arg-type]
     start = start_camera(small_camera(), seen, replace(OPTIONS, paper=paper))

@@ -100,7 +100,7 @@ def test_a_third_of_the_sightings_may_be_false(camera: Camera, simulator: Simula
     rng = np.random.default_rng(5)
     false = rng.random(60) < 0.33
     pixels = np.where(false[:, None], rng.uniform(300.0, 1400.0, (60, 2)), seen.points.pixels)
-    points = Sightings(unix_s=seen.points.unix_s, pixels=pixels)
+    points = Sightings.of(unix_s=seen.points.unix_s, pixels=pixels)
     found = estimate_pose(points, start=calibrated, site=SGP)
     assert found.used is not None
     assert not np.any(found.used & false)
@@ -164,7 +164,7 @@ def test_clouds_do_not_turn_the_day(camera: Camera, simulator: Simulator, calibr
     rng = np.random.default_rng(8)
     false = rng.random(len(seen.points)) < 0.3
     pixels = seen.points.pixels + np.where(false[:, None], rng.normal(5.0, 6.0, (false.size, 2)), 0.0)
-    points = Sightings(unix_s=seen.points.unix_s, pixels=pixels)
+    points = Sightings.of(unix_s=seen.points.unix_s, pixels=pixels)
     offset = daily_pose_offset(points, calibration=calibrated, site=SGP)
     assert offset is not None
     assert np.all(np.abs(offset.turn_deg) < 0.003)
@@ -175,7 +175,7 @@ def test_clouds_do_not_turn_the_day(camera: Camera, simulator: Simulator, calibr
 def test_a_real_lens_is_posed_anew() -> None:
     with REAL.open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    points = Sightings(
+    points = Sightings.of(
         unix_s=np.array([datetime.fromisoformat(row["time_utc"]).timestamp() for row in rows]),
         pixels=np.array([[float(row["x_px"]), float(row["y_px"])] for row in rows]),
     )

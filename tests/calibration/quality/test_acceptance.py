@@ -80,7 +80,7 @@ def test_a_change_beyond_what_is_stated_waits_for_proof(calibrated: Calibration,
     assert "change_not_confirmed" in codes(waiting.findings)
     times = clear_day.points.unix_s + 120 * 86_400.0
     seen = project(changed.camera, sun_directions(times, clear_day.site))
-    assert accept(changed, calibrated, unseen=Sightings(unix_s=times, pixels=seen)).accepted
+    assert accept(changed, calibrated, unseen=Sightings.of(unix_s=times, pixels=seen)).accepted
 
 
 def test_a_sky_that_contradicts_the_current_one_is_refused_whatever_the_proof(
@@ -88,7 +88,7 @@ def test_a_sky_that_contradicts_the_current_one_is_refused_whatever_the_proof(
 ) -> None:
     moved = turned(knowing(calibrated, "2013-05-20"), 40.0)
     seen = project(moved.camera, sun_directions(clear_day.points.unix_s, clear_day.site))
-    verdict = accept(moved, calibrated, unseen=Sightings(unix_s=clear_day.points.unix_s, pixels=seen))
+    verdict = accept(moved, calibrated, unseen=Sightings.of(unix_s=clear_day.points.unix_s, pixels=seen))
     assert (verdict.accepted, verdict.marginal) == (False, False)
     assert verdict.findings[0].code == "contradicts_active"
 
@@ -114,7 +114,7 @@ def test_unseen_are_the_latest_poses_days_that_a_calibration_does_not_know(
 ) -> None:
     times = np.concatenate([clear_day.points.unix_s + 86_400.0 * n for n in range(3)])
     epoch = np.repeat([0, 0, 1], len(clear_day.points))
-    points = Sightings(unix_s=times, pixels=np.zeros((times.size, 2)), epoch=epoch)
+    points = Sightings.of(unix_s=times, pixels=np.zeros((times.size, 2)), epoch=epoch)
     assert len(unseen_points(points, calibrated)) == len(clear_day.points)
     assert len(unseen_points(points.select(epoch == 0), calibrated)) == len(clear_day.points)
 
@@ -129,7 +129,7 @@ def test_sightings_are_met_in_their_measured_air(calibrated: Calibration, clear_
     air = np.full(times.size, 40.0)
     pixels = project(calibrated.camera, sun_directions(times, calibrated.site, temperature=air))
     measured, assumed = (
-        acceptance.chi_square(calibrated, Sightings(unix_s=times, pixels=pixels, temperature=one), 0.02)
+        acceptance.chi_square(calibrated, Sightings.of(unix_s=times, pixels=pixels, temperature=one), 0.02)
         for one in (air, np.full(times.size, np.nan))
     )
     assert measured < 1e-9
@@ -151,6 +151,6 @@ def test_a_fit_without_a_noise_has_no_proof(calibrated: Calibration, clear_day: 
     changed = replace(knows_more, evidence=replace(knows_more.evidence, sigma_px=sigma_px))
     times = clear_day.points.unix_s + 120 * 86_400.0
     seen = project(changed.camera, sun_directions(times, clear_day.site))
-    verdict = accept(changed, calibrated, unseen=Sightings(unix_s=times, pixels=seen))
+    verdict = accept(changed, calibrated, unseen=Sightings.of(unix_s=times, pixels=seen))
     assert (verdict.accepted, verdict.marginal) == (False, True)
     assert "change_not_confirmed" in codes(verdict.findings)

@@ -42,7 +42,7 @@ def test_outliers_do_not_bend_the_arc(clear_day: Simulated) -> None:
     pixels = clear_day.points.pixels.copy()
     bad = np.random.default_rng(2).random(pixels.shape[0]) < 0.25
     pixels[bad] += [8.0, -5.0]
-    measure = measure_day(Sightings(unix_s=clear_day.points.unix_s, pixels=pixels), site=clear_day.site)
+    measure = measure_day(Sightings.of(unix_s=clear_day.points.unix_s, pixels=pixels), site=clear_day.site)
     assert measure.n_on_arc == pytest.approx(int(np.sum(~bad)), abs=6)
 
 
@@ -56,8 +56,8 @@ def test_midnight_sun_is_one_day(simulator: Simulator) -> None:
 
 def test_a_bracket_counts_as_one_cycle(clear_day: Simulated) -> None:
     some = clear_day.points.select(slice(0, None, 2))
-    again = Sightings(unix_s=some.unix_s + 0.5, pixels=some.pixels)
-    both = Sightings(
+    again = Sightings.of(unix_s=some.unix_s + 0.5, pixels=some.pixels)
+    both = Sightings.of(
         unix_s=np.concatenate([some.unix_s, again.unix_s]), pixels=np.concatenate([some.pixels, again.pixels])
     )
     measure = measure_day(both, site=clear_day.site, cadence_s=120.0)
@@ -69,7 +69,7 @@ def test_a_bracket_counts_as_one_cycle(clear_day: Simulated) -> None:
 def test_a_day_on_which_the_camera_was_moved_has_two_arcs(clear_day: Simulated) -> None:
     half = np.arange(len(clear_day.points)) >= len(clear_day.points) // 2
     pixels = clear_day.points.pixels + np.where(half[:, None], [3.0, 2.0], 0.0)
-    moved = Sightings(unix_s=clear_day.points.unix_s, pixels=pixels, epoch=half.astype(np.int64))
+    moved = Sightings.of(unix_s=clear_day.points.unix_s, pixels=pixels, epoch=half.astype(np.int64))
     measure = measure_day(moved, site=clear_day.site, cadence_s=120.0)
     assert decide_day(measure).kind == "clear"
     assert measure.sd_px < 0.2
@@ -77,7 +77,7 @@ def test_a_day_on_which_the_camera_was_moved_has_two_arcs(clear_day: Simulated) 
 
 def test_a_doubtful_clock_makes_a_day_unusable_and_says_so(clear_day: Simulated) -> None:
     doubt = np.where(np.arange(len(clear_day.points)) % 3 > 0, 60.0, 0.01)
-    points = Sightings(unix_s=clear_day.points.unix_s, pixels=clear_day.points.pixels, clock_error_s=doubt)
+    points = Sightings.of(unix_s=clear_day.points.unix_s, pixels=clear_day.points.pixels, clock_error_s=doubt)
     verdict = decide_day(measure_day(points, site=clear_day.site, cadence_s=120.0))
     assert verdict.kind == "unusable"
     (found,) = verdict.findings
@@ -142,7 +142,7 @@ def test_an_arc_of_ninth_order_is_met_exactly_at_any_time_of_the_day(first: floa
 def test_a_clock_is_doubtful_from_two_seconds_on(clear_day: Simulated, clock_error_s: float, doubtful: float) -> None:
     """The sky turns by 15.04 arc seconds a second: 0.008 degrees in 2 s."""
     some = clear_day.points.select(slice(0, None, 20))
-    points = Sightings(unix_s=some.unix_s, pixels=some.pixels, clock_error_s=np.array(clock_error_s))
+    points = Sightings.of(unix_s=some.unix_s, pixels=some.pixels, clock_error_s=np.array(clock_error_s))
     assert measure_day(points, site=clear_day.site).doubtful_clock == doubtful
 
 

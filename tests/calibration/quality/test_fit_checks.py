@@ -10,7 +10,7 @@ from tests.finding_codes import codes
 from tests.fixtures.calibration import SGP, filtered_sightings, small_camera, stated_calibration, sun_arc
 
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.calibration.model.sightings import Sightings, filter_sightings
+from sunarc.calibration.model.sightings import Filtering, Sightings, filter_sightings
 from sunarc.calibration.quality.fit_checks import Handedness, fit_verdict
 
 HAND = Handedness(mirrored=False, ambiguous=False)
@@ -35,7 +35,8 @@ def test_a_scatter_is_refused_beyond_the_limit_and_what_is_stated(
 ) -> None:
     arc = sun_arc(40)
     usable = replace(
-        filtered_sightings(NOON + 60.0 * np.arange(40.0), np.zeros((40, 2)), arc), stated_sigma_px=stated_px
+        filtered_sightings(NOON + 60.0 * np.arange(40.0), np.zeros((40, 2)), arc),
+        filtering=Filtering(stated_sigma_px=stated_px),
     )
     calibration = stated_calibration(small_camera())
     calibration = replace(
@@ -51,9 +52,9 @@ def test_the_stated_sigma_is_its_root_mean_square() -> None:
     times = NOON + 60.0 * np.arange(4.0)
     pixels = np.arange(8.0).reshape(4, 2) * 30.0
     stated = np.array([3.0, 4.0, np.nan, 5.0])
-    usable = filter_sightings(Sightings(unix_s=times, pixels=pixels, sigma_px=stated), site=SGP)
-    assert usable.stated_sigma_px == pytest.approx(np.sqrt((9.0 + 16.0 + 25.0) / 3.0))
-    assert np.isnan(filter_sightings(Sightings(unix_s=times, pixels=pixels), site=SGP).stated_sigma_px)
+    usable = filter_sightings(Sightings.of(unix_s=times, pixels=pixels, sigma_px=stated), site=SGP)
+    assert usable.filtering.stated_sigma_px == pytest.approx(np.sqrt((9.0 + 16.0 + 25.0) / 3.0))
+    assert np.isnan(filter_sightings(Sightings.of(unix_s=times, pixels=pixels), site=SGP).filtering.stated_sigma_px)
 
 
 def test_a_sigma_that_cannot_be_computed_is_said_to_be_unknown() -> None:

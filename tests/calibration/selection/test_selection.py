@@ -31,7 +31,7 @@ NOON = 1_368_403_200.0 + 43_200.0 + 97.5 * 240.0
 
 def record(days: Iterable[int], *, cadence_s: float = 60.0, sigma_px: float = 0.02, epoch: int = 0) -> Sightings:
     times = np.concatenate([NOON + DAY * day + np.arange(-15_000.0, 15_000.0, cadence_s) for day in days])
-    return Sightings(unix_s=times, pixels=np.zeros((times.size, 2)), sigma_px=np.array(sigma_px), epoch=np.array(epoch))
+    return Sightings.of(unix_s=times, pixels=np.zeros((times.size, 2)), sigma_px=sigma_px, epoch=epoch)
 
 
 def joined(*parts: Sightings) -> Sightings:
@@ -39,7 +39,7 @@ def joined(*parts: Sightings) -> Sightings:
         name: np.concatenate([getattr(part, name) for part in parts])
         for name in ("unix_s", "pixels", "sigma_px", "epoch", "clock_error_s")
     }
-    return Sightings(**columns)
+    return Sightings.of(**columns)
 
 
 def test_patches_have_about_the_same_area() -> None:
@@ -89,7 +89,7 @@ def test_precise_sightings_come_before_many_coarse_ones() -> None:
 
 def test_of_a_bracket_the_most_precise_sighting_stands_for_its_slot() -> None:
     first = record([0])
-    second = Sightings(unix_s=first.unix_s + 0.4, pixels=first.pixels, sigma_px=np.array(0.01))
+    second = Sightings.of(unix_s=first.unix_s + 0.4, pixels=first.pixels, sigma_px=np.array(0.01))
     chosen = select_sightings(joined(first, second), site=SITE, slot_s=60.0)
     assert chosen.n_brackets == len(first)
     assert np.all(chosen.index >= len(first))
@@ -97,7 +97,7 @@ def test_of_a_bracket_the_most_precise_sighting_stands_for_its_slot() -> None:
 
 def test_doubtful_clocks_and_days_are_left_out_and_counted() -> None:
     good, bad = record([0]), record([1])
-    stepped = Sightings(unix_s=bad.unix_s, pixels=bad.pixels, clock_error_s=np.array(5.0))
+    stepped = Sightings.of(unix_s=bad.unix_s, pixels=bad.pixels, clock_error_s=np.array(5.0))
     chosen = select_sightings(joined(good, stepped), site=SITE)
     assert chosen.n_doubtful_clock == len(bad)
     assert np.all(chosen.index < len(good))
@@ -148,7 +148,7 @@ def test_patches_of_the_whole_sphere_have_numbers_of_their_own() -> None:
 @pytest.mark.parametrize(("clock_error_s", "retained"), [(1.9, True), (2.1, False)])
 def test_clocks_are_doubtful_from_two_seconds_on(clock_error_s: float, *, retained: bool) -> None:
     one = record([0])
-    points = Sightings(unix_s=one.unix_s, pixels=one.pixels, clock_error_s=np.array(clock_error_s))
+    points = Sightings.of(unix_s=one.unix_s, pixels=one.pixels, clock_error_s=np.array(clock_error_s))
     assert (select_sightings(points, site=SITE).index.size > 0) == retained
 
 
@@ -162,6 +162,6 @@ def test_what_decides_of_sightings_is_enough_and_one_without_a_place_is_none() -
     np.testing.assert_array_equal(select_sightings(alone, site=SITE, options=options).index, whole.index)
     pixels = points.pixels.copy()
     pixels[whole.index[0], 1] = np.nan
-    nowhere = select_sightings(Sightings(unix_s=points.unix_s, pixels=pixels), site=SITE, options=options)
+    nowhere = select_sightings(Sightings.of(unix_s=points.unix_s, pixels=pixels), site=SITE, options=options)
     assert whole.index[0] not in nowhere.index
     assert nowhere.n_supplied == len(points)

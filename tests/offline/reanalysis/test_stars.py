@@ -191,7 +191,7 @@ def starry(found: NightsLooked) -> Starry:
     up = directions[:, 2] > 0.1
     times, directions = times[up], directions[up]
     noise = np.random.default_rng(1).normal(0.0, 0.05, (times.size, 2))
-    points = Sightings(
+    points = Sightings.of(
         unix_s=times + LATE_S, pixels=project(CAMERA, directions) + noise, sigma_px=np.full(times.size, 0.05)
     )
     camera = ArchiveCamera(SITE, (SIZE, SIZE), CalibrationOptions(projection="equisolid"))

@@ -43,7 +43,7 @@ class Truth:
             pixels[:, 0] = SIZE - 1 - pixels[:, 0]
         day = (times - self.made.first_day.timestamp() - 21_600.0) // 86_400 / self.made.step_days
         stated = times + self.camera.wrong_s * np.isin(day, self.camera.wrong_days)
-        return Sightings(unix_s=stated, pixels=pixels, sigma_px=np.full(times.size, NOISE_PX)), times
+        return Sightings.of(unix_s=stated, pixels=pixels, sigma_px=np.full(times.size, NOISE_PX)), times
 
 
 def truth(**camera: object) -> Truth:

@@ -51,7 +51,7 @@ def archive(
     focal = np.where(np.arange(unix_s.size) < round(first_share * unix_s.size), FIRST, second)
     pixels = equidistant(unix_s, focal, turn_deg=float(rng.uniform(0.0, 360.0)))
     noise = rng.normal(0.0, sigma_px, pixels.shape)
-    return Sightings(unix_s=unix_s, pixels=pixels + noise, sigma_px=np.full(unix_s.size, sigma_px))
+    return Sightings.of(unix_s=unix_s, pixels=pixels + noise, sigma_px=np.full(unix_s.size, sigma_px))
 
 
 def fitted(points: Sightings, options: CalibrationOptions = OPTIONS) -> Calibration:
@@ -89,7 +89,7 @@ def test_days_of_false_sightings_do_not_count_against_a_fit() -> None:
     pixels = clear.pixels.copy()
     pixels[:60][false] = rng.uniform(100.0, 500.0, (int(false.sum()), 2))
     pixels[60:120][false] = rng.uniform(100.0, 500.0, (int(false.sum()), 2))
-    of_clouds = Sightings(unix_s=clear.unix_s, pixels=pixels, sigma_px=clear.sigma_px)
+    of_clouds = Sightings.of(unix_s=clear.unix_s, pixels=pixels, sigma_px=clear.sigma_px)
     fit = fitted(of_clouds)
     assert fit.evidence.n_used < 0.65 * len(of_clouds)
     assert fit.verdict.accepted, fit.verdict.reasons

@@ -22,7 +22,7 @@ from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.evidence import RECORD_GAIN, log_marginal, matern_3_2
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances
 from sunarc.calibration.model.result import Calibration, Move
-from sunarc.calibration.model.sightings import FilteredSightings, Sightings, filter_sightings
+from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.robust_loss import finite, robust_sigma, tukey_loss
 from sunarc.calibration.solve.priors import LENS, N_LENS, lens_prior, precisions
 from sunarc.findings import Finding
@@ -130,7 +130,7 @@ class StepModel:
 
 def log_bayes_factor(
     row: int,
-    usable: FilteredSightings,
+    usable: Sightings,
     *,
     one: tuple[Camera, FloatArray],
     two: tuple[Camera, FloatArray],
@@ -165,7 +165,7 @@ def log_bayes_factor(
     return with_turn - without - 1.5  # the turn that was fitted is one 1-sigma of its prior in each axis
 
 
-def group_members(picked: IntArray, row: int, usable: FilteredSightings) -> IntArray:
+def group_members(picked: IntArray, row: int, usable: Sightings) -> IntArray:
     """Return (n,): the group of consecutive sightings, of one day and side of the step, that each belongs to."""
     size = -(-picked.size // _MOST_ROWS)
     run = np.r_[0, np.cumsum((np.diff(usable.day[picked]) != 0) | (np.diff(picked >= row) != 0))]
@@ -180,9 +180,7 @@ def group_medians(values: FloatArray, member: IntArray) -> FloatArray:
     return np.array([np.median(part, axis=0) for part in np.split(values, starts[1:])])
 
 
-def step_rows(
-    picked: IntArray, member: IntArray, row: int, usable: FilteredSightings, residual: FloatArray
-) -> StepRows:
+def step_rows(picked: IntArray, member: IntArray, row: int, usable: Sightings, residual: FloatArray) -> StepRows:
     """Return what both hypotheses share; the noise's scale and gross errors are those of the residuals about two."""
     count = np.bincount(member)
     middle = np.searchsorted(member, np.arange(count.size)) + count // 2
@@ -398,7 +396,7 @@ def calibrate_moved(
     return Moved(_with_moves(solved, usable), points)
 
 
-def _with_one_more(points: Sightings, usable: FilteredSightings, solved: Calibration, fit: _Fit) -> Moved | None:
+def _with_one_more(points: Sightings, usable: Sightings, solved: Calibration, fit: _Fit) -> Moved | None:
     """Return the fit with one move more, or None where none makes it clearly better."""
     residual = _residuals(solved, usable)
     tried: list[tuple[float, Moved]] = []
@@ -418,7 +416,7 @@ def _with_one_more(points: Sightings, usable: FilteredSightings, solved: Calibra
     return None
 
 
-def _log_bayes_factor(solved: Calibration, found: Moved, usable: FilteredSightings) -> float:
+def _log_bayes_factor(solved: Calibration, found: Moved, usable: Sightings) -> float:
     """Return by how many powers of e the added move explains the sightings better than episodes of cloud do."""
     numbered = replace(usable, epoch=found.points.epoch[usable.index])
     row = int(np.flatnonzero(numbered.epoch != usable.epoch)[0])
@@ -433,7 +431,7 @@ def _log_bayes_factor(solved: Calibration, found: Moved, usable: FilteredSightin
     )
 
 
-def _parted_at(row: int, points: Sightings, usable: FilteredSightings, begin: Camera, fit: _Fit) -> Moved | None:
+def _parted_at(row: int, points: Sightings, usable: Sightings, begin: Camera, fit: _Fit) -> Moved | None:
     """Return the fit with a move just before a row, or before one of the next ones where the two poses say so."""
     for _ in range(2):
         parted = replace(points, epoch=points.epoch + (points.unix_s >= usable.unix_s[row]))
@@ -451,13 +449,13 @@ def _parted_at(row: int, points: Sightings, usable: FilteredSightings, begin: Ca
     return Moved(fitted, parted)
 
 
-def _too_short(epoch: IntArray, usable: FilteredSightings) -> bool:
+def _too_short(epoch: IntArray, usable: Sightings) -> bool:
     """Return whether an epoch has too few sightings, or lasts no longer than cloud may draw them aside."""
     lasts = [np.ptp(usable.unix_s[epoch == one]) for one in np.unique(epoch)]
     return bool(np.bincount(epoch).min() < _FEWEST or min(lasts) < LONGEST_EPISODE_S)
 
 
-def best_row(near: slice, usable: FilteredSightings, cameras: Sequence[Camera]) -> int:
+def best_row(near: slice, usable: Sightings, cameras: Sequence[Camera]) -> int:
     """Return which row a move came before, by the cameras before and after it.
 
     Parameters
@@ -479,7 +477,7 @@ def _lens_in(solved: Calibration, pose: tuple[float, float, float]) -> Camera:
     return replace(solved.camera, rotation_cam_enu=pose, displacement=None)
 
 
-def _residuals(solved: Calibration, usable: FilteredSightings) -> FloatArray:
+def _residuals(solved: Calibration, usable: Sightings) -> FloatArray:
     """Return observed minus predicted by the lens alone, (n, 2) px; what the camera cannot see is far off."""
     predicted = np.full(usable.pixels.shape, np.nan)
     for epoch, pose in enumerate(solved.poses):
@@ -488,7 +486,7 @@ def _residuals(solved: Calibration, usable: FilteredSightings) -> FloatArray:
     return finite(usable.pixels - predicted)
 
 
-def robust_gain(before: FloatArray, after: FloatArray, usable: FilteredSightings, solved: Calibration) -> float:
+def robust_gain(before: FloatArray, after: FloatArray, usable: Sightings, solved: Calibration) -> float:
     """Return what the robust squares lost, in variances of a sighting whose neighbours err like it."""
     distances = [np.hypot(residual[:, 0], residual[:, 1]) / usable.sigma_px for residual in (before, after)]
     sigma = robust_sigma(distances[1], floor=_FLOOR_PX)
@@ -496,7 +494,7 @@ def robust_gain(before: FloatArray, after: FloatArray, usable: FilteredSightings
     return 2.0 * (one - other) / max(solved.evidence.inflation, 1.0)
 
 
-def jumps_within_days(residual: FloatArray, usable: FilteredSightings) -> list[_Parted]:
+def jumps_within_days(residual: FloatArray, usable: Sightings) -> list[_Parted]:
     """Return where the residuals jump within a day and a pose, against how they scatter there and wander elsewhere."""
     if len(usable) < 2 * _SIDE:
         return []
@@ -535,7 +533,7 @@ def line_misses(residual: FloatArray, time: FloatArray) -> tuple[FloatArray, Flo
     return np.linalg.norm(ends[1] - ends[0], axis=-1), np.minimum(*scatter)
 
 
-def night_changes(residual: FloatArray, usable: FilteredSightings) -> list[_Parted]:
+def night_changes(residual: FloatArray, usable: Sightings) -> list[_Parted]:
     """Return the night over which the residuals of the same hours differ most, where it stands out from the others."""
     rows = [np.flatnonzero(usable.day == day) for day in np.unique(usable.day)]
     nights = [(late[0], same_hours_difference(residual, usable, early, late)) for early, late in pairwise(rows)]
@@ -552,11 +550,11 @@ def night_changes(residual: FloatArray, usable: FilteredSightings) -> list[_Part
     return [_Parted(row, _SMALLEST_NIGHT_DEG)] if stands_out else []
 
 
-def _one_pose(usable: FilteredSightings, row: int) -> bool:
+def _one_pose(usable: Sightings, row: int) -> bool:
     return bool(usable.epoch[row] == usable.epoch[row - 1])
 
 
-def same_hours_difference(residual: FloatArray, usable: FilteredSightings, early: IntArray, late: IntArray) -> float:
+def same_hours_difference(residual: FloatArray, usable: Sightings, early: IntArray, late: IntArray) -> float:
     """Return by how much a day's residuals differ from the day before at the same hours (RMS of medians), px."""
     hours = np.mod(usable.unix_s[late] - usable.unix_s[early[0]], DAY_S)
     before = np.mod(usable.unix_s[early] - usable.unix_s[early[0]], DAY_S)
@@ -578,7 +576,7 @@ def rotation_between_deg(one: tuple[float, float, float], other: tuple[float, fl
     return math.degrees(math.acos(min(max(float(cosine), -1.0), 1.0)))
 
 
-def _with_moves(solved: Calibration, usable: FilteredSightings) -> Calibration:
+def _with_moves(solved: Calibration, usable: Sightings) -> Calibration:
     """Return the calibration with its moves in its evidence, and in words."""
     moves = []
     for row in np.flatnonzero(np.diff(usable.epoch)):

@@ -27,7 +27,7 @@ from sunarc.calibration.model.result import (
     fit_metrics,
     residual_angles,
 )
-from sunarc.calibration.model.sightings import FilteredSightings, Sightings
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.quality.fit_checks import Handedness, fit_verdict
 from sunarc.calibration.solve.priors import FREE, FREE_NAMES, LENS, N_LENS, lens_prior, precisions
 from sunarc.calibration.start.initial_guess import camera_from_circle, camera_from_size
@@ -46,7 +46,7 @@ class Job(NamedTuple):
     """Input of a calibration, and the sightings that it can use; `parts`: whether parts of them are held against it."""
 
     points: Sightings
-    usable: FilteredSightings
+    usable: Sightings
     site: Site
     image_size: tuple[int, int]
     options: CalibrationOptions
@@ -129,7 +129,7 @@ def tidied(camera: Camera, options: CalibrationOptions) -> Camera:
     )
 
 
-def _metrics(fitted: FitOutcome, usable: FilteredSightings, cameras: list[Camera]) -> Metrics:
+def _metrics(fitted: FitOutcome, usable: Sightings, cameras: list[Camera]) -> Metrics:
     angle = np.full(len(usable), np.nan)
     for epoch, camera in enumerate(cameras):
         in_epoch = usable.epoch == epoch
@@ -227,9 +227,7 @@ def no_field(camera: Camera, *, size: int) -> Field:
 # From the robust rounds to what every method hands over.
 
 
-def robust_outcome(
-    fit: RobustFit, usable: FilteredSightings, options: CalibrationOptions, *, parts: bool = True
-) -> FitOutcome:
+def robust_outcome(fit: RobustFit, usable: Sightings, options: CalibrationOptions, *, parts: bool = True) -> FitOutcome:
     """Return the cameras of all epochs, and the covariance and field of the last one's.
 
     `parts`: whether parts of the sightings are held against the fit; its covariance is widened where they ask for it.
@@ -264,7 +262,7 @@ def robust_outcome(
     )
 
 
-def _night_difference(fit: RobustFit, usable: FilteredSightings) -> NightDifference | None:
+def _night_difference(fit: RobustFit, usable: Sightings) -> NightDifference | None:
     """Return the systematic errors of the night, as found."""
     if fit.problem.n_systematic == 0:
         return None

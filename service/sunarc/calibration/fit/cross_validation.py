@@ -15,7 +15,7 @@ from sunarc.calibration.fit.posterior import PosteriorCovariance, joint_covarian
 from sunarc.calibration.fit.robust_fit import N_OFFSET, RobustFit, stated_posterior
 from sunarc.calibration.fit.robust_rounds import robust_camera
 from sunarc.calibration.model.residual_field import WaveBasis
-from sunarc.calibration.model.sightings import FilteredSightings, Kind
+from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.calibration.noise import NoiseGroups
 from sunarc.calibration.robust_loss import robust_sigma
 from sunarc.calibration.solve.problem import FitProblem
@@ -44,7 +44,7 @@ class HeldOut(NamedTuple):
     expected_px: float
 
 
-def held_out(fit: RobustFit, usable: FilteredSightings) -> HeldOut | None:
+def held_out(fit: RobustFit, usable: Sightings) -> HeldOut | None:
     """Return the cross-validation over whole days; None with fewer than two days a pose.
 
     Each fold is solved by one linear step from the whole fit, with the same scales and weights.
@@ -87,7 +87,7 @@ def held_out(fit: RobustFit, usable: FilteredSightings) -> HeldOut | None:
     return HeldOut(math.sqrt(found / count), math.sqrt(expected / count)) if count else None
 
 
-def _folds_of_days(usable: FilteredSightings) -> IntArray | None:
+def _folds_of_days(usable: Sightings) -> IntArray | None:
     """Return (n,): the part of each sighting where whole days are left out, five parts at most; None with one day."""
     days = np.unique(usable.day)
     if days.size < 2:
@@ -140,7 +140,7 @@ class _Partial(NamedTuple):
         return math.sqrt(float(np.mean(np.maximum(by_unknowns + by_field, 0.0))))
 
 
-def doubts(fit: RobustFit, usable: FilteredSightings) -> Doubts:
+def doubts(fit: RobustFit, usable: Sightings) -> Doubts:
     """Return how well fits without a part of the sightings predict it, and what a thinned set states.
 
     Parts are thirds of a day, or of several days whole ones, in five groups at most. Each is fitted anew without, from
@@ -165,7 +165,7 @@ def doubts(fit: RobustFit, usable: FilteredSightings) -> Doubts:
     return Doubts(worst.n, worst.rmse_px, worst.stated_px, excess, widening)
 
 
-def _left_out(usable: FilteredSightings) -> list[BoolArray]:
+def _left_out(usable: Sightings) -> list[BoolArray]:
     """Return masks (n,) of what is left out in turn: of several days, days; of one, thirds of each pose's sightings."""
     fold = _folds_of_days(usable)
     if fold is None:
@@ -173,7 +173,7 @@ def _left_out(usable: FilteredSightings) -> list[BoolArray]:
     return [fold == one for one in range(int(fold.max(initial=-1)) + 1)]
 
 
-def _refitted(fit: RobustFit, usable: FilteredSightings, kept: BoolArray) -> _Partial:
+def _refitted(fit: RobustFit, usable: Sightings, kept: BoolArray) -> _Partial:
     """Return the fit of the sightings that a mask picks, from the fit of all."""
     groups, observed = NoiseGroups.of(usable.select(kept)), fit.observed.select(kept)
     problem = replace(fit.problem, n_systematic=0, n_air=0)
@@ -210,7 +210,7 @@ def _met(partial: _Partial, fit: RobustFit, groups: NoiseGroups, out: BoolArray)
     )
 
 
-def _widening(fit: RobustFit, usable: FilteredSightings) -> float:
+def _widening(fit: RobustFit, usable: Sightings) -> float:
     """Return the sigma over the sky of every second sighting, brought to the count of all, over that of all; or 1."""
     kept = np.arange(len(usable)) % 2 == 0
     if np.count_nonzero(fit.weight[kept]) < _FEWEST_THINNED:
@@ -236,7 +236,7 @@ _SUN_SCATTER = 1.15
 """Scatter of the sun's track beside the fit of both over that beside its own fit."""
 
 
-def contradiction(fit: RobustFit, usable: FilteredSightings) -> Finding | None:
+def contradiction(fit: RobustFit, usable: Sightings) -> Finding | None:
     """Return what of the night contradicts the day, with value and limit; None where nothing does."""
     night = usable.night
     if fit.problem.n_systematic == 0:
@@ -259,10 +259,11 @@ def contradiction(fit: RobustFit, usable: FilteredSightings) -> Finding | None:
     return None
 
 
-def without_night(usable: FilteredSightings, finding: Finding) -> FilteredSightings:
+def without_night(usable: Sightings, finding: Finding) -> Sightings:
     """Return the sightings of the day, with the finding that says why the others were left out."""
     day = usable.select(~usable.night)
-    return replace(day, sigma_px=day.sigma_px / np.median(day.sigma_px), dropped=(*day.dropped, finding))
+    filtering = day.filtering._replace(dropped=(*day.filtering.dropped, finding))
+    return replace(day, sigma_px=day.sigma_px / np.median(day.sigma_px), filtering=filtering)
 
 
 def _of_the_day(fit: RobustFit, night: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> MarginalFit:
@@ -272,7 +273,7 @@ def _of_the_day(fit: RobustFit, night: np.ndarray[tuple[int], np.dtype[np.bool_]
     return marginal_fit(system.normal_of(~of_night), fit.grid.basis, fit.scales)
 
 
-def _sun_scatter(fit: RobustFit, alone: MarginalFit, usable: FilteredSightings) -> float:
+def _sun_scatter(fit: RobustFit, alone: MarginalFit, usable: Sightings) -> float:
     """Return the scatter of the track beside the fit of both over that beside the day's own."""
     system, track = fit.system, ~usable.alone
     if not np.any(track):

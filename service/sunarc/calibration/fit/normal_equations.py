@@ -22,7 +22,8 @@ from sunarc.calibration.fit.marginal_likelihood import (
     prior_precision,
 )
 from sunarc.calibration.model.residual_field import WaveBasis
-from sunarc.calibration.solve.problem import Bins, FitProblem, Observations
+from sunarc.calibration.model.sightings import Sightings
+from sunarc.calibration.solve.problem import Bins, FitProblem
 
 _STEPS = 8
 _HALVINGS = 6
@@ -48,7 +49,7 @@ class LinearSystem:
     n_unit : how many of the last unknowns have unit prior variance: systematic errors and the refraction's.
     """
 
-    observed: Observations
+    observed: Sightings
     rows: FloatArray
     basis_values: FloatArray
     residual: FloatArray
@@ -96,7 +97,7 @@ class LinearSystem:
 
 def linear_system(
     problem: FitProblem,
-    observed: Observations,
+    observed: Sightings,
     bins: Bins,
     unknowns: FloatArray,
     *,
@@ -126,7 +127,7 @@ def linear_system(
 
 
 def system_about(
-    problem: FitProblem, observed: Observations, bins: Bins, system: LinearSystem, unknowns: FloatArray
+    problem: FitProblem, observed: Sightings, bins: Bins, system: LinearSystem, unknowns: FloatArray
 ) -> LinearSystem:
     """Return the equations about other unknowns, the sightings' information as of a system that is there.
 

@@ -34,8 +34,9 @@ from sunarc.calibration.fit.marginal_likelihood import (
 )
 from sunarc.calibration.fit.normal_equations import LinearSystem, converged_in_axes, log_determinants
 from sunarc.calibration.model.residual_field import Field, WaveBasis
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.priors import DECENTERING, HIGHER
-from sunarc.calibration.solve.problem import FitProblem, Observations
+from sunarc.calibration.solve.problem import FitProblem
 
 # What sightings say of the field: see `Field` for the covariance that this makes.
 
@@ -304,7 +305,7 @@ def sky_rows(problem: FitProblem, unknowns: FloatArray, basis: WaveBasis) -> tup
     epoch = np.full(PROBES, problem.n_epochs - 1)
     minus, rows = problem.linearised(
         unknowns,
-        Observations(
+        Sightings(
             directions=sky,
             pixels=nowhere,
             information=np.ones(PROBES),

@@ -26,12 +26,12 @@ from sunarc.calibration.fit.posterior import PosteriorCovariance, marginalised_c
 from sunarc.calibration.fit.robust_rounds import LOOSE_DECENTERING_PX, LOOSE_RADIAL_PX, robust_camera
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.residual_field import WaveBasis
-from sunarc.calibration.model.sightings import FilteredSightings, Kind
+from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.calibration.noise import NoiseGroups
 from sunarc.calibration.robust_loss import robust_sigma, surely_well_behaved
 from sunarc.calibration.solve.levenberg_marquardt import information as information_of
 from sunarc.calibration.solve.priors import DECENTERING, RADIAL, Whitened
-from sunarc.calibration.solve.problem import Bins, FitProblem, Observations
+from sunarc.calibration.solve.problem import Bins, FitProblem
 from sunarc.calibration.start.multistart import SMALLEST_SIGMA_PX, best_of_starts, best_start, distance_sigmas, lowest
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import by_direction, project_with_rows_fast
@@ -60,8 +60,8 @@ N_POSE = 3
 
 
 def with_systematic_errors(
-    observed: Observations, usable: FilteredSightings, problem: FitProblem, unknowns: FloatArray
-) -> Observations:
+    observed: Sightings, usable: Sightings, problem: FitProblem, unknowns: FloatArray
+) -> Sightings:
     """Return the observations with what errors of the night displace them by.
 
     Without a sighting of a night, or with nothing of a day beside it, there are none: the camera is then that of the
@@ -127,7 +127,7 @@ class RobustFit:
     """
 
     problem: FitProblem
-    observed: Observations
+    observed: Sightings
     system: LinearSystem
     unknowns: FloatArray
     posterior: PosteriorCovariance
@@ -145,8 +145,8 @@ class RobustFit:
 
 def fit_robustly(
     problem: FitProblem,
-    observed: Observations,
-    usable: FilteredSightings,
+    observed: Sightings,
+    usable: Sightings,
     start: FloatArray,
     *,
     options: CalibrationOptions,
@@ -220,7 +220,7 @@ def grid_of(template: Camera, options: CalibrationOptions) -> HyperparameterGrid
     )
 
 
-def _without_field(problem: FitProblem, observed: Observations, start: FloatArray, bins: Bins) -> FloatArray:
+def _without_field(problem: FitProblem, observed: Sightings, start: FloatArray, bins: Bins) -> FloatArray:
     """Return the robust fit without a field: the best of several starts."""
     precision = prior_precision(problem.size, LOOSE_RADIAL_PX, LOOSE_DECENTERING_PX)
     at = best_start(problem, observed, start, precision=precision)

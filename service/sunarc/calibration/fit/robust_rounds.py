@@ -30,10 +30,11 @@ from sunarc.calibration.fit.marginal_likelihood import (
 )
 from sunarc.calibration.fit.normal_equations import LinearSystem, irls_converged, linear_system, system_about
 from sunarc.calibration.fit.posterior import prediction_variance
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.noise import Noise, NoiseGroups, inflation, measured_noise
 from sunarc.calibration.robust_loss import CUT, robust_sigma, surely_well_behaved, tukey_loss, tukey_weights
 from sunarc.calibration.solve.levenberg_marquardt import most_probable
-from sunarc.calibration.solve.problem import Bins, FitProblem, Observations
+from sunarc.calibration.solve.problem import Bins, FitProblem
 from sunarc.calibration.start.multistart import (
     SMALLEST_SIGMA_PX,
     distance_sigmas,
@@ -121,7 +122,7 @@ def allowed_level(
     return AllowedLevel(scales, costs, math.hypot(median_ratio * float(np.median(distance)), _MEDIAN_OF_SIGMA * missed))
 
 
-def finest_weight(observed: Observations) -> float:
+def finest_weight(observed: Sightings) -> float:
     """Return what a px counts in the weighted distances of the finest sightings: a field moves them as others.
 
     Beside 5,000 stars of 0.2 px a sun of 0.03 px counts six times, and so does what a field moves it by.
@@ -131,7 +132,7 @@ def finest_weight(observed: Observations) -> float:
 
 def at_least_least_squares(
     problem: FitProblem,
-    observed: Observations,
+    observed: Sightings,
     groups: NoiseGroups,
     unknowns: FloatArray,
     *,
@@ -197,7 +198,7 @@ def _share_by_chance(residuals: FloatArray, weight: FloatArray, groups: NoiseGro
 
 
 def _nearest(
-    problem: FitProblem, observed: Observations, start: FloatArray, end: FloatArray, level: AllowedLevel
+    problem: FitProblem, observed: Sightings, start: FloatArray, end: FloatArray, level: AllowedLevel
 ) -> FloatArray:
     """Return the unknowns nearest to the start, on the line to the end, that reach the wanted level."""
     low, high = 0.0, 1.0
@@ -270,7 +271,7 @@ class RobustCamera:
     information: FloatArray
     last_round: LinearSystem
 
-    def system(self, observed: Observations, bins: Bins) -> LinearSystem:
+    def system(self, observed: Sightings, bins: Bins) -> LinearSystem:
         """Return the bins' equations about the camera."""
         weighed = observed.weighted(self.information)
         return system_about(self.problem, weighed, bins, self.last_round, self.unknowns)
@@ -282,7 +283,7 @@ class RobustCamera:
 
 def robust_camera(
     problem: FitProblem,
-    observed: Observations,
+    observed: Sightings,
     plain: FloatArray,
     *,
     groups: NoiseGroups,
@@ -324,7 +325,7 @@ def robust_camera(
 
 
 def _with_field(
-    problem: FitProblem, observed: Observations, plain: FloatArray, grid: HyperparameterGrid, groups: NoiseGroups
+    problem: FitProblem, observed: Sightings, plain: FloatArray, grid: HyperparameterGrid, groups: NoiseGroups
 ) -> tuple[RoundState, Noise, HyperparameterGrid, LinearSystem]:
     """Return the rounds' answer, the grid of scales that it took, and the last round's equations.
 
@@ -348,7 +349,7 @@ def _with_field(
 
 
 def _rounds(
-    problem: FitProblem, observed: Observations, unknowns: FloatArray, grid: HyperparameterGrid, groups: NoiseGroups
+    problem: FitProblem, observed: Sightings, unknowns: FloatArray, grid: HyperparameterGrid, groups: NoiseGroups
 ) -> tuple[RoundState, Noise, LinearSystem]:
     first = Scales(_FIRST_FIELD_PX, float(grid.lengths[0]), LOOSE_RADIAL_PX, LOOSE_DECENTERING_PX)
     state = RoundState(unknowns=unknowns, residuals=problem.residuals(unknowns, observed), scales=first)
@@ -363,7 +364,7 @@ def _rounds(
 
 
 def _round(
-    problem: FitProblem, observed: Observations, state: RoundState, grid: HyperparameterGrid, groups: NoiseGroups
+    problem: FitProblem, observed: Sightings, state: RoundState, grid: HyperparameterGrid, groups: NoiseGroups
 ) -> tuple[Noise, LinearSystem]:
     """Return the noise as a state shows it, and the equations with the sightings weighed by it."""
     noise = measured_noise(state.residuals, observed, groups, leverage=state.leverage)
@@ -375,7 +376,7 @@ def _round(
 
 def _as_good_as_least_squares(
     problem: FitProblem,
-    observed: Observations,
+    observed: Sightings,
     groups: NoiseGroups,
     state: RoundState,
     *,
@@ -404,16 +405,14 @@ def _as_good_as_least_squares(
     return np.concatenate([camera, unknowns[assumed.size :]])
 
 
-def _judged(problem: FitProblem, observed: Observations, system: LinearSystem, state: RoundState) -> RoundState:
+def _judged(problem: FitProblem, observed: Sightings, system: LinearSystem, state: RoundState) -> RoundState:
     """Return the state with what a large field beside the model leaves over; the camera stays."""
     marginal = marginal_fit(system.normal(), system.basis, state.scales)
     explained = system.rows @ (marginal.unknowns - system.at) + system.basis_values @ marginal.coefficients.T
     return replace(state, residuals=problem.residuals(state.unknowns, observed) - explained[system.member])
 
 
-def _improved(
-    problem: FitProblem, observed: Observations, system: LinearSystem, grid: HyperparameterGrid
-) -> RoundState:
+def _improved(problem: FitProblem, observed: Sightings, system: LinearSystem, grid: HyperparameterGrid) -> RoundState:
     """Return the state after a solve with the scales that the data speak for."""
     log_weight = log_weights(system.normal(), grid)
     scales = likely_scales(normalised(log_weight), grid)
@@ -437,7 +436,7 @@ def _improved(
 
 def _in_assumed_air(  # noqa: PLR0917 - the fit, piece by piece
     problem: FitProblem,
-    observed: Observations,
+    observed: Sightings,
     bins: Bins,
     last_round: LinearSystem,
     state: RoundState,

@@ -31,7 +31,7 @@ from sunarc.calibration.lens_library.lens_type import (
 from sunarc.calibration.model.backward import fit_backward
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration, Verdict, fit_metrics, residual_angles
-from sunarc.calibration.model.sightings import FilteredSightings, Sightings, filter_sightings
+from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.quality.fit_checks import Handedness, fit_verdict
 from sunarc.calibration.robust_loss import finite
 from sunarc.calibration.solve.levenberg_marquardt import most_probable
@@ -216,9 +216,7 @@ def _at(solved: Calibration, camera: Camera) -> Calibration:
     )
 
 
-def _most_probable(
-    changed: Calibration, lens: LensType, seen: FilteredSightings, options: CalibrationOptions
-) -> Camera:
+def _most_probable(changed: Calibration, lens: LensType, seen: Sightings, options: CalibrationOptions) -> Camera:
     """Return the most probable camera of the latest epoch's sightings and the type, by the robust cost of both.
 
     The equations about the fit alone are too far off where it followed the noise of a short arc.
@@ -239,7 +237,7 @@ def _most_probable(
     return tidied(problem.camera(unknowns), options)
 
 
-def _as_good(camera: Camera, solved: Calibration, seen: FilteredSightings, used: BoolArray, field_px: float) -> bool:
+def _as_good(camera: Camera, solved: Calibration, seen: Sightings, used: BoolArray, field_px: float) -> bool:
     """Return whether a camera meets the sightings that count about as well as the fit without the type does.
 
     `field_px` is what it may miss them by, since no lens model describes it.
@@ -261,7 +259,7 @@ def _as_good(camera: Camera, solved: Calibration, seen: FilteredSightings, used:
 
 
 def _assessed(
-    changed: Calibration, lens: LensType, seen: FilteredSightings, used: BoolArray, options: CalibrationOptions
+    changed: Calibration, lens: LensType, seen: Sightings, used: BoolArray, options: CalibrationOptions
 ) -> Calibration:
     """Return a calibration with the metrics and the verdict that its camera has."""
     latest = seen.epoch == seen.epoch.max(initial=0)

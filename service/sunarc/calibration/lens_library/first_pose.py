@@ -40,7 +40,7 @@ from sunarc.calibration.lens_library.lens_type import IN_FREE, PARTS, LensType
 from sunarc.calibration.model.options import CalibrationOptions, FirstPoseOptions, ImageCircle, Mirrored
 from sunarc.calibration.model.residual_field import Field, wave_basis
 from sunarc.calibration.model.result import Calibration, Verdict
-from sunarc.calibration.model.sightings import FilteredSightings, Sightings, filter_sightings
+from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.pose import (
     PoseFit,
     PredictedSightings,
@@ -236,7 +236,7 @@ def _stated(lens: LensType, job: Job) -> Calibration:
     without_fit = refused(job, ())
     return replace(
         without_fit,
-        evidence=replace(without_fit.evidence, sigma_px=job.usable.stated_sigma_px),
+        evidence=replace(without_fit.evidence, sigma_px=job.usable.filtering.stated_sigma_px),
         camera=camera,
         poses=(camera.rotation_cam_enu,),
         covariance=covariance,
@@ -259,7 +259,7 @@ def _mirrored(start: Calibration) -> Calibration:
     return replace(start, camera=replace(start.camera, mirrored=not start.camera.mirrored))
 
 
-def _observed(usable: FilteredSightings, sigma_px: FloatArray, camera: Camera) -> PredictedSightings:
+def _observed(usable: Sightings, sigma_px: FloatArray, camera: Camera) -> PredictedSightings:
     """Return the sightings; a false one may be anywhere in the image."""
     anywhere = false_density(np.full(usable.pixels.shape, np.inf), area_px2=float(camera.width * camera.height))
     return PredictedSightings(

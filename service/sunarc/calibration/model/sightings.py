@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sunarc.array_types import BoolArray, FloatArray, IntArray, NameArray, Rows, picked
+from sunarc.array_types import BoolArray, FloatArray, IntArray, NameArray, Rows
 from sunarc.errors import InputError
 from sunarc.findings import Finding
 from sunarc.sky.days import solar_days
@@ -150,89 +150,148 @@ MAX_CLOCK_ERROR_S = 2.0
 """Sightings whose clock may be wrong by more are used for nothing: 2 s turn the sky by 0.008 degrees."""
 
 
+class Filtering(NamedTuple):
+    """What `filter_sightings` left out, and what was stated of the sightings that it retained.
+
+    dropped: how many were left out, a finding for each cause. static: positions left out that do not move with the sun.
+    stated_sigma_px: root mean square of the stated 1-sigma, px per axis; NaN where none is stated. n_below_horizon:
+    sightings of the sun left out because it was below the horizon.
+    """
+
+    dropped: tuple[Finding, ...] = ()
+    static: tuple[StaticPosition, ...] = ()
+    stated_sigma_px: float = math.nan
+    n_below_horizon: int = 0
+
+
 def _unknown() -> FloatArray:
-    return np.array(np.nan)
+    return np.array([np.nan])
 
 
 def _zero() -> FloatArray:
-    return np.array(0.0)
+    return np.array([0.0])
 
 
-def _of_the_sun() -> FloatArray:
-    return np.full(3, np.nan)
+def _one() -> FloatArray:
+    return np.array([1.0])
 
 
-def _none() -> BoolArray:
-    return np.array(False)
+def _first() -> IntArray:
+    return np.array([0])
 
 
 def _sun() -> IntArray:
-    return np.array(int(Kind.SUN))
+    return np.array([int(Kind.SUN)])
 
 
-def _first_epoch() -> IntArray:
-    return np.array(0)
+def _no() -> BoolArray:
+    return np.array([False])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sightings:
-    """Sightings of the sun; scalars are broadcast, columns are read-only copies.
+    """Sightings of the sun, of stars and of the moon: one row each; a column of one row counts for all.
+
+    As they are given from outside (see `of`) they have times, pixels and what was stated with them. As a fit takes them
+    (see `filter_sightings`) they are in the order of the epochs, in each the sun's track by time, then those of stated
+    directions; and all columns are known.
 
     Attributes
     ----------
-    unix_s : (n,) mid-exposure times, seconds since 1970-01-01 UTC.
-    pixels : (n, 2) where the sun's centre was seen, px.
+    pixels : (n, 2) where the body's centre was seen, px.
+    unix_s : (n,) mid-exposure times, seconds since 1970-01-01 UTC; NaN where they do not matter.
+    directions : (n, 3) apparent directions, unit vectors, east-north-up. Given from outside: of what is not the sun or
+        is known better; NaN takes the sun's. Such sightings make no track: many may be of one moment, and neighbours
+        say nothing of one another.
     sigma_px : (n,) stated 1-sigma per axis, px; NaN where none is stated. Fits trust their ratios and find
-        their common scale themselves.
+        their common scale themselves: filtered ones have a median of 1, and 1 where none was stated.
     epoch : (n,) which pose epoch a sighting belongs to, 0, 1, ….
+    kind : (n,) see `Kind`.
     clock_error_s : (n,) bound of the clock's error, s; NaN where unknown.
     temperature, pressure : (n,) of the air, °C and Pa; NaN where not measured: the site's are assumed.
-    directions : (n, 3) apparent directions, east-north-up, of what is not the sun or is known better; NaN takes the
-        sun's. Such sightings make no track: many may be of one moment, and neighbours say nothing of one another.
-    kind : (n,) see `Kind`.
+    index : (n,) their rows in the sightings supplied.
+    day : (n,) local mean solar day, counted from 1970.
+    alone : (n,) whether the direction was stated: such a sighting has no neighbours in time.
+    night : (n,) see `at_night`.
+    information : (n,) inverse variance of each axis, px⁻²; relative where the scale is still sought.
+    refraction_sd : (n, k) 1-sigma of the refraction, rad, by k independent causes: the measured air, the assumed one,
+        and the assumed one of each day (or of so many runs of days); 0 where a cause does not act.
+    systematic_px : (n, 2, s) displacements by s errors that many sightings share, each at its 1-sigma, px.
+    filtering : what was left out of them.
     """
 
-    unix_s: FloatArray
     pixels: FloatArray
+    unix_s: FloatArray = field(default_factory=_unknown)
+    directions: FloatArray = field(default_factory=lambda: np.full((1, 3), np.nan))
     sigma_px: FloatArray = field(default_factory=_unknown)
-    epoch: IntArray = field(default_factory=_first_epoch)
+    epoch: IntArray = field(default_factory=_first)
+    kind: IntArray = field(default_factory=_sun)
     clock_error_s: FloatArray = field(default_factory=_zero)
     temperature: FloatArray = field(default_factory=_unknown)
     pressure: FloatArray = field(default_factory=_unknown)
-    directions: FloatArray = field(default_factory=_of_the_sun)
-    kind: IntArray = field(default_factory=_sun)
+    index: IntArray = field(default_factory=_first)
+    day: IntArray = field(default_factory=_first)
+    alone: BoolArray = field(default_factory=_no)
+    night: BoolArray = field(default_factory=_no)
+    information: FloatArray = field(default_factory=_one)
+    refraction_sd: FloatArray = field(default_factory=lambda: np.zeros((1, 1)))
+    systematic_px: FloatArray = field(default_factory=lambda: np.zeros((1, 2, 0)))
+    filtering: Filtering = field(default_factory=Filtering)
 
     def __post_init__(self) -> None:
-        """Refuse columns that do not belong together."""
-        times = _column("unix_s", self.unix_s, None)
-        pixels = np.array(self.pixels, dtype=np.float64)
-        if pixels.size == 0:
-            pixels = pixels.reshape(0, 2)
-        if pixels.shape != (times.size, 2):
-            raise InputError(
-                field="pixels", problem=f"shape {pixels.shape} beside {times.size} times", remedy="give one x, y a time"
-            )
-        epoch = _column("epoch", self.epoch, times.size)
+        """Give every sighting what is said of all."""
+        n = len(self)
+        for name in _COLUMNS:
+            column = getattr(self, name)
+            if column.shape[:1] != (n,):
+                object.__setattr__(self, name, np.broadcast_to(column, (n, *column.shape[1:])))
+
+    @classmethod
+    def of(cls, *, unix_s: ArrayLike, pixels: ArrayLike, **stated: ArrayLike) -> Sightings:
+        """Return sightings that are given from outside: checked, scalars broadcast, columns read-only copies.
+
+        Parameters
+        ----------
+        unix_s : (n,) mid-exposure times, seconds since 1970-01-01 UTC.
+        pixels : (n, 2) px.
+        stated : further columns by their names, each (n, ...) or one value for all.
+        """
+        times = _column("unix_s", unix_s, None)
+        places = np.array(pixels, dtype=np.float64)
+        if places.size == 0:
+            places = places.reshape(0, 2)
+        if places.shape != (times.size, 2):
+            problem = f"shape {places.shape} beside {times.size} times"
+            raise InputError(field="pixels", problem=problem, remedy="give one x, y a time")
+        places.flags.writeable = False
+        columns: dict[str, Any] = {
+            name: _unit_vectors(name, values, times.size) if name == "directions" else _column(name, values, times.size)
+            for name, values in stated.items()
+        }
+        epoch = columns.get("epoch", np.zeros(1))
         if not np.all(np.isfinite(epoch)) or np.any(epoch < 0) or np.any(epoch != np.floor(epoch)):
             raise InputError(
                 field="epoch", problem="not a whole number from 0", remedy="number the pose epochs 0, 1, …"
             )
-        pixels.flags.writeable = False
-        object.__setattr__(self, "unix_s", times)
-        object.__setattr__(self, "pixels", pixels)
-        for name in ("sigma_px", "temperature", "pressure"):
-            object.__setattr__(self, name, _column(name, getattr(self, name), times.size))
-        object.__setattr__(self, "epoch", epoch.astype(np.int64))
-        object.__setattr__(self, "clock_error_s", _column("clock_error_s", self.clock_error_s, times.size))
-        object.__setattr__(self, "directions", _unit_vectors("directions", self.directions, times.size))
-        object.__setattr__(self, "kind", _column("kind", self.kind, times.size).astype(np.int64))
+        columns |= {name: columns[name].astype(np.int64) for name in ("epoch", "kind") if name in columns}
+        return cls(unix_s=times, pixels=places, **columns)
 
     def __len__(self) -> int:
-        return int(self.unix_s.size)
+        return int(self.pixels.shape[0])
 
     def select(self, which: Rows) -> Sightings:
         """Return the sightings that a slice, an index or a mask picks."""
-        return picked(self, which)
+        columns = {name: getattr(self, name) for name in _COLUMNS}
+        # what is said of all is said of some, and takes no memory
+        some = {name: one[:1] if one.strides[0] == 0 and len(self) else one[which] for name, one in columns.items()}
+        return replace(self, pixels=self.pixels[which], **some)
+
+    def weighted(self, information: FloatArray) -> Sightings:
+        """Return the same sightings with other information."""
+        return replace(self, information=information)
+
+
+_COLUMNS = tuple(one.name for one in fields(Sightings) if one.name not in {"pixels", "filtering"})
 
 
 def _column(name: str, values: ArrayLike, length: int | None) -> FloatArray:
@@ -275,61 +334,7 @@ def apparent_directions(points: Sightings, *, site: Site) -> FloatArray:
     return directions
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class FilteredSightings:
-    """The sightings that a fit can use, with what the sky says of them.
-
-    In the order of the epochs; in each the sun's track by time, then those of stated directions.
-
-    Attributes
-    ----------
-    index : (n,) their rows in the sightings supplied.
-    directions : (n, 3) apparent directions of the sun, east-north-up.
-    sigma_px : (n,) relative 1-sigma: stated ones brought to a median of 1, unknown ones 1.
-    day : (n,) local mean solar day, counted from 1970.
-    refraction_sd : (n, k) 1-sigma of the refraction, rad, by k independent causes: the measured air, the assumed one,
-        and the assumed one of each day (or of so many runs of days); 0 where a cause does not act.
-    dropped : how many were left out, a finding for each cause.
-    alone : (n,) whether the direction was stated: such a sighting has no neighbours in time.
-    kind : (n,) see `Kind`.
-    night : (n,) see `at_night`.
-    static : positions that do not move with the sun, left out.
-    stated_sigma_px : root mean square of the stated 1-sigma, px per axis; NaN where none is stated.
-    n_below_horizon : sightings of the sun left out because it was below the horizon.
-    """
-
-    index: IntArray
-    unix_s: FloatArray
-    pixels: FloatArray
-    directions: FloatArray
-    sigma_px: FloatArray
-    epoch: IntArray
-    day: IntArray
-    refraction_sd: FloatArray
-    dropped: tuple[Finding, ...]
-    alone: BoolArray = field(default_factory=_none)
-    kind: IntArray = field(default_factory=_sun)
-    night: BoolArray = field(default_factory=_none)
-    static: tuple[StaticPosition, ...] = ()
-    stated_sigma_px: float = math.nan
-    n_below_horizon: int = 0
-
-    def __post_init__(self) -> None:
-        """Say of every sighting whether it is alone, of what it is, and whether it is of a night."""
-        for name in ("alone", "kind", "night"):
-            object.__setattr__(self, name, np.broadcast_to(getattr(self, name), self.unix_s.shape))
-
-    def __len__(self) -> int:
-        return int(self.unix_s.size)
-
-    def select(self, which: Rows) -> FilteredSightings:
-        """Return the sightings that a slice, an index or a mask picks."""
-        values: dict[str, Any] = {one.name: getattr(self, one.name) for one in fields(self)}
-        columns: dict[str, Any] = {name: one[which] for name, one in values.items() if isinstance(one, np.ndarray)}
-        return replace(self, **columns)
-
-
-def filter_sightings(points: Sightings, *, site: Site, image_size: tuple[int, int] | None = None) -> FilteredSightings:
+def filter_sightings(points: Sightings, *, site: Site, image_size: tuple[int, int] | None = None) -> Sightings:
     """Return what a fit can use: finite, in the image, above the horizon, one sighting a moment, moving with the sun.
 
     Parameters
@@ -340,7 +345,7 @@ def filter_sightings(points: Sightings, *, site: Site, image_size: tuple[int, in
 
     Returns
     -------
-    The usable ones by time; `dropped` says what was left out, and why.
+    The usable ones by time; `filtering` says what was left out, and why.
     """
     directions = apparent_directions(points, site=site)
     finite = np.all(np.isfinite(directions), axis=-1) & np.all(np.isfinite(points.pixels), axis=-1)
@@ -367,22 +372,25 @@ def filter_sightings(points: Sightings, *, site: Site, image_size: tuple[int, in
         "dropped_duplicate_time": (~single).sum(),
         "dropped_static": still.sum(),
     }
-    return FilteredSightings(
+    stated_px = points.sigma_px[retained]
+    return Sightings(
         index=retained,
         unix_s=points.unix_s[retained],
         pixels=points.pixels[retained],
         directions=directions[retained],
-        sigma_px=_relative_sigma(points.sigma_px[retained], alone[retained]),
+        sigma_px=_relative_sigma(stated_px, alone[retained]),
         alone=alone[retained],
         kind=points.kind[retained],
         night=at_night(points.unix_s[retained], points.kind[retained], site),
         epoch=points.epoch[retained],
         day=day,
         refraction_sd=_refraction_sd(np.isfinite(points.temperature[retained]), directions[retained], day, site),
-        dropped=tuple(Finding(code, {"n": int(n)}) for code, n in counts.items() if n),
-        n_below_horizon=int(np.sum(inside & ~above & ~alone)),
-        static=static,
-        stated_sigma_px=_stated_sigma_px(points.sigma_px[retained], alone[retained]),
+        filtering=Filtering(
+            dropped=tuple(Finding(code, {"n": int(n)}) for code, n in counts.items() if n),
+            static=static,
+            stated_sigma_px=_stated_sigma_px(stated_px, alone[retained]),
+            n_below_horizon=int(np.sum(inside & ~above & ~alone)),
+        ),
     )
 
 
@@ -402,7 +410,7 @@ def _groups(epoch: IntArray, day: IntArray) -> IntArray:
 
 
 def _refraction_sd(measured: BoolArray, directions: FloatArray, day: IntArray, site: Site) -> FloatArray:
-    """Return (n, k): see `FilteredSightings`."""
+    """Return (n, k): see `Sightings.refraction_sd`."""
     days = np.unique(day)
     runs = min(days.size, _AIR_RUNS)
     run = np.searchsorted(days, day) * runs // max(days.size, 1)

@@ -13,7 +13,7 @@ import numpy as np
 from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.calibration.answers.covariance import project_with_covariance
 from sunarc.calibration.model.result import Calibration, measures
-from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, FilteredSightings, Kind, Sightings, filter_sightings
+from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, Kind, Sightings, filter_sightings
 from sunarc.calibration.robust_loss import robust_sigma, tukey_weights
 from sunarc.calibration.selection import solid_angle_sr
 from sunarc.findings import Finding
@@ -201,7 +201,7 @@ def measure_day(
     )
 
 
-def _about_arcs(usable: FilteredSightings, site: Site) -> tuple[FloatArray, FloatArray]:
+def _about_arcs(usable: Sightings, site: Site) -> tuple[FloatArray, FloatArray]:
     """Return residuals (n, 2) and weights (n,) about the smooth arc of each pose epoch."""
     angle = hour_angle(usable.unix_s, site)
     residual, weight = np.zeros(usable.pixels.shape), np.zeros(len(usable))
@@ -356,7 +356,7 @@ class _HalfDay(NamedTuple):
     day: int
 
 
-def unexplained_days(calibration: Calibration, usable: FilteredSightings, limit: float) -> Finding | None:
+def unexplained_days(calibration: Calibration, usable: Sightings, limit: float) -> Finding | None:
     """Return by how much a fit fails to explain the days of its sightings; None where it explains them.
 
     Of the sun's track alone. A day is clear where its sightings run smoothly about the fit, however far off they lie:
@@ -405,7 +405,7 @@ def unexplained_days(calibration: Calibration, usable: FilteredSightings, limit:
     )
 
 
-def _residuals(calibration: Calibration, usable: FilteredSightings) -> FloatArray:
+def _residuals(calibration: Calibration, usable: Sightings) -> FloatArray:
     """Return (n, 2): observed minus predicted by the pose of each sighting's epoch, as far as the lens is defined."""
     residual = np.zeros(usable.pixels.shape)
     last = len(calibration.poses) - 1
@@ -417,7 +417,7 @@ def _residuals(calibration: Calibration, usable: FilteredSightings) -> FloatArra
     return np.nan_to_num(residual)
 
 
-def _days(usable: FilteredSightings, track: BoolArray) -> Iterator[IntArray]:
+def _days(usable: Sightings, track: BoolArray) -> Iterator[IntArray]:
     """Yield the rows of each day of each epoch, in the order of time."""
     for epoch in np.unique(usable.epoch[track]).tolist():
         for day in np.unique(usable.day[track & (usable.epoch == epoch)]).tolist():
@@ -431,7 +431,7 @@ def _left_out(counted: BoolArray, used: BoolArray) -> tuple[float, int]:
 
 
 def _half_days(
-    calibration: Calibration, usable: FilteredSightings, rows: IntArray, residual: FloatArray, rough: FloatArray
+    calibration: Calibration, usable: Sightings, rows: IntArray, residual: FloatArray, rough: FloatArray
 ) -> Iterator[_HalfDay]:
     """Yield the halves of a day, `rough` being the residuals (n, 2) about their own smooth groups."""
     afternoon = np.sin(hour_angle(usable.unix_s[rows], calibration.site)) > 0.0

@@ -10,7 +10,7 @@ import numpy as np
 
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration, Verdict
-from sunarc.calibration.model.sightings import FilteredSightings, Kind
+from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.calibration.quality.day_quality import arc_length_deg, unexplained_days
 from sunarc.calibration.quality.site_checks import tilt_question
 from sunarc.findings import Finding
@@ -54,15 +54,15 @@ class Handedness(NamedTuple):
     ambiguous: bool
 
 
-def before_fit(usable: FilteredSightings, options: CalibrationOptions) -> tuple[Finding, ...]:
+def before_fit(usable: Sightings, options: CalibrationOptions) -> tuple[Finding, ...]:
     """Return what makes a fit pointless: too few sightings, too short an arc, a sun below the horizon or still."""
-    n_static = sum(position.n for position in usable.static)
+    n_static = sum(position.n for position in usable.filtering.static)
     n_all = len(usable) + n_static
     if n_static > _MOST_STATIC * n_all:
         return (Finding("static_sightings", {"n": n_static, "n_all": n_all, "places": _positions(usable)}),)
     if len(usable) < _FEWEST:
         few = Finding("too_few_sightings", {"n": len(usable), "least": _FEWEST})
-        return (*below_horizon(usable, options), few, *usable.dropped)
+        return (*below_horizon(usable, options), few, *usable.filtering.dropped)
     problems = []
     arc = sum(arc_length_deg(usable.directions[usable.day == day]) for day in np.unique(usable.day))
     if arc < _SHORTEST_ARC_DEG:
@@ -73,24 +73,24 @@ def before_fit(usable: FilteredSightings, options: CalibrationOptions) -> tuple[
     return tuple(problems)
 
 
-def below_horizon(usable: FilteredSightings, options: CalibrationOptions) -> tuple[Finding, ...]:
+def below_horizon(usable: Sightings, options: CalibrationOptions) -> tuple[Finding, ...]:
     """Return the finding of more sightings below the horizon than false detections are; none where they are fewer."""
-    below, limit = usable.n_below_horizon, options.max_below_horizon
-    n_all = below + int(np.sum(~usable.alone)) + sum(position.n for position in usable.static)
+    below, limit = usable.filtering.n_below_horizon, options.max_below_horizon
+    n_all = below + int(np.sum(~usable.alone)) + sum(position.n for position in usable.filtering.static)
     if below < _FEWEST_BELOW or below <= limit * n_all:
         return ()
     return (Finding("sightings_below_horizon", {"n": below, "n_all": n_all, "share": below / n_all, "limit": limit}),)
 
 
-def _positions(usable: FilteredSightings) -> str:
+def _positions(usable: Sightings) -> str:
     """Return where sightings stand still: counts and pixels."""
-    named = [f"{one.n} at x {one.x:.0f}, y {one.y:.0f}" for one in usable.static[:_POSITIONS_NAMED]]
-    further = len(usable.static) - len(named)
+    named = [f"{one.n} at x {one.x:.0f}, y {one.y:.0f}" for one in usable.filtering.static[:_POSITIONS_NAMED]]
+    further = len(usable.filtering.static) - len(named)
     return "; ".join([*named, *([f"and {further} more positions"] if further else [])])
 
 
 def fit_verdict(
-    calibration: Calibration, usable: FilteredSightings, handedness: Handedness, options: CalibrationOptions
+    calibration: Calibration, usable: Sightings, handedness: Handedness, options: CalibrationOptions
 ) -> Verdict:
     """Return whether a fit may be used, judged by itself."""
     below = below_horizon(usable, options)
@@ -106,11 +106,11 @@ def fit_verdict(
     found = [
         Finding("fit_rmse", {"n": metrics.n, "days": days, "rmse_px": metrics.rmse_px}),
         Finding("direction_sigma", {"sigma_deg": calibration.sky_rms_deg}),
-        *usable.dropped,
+        *usable.filtering.dropped,
     ]
     if calibration.evidence.held_out.get("widening", 1.0) > 1.0:
         found.append(Finding("sigma_of_thinned_set", {"factor": calibration.evidence.held_out["widening"]}))
-    if usable.static:
+    if usable.filtering.static:
         found.append(Finding("static_positions", {"places": _positions(usable)}))
     if calibration.evidence.options.get("free") == "pose":
         found.append(Finding("provisional"))
@@ -135,9 +135,7 @@ def _off_center(calibration: Calibration) -> Iterator[Finding]:
         yield Finding("image_size_doubtful", {"off_px": off, "share": off / side})
 
 
-def _against_scatter(
-    calibration: Calibration, usable: FilteredSightings, options: CalibrationOptions
-) -> Iterator[Finding]:
+def _against_scatter(calibration: Calibration, usable: Sightings, options: CalibrationOptions) -> Iterator[Finding]:
     rmse, sigma = calibration.metrics.rmse_px, calibration.sky_rms_deg
     limit = _largest_rmse_px(usable, options)
     if not rmse <= limit:
@@ -166,7 +164,7 @@ def _against_scatter(
         yield from missing_hours(usable, calibration.site)
 
 
-def missing_hours(usable: FilteredSightings, site: Site) -> Iterator[Finding]:
+def missing_hours(usable: Sightings, site: Site) -> Iterator[Finding]:
     """Yield the hours of sun without a sighting, of the day with most sightings; nothing where few are missing."""
     days, counts = np.unique(usable.day, return_counts=True)
     if days.size == 0:
@@ -184,9 +182,9 @@ def missing_hours(usable: FilteredSightings, site: Site) -> Iterator[Finding]:
     yield Finding("hours_missing", {"date": str(day), "covered_h": covered, "up_h": float(up.size), "missing": text})
 
 
-def _largest_rmse_px(usable: FilteredSightings, options: CalibrationOptions) -> float:
+def _largest_rmse_px(usable: Sightings, options: CalibrationOptions) -> float:
     """Return the largest RMSE that is no fault: that of the options, or what the sightings state of themselves."""
-    stated = _OVER_STATED * math.sqrt(2.0) * usable.stated_sigma_px  # an RMSE is of the 2-D distance
+    stated = _OVER_STATED * math.sqrt(2.0) * usable.filtering.stated_sigma_px  # an RMSE is of the 2-D distance
     return max(options.max_rmse_px, stated) if math.isfinite(stated) else options.max_rmse_px
 
 

@@ -12,9 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray, IntArray
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.robust_loss import tukey_weights
 from sunarc.calibration.solve.priors import LENS, N_LENS
-from sunarc.calibration.solve.problem import FitProblem, Observations
+from sunarc.calibration.solve.problem import FitProblem
 from sunarc.calibration.solve.row_kernels import add_products, block_size, reach_of, weigh
 from sunarc.compiled_math import cholesky_solve
 from sunarc.jit import njit
@@ -264,7 +265,7 @@ class Solution(NamedTuple):
 
 def most_probable(
     problem: FitProblem,
-    observed: Observations,
+    observed: Sightings,
     start: FloatArray,
     *,
     precision: FloatArray,
@@ -292,7 +293,7 @@ def most_probable(
     return Solution(unknowns, cost)
 
 
-def information(residual: FloatArray, observed: Observations, sigma: float | None) -> FloatArray:
+def information(residual: FloatArray, observed: Sightings, sigma: float | None) -> FloatArray:
     """Return (n,): how much each sighting counts where it lies now, px⁻²."""
     if sigma is None:
         return observed.information
@@ -306,7 +307,7 @@ def as_lens(problem: FitProblem) -> KernelLens:
     return KernelLens(mean, basis, kernel_optics(problem.template))
 
 
-def as_seen(observed: Observations) -> Seen:
+def as_seen(observed: Sightings) -> Seen:
     """Return sightings as the compiled loop takes them."""
     return Seen(
         directions=np.ascontiguousarray(observed.directions, dtype=np.float64),

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from sunarc.array_types import BoolArray, FloatArray, IntArray, Rows, picked
-from sunarc.calibration.model.sightings import FilteredSightings
+from sunarc.array_types import BoolArray, FloatArray, IntArray
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.robust_loss import UNSEEN_PX
 from sunarc.calibration.solve.priors import LENS, N_LENS, LensPrior
 from sunarc.calibration.solve.row_kernels import (
@@ -29,63 +29,9 @@ from sunarc.sky.refraction import raised, upward
 _RIGHT_ANGLE = math.pi / 2
 
 
-def _no_refraction() -> FloatArray:
-    return np.zeros((1, 1))
-
-
-def _no_systematic_errors() -> FloatArray:
-    return np.zeros((1, 2, 0))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Observations:
-    """Where the sun was detected, and the information of each sighting.
-
-    Attributes
-    ----------
-    directions : (n, 3) unit vectors, east-north-up.
-    pixels : (n, 2) px.
-    information : (n,) inverse variance of each axis, px⁻²; relative where the scale is still sought.
-    epoch : (n,) pose epochs, 0, 1, ….
-    refraction_sd : (n, k) 1-sigma of the refraction by its causes, rad, see `FilteredSightings`; 0 unless given.
-    systematic_px : (n, 2, s) displacements by s errors that many sightings share, each at its 1-sigma, px; none unless
-        given.
-    """
-
-    directions: FloatArray
-    pixels: FloatArray
-    information: FloatArray
-    epoch: IntArray
-    refraction_sd: FloatArray = field(default_factory=_no_refraction)
-    systematic_px: FloatArray = field(default_factory=_no_systematic_errors)
-
-    def __post_init__(self) -> None:
-        """Give every observation its refraction and its systematic errors."""
-        for name in ("refraction_sd", "systematic_px"):
-            given: FloatArray = getattr(self, name)
-            object.__setattr__(self, name, np.broadcast_to(given, (self.information.size, *given.shape[1:])))
-
-    def __len__(self) -> int:
-        return int(self.information.size)
-
-    def select(self, which: Rows) -> Observations:
-        """Return the observations that a slice, an index or a mask picks."""
-        return picked(self, which)
-
-    def weighted(self, information: FloatArray) -> Observations:
-        """Return the same observations with other information."""
-        return replace(self, information=information)
-
-
-def observations(usable: FilteredSightings) -> Observations:
+def observations(usable: Sightings) -> Sightings:
     """Return the usable sightings with their relative information."""
-    return Observations(
-        directions=usable.directions,
-        pixels=usable.pixels,
-        information=usable.sigma_px**-2.0,
-        epoch=usable.epoch,
-        refraction_sd=usable.refraction_sd,
-    )
+    return usable.weighted(usable.sigma_px**-2.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -97,9 +43,9 @@ class FitProblem:
     template : projection, image size and handedness; its parameters do not count.
     prior : what is known of the lens.
     n_epochs : number of poses.
-    n_systematic : how many unknowns after the poses are sizes of `Observations.systematic_px`, in units of it.
+    n_systematic : how many unknowns after the poses are sizes of `Sightings.systematic_px`, in units of it.
     n_air : 0 where the air is as it is assumed; else how many of the last unknowns are departures of the refraction,
-        one for each cause, in units of `Observations.refraction_sd`.
+        one for each cause, in units of `Sightings.refraction_sd`.
     max_angle : rad, how far off the axis the fitted camera will answer; the fit itself has no such limit.
     """
 
@@ -146,13 +92,13 @@ class FitProblem:
         poses = [camera.rotation_cam_enu for camera in cameras]
         return np.concatenate([self.prior.whitened(cameras[0]), *poses, np.zeros(self.n_unit)])
 
-    def directions(self, unknowns: FloatArray, observed: Observations) -> FloatArray:
+    def directions(self, unknowns: FloatArray, observed: Sightings) -> FloatArray:
         """Return (n, 3): apparent directions, by the refraction that is sought."""
         if self.n_air == 0:
             return observed.directions
         return raised(observed.directions, np.sum(observed.refraction_sd * unknowns[-self.n_air :], axis=-1))
 
-    def residuals(self, unknowns: FloatArray, observed: Observations) -> FloatArray:
+    def residuals(self, unknowns: FloatArray, observed: Sightings) -> FloatArray:
         """Return observed minus predicted pixels, (n, 2)."""
         optics, vectors, air = self.optics(), self._vectors(unknowns), self.air(unknowns)
         residual = np.empty(observed.pixels.shape)
@@ -164,13 +110,13 @@ class FitProblem:
             return residual
         return np.where(residual == UNSEEN_PX, residual, residual - self.displaced(unknowns, observed))
 
-    def displaced(self, unknowns: FloatArray, observed: Observations) -> FloatArray | float:
+    def displaced(self, unknowns: FloatArray, observed: Sightings) -> FloatArray | float:
         """Return by how much systematic errors displace the detections, (n, 2) px; 0 where there are none."""
         if self.n_systematic == 0:
             return 0.0
         return np.asarray(observed.systematic_px @ unknowns[self.systematic_slice])
 
-    def beyond(self, unknowns: FloatArray, observed: Observations) -> BoolArray:
+    def beyond(self, unknowns: FloatArray, observed: Sightings) -> BoolArray:
         """Return (n,): which directions lie further off the axis than the fitted camera will answer."""
         cosine = np.empty(len(observed))
         for epoch in range(self.n_epochs):
@@ -179,7 +125,7 @@ class FitProblem:
             cosine[in_epoch] = observed.directions[in_epoch] @ axis
         return np.asarray(cosine < math.cos(self.max_angle))
 
-    def linearised(self, unknowns: FloatArray, observed: Observations) -> tuple[FloatArray, FloatArray]:
+    def linearised(self, unknowns: FloatArray, observed: Sightings) -> tuple[FloatArray, FloatArray]:
         """Return the residuals (n, 2) and the derivatives of the prediction by the unknowns (n, 2, size)."""
         residual, columns = residuals_and_columns_of(
             self.optics(),
@@ -195,7 +141,7 @@ class FitProblem:
         """Return (n_air,): the unknowns of the refraction."""
         return np.ascontiguousarray(unknowns[self.size - self.n_air :], dtype=np.float64)
 
-    def sighted(self, observed: Observations) -> Sighted:
+    def sighted(self, observed: Sightings) -> Sighted:
         """Return the sightings as the kernels take them, with a 1-sigma of the refraction for each of its unknowns."""
         refraction_sd = observed.refraction_sd
         if self.n_air:
@@ -216,7 +162,7 @@ class FitProblem:
         at, prior = np.asarray(unknowns, dtype=np.float64), self.prior
         return np.asarray(vectors_of(prior.mean, np.ascontiguousarray(prior.basis), at, self.n_epochs))
 
-    def _of(self, epoch: int, observed: Observations) -> slice | BoolArray:
+    def _of(self, epoch: int, observed: Sightings) -> slice | BoolArray:
         """Return which observations belong to an epoch."""
         return slice(None) if self.n_epochs == 1 else observed.epoch == epoch
 
@@ -276,8 +222,8 @@ class Bins:
         return Bins(member=member, count=fresh.size)
 
     def gathered(
-        self, observed: Observations, residual: FloatArray, information: FloatArray
-    ) -> tuple[Observations, FloatArray]:
+        self, observed: Sightings, residual: FloatArray, information: FloatArray
+    ) -> tuple[Sightings, FloatArray]:
         """Return one observation a bin (its pixels: those of the heaviest share) and the mean residuals (bins, 2)."""
         total = self._sums(information)
         safe = np.where(total > 0.0, total, 1.0)
@@ -296,7 +242,7 @@ class Bins:
             1.0,
             observed.pixels[first[empty]],
         )
-        gathered = Observations(
+        gathered = Sightings(
             directions=direction / norm,
             pixels=pixels,
             information=total,
@@ -307,8 +253,8 @@ class Bins:
         return gathered, mean
 
     def observations(
-        self, observed: Observations, problem: FitProblem, unknowns: FloatArray, *, information: FloatArray
-    ) -> Observations:
+        self, observed: Sightings, problem: FitProblem, unknowns: FloatArray, *, information: FloatArray
+    ) -> Sightings:
         """Return one observation a bin, its pixel such that its residual is the bin's mean one at some unknowns.
 
         A sighting where the lens sees nothing takes no part.
@@ -334,7 +280,7 @@ def _begin(first: BoolArray) -> IntArray:
     return np.asarray(np.maximum.accumulate(np.where(first, np.arange(first.size), 0)))
 
 
-def time_bins(usable: FilteredSightings) -> Bins:
+def time_bins(usable: Sightings) -> Bins:
     """Return bins of consecutive sightings of one day and epoch, at most 16 sightings and 6 minutes each.
 
     One that is alone has a bin of its own.

@@ -17,10 +17,11 @@ from scipy.spatial.transform import Rotation
 
 from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.robust_loss import robust_sigma
 from sunarc.calibration.solve.levenberg_marquardt import most_probable
 from sunarc.calibration.solve.priors import N_LENS, Whitened, lens_prior, precisions
-from sunarc.calibration.solve.problem import FitProblem, Observations, problem_for
+from sunarc.calibration.solve.problem import FitProblem, problem_for
 from sunarc.errors import InputError
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import rising_limit
@@ -73,7 +74,7 @@ def _level(
     )
 
 
-def wahba(camera: Camera, observed: Observations, *, rounds: int = 4) -> tuple[Camera, float]:
+def wahba(camera: Camera, observed: Sightings, *, rounds: int = 4) -> tuple[Camera, float]:
     """Return the camera turned so that its rays meet the sun's directions, and how well they do.
 
     Parameters
@@ -124,7 +125,7 @@ def as_far_as_it_rises(camera: Camera) -> Camera:
     return replace(camera, rotation_cam_enu=(0.0, 0.0, 0.0), max_angle=rising_limit(camera, up_to=math.pi))
 
 
-def candidates(observed: Observations, guess: Camera, *, known: bool, best: int) -> list[Camera]:
+def candidates(observed: Sightings, guess: Camera, *, known: bool, best: int) -> list[Camera]:
     """Return turned cameras to try, the most promising first.
 
     Parameters
@@ -174,7 +175,7 @@ _SEARCH_DECENTERING_PX = 3.0
 
 
 def first_cameras(
-    observed: Observations,
+    observed: Sightings,
     *,
     image_size: tuple[int, int],
     options: CalibrationOptions,
@@ -194,13 +195,13 @@ def first_cameras(
     return cameras, cost
 
 
-def _of_epoch(observed: Observations, epoch: int) -> Observations:
+def _of_epoch(observed: Sightings, epoch: int) -> Sightings:
     in_epoch = observed.select(observed.epoch == epoch)
     return replace(in_epoch, epoch=np.zeros(len(in_epoch), dtype=np.int64))
 
 
 def _best_single(
-    observed: Observations,
+    observed: Sightings,
     *,
     image_size: tuple[int, int],
     options: CalibrationOptions,
@@ -224,7 +225,7 @@ def _best_single(
 
 
 def _polished(
-    observed: Observations, camera: Camera, options: CalibrationOptions, circle: ImageCircle | None, *, stage: int
+    observed: Sightings, camera: Camera, options: CalibrationOptions, circle: ImageCircle | None, *, stage: int
 ) -> tuple[Camera, float]:
     """Fit one candidate: stage 1 focal length, centre and pose; stage 3 everything, the radial part loosely."""
     problem = single_problem(observed, camera, options, circle)
@@ -245,7 +246,7 @@ def _polished(
 
 
 def candidate_misfit(
-    problem: FitProblem, unknowns: FloatArray, precision: FloatArray, observed: Observations, camera: Camera
+    problem: FitProblem, unknowns: FloatArray, precision: FloatArray, observed: Sightings, camera: Camera
 ) -> float:
     """Return how implausible a candidate is, in half squares: scatter, prior, tilt."""
     residual = problem.residuals(unknowns, observed)
@@ -259,7 +260,7 @@ def candidate_misfit(
 
 
 def single_problem(
-    observed: Observations,
+    observed: Sightings,
     camera: Camera,
     options: CalibrationOptions,
     circle: ImageCircle | None,
@@ -273,7 +274,7 @@ def single_problem(
     return problem_for(camera, prior, n_epochs=n_epochs, max_angle=math.radians(options.max_angle_deg))
 
 
-def field_angle(camera: Camera, observed: Observations, options: CalibrationOptions) -> float:
+def field_angle(camera: Camera, observed: Sightings, options: CalibrationOptions) -> float:
     """Return the largest angle off the axis, in radians, that the lens shows or the sun was seen at."""
     limit = min(angle_limit(camera.projection) * 0.999, math.radians(max(options.max_angle_deg, 30.0)))
     cosine = unproject(as_far_as_it_rises(camera), observed.pixels)[:, 2]

@@ -15,10 +15,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from sunarc.array_types import FloatArray, IntArray
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.robust_loss import UNSEEN_PX, robust_scale, robust_sigma, surely_well_behaved, tukey_loss
 from sunarc.calibration.solve.levenberg_marquardt import damped_step_of, most_probable
 from sunarc.calibration.solve.priors import DECENTERING, HIGHER, N_LENS, RADIAL, Whitened
-from sunarc.calibration.solve.problem import FitProblem, Observations
+from sunarc.calibration.solve.problem import FitProblem
 from sunarc.jit import njit
 
 # The linear trials of `ransac_start` and their refinement as compiled loops, without the interpreter's lock.
@@ -139,7 +140,7 @@ _FIXED = 1e8
 """Prior precision of what a stage leaves out: 1e-4 of the prior's sigma."""
 
 
-def best_start(problem: FitProblem, observed: Observations, start: FloatArray, *, precision: FloatArray) -> FloatArray:
+def best_start(problem: FitProblem, observed: Sightings, start: FloatArray, *, precision: FloatArray) -> FloatArray:
     """Return the unknowns of the lowest robust cost that the starts lead to.
 
     Parameters
@@ -159,14 +160,14 @@ def best_start(problem: FitProblem, observed: Observations, start: FloatArray, *
 
 
 def least_squares(
-    problem: FitProblem, observed: Observations, start: FloatArray, *, tolerance: float = 1e-6
+    problem: FitProblem, observed: Sightings, start: FloatArray, *, tolerance: float = 1e-6
 ) -> FloatArray:
     """Return the unknowns (p,) of least squares over all sightings, none weighted down, hardly any prior."""
     return _loose_fit(problem, observed, start, loosened(problem), tolerance)
 
 
 def staged_least_squares(
-    problem: FitProblem, observed: Observations, start: FloatArray, *, tolerance: float = 1e-6
+    problem: FitProblem, observed: Sightings, start: FloatArray, *, tolerance: float = 1e-6
 ) -> FloatArray:
     """Return the unknowns (p,) of `least_squares` in the paper's three stages (section 4.2), from an ideal lens.
 
@@ -183,7 +184,7 @@ def staged_least_squares(
 
 
 def _loose_fit(
-    problem: FitProblem, observed: Observations, start: FloatArray, precision: FloatArray, tolerance: float
+    problem: FitProblem, observed: Sightings, start: FloatArray, precision: FloatArray, tolerance: float
 ) -> FloatArray:
     return most_probable(problem, observed, start, precision=precision, iterations=25, tolerance=tolerance).unknowns
 
@@ -204,7 +205,7 @@ def undistorted(unknowns: FloatArray) -> FloatArray:
 
 
 def settled(
-    problem: FitProblem, observed: Observations, start: FloatArray, *, precision: FloatArray, tolerance: float = 1e-6
+    problem: FitProblem, observed: Sightings, start: FloatArray, *, precision: FloatArray, tolerance: float = 1e-6
 ) -> FloatArray:
     """Return the robust fit from one start at the scale that it leaves over."""
     sigma = _widest_scatter(problem, start, observed)
@@ -214,7 +215,7 @@ def settled(
 
 
 def lowest(
-    problem: FitProblem, observed: Observations, candidates: Sequence[FloatArray], *, precision: FloatArray
+    problem: FitProblem, observed: Sightings, candidates: Sequence[FloatArray], *, precision: FloatArray
 ) -> FloatArray:
     """Return the candidate of the lowest robust cost, prior included, at one scale for all."""
     distances = [distance_sigmas(problem, observed, at) for at in candidates]
@@ -227,7 +228,7 @@ def lowest(
     return candidates[int(np.argmin(costs))]
 
 
-def distance_sigmas(problem: FitProblem, observed: Observations, unknowns: FloatArray) -> FloatArray:
+def distance_sigmas(problem: FitProblem, observed: Sightings, unknowns: FloatArray) -> FloatArray:
     """Return (n,): distances between seen and modelled pixels, px, divided by the sightings' relative sigma.
 
     A sighting further off the axis than the camera will answer is missed (`UNSEEN_PX`): a camera that is tilted away
@@ -238,7 +239,7 @@ def distance_sigmas(problem: FitProblem, observed: Observations, unknowns: Float
     return np.where(problem.beyond(unknowns, observed), UNSEEN_PX, distance)
 
 
-def _plain_starts(problem: FitProblem, few: Observations, start: FloatArray) -> list[FloatArray]:
+def _plain_starts(problem: FitProblem, few: Sightings, start: FloatArray) -> list[FloatArray]:
     """Return least-squares answers from an ideal lens: thinned, from other focal lengths, and in stages."""
     plain = undistorted(start)
     few = few.select(slice(None, None, max(len(few) // _FEWER, 1)))
@@ -250,7 +251,7 @@ def _plain_starts(problem: FitProblem, few: Observations, start: FloatArray) -> 
     return [*found, staged_least_squares(problem, few, start, tolerance=_NEAR)]
 
 
-def distinct_starts(problem: FitProblem, observed: Observations, starts: list[FloatArray]) -> list[FloatArray]:
+def distinct_starts(problem: FitProblem, observed: Sightings, starts: list[FloatArray]) -> list[FloatArray]:
     """Return the starts without those that image all sightings where an earlier one does: both have one minimum."""
     root = np.sqrt(observed.information)[:, None]
     residuals = [problem.residuals(at, observed) * root for at in starts]
@@ -262,7 +263,7 @@ def distinct_starts(problem: FitProblem, observed: Observations, starts: list[Fl
     return [starts[k] for k in found]
 
 
-def _widest_scatter(problem: FitProblem, at: FloatArray, observed: Observations) -> float:
+def _widest_scatter(problem: FitProblem, at: FloatArray, observed: Sightings) -> float:
     """Return the scale of the pose that fits worst so far: by one that fits already, it would be left out whole."""
     distance = np.linalg.norm(problem.residuals(at, observed), axis=-1) * np.sqrt(observed.information)
     share = surely_well_behaved(len(observed), problem.size)
@@ -294,9 +295,7 @@ CUTS = np.repeat([3.0, 1.5], [4, _ROUNDS - 4])
 FLOOR_PX = 1e-3
 
 
-def ransac_start(
-    problem: FitProblem, observed: Observations, start: FloatArray, *, precision: FloatArray
-) -> FloatArray:
+def ransac_start(problem: FitProblem, observed: Sightings, start: FloatArray, *, precision: FloatArray) -> FloatArray:
     """Return the unknowns that most sightings agree on closely, or the start where nothing is better.
 
     Parameters
@@ -373,7 +372,7 @@ def _disagreements(after: FloatArray, information: FloatArray) -> FloatArray:
     return result
 
 
-def disagreement(problem: FitProblem, observed: Observations, at: FloatArray, close: float) -> float:
+def disagreement(problem: FitProblem, observed: Sightings, at: FloatArray, close: float) -> float:
     """Return how far steps disagree with the sightings."""
     distance = np.linalg.norm(problem.residuals(at, observed), axis=-1) * np.sqrt(observed.information)
     return float(np.sum(np.log1p((distance / close) ** 2)))
@@ -388,9 +387,7 @@ _STARTS = tuple(itertools.product((-1.5, 1.5), (-2.0, 0.0, 2.0)))
 _LET_GO = 2
 
 
-def best_of_starts(
-    problem: FitProblem, observed: Observations, start: FloatArray, *, precision: FloatArray
-) -> FloatArray:
+def best_of_starts(problem: FitProblem, observed: Sightings, start: FloatArray, *, precision: FloatArray) -> FloatArray:
     """Return the unknowns of the lowest local minimum that was found.
 
     Parameters

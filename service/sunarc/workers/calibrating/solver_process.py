@@ -200,7 +200,7 @@ def points_of(columns: SunPointColumns, *, site: Site | None = None, latest: str
         raise ValueError("sightings of stars without a site")
     air = {"temperature": columns.temperature, "pressure": columns.pressure}
     directions = None if site is None else body_directions(columns.body, columns.unix_s, site, **air)
-    return Sightings(
+    return Sightings.of(
         unix_s=columns.unix_s,
         pixels=columns.pixels,
         sigma_px=columns.sigma_px,
