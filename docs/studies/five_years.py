@@ -88,8 +88,8 @@ def make(path: Path) -> None:
     upgrade(path)
     archive = open_archive(path)
     camera = true_camera()
-    archive.save_camera(CameraRecord.at(SGP, name="roof", width=camera.width, height=camera.height))
-    first = archive.epoch_at("roof", _START, reason="installed")
+    archive.cameras.save(CameraRecord.at(SGP, name="roof", width=camera.width, height=camera.height))
+    first = archive.epochs.at("roof", _START, reason="installed")
     rng = np.random.default_rng(5)
     times = _START.timestamp() + np.arange(0.0, _DAYS * 86_400.0, _CADENCE_S)
     times = np.concatenate([part[sun_angles(part, SGP).apparent_zenith < 88.0] for part in np.array_split(times, 200)])
@@ -107,7 +107,7 @@ def make(path: Path) -> None:
                 ),
             )
     for year in range(1, 5):
-        archive.open_epoch("roof", at=_START + timedelta(days=365 * year), reason="moved")
+        archive.epochs.open("roof", at=_START + timedelta(days=365 * year), reason="moved")
     _remember_days(archive)
     archive.close()
 
@@ -116,12 +116,12 @@ def _remember_days(archive: Archive) -> None:
     for number in range(_DAYS):
         moment = _START + timedelta(days=number + 1)
         day = (_START + timedelta(days=number)).date()
-        archive.save_day(
+        archive.days.save(
             Day(camera="roof", date=day, verdict="clear", findings=(), n=1300, n_possible=1400, decided_at=moment)
         )
-        archive.add_event(Event(time=moment, kind="day", severity="info", text=f"{day} was clear", camera="roof"))
-        refit = archive.add_refit(Refit(id=uuid.uuid4().hex, camera="roof", requested_at=moment, reason="a day"))
-        archive.finish_refit(refit.id, state="refused", finished_at=moment, message="not better")
+        archive.events.add(Event(time=moment, kind="day", severity="info", text=f"{day} was clear", camera="roof"))
+        refit = archive.refits.add(Refit(id=uuid.uuid4().hex, camera="roof", requested_at=moment, reason="a day"))
+        archive.refits.finish(refit.id, state="refused", finished_at=moment, message="not better")
 
 
 def measure(path: Path) -> None:
@@ -148,9 +148,9 @@ def measure(path: Path) -> None:
         board=board,
     )
     for what in ("the first refit, with the search for pose epochs and fits of the earlier ones", "a nightly refit"):
-        refit = archive.add_refit(Refit(id=uuid.uuid4().hex, camera="roof", requested_at=_END, reason="study"))
+        refit = archive.refits.add(Refit(id=uuid.uuid4().hex, camera="roof", requested_at=_END, reason="study"))
         _measured(what, partial(worker.carry_out, refit, threading.Event(), lambda: None))
-        print(archive.refit(refit.id), flush=True)
+        print(archive.refits.get(refit.id), flush=True)
     app = create_app(
         archive=archive,
         camera="roof",

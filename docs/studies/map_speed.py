@@ -149,7 +149,7 @@ def serve(folder: Path, told_to: Connection) -> None:
         camera="roof",
         site=SITE,
         status=StatusRegistry(version="0", started_at=NOON, monotonic=VirtualClock(NOON).monotonic).snapshot,
-        request_refit=lambda reason: archive.add_refit(Refit(id="r", camera="roof", requested_at=NOON, reason=reason)),
+        request_refit=lambda reason: archive.refits.add(Refit(id="r", camera="roof", requested_at=NOON, reason=reason)),
         frame_clock=lambda: NOON,
         latest_image=lambda: None,
         options=options,

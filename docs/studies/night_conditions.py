@@ -123,13 +123,13 @@ def night(seed: int, weather: Weather, dome: Dome) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         upgrade(Path(folder) / "a.sqlite")
         archive = open_archive(Path(folder) / "a.sqlite")
-        archive.save_camera(CameraRecord.at(SGP, name="roof", width=CAMERA.width, height=CAMERA.height))
-        epoch = archive.epoch_at("roof", begin - timedelta(days=1), reason="first frame")
+        archive.cameras.save(CameraRecord.at(SGP, name="roof", width=CAMERA.width, height=CAMERA.height))
+        epoch = archive.epochs.at("roof", begin - timedelta(days=1), reason="first frame")
         document = to_document(
             served(), id="day", camera="roof", state="candidate", created_at=begin, valid_until=None,
             valid_from=begin - timedelta(days=1), pose_epoch=epoch.id, software_version="0",
         )  # fmt: skip
-        archive.activate(archive.add_calibration(document).id)
+        archive.calibrations.activate(archive.calibrations.add(document).id)
         worker = NightWorker(
             NightCapture(NightExposures(), DropOldestQueue(capacity=4)),
             camera=CameraArchive(archive, name="roof", site=SGP),
@@ -144,7 +144,7 @@ def night(seed: int, weather: Weather, dome: Dome) -> dict[str, Any]:
         for frame in frames(rng, begin, weather, dome):
             worker.look_at(frame)
         worker.finish()
-        (event,) = archive.events("roof", kind="night")
+        (event,) = archive.events.find("roof", kind="night")
         archive.close()
     return dict(event.details)
 

@@ -42,7 +42,7 @@ def main() -> None:
     folder = Path(tempfile.mkdtemp())
     upgrade(folder / "sunarc.sqlite")
     archive = open_archive(folder / "sunarc.sqlite")
-    archive.save_camera(CameraRecord.at(SGP, name="roof", width=camera.width, height=camera.height))
+    archive.cameras.save(CameraRecord.at(SGP, name="roof", width=camera.width, height=camera.height))
     exposures = MoonExposures(lambda at: moon_disc(at.timestamp(), SGP))
     worker = NightWorker(
         NightCapture(

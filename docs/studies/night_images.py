@@ -78,7 +78,7 @@ class SimulatedImager:
         path = Path(self._folder.name) / "sunarc.sqlite"
         upgrade(path)
         self.archive: Archive = open_archive(path)
-        self.archive.save_camera(CameraRecord.at(SGP, name="roof", width=lens.width, height=lens.height))
+        self.archive.cameras.save(CameraRecord.at(SGP, name="roof", width=lens.width, height=lens.height))
         self.camera = CameraArchive(self.archive, name="roof", site=SGP)
         self.now = datetime(2013, 5, 26, 12, tzinfo=UTC)
         self._add_day(np.random.default_rng(seed + 100))
@@ -87,8 +87,8 @@ class SimulatedImager:
             served or self.day, id="day", camera="roof", state="candidate", created_at=DARK,
             valid_from=DARK - timedelta(days=1), valid_until=None, pose_epoch="roof-1", software_version="0",
         )  # fmt: skip
-        self.archive.add_calibration(document)
-        self.archive.activate("day")
+        self.archive.calibrations.add(document)
+        self.archive.calibrations.activate("day")
 
     def close(self) -> None:
         """Remove the archive."""
@@ -99,8 +99,8 @@ class SimulatedImager:
         times = datetime(2013, 5, 13, 6, tzinfo=UTC).timestamp() + np.arange(0.0, 86_400.0, 120.0)
         times = times[sun_angles(times, SGP).apparent_zenith < 88.0]
         pixels = project(self.lens, sun_directions(times, SGP)) + rng.normal(0.0, SUN_PX, (times.size, 2))
-        self.archive.epoch_at("roof", utc_time(float(times[0])), reason="first frame")
-        self.archive.add_sun_points(
+        self.archive.epochs.at("roof", utc_time(float(times[0])), reason="first frame")
+        self.archive.sightings.add(
             SunPoint(
                 camera="roof", pose_epoch="roof-1", time=utc_time(time), method="disc", accepted=True, verdict="clear",
                 x_px=x, y_px=y, sigma_px=SUN_PX,
@@ -135,8 +135,8 @@ class SimulatedImager:
             times.append(dated.time.timestamp())
             worker.look_at(dated)
         worker.finish()
-        (event,) = self.archive.events("roof", kind="night", limit=1)
-        stars = self.archive.sun_point_columns("roof", body=None, since=begin)
+        (event,) = self.archive.events.find("roof", kind="night", limit=1)
+        stars = self.archive.sightings.columns("roof", body=None, since=begin)
         stars = stars.select((stars.body != "sun") & np.isin(stars.unix_s, times))
         true = project(self.lens, body_directions(stars.body, stars.unix_s - late_s, SGP))
         return dict(event.details), int(np.sum(np.linalg.norm(stars.pixels - true, axis=-1) > 1.0))

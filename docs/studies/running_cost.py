@@ -102,8 +102,8 @@ def _calibrate(folder: Path) -> None:
     database = folder / "state" / "sunarc.sqlite"
     upgrade(database)
     archive = open_archive(database)
-    archive.save_camera(CameraRecord.at(SGP, name="imager", width=_SIZE, height=_SIZE))
-    epoch = archive.epoch_at("imager", _START, reason="first frame")
+    archive.cameras.save(CameraRecord.at(SGP, name="imager", width=_SIZE, height=_SIZE))
+    epoch = archive.epochs.at("imager", _START, reason="first frame")
     truth = from_document(json.loads((folder / "truth.json").read_text())).camera
     document = to_document(
         calibrate(_sightings(truth), site=SGP, image_size=(_SIZE, _SIZE)),
@@ -116,8 +116,8 @@ def _calibrate(folder: Path) -> None:
         pose_epoch=epoch.id,
         software_version=version("sunarc"),
     )
-    archive.add_calibration(document)
-    archive.activate("simulated")
+    archive.calibrations.add(document)
+    archive.calibrations.activate("simulated")
     archive.close()
 
 

@@ -221,7 +221,7 @@ def _outbox(settings: Settings) -> OutboxPosition | None:
     if settings.store is None and not (settings.database.exists() and settings.database.stat().st_size):
         return None
     with open_archive(settings.archive) as archive:
-        return archive.outbox_position() if archive.outbox_enabled() else None
+        return archive.outbox.position() if archive.outbox.enabled() else None
 
 
 def _connect(url: str) -> None:

@@ -191,7 +191,7 @@ def make(tmp_path: Path, archives: Path) -> Iterator[Make]:
 
         def request_refit(reason: str) -> Refit:
             asked.append(reason)
-            return kept.request_refit(Refit(id=f"r{len(asked)}", camera="roof", requested_at=NOON, reason=reason))
+            return kept.refits.request(Refit(id=f"r{len(asked)}", camera="roof", requested_at=NOON, reason=reason))
 
         if token:
             (tmp_path / "token").write_text(TOKEN + "\n")
@@ -219,8 +219,8 @@ def new_archive(path: Path, camera: Camera = LENS) -> Archive:
     """Return an archive that knows the camera and has seen nothing."""
     upgrade(path)
     archive = open_archive(path)
-    archive.save_camera(CameraRecord.at(SITE, name="roof", width=camera.width, height=camera.height))
-    archive.open_epoch("roof", at=datetime(2013, 5, 1, tzinfo=UTC), reason="installed")
+    archive.cameras.save(CameraRecord.at(SITE, name="roof", width=camera.width, height=camera.height))
+    archive.epochs.open("roof", at=datetime(2013, 5, 1, tzinfo=UTC), reason="installed")
     return archive
 
 
@@ -256,13 +256,13 @@ def made(make: Make, tmp_path: Path) -> Made:
 
 def fill(archive: Archive, camera: Camera = LENS) -> None:
     """Write a history into an archive."""
-    archive.add_sun_points(sightings(NOON, camera=camera))
-    archive.add_calibration(document("first", valid_from=NOON - timedelta(days=9), camera=camera))
-    archive.activate("first")
+    archive.sightings.add(sightings(NOON, camera=camera))
+    archive.calibrations.add(document("first", valid_from=NOON - timedelta(days=9), camera=camera))
+    archive.calibrations.activate("first")
     refused = document("refused", accepted=False, valid_from=NOON - timedelta(days=2), camera=camera)
-    archive.add_calibration(refused, parent="first")
-    archive.add_calibration(document("second", camera=camera), parent="first")
-    archive.activate("second")
+    archive.calibrations.add(refused, parent="first")
+    archive.calibrations.add(document("second", camera=camera), parent="first")
+    archive.calibrations.activate("second")
     for n, degrees in enumerate((40.0, 43.0, None)):
         hour = Housekeeping(
             time=NOON - timedelta(hours=2, minutes=30) + timedelta(hours=n),
@@ -273,9 +273,9 @@ def fill(archive: Archive, camera: Camera = LENS) -> None:
             temperature_max_c=degrees,
             n_temperatures=int(degrees is not None),
         )
-        archive.add_housekeeping("roof", [hour])
+        archive.housekeeping.add("roof", [hour])
     for day, verdict in ((11, "cloudy"), (12, "clear")):
-        archive.save_day(
+        archive.days.save(
             Day(
                 camera="roof",
                 date=date(2013, 5, day),
@@ -289,5 +289,5 @@ def fill(archive: Archive, camera: Camera = LENS) -> None:
                 decided_at=NOON,
             )
         )
-    archive.add_event(Event(time=NOON, kind="refit_refused", severity="warning", text="worse", camera="roof"))
-    archive.add_event(Event(time=NOON - timedelta(days=1), kind="start", severity="info", text="started"))
+    archive.events.add(Event(time=NOON, kind="refit_refused", severity="warning", text="worse", camera="roof"))
+    archive.events.add(Event(time=NOON - timedelta(days=1), kind="start", severity="info", text="started"))

@@ -73,7 +73,7 @@ def served(folder: Path) -> Iterator[str]:
     count = iter(range(10**9))
 
     def request_refit(reason: str) -> Refit:
-        return archive.request_refit(Refit(id=f"r{next(count)}", camera="roof", requested_at=NOON, reason=reason))
+        return archive.refits.request(Refit(id=f"r{next(count)}", camera="roof", requested_at=NOON, reason=reason))
 
     app = create_app(
         archive=archive,

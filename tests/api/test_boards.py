@@ -76,8 +76,8 @@ def observed(made: Made, tmp_path: Path) -> Iterator[tuple[Made, Prometheus]]:
     program = shutil.which("prometheus")
     if program is None:
         pytest.skip("prometheus is not installed: apt-get install prometheus")
-    made.archive.name_sinks(["mqtt"])
-    made.archive.add_refit(Refit(id="r", camera="roof", requested_at=made.noon, reason="asked"))
+    made.archive.notices.name_sinks(["mqtt"])
+    made.archive.refits.add(Refit(id="r", camera="roof", requested_at=made.noon, reason="asked"))
     day = Day(
         camera="roof",
         date=date(2013, 5, 13),
@@ -89,10 +89,10 @@ def observed(made: Made, tmp_path: Path) -> Iterator[tuple[Made, Prometheus]]:
         rmsd_px=0.1,
         pose_offset_deg=(0.1, 0.0, 0.0),
     )
-    made.archive.save_day(day)
+    made.archive.days.save(day)
     numbers = dict.fromkeys(re.findall(r"sunarc_night_(\w+)", " ".join(EXPRESSIONS)), 1.0)
     known: dict[str, Any] = {name: value for name, value in numbers.items() if name != "seconds"}
-    made.archive.save_night(judged("2013-05-12", at=made.noon, verdict="clear", **known))
+    made.archive.nights.save(judged("2013-05-12", at=made.noon, verdict="clear", **known))
     camera = made.board.snapshot().camera
     assert camera is not None
     made.board.note(camera=replace(camera, temperature_c=31.0))

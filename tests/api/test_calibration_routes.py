@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 def test_the_current_calibration_is_the_archives_document(made: Made) -> None:
     answer = made.client.get("/v1/calibration")
-    record = made.archive.current_calibration("roof")
+    record = made.archive.calibrations.current("roof")
     assert record is not None
     assert answer.status_code == 200
     assert answer.json() == record.document
@@ -32,7 +32,7 @@ def test_an_unchanged_calibration_is_not_sent_again(made: Made) -> None:
 def test_the_tag_changes_with_the_calibration_and_with_its_state(made: Made) -> None:
     tag = made.client.get("/v1/calibrations/second").headers["etag"]
     assert made.client.get("/v1/calibration").headers["etag"] == tag
-    made.archive.retire("second", at=made.noon + timedelta(days=1))
+    made.archive.calibrations.retire("second", at=made.noon + timedelta(days=1))
     assert made.client.get("/v1/calibrations/second").headers["etag"] != tag
 
 

@@ -13,7 +13,7 @@ OTHER = CameraRecord(name="mast", latitude=-33.0, longitude=151.0, altitude=20.0
 
 
 def test_the_archives_cameras_are_told(made: Made) -> None:
-    made.archive.save_camera(OTHER)
+    made.archive.cameras.save(OTHER)
     told = made.client.get("/v1/cameras").json()
     assert told["default"] == "roof"
     assert [(one["name"], one["width"], one["latitude"]) for one in told["cameras"]] == [
@@ -43,7 +43,7 @@ def test_every_route_of_a_camera_also_stands_under_its_name(made: Made) -> None:
 
 
 def test_another_camera_has_its_own_sky_and_none_of_this_ones_record(made: Made) -> None:
-    made.archive.save_camera(OTHER)
+    made.archive.cameras.save(OTHER)
     noon = {"at": "2013-05-13T02:00:00Z"}
     sun = made.client.get("/v1/cameras/mast/sun", params=noon).json()
     assert sun["apparent_zenith"] < 55.0
@@ -55,7 +55,7 @@ def test_another_camera_has_its_own_sky_and_none_of_this_ones_record(made: Made)
 
 
 def test_a_camera_that_another_service_drives_is_not_solved_here(made: Made) -> None:
-    made.archive.save_camera(OTHER)
+    made.archive.cameras.save(OTHER)
     answer = made.client.post("/v1/cameras/mast/refits", headers=made.bearer)
     assert (answer.status_code, answer.json()["errors"][0]["field"]) == (422, "camera")
     asked = made.client.post("/v1/cameras/roof/refits", headers=made.bearer)

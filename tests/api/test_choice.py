@@ -53,7 +53,7 @@ def test_the_sun_s_time_and_the_calibration_are_chosen_apart(made: Made) -> None
 
 
 def test_the_best_one_of_the_pose_epoch_has_the_least_uncertainty_over_the_sky(made: Made) -> None:
-    records = [one for one in made.archive.calibrations(made.archive.cameras()[0].name) if one.accepted]
+    records = [one for one in made.archive.calibrations.find(made.archive.cameras.all()[0].name) if one.accepted]
     epoch = next(one.pose_epoch for one in records if one.id == "second")
     rivals = [one for one in records if one.pose_epoch == epoch]
     least = min(rivals, key=lambda one: one.document["uncertainty"]["sky_rms_deg"])
@@ -65,7 +65,7 @@ def test_the_best_one_of_the_pose_epoch_has_the_least_uncertainty_over_the_sky(m
 
 @pytest.mark.parametrize(("chosen", "status"), [("nothing", 404), ("refused", 404), ("x" * 101, 422), ("", 404)])
 def test_what_cannot_answer_is_refused(made: Made, chosen: str, status: int) -> None:
-    refused = [one.id for one in made.archive.calibrations(made.archive.cameras()[0].name) if not one.accepted]
+    refused = [one.id for one in made.archive.calibrations.find(made.archive.cameras.all()[0].name) if not one.accepted]
     query = {"calibration": refused[0] if chosen == "refused" else chosen}
     for method, path, body in [*ASKED, ("GET", "/v1/back-projection-map", None)]:
         answer = made.client.request(method, path, json=body, params=query)
@@ -93,7 +93,7 @@ def test_routes_without_a_calibration_have_no_such_choice(made: Made) -> None:
 def test_a_calibration_of_another_camera_answers_for_none_but_its_own(
     made: Made, method: str, path: str, body: dict[str, Any] | None
 ) -> None:
-    made.archive.save_camera(OTHER)
+    made.archive.cameras.save(OTHER)
     of_mast = path.replace("/v1/", "/v1/cameras/mast/") + ("&" if "?" in path else "?") + "calibration=second"
     answer = made.client.request(method, of_mast, json=body)
     assert answer.status_code == 404
@@ -103,8 +103,8 @@ def test_a_calibration_of_another_camera_answers_for_none_but_its_own(
 
 
 def test_calibrations_of_two_cameras_are_not_compared(made: Made) -> None:
-    made.archive.save_camera(OTHER)
-    made.archive.open_epoch("mast", at=made.noon - timedelta(days=30), reason="installed")
-    made.archive.add_calibration(document("of_mast") | {"camera": "mast", "pose_epoch": "mast-1"})
+    made.archive.cameras.save(OTHER)
+    made.archive.epochs.open("mast", at=made.noon - timedelta(days=30), reason="installed")
+    made.archive.calibrations.add(document("of_mast") | {"camera": "mast", "pose_epoch": "mast-1"})
     answer = made.client.get("/v1/difference", params={"other": "of_mast"})
     assert (answer.status_code, answer.json()["errors"][0]["field"]) == (404, "other")

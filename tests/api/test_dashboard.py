@@ -292,10 +292,10 @@ def can_be_asked(page: Page, sun: list[float]) -> None:
 def shows_events_by_kind(page: Page, made: Made) -> None:
     """Check that events are asked for by kind and severity, however many others came since."""
     old = Event(time=NOON - timedelta(days=40), kind="bump", severity="alarm", text="it was moved", camera="roof")
-    made.archive.add_event(old)
+    made.archive.events.add(old)
     for number in range(60):
         time = NOON - timedelta(minutes=number)
-        made.archive.add_event(Event(time=time, kind="clock", severity="info", text=f"step {number}", camera="roof"))
+        made.archive.events.add(Event(time=time, kind="clock", severity="info", text=f"step {number}", camera="roof"))
     page.fill("#event-kind", "bump")
     page.click("#events-form button")
     page.wait_for_selector("#events >> text=it was moved", timeout=10_000)
@@ -427,8 +427,8 @@ class Late:
 @pytest.mark.browser
 @in_a_browser
 def test_a_late_answer_replaces_no_newer_one(pictured: Made) -> None:
-    pictured.archive.add_event(Event(time=NOON, kind="bump", severity="alarm", text="it was moved", camera="roof"))
-    pictured.archive.add_event(Event(time=NOON, kind="clock", severity="info", text="a step", camera="roof"))
+    pictured.archive.events.add(Event(time=NOON, kind="bump", severity="alarm", text="it was moved", camera="roof"))
+    pictured.archive.events.add(Event(time=NOON, kind="clock", severity="info", text="a step", camera="roof"))
     late = Late(pictured.app)
     with serving(pictured, app=late) as address, browser() as chromium:
         page = opened(chromium, address).page
@@ -462,9 +462,9 @@ def _rejected(number: int) -> SunPoint:
 @in_a_browser
 def test_what_the_dashboard_sums_up_is_of_the_accepted_sightings_and_of_cycles(make: Any, picture: Path) -> None:  # noqa: ANN401 - a fixture that is a function
     made: Made = make(image=picture, history="filled")
-    made.archive.add_sun_points(_rejected(number) for number in range(1200))
-    days = made.archive.days("roof")
-    made.archive.save_day(replace(days[0], n=435, n_cycles=379, n_possible=418, decided_at=NOON))
+    made.archive.sightings.add(_rejected(number) for number in range(1200))
+    days = made.archive.days.find("roof")
+    made.archive.days.save(replace(days[0], n=435, n_cycles=379, n_possible=418, decided_at=NOON))
     points = made.client.get("/v1/sun-points?residuals=true&accepted=true").json()["sun_points"]
     rmse = float(np.sqrt(np.mean([point["residual"]["distance_px"] ** 2 for point in points])))
     assert 0.02 < rmse < 0.07

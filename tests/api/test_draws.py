@@ -38,7 +38,7 @@ def test_directions_by_each_draw_are_those_of_the_ensemble_and_spread_as_stated(
     found = ask(made, "/v1/back-project", {"pixels": PIXELS}, draws=MOST_DRAWS, seed=7)
     drawn = found["draws"]
     assert [len(drawn[name]) for name in ("zenith_deg", "azimuth_deg", "direction_enu")] == [MOST_DRAWS] * 3
-    calibration = made.archive.model(found["calibration"])
+    calibration = made.archive.calibrations.model(found["calibration"])
     ensemble = draw_ensemble(calibration, draws=MOST_DRAWS, seed=7, calibration_id=found["calibration"])
     for k in (0, MOST_DRAWS - 1):
         np.testing.assert_allclose(

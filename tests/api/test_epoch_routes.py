@@ -21,9 +21,9 @@ CLOSE = "/v1/epochs/roof-2/close"
 def moved(made: Made) -> Made:
     """Make an application whose camera was thought to have moved an hour ago, with a calibration since."""
     at = NOON - timedelta(hours=1)
-    made.archive.open_epoch("roof", at=at, reason="bump")
-    made.archive.add_calibration({**document("wrong", valid_from=at), "pose_epoch": "roof-2"})
-    made.archive.activate("wrong")
+    made.archive.epochs.open("roof", at=at, reason="bump")
+    made.archive.calibrations.add({**document("wrong", valid_from=at), "pose_epoch": "roof-2"})
+    made.archive.calibrations.activate("wrong")
     return made
 
 
@@ -36,7 +36,7 @@ def test_a_pose_epoch_is_closed_and_the_calibration_before_it_answers_again(move
     assert moved.client.get("/v1/calibration").json()["id"] == "second-r1"
     past = moved.client.get("/v1/calibration", params={"at": (NOON - timedelta(minutes=30)).isoformat()}).json()
     assert past["id"] == "wrong"  # what was answered then stays
-    assert [epoch.id for epoch in moved.archive.epochs("roof")] == ["roof-1"]
+    assert [epoch.id for epoch in moved.archive.epochs.find("roof")] == ["roof-1"]
     event = moved.client.get("/v1/events").json()["events"][0]
     assert (event["kind"], event["text"].endswith("a bird sat on it")) == ("epoch_closed", True)
 
@@ -55,10 +55,10 @@ def test_a_pose_epoch_is_closed_and_the_calibration_before_it_answers_again(move
 def test_what_cannot_be_closed_is_refused_and_changes_nothing(
     moved: Made, path: str, body: dict[str, Any], *, bears: bool, status: int
 ) -> None:
-    moved.archive.save_camera(CameraRecord(name="other", latitude=0.0, longitude=0.0, altitude=0.0, width=8, height=6))
+    moved.archive.cameras.save(CameraRecord(name="other", latitude=0.0, longitude=0.0, altitude=0.0, width=8, height=6))
     answer = moved.client.post(path, json=body, headers=moved.bearer if bears else {})
     check_shape(answer, status, path)
-    assert [epoch.id for epoch in moved.archive.epochs("roof")] == ["roof-1", "roof-2"]
+    assert [epoch.id for epoch in moved.archive.epochs.find("roof")] == ["roof-1", "roof-2"]
 
 
 def test_an_epoch_is_closed_once(moved: Made) -> None:

@@ -59,7 +59,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def store(made: Made, kind: str, **more: Any) -> Event:  # noqa: ANN401 - of Event
-    return made.archive.add_event(Event(time=NOON, kind=kind, severity="info", text="it was", **more))
+    return made.archive.events.add(Event(time=NOON, kind=kind, severity="info", text="it was", **more))
 
 
 def next_of(events: Iterator[ImagerEvent], kind: str) -> ImagerEvent:
@@ -86,10 +86,10 @@ def test_each_kind_is_told_as_it_happens(made: Made) -> None:
             assert (told.kind, told.data["id"]) == (kind, stored.id)
         store(made, "clock_step")
         assert next(events).data["kind"] == "clock_step"
-        made.archive.reinstate("first", at=NOON, reason="a test")
+        made.archive.calibrations.reinstate("first", at=NOON, reason="a test")
         reinstated, changed = next(events), next(events)
         assert reinstated.data["kind"] == "calibration_reinstated"
-        current = made.archive.current_calibration("roof")
+        current = made.archive.calibrations.current("roof")
         assert current is not None
         assert (changed.kind, changed.data) == ("calibration", {"calibration": current.id, "previous": "second"})
         made.board.set_worker(WorkerStatus(name="capture", state="failed"))
@@ -101,10 +101,10 @@ def test_each_kind_is_told_as_it_happens(made: Made) -> None:
 def test_who_was_cut_off_hears_what_was_missed_and_nothing_twice(made: Made) -> None:
     with serving(made) as address:
         before = next(Imager(address).events())
-        made.archive.save_camera(CameraRecord.at(SITE, name="another", width=4, height=4))
+        made.archive.cameras.save(CameraRecord.at(SITE, name="another", width=4, height=4))
         missed = [store(made, "day", camera="roof"), store(made, "bump", camera="another"), store(made, "bump")]
-        made.archive.add_calibration(document("third", valid_from=NOON - timedelta(hours=2)))
-        made.archive.activate("third")
+        made.archive.calibrations.add(document("third", valid_from=NOON - timedelta(hours=2)))
+        made.archive.calibrations.activate("third")
         events = Imager(address).events(after=before.id)
         state, day, bump, calibration = (next(events) for _ in range(4))
         assert (state.kind, state.id) == ("state", before.id)

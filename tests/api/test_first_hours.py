@@ -54,7 +54,7 @@ def see(made: Made, *, since_minutes: float, mirrored: bool = False) -> list[Sun
         point for point in sightings(NOON, every_s=60.0, camera=lens) if point.accepted
         and point.time > NOON - timedelta(minutes=since_minutes)
     ]  # fmt: skip
-    made.archive.add_sun_points(points)
+    made.archive.sightings.add(points)
     made.board.note(last_sighting_at=points[-1].time)
     return points
 
@@ -70,7 +70,7 @@ def serve_first_poses(made: Made) -> None:
             created_at=NOON - timedelta(minutes=60 - n), valid_from=NOON - timedelta(hours=2), valid_until=None,
             pose_epoch="roof-1", software_version="0.1.0",
         )  # fmt: skip
-        made.archive.activate(made.archive.add_calibration(written).id)
+        made.archive.calibrations.activate(made.archive.calibrations.add(written).id)
     made.board.set_condition("no_calibration", None)
     made.board.set_condition(
         "first_pose_provisional", Reason.of(Finding("first_pose_provisional", {"sigma_deg": 1.6, **north}), MESSAGES)

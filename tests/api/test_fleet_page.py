@@ -29,14 +29,14 @@ def address(tmp_path: Path) -> Iterator[str]:
     make_empty(tmp_path / "hub.sqlite")
     with open_archive(tmp_path / "hub.sqlite") as archive:
         for number, name in enumerate(("gate", "mast", "roof")):
-            archive.add_feed_token(name, token_digest(TOKEN + name), now=NOW, former_until=NOW)
+            archive.feeds.add_token(name, token_digest(TOKEN + name), now=NOW, former_until=NOW)
             with new_imager(tmp_path, name) as imager:
-                imager.add_sun_points([sighting(number, camera=name)])
-                imager.queue_status(
+                imager.sightings.add([sighting(number, camera=name)])
+                imager.outbox.queue_status(
                     {"health": "ready", "disk_free_bytes": 8e10, "clock_error_s": 0.01, "drift_deg": 0.002}
                 )
                 feed(imager, archive, name)
-        archive.refuse_feed(
+        archive.feeds.refuse(
             camera="mast", installation="5f1d", refusal=Refusal(reason="second_installation", text="two"), now=NOW
         )
         save_checks(archive, *CHECKS)

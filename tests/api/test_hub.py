@@ -91,7 +91,7 @@ def made(folder: Path, **options: Any) -> Iterator[Hub]:  # noqa: ANN401 - of Ap
     make_empty(folder / "hub.sqlite")
     now = [NOW]
     with open_archive(folder / "hub.sqlite") as archive:
-        archive.add_feed_token("roof", token_digest(TOKEN), now=NOW, former_until=NOW)
+        archive.feeds.add_token("roof", token_digest(TOKEN), now=NOW, former_until=NOW)
         app = create_hub_app(
             archive=archive,
             status=lambda: StatusSnapshot(version="1", started_at=NOW),
@@ -104,7 +104,7 @@ def made(folder: Path, **options: Any) -> Iterator[Hub]:  # noqa: ANN401 - of Ap
 @pytest.fixture
 def imager(tmp_path: Path) -> Iterator[Archive]:
     with new_imager(tmp_path) as archive:
-        archive.add_sun_points(sighting(n) for n in range(3))
+        archive.sightings.add(sighting(n) for n in range(3))
         yield archive
 
 
@@ -179,13 +179,13 @@ def test_what_is_refused_is_answered_and_seen_and_nothing_else_stops(
     fleet = {one["camera"]: one for one in hub.client.get("/v1/fleet").json()["cameras"]}
     if reason != "unknown_camera":
         assert (fleet["roof"]["n_quarantined"], fleet["roof"]["state"]) == (1, "quarantine")
-    imager.acknowledge(5)
-    imager.add_sun_points([sighting(9)])
+    imager.outbox.acknowledge(5)
+    imager.sightings.add([sighting(9)])
     assert hub.put(body_of(imager), after=5).json() == {"committed": 6}
 
 
 def test_the_token_of_one_camera_is_none_of_anothers(hub: Hub, imager: Archive) -> None:
-    hub.archive.add_feed_token("mast", token_digest("the token of the camera mast"), now=NOW, former_until=NOW)
+    hub.archive.feeds.add_token("mast", token_digest("the token of the camera mast"), now=NOW, former_until=NOW)
     assert hub.put(body_of(imager), token="the token of the camera mast").status_code == 401  # noqa: S106
     assert hub.put(body_of(imager), camera="mast").status_code == 401
     assert hub.reasons() == ["forged_token", "forged_token"]
@@ -206,7 +206,7 @@ def test_a_number_that_is_none_is_refused(hub: Hub, after: str) -> None:
 
 def test_a_token_that_was_replaced_ends_after_the_overlap(hub: Hub, imager: Archive) -> None:
     later = NOW + timedelta(hours=1)
-    hub.archive.add_feed_token("roof", token_digest("a new one, long enough"), now=NOW, former_until=later)
+    hub.archive.feeds.add_token("roof", token_digest("a new one, long enough"), now=NOW, former_until=later)
     for token, status in ((TOKEN, 200), ("a new one, long enough", 200)):
         assert hub.put(body_of(imager), token=token).status_code == status
     hub.now[0] = later
@@ -214,7 +214,7 @@ def test_a_token_that_was_replaced_ends_after_the_overlap(hub: Hub, imager: Arch
 
 
 def test_the_digest_alone_is_stored(hub: Hub, tmp_path: Path) -> None:
-    assert hub.archive.feed_tokens("roof", now=NOW) == (token_digest(TOKEN),)
+    assert hub.archive.feeds.tokens("roof", now=NOW) == (token_digest(TOKEN),)
     hub.archive.close()
     assert TOKEN.encode() not in (tmp_path / "hub.sqlite").read_bytes()
 
@@ -232,9 +232,9 @@ def test_reading_with_a_token_leaves_the_feed_to_its_own(tmp_path: Path, imager:
 def test_the_fleet_has_the_worst_first(hub: Hub, tmp_path: Path) -> None:
     healths = {"a": "ready", "b": "degraded", "c": "not_ready"}
     for name, health in healths.items():
-        hub.archive.add_feed_token(name, token_digest(TOKEN + name), now=NOW, former_until=NOW)
+        hub.archive.feeds.add_token(name, token_digest(TOKEN + name), now=NOW, former_until=NOW)
         with new_imager(tmp_path, name) as one:
-            one.queue_status({"health": health, "disk_free_bytes": 7, "clock_error_s": 0.5, "drift_deg": 0.25})
+            one.outbox.queue_status({"health": health, "disk_free_bytes": 7, "clock_error_s": 0.5, "drift_deg": 0.25})
             body = gzip.compress(feed_lines(next_batch(one, name).rows))
             assert hub.put(body, camera=name, token=TOKEN + name).status_code == 200
     fleet = hub.client.get("/v1/fleet").json()["cameras"]
@@ -252,8 +252,8 @@ def test_the_fleet_has_the_worst_first(hub: Hub, tmp_path: Path) -> None:
 
 def test_every_camera_has_its_numbers_and_the_document_names_them(hub: Hub, tmp_path: Path) -> None:
     with new_imager(tmp_path) as one:
-        one.add_sun_points([sighting(0)])
-        one.queue_status({"disk_free_bytes": 7, "clock_error_s": 0.5, "drift_deg": 0.25, "health": "ready"})
+        one.sightings.add([sighting(0)])
+        one.outbox.queue_status({"disk_free_bytes": 7, "clock_error_s": 0.5, "drift_deg": 0.25, "health": "ready"})
         hub.put(body_of(one))
     text = hub.client.get("/metrics").text
     assert 'sunarc_fleet_disk_free_bytes{camera="roof"} 7.0' in text
@@ -280,9 +280,9 @@ def test_the_hubs_document_describes_its_routes(hub: Hub) -> None:
 def test_nights_and_summaries_are_answered(hub: Hub, imager: Archive) -> None:
     hub.put(body_of(imager))
     day = Day(camera="roof", date=date(2026, 5, 13), verdict="clear", findings=(), n=2, n_possible=3, decided_at=NOW)
-    hub.archive.save_day(day)
-    hub.archive.summarise_days()
-    hub.archive.save_nightly(NightlyRun(night=date(2026, 5, 14), started_at=NOW, results={"a": {"error": "it broke"}}))
+    hub.archive.days.save(day)
+    hub.archive.nightly.summarise_days()
+    hub.archive.nightly.save(NightlyRun(night=date(2026, 5, 14), started_at=NOW, results={"a": {"error": "it broke"}}))
     (run,) = hub.client.get("/v1/nightly").json()["runs"]
     assert (run["night"], run["finished_at"], run["results"]) == ("2026-05-14", None, {"a": {"error": "it broke"}})
     (found,) = hub.client.get("/v1/summaries?camera=roof&since=2026-05-13").json()["days"]
@@ -327,7 +327,7 @@ CHECKS = (
 def save_checks(archive: Archive, *checks: CrossCheck, day: int = 14, also: tuple[object, ...] = ()) -> None:
     rows = [*(one.as_json() for one in checks), *also]
     run = NightlyRun(night=date(2026, 5, day), started_at=NOW, results={"cross_checks": {"checks": rows}})
-    archive.save_nightly(run)
+    archive.nightly.save(run)
 
 
 def test_cross_checks_of_the_newest_night_that_made_some_are_answered_alarms_first(hub: Hub) -> None:
@@ -336,7 +336,7 @@ def test_cross_checks_of_the_newest_night_that_made_some_are_answered_alarms_fir
     newer = ({"camera": "x", "neighbours": [], "n_days": 1, "found": ["a word of later"]}, "no check")
     save_checks(hub.archive, *CHECKS, also=newer)
     failed = NightlyRun(night=date(2026, 5, 15), started_at=NOW, results={"cross_checks": {"error": "it broke"}})
-    hub.archive.save_nightly(failed)
+    hub.archive.nightly.save(failed)
     answer = hub.client.get("/v1/cross-checks").json()
     assert answer["night"] == "2026-05-14"
     assert [(one["camera"], one["found"]) for one in answer["checks"]] == [
@@ -352,8 +352,8 @@ def test_cross_checks_of_the_newest_night_that_made_some_are_answered_alarms_fir
         ["gate"],
     )
     assert [one["camera"] for one in hub.client.get("/v1/cross-checks?camera=mast").json()["checks"]] == ["mast"]
-    assert hub.archive.cross_checks().checks == (CHECKS[2], CHECKS[0], CHECKS[1])
-    assert [one.alarms for one in hub.archive.cross_checks().checks] == [("clock", "clock_by_clouds"), (), ()]
+    assert hub.archive.nightly.cross_checks().checks == (CHECKS[2], CHECKS[0], CHECKS[1])
+    assert [one.alarms for one in hub.archive.nightly.cross_checks().checks] == [("clock", "clock_by_clouds"), (), ()]
     assert 'sunarc_fleet_cross_check{camera="roof",found="clock"} 1.0' in hub.client.get("/metrics").text
 
 
@@ -406,14 +406,14 @@ def test_a_hub_whose_disk_is_full_is_not_ready_and_goes_on_when_there_is_room(im
         open_archive(store) as archive,
     ):
         Path(folder).chmod(0o755)
-        archive.add_feed_token("roof", token_digest(TOKEN), now=NOW, former_until=NOW)
+        archive.feeds.add_token("roof", token_digest(TOKEN), now=NOW, former_until=NOW)
         options = ApiOptions(allowed_hosts=("imager",))
         app = create_hub_app(archive=archive, status=board.snapshot, now=lambda: now[0], options=options)
         hub, room = Hub(archive, Client(app), now), StoreRoomWorker(archive=archive, clock=clock, board=board)
         assert hub.put(body_of(imager)).status_code == 200
         assert hub.client.get("/readyz").json()["status"] == "ready"
-        imager.acknowledge(5)
-        imager.add_sun_points(sighting(n) for n in range(10, 1000))
+        imager.outbox.acknowledge(5)
+        imager.sightings.add(sighting(n) for n in range(10, 1000))
         filler = fill(Path(folder))
         answer = hub.put(body_of(imager), after=5)
         assert (answer.status_code, answer.headers["retry-after"]) == (503, "5")
@@ -431,7 +431,7 @@ def test_a_hub_whose_disk_is_full_is_not_ready_and_goes_on_when_there_is_room(im
         room.check()
         assert hub.client.get("/readyz").json()["status"] == "ready"
         assert hub.put(body_of(imager), after=5).status_code == 200
-        assert len(archive.sun_points("roof")) == 993
+        assert len(archive.sightings.find("roof")) == 993
         fill(Path(folder))
         now[0] += timedelta(seconds=61)
         assert hub.client.get("/readyz").status_code == 503  # although nobody sent anything

@@ -46,7 +46,7 @@ def hub(server: Server, board: StatusRegistry) -> Iterator[Hub]:
     """Yield a hub on PostgreSQL that has a healthy camera's rows."""
     now = [NOW]
     with open_archive(server.emptied_database()) as archive:
-        archive.add_feed_token("roof", token_digest(TOKEN), now=NOW, former_until=NOW)
+        archive.feeds.add_token("roof", token_digest(TOKEN), now=NOW, former_until=NOW)
         options = ApiOptions(allowed_hosts=("imager",))
         app = create_hub_app(archive=archive, status=board.snapshot, now=lambda: now[0], options=options)
         yield Hub(archive, Client(app), now)
@@ -55,8 +55,8 @@ def hub(server: Server, board: StatusRegistry) -> Iterator[Hub]:
 @pytest.fixture
 def imager(tmp_path: Path, hub: Hub) -> Iterator[Archive]:
     with new_imager(tmp_path) as archive:
-        archive.add_sun_points(sighting(n) for n in range(3))
-        archive.queue_status({"health": "ready"})
+        archive.sightings.add(sighting(n) for n in range(3))
+        archive.outbox.queue_status({"health": "ready"})
         send(hub, archive)
         yield archive
 
@@ -64,7 +64,7 @@ def imager(tmp_path: Path, hub: Hub) -> Iterator[Archive]:
 def send(hub: Hub, imager: Archive) -> None:
     batch = next_batch(imager)
     put(hub, feed_lines(batch.rows), after=batch.after, installation=batch.installation)
-    imager.acknowledge(batch.rows[-1].seq)
+    imager.outbox.acknowledge(batch.rows[-1].seq)
 
 
 def put(hub: Hub, lines: bytes, *, after: int, installation: str) -> None:
@@ -100,7 +100,7 @@ def alerts(hub: Hub, folder: Path, *, up: int = 1) -> set[str]:
 
 
 def quarantined(hub: Hub, imager: Archive, _board: StatusRegistry) -> None:
-    position = imager.outbox_position()
+    position = imager.outbox.position()
     row = {"seq": position.committed + 1, "kind": "sun_point", "data": {"nonsense": 1}}
     lines = json.dumps(row).encode() + b"\n"
     put(hub, lines, after=position.committed, installation=position.installation)
@@ -114,7 +114,7 @@ def behind(hub: Hub, imager: Archive, _board: StatusRegistry) -> None:
     """Send rows of an outage for a quarter of an hour: the imager's report of itself stands behind them."""
     for minutes in range(17):
         hub.now[0] = NOW + timedelta(minutes=minutes)
-        imager.add_sun_points([sighting(10 + minutes)])
+        imager.sightings.add([sighting(10 + minutes)])
         send(hub, imager)
 
 

@@ -34,7 +34,7 @@ def some_pixels(made: Made) -> NDArray[np.float64]:
 @pytest.mark.parametrize("radius_deg", [5.0, 30.0])
 def test_the_sun_s_mask_holds_within_the_radius_of_the_sun(made: Made, radius_deg: float) -> None:
     found = mask(made, "/v1/masks/sun", radius_deg=radius_deg)
-    camera = made.archive.model("second").camera
+    camera = made.archive.calibrations.model("second").camera
     assert found.shape == (camera.height, camera.width)
     pixels = some_pixels(made)
     cosine = unproject(camera, pixels) @ sun_directions(made.noon.timestamp(), made.site)
@@ -49,7 +49,7 @@ def test_the_sun_s_mask_holds_within_the_radius_of_the_sun(made: Made, radius_de
 def test_the_horizon_s_mask_holds_above_the_elevation(made: Made, elevation_deg: float) -> None:
     found = mask(made, "/v1/masks/horizon", elevation_deg=elevation_deg)
     pixels = some_pixels(made)
-    up = unproject(made.archive.model("second").camera, pixels)[:, 2]
+    up = unproject(made.archive.calibrations.model("second").camera, pixels)[:, 2]
     x, y = pixels.astype(int).T
     clear = ~(np.abs(np.degrees(np.arcsin(np.clip(up, -1.0, 1.0))) - elevation_deg) < 0.05)
     expected = np.nan_to_num(up, nan=-2.0) >= np.sin(np.radians(elevation_deg))

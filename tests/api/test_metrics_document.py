@@ -45,7 +45,7 @@ def exported(made: Made) -> dict[str, tuple[str, str, str]]:
     """Return every family that a service exports of which all is known: labels, kind, help."""
     made.board.note(**{name: some(kind, made.noon) for name, kind in typing.get_type_hints(Notes).items()})
     made.board.set_condition("drift", Reason(code="drift", severity="degraded", text="it moved", remedy="wait"))
-    made.archive.name_sinks(["mqtt"])
+    made.archive.notices.name_sinks(["mqtt"])
     text = made.client.get("/metrics").text
     helps = dict(re.findall(r"^# HELP (\w+) (.*)$", text, re.MULTILINE))
     kinds = dict(re.findall(r"^# TYPE (\w+) (\w+)$", text, re.MULTILINE))
@@ -120,7 +120,7 @@ def test_a_step_of_the_clock_is_remembered_over_a_restart(make: Any) -> None:  #
     fresh: Made = make()
     assert step_s(fresh) == []
     stepped = Event(time=fresh.noon, kind="clock_step", severity="warning", text="stepped", camera="roof")
-    fresh.archive.add_event(stepped)
+    fresh.archive.events.add(stepped)
     restarted = make(archive=fresh.archive)
     assert [float(value) for value in step_s(restarted)] == [fresh.noon.timestamp()]
     later = fresh.noon + timedelta(hours=1)

@@ -57,7 +57,7 @@ def nightly(make: Any, store: ImageStore, tmp_path: Path) -> Made:  # noqa: ANN4
         images = {name: (column * 2)[:2] for name, column in images.items()}
         series = TypeAdapter(NightSeries).validate_python(images)
         parts: dict[str, Any] = {"zenith_bands": (NightBand(**PARTS["zenith_bands"][0]),), "images": series}
-        made.archive.save_night(judged(date, at=time, verdict=verdict, findings=why, **NUMBERS, **parts))
+        made.archive.nights.save(judged(date, at=time, verdict=verdict, findings=why, **NUMBERS, **parts))
     return made
 
 
@@ -93,7 +93,7 @@ def test_the_pictures_of_nights_are_no_composites_and_go_with_their_age(nightly:
     assert nightly.client.get("/v1/images").json()["images"] == []
     assert store.usage().images_bytes > 1000
     taken, time = datetime(2013, 5, 13, 6, tzinfo=UTC), MIDNIGHT + timedelta(hours=12)
-    nightly.archive.save_night(judged("2013-05-12", at=time, verdict="clear", picture_time=taken, **NUMBERS))
+    nightly.archive.nights.save(judged("2013-05-12", at=time, verdict="clear", picture_time=taken, **NUMBERS))
     assert [one["picture"] for one in nightly.client.get("/v1/nights").json()["nights"]] == [False, True, False]
     assert store.expire(MIDNIGHT + timedelta(days=1)) == 2
     assert [one["picture"] for one in nightly.client.get("/v1/nights").json()["nights"]] == [False, False, False]
@@ -169,7 +169,7 @@ def test_a_night_without_a_calibration_on_the_page(make: Any, store: ImageStore,
     made: Made = make(image=write_image(tmp_path), history="filled", images=store)
     store_picture(store, night_picture(np.eye(64, dtype=np.uint16), MIDNIGHT, 9), [], calibration=None, image_size=None)
     why = (Finding("night_without_calibration"),)
-    made.archive.save_night(judged("2013-05-12", at=MIDNIGHT + timedelta(hours=5), findings=why, n_images=45))
+    made.archive.nights.save(judged("2013-05-12", at=MIDNIGHT + timedelta(hours=5), findings=why, n_images=45))
     with serving(made) as address, browser() as chromium:
         desktop = opened(chromium, address)
         page = desktop.page

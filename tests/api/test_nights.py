@@ -40,7 +40,7 @@ def test_nights_are_listed_the_newest_first_with_what_is_known(made: Made) -> No
     ]
     for days, data in told:
         time = made.noon - timedelta(days=days)
-        made.archive.save_night(judged(f"{time.date()}", at=time, findings=(why,), **data))
+        made.archive.nights.save(judged(f"{time.date()}", at=time, findings=(why,), **data))
     newest, oldest = made.client.get("/v1/nights").json()["nights"]
     assert newest == {
         "night": "2013-05-12",
@@ -70,7 +70,7 @@ def test_without_nights_the_list_is_empty(empty: Made) -> None:
 
 def test_a_night_that_was_judged_again_is_listed_once(made: Made) -> None:
     for verdict, n_images in (("partly", 40), ("clear", 48)):
-        made.archive.save_night(judged("2013-05-12", at=made.noon, verdict=verdict, n_images=n_images))
+        made.archive.nights.save(judged("2013-05-12", at=made.noon, verdict=verdict, n_images=n_images))
     page = made.client.get("/v1/nights", params={"limit": 1}).json()
     assert [(night["verdict"], night["n_images"]) for night in page["nights"]] == [("clear", 48)]
     assert page["next"] is None
@@ -78,15 +78,15 @@ def test_a_night_that_was_judged_again_is_listed_once(made: Made) -> None:
 
 
 def test_the_turn_between_day_and_night_is_that_of_the_served_calibration(made: Made) -> None:
-    served = made.archive.current_calibration("roof")
+    served = made.archive.calibrations.current("roof")
     assert served is not None
     assert made.client.get("/v1/nights").json()["pose"] is None
     night = {
         "n": 150, "pose_difference_deg": [0.004, -0.011, 0.002], "pose_sigma_deg": [0.002, 0.002, 0.003],
         "star_offset_px": 0.1, "star_offset_sigma_px": 0.02,
     }  # fmt: skip
-    made.archive.add_calibration({**served.document, "id": "of-nights", "state": "candidate", "night": night})
-    made.archive.activate("of-nights")
+    made.archive.calibrations.add({**served.document, "id": "of-nights", "state": "candidate", "night": night})
+    made.archive.calibrations.activate("of-nights")
     assert made.client.get("/v1/nights").json()["pose"] == {
         "calibration": "of-nights", "n": 150, "pose_difference_deg": [0.004, -0.011, 0.002],
         "pose_sigma_deg": [0.002, 0.002, 0.003],

@@ -65,7 +65,7 @@ def test_what_is_drawn_is_sent_once(made: Made) -> None:
 
 def test_two_calibrations_are_compared_over_the_image(made: Made) -> None:
     turned = replace(made.lens, rotation_cam_enu=(0.02, -0.015, 2.1 + 1e-3))  # about the camera's axis, nearly upright
-    made.archive.add_calibration(document("turned", camera=turned))
+    made.archive.calibrations.add(document("turned", camera=turned))
     found = made.client.get("/v1/difference", params={"other": "turned", "cells": 12}).json()
     pixels = np.array([[x, y] for y in found["y_px"] for x in found["x_px"]])
     apart = np.degrees(angular_distance(unproject(made.lens, pixels), unproject(turned, pixels)))
@@ -86,7 +86,7 @@ def test_two_calibrations_are_compared_over_the_image(made: Made) -> None:
 
 def test_what_cannot_be_compared_is_refused(made: Made) -> None:
     small = replace(made.lens, width=800, height=600)
-    made.archive.add_calibration(document("small", camera=small))
+    made.archive.calibrations.add(document("small", camera=small))
     for query, status, field in (
         ({}, 422, "other"),
         ({"other": "absent"}, 404, "other"),

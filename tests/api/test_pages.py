@@ -45,8 +45,8 @@ def test_rows_of_one_moment_are_told_once_each(empty: Made, limit: int) -> None:
     moments = [0, 0, 0, 0, 1, 1, 2]
     for number, seconds in enumerate(moments):
         at = empty.noon + timedelta(seconds=seconds)
-        empty.archive.add_event(Event(time=at, kind="test", severity="info", text=str(number), camera="roof"))
-        empty.archive.add_refit(Refit(id=f"r{number}", camera="roof", requested_at=at, reason=str(number)))
+        empty.archive.events.add(Event(time=at, kind="test", severity="info", text=str(number), camera="roof"))
+        empty.archive.refits.add(Refit(id=f"r{number}", camera="roof", requested_at=at, reason=str(number)))
     told = [row["text"] for page in all_pages(empty, f"/v1/events?limit={limit}", "events") for row in page]
     assert told == ["6", "5", "4", "3", "2", "1", "0"]
     refits = [row["id"] for page in all_pages(empty, f"/v1/refits?limit={limit}", "refits") for row in page]
@@ -55,7 +55,7 @@ def test_rows_of_one_moment_are_told_once_each(empty: Made, limit: int) -> None:
 
 def test_what_comes_new_does_not_shift_the_pages(made: Made) -> None:
     first = made.client.get("/v1/events?limit=1").json()
-    made.archive.add_event(Event(time=made.noon + timedelta(days=1), kind="late", severity="info", text="new"))
+    made.archive.events.add(Event(time=made.noon + timedelta(days=1), kind="late", severity="info", text="new"))
     second = made.client.get(first["next"]).json()
     assert [event["kind"] for event in (*first["events"], *second["events"])] == ["refit_refused", "start"]
 

@@ -46,8 +46,8 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
             record = CameraRecord(
                 name=name, latitude=site.latitude, longitude=site.longitude, width=1748, height=1748, altitude=0.0
             )
-            archive.save_camera(replace(record, altitude=site.altitude))
-            epoch = archive.open_epoch(name, at=NOON - timedelta(days=2), reason="installed")
+            archive.cameras.save(replace(record, altitude=site.altitude))
+            epoch = archive.epochs.open(name, at=NOON - timedelta(days=2), reason="installed")
             made = to_document(
                 replace(calibration(), site=site),
                 id=f"of-{name}",
@@ -59,9 +59,9 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
                 pose_epoch=epoch.id,
                 software_version="0.1.0",
             )
-            archive.add_calibration(made)
-            archive.activate(f"of-{name}", at=NOON - timedelta(days=1))
-        archive.save_camera(CameraRecord(name="new", latitude=0.0, longitude=0.0, altitude=0.0, width=8, height=6))
+            archive.calibrations.add(made)
+            archive.calibrations.activate(f"of-{name}", at=NOON - timedelta(days=1))
+        archive.cameras.save(CameraRecord(name="new", latitude=0.0, longitude=0.0, altitude=0.0, width=8, height=6))
         app = create_hub_app(
             archive=archive,
             status=lambda: StatusSnapshot(version="1", started_at=NOON),

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def test_a_parameter_that_a_route_does_not_have_is_refused_with_those_it_has(
     made: Made, path: str, known: set[str]
 ) -> None:
-    path = path.replace("SGP", made.archive.cameras()[0].name)
+    path = path.replace("SGP", made.archive.cameras.all()[0].name)
     answer = made.client.get(path, params={"att": "2013-05-13T18:30:00Z"})
     assert answer.status_code == 422
     (fault,) = answer.json()["errors"]

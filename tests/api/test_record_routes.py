@@ -58,7 +58,7 @@ def test_a_refit_that_is_asked_for_while_one_waits_is_that_one(made: Made) -> No
     answers = [made.client.post("/v1/refits", headers=made.bearer) for _ in range(5)]
     assert {answer.status_code for answer in answers} == {202}
     (location,) = {answer.headers["location"] for answer in answers}
-    made.archive.start_refit(location.rpartition("/")[2], started_at=made.noon)
+    made.archive.refits.start(location.rpartition("/")[2], started_at=made.noon)
     assert made.client.post("/v1/refits", headers=made.bearer).headers["location"] != location
     assert len(made.client.get("/v1/refits").json()["refits"]) == 2
 

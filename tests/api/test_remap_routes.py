@@ -50,7 +50,7 @@ def served(make: Make, tmp_path: Path) -> Made:
 def test_the_sky_grid_shows_each_direction_where_the_camera_has_it(made: Made) -> None:
     size = 201
     found = tables(made, size=size)
-    camera = made.archive.model("second").camera
+    camera = made.archive.calibrations.model("second").camera
     middle = (size - 1) // 2
     for row, column in ((middle, middle), (middle - 50, middle), (middle, middle + 40), (middle + 30, middle - 60)):
         east, north = (column - middle) / (size / 2.0), (middle - row) / (size / 2.0)
@@ -64,7 +64,7 @@ def test_the_sky_grid_shows_each_direction_where_the_camera_has_it(made: Made) -
 
 
 def test_the_tables_are_read_as_those_of_the_export(made: Made) -> None:
-    camera = made.archive.model("second").camera
+    camera = made.archive.calibrations.model("second").camera
     answer = made.client.get("/v1/remap", params={"size": min(camera.width, camera.height)})
     found = compare(camera_view(camera), read_view(answer.content, name="remap.npz"))
     assert 0.0 < found.total.max_px < 0.01
@@ -76,7 +76,7 @@ def test_the_tables_are_read_as_those_of_the_export(made: Made) -> None:
 
 def test_the_ground_grid_shows_the_cloud_above_each_place(made: Made) -> None:
     found = tables(made, grid="ground", size=101, height=1500.0, half_width=3000.0)
-    camera = made.archive.model("second").camera
+    camera = made.archive.calibrations.model("second").camera
     east, north = 600.0, -900.0
     column, row = round(50 + east / 60.0), round(50 - north / 60.0)
     zenith = math.degrees(math.atan2(math.hypot(east, north), 1500.0))
@@ -116,7 +116,7 @@ def test_netcdf_of_the_ground_has_coordinates_that_pyproj_places(made: Made) -> 
     crs = pyproj.CRS.from_cf(ground[ground.map_x.attrs["grid_mapping"]].attrs)
     place = pyproj.Transformer.from_crs(crs, crs.geodetic_crs, always_xy=True)
     longitude, latitude = place.transform(ground.x.values[-1], ground.y.values[0])
-    site = made.archive.model("second").site
+    site = made.archive.calibrations.model("second").site
     north_m = math.radians(latitude - site.latitude) * 6_371_008.8
     east_m = math.radians(longitude - site.longitude) * 6_371_008.8 * math.cos(math.radians(latitude))
     np.testing.assert_allclose([east_m, north_m], [4000.0, 4000.0], atol=5.0)
@@ -126,7 +126,9 @@ def test_netcdf_of_the_ground_has_coordinates_that_pyproj_places(made: Made) -> 
         at = of_sky.map_x.sel(x=0.0, y=45.0, method="nearest")  # half way up in the north
         zenith, azimuth = np.hypot(at.x, at.y).item(), math.degrees(math.atan2(at.x, at.y)) % 360.0
         direction = direction_from_angles(zenith_deg=zenith, azimuth_deg=azimuth)
-        assert at.item() == pytest.approx(project(made.archive.model("second").camera, direction)[0], abs=1e-3)
+        assert at.item() == pytest.approx(
+            project(made.archive.calibrations.model("second").camera, direction)[0], abs=1e-3
+        )
 
 
 def test_who_has_the_tables_gets_304_until_the_grid_or_the_calibration_changes(made: Made) -> None:

@@ -40,8 +40,8 @@ def serving(
     **options: Any,  # noqa: ANN401 - of ApiOptions
 ) -> Iterator[int]:
     made: Made = make(**options)
-    made.archive.add_calibration(document("small", camera=camera))
-    made.archive.activate("small")
+    made.archive.calibrations.add(document("small", camera=camera))
+    made.archive.calibrations.activate("small")
     with socket.create_server(("127.0.0.1", 0)) as listening:
         if send_buffer is not None:  # connections inherit it
             listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, send_buffer)

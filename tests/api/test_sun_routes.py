@@ -106,8 +106,8 @@ def test_stars_are_listed_by_name_with_residuals_of_their_own_directions(made: M
     names = np.array(["star:HIP91262", "star:HIP69673"])
     direction = body_directions(names, np.full(2, moment.timestamp()), made.site)
     pixels = project(made.lens, direction) + np.array([[0.25, -0.5], [1.0, 0.0]])
-    point = next(point for point in made.archive.sun_points("roof") if point.accepted)
-    made.archive.add_sun_points(
+    point = next(point for point in made.archive.sightings.find("roof") if point.accepted)
+    made.archive.sightings.add(
         replace(point, time=moment, method="star", body=name, x_px=x, y_px=y)
         for name, (x, y) in zip(names.tolist(), pixels.tolist(), strict=True)
     )
@@ -156,12 +156,12 @@ def test_a_parameter_that_cannot_be_used_is_named(made: Made, path: str, params:
 
 
 def test_looks_at_the_sun_are_counted_by_day_and_verdict(made: Made) -> None:
-    points = made.archive.sun_points("roof")
+    points = made.archive.sightings.find("roof")
     night = datetime(2013, 5, 13, 6, 29, 45, tzinfo=UTC)  # before the solar midnight at 97.5 degrees west
     at_night = [
         replace(points[0], time=night + timedelta(seconds=s), accepted=False, clock_error_s=0.5) for s in (0, 60)
     ]
-    made.archive.add_sun_points(at_night)
+    made.archive.sightings.add(at_night)
     (today, yesterday) = made.client.get("/v1/sun-points/days").json()["days"]
     clear, hidden = (sum(point.verdict == verdict for point in points) for verdict in ("clear", "hidden"))
     assert (hidden, clear) > (5, 50)

@@ -42,7 +42,7 @@ def start(tmp_path: Path) -> Callable[[], Service]:
 
     def started() -> Service:
         archive = open_archive(settings.database)
-        archive.save_camera(
+        archive.cameras.save(
             CameraRecord(name="imager", latitude=36.6, longitude=-97.5, altitude=318.0, width=8, height=6)
         )
         return Service(settings, archive=archive, clock=VirtualClock(NOON), open_camera=no_camera)

@@ -33,9 +33,9 @@ def test_without_receivers_there_is_no_worker_and_with_them_one_for_each(
         before = archive.revision()
         assert names(PushOptions()) == []
         assert archive.revision() == before
-        archive.name_sinks(["gone"])
+        archive.notices.name_sinks(["gone"])
         assert names(PushOptions()) == []
-        assert archive.sink_states() == {}
+        assert archive.notices.sink_states() == {}
         secret = tmp_path / "secret"
         options = PushOptions(mqtt="mqtt://127.0.0.1:9", webhooks=(HOOK,), webhook_secret_file=secret)
         # the secret is not there: that is the receiver's own matter, and a condition
@@ -57,16 +57,16 @@ def test_an_imager_tells_its_conditions_with_their_texts(tmp_path: Path, board: 
 def test_a_hub_tells_what_imagers_reported_and_what_it_finds(tmp_path: Path) -> None:
     make_empty(tmp_path / "hub.sqlite")
     with new_imager(tmp_path) as imager, open_archive(tmp_path / "hub.sqlite") as hub:
-        hub.add_feed_token("mast", "digest", now=NOW, former_until=NOW)  # registered, and silent from the beginning
-        imager.add_sun_points([sighting(1)])
-        imager.queue_status({"health": "degraded", "conditions": ["camera_lost"]})
+        hub.feeds.add_token("mast", "digest", now=NOW, former_until=NOW)  # registered, and silent from the beginning
+        imager.sightings.add([sighting(1)])
+        imager.outbox.queue_status({"health": "degraded", "conditions": ["camera_lost"]})
         feed(imager, hub)
         now = [NOW]
         states = fleet_states(hub, lambda: now[0])
         assert {name: list(state.conditions) for name, state in states().items()} == {"roof": ["camera_lost"]}
         assert states()["roof"].health == "degraded"
         refusal = Refusal(reason="forged_token", text="it is")
-        hub.refuse_feed(camera="roof", installation="x", refusal=refusal, now=NOW)
+        hub.feeds.refuse(camera="roof", installation="x", refusal=refusal, now=NOW)
         now[0] += timedelta(hours=1)
         assert set(states()["roof"].conditions) == {"camera_lost", "silent", "quarantine"}
         assert states()["roof"].health == "silent"

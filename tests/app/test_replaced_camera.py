@@ -36,14 +36,14 @@ def open_camera(imager: Imager, *, serial: str) -> None:
 
 
 def stored_serial(archive: Archive) -> str:
-    (camera,) = archive.cameras()
+    (camera,) = archive.cameras.all()
     return camera.serial
 
 
 def test_the_same_serial_changes_nothing(imager: Imager) -> None:
     open_camera(imager, serial="1")
     assert imager.served() == "full"
-    assert len(imager.archive.epochs("roof")) == 1
+    assert len(imager.archive.epochs.find("roof")) == 1
     assert imager.alarms() == []
 
 
@@ -51,9 +51,9 @@ def test_another_serial_retires_the_calibration_begins_an_epoch_and_is_an_event(
     at = imager.clock.now()
     open_camera(imager, serial="2")
     assert imager.served() is None
-    retired = imager.archive.calibration("full")
+    retired = imager.archive.calibrations.get("full")
     assert (retired.state, retired.valid_until) == ("retired", at)
-    first, second = imager.archive.epochs("roof")
+    first, second = imager.archive.epochs.find("roof")
     assert (first.ended_at, second.started_at, second.reason) == (at, at, LENS_CHANGED)
     (event,) = imager.alarms()
     assert event.kind == "camera_replaced"
@@ -62,13 +62,13 @@ def test_another_serial_retires_the_calibration_begins_an_epoch_and_is_an_event(
     assert stored_serial(imager.archive) == "2"
     imager.run(10.0)
     assert imager.served() is None  # no pose is found with the other camera's lens
-    assert {p.pose_epoch for p in imager.archive.sun_points("roof", since=at)} == {second.id}
+    assert {p.pose_epoch for p in imager.archive.sightings.find("roof", since=at)} == {second.id}
     open_camera(imager, serial="2")
     assert len(imager.alarms()) == 1
 
 
 def test_a_pinned_calibration_is_retired_too(imager: Imager) -> None:
-    imager.archive.pin("full", at=START, reason="good")
+    imager.archive.calibrations.pin("full", at=START, reason="good")
     open_camera(imager, serial="2")
     assert imager.served() is None
 
@@ -77,12 +77,12 @@ def test_a_pinned_calibration_is_retired_too(imager: Imager) -> None:
 def test_the_epoch_begins_after_the_last_sighting_where_the_clock_cannot_be_trusted(
     imager: Imager, step: timedelta
 ) -> None:
-    last = imager.archive.sun_points("roof", newest_first=True, limit=1)[0].time
+    last = imager.archive.sightings.find("roof", newest_first=True, limit=1)[0].time
     imager.clock.set_state(ClockState(synchronised=False, error_bound_s=16.0))
     imager.clock.step(step.total_seconds())
     open_camera(imager, serial="2")
-    assert imager.archive.epochs("roof")[-1].started_at == last + timedelta(microseconds=1)
-    assert imager.archive.calibration("full").valid_until == last + timedelta(microseconds=1)
+    assert imager.archive.epochs.find("roof")[-1].started_at == last + timedelta(microseconds=1)
+    assert imager.archive.calibrations.get("full").valid_until == last + timedelta(microseconds=1)
 
 
 def test_a_camera_that_tells_no_serial_is_the_one_of_before(imager: Imager) -> None:
@@ -96,18 +96,18 @@ def test_a_refit_takes_the_new_camera_s_sightings_alone(imager: Imager) -> None:
     refit = imager.service.request_refit("by hand")
     worker = imager.service.refit_worker()
     worker.carry_out(refit, threading.Event(), lambda: None)
-    assert codes(imager.archive.refit(refit.id).findings) == ["no_accepted_sightings"]
+    assert codes(imager.archive.refits.get(refit.id).findings) == ["no_accepted_sightings"]
 
 
 def test_a_camera_is_replaced_though_an_epoch_of_the_future_stands_in_the_way(imager: Imager) -> None:
     future = imager.clock.now() + timedelta(days=400)
-    imager.archive.open_epoch("roof", at=future, reason="bump")
+    imager.archive.epochs.open("roof", at=future, reason="bump")
     at = imager.clock.now()
     open_camera(imager, serial="2")
-    present = imager.archive.current_epoch("roof", at=at)
+    present = imager.archive.epochs.current("roof", at=at)
     assert present is not None
     assert (present.started_at, present.ended_at, present.reason) == (at, future, LENS_CHANGED)
-    before = imager.archive.sun_point_columns("roof", until=at).epoch_ids
+    before = imager.archive.sightings.columns("roof", until=at).epoch_ids
     assert before == ("roof-1",)
 
 
@@ -118,7 +118,7 @@ def test_a_calibration_that_was_retired_is_missed_at_once(imager: Imager) -> Non
     def beat() -> None:
         codes.append(set(imager.codes()))
         if len(codes) == 2:
-            imager.archive.retire("full", at=imager.clock.now())
+            imager.archive.calibrations.retire("full", at=imager.clock.now())
         if "no_calibration" in codes[-1] or len(codes) == 10:
             stop.set()
 

@@ -72,7 +72,7 @@ def test_images_of_another_size_or_format_are_refused_with_the_remedy(
         made.open_and_remember()
     assert "another name than 'imager'" in caught.value.remedy
     assert camera.closed
-    assert archive.cameras()[0].width == INFO.width
+    assert archive.cameras.all()[0].width == INFO.width
 
 
 def test_the_service_stays_up_and_says_so(archive: Archive, tmp_path: Path) -> None:

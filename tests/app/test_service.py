@@ -43,30 +43,30 @@ def service(tmp_path: Path, clock: VirtualClock) -> Service:
         camera=AravisOptions(address="127.0.0.9", timestamps="host"),
     )
     made = Service(settings, archive=open_archive(settings.database), clock=clock, open_camera=no_camera)
-    made.archive.save_camera(CAMERA)
+    made.archive.cameras.save(CAMERA)
     return made
 
 
 def test_days_wait_for_a_synchronised_clock_and_are_then_judged(service: Service, clock: VirtualClock) -> None:
-    epoch = service.archive.epoch_at("imager", NOON, reason="first frame")
+    epoch = service.archive.epochs.at("imager", NOON, reason="first frame")
     rejected = SunPoint(
         camera="imager", pose_epoch=epoch.id, time=NOON, method="disc", accepted=False, verdict="hidden"
     )
-    service.archive.add_sun_points([rejected])
+    service.archive.sightings.add([rejected])
     clock.advance(timedelta(days=1).total_seconds())
     clock.set_state(ClockState(synchronised=False, error_bound_s=16.0))
     service.judge_completed_days()
-    assert service.archive.days("imager") == ()
+    assert service.archive.days.find("imager") == ()
     clock.set_state(ClockState(synchronised=True, error_bound_s=0.01))
     service.judge_completed_days()
-    assert [day.verdict for day in service.archive.days("imager")] == ["unusable"]
+    assert [day.verdict for day in service.archive.days.find("imager")] == ["unusable"]
 
 
 def test_sixty_three_requests_at_once_are_solved_once_or_twice(service: Service) -> None:
     with ThreadPoolExecutor(8) as pool:
         asked = list(pool.map(service.request_refit, [f"request {number}" for number in range(63)]))
     assert len({refit.id for refit in asked}) == 1
-    assert [refit.reason for refit in service.archive.refits("imager")] == [asked[0].reason]
+    assert [refit.reason for refit in service.archive.refits.find("imager")] == [asked[0].reason]
 
 
 def test_a_refit_waits_for_a_synchronised_clock(service: Service, clock: VirtualClock) -> None:
@@ -75,11 +75,11 @@ def test_a_refit_waits_for_a_synchronised_clock(service: Service, clock: Virtual
     stop = threading.Event()
     clock.set_state(ClockState(synchronised=False, error_bound_s=16.0))
     worker.run(stop, lambda: stop.set() if clock.monotonic() > 5.0 else None)
-    assert [refit.state for refit in service.archive.refits("imager")] == ["requested"]
+    assert [refit.state for refit in service.archive.refits.find("imager")] == ["requested"]
     clock.set_state(ClockState(synchronised=True, error_bound_s=0.01))
     stop.clear()
     worker.run(stop, lambda: stop.set() if clock.monotonic() > 10.0 else None)
-    assert [codes(refit.findings) for refit in service.archive.refits("imager")] == [["no_accepted_sightings"]]
+    assert [codes(refit.findings) for refit in service.archive.refits.find("imager")] == [["no_accepted_sightings"]]
 
 
 def test_a_refit_left_over_by_a_kill_waits_until_the_camera_has_told_its_time(
@@ -94,14 +94,14 @@ def test_a_refit_left_over_by_a_kill_waits_until_the_camera_has_told_its_time(
         open_camera=no_camera,
     )
     refit = service.request_refit("by hand")
-    service.archive.start_refit(refit.id, started_at=NOON)
+    service.archive.refits.start(refit.id, started_at=NOON)
     worker, stop = dated_by_camera.refit_worker(), threading.Event()
     worker.run(stop, lambda: stop.set() if clock.monotonic() > 5.0 else None)
-    assert service.archive.refit(refit.id).state == "running"
+    assert service.archive.refits.get(refit.id).state == "running"
     dated_by_camera.frame_time.note(NOON - timedelta(days=1000))
     stop.clear()
     worker.run(stop, lambda: stop.set() if clock.monotonic() > 10.0 else None)
-    done = service.archive.refit(refit.id)
+    done = service.archive.refits.get(refit.id)
     assert done.finished_at is not None
     assert done.finished_at < NOON - timedelta(days=999)  # dated by the camera
 

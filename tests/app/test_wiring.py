@@ -170,7 +170,7 @@ def test_a_database_that_cannot_be_read_leaves_the_level_of_the_sun_unknown(
 
 def test_a_camera_is_stored_when_it_is_opened(service: Service, camera: OpenCamera) -> None:
     assert service.open_and_remember() is camera
-    (stored,) = service.archive.cameras()
+    (stored,) = service.archive.cameras.all()
     assert (stored.name, stored.width, stored.height, stored.model) == ("roof", 8, 6, "Test Sky")
 
 
@@ -303,6 +303,6 @@ def test_what_is_recorded_goes_on_over_a_restart(tmp_path: Path, camera: OpenCam
         housekeeping.step()
         housekeeping.store()
         since += [reason.since for reason in running.board.snapshot().reasons if reason.code == "disk_low"]
-        assert running.archive.housekeeping(running.settings.name, step="hour")[0].disk_free_bytes == 5
+        assert running.archive.housekeeping.find(running.settings.name, step="hour")[0].disk_free_bytes == 5
         running.archive.close()
     assert since[0] == since[1] == clock.now() - timedelta(seconds=200.0)

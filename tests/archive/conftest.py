@@ -51,7 +51,7 @@ def store(engine: str, tmp_path: Path, request: pytest.FixtureRequest) -> Iterat
 @pytest.fixture
 def archive(store: Path | URL) -> Iterator[Archive]:
     archive = open_archive(store)
-    archive.save_camera(ROOF)
-    archive.open_epoch("roof", at=datetime(2013, 5, 1, tzinfo=UTC), reason="installed")
+    archive.cameras.save(ROOF)
+    archive.epochs.open("roof", at=datetime(2013, 5, 1, tzinfo=UTC), reason="installed")
     yield archive
     archive.close()

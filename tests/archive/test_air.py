@@ -39,13 +39,13 @@ def point(time: datetime, *, temperature_c: float | None = None, pressure_hpa: f
 
 def test_a_days_air_is_kept_replaced_and_removed(archive: Archive) -> None:
     later = replace(WARM, set_at=NOON + timedelta(days=1))
-    assert archive.set_day_air(WARM) == WARM
-    assert archive.set_day_air(later) == WARM, "the same again changes nothing"
+    assert archive.days.set_air(WARM) == WARM
+    assert archive.days.set_air(later) == WARM, "the same again changes nothing"
     cooler = replace(later, temperature_c=20.0, pressure_hpa=None)
-    assert archive.set_day_air(cooler) == cooler
-    assert archive.day_air("roof") == (cooler,)
-    archive.set_day_air(replace(later, temperature_c=None, pressure_hpa=None))
-    assert archive.day_air("roof") == ()
+    assert archive.days.set_air(cooler) == cooler
+    assert archive.days.air("roof") == (cooler,)
+    archive.days.set_air(replace(later, temperature_c=None, pressure_hpa=None))
+    assert archive.days.air("roof") == ()
 
 
 @pytest.mark.parametrize(
@@ -62,15 +62,15 @@ def test_air_out_of_bounds_is_refused(
         return replace(WARM, temperature_c=value) if field == "temperature_c" else replace(WARM, pressure_hpa=value)
 
     for value in accepted:
-        assert getattr(archive.set_day_air(warm(value)), field) == value
+        assert getattr(archive.days.set_air(warm(value)), field) == value
     for value in refused:
         with pytest.raises(InputError, check=lambda error: error.field == field):
-            archive.set_day_air(warm(value))
+            archive.days.set_air(warm(value))
 
 
 def test_air_of_an_unknown_camera_is_refused(archive: Archive) -> None:
     with pytest.raises(NotFoundError, check=lambda error: error.field == "camera"):
-        archive.set_day_air(replace(WARM, camera="cellar"))
+        archive.days.set_air(replace(WARM, camera="cellar"))
 
 
 def test_sightings_carry_the_air_of_their_solar_day_and_their_own_comes_first(archive: Archive) -> None:
@@ -83,9 +83,9 @@ def test_sightings_carry_the_air_of_their_solar_day_and_their_own_comes_first(ar
         first + timedelta(days=1) - second,
         first + timedelta(days=1, seconds=2),
     )
-    archive.add_sun_points(point(time, temperature_c=30.0 if time == NOON else None) for time in times)
-    archive.set_day_air(WARM)
-    columns = archive.sun_point_columns("roof")
+    archive.sightings.add(point(time, temperature_c=30.0 if time == NOON else None) for time in times)
+    archive.days.set_air(WARM)
+    columns = archive.sightings.columns("roof")
     assert columns.temperature.tolist() == pytest.approx([np.nan, 35.0, 30.0, 35.0, np.nan], nan_ok=True)
     assert columns.pressure.tolist() == pytest.approx([np.nan, 97_500.0, 97_500.0, 97_500.0, np.nan], nan_ok=True)
     picked = columns.select(np.array([1, 2]))
@@ -93,51 +93,51 @@ def test_sightings_carry_the_air_of_their_solar_day_and_their_own_comes_first(ar
 
 
 def test_the_site_of_a_day_is_in_its_air(archive: Archive) -> None:
-    archive.set_day_air(replace(WARM, pressure_hpa=None))
-    warm = archive.site_at("roof", SITE, NOON)
+    archive.days.set_air(replace(WARM, pressure_hpa=None))
+    warm = archive.days.site_at("roof", SITE, NOON)
     assert warm == replace(SITE, temperature=35.0)
-    assert archive.site_at("roof", SITE, NOON + timedelta(days=1)) == SITE
-    assert archive.site_on("roof", SITE, NOON.date()) == warm
+    assert archive.days.site_at("roof", SITE, NOON + timedelta(days=1)) == SITE
+    assert archive.days.site_on("roof", SITE, NOON.date()) == warm
 
 
 def test_a_calibration_is_reproduced_in_the_air_that_it_was_made_with(archive: Archive) -> None:
-    archive.add_sun_points(point(NOON + timedelta(minutes=n)) for n in range(20))
-    archive.set_day_air(WARM)
-    archive.add_calibration(document("warm"), used=archive.sun_point_columns("roof"))
-    archive.set_day_air(replace(WARM, temperature_c=None, pressure_hpa=None))
-    archive.add_calibration(document("assumed"), used=archive.sun_point_columns("roof"))
-    archive.set_day_air(replace(WARM, temperature_c=-5.0))
-    warm, assumed = archive.sightings_of("warm"), archive.sightings_of("assumed")
+    archive.sightings.add(point(NOON + timedelta(minutes=n)) for n in range(20))
+    archive.days.set_air(WARM)
+    archive.calibrations.add(document("warm"), used=archive.sightings.columns("roof"))
+    archive.days.set_air(replace(WARM, temperature_c=None, pressure_hpa=None))
+    archive.calibrations.add(document("assumed"), used=archive.sightings.columns("roof"))
+    archive.days.set_air(replace(WARM, temperature_c=-5.0))
+    warm, assumed = archive.calibrations.sightings_of("warm"), archive.calibrations.sightings_of("assumed")
     assert set(warm.temperature.tolist()) == {35.0}
     assert set(warm.pressure.tolist()) == {97_500.0}
     assert np.all(np.isnan(assumed.temperature))
 
 
 def test_a_damaged_air_of_a_calibration_is_named(archive: Archive, path: Path) -> None:
-    archive.add_sun_points([point(NOON)])
-    archive.set_day_air(WARM)
-    archive.add_calibration(document("a"), used=archive.sun_point_columns("roof"))
+    archive.sightings.add([point(NOON)])
+    archive.days.set_air(WARM)
+    archive.calibrations.add(document("a"), used=archive.sightings.columns("roof"))
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("UPDATE used_sightings SET air = x'00'")
     with pytest.raises(InputError, match="damaged"):
-        archive.sightings_of("a")
+        archive.calibrations.sightings_of("a")
 
 
 def test_what_was_written_by_hand_and_is_no_air_counts_as_not_measured(archive: Archive, path: Path) -> None:
-    archive.add_sun_points([point(NOON, temperature_c=30.0), point(NOON + timedelta(days=1))])
-    archive.set_day_air(WARM)
+    archive.sightings.add([point(NOON, temperature_c=30.0), point(NOON + timedelta(days=1))])
+    archive.days.set_air(WARM)
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("UPDATE sun_point SET temperature_c = 'warm', pressure_hpa = 3")
         connection.execute("UPDATE day_air SET temperature_c = 400, pressure_hpa = 'high'")
-    columns = archive.sun_point_columns("roof")
+    columns = archive.sightings.columns("roof")
     assert np.all(np.isnan(columns.temperature))
     assert np.all(np.isnan(columns.pressure))
-    assert archive.site_at("roof", SITE, NOON) == SITE
+    assert archive.days.site_at("roof", SITE, NOON) == SITE
 
 
 def test_an_older_revision_keeps_the_sightings_and_a_newer_one_has_no_air(archive: Archive, path: Path) -> None:
-    archive.add_sun_points([point(NOON, temperature_c=30.0)])
-    archive.set_day_air(WARM)
+    archive.sightings.add([point(NOON, temperature_c=30.0)])
+    archive.days.set_air(WARM)
     archive.close()
     copy = downgrade(path, "0008")
     with closing(sqlite3.connect(path)) as connection:
@@ -165,6 +165,6 @@ def test_a_table_has_the_air_columns_where_air_was_measured() -> None:
 
 def test_the_days_are_those_asked_for(archive: Archive) -> None:
     for day in (11, 12, 13):
-        archive.set_day_air(replace(WARM, date=date(2013, 5, day)))
-    found = archive.day_air("roof", since=date(2013, 5, 12), until=date(2013, 5, 13))
+        archive.days.set_air(replace(WARM, date=date(2013, 5, day)))
+    found = archive.days.air("roof", since=date(2013, 5, 12), until=date(2013, 5, 13))
     assert [air.date.day for air in found] == [12]

@@ -11,9 +11,9 @@ SITE = Site(latitude=36.6, longitude=-97.5, altitude=318.0, temperature=15.0)
 
 def test_a_camera_is_found_by_its_name_alone(archive: Archive) -> None:
     mast = CameraRecord.at(SITE, name="mast", width=640, height=480, serial="7")
-    archive.save_camera(mast)
-    assert archive.camera("mast") == mast
-    assert archive.camera("mas") is None
+    archive.cameras.save(mast)
+    assert archive.cameras.get("mast") == mast
+    assert archive.cameras.get("mas") is None
 
 
 def test_a_record_has_its_site_without_the_air_and_its_image_size() -> None:

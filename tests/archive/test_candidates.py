@@ -18,14 +18,14 @@ from sunarc.archive.values import SunPointColumns
 
 def agrees(archive: Archive) -> SunPointColumns:
     """Compare the candidates with the sightings of the sun, and return the latter."""
-    read, whole = archive.sun_candidates("roof"), archive.sun_point_columns("roof")
+    read, whole = archive.sightings.candidates("roof"), archive.sightings.columns("roof")
     order = np.lexsort((read.ids, read.candidates.unix_s))
     np.testing.assert_array_equal(read.ids[order], whole.ids)
     for name in ("unix_s", "sigma_px", "clock_error_s"):
         np.testing.assert_array_equal(getattr(read.candidates, name)[order], getattr(whole, name))
     names = [read.epoch_ids[number] for number in read.candidates.epoch[order].tolist()]
     assert names == [whole.epoch_ids[number] for number in whole.epoch.tolist()]
-    again = archive.sightings_of_ids("roof", read.ids)
+    again = archive.sightings.of_ids("roof", read.ids)
     for name in ("unix_s", "pixels", "sigma_px", "ids", "body", "epoch"):
         np.testing.assert_array_equal(getattr(again, name), getattr(whole, name))
     return whole
@@ -33,24 +33,24 @@ def agrees(archive: Archive) -> SunPointColumns:
 
 def test_candidates_are_the_accepted_sightings_of_the_sun(archive: Archive) -> None:
     points = [later(SEEN, 30), SEEN, later(HIDDEN, 60), later(SEEN, 90, sigma_px=None, clock_error_s=None)]
-    archive.add_sun_points([*points, later(SEEN, 99, body="moon"), replace(SEEN, exposure_us=12.0)])
-    archive.open_epoch("roof", at=NOON + timedelta(seconds=45), reason="bumped")
+    archive.sightings.add([*points, later(SEEN, 99, body="moon"), replace(SEEN, exposure_us=12.0)])
+    archive.epochs.open("roof", at=NOON + timedelta(seconds=45), reason="bumped")
     whole = agrees(archive)
     assert (whole.ids.size, whole.epoch_ids) == (4, ("roof-1", "roof-2"))
     since, until = NOON + timedelta(seconds=30), NOON + timedelta(seconds=90)
-    assert archive.sun_candidates("roof", since=since, until=until).ids.size == 1
+    assert archive.sightings.candidates("roof", since=since, until=until).ids.size == 1
 
 
 def test_sightings_but_those_of_the_sun(archive: Archive) -> None:
-    archive.add_sun_points([SEEN, replace(SEEN, body="moon"), later(SEEN, 30, body="star:HIP32349"), later(SEEN, 60)])
-    others = archive.sun_point_columns("roof", body=None, no_sun=True)
+    archive.sightings.add([SEEN, replace(SEEN, body="moon"), later(SEEN, 30, body="star:HIP32349"), later(SEEN, 60)])
+    others = archive.sightings.columns("roof", body=None, no_sun=True)
     assert others.body.tolist() == ["moon", "star:HIP32349"]
 
 
 def test_without_sightings_there_are_no_candidates(archive: Archive) -> None:
     assert agrees(archive).ids.size == 0
-    assert archive.sun_candidates("nowhere").ids.size == 0  # and no pose epoch either
-    assert archive.sightings_of_ids("roof", np.array([1, 2])).ids.size == 0
+    assert archive.sightings.candidates("nowhere").ids.size == 0  # and no pose epoch either
+    assert archive.sightings.of_ids("roof", np.array([1, 2])).ids.size == 0
 
 
 @pytest.mark.parametrize(
@@ -66,7 +66,7 @@ def test_without_sightings_there_are_no_candidates(archive: Archive) -> None:
     ],
 )
 def test_a_damaged_cell_leaves_out_no_more_than_its_row(path: Path, archive: Archive, damage: str, left: int) -> None:
-    archive.add_sun_points(later(SEEN, 30.0 * number) for number in range(4))
+    archive.sightings.add(later(SEEN, 30.0 * number) for number in range(4))
     with closing(sqlite3.connect(path, isolation_level=None)) as connection:
         connection.execute(f"UPDATE sun_point SET {damage} WHERE rowid = 2")  # noqa: S608 - of a test
     assert agrees(archive).ids.size == left

@@ -28,12 +28,12 @@ print("open", flush=True); sys.stdin.read()
 
 
 def remember(archive: Archive, text: str) -> None:
-    archive.add_event(Event(time=NOW, kind="note", severity="info", text=text, camera="roof"))
+    archive.events.add(Event(time=NOW, kind="note", severity="info", text=text, camera="roof"))
 
 
 def texts(path: Path) -> set[str]:
     archive = open_archive(path)
-    found = {event.text for event in archive.events("roof")}
+    found = {event.text for event in archive.events.find("roof")}
     archive.close()
     return found
 
@@ -115,7 +115,7 @@ def test_the_remains_of_an_interrupted_copy_do_not_stand_in_the_way(archive: Arc
 
 
 def test_a_copy_to_a_place_that_is_not_there_is_told_in_a_line(archive: Archive, path: Path) -> None:
-    assert archive.cameras()
+    assert archive.cameras.all()
     with pytest.raises(OutsideError, match="cannot copy"):
         backup(path, path.parent / "missing" / "copy.sqlite")
 

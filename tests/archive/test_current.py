@@ -20,29 +20,29 @@ SOURCES = Path(calibrations.__file__).parents[1]
 
 
 def serve(archive: Archive, calibration_id: str, day: int) -> None:
-    archive.add_calibration(document(calibration_id, day=day))
-    archive.activate(calibration_id)
+    archive.calibrations.add(document(calibration_id, day=day))
+    archive.calibrations.activate(calibration_id)
 
 
 def test_the_current_calibration_is_read_again_only_after_a_write(
     archive: Archive, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     serve(archive, "a", 0)
-    first = archive.current_calibration("roof")
-    monkeypatch.setattr(archive, "_answering", None)
-    assert archive.current_calibration("roof") is first
+    first = archive.calibrations.current("roof")
+    monkeypatch.setattr(archive.calibrations, "_answering", None)
+    assert archive.calibrations.current("roof") is first
     monkeypatch.undo()
     serve(archive, "b", 1)
-    second = archive.current_calibration("roof")
+    second = archive.calibrations.current("roof")
     assert second is not None
     assert second.id == "b"
 
 
 def test_a_write_of_another_process_is_seen(archive: Archive, path: Path) -> None:
-    assert archive.current_calibration("roof") is None
+    assert archive.calibrations.current("roof") is None
     with open_archive(path) as other:
         serve(other, "a", 0)
-    found = archive.current_calibration("roof")
+    found = archive.calibrations.current("roof")
     assert found is not None
     assert found.id == "a"
 
@@ -50,7 +50,7 @@ def test_a_write_of_another_process_is_seen(archive: Archive, path: Path) -> Non
 @pytest.mark.usefixtures("path")  # PostgreSQL's number does not depend on the connection
 def test_a_connection_that_is_opened_anew_counts_on(archive: Archive) -> None:
     before = archive.revision()
-    archive._changes.close()
+    archive.database._changes.close()
     assert archive.revision() > before
 
 
@@ -66,23 +66,23 @@ def test_a_document_is_parsed_once_and_a_failure_is_logged_once(
     monkeypatch.setattr(calibrations, "from_document", refuse)
     serve(archive, "a", 0)
     for _ in range(3):
-        assert archive.current_model("roof") is None
+        assert archive.calibrations.current_model("roof") is None
         with pytest.raises(InputError) as caught:
-            archive.model("a")
+            archive.calibrations.model("a")
         assert caught.value.field == "schema"
     assert parsed == ["a"]
     assert [record.levelname for record in caplog.records if record.name == calibrations.__name__] == ["WARNING"]
 
 
 def test_without_a_calibration_there_is_no_model(archive: Archive) -> None:
-    assert archive.current_model("roof") is None
+    assert archive.calibrations.current_model("roof") is None
 
 
 def test_a_camera_archive_asks_for_its_camera_alone(archive: Archive) -> None:
     serve(archive, "a", 0)
     roof, mast = (CameraArchive(archive, name=name, site=SITE) for name in ("roof", "mast"))
-    assert roof.current_calibration() == archive.current_calibration("roof")
-    assert roof.epochs() == archive.epochs("roof")
+    assert roof.current_calibration() == archive.calibrations.current("roof")
+    assert roof.epochs() == archive.epochs.find("roof")
     assert roof.site_at(MAY) == SITE
     assert mast.current_calibration() is None
     assert mast.epochs() == ()
@@ -94,7 +94,7 @@ def test_an_archive_is_closed_at_the_end_of_its_block(archive: Archive, path: Pa
     assert witness is not None
     with pytest.raises(sqlite3.ProgrammingError):
         witness.execute("SELECT 1")
-    assert archive.current_calibration("roof") is None
+    assert archive.calibrations.current("roof") is None
 
 
 def test_every_command_opens_the_archive_in_a_with_statement() -> None:

@@ -30,7 +30,7 @@ archive = open_archive(Path(sys.argv[1]))
 noon = datetime.fromisoformat(sys.argv[2])
 point = SunPoint(camera="roof", pose_epoch="roof-1", time=noon, method="disc", accepted=False, verdict="hidden")
 for i in range(1_000_000):
-    archive.add_sun_points(replace(point, time=noon + timedelta(seconds=2 * i + j)) for j in range(2))
+    archive.sightings.add(replace(point, time=noon + timedelta(seconds=2 * i + j)) for j in range(2))
     print(2 * i + 2, flush=True)
 """
 
@@ -47,7 +47,7 @@ def test_a_killed_writer_loses_nothing_that_was_committed(archive: Archive, path
                 break
         writer.kill()
         told = max([told, *(int(line) for line in writer.stdout.read().split("\n")[:-1])])
-    stored = len(archive.sun_points("roof"))
+    stored = len(archive.sightings.find("roof"))
     assert stored >= told
     assert stored % 2 == 0  # a batch is there as a whole or not at all
     assert check(path).integrity == ()
@@ -60,8 +60,8 @@ def test_many_threads_write_and_read_one_archive(archive: Archive) -> None:
         try:
             for i in range(20):
                 point = replace(POINT, time=NOON + timedelta(seconds=100 * i + number))
-                assert archive.add_sun_points([point]) == 1
-                assert point in archive.sun_points("roof")
+                assert archive.sightings.add([point]) == 1
+                assert point in archive.sightings.find("roof")
         except BaseException as error:  # noqa: BLE001 - carried to the test's own thread
             failures.append(error)
 
@@ -71,27 +71,27 @@ def test_many_threads_write_and_read_one_archive(archive: Archive) -> None:
     for thread in threads:
         thread.join()
     assert failures == []
-    assert len(archive.sun_points("roof")) == 160
+    assert len(archive.sightings.find("roof")) == 160
 
 
 def test_a_reader_sees_the_state_before_a_writer_commits(archive: Archive, path: Path) -> None:
     other = open_archive(path)
-    with archive._writing():
-        assert other.sun_points("roof") == ()  # WAL: a reader never waits for a writer
+    with archive.database.writing():
+        assert other.sightings.find("roof") == ()  # WAL: a reader never waits for a writer
     other.close()
 
 
 def test_an_archive_written_by_two_objects_has_both_their_rows(archive: Archive, path: Path) -> None:
     other = open_archive(path)
-    other.add_sun_points([POINT])
-    archive.add_sun_points([replace(POINT, method="paper")])
-    assert len(other.sun_points("roof")) == 2
+    other.sightings.add([POINT])
+    archive.sightings.add([replace(POINT, method="paper")])
+    assert len(other.sightings.find("roof")) == 2
     other.close()
 
 
 def test_a_hand_edited_reference_shows_in_the_check(archive: Archive, path: Path) -> None:
-    archive.add_sun_points([POINT])
-    with archive._reading() as connection:
+    archive.sightings.add([POINT])
+    with archive.database.reading() as connection:
         connection.exec_driver_sql("COMMIT")
         connection.exec_driver_sql("PRAGMA foreign_keys=OFF")
         connection.exec_driver_sql("DELETE FROM pose_epoch")

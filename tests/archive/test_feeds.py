@@ -45,26 +45,26 @@ def imager(tmp_path: Path) -> Iterator[Archive]:
 def contents(archive: Archive, camera: str = "roof") -> dict[str, Any]:
     """Return all that is sent of a camera."""
     return {
-        "camera": archive.camera(camera),
-        "epochs": archive.epochs(camera, include_closed=True),
-        "sightings": archive.sun_points(camera),
-        "days": archive.days(camera),
-        "air": archive.day_air(camera),
-        "calibrations": archive.calibrations(camera),
-        "refits": archive.refits(camera),
-        "nights": archive.nights(camera),
-        "events": [replace(event, id=None) for event in archive.events(camera)],
+        "camera": archive.cameras.get(camera),
+        "epochs": archive.epochs.find(camera, include_closed=True),
+        "sightings": archive.sightings.find(camera),
+        "days": archive.days.find(camera),
+        "air": archive.days.air(camera),
+        "calibrations": archive.calibrations.find(camera),
+        "refits": archive.refits.find(camera),
+        "nights": archive.nights.find(camera),
+        "events": [replace(event, id=None) for event in archive.events.find(camera)],
     }
 
 
 def reasons(hub: Archive) -> list[str]:
-    return [found.reason for found in hub.quarantine()]
+    return [found.reason for found in hub.feeds.quarantine()]
 
 
 def live_a_little(imager: Archive) -> None:
     """Write and change rows of every kind."""
-    imager.add_sun_points(sighting(n) for n in range(20))
-    imager.save_day(
+    imager.sightings.add(sighting(n) for n in range(20))
+    imager.days.save(
         Day(
             camera="roof",
             date=date(2026, 5, 13),
@@ -76,20 +76,22 @@ def live_a_little(imager: Archive) -> None:
             pose_offset_deg=(0.1, 0.2, 1 / 3),
         )
     )
-    imager.set_day_air(DayAir(camera="roof", date=date(2026, 5, 13), temperature_c=3.5, pressure_hpa=None, set_at=NOON))
-    imager.save_night(whole_night(NOON))
-    imager.save_night(judged("2026-05-11", at=NOON, n_images=3, findings=(Finding("night_given_up", {"n": 3}),)))
-    imager.add_calibration(document("a"))
-    imager.activate("a")
-    imager.add_calibration(document("b", day=1), parent="a")
-    imager.activate("b")
-    imager.reinstate("a", at=NOON, reason="better")
-    imager.request_refit(Refit(id="r", camera="roof", requested_at=NOON, reason="asked"))
-    imager.finish_refit("r", state="accepted", finished_at=NOON, calibration="b", findings=(Finding("x", {"n": 1}),))
-    imager.add_event(Event(time=NOON, kind="start", severity="info", text="begun", camera="roof", details={"a": 1.5}))
-    imager.open_epoch("roof", at=NOON + timedelta(seconds=300), reason="bumped")
-    imager.exclude("roof", since=NOON + timedelta(seconds=400), reason="test")
-    imager.widen_clock_errors("roof", since=NOON, until=NOW, error_s=1 / 3)
+    imager.days.set_air(
+        DayAir(camera="roof", date=date(2026, 5, 13), temperature_c=3.5, pressure_hpa=None, set_at=NOON)
+    )
+    imager.nights.save(whole_night(NOON))
+    imager.nights.save(judged("2026-05-11", at=NOON, n_images=3, findings=(Finding("night_given_up", {"n": 3}),)))
+    imager.calibrations.add(document("a"))
+    imager.calibrations.activate("a")
+    imager.calibrations.add(document("b", day=1), parent="a")
+    imager.calibrations.activate("b")
+    imager.calibrations.reinstate("a", at=NOON, reason="better")
+    imager.refits.request(Refit(id="r", camera="roof", requested_at=NOON, reason="asked"))
+    imager.refits.finish("r", state="accepted", finished_at=NOON, calibration="b", findings=(Finding("x", {"n": 1}),))
+    imager.events.add(Event(time=NOON, kind="start", severity="info", text="begun", camera="roof", details={"a": 1.5}))
+    imager.epochs.open("roof", at=NOON + timedelta(seconds=300), reason="bumped")
+    imager.sightings.exclude("roof", since=NOON + timedelta(seconds=400), reason="test")
+    imager.sightings.widen_clock_errors("roof", since=NOON, until=NOW, error_s=1 / 3)
 
 
 @pytest.mark.parametrize("most", [1, 7, 1000])
@@ -97,33 +99,33 @@ def test_the_hub_has_what_the_imager_has(imager: Archive, hub: Archive, most: in
     live_a_little(imager)
     feed(imager, hub, most=most)
     assert contents(hub) == contents(imager)
-    assert hub.quarantine() == ()
-    assert hub.current_calibration("roof") == imager.current_calibration("roof")
-    assert hub.dates_with_points("roof", longitude=-97.5) == (date(2026, 5, 13),)
+    assert hub.feeds.quarantine() == ()
+    assert hub.calibrations.current("roof") == imager.calibrations.current("roof")
+    assert hub.sightings.dates("roof", longitude=-97.5) == (date(2026, 5, 13),)
 
 
 def test_rows_that_are_all_sent_again_change_nothing(imager: Archive, hub: Archive) -> None:
     live_a_little(imager)
     feed(imager, hub)
-    imager.send_again(committed=imager.outbox_position().committed)
-    imager.reinstate("b", at=NOON + timedelta(hours=1), reason="no, this one")
+    imager.outbox.send_again(committed=imager.outbox.position().committed)
+    imager.calibrations.reinstate("b", at=NOON + timedelta(hours=1), reason="no, this one")
     feed(imager, hub)
     assert contents(hub) == contents(imager)
-    assert hub.quarantine() == ()
+    assert hub.feeds.quarantine() == ()
 
 
 def test_a_night_that_only_its_event_tells_of_is_a_night_at_the_hub(imager: Archive, hub: Archive) -> None:
     """An imager of a former revision has no rows of nights."""
     details = {"date": "2026-05-12", "verdict": "clear", "n_images": 48, "halo": 0.01, "findings": []}
     told = Event(time=NOON, kind="night", severity="info", text="clear", camera="roof", details=details)
-    imager.add_event(told)
-    imager.add_event(replace(told, text="none", details={}))
+    imager.events.add(told)
+    imager.events.add(replace(told, text="none", details={}))
     feed(imager, hub)
-    assert hub.nights("roof") == (judged("2026-05-12", at=NOON, verdict="clear", n_images=48, halo=0.01),)
-    imager.save_night(judged("2026-05-12", at=NOON, verdict="partly"))
+    assert hub.nights.find("roof") == (judged("2026-05-12", at=NOON, verdict="clear", n_images=48, halo=0.01),)
+    imager.nights.save(judged("2026-05-12", at=NOON, verdict="partly"))
     feed(imager, hub)
-    assert [night.verdict for night in hub.nights("roof")] == ["partly"]
-    assert hub.quarantine() == ()
+    assert [night.verdict for night in hub.nights.find("roof")] == ["partly"]
+    assert hub.feeds.quarantine() == ()
 
 
 @pytest.mark.parametrize(
@@ -131,53 +133,53 @@ def test_a_night_that_only_its_event_tells_of_is_a_night_at_the_hub(imager: Arch
     [{"n_images": None}, {"zenith_bands": [{"from_deg": 1.0}]}, {"images": {"time": []}}, {"n_accepted": "many"}],
 )
 def test_a_night_that_lacks_a_value_is_set_apart(imager: Archive, hub: Archive, change: dict[str, Any]) -> None:
-    imager.save_night(whole_night(NOON))
+    imager.nights.save(whole_night(NOON))
     batch = next_batch(imager)
     rows = tuple(
         replace(row, data={**(row.data or {}), **change}) if row.kind == "night" else row for row in batch.rows
     )
-    hub.take_feed(replace(batch, rows=rows), now=NOW)
+    hub.feeds.take(replace(batch, rows=rows), now=NOW)
     assert reasons(hub) == ["malformed"]
-    assert hub.nights("roof") == ()
+    assert hub.nights.find("roof") == ()
 
 
 def test_a_removed_row_is_removed(imager: Archive, hub: Archive) -> None:
     live_a_little(imager)
     feed(imager, hub)
-    imager.set_day_air(
+    imager.days.set_air(
         DayAir(camera="roof", date=date(2026, 5, 13), temperature_c=None, pressure_hpa=None, set_at=NOON)
     )
-    imager.name_files("roof", [(int(NOON.timestamp() * 1e6), 47.3, "a.png")])
+    imager.sightings.name_files("roof", [(int(NOON.timestamp() * 1e6), 47.3, "a.png")])
     feed(imager, hub)
     assert contents(hub) == contents(imager)
-    assert hub.day_air("roof") == ()
+    assert hub.days.air("roof") == ()
 
 
 def test_a_batch_that_comes_twice_is_stored_once(imager: Archive, hub: Archive) -> None:
-    imager.add_event(Event(time=NOON, kind="start", severity="info", text="begun", camera="roof"))
+    imager.events.add(Event(time=NOON, kind="start", severity="info", text="begun", camera="roof"))
     batch = next_batch(imager)
-    assert [hub.take_feed(batch, now=NOW) for _ in range(3)] == [3, 3, 3]
-    assert len(hub.events("roof")) == 1
+    assert [hub.feeds.take(batch, now=NOW) for _ in range(3)] == [3, 3, 3]
+    assert len(hub.events.find("roof")) == 1
 
 
 def test_a_late_repetition_of_an_earlier_batch_changes_nothing(imager: Archive, hub: Archive) -> None:
-    imager.add_sun_points([sighting(0)])
+    imager.sightings.add([sighting(0)])
     early = next_batch(imager)
     feed(imager, hub)
-    imager.exclude("roof", since=NOON, reason="test")
+    imager.sightings.exclude("roof", since=NOON, reason="test")
     feed(imager, hub)
-    assert hub.take_feed(early, now=NOW) == imager.outbox_position().committed
-    assert not hub.sun_points("roof")[0].accepted
+    assert hub.feeds.take(early, now=NOW) == imager.outbox.position().committed
+    assert not hub.sightings.find("roof")[0].accepted
 
 
 def test_a_gap_is_seen_and_what_is_missing_is_sent_again(imager: Archive, hub: Archive) -> None:
     feed(imager, hub)
-    hub.ask_again("roof")  # as a hub that was put back to an earlier copy
-    imager.add_sun_points([sighting(0)])
+    hub.feeds.ask_again("roof")  # as a hub that was put back to an earlier copy
+    imager.sightings.add([sighting(0)])
     batch = next_batch(imager)
-    assert hub.take_feed(batch, now=NOW) == -1
+    assert hub.feeds.take(batch, now=NOW) == -1
     assert reasons(hub) == ["gap"]
-    imager.send_again(committed=-1)
+    imager.outbox.send_again(committed=-1)
     feed(imager, hub)
     assert contents(hub) == contents(imager)
 
@@ -186,26 +188,26 @@ def test_a_second_installation_is_set_apart_until_it_is_accepted(imager: Archive
     feed(imager, hub)
     (tmp_path / "other").mkdir()
     with new_imager(tmp_path / "other") as other:
-        other.add_sun_points([sighting(5)])
+        other.sightings.add([sighting(5)])
         for _ in range(2):
-            refused = hub.take_feed(next_batch(other), now=NOW)
+            refused = hub.feeds.take(next_batch(other), now=NOW)
             assert isinstance(refused, Refusal)
-        (found,) = hub.quarantine("roof")
+        (found,) = hub.feeds.quarantine("roof")
         assert (found.reason, found.n, found.installation) == (
             "second_installation",
             2,
-            other.outbox_position().installation,
+            other.outbox.position().installation,
         )
-        assert hub.sun_points("roof") == ()
-        imager.add_sun_points([sighting(1)])
+        assert hub.sightings.find("roof") == ()
+        imager.sightings.add([sighting(1)])
         feed(imager, hub)  # nothing else stops
-        hub.accept_installation("roof", other.outbox_position().installation, now=NOW)
+        hub.feeds.accept_installation("roof", other.outbox.position().installation, now=NOW)
         feed(other, hub)
-        assert len(hub.sun_points("roof")) == 2
-        imager.add_sun_points([sighting(2)])
-        assert isinstance(hub.take_feed(next_batch(imager), now=NOW), Refusal)
+        assert len(hub.sightings.find("roof")) == 2
+        imager.sightings.add([sighting(2)])
+        assert isinstance(hub.feeds.take(next_batch(imager), now=NOW), Refusal)
     with pytest.raises(NotFoundError):
-        hub.ask_again("attic")
+        hub.feeds.ask_again("attic")
 
 
 def row_of(number: int = 0, **changes: Any) -> dict[str, Any]:  # noqa: ANN401 - of many types
@@ -262,29 +264,29 @@ def test_a_row_that_cannot_be_stored_is_set_apart_and_the_others_are_stored(
     imager: Archive, hub: Archive, kind: str, data: dict[str, Any] | None, reason: str | None
 ) -> None:
     feed(imager, hub)
-    after = imager.outbox_position().committed
-    installation = imager.outbox_position().installation
+    after = imager.outbox.position().committed
+    installation = imager.outbox.position().installation
     made = batch_of(("sun_point", row_of(7)), (kind, data), ("sun_point", row_of(8)), after=after)
-    assert hub.take_feed(replace(made, installation=installation), now=NOW) == after + 3
+    assert hub.feeds.take(replace(made, installation=installation), now=NOW) == after + 3
     assert reasons(hub) == ([] if reason is None else [reason])
-    assert len(hub.sun_points("roof")) == 2 + (reason is None and kind == "sun_point")
-    for found in hub.quarantine():
+    assert len(hub.sightings.find("roof")) == 2 + (reason is None and kind == "sun_point")
+    for found in hub.feeds.quarantine():
         assert (found.seq, found.camera) == (after + 2, "roof")
         assert found.kind == kind.replace("\0", "?").replace("\ud800", "?")
 
 
 def test_of_rows_of_one_key_in_one_batch_the_last_is_stored(imager: Archive, hub: Archive) -> None:
     feed(imager, hub)
-    position = imager.outbox_position()
+    position = imager.outbox.position()
     rows = [("sun_point", row_of(number, x_px=float(x))) for number, x in ((1, 5), (2, 6), (1, 7))]
     made = batch_of(*rows, after=position.committed)
-    hub.take_feed(replace(made, installation=position.installation), now=NOW)
-    assert [point.x_px for point in hub.sun_points("roof")] == [7.0, 6.0]
+    hub.feeds.take(replace(made, installation=position.installation), now=NOW)
+    assert [point.x_px for point in hub.sightings.find("roof")] == [7.0, 6.0]
 
 
 def test_a_document_of_a_newer_version_or_a_damaged_one_is_set_apart(imager: Archive, hub: Archive) -> None:
-    imager.add_calibration(document("a"))
-    imager.add_calibration(document("b", day=1))
+    imager.calibrations.add(document("a"))
+    imager.calibrations.add(document("b", day=1))
     batch = next_batch(imager)
     changed = []
     for row in batch.rows:
@@ -294,9 +296,9 @@ def test_a_document_of_a_newer_version_or_a_damaged_one_is_set_apart(imager: Arc
         if data.get("id") == "b":
             data["document"] = data["document"] | {"method": "paper"}
         changed.append(replace(row, data=data))
-    hub.take_feed(replace(batch, rows=tuple(changed)), now=NOW)
+    hub.feeds.take(replace(batch, rows=tuple(changed)), now=NOW)
     assert sorted(reasons(hub)) == ["damaged_document", "newer_document"]
-    assert hub.calibrations("roof") == ()
+    assert hub.calibrations.find("roof") == ()
 
 
 def test_a_row_is_never_written_over_another_cameras(imager: Archive, hub: Archive, tmp_path: Path) -> None:
@@ -305,7 +307,7 @@ def test_a_row_is_never_written_over_another_cameras(imager: Archive, hub: Archi
     before = contents(hub)
     with new_imager(tmp_path, "mast") as other:
         feed(other, hub, "mast")
-        after = other.outbox_position()
+        after = other.outbox.position()
         stolen = {"id": "roof-1", "camera": "mast", "started_at": 1, "ended_at": None, "reason": "mine"}
         batch = FeedBatch(
             camera="mast",
@@ -313,7 +315,7 @@ def test_a_row_is_never_written_over_another_cameras(imager: Archive, hub: Archi
             after=after.committed,
             rows=(FeedRow(seq=after.committed + 1, kind="pose_epoch", data=stolen),),
         )
-        hub.take_feed(batch, now=NOW)
+        hub.feeds.take(batch, now=NOW)
     assert reasons(hub) == ["contradiction"]
     assert contents(hub) == before
 
@@ -344,75 +346,75 @@ def test_a_camera_touches_no_row_of_another(
     feed(imager, hub)
     before = contents(hub)
     with new_imager(tmp_path, "mast") as other:
-        other.add_calibration(document("x", camera="mast", pose_epoch="mast-1"))
-        other.request_refit(Refit(id="q", camera="mast", requested_at=NOON, reason="asked"))
+        other.calibrations.add(document("x", camera="mast", pose_epoch="mast-1"))
+        other.refits.request(Refit(id="q", camera="mast", requested_at=NOON, reason="asked"))
         batch = next_batch(other, "mast")
         whole = {row.kind: dict(row.data or {}) for row in batch.rows}
-        hub.take_feed(batch, now=NOW)
+        hub.feeds.take(batch, now=NOW)
     last = batch.rows[-1].seq
     made = batch_of((kind, whole.get(kind, {}) | data), camera="mast", after=last)
-    assert hub.take_feed(replace(made, installation=batch.installation), now=NOW) == last + 1
-    assert reasons(hub) == ([] if kind == "event.removed" else [hub.quarantine()[0].reason])
+    assert hub.feeds.take(replace(made, installation=batch.installation), now=NOW) == last + 1
+    assert reasons(hub) == ([] if kind == "event.removed" else [hub.feeds.quarantine()[0].reason])
     assert set(reasons(hub)) <= {"contradiction", "other_camera"}
     assert contents(hub) == before
     assert contents(hub, "mast")["sightings"] == ()
 
 
 def test_an_event_that_concerns_all_of_an_imager_is_removed_with_its_camera(imager: Archive, hub: Archive) -> None:
-    imager.add_event(Event(time=NOON, kind="start", severity="info", text="begun"))
+    imager.events.add(Event(time=NOON, kind="start", severity="info", text="begun"))
     feed(imager, hub)
-    assert len(hub.events("roof")) == 1
-    after = imager.outbox_position().committed
+    assert len(hub.events.find("roof")) == 1
+    after = imager.outbox.position().committed
     gone = {"camera": None, "time": int(NOON.timestamp() * 1e6), "kind": "start", "text": "begun"}
     made = batch_of(("event.removed", gone), after=after)
-    hub.take_feed(replace(made, installation=imager.outbox_position().installation), now=NOW)
-    assert hub.events("roof") == ()
+    hub.feeds.take(replace(made, installation=imager.outbox.position().installation), now=NOW)
+    assert hub.events.find("roof") == ()
     assert reasons(hub) == []
 
 
 def test_a_status_with_what_is_no_json_blocks_nothing(imager: Archive, hub: Archive) -> None:
     feed(imager, hub)
-    position = imager.outbox_position()
+    position = imager.outbox.position()
     line = b'{"seq": %d, "kind": "status", "data": {"drift_deg": NaN, "health": "ready"}}\n' % (position.committed + 1)
     rows = read_feed_lines(line, after=position.committed)
     batch = FeedBatch(camera="roof", installation=position.installation, after=position.committed, rows=rows)
-    assert hub.take_feed(batch, now=NOW) == position.committed + 1
-    assert hub.fleet()[0].status == {"drift_deg": None, "health": "ready"}
+    assert hub.feeds.take(batch, now=NOW) == position.committed + 1
+    assert hub.feeds.fleet()[0].status == {"drift_deg": None, "health": "ready"}
 
 
 def test_names_that_nobody_registered_do_not_fill_the_quarantine(hub: Archive) -> None:
     refusal = Refusal(reason="unknown_camera", text="no token")
     for n in range(110):
-        hub.refuse_feed(camera=f"c{n}", installation=str(n), refusal=refusal, now=NOW)
-    assert len(hub.quarantine()) == 101
-    assert len(hub.quarantine(limit=7)) == 7
+        hub.feeds.refuse(camera=f"c{n}", installation=str(n), refusal=refusal, now=NOW)
+    assert len(hub.feeds.quarantine()) == 101
+    assert len(hub.feeds.quarantine(limit=7)) == 7
 
 
 def test_tokens_are_kept_as_digests_end_and_overlap_while_one_replaces_another(hub: Archive) -> None:
     later = NOW + timedelta(days=7)
-    assert hub.feed_tokens("roof", now=NOW) is None
-    hub.add_feed_token("roof", "d1", now=NOW, former_until=later)
-    hub.add_feed_token("roof", "d2", now=NOW, former_until=later)
-    assert set(hub.feed_tokens("roof", now=NOW) or ()) == {"d1", "d2"}
-    assert hub.feed_tokens("roof", now=later) == ("d2",)
-    assert hub.end_feed_tokens("roof", now=NOW) == 2
-    assert hub.feed_tokens("roof", now=NOW) == ()
+    assert hub.feeds.tokens("roof", now=NOW) is None
+    hub.feeds.add_token("roof", "d1", now=NOW, former_until=later)
+    hub.feeds.add_token("roof", "d2", now=NOW, former_until=later)
+    assert set(hub.feeds.tokens("roof", now=NOW) or ()) == {"d1", "d2"}
+    assert hub.feeds.tokens("roof", now=later) == ("d2",)
+    assert hub.feeds.end_tokens("roof", now=NOW) == 2
+    assert hub.feeds.tokens("roof", now=NOW) == ()
 
 
 def test_the_fleet_is_every_camera_that_was_registered_or_fed(imager: Archive, hub: Archive) -> None:
-    hub.add_feed_token("attic", "d", now=NOW, former_until=NOW)
+    hub.feeds.add_token("attic", "d", now=NOW, former_until=NOW)
     live_a_little(imager)
-    imager.add_calibration(document("c", day=3) | {"uncertainty": {"sky_rms_deg": 0.0123}})
-    imager.reinstate("c", at=NOW, reason="test")
-    imager.queue_status({"health": "ready", "disk_free_bytes": 5})
+    imager.calibrations.add(document("c", day=3) | {"uncertainty": {"sky_rms_deg": 0.0123}})
+    imager.calibrations.reinstate("c", at=NOW, reason="test")
+    imager.outbox.queue_status({"health": "ready", "disk_free_bytes": 5})
     feed(imager, hub)
-    hub.refuse_feed(camera="roof", installation="x", refusal=Refusal(reason="forged_token", text="t"), now=NOW)
-    attic, roof = hub.fleet()
+    hub.feeds.refuse(camera="roof", installation="x", refusal=Refusal(reason="forged_token", text="t"), now=NOW)
+    attic, roof = hub.feeds.fleet()
     assert (attic.camera, attic.received_at, attic.latitude, attic.n_quarantined) == ("attic", None, None, 0)
     assert (roof.received_at, roof.last_sighting_at) == (NOW, NOON + timedelta(seconds=19 * 30))
     assert roof.status == {"health": "ready", "disk_free_bytes": 5}
     assert (roof.latitude, roof.n_quarantined) == (36.6, 1)
-    current = imager.current_calibration("roof")
+    current = imager.calibrations.current("roof")
     assert current is not None
     assert roof.calibration == current.id
     assert roof.sky_rms_deg == 0.0123
@@ -422,7 +424,7 @@ def test_feeds_of_many_cameras_at_the_same_time_are_each_complete(hub: Archive, 
     names = [f"c{n}" for n in range(6)]
     imagers = [new_imager(tmp_path, name) for name in names]
     for name, one in zip(names, imagers, strict=True):
-        one.add_sun_points(sighting(n, camera=name) for n in range(100))
+        one.sightings.add(sighting(n, camera=name) for n in range(100))
     threads = [
         threading.Thread(target=feed, args=(one, hub, name), kwargs={"most": 17})
         for name, one in zip(names, imagers, strict=True)
@@ -434,4 +436,4 @@ def test_feeds_of_many_cameras_at_the_same_time_are_each_complete(hub: Archive, 
     for name, one in zip(names, imagers, strict=True):
         assert contents(hub, name) == contents(one, name)
         one.close()
-    assert hub.quarantine() == ()
+    assert hub.feeds.quarantine() == ()

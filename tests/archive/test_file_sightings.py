@@ -42,104 +42,102 @@ AT_NOON = {to_microseconds(NOON)}
 
 def test_the_exposures_of_a_stack_share_their_time_and_are_all_stored(archive: Archive) -> None:
     stack = [replace(FOUND, file=f"{number}.jpg") for number in range(14)]
-    assert archive.add_sun_points(stack) == 14
-    assert archive.sun_points("roof") == tuple(stack)
+    assert archive.sightings.add(stack) == 14
+    assert archive.sightings.find("roof") == tuple(stack)
 
 
 def test_a_new_answer_takes_the_place_of_the_former_and_keeps_its_id(archive: Archive, path: Path) -> None:
-    archive.replace_sun_points([REFUSED, replace(FOUND, file="b.jpg")])
-    archive.replace_sun_points([replace(FOUND, x_px=901.0, ingest_pass=2)])
+    archive.sightings.replace([REFUSED, replace(FOUND, file="b.jpg")])
+    archive.sightings.replace([replace(FOUND, x_px=901.0, ingest_pass=2)])
     with closing(sqlite3.connect(path)) as connection:
         rows = connection.execute("SELECT id, file, accepted, x_px, ingest_pass FROM sun_point ORDER BY id").fetchall()
     assert rows == [(1, "a.jpg", 1, 901.0, 2), (2, "b.jpg", 1, 900.0, 1)]
 
 
 def test_an_image_counts_once_and_by_the_method_that_accepted_it_last(archive: Archive) -> None:
-    archive.replace_sun_points([FOUND, replace(FOUND, file="b.jpg")])
-    archive.replace_sun_points([replace(FOUND, method="disc")])
-    assert [(p.method, p.file, p.verdict) for p in archive.sun_points("roof", accepted=True)] == [
+    archive.sightings.replace([FOUND, replace(FOUND, file="b.jpg")])
+    archive.sightings.replace([replace(FOUND, method="disc")])
+    assert [(p.method, p.file, p.verdict) for p in archive.sightings.find("roof", accepted=True)] == [
         ("paper", "b.jpg", "clear"),
         ("disc", "a.jpg", "clear"),
     ]
-    assert [p.verdict for p in archive.sun_points("roof", accepted=False)] == ["set_aside"]
+    assert [p.verdict for p in archive.sightings.find("roof", accepted=False)] == ["set_aside"]
 
 
 def test_a_refusal_by_another_method_leaves_the_accepted_sighting(archive: Archive) -> None:
-    archive.replace_sun_points([FOUND])
-    archive.replace_sun_points([replace(REFUSED, method="disc")])
-    assert [p.method for p in archive.sun_points("roof", accepted=True)] == ["paper"]
+    archive.sightings.replace([FOUND])
+    archive.sightings.replace([replace(REFUSED, method="disc")])
+    assert [p.method for p in archive.sightings.find("roof", accepted=True)] == ["paper"]
 
 
 def test_images_that_are_a_stack_now_count_once_and_by_no_former_method(archive: Archive) -> None:
-    archive.replace_sun_points([replace(FOUND, file=name, method="disc") for name in ("a.jpg", "b.jpg")])
+    archive.sightings.replace([replace(FOUND, file=name, method="disc") for name in ("a.jpg", "b.jpg")])
     member = replace(REFUSED, file="b.jpg", verdict="in_stack")
-    archive.replace_sun_points([REFUSED, member])  # of a stack without a sun nothing is set aside
-    assert len(archive.sun_points("roof", accepted=True)) == 2
-    archive.replace_sun_points([FOUND, member])
-    assert [(p.method, p.file) for p in archive.sun_points("roof", accepted=True)] == [("paper", "a.jpg")]
+    archive.sightings.replace([REFUSED, member])  # of a stack without a sun nothing is set aside
+    assert len(archive.sightings.find("roof", accepted=True)) == 2
+    archive.sightings.replace([FOUND, member])
+    assert [(p.method, p.file) for p in archive.sightings.find("roof", accepted=True)] == [("paper", "a.jpg")]
 
 
 def test_what_is_stored_of_files_is_found_by_its_time(archive: Archive) -> None:
     later = replace(REFUSED, time=NOON + timedelta(seconds=1))
-    archive.replace_sun_points([FOUND, later, replace(FOUND, body="moon", file="c.jpg")])
-    (found,) = archive.file_sightings("roof", times_us=AT_NOON)
+    archive.sightings.replace([FOUND, later, replace(FOUND, body="moon", file="c.jpg")])
+    (found,) = archive.sightings.of_files("roof", times_us=AT_NOON)
     assert found.key == image_key(NOON, None, "a.jpg")
     assert (found.accepted, found.verdict, found.ingest_pass) == (True, "clear", 1)
     assert (found.x_px, found.y_px, found.sigma_px) == (900.0, 700.0, 2.0)
-    assert archive.file_sightings("attic", times_us=AT_NOON) == []
+    assert archive.sightings.of_files("attic", times_us=AT_NOON) == []
 
 
 def test_sightings_of_version_0_2_get_the_names_of_their_files(archive: Archive) -> None:
     unnamed = replace(FOUND, file="", exposure_us=20.0)
-    archive.replace_sun_points([unnamed, replace(unnamed, exposure_us=40.0)])
-    archive.name_files("roof", [image_key(NOON, 20.0, "short.png")])
-    assert [p.file for p in archive.sun_points("roof")] == ["short.png", ""]
+    archive.sightings.replace([unnamed, replace(unnamed, exposure_us=40.0)])
+    archive.sightings.name_files("roof", [image_key(NOON, 20.0, "short.png")])
+    assert [p.file for p in archive.sightings.find("roof")] == ["short.png", ""]
 
 
 def test_a_learned_sigma_changes_one_methods_sightings_of_files_alone(archive: Archive) -> None:
     others = [replace(FOUND, method="disc"), replace(FOUND, file="", time=NOON + timedelta(seconds=9))]
-    archive.add_sun_points([FOUND, *others])
-    assert archive.scale_sigma("roof", method="paper", factor=1.5, event=LEARNED) == 1
-    assert [p.sigma_px for p in archive.sun_points("roof")] == [3.0, 2.0, 2.0]
-    assert [event.kind for event in archive.events("roof")] == ["sigma_learned"]
+    archive.sightings.add([FOUND, *others])
+    assert archive.sightings.scale_sigma("roof", method="paper", factor=1.5, event=LEARNED) == 1
+    assert [p.sigma_px for p in archive.sightings.find("roof")] == [3.0, 2.0, 2.0]
+    assert [event.kind for event in archive.events.find("roof")] == ["sigma_learned"]
 
 
 def test_a_calibration_keeps_the_sigma_that_it_was_given(archive: Archive) -> None:
     sigma = [1.0, 2.0, 4.0]
-    archive.add_sun_points(
-        replace(FOUND, time=NOON + timedelta(minutes=n), sigma_px=one) for n, one in enumerate(sigma)
-    )
-    archive.add_calibration(document("a"), used=archive.sun_point_columns("roof"))
+    archive.sightings.add(replace(FOUND, time=NOON + timedelta(minutes=n), sigma_px=one) for n, one in enumerate(sigma))
+    archive.calibrations.add(document("a"), used=archive.sightings.columns("roof"))
     for _ in range(2):
-        archive.scale_sigma("roof", method="paper", factor=2.0, event=LEARNED)
-        archive.add_calibration(document(f"b{_}"), used=archive.sun_point_columns("roof"))
-    given = {name: archive.sightings_of(name).sigma_px.tolist() for name in ("a", "b0", "b1")}
+        archive.sightings.scale_sigma("roof", method="paper", factor=2.0, event=LEARNED)
+        archive.calibrations.add(document(f"b{_}"), used=archive.sightings.columns("roof"))
+    given = {name: archive.calibrations.sightings_of(name).sigma_px.tolist() for name in ("a", "b0", "b1")}
     assert given == {"a": sigma, "b0": [2.0, 4.0, 8.0], "b1": [4.0, 8.0, 16.0]}
 
 
 def test_a_moved_sighting_of_a_calibration_is_still_noticed(archive: Archive, path: Path) -> None:
-    archive.add_sun_points([FOUND])
-    archive.add_calibration(document("a"), used=archive.sun_point_columns("roof"))
-    archive.scale_sigma("roof", method="paper", factor=2.0, event=LEARNED)
+    archive.sightings.add([FOUND])
+    archive.calibrations.add(document("a"), used=archive.sightings.columns("roof"))
+    archive.sightings.scale_sigma("roof", method="paper", factor=2.0, event=LEARNED)
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("UPDATE sun_point SET x_px = x_px + 1")
     with pytest.raises(InputError, match="changed since"):
-        archive.sightings_of("a")
+        archive.calibrations.sightings_of("a")
 
 
 @pytest.mark.parametrize("damage", ["x'00'", "'text'"])
 def test_a_damaged_sigma_of_a_calibration_is_named(archive: Archive, path: Path, damage: str) -> None:
-    archive.add_sun_points([FOUND])
-    archive.add_calibration(document("a"), used=archive.sun_point_columns("roof"))
+    archive.sightings.add([FOUND])
+    archive.calibrations.add(document("a"), used=archive.sightings.columns("roof"))
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute(f"UPDATE used_sightings SET sigma = {damage}")  # noqa: S608 - the test's own
     with pytest.raises(InputError, match="damaged"):
-        archive.sightings_of("a")
+        archive.calibrations.sightings_of("a")
 
 
 def test_an_older_database_gets_the_new_key_and_its_ids_stay(archive: Archive, path: Path) -> None:
-    archive.add_sun_points(replace(FOUND, time=NOON + timedelta(seconds=n), file="") for n in range(5))
-    archive.add_calibration(document("a"), used=archive.sun_point_columns("roof"))
+    archive.sightings.add(replace(FOUND, time=NOON + timedelta(seconds=n), file="") for n in range(5))
+    archive.calibrations.add(document("a"), used=archive.sightings.columns("roof"))
     archive.close()
     downgrade(path, "0010")
     with closing(sqlite3.connect(path)) as connection:
@@ -149,14 +147,14 @@ def test_an_older_database_gets_the_new_key_and_its_ids_stay(archive: Archive, p
             connection.execute(_a_double(columns))
     upgrade(path)
     with open_archive(path) as opened:
-        assert [point.file for point in opened.sun_points("roof")] == [""] * 5
-        np.testing.assert_array_equal(opened.sightings_of("a").ids, [1, 2, 3, 4, 5])
-        assert opened.add_sun_points([FOUND]) == 1
+        assert [point.file for point in opened.sightings.find("roof")] == [""] * 5
+        np.testing.assert_array_equal(opened.calibrations.sightings_of("a").ids, [1, 2, 3, 4, 5])
+        assert opened.sightings.add([FOUND]) == 1
 
 
 def test_an_older_revision_keeps_the_first_of_a_stack(archive: Archive, path: Path) -> None:
     files: list[dict[str, Any]] = [{"file": name, "x_px": float(x)} for x, name in enumerate("abc", start=1)]
-    archive.add_sun_points(replace(FOUND, **one) for one in files)
+    archive.sightings.add(replace(FOUND, **one) for one in files)
     archive.close()
     downgrade(path, "0010")
     with closing(sqlite3.connect(path)) as connection:

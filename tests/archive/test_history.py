@@ -18,71 +18,71 @@ if TYPE_CHECKING:
 def three(archive: Archive) -> Archive:
     """Three calibrations that followed each other on days 0, 10 and 20."""
     for day, calibration_id in enumerate("abc"):
-        archive.add_calibration(document(calibration_id, day=10 * day))
-        archive.activate(calibration_id)
+        archive.calibrations.add(document(calibration_id, day=10 * day))
+        archive.calibrations.activate(calibration_id)
     return archive
 
 
 def test_rolling_back_serves_a_copy_and_rewrites_no_past_answer(three: Archive) -> None:
-    copy = three.reinstate("a", at=MAY + timedelta(days=25), reason="c was worse")
+    copy = three.calibrations.reinstate("a", at=MAY + timedelta(days=25), reason="c was worse")
     assert (copy.id, copy.parent, copy.state) == ("a-r1", "a", "current")
     assert [served(three, day) for day in (0, 9, 10, 20, 24.9, 25, 1000)] == ["a", "a", "b", "c", "c", "a-r1", "a-r1"]
-    assert copy == three.calibration("a-r1") == three.current_calibration("roof")
+    assert copy == three.calibrations.get("a-r1") == three.calibrations.current("roof")
     assert copy.document["id"] == "a-r1"
     assert copy.findings[0] == Finding("activated_by_operator", {"reason": "c was worse"})
-    told = three.events("roof")[0]
+    told = three.events.find("roof")[0]
     assert (told.kind, told.details["calibration"], told.details["copied"]) == ("calibration_reinstated", "a-r1", "a")
     data = {"calibration": "a-r1", "reason": "c was worse", "copied": "a"}
     assert told.findings == [{"code": "calibration_reinstated", "data": data}]
 
 
 def test_a_second_roll_back_has_a_name_of_its_own(three: Archive) -> None:
-    three.reinstate("a", at=MAY + timedelta(days=25), reason="first")
-    three.reinstate("c", at=MAY + timedelta(days=26), reason="no")
-    copy = three.reinstate("a-r1", at=MAY + timedelta(days=27), reason="again")
+    three.calibrations.reinstate("a", at=MAY + timedelta(days=25), reason="first")
+    three.calibrations.reinstate("c", at=MAY + timedelta(days=26), reason="no")
+    copy = three.calibrations.reinstate("a-r1", at=MAY + timedelta(days=27), reason="again")
     assert (copy.id, copy.parent) == ("a-r2", "a-r1")
     assert [served(three, day) for day in (24, 25, 26, 27)] == ["c", "a-r1", "c-r1", "a-r2"]
 
 
 def test_rolling_back_into_the_past_corrects_the_answers_from_there_on(three: Archive) -> None:
-    three.reinstate("a", at=MAY + timedelta(days=15), reason="b was worse")
+    three.calibrations.reinstate("a", at=MAY + timedelta(days=15), reason="b was worse")
     assert [served(three, day) for day in (5, 12, 15, 22)] == ["a", "b", "a-r1", "a-r1"]
 
 
 def test_a_refused_one_takes_its_own_place_when_a_person_decides(three: Archive) -> None:
-    three.add_calibration(document("d", day=30, accepted=False))
-    chosen = three.reinstate("d", at=MAY + timedelta(days=31), reason="surveyed")
+    three.calibrations.add(document("d", day=30, accepted=False))
+    chosen = three.calibrations.reinstate("d", at=MAY + timedelta(days=31), reason="surveyed")
     assert (chosen.id, chosen.state, chosen.accepted) == ("d", "current", False)
     assert [served(three, day) for day in (30, 31)] == ["c", "d"]
-    assert chosen == three.calibration("d")
+    assert chosen == three.calibrations.get("d")
 
 
 def test_the_current_one_is_not_copied_over_itself(three: Archive) -> None:
     with pytest.raises(InputError, check=lambda error: error.field == "id"):
-        three.reinstate("c", at=MAY + timedelta(days=25), reason="")
+        three.calibrations.reinstate("c", at=MAY + timedelta(days=25), reason="")
     with pytest.raises(NotFoundError):
-        three.reinstate("z", at=MAY, reason="")
+        three.calibrations.reinstate("z", at=MAY, reason="")
     assert served(three, 25) == "c"
-    assert three.events("roof") == ()
+    assert three.events.find("roof") == ()
 
 
 def test_a_pinned_one_stays_and_candidates_are_kept(three: Archive) -> None:
-    assert three.pin("c", at=MAY + timedelta(days=21), reason="a campaign").pinned
-    three.add_calibration(document("d", day=30))
-    assert three.activate("d").state == "candidate"
+    assert three.calibrations.pin("c", at=MAY + timedelta(days=21), reason="a campaign").pinned
+    three.calibrations.add(document("d", day=30))
+    assert three.calibrations.activate("d").state == "candidate"
     assert served(three, 31) == "c"
-    three.unpin("c", at=MAY + timedelta(days=40), reason="over")
-    assert three.activate("d").state == "current"
-    assert [event.kind for event in three.events("roof")] == ["calibration_unpinned", "calibration_pinned"]
+    three.calibrations.unpin("c", at=MAY + timedelta(days=40), reason="over")
+    assert three.calibrations.activate("d").state == "current"
+    assert [event.kind for event in three.events.find("roof")] == ["calibration_unpinned", "calibration_pinned"]
 
 
 def test_a_person_overrules_a_pin_and_it_ends(three: Archive) -> None:
-    three.pin("c", at=MAY + timedelta(days=21), reason="a campaign")
-    three.reinstate("b", at=MAY + timedelta(days=22), reason="better after all")
+    three.calibrations.pin("c", at=MAY + timedelta(days=21), reason="a campaign")
+    three.calibrations.reinstate("b", at=MAY + timedelta(days=22), reason="better after all")
     assert served(three, 23) == "b-r1"
-    assert not any(record.pinned for record in three.calibrations("roof"))
+    assert not any(record.pinned for record in three.calibrations.find("roof"))
 
 
 def test_only_the_current_one_is_pinned(three: Archive) -> None:
     with pytest.raises(InputError, check=lambda error: error.field == "id"):
-        three.pin("a", at=MAY, reason="")
+        three.calibrations.pin("a", at=MAY, reason="")

@@ -29,10 +29,10 @@ def measured(hours: float, *, free: int | None = None, degrees: float | None = N
 
 
 def test_measurements_of_an_hour_and_a_day_are_their_mean_least_and_greatest(archive: Archive) -> None:
-    archive.add_housekeeping("roof", [measured(1.0, free=50, degrees=40.0), measured(1.9, free=30, degrees=43.0)])
-    archive.add_housekeeping("roof", [measured(1.5, degrees=40.0), measured(2.0, free=90)])
-    archive.add_housekeeping("other", [measured(1.0, free=1, degrees=-9.0)])
-    later, earlier = archive.housekeeping("roof", step="hour")
+    archive.housekeeping.add("roof", [measured(1.0, free=50, degrees=40.0), measured(1.9, free=30, degrees=43.0)])
+    archive.housekeeping.add("roof", [measured(1.5, degrees=40.0), measured(2.0, free=90)])
+    archive.housekeeping.add("other", [measured(1.0, free=1, degrees=-9.0)])
+    later, earlier = archive.housekeeping.find("roof", step="hour")
     assert earlier == Housekeeping(
         time=MIDNIGHT + timedelta(hours=1),
         disk_free_bytes=30,
@@ -43,7 +43,7 @@ def test_measurements_of_an_hour_and_a_day_are_their_mean_least_and_greatest(arc
         n_temperatures=3,
     )
     assert later == Housekeeping(time=MIDNIGHT + timedelta(hours=2), disk_free_bytes=90, images_bytes=10)
-    (day,) = archive.housekeeping("roof", step="day")
+    (day,) = archive.housekeeping.find("roof", step="day")
     assert day == merged(earlier, later, time=MIDNIGHT)
     assert (day.time, day.disk_free_bytes, day.images_bytes, day.temperature_c) == (MIDNIGHT, 30, 70, 41.0)
 
@@ -62,33 +62,36 @@ def test_the_order_and_the_parts_in_which_measurements_come_make_no_difference()
 
 
 def test_days_are_utc_days_and_bounds_are_half_open(archive: Archive) -> None:
-    archive.add_housekeeping("roof", [measured(23.99, free=1), measured(24.0, free=2)])
-    assert [one.time for one in archive.housekeeping("roof", step="day")] == [MIDNIGHT + timedelta(days=1), MIDNIGHT]
-    found = archive.housekeeping("roof", step="day", since=MIDNIGHT, until=MIDNIGHT + timedelta(days=1))
+    archive.housekeeping.add("roof", [measured(23.99, free=1), measured(24.0, free=2)])
+    assert [one.time for one in archive.housekeeping.find("roof", step="day")] == [
+        MIDNIGHT + timedelta(days=1),
+        MIDNIGHT,
+    ]
+    found = archive.housekeeping.find("roof", step="day", since=MIDNIGHT, until=MIDNIGHT + timedelta(days=1))
     assert [one.disk_free_bytes for one in found] == [1]
     east = measured(0.5, free=7)
-    archive.add_housekeeping("east", [Housekeeping(time=east.time.astimezone(tz=None), disk_free_bytes=7)])
-    assert archive.housekeeping("east", step="hour")[0].time == MIDNIGHT
+    archive.housekeeping.add("east", [Housekeeping(time=east.time.astimezone(tz=None), disk_free_bytes=7)])
+    assert archive.housekeeping.find("east", step="hour")[0].time == MIDNIGHT
 
 
 def test_hours_are_kept_for_92_days_and_days_for_five_years(archive: Archive) -> None:
     now = MIDNIGHT + timedelta(hours=1)
     ages = {"day": (91, 93, 1829, 1831), "hour": (91, 93)}
-    archive.add_housekeeping("roof", [measured(-24.0 * age, free=age) for age in ages["day"]])
-    archive.add_housekeeping("other", [measured(-24.0 * 2000, free=0)])
-    assert archive.expire_housekeeping("roof", now=now) == 3 + 1  # hours of 93, 1829 and 1831 days, a day of 1831
-    assert [one.disk_free_bytes for one in archive.housekeeping("roof", step="hour")] == [91]
-    assert [one.disk_free_bytes for one in archive.housekeeping("roof", step="day")] == [91, 93, 1829]
-    assert archive.expire_housekeeping("roof", now=now) == 0
-    assert len(archive.housekeeping("other", step="hour")) == 1
+    archive.housekeeping.add("roof", [measured(-24.0 * age, free=age) for age in ages["day"]])
+    archive.housekeeping.add("other", [measured(-24.0 * 2000, free=0)])
+    assert archive.housekeeping.expire("roof", now=now) == 3 + 1  # hours of 93, 1829 and 1831 days, a day of 1831
+    assert [one.disk_free_bytes for one in archive.housekeeping.find("roof", step="hour")] == [91]
+    assert [one.disk_free_bytes for one in archive.housekeeping.find("roof", step="day")] == [91, 93, 1829]
+    assert archive.housekeeping.expire("roof", now=now) == 0
+    assert len(archive.housekeeping.find("other", step="hour")) == 1
 
 
 def test_times_of_conditions_are_of_one_service_and_replaced_as_a_whole(archive: Archive) -> None:
-    archive.save_condition_times("roof", {"disk_low": MIDNIGHT, "drift": MIDNIGHT + timedelta(hours=1)})
-    archive.save_condition_times("", {"nightly_failed": MIDNIGHT})
-    assert archive.condition_times("roof") == {"disk_low": MIDNIGHT, "drift": MIDNIGHT + timedelta(hours=1)}
-    archive.save_condition_times("roof", {"drift": MIDNIGHT})
-    assert archive.condition_times("roof") == {"drift": MIDNIGHT}
-    archive.save_condition_times("roof", {})
-    assert archive.condition_times("roof") == {}
-    assert archive.condition_times("") == {"nightly_failed": MIDNIGHT}
+    archive.conditions.save("roof", {"disk_low": MIDNIGHT, "drift": MIDNIGHT + timedelta(hours=1)})
+    archive.conditions.save("", {"nightly_failed": MIDNIGHT})
+    assert archive.conditions.times("roof") == {"disk_low": MIDNIGHT, "drift": MIDNIGHT + timedelta(hours=1)}
+    archive.conditions.save("roof", {"drift": MIDNIGHT})
+    assert archive.conditions.times("roof") == {"drift": MIDNIGHT}
+    archive.conditions.save("roof", {})
+    assert archive.conditions.times("roof") == {}
+    assert archive.conditions.times("") == {"nightly_failed": MIDNIGHT}

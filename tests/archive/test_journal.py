@@ -36,79 +36,79 @@ CLEAR = Day(
 
 
 def test_a_day_comes_back_and_a_later_verdict_replaces_it(archive: Archive) -> None:
-    archive.save_day(CLEAR)
+    archive.days.save(CLEAR)
     partly = replace(
         CLEAR,
         verdict="partly",
         findings=(Finding("day_scatter"), uncoded("noon")),
         sd_px=None,
     )
-    archive.save_day(partly)
-    assert archive.days("roof") == (partly,)
+    archive.days.save(partly)
+    assert archive.days.find("roof") == (partly,)
 
 
 def test_days_are_the_newest_first_within_bounds(archive: Archive) -> None:
     for day in range(1, 6):
-        archive.save_day(replace(CLEAR, date=date(2013, 5, day)))
-    dates = [day.date.day for day in archive.days("roof", since=date(2013, 5, 2), until=date(2013, 5, 5))]
+        archive.days.save(replace(CLEAR, date=date(2013, 5, day)))
+    dates = [day.date.day for day in archive.days.find("roof", since=date(2013, 5, 2), until=date(2013, 5, 5))]
     assert dates == [4, 3, 2]
-    assert len(archive.days("roof", limit=1)) == 1
+    assert len(archive.days.find("roof", limit=1)) == 1
 
 
 def test_a_refit_is_followed_to_its_end(archive: Archive) -> None:
-    asked = archive.add_refit(Refit(id="r1", camera="roof", requested_at=NOW, reason="clear day"))
-    assert archive.refit("r1") == asked
-    archive.start_refit("r1", started_at=NOW + timedelta(seconds=1))
-    assert [refit.state for refit in archive.refits("roof", unfinished=True)] == ["running"]
-    ended = archive.finish_refit("r1", state="failed", finished_at=NOW + timedelta(seconds=9), message="no arc")
+    asked = archive.refits.add(Refit(id="r1", camera="roof", requested_at=NOW, reason="clear day"))
+    assert archive.refits.get("r1") == asked
+    archive.refits.start("r1", started_at=NOW + timedelta(seconds=1))
+    assert [refit.state for refit in archive.refits.find("roof", unfinished=True)] == ["running"]
+    ended = archive.refits.finish("r1", state="failed", finished_at=NOW + timedelta(seconds=9), message="no arc")
     assert (ended.state, ended.message) == ("failed", "no arc")
-    assert archive.refits("roof", unfinished=True) == ()
-    assert archive.refits("roof") == (ended,)
+    assert archive.refits.find("roof", unfinished=True) == ()
+    assert archive.refits.find("roof") == (ended,)
 
 
 def test_refits_that_are_asked_for_while_one_waits_are_one(archive: Archive) -> None:
     def asked(number: int, camera: str = "roof") -> str:
         refit = Refit(id=f"{camera}{number}", camera=camera, requested_at=NOW + timedelta(seconds=number), reason="x")
-        return archive.request_refit(refit).id
+        return archive.refits.request(refit).id
 
-    archive.save_camera(replace(archive.cameras()[0], name="mast"))
+    archive.cameras.save(replace(archive.cameras.all()[0], name="mast"))
     assert [asked(number) for number in range(3)] == ["roof0"] * 3
     assert asked(3, "mast") == "mast3"
-    archive.start_refit("roof0", started_at=NOW)  # it may have read the sightings already
+    archive.refits.start("roof0", started_at=NOW)  # it may have read the sightings already
     assert [asked(number) for number in range(4, 7)] == ["roof4"] * 3
-    archive.finish_refit("roof0", state="refused", finished_at=NOW)
-    archive.start_refit("roof4", started_at=NOW)
-    archive.finish_refit("roof4", state="failed", finished_at=NOW)
+    archive.refits.finish("roof0", state="refused", finished_at=NOW)
+    archive.refits.start("roof4", started_at=NOW)
+    archive.refits.finish("roof4", state="failed", finished_at=NOW)
     assert asked(7) == "roof7"
-    assert len(archive.refits("roof")) == 3
+    assert len(archive.refits.find("roof")) == 3
 
 
 def test_an_unknown_refit_is_not_found(archive: Archive) -> None:
     with pytest.raises(NotFoundError, check=lambda error: error.field == "id"):
-        archive.finish_refit("r9", state="failed", finished_at=NOW)
+        archive.refits.finish("r9", state="failed", finished_at=NOW)
 
 
 def test_events_are_told_the_newest_first(archive: Archive) -> None:
     bump = Event(time=NOW, kind="bump", severity="alarm", text="it moved", camera="roof", details={"deg": 0.2})
-    stored = archive.add_event(bump)
+    stored = archive.events.add(bump)
     assert stored == replace(bump, id=stored.id)
-    archive.add_event(Event(time=NOW + timedelta(seconds=1), kind="disk", severity="warning", text="nearly full"))
-    archive.add_event(Event(time=NOW - timedelta(days=9), kind="start", severity="info", text="started"))
-    assert [event.kind for event in archive.events("roof")] == ["disk", "bump", "start"]
-    assert archive.events("attic", severity="alarm") == ()
-    assert archive.events(since=NOW, until=NOW + timedelta(seconds=1)) == (stored,)
+    archive.events.add(Event(time=NOW + timedelta(seconds=1), kind="disk", severity="warning", text="nearly full"))
+    archive.events.add(Event(time=NOW - timedelta(days=9), kind="start", severity="info", text="started"))
+    assert [event.kind for event in archive.events.find("roof")] == ["disk", "bump", "start"]
+    assert archive.events.find("attic", severity="alarm") == ()
+    assert archive.events.find(since=NOW, until=NOW + timedelta(seconds=1)) == (stored,)
 
 
 def listed(archive: Archive, **limits: Any) -> list[tuple[str, str]]:  # noqa: ANN401 - arguments of any kind
-    return [(f"{night.date}", night.verdict) for night in archive.nights("roof", **limits)]
+    return [(f"{night.date}", night.verdict) for night in archive.nights.find("roof", **limits)]
 
 
 def test_a_night_that_is_judged_again_is_one_night_as_it_was_judged_last(archive: Archive) -> None:
     for day in range(20):
-        archive.save_night(judged(f"2013-05-{day + 1:02d}", at=NOW + timedelta(days=day), verdict="partly"))
+        archive.nights.save(judged(f"2013-05-{day + 1:02d}", at=NOW + timedelta(days=day), verdict="partly"))
     # of the last image of the night: before the service judged it, and stored after that
-    archive.save_night(judged("2013-05-03", at=NOW + timedelta(days=2, minutes=-20), verdict="clear"))
-    archive.save_night(judged("2013-05-20", at=NOW + timedelta(days=19, minutes=-20), verdict="cloudy"))
+    archive.nights.save(judged("2013-05-03", at=NOW + timedelta(days=2, minutes=-20), verdict="clear"))
+    archive.nights.save(judged("2013-05-20", at=NOW + timedelta(days=19, minutes=-20), verdict="cloudy"))
     every = listed(archive)
     assert [date for date, _ in every] == [f"2013-05-{day:02d}" for day in range(20, 0, -1)]
     assert (every[0][1], every[17][1], every[1][1]) == ("cloudy", "clear", "partly")
@@ -118,27 +118,27 @@ def test_a_night_that_is_judged_again_is_one_night_as_it_was_judged_last(archive
     assert listed(archive, since=third, until=third + timedelta(minutes=1)) == []  # it was judged again at another time
     assert listed(archive, since=third - timedelta(hours=1), until=third) == [("2013-05-03", "clear")]
     assert listed(archive, until=datetime.max.replace(tzinfo=UTC), limit=1) == every[:1]
-    assert archive.nights("mast") == ()
+    assert archive.nights.find("mast") == ()
 
 
 def test_a_night_is_read_as_it_was_stored(archive: Archive) -> None:
     night = whole_night(NOW)
-    archive.save_night(night)
-    assert archive.nights("roof") == (night,)
-    archive.save_night(replace(night, images=None, picture_time=None, halo=None))
-    assert archive.nights("roof") == (replace(night, images=None, picture_time=None, halo=None),)
+    archive.nights.save(night)
+    assert archive.nights.find("roof") == (night,)
+    archive.nights.save(replace(night, images=None, picture_time=None, halo=None))
+    assert archive.nights.find("roof") == (replace(night, images=None, picture_time=None, halo=None),)
 
 
 def test_a_night_and_its_event_are_stored_together_and_end_its_images(archive: Archive) -> None:
-    archive.add_night_image("roof", night_image(NOW), keep_since=NOW)
+    archive.nights.add_image("roof", night_image(NOW), keep_since=NOW)
     night = whole_night(NOW)
-    archive.save_night(night, event=Event(time=NOW, kind="night", severity="info", text="", camera="roof"))
-    assert len(archive.night_images("roof")) == len(archive.events("roof", kind="night")) == 1
+    archive.nights.save(night, event=Event(time=NOW, kind="night", severity="info", text="", camera="roof"))
+    assert len(archive.nights.images("roof")) == len(archive.events.find("roof", kind="night")) == 1
     with pytest.raises(InputError):
-        archive.save_night(replace(night, date=date(2013, 5, 20), camera="none"), drops_images=True)
-    assert (archive.nights("roof"), len(archive.night_images("roof"))) == ((night,), 1)
-    archive.save_night(night, drops_images=True)
-    assert archive.night_images("roof") == ()
+        archive.nights.save(replace(night, date=date(2013, 5, 20), camera="none"), drops_images=True)
+    assert (archive.nights.find("roof"), len(archive.nights.images("roof"))) == ((night,), 1)
+    archive.nights.save(night, drops_images=True)
+    assert archive.nights.images("roof") == ()
 
 
 @pytest.mark.parametrize(
@@ -156,18 +156,18 @@ def test_a_night_that_lacks_a_value_is_damaged_and_none_of_its_numbers_is_made_u
 ) -> None:
     make_empty(path)
     with open_archive(path) as archive:
-        archive.save_camera(ROOF)
-        archive.save_night(whole_night(NOW))
-        archive.save_night(replace(whole_night(NOW), date=date(2013, 5, 11)))
+        archive.cameras.save(ROOF)
+        archive.nights.save(whole_night(NOW))
+        archive.nights.save(replace(whole_night(NOW), date=date(2013, 5, 11)))
         with closing(sqlite3.connect(path, isolation_level=None)) as connection:
             connection.execute(f"UPDATE night SET {column} = {value} WHERE date = '2013-05-11'")  # noqa: S608
-        sound, damaged = archive.nights("roof")
+        sound, damaged = archive.nights.find("roof")
         assert sound == whole_night(NOW)
         assert damaged.findings == (Finding("night_damaged", {"field": column}),)
         assert (damaged.verdict, damaged.n_accepted, damaged.halo) == ("unusable", 0, None)
         with closing(sqlite3.connect(path, isolation_level=None)) as connection:
             connection.execute("UPDATE night SET date = 'yesterday' WHERE date = '2013-05-11'")
-        assert archive.nights("roof") == (sound,)
+        assert archive.nights.find("roof") == (sound,)
 
 
 def test_an_event_of_a_former_version_is_a_night() -> None:

@@ -41,7 +41,7 @@ def imager(tmp_path: Path) -> Iterator[Archive]:
 
 
 def waiting(archive: Archive) -> list[FeedRow]:
-    return list(archive.outbox_rows(most=10**6, most_bytes=10**9))
+    return list(archive.outbox.rows(most=10**6, most_bytes=10**9))
 
 
 def kinds(archive: Archive) -> list[str]:
@@ -50,18 +50,18 @@ def kinds(archive: Archive) -> list[str]:
 
 def forget(archive: Archive) -> None:
     rows = waiting(archive)
-    archive.mark_sent(rows[-1].seq)
-    archive.acknowledge(rows[-1].seq)
+    archive.outbox.mark_sent(rows[-1].seq)
+    archive.outbox.acknowledge(rows[-1].seq)
 
 
 def test_every_kind_of_row_is_queued_with_all_its_columns_in_the_order_of_the_changes(imager: Archive) -> None:
-    imager.add_sun_points([sighting(0), sighting(1)])
-    imager.save_day(DAY)
-    imager.set_day_air(DayAir(camera="roof", date=DAY.date, temperature_c=3.5, pressure_hpa=None, set_at=NOON))
-    imager.add_calibration(document("a"))
-    imager.request_refit(Refit(id="r", camera="roof", requested_at=NOON, reason="asked"))
-    imager.add_event(Event(time=NOON, kind="start", severity="info", text="begun", details={"a": 1.5}))
-    imager.add_housekeeping(
+    imager.sightings.add([sighting(0), sighting(1)])
+    imager.days.save(DAY)
+    imager.days.set_air(DayAir(camera="roof", date=DAY.date, temperature_c=3.5, pressure_hpa=None, set_at=NOON))
+    imager.calibrations.add(document("a"))
+    imager.refits.request(Refit(id="r", camera="roof", requested_at=NOON, reason="asked"))
+    imager.events.add(Event(time=NOON, kind="start", severity="info", text="begun", details={"a": 1.5}))
+    imager.housekeeping.add(
         "roof", [Housekeeping(time=NOON, disk_free_bytes=2**40, temperature_c=0.1, n_temperatures=1)]
     )
     rows = waiting(imager)
@@ -90,14 +90,14 @@ def test_every_table_is_sent_or_left_out_for_a_reason() -> None:
 def test_numbers_keep_all_their_digits(imager: Archive) -> None:
     forget(imager)
     numbers = np.random.default_rng(0).normal(0.0, 1.0, 200) * 10.0 ** np.random.default_rng(1).integers(-200, 200, 200)
-    imager.add_sun_points(sighting(n, x_px=float(x)) for n, x in enumerate(numbers))
+    imager.sightings.add(sighting(n, x_px=float(x)) for n, x in enumerate(numbers))
     found = read_feed_lines(feed_lines(waiting(imager)), after=2)
     assert [row.data["x_px"] for row in found if row.data is not None] == numbers.tolist()
 
 
 def test_what_is_no_number_is_sent_as_none(imager: Archive) -> None:
     forget(imager)
-    imager.add_sun_points([sighting(0, residual_chi2=float("inf"), snr=float("nan"))])
+    imager.sightings.add([sighting(0, residual_chi2=float("inf"), snr=float("nan"))])
     (row,) = waiting(imager)
     assert row.data is not None
     assert (row.data["residual_chi2"], row.data["snr"]) == (None, None)
@@ -106,35 +106,35 @@ def test_what_is_no_number_is_sent_as_none(imager: Archive) -> None:
 def test_a_change_that_is_taken_back_queues_nothing(imager: Archive) -> None:
     before = kinds(imager)
     with pytest.raises(InputError):
-        imager.add_sun_points([sighting(0), sighting(1, camera="mast")])
+        imager.sightings.add([sighting(0), sighting(1, camera="mast")])
     assert kinds(imager) == before
 
 
 def test_the_same_values_again_queue_nothing(imager: Archive) -> None:
-    imager.add_sun_points([sighting(0)])
+    imager.sightings.add([sighting(0)])
     forget(imager)
-    imager.add_sun_points([sighting(0)])
-    imager.save_camera(imager.cameras()[0])
+    imager.sightings.add([sighting(0)])
+    imager.cameras.save(imager.cameras.all()[0])
     assert kinds(imager) == []
 
 
 def test_changes_of_many_rows_queue_each(imager: Archive) -> None:
-    imager.add_sun_points(sighting(n) for n in range(5))
+    imager.sightings.add(sighting(n) for n in range(5))
     forget(imager)
-    assert imager.exclude("roof", since=NOON + timedelta(seconds=60), reason="test") == 3
+    assert imager.sightings.exclude("roof", since=NOON + timedelta(seconds=60), reason="test") == 3
     assert kinds(imager) == ["sun_point"] * 3
     forget(imager)
-    imager.open_epoch("roof", at=NOON + timedelta(seconds=90), reason="bumped")
+    imager.epochs.open("roof", at=NOON + timedelta(seconds=90), reason="bumped")
     assert kinds(imager) == ["pose_epoch", "pose_epoch", "sun_point", "sun_point"]
 
 
 def test_a_row_that_moves_to_another_key_or_goes_is_said_to_be_removed(imager: Archive) -> None:
     air = DayAir(camera="roof", date=DAY.date, temperature_c=3.5, pressure_hpa=None, set_at=NOON)
-    imager.set_day_air(air)
-    imager.replace_sun_points([sighting(0)])
+    imager.days.set_air(air)
+    imager.sightings.replace([sighting(0)])
     forget(imager)
-    imager.set_day_air(replace(air, temperature_c=None))
-    imager.name_files("roof", [(int(NOON.timestamp() * 1e6), 47.3, "a.png")])
+    imager.days.set_air(replace(air, temperature_c=None))
+    imager.sightings.name_files("roof", [(int(NOON.timestamp() * 1e6), 47.3, "a.png")])
     removed_air, removed, moved = waiting(imager)
     assert (removed_air.kind, removed_air.data) == ("day_air.removed", {"camera": "roof", "date": "2026-05-13"})
     assert removed.kind == "sun_point.removed"
@@ -144,80 +144,80 @@ def test_a_row_that_moves_to_another_key_or_goes_is_said_to_be_removed(imager: A
 
 
 def test_a_damaged_row_does_not_keep_a_change_from_being_made(imager: Archive, tmp_path: Path) -> None:
-    imager.add_sun_points([sighting(0)])
+    imager.sightings.add([sighting(0)])
     with closing(sqlite3.connect(tmp_path / "roof.sqlite")) as hand, hand:
         hand.execute("UPDATE sun_point SET reason = x'ff00fe', snr = x'ff', saturated_px = 'many'")
-    assert imager.exclude("roof", since=NOON, reason="test") == 1
+    assert imager.sightings.exclude("roof", since=NOON, reason="test") == 1
     assert waiting(imager)[-1].kind == "sun_point"
 
 
 def test_rows_come_in_parts_of_a_size(imager: Archive) -> None:
-    imager.add_sun_points(sighting(n) for n in range(10))
-    assert len(imager.outbox_rows(most=4, most_bytes=10**9)) == 4
-    one = len(imager.outbox_rows(most=1, most_bytes=0))
+    imager.sightings.add(sighting(n) for n in range(10))
+    assert len(imager.outbox.rows(most=4, most_bytes=10**9)) == 4
+    one = len(imager.outbox.rows(most=1, most_bytes=0))
     assert one == 1
-    assert 1 < len(imager.outbox_rows(most=100, most_bytes=2000)) < 12
+    assert 1 < len(imager.outbox.rows(most=100, most_bytes=2000)) < 12
 
 
 def test_what_the_hub_has_is_forgotten_and_numbers_are_not_given_again(imager: Archive, tmp_path: Path) -> None:
     forget(imager)
-    assert imager.outbox_waiting() == 0
-    assert (imager.outbox_position().committed, imager.outbox_position().sent) == (2, 2)
-    imager.add_sun_points([sighting(0)])
+    assert imager.outbox.waiting() == 0
+    assert (imager.outbox.position().committed, imager.outbox.position().sent) == (2, 2)
+    imager.sightings.add([sighting(0)])
     assert [row.seq for row in waiting(imager)] == [3]
     with open_archive(tmp_path / "roof.sqlite") as again:
-        assert not again.enable_outbox()  # it went on: nothing is queued again
+        assert not again.outbox.enable()  # it went on: nothing is queued again
         assert [row.seq for row in waiting(again)] == [3]
 
 
 def test_a_trigger_that_is_missing_has_all_rows_queued_again(imager: Archive, tmp_path: Path) -> None:
-    imager.add_sun_points([sighting(0)])
+    imager.sightings.add([sighting(0)])
     forget(imager)
-    former = imager.outbox_position().installation
+    former = imager.outbox.position().installation
     with closing(sqlite3.connect(tmp_path / "roof.sqlite")) as hand, hand:
         hand.execute("DROP TRIGGER outbox_sun_point_insert")
-    imager.add_sun_points([sighting(1)])
+    imager.sightings.add([sighting(1)])
     assert kinds(imager) == []
-    assert imager.enable_outbox()
+    assert imager.outbox.enable()
     assert kinds(imager) == ["camera", "pose_epoch", "sun_point", "sun_point"]
     assert waiting(imager)[0].seq > 3
-    assert imager.outbox_position().installation != former
+    assert imager.outbox.position().installation != former
 
 
 def test_of_a_kind_that_a_former_version_did_not_send_the_rows_alone_are_queued(
     imager: Archive, tmp_path: Path
 ) -> None:
-    imager.add_sun_points([sighting(0)])
+    imager.sightings.add([sighting(0)])
     forget(imager)
-    former = imager.outbox_position()
+    former = imager.outbox.position()
     with closing(sqlite3.connect(tmp_path / "roof.sqlite")) as hand, hand:
         for change in ("insert", "update", "delete"):
             hand.execute(f"DROP TRIGGER outbox_housekeeping_{change}")
-    imager.add_housekeeping("roof", [Housekeeping(time=NOON, disk_free_bytes=1)])
+    imager.housekeeping.add("roof", [Housekeeping(time=NOON, disk_free_bytes=1)])
     assert kinds(imager) == []
-    assert not imager.enable_outbox()
+    assert not imager.outbox.enable()
     assert kinds(imager) == ["housekeeping", "housekeeping"]
-    assert imager.outbox_position() == former
-    imager.add_housekeeping("roof", [Housekeeping(time=NOON, disk_free_bytes=0)])
+    assert imager.outbox.position() == former
+    imager.housekeeping.add("roof", [Housekeeping(time=NOON, disk_free_bytes=0)])
     assert kinds(imager) == ["housekeeping"] * 4
-    assert not imager.enable_outbox()
+    assert not imager.outbox.enable()
     assert kinds(imager) == ["housekeeping"] * 4
 
 
 def test_without_a_hub_nothing_is_queued(imager: Archive) -> None:
-    imager.disable_outbox()
-    imager.add_sun_points([sighting(0)])
+    imager.outbox.disable()
+    imager.sightings.add([sighting(0)])
     assert kinds(imager) == []
-    assert imager.enable_outbox()
+    assert imager.outbox.enable()
     assert kinds(imager) == ["camera", "pose_epoch", "sun_point"]
 
 
 def test_of_what_the_imager_tells_of_itself_only_the_newest_waits(imager: Archive) -> None:
     for n in range(3):
-        imager.queue_status({"n": n})
+        imager.outbox.queue_status({"n": n})
     assert [row.data for row in waiting(imager) if row.kind == STATUS] == [{"n": 2}]
-    imager.mark_sent(waiting(imager)[-1].seq)  # under way: it may be at the hub
-    imager.queue_status({"n": 3})
+    imager.outbox.mark_sent(waiting(imager)[-1].seq)  # under way: it may be at the hub
+    imager.outbox.queue_status({"n": 3})
     assert [row.data for row in waiting(imager) if row.kind == STATUS] == [{"n": 2}, {"n": 3}]
 
 

@@ -48,8 +48,8 @@ def engine_of(url: URL) -> Iterator[Engine]:
 
 def opened(url: URL) -> Archive:
     archive = open_archive(url)
-    archive.save_camera(ROOF)
-    archive.epoch_at("roof", datetime(2013, 1, 1, tzinfo=UTC), reason="installed")
+    archive.cameras.save(ROOF)
+    archive.epochs.at("roof", datetime(2013, 1, 1, tzinfo=UTC), reason="installed")
     return archive
 
 
@@ -66,8 +66,8 @@ def test_the_migrations_make_the_tables_of_the_models(engine_of: Engine) -> None
 def test_sightings_go_to_the_partition_of_their_month_and_a_query_reads_no_other(url: URL, engine_of: Engine) -> None:
     ends = [datetime(2013, 4, 30, 23, 59, 59, 999_999, UTC), datetime(2013, 5, 1, tzinfo=UTC)]
     with opened(url) as archive:
-        assert archive.add_sun_points(replace(POINT, time=time) for time in ends) == 2
-        assert [p.time for p in archive.sun_points("roof")] == ends
+        assert archive.sightings.add(replace(POINT, time=time) for time in ends) == 2
+        assert [p.time for p in archive.sightings.find("roof")] == ends
     with engine_of.connect() as connection:
         month = "SELECT time FROM sun_point_{} ORDER BY time"
         found = [connection.execute(text(month.format(name))).scalars().all() for name in ("201304", "201305")]
@@ -85,11 +85,13 @@ def test_plans_of_the_archives_own_questions_use_one_partition_and_its_indices(u
     begin = datetime(2013, 4, 1, tzinfo=UTC)
     statements: list[tuple[str, Any]] = []
     with opened(url) as archive:
-        archive.add_sun_points(replace(POINT, time=begin + timedelta(minutes=30 * n)) for n in range(4000))
-        event.listen(archive._engine, "before_cursor_execute", lambda *call: statements.append((call[2], call[3])))
+        archive.sightings.add(replace(POINT, time=begin + timedelta(minutes=30 * n)) for n in range(4000))
+        event.listen(
+            archive.database.engine, "before_cursor_execute", lambda *call: statements.append((call[2], call[3]))
+        )
         since = datetime(2013, 5, 8, tzinfo=UTC)
-        archive.sun_point_columns("roof", since=since, until=since + timedelta(days=2))
-        archive.observation_times("roof", since=since, until=since + timedelta(days=2))
+        archive.sightings.columns("roof", since=since, until=since + timedelta(days=2))
+        archive.sightings.observation_times("roof", since=since, until=since + timedelta(days=2))
     with engine_of.execution_options(isolation_level="AUTOCOMMIT").connect() as connection:
         connection.exec_driver_sql("VACUUM ANALYZE sun_point")
         asked = [one for one in statements if "FROM sun_point" in one[0]]
@@ -108,7 +110,7 @@ def test_an_hour_of_all_cameras_is_found_by_brin_where_rows_came_in_the_order_of
 ) -> None:
     begin, end = (int(datetime(2013, 5, day, tzinfo=UTC).timestamp() * 1e6) for day in (1, 31))
     with opened(url) as archive:
-        archive.add_sun_points([POINT])
+        archive.sightings.add([POINT])
     columns = "camera, pose_epoch, time, body, exposure_us, method, accepted, verdict, reason"
     values = (
         f"'roof', 'roof-1', t, 'sun', 47, 'disc', true, 'clear', '' FROM generate_series({begin}, {end}, 60000000) t"
@@ -126,8 +128,8 @@ def test_an_hour_of_all_cameras_is_found_by_brin_where_rows_came_in_the_order_of
 def test_a_time_that_no_sighting_has_makes_no_partition(url: URL, year: int) -> None:
     with opened(url) as archive:
         with pytest.raises(InputError):
-            archive.add_sun_points([replace(POINT, time=datetime(year, 6, 1, tzinfo=UTC))])
-        assert archive.sun_points("roof") == ()
+            archive.sightings.add([replace(POINT, time=datetime(year, 6, 1, tzinfo=UTC))])
+        assert archive.sightings.find("roof") == ()
 
 
 def test_a_second_upgrade_finds_nothing_to_do_and_a_check_tells_rows(url: URL) -> None:
@@ -155,9 +157,9 @@ def test_the_revision_changes_with_every_commit_of_anyone_and_else_not(url: URL)
     with opened(url) as archive, open_archive(url) as other:
         before = archive.revision()
         assert archive.revision() == before
-        archive.sun_points("roof")
+        archive.sightings.find("roof")
         assert archive.revision() == before
-        other.add_sun_points([POINT])
+        other.sightings.add([POINT])
         after = archive.revision()
         assert after != before
         assert archive.revision() == after
@@ -189,13 +191,13 @@ def test_a_restart_of_the_server_breaks_no_more_than_what_is_under_way(url: URL,
         before = archive.revision()
         postgresql.stop()
         with pytest.raises(OutsideError):
-            archive.add_sun_points([POINT])
+            archive.sightings.add([POINT])
         with pytest.raises(OutsideError):
             archive.revision()
         postgresql.start()
-        assert archive.add_sun_points([POINT]) == 1
+        assert archive.sightings.add([POINT]) == 1
         assert archive.revision() != before
-        assert len(archive.sun_points("roof")) == 1
+        assert len(archive.sightings.find("roof")) == 1
 
 
 def test_after_a_failover_the_new_server_is_written_to(url: URL, postgresql: Server) -> None:
@@ -204,15 +206,15 @@ def test_after_a_failover_the_new_server_is_written_to(url: URL, postgresql: Ser
         with running_server(copy_of=first) as standby:
             hosts = {"host": f"{first.folder},{standby.folder}", "target_session_attrs": "read-write"}
             with opened(url.update_query_dict(hosts)) as archive:
-                archive.add_sun_points([POINT])
+                archive.sightings.add([POINT])
                 first.sql("postgres", "SELECT pg_switch_wal()")
                 _wait_for_row(standby)
                 with pytest.raises(OutsideError):
                     open_archive(standby.url(TEMPLATE))  # a stand-by alone is none to write to
                 first.stop()
                 standby.promote()
-                assert archive.add_sun_points([POINT, replace(POINT, time=NOON + timedelta(seconds=30))]) == 1
-                assert len(archive.sun_points("roof")) == 2
+                assert archive.sightings.add([POINT, replace(POINT, time=NOON + timedelta(seconds=30))]) == 1
+                assert len(archive.sightings.find("roof")) == 2
             first.start()
     assert postgresql.folder != first.folder
 
@@ -262,7 +264,7 @@ def fleet() -> Iterator[Server]:
 
 def test_the_feeds_role_stores_what_imagers_send_and_changes_no_table(fleet: Server) -> None:
     with opened(fleet.url("sunarc", user="sunarc_feed")) as archive:
-        assert archive.add_sun_points([POINT]) == 1  # makes a partition
+        assert archive.sightings.add([POINT]) == 1  # makes a partition
     refused = ["DROP TABLE sun_point", "DELETE FROM calibration", "DELETE FROM event", "CREATE TABLE mine (x int)"]
     refused += ["UPDATE feed_token SET expires_at = NULL", "INSERT INTO feed_token VALUES ('d', 'roof', 0, NULL)"]
     for statement in refused:
@@ -272,9 +274,9 @@ def test_the_feeds_role_stores_what_imagers_send_and_changes_no_table(fleet: Ser
 
 def test_the_readers_role_reads_and_writes_nothing(fleet: Server) -> None:
     with open_archive(fleet.url("sunarc", user="sunarc_reader")) as archive:
-        archive.sun_points("roof")
+        archive.sightings.find("roof")
         with pytest.raises(OutsideError, match="permission denied"):
-            archive.save_camera(ROOF)
+            archive.cameras.save(ROOF)
     for statement in ("SELECT sunarc_require_month(0)", "SELECT digest FROM feed_token"):
         with pytest.raises(AssertionError, match="permission denied"):
             fleet.sql("sunarc", statement, user="sunarc_reader")
@@ -282,15 +284,15 @@ def test_the_readers_role_reads_and_writes_nothing(fleet: Server) -> None:
 
 def test_a_feed_is_stored_by_the_feeds_role(fleet: Server, tmp_path: Path) -> None:
     with new_imager(tmp_path, "mast") as imager, open_archive(fleet.url("sunarc", user="sunarc_feed")) as hub:
-        imager.add_sun_points([sighting(0, camera="mast")])
+        imager.sightings.add([sighting(0, camera="mast")])
         feed(imager, hub, "mast")
-        assert hub.sun_points("mast") == imager.sun_points("mast")
-        assert "mast" in [camera.camera for camera in hub.fleet()]
+        assert hub.sightings.find("mast") == imager.sightings.find("mast")
+        assert "mast" in [camera.camera for camera in hub.feeds.fleet()]
 
 
 def batch_after(imager: Archive, *rows: tuple[str, dict[str, Any]], camera: str) -> FeedBatch:
     """Return rows made by hand as an imager's next batch."""
-    position = imager.outbox_position()
+    position = imager.outbox.position()
     made = batch_of(*rows, camera=camera, after=position.committed)
     return replace(made, installation=position.installation)
 
@@ -302,7 +304,7 @@ def row_of(number: int, camera: str, **changes: Any) -> dict[str, Any]:  # noqa:
 
 def test_what_the_feeds_role_may_not_do_is_set_apart_and_the_rest_is_stored(fleet: Server, tmp_path: Path) -> None:
     with new_imager(tmp_path, "yard") as imager, open_archive(fleet.url("sunarc", user="sunarc_feed")) as hub:
-        imager.add_calibration(document("yard-a", camera="yard", pose_epoch="yard-1"))
+        imager.calibrations.add(document("yard-a", camera="yard", pose_epoch="yard-1"))
         feed(imager, hub, "yard")
         long_name = random.Random(1).randbytes(9000).hex()  # longer than an entry of an index may be
         batch = batch_after(
@@ -314,16 +316,16 @@ def test_what_the_feeds_role_may_not_do_is_set_apart_and_the_rest_is_stored(flee
             ("sun_point", row_of(3, "yard")),
             camera="yard",
         )
-        assert hub.take_feed(batch, now=NOW) == batch.rows[-1].seq
-        found = sorted(hub.quarantine("yard"), key=lambda one: one.seq)
+        assert hub.feeds.take(batch, now=NOW) == batch.rows[-1].seq
+        found = sorted(hub.feeds.quarantine("yard"), key=lambda one: one.seq)
         assert [(one.kind, one.reason) for one in found] == [
             ("calibration.removed", "refused_by_database"),
             ("pose_epoch.removed", "refused_by_database"),
             ("sun_point", "refused_by_database"),
         ]
         assert ["permission denied" in one.text for one in found] == [True, True, False]
-        assert len(hub.sun_points("yard")) == 2
-        assert [one.id for one in hub.calibrations("yard")] == ["yard-a"]
+        assert len(hub.sightings.find("yard")) == 2
+        assert [one.id for one in hub.calibrations.find("yard")] == ["yard-a"]
 
 
 def test_one_camera_removes_no_calibration_of_another_by_the_owners_role(fleet: Server, tmp_path: Path) -> None:
@@ -333,18 +335,18 @@ def test_one_camera_removes_no_calibration_of_another_by_the_owners_role(fleet: 
         open_archive(fleet.url("sunarc", user="sunarc_owner")) as hub,
     ):
         for one, name in ((imager, "gate"), (other, "hill")):
-            one.add_calibration(document(f"{name}-a", camera=name, pose_epoch=f"{name}-1"))
-            one.activate(f"{name}-a")
+            one.calibrations.add(document(f"{name}-a", camera=name, pose_epoch=f"{name}-1"))
+            one.calibrations.activate(f"{name}-a")
             feed(one, hub, name)
         for target in ("gate-a", "hill-a"):
             batch = batch_after(other, ("calibration.removed", {"id": target}), camera="hill")
-            assert hub.take_feed(batch, now=NOW) == batch.rows[-1].seq
-            other.acknowledge(batch.rows[-1].seq)
-        current = hub.current_calibration("gate")
+            assert hub.feeds.take(batch, now=NOW) == batch.rows[-1].seq
+            other.outbox.acknowledge(batch.rows[-1].seq)
+        current = hub.calibrations.current("gate")
         assert current is not None
         assert current.id == "gate-a"
-        assert hub.calibrations("hill") == ()  # its own is removed
-        assert [one.reason for one in hub.quarantine("hill")] == ["contradiction"]
+        assert hub.calibrations.find("hill") == ()  # its own is removed
+        assert [one.reason for one in hub.feeds.quarantine("hill")] == ["contradiction"]
 
 
 @pytest.mark.parametrize(
@@ -380,26 +382,26 @@ def test_an_error_of_a_row_is_set_apart_and_one_of_the_server_is_none(
         batch = batch_after(imager, *rows, camera="roof")
         try:
             if is_of_row:
-                assert hub.take_feed(batch, now=NOW) == batch.rows[-1].seq
-                assert len(hub.sun_points("roof")) == 2
-                assert [(one.seq, one.data != "") for one in hub.quarantine()] == [(batch.rows[1].seq, True)]
+                assert hub.feeds.take(batch, now=NOW) == batch.rows[-1].seq
+                assert len(hub.sightings.find("roof")) == 2
+                assert [(one.seq, one.data != "") for one in hub.feeds.quarantine()] == [(batch.rows[1].seq, True)]
                 return
             with pytest.raises(OutsideError) as error:
-                hub.take_feed(batch, now=NOW)
+                hub.feeds.take(batch, now=NOW)
             assert isinstance(error.value, StoreFullError) == (code == "53100")
-            assert hub.sun_points("roof") == ()
+            assert hub.sightings.find("roof") == ()
         finally:
             postgresql.sql(TEMPLATE, "DROP TRIGGER refuse ON sun_point", "DROP FUNCTION refuse()")
-        assert hub.take_feed(batch, now=NOW) == batch.rows[-1].seq  # all of it waited
-        assert len(hub.sun_points("roof")) == 3
-        assert hub.quarantine() == ()
+        assert hub.feeds.take(batch, now=NOW) == batch.rows[-1].seq  # all of it waited
+        assert len(hub.sightings.find("roof")) == 3
+        assert hub.feeds.quarantine() == ()
 
 
 def test_a_copy_is_restored_into_a_new_database_and_imagers_go_on(fleet: Server, tmp_path: Path) -> None:
     folder = fleet.folder / "copies"
     owner = fleet.url("sunarc", user="sunarc_owner")
     with new_imager(tmp_path, "attic") as imager:
-        imager.add_sun_points(sighting(n, camera="attic") for n in range(5))
+        imager.sightings.add(sighting(n, camera="attic") for n in range(5))
         with open_archive(owner) as hub:
             feed(imager, hub, "attic")
         options = ("-h", str(fleet.folder), "-U", "sunarc_owner")
@@ -409,8 +411,8 @@ def test_a_copy_is_restored_into_a_new_database_and_imagers_go_on(fleet: Server,
         fleet.sql("postgres", "CREATE DATABASE again OWNER sunarc_owner TEMPLATE template0")
         fleet.carry_out(DEPLOY / "restore", names[-1], "again", *options)
         with open_archive(fleet.url("again", user="sunarc_owner")) as hub:
-            assert hub.sun_points("attic") == imager.sun_points("attic")
-            imager.add_sun_points(sighting(n, camera="attic") for n in range(5, 9))
+            assert hub.sightings.find("attic") == imager.sightings.find("attic")
+            imager.sightings.add(sighting(n, camera="attic") for n in range(5, 9))
             feed(imager, hub, "attic")
-            assert hub.sun_points("attic") == imager.sun_points("attic")
+            assert hub.sightings.find("attic") == imager.sightings.find("attic")
         assert check(fleet.url("again", user="sunarc_owner")).sound

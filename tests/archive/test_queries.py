@@ -32,7 +32,7 @@ def minute(number: float) -> datetime:
 def points(archive: Archive) -> list[SunPoint]:
     """Return sightings of every kind, stored in another order than that of their times."""
     rng = np.random.default_rng(1)
-    epoch = archive.epoch_at("roof", NOON, reason="first frame").id
+    epoch = archive.epochs.at("roof", NOON, reason="first frame").id
     made = [
         SunPoint(
             camera="roof",
@@ -49,7 +49,7 @@ def points(archive: Archive) -> list[SunPoint]:
         )
         for number in range(COUNT)
     ]
-    archive.add_sun_points(made[i] for i in rng.permutation(COUNT))
+    archive.sightings.add(made[i] for i in rng.permutation(COUNT))
     return made
 
 
@@ -72,7 +72,7 @@ BOUNDS: list[tuple[float | None, float | None]] = [
 def test_sightings_are_those_from_since_to_before_until(
     archive: Archive, points: list[SunPoint], since: float | None, until: float | None, *, accepted: bool | None
 ) -> None:
-    found = archive.sun_points(
+    found = archive.sightings.find(
         "roof",
         since=None if since is None else minute(since),
         until=None if until is None else minute(until),
@@ -86,7 +86,7 @@ def test_sightings_are_those_from_since_to_before_until(
 def test_a_limit_takes_the_first_of_the_order(
     archive: Archive, points: list[SunPoint], limit: int, *, newest_first: bool
 ) -> None:
-    found = archive.sun_points("roof", newest_first=newest_first, limit=limit)
+    found = archive.sightings.find("roof", newest_first=newest_first, limit=limit)
     assert list(found) == (points[::-1] if newest_first else points)[:limit]
 
 
@@ -96,7 +96,7 @@ def test_pages_that_begin_after_the_last_time_have_every_sighting_once(
 ) -> None:
     found: list[SunPoint] = []
     since = None
-    while part := archive.sun_points("roof", since=since, limit=page):
+    while part := archive.sightings.find("roof", since=since, limit=page):
         found += part
         since = part[-1].time + timedelta(microseconds=1)
     assert found == points
@@ -106,12 +106,12 @@ def test_pages_that_begin_after_the_last_time_have_every_sighting_once(
 def test_a_clock_bound_that_is_not_known_counts_as_none(
     archive: Archive, points: list[SunPoint], limit_s: float
 ) -> None:
-    found = archive.sun_points("roof", largest_clock_error_s=limit_s)
+    found = archive.sightings.find("roof", largest_clock_error_s=limit_s)
     assert list(found) == [p for p in points if (p.clock_error_s or 0.0) <= limit_s]
 
 
 def test_columns_are_the_accepted_sightings_column_by_column(archive: Archive, points: list[SunPoint]) -> None:
-    columns = archive.sun_point_columns("roof")
+    columns = archive.sightings.columns("roof")
     accepted = [p for p in points if p.accepted]
     np.testing.assert_array_equal(columns.unix_s, [p.time.timestamp() for p in accepted])
     np.testing.assert_array_equal(columns.pixels, [(p.x_px, p.y_px) for p in accepted])
@@ -122,13 +122,13 @@ def test_columns_are_the_accepted_sightings_column_by_column(archive: Archive, p
 
 @pytest.mark.parametrize("method", ["disc", "paper"])
 def test_columns_of_one_method_have_no_others(archive: Archive, points: list[SunPoint], method: str) -> None:
-    columns = archive.sun_point_columns("roof", method=method)
+    columns = archive.sightings.columns("roof", method=method)
     expected = [p.time.timestamp() for p in points if p.accepted and p.method == method]
     np.testing.assert_array_equal(columns.unix_s, expected)
 
 
 def test_a_mask_of_columns_is_the_mask_of_each(archive: Archive, points: list[SunPoint]) -> None:
-    columns = archive.sun_point_columns("roof")
+    columns = archive.sightings.columns("roof")
     mask = columns.pixels[:, 0] > 800.0
     picked = columns.select(mask)
     assert 0 < picked.ids.size < len(points)
@@ -138,30 +138,30 @@ def test_a_mask_of_columns_is_the_mask_of_each(archive: Archive, points: list[Su
 
 def test_the_newest_sighting_is_of_a_trusted_clock(archive: Archive, points: list[SunPoint]) -> None:
     trusted = [p.time for p in points if (p.clock_error_s or 0.0) <= 0.5]
-    assert archive.newest_sighting_time("roof", largest_clock_error_s=0.5) == max(trusted)
-    assert archive.newest_sighting_time("mast", largest_clock_error_s=0.5) is None
+    assert archive.sightings.newest_time("roof", largest_clock_error_s=0.5) == max(trusted)
+    assert archive.sightings.newest_time("mast", largest_clock_error_s=0.5) is None
 
 
 def test_of_threads_that_store_the_same_sightings_each_is_stored_once(archive: Archive, points: list[SunPoint]) -> None:
     later = [replace(p, time=p.time + timedelta(days=1)) for p in points]
     added: list[int] = []
-    threads = [threading.Thread(target=lambda: added.append(archive.add_sun_points(later))) for _ in range(4)]
+    threads = [threading.Thread(target=lambda: added.append(archive.sightings.add(later))) for _ in range(4)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
     assert sum(added) == COUNT
-    assert len(archive.sun_points("roof")) == 2 * COUNT
+    assert len(archive.sightings.find("roof")) == 2 * COUNT
 
 
 def test_no_sightings_are_no_write(archive: Archive) -> None:
-    assert archive.add_sun_points([]) == 0
+    assert archive.sightings.add([]) == 0
 
 
 def test_an_archives_day_air_is_that_of_the_solar_day(archive: Archive) -> None:
     site = Site(latitude=ROOF.latitude, longitude=ROOF.longitude, altitude=ROOF.altitude)
-    assert archive.site_at("roof", site, NOON) == site
-    assert archive.site_on("roof", site, solar_date(NOON.timestamp(), longitude=site.longitude)) == site
+    assert archive.days.site_at("roof", site, NOON) == site
+    assert archive.days.site_on("roof", site, solar_date(NOON.timestamp(), longitude=site.longitude)) == site
 
 
 def test_a_sighting_has_every_number_of_its_detection() -> None:
@@ -185,7 +185,7 @@ def test_sightings_survive_the_way_down_to_a_revision_and_up_again(
     assert check(path).revision == revision
     upgrade(path)
     with open_archive(path) as opened:
-        assert list(opened.sun_points("roof")) == points
+        assert list(opened.sightings.find("roof")) == points
 
 
 @pytest.mark.parametrize("damage", ["time = 'torn'", "x_px = 'torn'", "y_px = NULL", "exposure_us = 'torn'"])
@@ -196,7 +196,7 @@ def test_a_damaged_row_is_in_no_answer_and_keeps_no_other_out(
     first = "SELECT min(time) FROM sun_point WHERE accepted"
     with sqlite3.connect(path) as connection:
         connection.execute(f"UPDATE sun_point SET {damage} WHERE time = ({first})")  # noqa: S608 - of a test
-    assert list(archive.sun_points("roof", accepted=True)) == accepted[1:]
+    assert list(archive.sightings.find("roof", accepted=True)) == accepted[1:]
 
 
 @pytest.mark.parametrize("column", ["sigma_px", "clock_error_s", "temperature_c", "snr"])
@@ -205,5 +205,5 @@ def test_a_text_in_the_place_of_a_number_counts_as_not_known(
 ) -> None:
     with sqlite3.connect(path) as connection:
         connection.execute(f"UPDATE sun_point SET {column} = 'torn'")  # noqa: S608 - of a test
-    found = archive.sun_points("roof")
+    found = archive.sightings.find("roof")
     assert [getattr(p, column) for p in found] == [None] * len(points)

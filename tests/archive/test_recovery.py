@@ -25,12 +25,12 @@ NOW = datetime(2026, 5, 1, 2, 0, tzinfo=UTC)
 
 
 def remember(archive: Archive, text: str) -> None:
-    archive.add_event(Event(time=NOW, kind="note", severity="info", text=text, camera="roof"))
+    archive.events.add(Event(time=NOW, kind="note", severity="info", text=text, camera="roof"))
 
 
 def texts(path: Path) -> set[str]:
     archive = open_archive(path)
-    found = {event.text for event in archive.events("roof")}
+    found = {event.text for event in archive.events.find("roof")}
     archive.close()
     return found
 
@@ -90,7 +90,7 @@ def test_a_deleted_database_takes_no_more_writes_and_is_written_back_whole(archi
     with pytest.raises(OutsideError, match="deleted"):
         remember(archive, "into the void")
     assert not path.exists()  # nothing made a new one
-    assert [camera.name for camera in archive.cameras()] == ["roof"]  # what is open can still be read
+    assert [camera.name for camera in archive.cameras.all()] == ["roof"]  # what is open can still be read
     done = archive.recover(now=NOW)
     assert done is not None
     assert done.kind == "written_back"
@@ -126,7 +126,7 @@ def test_a_recovery_whose_migration_fails_is_done_at_the_next_look(
     remember(archive, "night")
     if with_copy:
         backup_into(path, path.parent / "backups", keep=7, now=NOW)
-    with archive._reading() as connection:
+    with archive.database.reading() as connection:
         connection.exec_driver_sql("PRAGMA wal_checkpoint(TRUNCATE)")
     os.truncate(path, 0)
     with monkeypatch.context() as patched:
@@ -147,7 +147,7 @@ def test_an_emptied_database_in_use_is_restored_or_begun_anew(archive: Archive, 
     remember(archive, "night")
     if with_copy:
         backup_into(path, path.parent / "backups", keep=7, now=NOW)
-    with archive._reading() as connection:
+    with archive.database.reading() as connection:
         connection.exec_driver_sql("PRAGMA wal_checkpoint(TRUNCATE)")
     os.truncate(path, 0)
     with pytest.raises(OutsideError, match="emptied"):
@@ -179,7 +179,7 @@ class Writers:
             with suppress(OutsideError):
                 remember(self._archive, f"{number}-{turn}")
                 self.stored.append(f"{number}-{turn}")
-                self._archive.events("roof", limit=5)
+                self._archive.events.find("roof", limit=5)
                 self._archive.revision()
             self.stop.wait(0.01)
 
@@ -257,11 +257,11 @@ def test_no_copy_is_newest_where_there_is_none(tmp_path: Path) -> None:
 
 
 def test_the_camera_of_a_new_database_is_the_one_that_was_saved(archive: Archive, path: Path) -> None:
-    with archive._reading() as connection:
+    with archive.database.reading() as connection:
         connection.exec_driver_sql("PRAGMA wal_checkpoint(TRUNCATE)")
     os.truncate(path, 0)
     archive.recover(now=NOW)
-    assert archive.cameras() == (ROOF,)
+    assert archive.cameras.all() == (ROOF,)
     with closing(sqlite3.connect(path)) as connection:
         assert connection.execute("PRAGMA integrity_check").fetchone() == ("ok",)
 

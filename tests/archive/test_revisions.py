@@ -34,30 +34,30 @@ REVISIONS = sorted((script.name[:4] for script in VERSIONS.glob("[0-9]*.py")), r
 @pytest.fixture
 def filled(archive: Archive, path: Path) -> Path:
     """Return a database of the head revision with a row or more in every table."""
-    epoch = archive.epoch_at("roof", NOON, reason="installed").id
-    archive.set_day_air(DayAir(camera="roof", date=NOON.date(), temperature_c=35.0, pressure_hpa=980.0, set_at=NOON))
-    archive.add_sun_points(
+    epoch = archive.epochs.at("roof", NOON, reason="installed").id
+    archive.days.set_air(DayAir(camera="roof", date=NOON.date(), temperature_c=35.0, pressure_hpa=980.0, set_at=NOON))
+    archive.sightings.add(
         SunPoint(camera="roof", pose_epoch=epoch, time=NOON + timedelta(seconds=30 * i), method="disc", accepted=True,
                  verdict="clear", x_px=500.0 + i, y_px=900.0, sigma_px=0.02, temperature_c=30.0 + 0.01 * i)
         for i in range(100)
     )  # fmt: skip
-    archive.add_calibration(document("a", pose_epoch=epoch), used=archive.sun_point_columns("roof"))
-    archive.activate("a")
-    archive.pin("a", at=NOON, reason="by hand")
-    archive.add_refit(Refit(id="r", camera="roof", requested_at=NOON, reason="by hand"))
-    archive.save_day(Day(camera="roof", date=NOON.date(), verdict="clear", findings=(), n=100, n_possible=100,
+    archive.calibrations.add(document("a", pose_epoch=epoch), used=archive.sightings.columns("roof"))
+    archive.calibrations.activate("a")
+    archive.calibrations.pin("a", at=NOON, reason="by hand")
+    archive.refits.add(Refit(id="r", camera="roof", requested_at=NOON, reason="by hand"))
+    archive.days.save(Day(camera="roof", date=NOON.date(), verdict="clear", findings=(), n=100, n_possible=100,
                          n_cycles=100, decided_at=NOON, pose_offset_deg=(0.1, 0.2, 0.3)))  # fmt: skip
-    archive.add_event(Event(time=NOON, kind="note", severity="info", text="here", camera="roof"))
+    archive.events.add(Event(time=NOON, kind="note", severity="info", text="here", camera="roof"))
     _feed(archive)
     _notify(archive)
-    archive.add_housekeeping(
+    archive.housekeeping.add(
         "roof", [Housekeeping(time=NOON, disk_free_bytes=2**40, temperature_c=40.5, n_temperatures=1)]
     )
-    archive.save_condition_times("roof", {"disk_low": NOON})
-    archive.add_night_image("roof", night_image(NOON), keep_since=NOON)
-    archive.save_night(whole_night(NOON), event=event_of_night(whole_night(NOON)))
-    archive.summarise_days()
-    archive.save_nightly(NightlyRun(night=NOON.date(), started_at=NOON, finished_at=NOON, results={"a": {"days": 1}}))
+    archive.conditions.save("roof", {"disk_low": NOON})
+    archive.nights.add_image("roof", night_image(NOON), keep_since=NOON)
+    archive.nights.save(whole_night(NOON), event=event_of_night(whole_night(NOON)))
+    archive.nightly.summarise_days()
+    archive.nightly.save(NightlyRun(night=NOON.date(), started_at=NOON, finished_at=NOON, results={"a": {"days": 1}}))
     archive.close()
     return path
 
@@ -82,19 +82,19 @@ def night_image(time: datetime) -> NightImage:
 
 def _feed(archive: Archive) -> None:
     """Queue what there is for a hub, and take, as a hub, what another one sends."""
-    archive.enable_outbox()
-    archive.add_feed_token("roof", "digest", now=NOON, former_until=NOON)
+    archive.outbox.enable()
+    archive.feeds.add_token("roof", "digest", now=NOON, former_until=NOON)
     status = FeedRow(seq=1, kind="status", data={"time": NOON.isoformat()})
-    archive.take_feed(FeedBatch(camera="roof", installation="other", after=0, rows=(status,)), now=NOON)
+    archive.feeds.take(FeedBatch(camera="roof", installation="other", after=0, rows=(status,)), now=NOON)
     forged = Refusal(reason="forged_token", text="unknown")
-    archive.refuse_feed(camera="roof", installation="third", refusal=forged, now=NOON)
+    archive.feeds.refuse(camera="roof", installation="third", refusal=forged, now=NOON)
 
 
 def _notify(archive: Archive) -> None:
     """Store a notice for a receiver."""
-    archive.name_sinks(["broker"])
-    archive.record_notices("roof", {}, now=NOON)
-    archive.record_notices("roof", {"disk_low": {"free_mb": 1.0}}, now=NOON)
+    archive.notices.name_sinks(["broker"])
+    archive.notices.record("roof", {}, now=NOON)
+    archive.notices.record("roof", {"disk_low": {"free_mb": 1.0}}, now=NOON)
 
 
 def everything(path: Path) -> dict[str, Rows]:
@@ -144,27 +144,27 @@ def test_every_step_down_and_up_again_keeps_what_both_revisions_hold(filled: Pat
 
 def test_the_sentence_of_an_older_refit_is_its_finding(filled: Path) -> None:
     archive = open_archive(filled)
-    archive.add_refit(Refit(id="new", camera="roof", requested_at=NOON, reason="by hand"))
+    archive.refits.add(Refit(id="new", camera="roof", requested_at=NOON, reason="by hand"))
     no_arc = (Finding("no_camera_fits"),)
-    archive.finish_refit("r", state="failed", finished_at=NOON, message="no camera's arc", findings=no_arc)
-    assert archive.refit("r").findings == no_arc
+    archive.refits.finish("r", state="failed", finished_at=NOON, message="no camera's arc", findings=no_arc)
+    assert archive.refits.get("r").findings == no_arc
     archive.close()
     downgrade(filled, "0009")
     upgrade(filled)
     archive = open_archive(filled)
-    assert archive.refit("r").findings == (uncoded("no camera's arc"),)
-    assert archive.refit("new").findings == ()
+    assert archive.refits.get("r").findings == (uncoded("no camera's arc"),)
+    assert archive.refits.get("new").findings == ()
     archive.close()
 
 
 def test_the_events_of_former_nights_become_rows_the_last_of_each_night(filled: Path) -> None:
     archive = open_archive(filled)
-    night = archive.nights("roof")[0]
+    night = archive.nights.find("roof")[0]
     why = (Finding("night_without_calibration"),)
     second = judged("2013-05-11", at=NOON - timedelta(days=1), findings=why, n_images=9)
-    archive.add_event(event_of_night(replace(night, decided_at=NOON + timedelta(hours=1), verdict="cloudy")))
-    archive.add_event(event_of_night(night))
-    archive.add_event(event_of_night(second))
+    archive.events.add(event_of_night(replace(night, decided_at=NOON + timedelta(hours=1), verdict="cloudy")))
+    archive.events.add(event_of_night(night))
+    archive.events.add(event_of_night(second))
     unread: list[dict[str, Any]] = [
         {"date": "2013-05-10", "verdict": "clear", "findings": []},
         {"date": "2013-05-09", "verdict": "bright", "n_images": 3},
@@ -174,14 +174,14 @@ def test_the_events_of_former_nights_become_rows_the_last_of_each_night(filled: 
     ]
     for number, details in enumerate(unread):
         time = NOON - timedelta(days=2, hours=number)
-        archive.add_event(replace(event_of_night(second), details=details, time=time))
+        archive.events.add(replace(event_of_night(second), details=details, time=time))
     archive.close()
     downgrade(filled, "0016")
     with closing(sqlite3.connect(filled)) as connection, connection:
         connection.execute("UPDATE event SET details = '{' WHERE id = (SELECT max(id) FROM event)")
     upgrade(filled)
     archive = open_archive(filled)
-    first, former, *damaged = archive.nights("roof")
+    first, former, *damaged = archive.nights.find("roof")
     assert (first, former) == (night, second)
     assert [(f"{one.date}", one.verdict, one.findings[0].code, one.findings[0].data["field"]) for one in damaged] == [
         ("2013-05-10", "unusable", "night_damaged", "n_images"),
@@ -200,7 +200,7 @@ def test_a_damaged_sentence_of_a_refit_does_not_stop_the_upgrade(filled: Path, d
         connection.execute(f"UPDATE refit SET message = {damaged}")  # noqa: S608 - the test's own
     upgrade(filled)
     archive = open_archive(filled)
-    (refit,) = archive.refits("roof")
+    (refit,) = archive.refits.find("roof")
     assert [finding.code for finding in refit.findings] == ["uncoded"]
     archive.close()
 
@@ -213,8 +213,8 @@ def test_an_older_database_is_upgraded_at_once_and_serves(filled: Path, revision
     assert copy is not None
     assert everything(copy) == older
     archive = open_archive(filled)
-    current = archive.current_calibration("roof")
+    current = archive.calibrations.current("roof")
     assert current is not None
     assert current.id == "a"
-    assert len(archive.sun_point_columns("roof").ids) == 100
+    assert len(archive.sightings.columns("roof").ids) == 100
     archive.close()

@@ -131,23 +131,23 @@ def test_a_database_that_is_locked_by_another_process_is_said_to_be_locked(
 
 def test_a_backup_is_a_whole_database_made_while_others_write(archive: Archive, path: Path, tmp_path: Path) -> None:
     target = backup(path, tmp_path / "copy.sqlite")
-    archive.save_camera(CameraRecord(name="late", latitude=0.0, longitude=0.0, altitude=0.0, width=1, height=1))
+    archive.cameras.save(CameraRecord(name="late", latitude=0.0, longitude=0.0, altitude=0.0, width=1, height=1))
     copy = open_archive(target)
-    assert [camera.name for camera in copy.cameras()] == ["roof"]
+    assert [camera.name for camera in copy.cameras.all()] == ["roof"]
     copy.close()
     with pytest.raises(InputError, match="exists"):
         backup(path, target)
 
 
 def test_a_backup_to_a_folder_that_is_not_there_fails_in_one_line(archive: Archive, path: Path) -> None:
-    assert archive.cameras()
+    assert archive.cameras.all()
     with pytest.raises(OutsideError, match="cannot copy"):
         backup(path, path.parent / "missing" / "copy.sqlite")
 
 
 @pytest.mark.usefixtures("path")  # SQLite's
 def test_every_connection_is_durable_and_keeps_foreign_keys(archive: Archive) -> None:
-    with archive._reading() as connection:
+    with archive.database.reading() as connection:
         pragmas = {
             name: connection.exec_driver_sql(f"PRAGMA {name}").scalar()
             for name in ("journal_mode", "synchronous", "foreign_keys", "busy_timeout")

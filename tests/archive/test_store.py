@@ -57,15 +57,15 @@ def test_an_error_within_a_transaction_leaves_nothing(archive: Archive, path: Pa
     with pytest.raises(ZeroDivisionError):
         write_and_fail()
     engine.dispose()
-    assert other not in archive.cameras()
-    assert archive.cameras() == (ROOF,)
+    assert other not in archive.cameras.all()
+    assert archive.cameras.all() == (ROOF,)
 
 
 def test_a_read_sees_one_state_throughout(archive: Archive, path: Path) -> None:
     engine = create_archive_engine(path)
     with reading(engine) as connection:
         before = connection.execute(text("SELECT count(*) FROM sun_point")).scalar()
-        archive.add_sun_points([POINT])
+        archive.sightings.add([POINT])
         assert connection.execute(text("SELECT count(*) FROM sun_point")).scalar() == before == 0
     with reading(engine) as connection:
         assert connection.execute(text("SELECT count(*) FROM sun_point")).scalar() == 1
@@ -78,7 +78,7 @@ def test_a_read_sees_one_state_throughout(archive: Archive, path: Path) -> None:
 )
 def test_a_reference_to_nothing_is_refused(archive: Archive, changes: dict[str, str], field: str) -> None:
     with pytest.raises(InputError) as error:
-        archive.add_sun_points([replace(POINT, **dict[str, Any](changes))])
+        archive.sightings.add([replace(POINT, **dict[str, Any](changes))])
     assert error.value.field == field
 
 
@@ -104,7 +104,7 @@ def test_a_busy_database_is_waited_for(archive: Archive, path: Path) -> None:
     held.execute("BEGIN IMMEDIATE")
     ending = threading.Timer(0.2, held.execute, args=("COMMIT",))
     ending.start()
-    assert archive.add_sun_points([POINT]) == 1
+    assert archive.sightings.add([POINT]) == 1
     ending.join()
     held.close()
 
@@ -118,11 +118,11 @@ def test_conditions_without_an_argument_filter_nothing() -> None:
 def test_the_revision_changes_with_every_commit_of_anyone(archive: Archive, path: Path) -> None:
     seen = [archive.revision()]
     assert archive.revision() == seen[0]
-    archive.add_sun_points([POINT])
+    archive.sightings.add([POINT])
     seen.append(archive.revision())
     changed(path, "UPDATE camera SET model = 'x'")
     seen.append(archive.revision())
-    archive.add_sun_points([POINT])  # already there: nothing is written
+    archive.sightings.add([POINT])  # already there: nothing is written
     assert len(set(seen)) == 3
 
 
@@ -138,12 +138,12 @@ def test_the_revision_changes_with_every_commit_of_anyone(archive: Archive, path
 def test_a_damaged_row_is_left_out_and_the_others_stay(
     archive: Archive, path: Path, statement: str, left: int, caplog: pytest.LogCaptureFixture
 ) -> None:
-    archive.add_sun_points(replace(POINT, time=NOON + timedelta(seconds=n)) for n in range(3))
+    archive.sightings.add(replace(POINT, time=NOON + timedelta(seconds=n)) for n in range(3))
     changed(path, statement)
     with caplog.at_level(logging.WARNING):
-        assert len(archive.sun_points("roof")) == left
+        assert len(archive.sightings.find("roof")) == left
     assert bool(caplog.records) == (left < 3)
-    assert len(archive.sun_point_columns("roof").unix_s) >= left - 1
+    assert len(archive.sightings.columns("roof").unix_s) >= left - 1
 
 
 @pytest.mark.parametrize(
@@ -187,11 +187,11 @@ def test_a_name_with_special_characters_is_one_file(tmp_path: Path) -> None:
 def test_a_saved_camera_is_known_to_the_object_that_saved_it(archive: Archive, path: Path) -> None:
     other = open_archive(path)
     try:
-        assert archive.saved_cameras() == (ROOF,)
-        assert other.saved_cameras() == ()
-        assert other.cameras() == (ROOF,)
+        assert archive.cameras.saved() == (ROOF,)
+        assert other.cameras.saved() == ()
+        assert other.cameras.all() == (ROOF,)
         moved = CameraRecord(name="roof", latitude=1.0, longitude=2.0, altitude=3.0, width=4, height=5)
-        other.save_camera(moved)
-        assert archive.cameras() == (moved,)
+        other.cameras.save(moved)
+        assert archive.cameras.all() == (moved,)
     finally:
         other.close()

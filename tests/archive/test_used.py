@@ -37,40 +37,40 @@ def point(time: datetime, x_px: float, *, accepted: bool = True, sigma_px: float
 @pytest.fixture
 def rested(archive: Archive) -> Archive:
     """Return an archive with a calibration that rests on every third accepted one of 300 sightings."""
-    archive.add_sun_points(
+    archive.sightings.add(
         point(MAY + timedelta(minutes=n), 800.0 + n, accepted=n % 7 != 0, sigma_px=None if n % 2 else 0.02)
         for n in range(300)
     )
-    columns = archive.sun_point_columns("roof")
-    archive.add_calibration(document("a"), used=columns.select(np.arange(0, columns.ids.size, 3)))
+    columns = archive.sightings.columns("roof")
+    archive.calibrations.add(document("a"), used=columns.select(np.arange(0, columns.ids.size, 3)))
     return archive
 
 
 def test_the_sightings_of_a_calibration_come_back_as_they_were(rested: Archive) -> None:
-    given = rested.sun_point_columns("roof").select(np.arange(0, 257, 3))
-    rested.add_sun_points([point(MAY + timedelta(seconds=1), 1.0)])
-    rested.open_epoch("roof", at=MAY + timedelta(minutes=30), reason="found out later")
-    found = rested.sightings_of("a")
+    given = rested.sightings.columns("roof").select(np.arange(0, 257, 3))
+    rested.sightings.add([point(MAY + timedelta(seconds=1), 1.0)])
+    rested.epochs.open("roof", at=MAY + timedelta(minutes=30), reason="found out later")
+    found = rested.calibrations.sightings_of("a")
     for name in ("unix_s", "pixels", "sigma_px", "clock_error_s", "epoch", "ids"):
         assert np.array_equal(getattr(found, name), getattr(given, name), equal_nan=True)
     assert found.epoch_ids == ("roof-1",)
 
 
 def test_two_epochs_come_back_as_two(rested: Archive) -> None:
-    rested.open_epoch("roof", at=MAY + timedelta(minutes=100), reason="moved")
-    columns = rested.sun_point_columns("roof")
-    rested.add_calibration(document("b", pose_epoch="roof-2"), used=columns)
-    found = rested.sightings_of("b")
+    rested.epochs.open("roof", at=MAY + timedelta(minutes=100), reason="moved")
+    columns = rested.sightings.columns("roof")
+    rested.calibrations.add(document("b", pose_epoch="roof-2"), used=columns)
+    found = rested.calibrations.sightings_of("b")
     assert found.epoch_ids == ("roof-1", "roof-2")
     assert np.array_equal(found.epoch, columns.epoch)
 
 
 def test_a_copy_rests_on_the_same_sightings(rested: Archive) -> None:
-    rested.activate("a")
-    rested.add_calibration(document("b", day=1))
-    rested.activate("b")
-    copy = rested.reinstate("a", at=MAY + timedelta(days=2), reason="")
-    assert np.array_equal(rested.sightings_of(copy.id).ids, rested.sightings_of("a").ids)
+    rested.calibrations.activate("a")
+    rested.calibrations.add(document("b", day=1))
+    rested.calibrations.activate("b")
+    copy = rested.calibrations.reinstate("a", at=MAY + timedelta(days=2), reason="")
+    assert np.array_equal(rested.calibrations.sightings_of(copy.id).ids, rested.calibrations.sightings_of("a").ids)
 
 
 @pytest.mark.parametrize(
@@ -85,22 +85,22 @@ def test_sightings_edited_by_hand_are_noticed(rested: Archive, path: Path, edit:
     with closing(sqlite3.connect(path)) as by_hand, by_hand:
         by_hand.execute(edit)
     with pytest.raises(InputError, match=told):
-        rested.sightings_of("a")
-    assert rested.calibration("a").id == "a"
+        rested.calibrations.sightings_of("a")
+    assert rested.calibrations.get("a").id == "a"
 
 
 def test_a_calibration_without_its_sightings_says_so(rested: Archive) -> None:
-    rested.add_calibration(document("b"))
+    rested.calibrations.add(document("b"))
     with pytest.raises(NotFoundError, check=lambda error: error.field == "id"):
-        rested.sightings_of("b")
+        rested.calibrations.sightings_of("b")
 
 
 def test_the_keys_of_ten_thousand_sightings_take_a_few_kilobytes(rested: Archive, path: Path) -> None:
     moment = datetime(2014, 1, 1, tzinfo=UTC)
-    rested.add_sun_points(point(moment + timedelta(seconds=n), 1.0) for n in range(20_000))
-    columns = rested.sun_point_columns("roof", since=moment)
+    rested.sightings.add(point(moment + timedelta(seconds=n), 1.0) for n in range(20_000))
+    columns = rested.sightings.columns("roof", since=moment)
     kept = np.sort(np.random.default_rng(1).choice(20_000, 10_000, replace=False))
-    rested.add_calibration(document("b"), used=columns.select(kept))
+    rested.calibrations.add(document("b"), used=columns.select(kept))
     with closing(sqlite3.connect(path)) as by_hand:
         (size,) = by_hand.execute("SELECT length(ids) FROM used_sightings WHERE calibration = 'b'").fetchone()
     assert size < 6000
@@ -109,9 +109,9 @@ def test_the_keys_of_ten_thousand_sightings_take_a_few_kilobytes(rested: Archive
 def test_stars_that_a_calibration_rests_on_come_back_with_their_names(archive: Archive) -> None:
     night = MAY + timedelta(hours=14)
     star = replace(point(night, 300.0, sigma_px=0.1), method="star", body="star:HIP11767")
-    archive.add_sun_points([point(MAY, 800.0, sigma_px=0.02), star])
-    columns = archive.sun_point_columns("roof", body=None)
-    archive.add_calibration(document("a"), used=columns)
-    found = archive.sightings_of("a")
+    archive.sightings.add([point(MAY, 800.0, sigma_px=0.02), star])
+    columns = archive.sightings.columns("roof", body=None)
+    archive.calibrations.add(document("a"), used=columns)
+    found = archive.calibrations.sightings_of("a")
     assert found.body.tolist() == ["sun", "star:HIP11767"]
     assert found.ids.tolist() == columns.ids.tolist()

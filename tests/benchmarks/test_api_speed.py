@@ -54,7 +54,7 @@ def ours(tmp_path_factory: pytest.TempPathFactory) -> Iterator[HTTPConnection]:
             camera="roof",
             site=SITE,
             status=board.snapshot,
-            request_refit=archive.refit,
+            request_refit=archive.refits.get,
             frame_clock=lambda: NOON,
             latest_image=lambda: None,
             options=ApiOptions(),

@@ -25,7 +25,7 @@ SENSOR_PX = 1748
 midnight, days, a_day = float(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
 settings = load_settings(Path("/etc/sunarc/sunarc.toml"))
 archive = open_archive(settings.database)
-binning = SENSOR_PX / archive.cameras()[0].width
+binning = SENSOR_PX / archive.cameras.all()[0].width
 noise = np.random.default_rng(1)
 for day in range(days, 0, -1):
     times = midnight - 86400.0 * day + np.linspace(0.0, 86400.0, 2 * a_day, endpoint=False)
@@ -33,8 +33,8 @@ for day in range(days, 0, -1):
     pixels = (project(true_camera(), sun_directions(times, settings.site)) - (binning - 1.0) / 2.0) / binning
     seen = pixels + noise.normal(0.0, 0.02, pixels.shape)
     begin = datetime.fromtimestamp(times[0], UTC)
-    epoch = archive.epoch_at(settings.name, begin, reason="installed").id
-    archive.add_sun_points(
+    epoch = archive.epochs.at(settings.name, begin, reason="installed").id
+    archive.sightings.add(
         SunPoint(
             camera=settings.name,
             pose_epoch=epoch,

@@ -38,7 +38,7 @@ def with_camera(sunarc: Sunarc, config: Path) -> Path:
     state = config.parent / "state"
     assert sunarc("db", "upgrade", "--state", str(state)).code == 0
     archive = open_archive(state / "sunarc.sqlite")
-    archive.save_camera(
+    archive.cameras.save(
         CameraRecord(name="roof", latitude=36.6, longitude=-97.5, altitude=0.0, width=1748, height=1748)
     )
     archive.close()
@@ -99,7 +99,7 @@ def test_the_air_of_imported_sightings_comes_out_again(sunarc: Sunarc, with_came
     assert sunarc("points", "export", "--config", str(with_camera)).out.splitlines()[1:] == list(rows)
     archive = open_archive(with_camera.parent / "state" / "sunarc.sqlite")
     day = DayAir(camera="roof", date=date(2013, 5, 13), temperature_c=30.0, pressure_hpa=980.0, set_at=NOON)
-    archive.set_day_air(day)
+    archive.days.set_air(day)
     archive.close()
     exported = sunarc("points", "export", "--config", str(with_camera)).out.splitlines()
     assert exported[1:] == [rows[0], f"{rows[1]}980.000", rows[2]], "the day's air stands where a sighting has none"
@@ -116,13 +116,13 @@ def test_a_bad_row_changes_nothing(sunarc: Sunarc, with_camera: Path) -> None:
 
 def test_the_history_is_listed_rolled_back_and_pinned(sunarc: Sunarc, with_camera: Path) -> None:
     archive = open_archive(with_camera.parent / "state" / "sunarc.sqlite")
-    archive.epoch_at("roof", datetime(2013, 5, 1, tzinfo=UTC), reason="installed")
+    archive.epochs.at("roof", datetime(2013, 5, 1, tzinfo=UTC), reason="installed")
     for day, name in enumerate(("first", "second"), start=1):
         moment = f"2013-05-{day:02d}T06:00:00Z"
         verdict = {"accepted": True, "reasons": ["fits"]}
         known = {"id": name, "camera": "roof", "method": "robust", "pose_epoch": "roof-1", "verdict": verdict}
-        archive.add_calibration({**known, "created_at": moment, "valid_from": moment})
-        archive.activate(name)
+        archive.calibrations.add({**known, "created_at": moment, "valid_from": moment})
+        archive.calibrations.activate(name)
     archive.close()
     said = ("--config", str(with_camera))
     back = sunarc("calibrations", "activate", "first", "--from", "2013-05-03T00:00:00Z", "--reason", "sharper", *said)

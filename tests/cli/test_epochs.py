@@ -26,9 +26,9 @@ def config(tmp_path: Path) -> Path:
     path.write_text(f'name = "roof"\nstate = "{tmp_path}"\n[site]\nlatitude = 36.6\nlongitude = -97.5\n')
     make_empty(tmp_path / "sunarc.sqlite")
     archive = open_archive(tmp_path / "sunarc.sqlite")
-    archive.save_camera(CameraRecord(name="roof", latitude=36.6, longitude=-97.5, altitude=0.0, width=8, height=6))
-    archive.epoch_at("roof", FIRST, reason="first frame")
-    archive.open_epoch("roof", at=WRONG, reason="bump")
+    archive.cameras.save(CameraRecord(name="roof", latitude=36.6, longitude=-97.5, altitude=0.0, width=8, height=6))
+    archive.epochs.at("roof", FIRST, reason="first frame")
+    archive.epochs.open("roof", at=WRONG, reason="bump")
     archive.close()
     return path
 

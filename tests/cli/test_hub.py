@@ -36,7 +36,7 @@ def test_a_token_is_printed_once_and_its_digest_stored(sunarc: Sunarc, config: P
     assert len(first) >= 32
     assert first != second
     with open_archive(config.parent / "sunarc.sqlite") as archive:
-        tokens = archive.feed_tokens("roof", now=NOW.replace(year=2100))
+        tokens = archive.feeds.tokens("roof", now=NOW.replace(year=2100))
     assert tokens == (token_digest(second),)
     assert [sunarc("hub", "revoke", "roof", *options).code for _ in range(2)] == [0, 1]
 
@@ -46,7 +46,7 @@ def test_what_was_refused_is_listed_and_can_be_accepted(sunarc: Sunarc, config: 
     assert sunarc("hub", "quarantine", *options).code == 0
     with open_archive(config.parent / "sunarc.sqlite") as archive:
         refusal = Refusal(reason="second_installation", text="two")
-        archive.refuse_feed(camera="roof", installation="abc", refusal=refusal, now=NOW)
+        archive.feeds.refuse(camera="roof", installation="abc", refusal=refusal, now=NOW)
     found = sunarc("hub", "quarantine", "--json", *options)
     assert found.code == 1
     (row,) = json.loads(found.out)

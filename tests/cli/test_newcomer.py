@@ -76,9 +76,9 @@ def refit(archive: Archive) -> Refit:
         camera=CameraArchive(archive, name="roof", site=SGP), options=RefitOptions(),
         calibration=CalibrationOptions(level_within_deg=40.0), cadence_s=300.0, clock=clock, now=clock.now, board=board,
     )  # fmt: skip
-    asked = archive.add_refit(Refit(id="r", camera="roof", requested_at=NOW, reason="imported"))
+    asked = archive.refits.add(Refit(id="r", camera="roof", requested_at=NOW, reason="imported"))
     worker.carry_out(asked, threading.Event(), lambda: None)
-    return archive.refit("r")
+    return archive.refits.get("r")
 
 
 def test_an_import_into_a_new_folder_names_once_what_it_needs_and_then_a_refit_calibrates(
@@ -92,11 +92,11 @@ def test_an_import_into_a_new_folder_names_once_what_it_needs_and_then_a_refit_c
     assert "sightings added" in imported(sunarc, config, points, "--image-size", "1748,1748")
     assert imported(sunarc, config, points).startswith("0 of ")  # now the archive knows the size
     archive = open_archive(config.parent / "state" / "sunarc.sqlite")
-    (camera,) = archive.cameras()
+    (camera,) = archive.cameras.all()
     assert (camera.name, camera.latitude, camera.width, camera.height) == ("roof", 36.604043, 1748, 1748)
     done = refit(archive)
     assert done.state == "accepted", done.message
-    served = archive.current_calibration("roof")
+    served = archive.calibrations.current("roof")
     archive.close()
     assert served is not None
     assert served.document["metrics"]["rmse_px"] < 0.1

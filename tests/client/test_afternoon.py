@@ -49,7 +49,7 @@ def another(served: Made) -> Iterator[None]:
     def change() -> None:
         number = 0
         while not ended.wait(0.5):
-            served.archive.reinstate(("first", "second")[number % 2], at=NOON, reason="a test")
+            served.archive.calibrations.reinstate(("first", "second")[number % 2], at=NOON, reason="a test")
             number += 1
 
     thread = threading.Thread(target=change)

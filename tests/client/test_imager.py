@@ -51,7 +51,7 @@ def address(tmp_path_factory: pytest.TempPathFactory, board: StatusRegistry) -> 
         camera="roof",
         site=SITE,
         status=board.snapshot,
-        request_refit=archive.refit,
+        request_refit=archive.refits.get,
         frame_clock=lambda: NOON,
         latest_image=lambda: None,
         options=ApiOptions(),

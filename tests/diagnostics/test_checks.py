@@ -156,8 +156,8 @@ def test_a_hub_that_refuses_the_token_is_a_failure_and_one_that_takes_it_gets_no
 ) -> None:
     state = tmp_path / "state"
     with new_archive(state, name="imager") as archive:
-        archive.enable_outbox()
-        installation = archive.outbox_position().installation
+        archive.outbox.enable()
+        installation = archive.outbox.position().installation
     token = tmp_path / "token"
     token.write_text("0123456789abcdef")
     config.write_text(f'{config.read_text()}[hub]\nurl = "http://127.0.0.1:1"\ntoken_file = "{token}"\n')

@@ -49,8 +49,8 @@ def fill(server: Server, cameras: int) -> None:
             record = CameraRecord(
                 name=f"c{n:04d}", latitude=36.6, longitude=-97.5 + n / 100, altitude=0.0, width=8, height=6
             )
-            archive.save_camera(record)
-            archive.open_epoch(record.name, at=NOON, reason="installed")
+            archive.cameras.save(record)
+            archive.epochs.open(record.name, at=NOON, reason="installed")
     with _connection(server) as connection:
         connection.execute("INSERT INTO fleet (camera, received_at, status) SELECT name, 0, '{}' FROM camera")
     speak(server)

@@ -51,14 +51,16 @@ def fill(server: Server, *, rows: int, cameras: int, listed: int) -> float:
     each = rows // cameras
     solved = chosen_calibration(LENS, names=("rotation_x",), covariance=np.eye(1) * 1e-10, orders=np.array([[1, 1]]))
     with open_archive(server.url(TEMPLATE)) as archive:
-        archive._prepare_months([_BEGIN + timedelta(days=31 * n) for n in range(int(each * _STEP_S / 86_400 / 28) + 2)])
+        archive.database.prepare_months(
+            [_BEGIN + timedelta(days=31 * n) for n in range(int(each * _STEP_S / 86_400 / 28) + 2)]
+        )
         for n in range(listed):
             name = f"c{n:03d}"
-            archive.save_camera(
+            archive.cameras.save(
                 CameraRecord(name=name, latitude=36.6, longitude=-97.5 + n / 100, altitude=0.0, width=8, height=6)
             )
             if n < cameras:
-                archive.epoch_at(name, _BEGIN, reason="installed")
+                archive.epochs.at(name, _BEGIN, reason="installed")
                 document = to_document(
                     solved,
                     id=f"{name}-a",
@@ -70,8 +72,8 @@ def fill(server: Server, *, rows: int, cameras: int, listed: int) -> float:
                     pose_epoch=f"{name}-1",
                     software_version="1",
                 )
-                archive.add_calibration(document)
-                archive.activate(f"{name}-a")
+                archive.calibrations.add(document)
+                archive.calibrations.activate(f"{name}-a")
     with psycopg.connect(host=str(server.folder), user="test", dbname=TEMPLATE, autocommit=True) as connection:
         given = {"begin": int(_BEGIN.timestamp() * 1e6), "step": int(_STEP_S * 1e6)}
         for first in range(0, each, _AT_ONCE):  # in the order of time, as sightings arrive
@@ -121,7 +123,7 @@ def times(server: Server, hub: HubProcess, *, each: int) -> dict[str, float]:
             "/v1/fleet": median_ms(of("/v1/fleet"), times=20),
             "/v1/cameras/c000/sun-points?limit=100": median_ms(of("/v1/cameras/c000/sun-points?limit=100"), times=20),
             "columns of a week": median_ms(
-                lambda: archive.sun_point_columns("c000", since=since, until=since + timedelta(days=7)), times=5
+                lambda: archive.sightings.columns("c000", since=since, until=since + timedelta(days=7)), times=5
             ),
         }
 

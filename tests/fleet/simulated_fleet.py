@@ -69,14 +69,14 @@ class Imager:
             sighting(0, camera=self.name, time=START + timedelta(seconds=CADENCE_S * n), x_px=1.0 + n / 7.0)
             for n in range(self.count, self.count + rows)
         ]
-        self.archive.add_sun_points(made)
+        self.archive.sightings.add(made)
         time = made[-1].time
-        self.archive.add_event(Event(time=time, kind="test", severity="info", text=f"{self.count}", camera=self.name))
+        self.archive.events.add(Event(time=time, kind="test", severity="info", text=f"{self.count}", camera=self.name))
         self.count += rows
 
     def caught_up(self) -> bool:
-        position = self.archive.outbox_position()
-        return self.archive.outbox_waiting() == 0 and position.committed >= position.sent
+        position = self.archive.outbox.position()
+        return self.archive.outbox.waiting() == 0 and position.committed >= position.sent
 
     def end(self) -> None:
         self._stop.set()
@@ -112,7 +112,7 @@ class Fleet:
         while not all(imager.caught_up() for imager in self.imagers):
             self.hub.start_again_if_ended()
             if perf_counter() - begun_s > within_s:
-                waiting = {imager.name: imager.archive.outbox_waiting() for imager in self.imagers}
+                waiting = {imager.name: imager.archive.outbox.waiting() for imager in self.imagers}
                 raise TimeoutError(f"not caught up within {within_s:g} s: {waiting}")
             _pause(0.05)
         return perf_counter() - begun_s
@@ -125,15 +125,15 @@ class Fleet:
 
 def same(imager: Imager, hub: Archive) -> bool:
     """Whether the hub has an imager's rows: each once, in the order in which they were made."""
-    columns = hub.sun_point_columns(imager.name)
+    columns = hub.sightings.columns(imager.name)
     in_order = bool((columns.ids[1:] > columns.ids[:-1]).all())
-    events = [event.text for event in hub.events(imager.name)]
-    own = [event.text for event in imager.archive.events(imager.name)]
+    events = [event.text for event in hub.events.find(imager.name)]
+    own = [event.text for event in imager.archive.events.find(imager.name)]
     return (
         in_order
-        and hub.sun_points(imager.name) == imager.archive.sun_points(imager.name)
+        and hub.sightings.find(imager.name) == imager.archive.sightings.find(imager.name)
         and events == own
-        and hub.epochs(imager.name) == imager.archive.epochs(imager.name)
+        and hub.epochs.find(imager.name) == imager.archive.epochs.find(imager.name)
     )
 
 
@@ -150,7 +150,7 @@ def fleet_of(count: int, *, seed: int = 0, apart: bool = False) -> Iterator[Flee
             for name in names:
                 (folder / f"{name}.token").write_text(f"a token of {name}")
                 now = SystemClock().now()
-                archive.add_feed_token(name, token_digest(f"a token of {name}"), now=now, former_until=now)
+                archive.feeds.add_token(name, token_digest(f"a token of {name}"), now=now, former_until=now)
         cable = stack.enter_context(network()) if apart else None
         hub = HubProcess(folder, store, within=cable)
         stack.callback(hub.kill)

@@ -45,11 +45,11 @@ def settings(tmp_path: Path) -> Settings:
     settings = new_settings(tmp_path)
     make_empty(settings.database)
     with open_archive(settings.database) as archive:
-        archive.save_camera(CameraRecord.at(SGP, name="roof", width=CAMERA.width, height=CAMERA.height))
-        epoch = archive.epoch_at("roof", MORNING, reason="first image").id
+        archive.cameras.save(CameraRecord.at(SGP, name="roof", width=CAMERA.width, height=CAMERA.height))
+        epoch = archive.epochs.at("roof", MORNING, reason="first image").id
         times = [MORNING + timedelta(minutes=10 * n) for n in range(40)]
         pixels = project(CAMERA, sun_directions([time.timestamp() for time in times], SGP)).tolist()
-        archive.add_sun_points(
+        archive.sightings.add(
             SunPoint(camera="roof", pose_epoch=epoch, time=time, method="paper", accepted=True, verdict="clear",
                      x_px=x + 1.0, y_px=y, sigma_px=STATED_PX, file=f"{n}.jpg", ingest_pass=2)
             for n, (time, (x, y)) in enumerate(zip(times, pixels, strict=True))
@@ -74,11 +74,11 @@ def test_an_accepted_fit_is_stored_and_served(settings: Settings, solve: Callabl
     assert refit.state == "accepted"
     assert document is not None
     with open_archive(settings.database) as archive:
-        current = archive.current_calibration("roof")
+        current = archive.calibrations.current("roof")
         assert current is not None
         assert (current.id, current.valid_from) == (document["id"], MORNING)
-        assert len(archive.sightings_of(current.id).ids) == 40
-        assert [one.state for one in archive.refits("roof")] == ["accepted"]
+        assert len(archive.calibrations.sightings_of(current.id).ids) == 40
+        assert [one.state for one in archive.refits.find("roof")] == ["accepted"]
 
 
 def test_the_scatter_about_an_accepted_fit_becomes_the_stated_sigma(
@@ -88,8 +88,8 @@ def test_the_scatter_about_an_accepted_fit_becomes_the_stated_sigma(
     _, document = calibrate_archive(settings, clock=VirtualClock(NOW))
     assert document is not None
     with open_archive(settings.database) as archive:
-        learned = {point.sigma_px for point in archive.sun_points("roof")}
-        assert set(archive.sightings_of(document["id"]).sigma_px.tolist()) == {STATED_PX}
+        learned = {point.sigma_px for point in archive.sightings.find("roof")}
+        assert set(archive.calibrations.sightings_of(document["id"]).sigma_px.tolist()) == {STATED_PX}
     assert len(learned) == 1
     assert 0.6 < float(learned.pop() or 0.0) < 1.1
 
@@ -103,13 +103,13 @@ def test_a_refused_fit_is_stored_served_to_nobody_and_teaches_nothing(
     assert document is not None
     assert document["state"] == "refused"
     with open_archive(settings.database) as archive:
-        assert archive.current_calibration("roof") is None
-        assert {point.sigma_px for point in archive.sun_points("roof")} == {STATED_PX}
+        assert archive.calibrations.current("roof") is None
+        assert {point.sigma_px for point in archive.sightings.find("roof")} == {STATED_PX}
 
 
 def test_without_sightings_there_is_no_calibration(settings: Settings) -> None:
     with open_archive(settings.database) as archive:
-        archive.exclude("roof", since=MORNING, reason="test")
+        archive.sightings.exclude("roof", since=MORNING, reason="test")
     refit, document = calibrate_archive(settings, clock=VirtualClock(NOW))
     assert document is None
     assert (refit.state, [one.code for one in refit.findings]) == ("failed", ["no_accepted_sightings"])
@@ -125,8 +125,8 @@ def test_an_interrupted_fit_has_failed_and_is_not_begun_again(
     with pytest.raises(KeyboardInterrupt):
         calibrate_archive(settings, clock=VirtualClock(NOW))
     with open_archive(settings.database) as archive:
-        assert [one.state for one in archive.refits("roof")] == ["failed"]
-        assert archive.refits("roof", unfinished=True) == ()
+        assert [one.state for one in archive.refits.find("roof")] == ["failed"]
+        assert archive.refits.find("roof", unfinished=True) == ()
 
 
 def test_a_state_folder_that_a_service_uses_is_refused(settings: Settings) -> None:
@@ -173,7 +173,7 @@ def test_the_command_prints_what_was_stored(
     answer = sunarc(*command(settings, tmp_path))
     assert answer.code == 0, answer.err
     with open_archive(settings.database) as archive:
-        current: Any = archive.current_calibration("roof")
+        current: Any = archive.calibrations.current("roof")
     assert current.id in answer.out
 
 

@@ -34,7 +34,7 @@ def test_a_camera_is_stored_with_the_site_and_the_size(archive: Archive, tmp_pat
 def test_a_camera_that_is_stored_is_returned_as_it_is(archive: Archive, tmp_path: Path) -> None:
     first = register_camera(archive, new_settings(tmp_path), (8, 6))
     assert register_camera(archive, new_settings(tmp_path), (8, 6)) == first
-    assert len(archive.cameras()) == 1
+    assert len(archive.cameras.all()) == 1
 
 
 @pytest.mark.parametrize("size", [(6, 8), (8, 7), (9, 6)])
@@ -56,7 +56,7 @@ def test_another_name_is_another_camera(archive: Archive, tmp_path: Path) -> Non
     register_camera(archive, new_settings(tmp_path), (8, 6))
     mast = new_settings(tmp_path, name="mast", site={"latitude": 48.1, "longitude": 11.6})
     register_camera(archive, mast, (4, 4))
-    assert {camera.name: camera.width for camera in archive.cameras()} == {"roof": 8, "mast": 4}
+    assert {camera.name: camera.width for camera in archive.cameras.all()} == {"roof": 8, "mast": 4}
 
 
 @pytest.mark.parametrize(("text", "size"), [("1748,1600", (1748, 1600)), (" 1 , 2 ", (1, 2))])

@@ -26,7 +26,7 @@ NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 @pytest.fixture
 def archive(tmp_path: Path) -> Iterator[Archive]:
     with new_archive(tmp_path) as opened:
-        epoch = opened.epoch_at("roof", NOON, reason="first frame").id
+        epoch = opened.epochs.at("roof", NOON, reason="first frame").id
         seen = SunPoint(
             camera="roof", pose_epoch=epoch, time=NOON, method="disc", accepted=True, verdict="clear",
             x_px=3.25, y_px=2.5, sigma_px=0.04, exposure_us=20.0,
@@ -35,8 +35,8 @@ def archive(tmp_path: Path) -> Iterator[Archive]:
             camera="roof", pose_epoch=epoch, time=NOON.replace(minute=31), method="disc", accepted=False,
             verdict="hidden",
         )  # fmt: skip
-        opened.add_sun_points([seen, hidden])
-        opened.set_day_air(
+        opened.sightings.add([seen, hidden])
+        opened.days.set_air(
             DayAir(camera="roof", date=date(2013, 5, 13), temperature_c=20.0, pressure_hpa=980.0, set_at=NOON)
         )
         yield opened
@@ -52,7 +52,7 @@ def test_the_number_of_rows_is_told_by_file(archive: Archive, tmp_path: Path) ->
     assert counts == {
         "cameras.csv": 1, "pose_epochs.csv": 1, "sun_points.csv": 2, "sun_points.nc": 2, "days.csv": 0,
         "day_air.csv": 1, "housekeeping_hour.csv": 0, "housekeeping_day.csv": 0, "refits.csv": 0,
-        "events.csv": len(archive.events()), "calibrations/": 0,
+        "events.csv": len(archive.events.find()), "calibrations/": 0,
     }  # fmt: skip
     written = {name: len(rows_of(tmp_path / "out" / name)) for name in counts if name.endswith(".csv")}
     assert written == {name: counts[name] for name in written}
@@ -75,9 +75,9 @@ def test_days_keep_their_sentences_in_their_column_and_findings_are_json_in_the_
     day = Day(
         camera="roof", date=NOON.date(), verdict="unusable", findings=(short,), n=1, n_possible=2, decided_at=NOON
     )
-    archive.save_day(day)
-    archive.add_refit(Refit(id="r", camera="roof", requested_at=NOON, reason="by hand"))
-    archive.finish_refit("r", state="failed", finished_at=NOON, message="short", findings=(short,))
+    archive.days.save(day)
+    archive.refits.add(Refit(id="r", camera="roof", requested_at=NOON, reason="by hand"))
+    archive.refits.finish("r", state="failed", finished_at=NOON, message="short", findings=(short,))
     export_everything(tmp_path, tmp_path / "out")
     (written,) = rows_of(tmp_path / "out" / "days.csv")
     assert list(written)[:5] == ["camera", "date", "verdict", "reasons", "n"]

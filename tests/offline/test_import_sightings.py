@@ -31,7 +31,7 @@ def test_every_column_reaches_the_archive(tmp_path: Path) -> None:
     settings = new_settings(tmp_path)
     assert import_points(settings, points_file(tmp_path), image_size=(8, 6)) == (2, 2, 0)
     with open_archive(settings.database) as archive:
-        first, second = archive.sun_points("roof")
+        first, second = archive.sightings.find("roof")
     assert first.time == datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
     assert (first.x_px, first.y_px, first.sigma_px) == (3.25, 2.5, 0.04)
     assert (first.temperature_c, first.pressure_hpa) == (21.5, 980.25)
@@ -51,7 +51,7 @@ def test_a_row_beside_the_image_is_left_out_and_counted(tmp_path: Path) -> None:
     beside = points_file(tmp_path, *ROWS, "2013-05-13T18:32:00Z,7.54,2.0,,,")
     assert import_points(settings, beside, image_size=(8, 6)) == (2, 3, 1)
     with open_archive(settings.database) as archive:
-        assert len(archive.sun_points("roof")) == 2
+        assert len(archive.sightings.find("roof")) == 2
 
 
 @pytest.mark.parametrize("row", ["2013-05-13T18:32:00Z,9.0,2.0,,,", "2013-05-13T18:32:00Z,1.0,two,,,", "noon,1,1,,,"])
@@ -66,7 +66,7 @@ def test_the_image_size_is_taken_from_the_region_of_the_settings(tmp_path: Path)
     settings = new_settings(tmp_path, camera={"address": "192.0.2.7", "region": (100, 200, 8, 6)})
     import_points(settings, points_file(tmp_path))
     with open_archive(settings.database) as archive:
-        (camera,) = archive.cameras()
+        (camera,) = archive.cameras.all()
     assert (camera.width, camera.height) == (8, 6)
 
 
@@ -133,8 +133,8 @@ def test_stars_go_into_the_archive_and_come_back_with_their_directions(tmp_path:
     path = stars_file(tmp_path)
     assert import_points(settings, path, image_size=(8, 6)) == (2, 2, 0)
     with open_archive(settings.database) as archive:
-        (star,) = archive.sun_points("roof", body="star:HIP91262")
-        assert len(archive.sun_points("roof")) == 1
+        (star,) = archive.sightings.find("roof", body="star:HIP91262")
+        assert len(archive.sightings.find("roof")) == 1
     assert (star.x_px, star.method) == (2.0, "import")
     write_points(settings, target, since=None, until=None)
     given = read_sightings(path.read_text().splitlines(), name="given")

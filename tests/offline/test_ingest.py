@@ -43,7 +43,7 @@ def ingest(sunarc: Sunarc, config: Path, *more: str) -> dict[str, Any]:
 
 def stored(config: Path) -> tuple[SunPoint, ...]:
     archive = open_archive(config.parent / "state" / "sunarc.sqlite")
-    points = archive.sun_points("roof")
+    points = archive.sightings.find("roof")
     archive.close()
     return points
 

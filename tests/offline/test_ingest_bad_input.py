@@ -76,8 +76,8 @@ def test_each_bad_image_has_its_reason_and_nothing_of_it_is_stored(tmp_path: Pat
     summary = ingest_folder(new_settings(tmp_path), images, options=IngestOptions())
     assert {one.path: one.finding.code for one in summary.skipped} == {name: code for name, (_, code) in BAD.items()}
     with open_archive(tmp_path / "state" / "sunarc.sqlite") as archive:
-        stored = archive.sun_points("roof")
-        assert archive.cameras()[0].image_size == SIZE
+        stored = archive.sightings.find("roof")
+        assert archive.cameras.all()[0].image_size == SIZE
     assert [point.file for point in stored] == good
     assert not any(point.accepted for point in stored)
 

@@ -55,14 +55,14 @@ def serve(config: Path) -> None:
     upgrade(database)
     since = datetime(2026, 3, 1, tzinfo=UTC)
     with open_archive(database) as archive:
-        archive.save_camera(CameraRecord.at(SITE, name="roof", width=SIZE, height=SIZE))
-        archive.add_calibration(
+        archive.cameras.save(CameraRecord.at(SITE, name="roof", width=SIZE, height=SIZE))
+        archive.calibrations.add(
             to_document(
                 calibration, id="c", camera="roof", state="candidate", created_at=since, valid_from=since,
                 valid_until=None, pose_epoch="roof-1", software_version="0",
             )
         )  # fmt: skip
-        archive.activate("c")
+        archive.calibrations.activate("c")
 
 
 def ingested(sunarc: Sunarc, config: Path, *more: str) -> dict[str, Any]:
@@ -85,7 +85,7 @@ def test_nights_wait_for_a_calibration_and_are_looked_at_once(sunarc: Sunarc, co
     assert night["verdict"] in {"clear", "partly"}
     assert night["stored"] > 60
     with open_archive(config.parent / "state" / "sunarc.sqlite") as archive:
-        stars = archive.sun_point_columns("roof", body=None)
+        stars = archive.sightings.columns("roof", body=None)
         stars = stars.select(stars.body != "sun")
     assert stars.unix_s.size == night["stored"]
     true = project(CAMERA, body_directions(stars.body, stars.unix_s, SITE))
@@ -105,17 +105,17 @@ def replaced_where_named_again(sunarc: Sunarc, config: Path, before: SunPointCol
     cv2.imwrite(str(config.parent / "images" / f"{NIGHT[0]}.jpg"), cloud)
     clouded = datetime.strptime(f"{NIGHT[0]}+0000", "%Y%m%dT%H%M%SZ%z")
     with open_archive(database) as archive:
-        former = archive.sun_points("roof", body=None, until=clouded + timedelta(days=1), accepted=True)
+        former = archive.sightings.find("roof", body=None, until=clouded + timedelta(days=1), accepted=True)
         stars = [one for one in former if one.body != "sun"]
-        archive.replace_sun_points([replace(one, x_px=(one.x_px or 0.0) + 5.0) for one in stars])
-        archive.replace_sun_points([replace(stars[-1], body="star:HIP1")])  # which is no star of the catalogue
+        archive.sightings.replace([replace(one, x_px=(one.x_px or 0.0) + 5.0) for one in stars])
+        archive.sightings.replace([replace(stars[-1], body="star:HIP1")])  # which is no star of the catalogue
     anew = ingested(sunarc, config, "--reprocess")
     assert [(one["accepted"], one["images"]) for one in anew["nights"]] == [(2, 3)]
     with open_archive(database) as archive:
-        after = archive.sun_point_columns("roof", body=None)
-        (aside,) = archive.sun_points("roof", body="star:HIP1")
-        assert [night.n_accepted for night in archive.nights("roof")] == [2]
-        assert len(archive.events("roof", kind="night")) == 2
+        after = archive.sightings.columns("roof", body=None)
+        (aside,) = archive.sightings.find("roof", body="star:HIP1")
+        assert [night.n_accepted for night in archive.nights.find("roof")] == [2]
+        assert len(archive.events.find("roof", kind="night")) == 2
     assert (aside.accepted, aside.verdict) == (False, "set_aside")
     after = after.select(after.body != "sun")
     kept = after.unix_s == clouded.timestamp()

@@ -93,7 +93,7 @@ def ingested(images: Path, monkeypatch: pytest.MonkeyPatch, fits: Fits, **more: 
 
 def stored(images: Path) -> tuple[SunPoint, ...]:
     with open_archive(images.parent / "state" / "sunarc.sqlite") as archive:
-        return archive.sun_points("roof")
+        return archive.sightings.find("roof")
 
 
 def errors_px(points: Sequence[SunPoint]) -> list[float]:

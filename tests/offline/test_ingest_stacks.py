@@ -47,7 +47,7 @@ def counts(summary: dict[str, Any]) -> tuple[int, int, int, int]:
 
 def stored(config: Path) -> Iterator[SunPoint]:
     with open_archive(config.parent / "state" / "sunarc.sqlite") as archive:
-        yield from sorted(archive.sun_points("roof"), key=lambda point: point.file)
+        yield from sorted(archive.sightings.find("roof"), key=lambda point: point.file)
 
 
 def error_px(x: float | None, y: float | None) -> float:

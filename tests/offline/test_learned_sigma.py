@@ -73,7 +73,7 @@ def test_few_sightings_teach_nothing() -> None:
 def archive(tmp_path: Path) -> Iterator[Archive]:
     make_empty(tmp_path / "sunarc.sqlite")
     with open_archive(tmp_path / "sunarc.sqlite") as made:
-        made.save_camera(CameraRecord.at(SGP, name="roof", width=CAMERA.width, height=CAMERA.height))
+        made.cameras.save(CameraRecord.at(SGP, name="roof", width=CAMERA.width, height=CAMERA.height))
         yield made
 
 
@@ -82,10 +82,10 @@ def store(archive: Archive, numbers: range, *, sigma_px: float, error_px: float)
     rng, times = np.random.default_rng(numbers.start), [MORNING + timedelta(minutes=8 * n) for n in numbers]
     pixels = project(CAMERA, sun_directions(np.array([time.timestamp() for time in times]), SGP))
     pixels += rng.normal(0.0, error_px, pixels.shape)
-    archive.add_sun_points(
+    archive.sightings.add(
         SunPoint(
             camera="roof",
-            pose_epoch=archive.epoch_at("roof", time, reason="test").id,
+            pose_epoch=archive.epochs.at("roof", time, reason="test").id,
             time=time,
             method="paper",
             accepted=True,
@@ -106,10 +106,12 @@ def test_what_is_learned_is_in_force_for_later_sightings_and_is_kept(archive: Ar
     learned = factor_in_force(archive, "roof", "paper")
     assert learned == pytest.approx(2.0, rel=0.2)
     assert factor_in_force(archive, "roof", "disc") == 1.0
-    assert {point.sigma_px for point in archive.sun_points("roof")} == {learned}
+    assert {point.sigma_px for point in archive.sightings.find("roof")} == {learned}
     store(archive, range(60, 75), sigma_px=learned, error_px=2.0)
     learn_sigma(archive, settings, [ValidCamera(TRUTH)], now=MORNING)
-    assert [event.details["factor"] for event in archive.events("roof")] == [learned]  # as stated: nothing is changed
+    assert [event.details["factor"] for event in archive.events.find("roof")] == [
+        learned
+    ]  # as stated: nothing is changed
 
 
 def test_each_stretch_is_compared_with_its_own_camera(archive: Archive, tmp_path: Path) -> None:

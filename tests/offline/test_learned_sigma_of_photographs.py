@@ -48,7 +48,7 @@ def draw(folder: Path, numbers: range, *, every_min: float = 12.0) -> None:
 def chi2(folder: Path, *, since: datetime) -> tuple[int, float]:
     """Return the number of accepted sightings, and their squared error per axis over the stated variance."""
     with open_archive(folder / "state" / "sunarc.sqlite") as archive:
-        points = [point for point in archive.sun_points("roof") if point.accepted and point.time >= since]
+        points = [point for point in archive.sightings.find("roof") if point.accepted and point.time >= since]
     ratios = []
     for point in points:
         x, y = sun_px(point.time)
@@ -68,7 +68,7 @@ def test_the_sigma_learned_from_a_series_is_its_error_and_that_of_what_comes_lat
         found.append(chi2(tmp_path, since=MORNING + timedelta(minutes=12.0 * numbers.start)))
     (count, then), (more, later) = found
     with open_archive(tmp_path / "state" / "sunarc.sqlite") as archive:
-        (learned,) = archive.events("roof")
+        (learned,) = archive.events.find("roof")
     factor = learned.details["factor"]
     assert count >= 30
     assert then * factor**2 > 1.3  # what the detector states is too little

@@ -317,7 +317,7 @@ def test_a_resend_with_another_frame_s_packets_gives_no_wrong_sighting(
         accepted.append([(frame.time, one) for frame, one in found if one.accepted])
     assert [len(accepted[number]) for number in (0, 2)] == [8, 8]
     assert len(accepted[1]) < 8
-    for point in archive.sun_points("roof", accepted=True):
+    for point in archive.sightings.find("roof", accepted=True):
         sun = imager.scene.sun_pixel(point.time.timestamp()) - region[:2]
         assert np.hypot(point.x_px - sun[0], point.y_px - sun[1]) < 0.1
     archive.close()

@@ -52,10 +52,10 @@ def known(archive: Archive, calibration: Calibration) -> None:
         created_at=begun,
         valid_from=begun,
         valid_until=None,
-        pose_epoch=archive.epoch_at("imager", begun, reason="first frame").id,
+        pose_epoch=archive.epochs.at("imager", begun, reason="first frame").id,
         software_version="1",
     )
-    archive.activate(archive.add_calibration(document).id)
+    archive.calibrations.activate(archive.calibrations.add(document).id)
 
 
 @pytest.mark.slow
@@ -87,10 +87,10 @@ def test_a_bumped_camera_is_followed_frame_by_frame(
             detect.process(frame)
         while service.watch.process_next():
             pass
-    (event,) = [event for event in archive.events("imager") if event.severity == "alarm"]
+    (event,) = [event for event in archive.events.find("imager") if event.severity == "alarm"]
     assert event.kind == "bump"
     assert abs((event.time - BUMPED_AT).total_seconds()) <= 2.0 * CADENCE_S
-    served = archive.current_calibration("imager")
+    served = archive.calibrations.current("imager")
     assert served is not None
     assert served.pose_epoch == "imager-2"
     assert service.board.snapshot().health == "degraded"

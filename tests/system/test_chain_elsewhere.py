@@ -77,12 +77,12 @@ class Imager:
         self.service.judge_completed_days()
         with patch("sunarc.app.service.RefitWorker", partial(RefitWorker, solve=solve_here)):
             worker = self.service.refit_worker()
-        for refit in self.archive.refits(self.service.settings.name, unfinished=True):
+        for refit in self.archive.refits.find(self.service.settings.name, unfinished=True):
             worker.carry_out(refit, threading.Event(), lambda: None)
 
     def served(self) -> Camera:
-        record = self.archive.current_calibration(self.service.settings.name)
-        assert record is not None, [event.text for event in self.archive.events()]
+        record = self.archive.calibrations.current(self.service.settings.name)
+        assert record is not None, [event.text for event in self.archive.events.find()]
         return from_document(record.document).camera
 
 
@@ -121,7 +121,7 @@ def test_a_clear_day_is_calibrated_wherever_the_camera_stands(state: Path, site:
     imager = Imager(state, site, lens_seed=0, start=begin)
     imager.run_until(end + timedelta(minutes=20))
     imager.judge_and_refit()
-    (verdict,) = imager.archive.days("imager")
+    (verdict,) = imager.archive.days.find("imager")
     assert (verdict.date, verdict.verdict) == (day, "clear")
     assert verdict.n >= 0.95 * verdict.n_possible
     on_track, over_sky = off_truth_px(imager, day)
@@ -149,7 +149,7 @@ def test_a_day_is_judged_once_however_often_one_asks(state: Path) -> None:
     imager.service.frame_time.note(imager.clock.now())
     for _ in range(3):
         imager.service.judge_completed_days()
-    (verdict,) = imager.archive.days("imager")
+    (verdict,) = imager.archive.days.find("imager")
     assert verdict.verdict == "unusable"
-    assert imager.archive.refits("imager") == ()
-    assert [event.kind for event in imager.archive.events("imager")] == ["day"]
+    assert imager.archive.refits.find("imager") == ()
+    assert [event.kind for event in imager.archive.events.find("imager")] == ["day"]

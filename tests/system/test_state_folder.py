@@ -43,16 +43,16 @@ def database(tmp_path: Path) -> Path:
     path = tmp_path / "state" / "sunarc.sqlite"
     upgrade(path)
     archive = open_archive(path)
-    archive.save_camera(
+    archive.cameras.save(
         CameraRecord(name="roof", latitude=SITE.latitude, longitude=SITE.longitude, altitude=318.0, width=1748,
                      height=1748)
     )  # fmt: skip
-    epoch = archive.epoch_at("roof", MAY, reason="installed").id
+    epoch = archive.epochs.at("roof", MAY, reason="installed").id
     for name in ("first", "second"):
         document = to_document(calibration(), id=name, camera="roof", state="candidate", created_at=MAY,
                                valid_from=MAY, valid_until=None, pose_epoch=epoch, software_version="1")  # fmt: skip
-        archive.add_calibration(document)
-        archive.activate(name)
+        archive.calibrations.add(document)
+        archive.calibrations.activate(name)
     archive.close()
     return path
 

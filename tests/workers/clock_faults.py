@@ -89,8 +89,8 @@ class Imager:
         self.boot()
 
     def _start_record(self) -> None:
-        self.archive.save_camera(CameraRecord.at(SGP, name="roof", width=TRUTH.width, height=TRUTH.height))
-        self.archive.epoch_at("roof", DAY, reason="first frame")
+        self.archive.cameras.save(CameraRecord.at(SGP, name="roof", width=TRUTH.width, height=TRUTH.height))
+        self.archive.epochs.at("roof", DAY, reason="first frame")
         document = to_document(
             good_calibration(),
             id="full",
@@ -102,7 +102,7 @@ class Imager:
             pose_epoch="roof-1",
             software_version="1",
         )
-        self.archive.activate(self.archive.add_calibration(document).id)
+        self.archive.calibrations.activate(self.archive.calibrations.add(document).id)
 
     def boot(self) -> None:
         """Start the service (anew): nothing but the archive and the clock is kept."""
@@ -158,7 +158,7 @@ class Imager:
 
     def trusted_wrong(self) -> int:
         """Return how many accepted sightings have a time that is wrong by more than their stated bound."""
-        accepted = self.archive.sun_points("roof", accepted=True)
+        accepted = self.archive.sightings.find("roof", accepted=True)
         stated = {point.time: point.clock_error_s or 0.0 for point in accepted}
         return sum(abs((t - self.true_times[t]).total_seconds()) > bound + 0.01 for t, bound in stated.items())
 
@@ -172,16 +172,16 @@ class Imager:
 
     def alarms(self) -> list[Event]:
         """Return the alarms in the record."""
-        return [event for event in self.archive.events("roof") if event.severity == "alarm"]
+        return [event for event in self.archive.events.find("roof") if event.severity == "alarm"]
 
     def served(self) -> str | None:
         """Return the id of the calibration that is current."""
-        record = self.archive.current_calibration("roof")
+        record = self.archive.calibrations.current("roof")
         return None if record is None else record.id
 
     def error_deg(self) -> float:
         """Return how far the served calibration sees the true camera's directions off, RMS over the sky, degrees."""
-        record = self.archive.current_calibration("roof")
+        record = self.archive.calibrations.current("roof")
         if record is None:
             return float("nan")
         found = rotation_matrix(from_document(record.document).camera.rotation_cam_enu)
@@ -243,7 +243,7 @@ def outcome_of(folder: Path, *, fault: str, jump_s: float, seed: int) -> Outcome
     imager.run(10.0)
     FAULTS[fault](imager, jump_s)
     imager.run(15.0)
-    kept = imager.served() == "full" and len(imager.archive.epochs("roof")) == 1
+    kept = imager.served() == "full" and len(imager.archive.epochs.find("roof")) == 1
     before = imager.alarms()
     imager.camera = moved_by((0.6, 0.6, 0.5))
     noticed = None

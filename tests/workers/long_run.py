@@ -100,7 +100,7 @@ class LongRun:
         upgrade(folder / "sunarc.sqlite")
         self.archive: Archive = open_archive(folder / "sunarc.sqlite")
         self.now = datetime(2013, 5, 13, tzinfo=UTC)
-        self.archive.save_camera(CameraRecord.at(SGP, name="roof", width=self.truth.width, height=self.truth.height))
+        self.archive.cameras.save(CameraRecord.at(SGP, name="roof", width=self.truth.width, height=self.truth.height))
         self._join()
 
     def _join(self) -> None:
@@ -137,20 +137,20 @@ class LongRun:
 
     def request(self, reason: str) -> Refit:
         """Ask for a refit."""
-        return self.archive.add_refit(Refit(id=uuid.uuid4().hex, camera="roof", requested_at=self.now, reason=reason))
+        return self.archive.refits.add(Refit(id=uuid.uuid4().hex, camera="roof", requested_at=self.now, reason=reason))
 
     def day(self, day: date, weather: Weather, *, always_refit: bool = False) -> Night:
         """Live through a day and the night after it."""
         self._see(day, weather)
         self.now = datetime.fromtimestamp(day_bounds_unix_s(day, longitude=SGP.longitude)[1] + 60.0, UTC)
         (judged,) = self.judge.judge_ended_days()
-        if always_refit and not self.archive.refits("roof", unfinished=True):
+        if always_refit and not self.archive.refits.find("roof", unfinished=True):
             self.request("in spite of the clouds")
         refit: Refit | None = None
-        for waiting in self.archive.refits("roof", unfinished=True):
+        for waiting in self.archive.refits.find("roof", unfinished=True):
             self.worker.carry_out(waiting, threading.Event(), lambda: None)
-            refit = self.archive.refit(waiting.id)
-        served = self.archive.current_calibration("roof")
+            refit = self.archive.refits.get(waiting.id)
+        served = self.archive.calibrations.current("roof")
         error, stated, covered = (np.nan,) * 3
         if served is not None:
             error, stated, covered = judged_against(self.truth, from_document(served.document))
@@ -181,8 +181,8 @@ class LongRun:
         false = self._rng.random(times.size) < weather.false
         pixels[false] += self._rng.normal(4.0, 12.0, (int(false.sum()), 2))  # bright edges of clouds, all on one side
         moments = [datetime.fromtimestamp(t, UTC) for t in times.tolist()]
-        epoch = self.archive.epoch_at("roof", moments[0], reason="first frame").id if moments else ""
-        self.archive.add_sun_points(
+        epoch = self.archive.epochs.at("roof", moments[0], reason="first frame").id if moments else ""
+        self.archive.sightings.add(
             SunPoint(
                 camera="roof",
                 pose_epoch=epoch,
@@ -201,8 +201,8 @@ class LongRun:
     def _store_hidden(self, times: NDArray[np.float64]) -> None:
         """Store the sun exposures that showed clouds: without them nobody knows that they were taken."""
         moments = [datetime.fromtimestamp(t, UTC) for t in times.tolist()]
-        epoch = self.archive.epoch_at("roof", moments[0], reason="first frame").id if moments else ""
-        self.archive.add_sun_points(
+        epoch = self.archive.epochs.at("roof", moments[0], reason="first frame").id if moments else ""
+        self.archive.sightings.add(
             SunPoint(
                 camera="roof",
                 pose_epoch=epoch,

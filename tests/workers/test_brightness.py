@@ -10,6 +10,7 @@ import pytest
 from tests.fixtures.archive import new_archive
 
 from sunarc.archive.archive import Archive, CameraArchive
+from sunarc.archive.sightings import SightingStore
 from sunarc.archive.values import SunPoint
 from sunarc.sky.site import Site
 from sunarc.workers.sun_prediction import SunPredictor
@@ -21,7 +22,7 @@ NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 @pytest.fixture
 def archive(tmp_path: Path) -> Iterator[Archive]:
     opened = new_archive(tmp_path, name="sky")
-    opened.epoch_at("sky", NOON - timedelta(days=30), reason="first")
+    opened.epochs.at("sky", NOON - timedelta(days=30), reason="first")
     yield opened
     opened.close()
 
@@ -29,7 +30,7 @@ def archive(tmp_path: Path) -> Iterator[Archive]:
 def add_day(archive: Archive, noon: datetime, *, level_per_us: float, accepted: bool = True) -> None:
     moments = [noon + timedelta(minutes=2 * k) for k in range(-60, 61)]
     seen = {"camera": "sky", "pose_epoch": "sky-1", "method": "disc", "verdict": "clear", "accepted": accepted}
-    archive.add_sun_points(
+    archive.sightings.add(
         SunPoint(**seen, time=at, exposure_us=20.0, x_px=1.0, y_px=1.0, peak_fraction=20.0 * level_per_us)  # type: ignore[arg-type]
         for at in moments
     )
@@ -58,15 +59,15 @@ def test_a_filter_is_learned_within_five_days_and_one_that_has_all_refused_is_no
 
 def test_the_archive_is_asked_once_an_hour(archive: Archive, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[object] = []
-    learned = archive.sun_levels
+    learned = archive.sightings.sun_levels
 
     def counted(
-        _: Archive, camera: str, *, since: datetime, until: datetime, largest_clock_error_s: float | None
+        _: SightingStore, camera: str, *, since: datetime, until: datetime, largest_clock_error_s: float | None
     ) -> object:
         asked.append(until)
         return learned(camera, since=since, until=until, largest_clock_error_s=largest_clock_error_s)
 
-    monkeypatch.setattr(Archive, "sun_levels", counted)
+    monkeypatch.setattr(SightingStore, "sun_levels", counted)
     predictor = SunPredictor(CameraArchive(archive, name="sky", site=SITE))
     for minute in range(0, 121, 5):
         predictor.clear_level_per_us(NOON + timedelta(minutes=minute))

@@ -37,7 +37,7 @@ def test_many_small_steps_are_one_event_a_minute_and_the_clock_is_distrusted(tmp
     imager = Imager(tmp_path)
     imager.run(10.0)
     imager.run(5.0, creep=0.045)
-    steps = [event for event in imager.archive.events("roof") if event.kind == "clock_step"]
+    steps = [event for event in imager.archive.events.find("roof") if event.kind == "clock_step"]
     assert 4 <= len(steps) <= 6
     assert all(event.details["gradual"] for event in steps)
     assert sum(event.details["step_s"] for event in steps) == pytest.approx(5 * 60 * 0.045, rel=0.25)
@@ -52,7 +52,7 @@ def test_a_slew_within_what_a_time_service_does_is_no_step(tmp_path: Path) -> No
     imager = Imager(tmp_path)
     imager.run(10.0, creep=450e-6)
     assert imager.service.clock_watch.trusted()
-    assert [event for event in imager.archive.events("roof") if event.kind == "clock_step"] == []
+    assert [event for event in imager.archive.events.find("roof") if event.kind == "clock_step"] == []
 
 
 def test_a_clock_a_year_ahead_stays_distrusted_for_a_day_also_after_a_restart_and_no_image_is_removed(
@@ -128,7 +128,7 @@ def test_a_day_judged_by_a_clock_that_was_ahead_is_judged_again(tmp_path: Path) 
         n_possible=1200,
         decided_at=START + timedelta(days=400),
     )
-    imager.archive.save_day(wrong)
+    imager.archive.days.save(wrong)
     imager.clock.advance(86_400.0)
     judged = imager.service.days.judge_ended_days()
     assert [day.date for day in judged] == [START.date()]
@@ -141,7 +141,7 @@ def test_doubtful_sightings_are_left_out_of_a_day_and_do_not_condemn_it(tmp_path
     (good,) = judged_after(imager)
     imager.clock.step(-86_400.0)
     midnight = START - timedelta(hours=9)
-    imager.archive.add_sun_points(
+    imager.archive.sightings.add(
         SunPoint(
             camera="roof",
             pose_epoch="roof-1",
@@ -181,17 +181,17 @@ def test_what_is_dated_in_the_future_says_nothing_of_how_bright_the_sun_is(tmp_p
         peak_fraction=0.5,
         clock_error_s=UNKNOWN_ERROR_S,
     )
-    imager.archive.add_sun_points([point])
+    imager.archive.sightings.add([point])
     until = START + timedelta(hours=1)
-    assert imager.archive.sun_levels("roof", since=START, until=until)[0].size == 1
-    assert imager.archive.sun_levels("roof", since=START, until=until, largest_clock_error_s=2.0)[0].size == 0
+    assert imager.archive.sightings.sun_levels("roof", since=START, until=until)[0].size == 1
+    assert imager.archive.sightings.sun_levels("roof", since=START, until=until, largest_clock_error_s=2.0)[0].size == 0
 
 
 def retired_in_the_future(imager: Imager) -> datetime:
     """Leave behind what a clock that was 400 days ahead made of a good record."""
     later = START + timedelta(days=400)
-    imager.archive.retire("full", at=later)
-    imager.archive.open_epoch("roof", at=later, reason=LENS_CHANGED)
+    imager.archive.calibrations.retire("full", at=later)
+    imager.archive.epochs.open("roof", at=later, reason=LENS_CHANGED)
     return later
 
 
@@ -202,20 +202,22 @@ def test_an_operator_closes_an_epoch_of_the_future_and_the_calibration_is_served
     assert imager.served() is None
     assert "epoch_in_future" in imager.codes()
     imager.run(5.0)
-    assert imager.archive.close_epoch("roof-2", at=imager.clock.now(), reason="the clock was ahead") == "full"
-    record = imager.archive.current_calibration("roof")
+    assert (
+        imager.archive.calibrations.close_epoch("roof-2", at=imager.clock.now(), reason="the clock was ahead") == "full"
+    )
+    record = imager.archive.calibrations.current("roof")
     assert record is not None
     assert (record.id, record.valid_until, record.state) == ("full", None, "current")
-    assert imager.archive.current_calibration("roof", at=later) == record
-    (epoch,) = imager.archive.epochs("roof")
+    assert imager.archive.calibrations.current("roof", at=later) == record
+    (epoch,) = imager.archive.epochs.find("roof")
     assert (epoch.id, epoch.ended_at) == ("roof-1", None)
-    assert len(imager.archive.epochs("roof", include_closed=True)) == 2
+    assert len(imager.archive.epochs.find("roof", include_closed=True)) == 2
     imager.run(10.0)
     assert "epoch_in_future" not in imager.codes()
     imager.camera = moved_by((0.6, 0.6, 0.5))
     imager.run(15.0)
     assert [event.kind for event in imager.alarms()] == ["bump"]
-    assert [epoch.id for epoch in imager.archive.epochs("roof")] == ["roof-1", "roof-3"]
+    assert [epoch.id for epoch in imager.archive.epochs.find("roof")] == ["roof-1", "roof-3"]
     assert imager.error_deg() < 0.1
 
 
@@ -230,17 +232,17 @@ def test_closing_a_false_move_serves_a_copy_from_then_on_and_rewrites_no_past_an
     during = imager.clock.now() - timedelta(minutes=2)
     imager.camera = TRUTH
     closed_at = imager.clock.now()
-    copy = imager.archive.close_epoch("roof-2", at=closed_at, reason="someone leaned on the mast")
+    copy = imager.archive.calibrations.close_epoch("roof-2", at=closed_at, reason="someone leaned on the mast")
     assert copy is not None
-    assert imager.archive.calibration(copy).parent == "full"
-    served_then = imager.archive.current_calibration("roof", at=during)
+    assert imager.archive.calibrations.get(copy).parent == "full"
+    served_then = imager.archive.calibrations.current("roof", at=during)
     assert served_then is not None
     assert served_then.pose_epoch == "roof-2"
-    assert all(point.pose_epoch == "roof-1" for point in imager.archive.sun_points("roof"))
+    assert all(point.pose_epoch == "roof-1" for point in imager.archive.sightings.find("roof"))
     imager.run(10.0)
     assert imager.served() == copy
     assert [event.kind for event in imager.alarms()] == ["bump"]  # is not found again in the same sightings
-    assert not any(point.reason == MOVED for point in imager.archive.sun_points("roof", accepted=True))
+    assert not any(point.reason == MOVED for point in imager.archive.sightings.find("roof", accepted=True))
 
 
 def test_the_first_epoch_an_unknown_and_a_closed_one_cannot_be_closed(tmp_path: Path) -> None:
@@ -248,18 +250,18 @@ def test_the_first_epoch_an_unknown_and_a_closed_one_cannot_be_closed(tmp_path: 
     retired_in_the_future(imager)
     now = datetime(2013, 5, 14, 17, tzinfo=UTC)
     with pytest.raises(InputError, check=lambda error: error.field == "id"):
-        imager.archive.close_epoch("roof-1", at=now, reason="test")
-    imager.archive.close_epoch("roof-2", at=now, reason="test")
+        imager.archive.calibrations.close_epoch("roof-1", at=now, reason="test")
+    imager.archive.calibrations.close_epoch("roof-2", at=now, reason="test")
     for name in ("roof-2", "roof-9"):
         with pytest.raises(NotFoundError, check=lambda error: error.field == "id"):
-            imager.archive.close_epoch(name, at=now, reason="test")
+            imager.archive.calibrations.close_epoch(name, at=now, reason="test")
 
 
 def test_an_epoch_of_the_future_is_not_used_before_it_is_closed(tmp_path: Path) -> None:
     imager = Imager(tmp_path)
     imager.run(5.0)
-    imager.archive.open_epoch("roof", at=START + timedelta(days=400), reason="bump")
+    imager.archive.epochs.open("roof", at=START + timedelta(days=400), reason="bump")
     imager.boot()
     imager.run(5.0)
     assert imager.served() == "full"
-    assert {point.pose_epoch for point in imager.archive.sun_points("roof")} == {"roof-1"}
+    assert {point.pose_epoch for point in imager.archive.sightings.find("roof")} == {"roof-1"}

@@ -109,7 +109,7 @@ def test_a_step_is_found_remembered_and_shown_for_a_while(
     clock.step(step_s)
     clock.advance(0.6)
     watch.check()
-    (event,) = archive.events("roof")
+    (event,) = archive.events.find("roof")
     assert event.kind == "clock_step"
     assert event.details["step_s"] == pytest.approx(step_s, abs=1e-6)
     assert event.details["noticed_within_s"] == pytest.approx(1.0)
@@ -122,7 +122,7 @@ def test_a_step_is_found_remembered_and_shown_for_a_while(
     clock.advance(SHOW_STEP_S + 86_400.0)
     watch.check()
     assert reasons(board) == set()
-    assert len(archive.events("roof")) == 1
+    assert len(archive.events.find("roof")) == 1
 
 
 @pytest.mark.parametrize("step_s", [7.0, -7.0])
@@ -139,7 +139,7 @@ def test_sightings_around_a_step_carry_its_size_whether_they_were_stored_before_
     assert watch.error_s(just_after) == pytest.approx(7.0)
     assert watch.error_s(just_before) == pytest.approx(7.0)
     watch.check()
-    assert {p.time: p.clock_error_s for p in archive.sun_points("roof")} == {
+    assert {p.time: p.clock_error_s for p in archive.sightings.find("roof")} == {
         long_before: 0.01,
         just_before: pytest.approx(7.0),
     }
@@ -152,7 +152,7 @@ def test_a_slew_of_500_ppm_for_a_day_is_no_step(watch: ClockWatch, clock: Virtua
         clock.advance(30.0)
         clock.step(30.0 * 500e-6)
         watch.check()
-    assert archive.events("roof") == ()
+    assert archive.events.find("roof") == ()
 
 
 @pytest.mark.parametrize("step_s", [-1.0, 1.0])
@@ -164,7 +164,7 @@ def test_a_leap_second_is_no_step_but_its_second_is_in_doubt(
     clock.step(step_s)
     within = clock.now()
     watch.check()
-    assert archive.events("roof") == ()
+    assert archive.events.find("roof") == ()
     assert reasons(board) == set()
     assert watch.error_s(within) == pytest.approx(1.0)
 
@@ -177,11 +177,11 @@ def test_a_step_that_cannot_be_written_down_is_written_down_later(
 
     clock.step(3.0)
     with monkeypatch.context() as patched:
-        patched.setattr(archive, "add_event", full)
+        patched.setattr(archive.events, "add", full)
         watch.check()
-    assert archive.events("roof") == ()
+    assert archive.events.find("roof") == ()
     watch.check()
-    assert [event.kind for event in archive.events("roof")] == ["clock_step"]
+    assert [event.kind for event in archive.events.find("roof")] == ["clock_step"]
 
 
 @pytest.mark.parametrize(("days", "trusted"), [(1, True), (400, False)])
@@ -204,7 +204,7 @@ def test_a_clock_behind_the_record_is_distrusted_although_the_record_could_not_b
 
     store_sun_point(archive, clock.now() + timedelta(days=1), clock_error_s=0.01)
     with monkeypatch.context() as patched:
-        patched.setattr(archive, "_reading", locked)
+        patched.setattr(archive.database, "reading", locked)
         watch = watch_with()
     assert watch.trusted()
     watch.check()
@@ -221,7 +221,7 @@ def test_a_camera_whose_clock_falls_back_to_its_start_is_not_calibrated_with_unt
         clock.advance(30.0)
         frame_time.note(clock.now() - timedelta(seconds=0.3))
         watch.check()
-    assert archive.events("roof") == ()
+    assert archive.events.find("roof") == ()
     frame_time.note(datetime.fromtimestamp(0.0, NOON.tzinfo))  # rebooted
     watch.check()
     assert watch.error_s(frame_time.now()) > 1e8
@@ -264,7 +264,7 @@ def test_a_camera_that_tells_tai_is_named_with_the_setting_that_mends_it(
     assert reason.code == "camera_clock_offset"
     assert "TAI - UTC" in reason.text
     assert 'camera.timestamp_scale = "tai"' in reason.remedy
-    assert [event.kind for event in archive.events("roof")] == ["camera_clock_offset"]
+    assert [event.kind for event in archive.events.find("roof")] == ["camera_clock_offset"]
     clock.advance(30.0)
     for _ in range(4):  # after the setting was changed
         frame_time.note(clock.now(), host_offset_s=0.002)
@@ -391,7 +391,7 @@ def test_a_replay_may_jump(watch_with: MakeWatch, clock: VirtualClock, archive: 
     for day in range(3):
         frame_time.note(NOON + timedelta(days=day))
         watch.check()
-    assert archive.events("roof") == ()
+    assert archive.events.find("roof") == ()
     assert watch.trusted()
 
 

@@ -64,7 +64,7 @@ def test_a_condition_that_holds_over_restarts_keeps_its_beginning(bench: Bench) 
         bench.board.set_condition("disk_low", LOW)
         assert bench.since("disk_low") == START
         bench.pass_time(1000.0)
-    assert bench.archive.condition_times("roof") == {"disk_low": START}
+    assert bench.archive.conditions.times("roof") == {"disk_low": START}
 
 
 def test_a_condition_that_was_set_before_the_store_could_be_read_keeps_its_beginning_too(
@@ -77,7 +77,7 @@ def test_a_condition_that_was_set_before_the_store_could_be_read_keeps_its_begin
         raise OutsideError("the database does not answer")
 
     with monkeypatch.context() as away:
-        away.setattr(bench.archive, "condition_times", refuse)
+        away.setattr(bench.archive.conditions, "times", refuse)
         bench.start()
         bench.board.set_condition("disk_low", LOW)
         bench.pass_time(50.0)
@@ -93,7 +93,7 @@ def test_one_that_ended_begins_anew(bench: Bench) -> None:
     bench.board.set_condition("disk_low", LOW)
     bench.board.set_condition("disk_low", None)
     bench.pass_time(100.0)
-    assert bench.archive.condition_times("roof") == {}
+    assert bench.archive.conditions.times("roof") == {}
     bench.board.set_condition("disk_low", LOW)
     assert bench.since("disk_low") == bench.clock.now()
 
@@ -106,14 +106,14 @@ def test_one_that_is_not_found_again_within_a_quarter_of_an_hour_has_ended(
     bench.pass_time(100.0)
     bench.start()
     bench.pass_time(after_s)
-    assert (bench.archive.condition_times("roof") == {"no_sightings": START}) is goes_on
+    assert (bench.archive.conditions.times("roof") == {"no_sightings": START}) is goes_on
     bench.board.set_condition("no_sightings", LATE)
     assert (bench.since("no_sightings") == START) is goes_on
 
 
 def test_one_that_comes_and_goes_is_never_written(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     written: list[object] = []
-    monkeypatch.setattr(bench.archive, "save_condition_times", lambda *args: written.append(args))
+    monkeypatch.setattr(bench.archive.conditions, "save", lambda *args: written.append(args))
     for _ in range(20):
         bench.board.set_condition("disk_low", LOW)
         bench.pass_time(50.0)
@@ -126,7 +126,7 @@ def test_what_concerns_one_run_alone_is_not_stored(bench: Bench) -> None:
     first = Reason(code="no_frame_yet", severity="degraded", text="no frame", remedy="wait")
     bench.board.set_condition("no_frame_yet", first)
     bench.pass_time(200.0)
-    assert bench.archive.condition_times("roof") == {}
+    assert bench.archive.conditions.times("roof") == {}
 
 
 def test_a_full_disk_delays_the_writing_alone(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -135,14 +135,14 @@ def test_a_full_disk_delays_the_writing_alone(bench: Bench, monkeypatch: pytest.
 
     bench.board.set_condition("disk_low", LOW)
     with monkeypatch.context() as full:
-        full.setattr(bench.archive, "save_condition_times", refuse)
+        full.setattr(bench.archive.conditions, "save", refuse)
         bench.pass_time(200.0)
     bench.pass_time(20.0)
-    assert bench.archive.condition_times("roof") == {"disk_low": START}
+    assert bench.archive.conditions.times("roof") == {"disk_low": START}
 
 
 def test_a_beginning_that_lies_ahead_of_the_clock_is_now(bench: Bench) -> None:
-    bench.archive.save_condition_times("roof", {"disk_low": START + timedelta(days=1)})
+    bench.archive.conditions.save("roof", {"disk_low": START + timedelta(days=1)})
     bench.start()
     bench.board.set_condition("disk_low", LOW)
     assert bench.since("disk_low") == START

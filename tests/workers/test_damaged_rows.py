@@ -75,23 +75,23 @@ def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("filled") / "sunarc.sqlite"
     upgrade(path)
     archive = open_archive(path)
-    archive.save_camera(CAMERA)
-    epoch = archive.epoch_at("roof", NOON - timedelta(days=1), reason="installed").id
+    archive.cameras.save(CAMERA)
+    epoch = archive.epochs.at("roof", NOON - timedelta(days=1), reason="installed").id
     for number in range(6):
         time = NOON + timedelta(minutes=number)
         x, y = project(LENS, sun_directions(time.timestamp(), SITE)).tolist()
-        archive.add_sun_points([
+        archive.sightings.add([
             SunPoint(camera="roof", pose_epoch=epoch, time=time, method="disc", accepted=True, verdict="clear",
                      reason="found", x_px=x, y_px=y, sigma_px=0.02, clock_error_s=0.01, exposure_us=12.0)
         ])  # fmt: skip
     for number, name in enumerate(("first", "second", "third")):
-        archive.add_calibration(document(name, day=number), used=archive.sun_point_columns("roof"))
-        archive.activate(name)
-    archive.add_refit(Refit(id="r", camera="roof", requested_at=NOON, reason="by hand"))
-    archive.save_day(Day(camera="roof", date=NOON.date(), verdict="clear", findings=(), n=6, n_possible=6,
+        archive.calibrations.add(document(name, day=number), used=archive.sightings.columns("roof"))
+        archive.calibrations.activate(name)
+    archive.refits.add(Refit(id="r", camera="roof", requested_at=NOON, reason="by hand"))
+    archive.days.save(Day(camera="roof", date=NOON.date(), verdict="clear", findings=(), n=6, n_possible=6,
                          decided_at=NOON, pose_offset_deg=(0.1, 0.2, 0.3),
                          pose_offset_sigma_deg=(0.1, 0.2, 0.3)))  # fmt: skip
-    archive.add_event(Event(time=NOON, kind="clock_step", severity="info", text="here", camera="roof",
+    archive.events.add(Event(time=NOON, kind="clock_step", severity="info", text="here", camera="roof",
                             details={"step_s": 1.0}))  # fmt: skip
     archive.close()
     return path
@@ -137,7 +137,7 @@ def refit_worker(archive: Archive, board: StatusRegistry, clock: VirtualClock) -
 def run_every_part(path: Path, board: StatusRegistry, clock: VirtualClock) -> dict[str, Reason]:
     """Start and run every part of the service that reads the archive, once; return the conditions by code."""
     archive = open_archive(path)
-    archive.save_camera(CAMERA)  # as at every opening of the camera
+    archive.cameras.save(CAMERA)  # as at every opening of the camera
     reposer = ProvisionalPoseEstimator(
         camera=CameraArchive(archive, name="roof", site=SITE),
         options=CalibrationOptions(),
@@ -157,15 +157,21 @@ def run_every_part(path: Path, board: StatusRegistry, clock: VirtualClock) -> di
     predictor.clear_level_per_us(NOW)
     days = DayJudge(
         camera=CameraArchive(archive, name="roof", site=SITE), cadence_s=60.0, sun_zenith_deg=90.0,
-        now=clock.now, request_refit=lambda reason: archive.add_refit(
+        now=clock.now, request_refit=lambda reason: archive.refits.add(
             Refit(id="another", camera="roof", requested_at=NOW, reason=reason)
         ),
     )  # fmt: skip
     days.judge_ended_days()
     stop = threading.Event()
     refit_worker(archive, board, clock).run(stop, stop.set)
-    archive.cameras(), archive.epochs("roof"), archive.days("roof"), archive.refits("roof"), archive.events("roof")
-    for record in archive.calibrations("roof"):
+    (
+        archive.cameras.all(),
+        archive.epochs.find("roof"),
+        archive.days.find("roof"),
+        archive.refits.find("roof"),
+        archive.events.find("roof"),
+    )
+    for record in archive.calibrations.find("roof"):
         json.dumps(record.document)
     archive.close()
     return {reason.code: reason for reason in board.snapshot().reasons}
@@ -201,17 +207,17 @@ def test_the_calibration_before_a_damaged_one_is_served_and_the_damage_shown(
     reasons = run_every_part(path, board, clock)
     assert reasons["calibration_damaged"].data == {"calibration": "third", "served": "second"}
     archive = open_archive(path)
-    served = archive.current_calibration("roof")
+    served = archive.calibrations.current("roof")
     assert served is not None
     assert (served.id, served.document["state"], served.document["valid_until"]) == ("second", "current", None)
-    at = archive.current_calibration("roof", at=NOON + timedelta(days=2, hours=1))
+    at = archive.calibrations.current("roof", at=NOON + timedelta(days=2, hours=1))
     assert at is not None
     assert at.id == "second"
-    assert [event.details for event in archive.events("roof") if event.kind == "calibration_damaged"] == [
+    assert [event.details for event in archive.events.find("roof") if event.kind == "calibration_damaged"] == [
         {"calibration": "third", "served": "second"}
     ]
     with pytest.raises(InputError, check=lambda error: error.field == "id"):
-        archive.calibration("third")
+        archive.calibrations.get("third")
     archive.close()
     found = check(path)
     assert found.damaged == ("third",)
@@ -224,8 +230,8 @@ def test_a_new_calibration_ends_the_condition(path: Path, board: StatusRegistry,
         connection.execute("UPDATE calibration SET pinned = 1 WHERE id = 'third'")
     assert "calibration_damaged" in run_every_part(path, board, clock)
     archive = open_archive(path)
-    archive.add_calibration(document("fourth", day=3))
-    assert archive.activate("fourth").state == "current"
+    archive.calibrations.add(document("fourth", day=3))
+    assert archive.calibrations.activate("fourth").state == "current"
     archive.close()
     assert "calibration_damaged" not in run_every_part(path, board, clock)
     assert check(path).sound
@@ -237,12 +243,12 @@ def test_a_refit_that_finds_nothing_new_replaces_a_damaged_calibration(
     none = Sightings.of(unix_s=np.empty(0), pixels=np.empty((0, 2)))
     task = cast("RefitTask", SimpleNamespace(pose_epoch="roof-1", problem=SimpleNamespace(points=none)))
     archive = open_archive(path)
-    verdict = refit_worker(archive, board, clock)._verdict(task, calibration(), archive.current_calibration("roof"))
+    verdict = refit_worker(archive, board, clock)._verdict(task, calibration(), archive.calibrations.current("roof"))
     archive.close()
     assert (verdict.accepted, verdict.marginal) == (False, True)
     flip(path, "calibration", "document", where="id = 'third'", byte=40)
     archive = open_archive(path)
-    verdict = refit_worker(archive, board, clock)._verdict(task, calibration(), archive.current_calibration("roof"))
+    verdict = refit_worker(archive, board, clock)._verdict(task, calibration(), archive.calibrations.current("roof"))
     archive.close()
     assert verdict.accepted
     assert verdict.findings[0].code == "replaces_damaged"
@@ -256,25 +262,25 @@ def test_with_every_calibration_damaged_none_is_served_and_the_record_goes_on(
     reasons = run_every_part(path, board, clock)
     assert reasons["calibration_damaged"].data == {"calibration": "third", "served": "no calibration"}
     archive = open_archive(path)
-    assert archive.current_calibration("roof") is None
+    assert archive.calibrations.current("roof") is None
     archive.close()
 
 
 def test_no_calibration_from_before_a_change_of_the_lens_stands_in(path: Path) -> None:
     archive = open_archive(path)
-    archive.open_epoch("roof", at=NOON + timedelta(days=1, hours=12), reason="lens")
+    archive.epochs.open("roof", at=NOON + timedelta(days=1, hours=12), reason="lens")
     archive.close()
     flip(path, "calibration", "document", where="id = 'third'", byte=40)
     archive = open_archive(path)
-    assert archive.current_calibration("roof") is None
+    assert archive.calibrations.current("roof") is None
     archive.close()
 
 
 def test_what_stands_in_for_a_damaged_one_can_be_retired(path: Path) -> None:
     flip(path, "calibration", "document", where="id = 'third'", byte=40)
     archive = open_archive(path)
-    archive.retire("second", at=NOW)
-    assert archive.current_calibration("roof") is None
+    archive.calibrations.retire("second", at=NOW)
+    assert archive.calibrations.current("roof") is None
     archive.close()
 
 

@@ -51,7 +51,7 @@ def codes(board: StatusRegistry) -> set[str]:
 def test_a_database_in_place_is_not_worth_a_word(archive: Archive, clock: VirtualClock, board: StatusRegistry) -> None:
     worker_of(archive, clock, board).check()
     assert codes(board) == set()
-    assert archive.events() == ()
+    assert archive.events.find() == ()
 
 
 def test_no_sighting_is_lost_when_the_database_is_deleted(
@@ -67,9 +67,9 @@ def test_no_sighting_is_lost_when_the_database_is_deleted(
     keeper.store()
     assert keeper.waiting == 0
     assert codes(board) == {"database_written_back"}
-    assert [event.kind for event in archive.events(severity="alarm")] == ["database_written_back"]
+    assert [event.kind for event in archive.events.find(severity="alarm")] == ["database_written_back"]
     stored = open_archive(tmp_path / "sunarc.sqlite")
-    assert len(stored.sun_points("roof")) == 2
+    assert len(stored.sightings.find("roof")) == 2
     stored.close()
 
 
@@ -81,7 +81,7 @@ def test_what_was_done_at_the_start_is_shown_and_written_down_once(
     assert codes(board) == {"database_restored"}
     worker.check()
     worker.check()
-    assert [(event.kind, event.text) for event in archive.events()] == [("database_restored", done.text)]
+    assert [(event.kind, event.text) for event in archive.events.find()] == [("database_restored", done.text)]
 
 
 def test_a_database_that_cannot_be_put_back_is_shown_and_tried_again(
@@ -124,7 +124,7 @@ def test_a_state_folder_out_of_reach_is_shown_and_nothing_is_rebuilt(
     state = tmp_path / "state"
     upgrade(state / "sunarc.sqlite")
     archive = open_archive(state / "sunarc.sqlite")
-    archive.save_camera(CameraRecord(name="roof", latitude=36.6, longitude=-97.5, altitude=318.0, width=8, height=6))
+    archive.cameras.save(CameraRecord(name="roof", latitude=36.6, longitude=-97.5, altitude=318.0, width=8, height=6))
     keeper, worker = SightingWriteBuffer(archive, board=board), worker_of(archive, clock, board)
     inode = (state / "sunarc.sqlite").stat().st_ino
     state.chmod(0)
@@ -137,5 +137,5 @@ def test_a_state_folder_out_of_reach_is_shown_and_nothing_is_rebuilt(
     keeper.store()
     assert codes(board) == set()
     assert (state / "sunarc.sqlite").stat().st_ino == inode
-    assert len(archive.sun_points("roof")) == 1
+    assert len(archive.sightings.find("roof")) == 1
     archive.close()

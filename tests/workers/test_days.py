@@ -18,7 +18,7 @@ def test_a_clear_day_with_missed_slots_is_clear_and_fitted(
 ) -> None:
     run = LongRun(tmp_path, seed=4)
     night = run.day(FIRST_DAY, replace(CLEAR, missed=missed, begins=begins))
-    (day,) = run.archive.days("roof")
+    (day,) = run.archive.days.find("roof")
     run.archive.close()
     assert day.n_observed is not None
     assert 40 <= day.n_observed <= most_observed

@@ -65,10 +65,10 @@ def record(degrees: float, *, clouds: bool, days: int = DAYS) -> tuple[FloatArra
 
 
 def import_record(archive: Archive, times: FloatArray, pixels: FloatArray) -> None:
-    archive.add_sun_points(
+    archive.sightings.add(
         SunPoint(
             camera="roof",
-            pose_epoch=archive.epoch_at("roof", datetime.fromtimestamp(times[0], UTC), reason="imported").id,
+            pose_epoch=archive.epochs.at("roof", datetime.fromtimestamp(times[0], UTC), reason="imported").id,
             time=datetime.fromtimestamp(time, UTC),
             method="import",
             accepted=True,
@@ -103,16 +103,16 @@ def worker(archive: Archive, board: StatusRegistry, clock: VirtualClock) -> Refi
 @pytest.fixture
 def refit(archive: Archive, worker: RefitWorker) -> Callable[[str], Refit]:
     def carried(name: str) -> Refit:
-        asked = archive.add_refit(Refit(id=name * 6, camera="roof", requested_at=NOW, reason="test"))
+        asked = archive.refits.add(Refit(id=name * 6, camera="roof", requested_at=NOW, reason="test"))
         worker.carry_out(asked, threading.Event(), lambda: None)
-        return archive.refit(asked.id)
+        return archive.refits.get(asked.id)
 
     return carried
 
 
 def error_and_sigma_px(archive: Archive, unix_s: float, truth: Camera) -> tuple[float, float]:
     """Return how far what answers at a moment is from the truth where the sun then is, and the 1-sigma stated there."""
-    answering = archive.current_calibration("roof", at=datetime.fromtimestamp(unix_s, UTC))
+    answering = archive.calibrations.current("roof", at=datetime.fromtimestamp(unix_s, UTC))
     assert answering is not None
     direction = sun_directions(unix_s + np.array([-3600.0, 3600.0]), SGP)
     said, covariance = project_with_covariance(from_document(answering.document), direction)
@@ -127,10 +127,10 @@ def test_a_turn_in_an_imported_record_gets_an_epoch_and_a_calibration_on_either_
     import_record(archive, times, pixels)
     done = refit("a")
     assert done.state == "accepted", done.message
-    first, second = archive.epochs("roof")
+    first, second = archive.epochs.find("roof")
     assert second.started_at == datetime.fromtimestamp(times[row], UTC)
     assert first.ended_at == second.started_at
-    (event,) = archive.events("roof", kind="bump")
+    (event,) = archive.events.find("roof", kind="bump")
     assert event.time == second.started_at
     assert [finding["code"] for finding in event.findings] == ["pose_changed"]
     assert float(event.details["turn_deg"]) == pytest.approx(0.4, abs=0.02)
@@ -138,16 +138,16 @@ def test_a_turn_in_an_imported_record_gets_an_epoch_and_a_calibration_on_either_
         error, sigma = error_and_sigma_px(archive, float(moment), truth)
         assert error < max(4.0 * sigma, 0.02)
         assert error < 0.2
-    epochs, answers = archive.epochs("roof"), archive.calibrations("roof")
+    epochs, answers = archive.epochs.find("roof"), archive.calibrations.find("roof")
     assert {answer.pose_epoch for answer in answers} == {"roof-1", "roof-2"}
     past = next(answer for answer in answers if answer.pose_epoch == "roof-1")
-    points = points_of(archive.sightings_of(past.id), latest="roof-1")
+    points = points_of(archive.calibrations.sightings_of(past.id), latest="roof-1")
     again = reproduce_calibration(from_document(past.document), points)
     assert np.allclose(again.camera.to_vector(), from_document(past.document).camera.to_vector(), atol=1e-9)
     refit("b")
-    assert archive.epochs("roof") == epochs
-    assert len(archive.events("roof", kind="bump")) == 1
-    answering = archive.current_calibration("roof", at=datetime.fromtimestamp(times[20], UTC))
+    assert archive.epochs.find("roof") == epochs
+    assert len(archive.events.find("roof", kind="bump")) == 1
+    answering = archive.calibrations.current("roof", at=datetime.fromtimestamp(times[20], UTC))
     assert answering is not None
     assert answering.id == past.id
 
@@ -156,8 +156,8 @@ def test_cloud_in_an_imported_record_opens_no_epoch(archive: Archive, refit: Cal
     times, pixels, _ = record(0.0, clouds=True)
     import_record(archive, times, pixels)
     assert refit("a").state == "accepted"
-    assert len(archive.epochs("roof")) == 1
-    assert archive.events("roof", kind="bump") == ()
+    assert len(archive.epochs.find("roof")) == 1
+    assert archive.events.find("roof", kind="bump") == ()
 
 
 def test_what_was_imported_later_from_before_a_turn_leaves_the_current_calibration_its_epoch(
@@ -166,12 +166,12 @@ def test_what_was_imported_later_from_before_a_turn_leaves_the_current_calibrati
     times, pixels, row = record(0.4, clouds=False)
     import_record(archive, times[row:], pixels[row:])
     assert refit("a").state == "accepted"
-    current = archive.current_calibration("roof")
+    current = archive.calibrations.current("roof")
     assert current is not None
     import_record(archive, times[:row], pixels[:row])
-    archive.epoch_at("roof", datetime.fromtimestamp(times[0], UTC), reason="imported")
+    archive.epochs.at("roof", datetime.fromtimestamp(times[0], UTC), reason="imported")
     refit("b")
-    earlier, later = archive.epochs("roof")
+    earlier, later = archive.epochs.find("roof")
     assert (earlier.id, later.id) == ("roof-2", current.pose_epoch)
     assert later.started_at == datetime.fromtimestamp(times[row], UTC)
     error, _ = error_and_sigma_px(archive, float(times[20]), TRUTH)
@@ -196,8 +196,8 @@ def searching(archive: Archive) -> EpochSearch:
 def test_a_damaged_event_of_a_search_does_not_end_the_refits(archive: Archive) -> None:
     times, pixels, _ = record(0.0, clouds=False, days=3)
     import_record(archive, times, pixels)
-    archive.add_event(search_event(NOW - timedelta(hours=2), last_id=times.size, divided=["roof-1"]))
-    archive.add_event(search_event(NOW - timedelta(hours=1)))  # as the archive reads details with a flipped bit
+    archive.events.add(search_event(NOW - timedelta(hours=2), last_id=times.size, divided=["roof-1"]))
+    archive.events.add(search_event(NOW - timedelta(hours=1)))  # as the archive reads details with a flipped bit
     search = searching(archive)
     assert search.due() is None  # the search before it is remembered
     assert search.unanswered("roof-1")
@@ -207,16 +207,16 @@ def test_a_search_that_a_clock_ahead_dated_is_neither_repeated_nor_answered_for_
     times, pixels, _ = record(0.0, clouds=False, days=3)
     import_record(archive, times, pixels)
     ahead = NOW + timedelta(days=365)
-    archive.add_event(search_event(ahead, last_id=times.size // 2, divided=["roof-1"]))
-    archive.add_event(search_event(NOW - timedelta(hours=1), last_id=times.size, divided=[]))
+    archive.events.add(search_event(ahead, last_id=times.size // 2, divided=["roof-1"]))
+    archive.events.add(search_event(NOW - timedelta(hours=1), last_id=times.size, divided=[]))
     search = searching(archive)
     assert search.due() is None
     assert search.unanswered("roof-1")
-    archive.add_calibration({
+    archive.calibrations.add({
         "id": "a", "camera": "roof", "method": "robust", "pose_epoch": "roof-1", "valid_from": NOW.isoformat(),
         "created_at": NOW.isoformat(), "verdict": {"accepted": True, "reasons": []},
     })  # fmt: skip
-    archive.activate("a")
+    archive.calibrations.activate("a")
     assert not search.unanswered("roof-1")
 
 
@@ -236,4 +236,4 @@ def test_a_search_whose_process_was_killed_is_begun_once_more(
     monkeypatch.setattr(worker, "_search", search_at_the_second_time)
     refit("a")
     assert len(begun) == 2
-    assert len(archive.epochs("roof")) == 2
+    assert len(archive.epochs.find("roof")) == 2

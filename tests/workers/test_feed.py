@@ -60,9 +60,9 @@ class Wire:
         if fault == "late":
             self.late.append(batch)
             raise OutsideError("no answer; what was sent arrives later")
-        committed = self.hub.take_feed(batch, now=NOW)
+        committed = self.hub.feeds.take(batch, now=NOW)
         for late in self.late:
-            self.hub.take_feed(late, now=NOW)
+            self.hub.feeds.take(late, now=NOW)
         self.late.clear()
         if fault == "answer_lost":
             raise OutsideError("the answer did not come back")
@@ -108,11 +108,11 @@ def send_all(worker: FeedWorker) -> None:
 
 
 def test_rows_arrive_and_are_forgotten_and_the_fleet_learns_of_the_imager(bench: Bench) -> None:
-    bench.imager.add_sun_points(sighting(n) for n in range(5))
+    bench.imager.sightings.add(sighting(n) for n in range(5))
     send_all(bench.worker())
-    assert bench.hub.sun_points("roof") == bench.imager.sun_points("roof")
-    assert bench.imager.outbox_waiting() == 0
-    (camera,) = bench.hub.fleet()
+    assert bench.hub.sightings.find("roof") == bench.imager.sightings.find("roof")
+    assert bench.imager.outbox.waiting() == 0
+    (camera,) = bench.hub.feeds.fleet()
     assert camera.status is not None
     assert (camera.status["health"], camera.status["conditions"]) == ("ready", [])
 
@@ -132,7 +132,7 @@ def test_with_nothing_new_nothing_is_sent_but_a_status_each_minute(bench: Bench)
 def test_cuts_lost_answers_and_late_repetitions_lose_and_double_nothing(bench: Bench, seed: int) -> None:
     chance, worker = random.Random(seed), bench.worker()
     for n in range(60):
-        bench.imager.add_sun_points([sighting(n)])
+        bench.imager.sightings.add([sighting(n)])
         bench.wire.faults = chance.choices(["", "cut", "answer_lost", "late", "refused"], k=2)
         if chance.random() < 0.1:
             worker = bench.worker()  # the process was killed and began again
@@ -140,64 +140,64 @@ def test_cuts_lost_answers_and_late_repetitions_lose_and_double_nothing(bench: B
     bench.wire.faults.clear()
     send_all(worker)
     send_all(worker)
-    assert bench.hub.sun_points("roof") == bench.imager.sun_points("roof")
-    assert len(bench.hub.sun_points("roof")) == 60
-    assert {found.reason for found in bench.hub.quarantine()} <= {"gap"}
-    assert bench.imager.outbox_waiting() == 0
+    assert bench.hub.sightings.find("roof") == bench.imager.sightings.find("roof")
+    assert len(bench.hub.sightings.find("roof")) == 60
+    assert {found.reason for found in bench.hub.feeds.quarantine()} <= {"gap"}
+    assert bench.imager.outbox.waiting() == 0
 
 
 @pytest.mark.parametrize("most_rows", [1, 3, 0])
 def test_batches_become_smaller_until_the_hub_takes_them_and_one_row_that_is_too_large_is_passed(
     bench: Bench, most_rows: int
 ) -> None:
-    bench.imager.add_sun_points(sighting(n) for n in range(7))
+    bench.imager.sightings.add(sighting(n) for n in range(7))
     bench.wire.most_rows = most_rows
     if most_rows == 0:  # not even one: they go as numbers
         worker = bench.worker()
         for _ in range(60):
             step(worker)
-        assert {found.reason for found in bench.hub.quarantine()} == {"body_too_large"}
+        assert {found.reason for found in bench.hub.feeds.quarantine()} == {"body_too_large"}
         return
     send_all(bench.worker())
-    assert len(bench.hub.sun_points("roof")) == 7
+    assert len(bench.hub.sightings.find("roof")) == 7
 
 
 def test_a_hub_that_was_put_back_gets_all_again(bench: Bench) -> None:
-    bench.imager.add_sun_points(sighting(n) for n in range(7))
+    bench.imager.sightings.add(sighting(n) for n in range(7))
     worker = bench.worker()
     send_all(worker)
-    bench.hub.ask_again("roof")
-    bench.imager.add_sun_points([sighting(8)])
+    bench.hub.feeds.ask_again("roof")
+    bench.imager.sightings.add([sighting(8)])
     send_all(worker)
-    assert len(bench.hub.sun_points("roof")) == 8
-    assert bench.imager.outbox_position().committed > 15
+    assert len(bench.hub.sightings.find("roof")) == 8
+    assert bench.imager.outbox.position().committed > 15
 
 
 def test_an_imager_that_was_put_back_goes_on_as_another_installation(bench: Bench, tmp_path: Path) -> None:
     send_all(bench.worker())
     bench.imager.close()
     copy = (tmp_path / "roof.sqlite").read_bytes()
-    bench.imager.add_sun_points(sighting(n) for n in range(7))
+    bench.imager.sightings.add(sighting(n) for n in range(7))
     send_all(bench.worker())
-    former = bench.imager.outbox_position().installation
+    former = bench.imager.outbox.position().installation
     bench.imager.close()
     for ending in ("", "-wal", "-shm"):
         (tmp_path / f"roof.sqlite{ending}").unlink(missing_ok=True)
     (tmp_path / "roof.sqlite").write_bytes(copy)
     with open_archive(tmp_path / "roof.sqlite") as again:
         bench.imager = again
-        again.add_sun_points([sighting(100)])
+        again.sightings.add([sighting(100)])
         worker = bench.worker()
         step(worker)
-        own = again.outbox_position().installation
+        own = again.outbox.position().installation
         assert own != former
         step(worker)
-        assert [found.reason for found in bench.hub.quarantine()] == ["second_installation"]
+        assert [found.reason for found in bench.hub.feeds.quarantine()] == ["second_installation"]
         assert "hub_refuses" in bench.codes()
-        bench.hub.accept_installation("roof", own, now=NOW)
+        bench.hub.feeds.accept_installation("roof", own, now=NOW)
         bench.clock.advance(100.0)
         send_all(worker)
-        assert len(bench.hub.sun_points("roof")) == 8
+        assert len(bench.hub.sightings.find("roof")) == 8
         assert bench.codes() == set()
 
 
@@ -225,7 +225,7 @@ def test_it_runs_until_it_is_stopped(bench: Bench) -> None:
 
     bench.worker().run(stop, beat)
     assert len(beats) >= 20
-    assert bench.imager.outbox_waiting() == 0
+    assert bench.imager.outbox.waiting() == 0
 
 
 @contextmanager
@@ -249,7 +249,7 @@ def slow_hub(hub: Archive, *, reads_bytes_per_s: float = 1e9, answers_bytes_per_
             after = int(first.split("after=")[1].split(" ")[0])
             rows = read_feed_lines(gzip.decompress(read(channel, int(headers["content-length"]))), after=after)
             batch = FeedBatch(camera="roof", installation=headers["sunarc-installation"], after=after, rows=rows)
-            body = json.dumps({"committed": hub.take_feed(batch, now=NOW)}).encode()
+            body = json.dumps({"committed": hub.feeds.take(batch, now=NOW)}).encode()
             for byte in b"HTTP/1.1 200 OK\r\ncontent-length: %d\r\n\r\n%s" % (len(body), body):
                 channel.sendall(bytes([byte]))
                 if answers_bytes_per_s < 1e6 and ended.wait(1.0 / answers_bytes_per_s):
@@ -307,7 +307,7 @@ def test_a_hub_that_answers_a_byte_a_second_holds_up_neither_the_worker_nor_the_
             assert supervisor.check()
             assert bench.codes() == set()  # it is stuck nowhere
         supervisor.stop()
-    assert bench.imager.outbox_waiting() > 0
+    assert bench.imager.outbox.waiting() > 0
 
 
 @pytest.mark.slow
@@ -318,20 +318,20 @@ def test_a_thousand_rows_drain_through_two_kilobytes_a_second(
     monkeypatch.setattr(hub_connection, "_WITHIN_S", 4.0)
     monkeypatch.setattr(feed, "_QUICK_S", 1.0)
     chance = random.Random(1)
-    bench.imager.add_sun_points(sighting(n, x_px=chance.random(), y_px=chance.random()) for n in range(1000))
+    bench.imager.sightings.add(sighting(n, x_px=chance.random(), y_px=chance.random()) for n in range(1000))
     with slow_hub(bench.hub, reads_bytes_per_s=2000.0) as url:
         worker, unfinished = connected(bench, url, tmp_path), 0
-        while bench.imager.outbox_waiting():
+        while bench.imager.outbox.waiting():
             unfinished += step(worker) > 0.0
             assert unfinished < 8
     assert unfinished >= 1
-    assert len(bench.hub.sun_points("roof")) == 1000
-    assert bench.hub.quarantine() == ()
+    assert len(bench.hub.sightings.find("roof")) == 1000
+    assert bench.hub.feeds.quarantine() == ()
 
 
 @pytest.mark.parametrize("status", [408, 504])
 def test_an_answer_that_it_took_too_long_makes_batches_smaller(bench: Bench, tmp_path: Path, status: int) -> None:
-    bench.imager.add_sun_points(sighting(n) for n in range(7))
+    bench.imager.sightings.add(sighting(n) for n in range(7))
     with socket.create_server(("127.0.0.1", 0)) as listening:
 
         def refuse() -> None:
@@ -345,10 +345,10 @@ def test_an_answer_that_it_took_too_long_makes_batches_smaller(bench: Bench, tmp
         worker = connected(bench, f"http://127.0.0.1:{listening.getsockname()[1]}", tmp_path)
         assert step(worker) == 5.0
         thread.join()
-    waiting = bench.imager.outbox_waiting()
+    waiting = bench.imager.outbox.waiting()
     worker._send = bench.wire
     step(worker)
-    assert bench.imager.outbox_waiting() == waiting - waiting // 2
+    assert bench.imager.outbox.waiting() == waiting - waiting // 2
 
 
 def test_one_row_has_as_long_as_its_size_needs(bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -356,14 +356,14 @@ def test_one_row_has_as_long_as_its_size_needs(bench: Bench, tmp_path: Path, mon
     monkeypatch.setattr(hub_connection, "_WITHIN_S", 1.0)
     text = random.Random(1).randbytes(3000).hex()
     send_all(bench.worker())
-    bench.imager.add_event(Event(time=NOON, kind="test", severity="info", text=text, camera="roof"))
+    bench.imager.events.add(Event(time=NOON, kind="test", severity="info", text=text, camera="roof"))
     with slow_hub(bench.hub, reads_bytes_per_s=2000.0) as url:
         worker = connected(bench, url, tmp_path)
         for _ in range(3):
             step(worker)
-            if not bench.imager.outbox_waiting():
+            if not bench.imager.outbox.waiting():
                 break
-    assert [event.text for event in bench.hub.events("roof")] == [text]
+    assert [event.text for event in bench.hub.events.find("roof")] == [text]
 
 
 def test_a_proxy_that_the_environment_names_is_used(
@@ -375,7 +375,7 @@ def test_a_proxy_that_the_environment_names_is_used(
         worker = connected(bench, "http://hub.invalid", tmp_path)
         while step(worker) == 0.0:
             pass
-    assert bench.imager.outbox_waiting() == 0
+    assert bench.imager.outbox.waiting() == 0
 
 
 @pytest.mark.parametrize("answer", [b"HTTP/1.1 200 OK\r\n\r\n", b"HTTP/1.1 403 Forbidden\r\n\r\n"])

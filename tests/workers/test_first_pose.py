@@ -60,7 +60,7 @@ class NewImager(Imager):
         self.archive = open_archive(folder / "sunarc.sqlite")
         self.board, self.first = board, first
         self.now = datetime.fromtimestamp(NOON - 3600.0, UTC)
-        self.archive.save_camera(
+        self.archive.cameras.save(
             CameraRecord(name="roof", latitude=36.6, longitude=-97.5, altitude=318.0, width=SIZE[0], height=SIZE[1])
         )
         self.rng = np.random.default_rng(5)
@@ -95,7 +95,7 @@ def test_a_pose_is_served_from_the_fourth_sighting_on_and_grows_surer(
 ) -> None:
     imager = first_hour(tmp_path, lens, board)
     imager.see_many(TRUTH, range(3))
-    assert imager.archive.current_calibration("roof") is None
+    assert imager.archive.calibrations.current("roof") is None
     assert imager.reason("first_sun").data["n"] == 3
     sigmas = []
     for minutes in (range(3, 5), range(5, 20), range(20, 60)):
@@ -108,7 +108,7 @@ def test_a_pose_is_served_from_the_fourth_sighting_on_and_grows_surer(
         assert shown["top_azimuth_deg"] == pytest.approx(top_azimuth_deg(served.camera))
         assert {"first_sun", "provisional_pose", "first_pose_refused"}.isdisjoint(imager.codes())
     assert 5.0 > sigmas[0] > 1.1 * sigmas[1] > 1.1 * sigmas[2] > 0.05
-    record = imager.archive.current_calibration("roof")
+    record = imager.archive.calibrations.current("roof")
     assert record is not None
     assert {"provisional", "first_pose"} <= set(codes(record.findings))
     assert record.parent is None
@@ -137,7 +137,7 @@ def full_fit() -> Calibration:
 def store_current(imager: NewImager, full: Calibration) -> None:
     from sunarc.calibration.model.document import to_document  # noqa: PLC0415 - beside its only use
 
-    epoch = imager.archive.current_epoch("roof", at=imager.now + timedelta(seconds=1))
+    epoch = imager.archive.epochs.current("roof", at=imager.now + timedelta(seconds=1))
     assert epoch is not None
     document = to_document(
         full,
@@ -150,7 +150,7 @@ def store_current(imager: NewImager, full: Calibration) -> None:
         pose_epoch=epoch.id,
         software_version="1",
     )
-    imager.archive.activate(imager.archive.add_calibration(document).id)
+    imager.archive.calibrations.activate(imager.archive.calibrations.add(document).id)
 
 
 @pytest.mark.parametrize("wrong", ["mirrored", "mounted"])
@@ -161,7 +161,7 @@ def test_a_mirrored_image_and_a_wrong_north_are_said_and_not_served(
     camera: Camera = replace(TRUTH, mirrored=wrong == "mirrored")
     imager = first_hour(tmp_path, lens, board, top_azimuth_deg=top)
     imager.see_many(camera, range(12))
-    assert imager.archive.current_calibration("roof") is None
+    assert imager.archive.calibrations.current("roof") is None
     assert "first_pose_refused" in imager.codes()
     assert "first_pose_provisional" not in imager.codes()
     assert str(imager.reason("first_pose_refused").remedy)
@@ -189,7 +189,7 @@ def test_a_bump_in_the_first_hour_begins_anew(tmp_path: Path, lens: LensType, bo
 def test_without_a_lens_prior_nothing_is_served_before_the_first_fit(tmp_path: Path, board: StatusRegistry) -> None:
     imager = NewImager(tmp_path, None, board)
     imager.see_many(TRUTH, range(6))
-    assert imager.archive.current_calibration("roof") is None
+    assert imager.archive.calibrations.current("roof") is None
     assert imager.codes().isdisjoint({"first_sun", "first_pose_refused", "first_pose_provisional"})
 
 

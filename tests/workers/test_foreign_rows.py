@@ -160,7 +160,7 @@ class Bench:
 
 
 def point_at(archive: Archive, time: datetime) -> SunPoint:
-    (point,) = archive.sun_points("roof", since=time, until=time + timedelta(seconds=1))
+    (point,) = archive.sightings.find("roof", since=time, until=time + timedelta(seconds=1))
     return point
 
 

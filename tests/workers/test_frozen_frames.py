@@ -90,8 +90,8 @@ def test_a_frozen_camera_gives_no_sighting_is_shown_and_is_welcome_when_it_lives
     assert [(one.accepted, one.verdict) for one in frozen] == [(False, FROZEN)] * 5
     assert frozen[0].findings == (Finding("frame_repeated", {"time": "2013-05-13T18:01:00+00:00"}),)
     assert codes(board) == {"camera_frozen"}
-    assert [event.kind for event in archive.events("roof", severity="alarm")] == ["camera_frozen"]
-    assert len(archive.sun_points("roof", accepted=True)) == 3
+    assert [event.kind for event in archive.events.find("roof", severity="alarm")] == ["camera_frozen"]
+    assert len(archive.sightings.find("roof", accepted=True)) == 3
     assert worker.process(frame_at(240.0)).accepted
     assert codes(board) == set()
 
@@ -102,7 +102,7 @@ def test_a_restart_does_not_accept_the_frozen_image_once_more(
     assert new_worker().process(frame_at(0.0)).accepted
     for seconds in (30.0, 60.0):
         assert new_worker().process(frame_at(seconds, shown_s=0.0)).verdict == FROZEN
-    assert len(archive.sun_points("roof", accepted=True)) == 1
+    assert len(archive.sightings.find("roof", accepted=True)) == 1
 
 
 def test_a_camera_that_alternates_between_two_images_is_frozen_too(new_worker: Callable[[], DetectWorker]) -> None:
@@ -180,7 +180,7 @@ def test_slots_with_a_frozen_image_are_not_observed_whatever_it_shows(
     assert worker.process(replace(clouds, time=START + timedelta(seconds=30))).verdict == FROZEN
     assert worker.process(frame_at(60.0)).accepted
     assert worker.process(frame_at(90.0, shown_s=60.0)).verdict == FROZEN
-    observed = archive.observation_times("roof", since=START, until=START + timedelta(hours=1))
+    observed = archive.sightings.observation_times("roof", since=START, until=START + timedelta(hours=1))
     assert observed is not None
     assert (observed - START.timestamp()).tolist() == [0.0, 60.0]
 

@@ -85,7 +85,7 @@ class Chain:
         upgrade(state / "sunarc.sqlite")
         self.archive = open_archive(state / "sunarc.sqlite")
         record = CameraRecord(name="roof", latitude=36.6, longitude=-97.5, altitude=318.0, width=600, height=600)
-        self.archive.save_camera(record)
+        self.archive.cameras.save(record)
         self.store = ImageStore(state / "images", options=OPTIONS)
         predictor = SunPredictor(CameraArchive(self.archive, name="roof", site=SGP))
         self.keeper = SightingWriteBuffer(self.archive, board=board)
@@ -123,7 +123,7 @@ class Chain:
         self.detect.process(frame(number, 20.0))
 
     def stored(self) -> int:
-        return len(self.archive.sun_points("roof"))
+        return len(self.archive.sightings.find("roof"))
 
 
 def fill(path: Path) -> None:

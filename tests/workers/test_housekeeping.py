@@ -64,7 +64,7 @@ def test_an_hour_has_its_mean_least_and_greatest(bench: Bench) -> None:
     bench.pass_time(worker, 1800.0, free=50, degrees=40.0)
     bench.pass_time(worker, 1800.0, free=30, degrees=44.0)
     bench.pass_time(worker, 700.0, free=20, degrees=None)
-    later, hour = bench.archive.housekeeping("roof", step="hour")
+    later, hour = bench.archive.housekeeping.find("roof", step="hour")
     assert (hour.time, hour.disk_free_bytes, hour.images_bytes) == (START, 30, 7)
     assert (hour.temperature_min_c, hour.temperature_max_c, hour.n_temperatures) == (40.0, 44.0, 360)
     assert hour.temperature_c == pytest.approx(42.0)
@@ -73,22 +73,22 @@ def test_an_hour_has_its_mean_least_and_greatest(bench: Bench) -> None:
 
 def test_a_kill_loses_ten_minutes_at_most_and_a_stop_nothing(bench: Bench) -> None:
     bench.pass_time(bench.worker(), 1500.0)  # killed
-    assert bench.archive.housekeeping("roof", step="hour")[0].n_temperatures == pytest.approx(121, abs=1)
+    assert bench.archive.housekeeping.find("roof", step="hour")[0].n_temperatures == pytest.approx(121, abs=1)
     again = bench.worker()
     bench.pass_time(again, 100.0)
     stop = threading.Event()
     stop.set()
     again.run(stop, lambda: None)
-    assert bench.archive.housekeeping("roof", step="hour")[0].n_temperatures == pytest.approx(131, abs=1)
+    assert bench.archive.housekeeping.find("roof", step="hour")[0].n_temperatures == pytest.approx(131, abs=1)
 
 
 def test_an_hour_that_has_ended_is_stored_at_once(bench: Bench) -> None:
     bench.clock.advance(3500.0)
     worker = bench.worker()
     bench.pass_time(worker, 100.0)
-    assert bench.archive.housekeeping("roof", step="hour") == ()
+    assert bench.archive.housekeeping.find("roof", step="hour") == ()
     bench.pass_time(worker, 10.0)
-    assert bench.archive.housekeeping("roof", step="hour")[-1].n_temperatures == 10
+    assert bench.archive.housekeeping.find("roof", step="hour")[-1].n_temperatures == 10
 
 
 def test_what_a_full_disk_refuses_waits_and_is_stored_later(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -100,9 +100,9 @@ def test_what_a_full_disk_refuses_waits_and_is_stored_later(bench: Bench, monkey
     with monkeypatch.context() as full:
         full.setattr(bench.camera, "add_housekeeping", refuse)
         bench.pass_time(worker, 2 * 3600.0, free=0)
-        assert bench.archive.housekeeping("roof", step="hour") == ()
+        assert bench.archive.housekeeping.find("roof", step="hour") == ()
     bench.pass_time(worker, 620.0, free=90)
-    hours = bench.archive.housekeeping("roof", step="hour")
+    hours = bench.archive.housekeeping.find("roof", step="hour")
     assert [one.n_temperatures for one in hours[1:]] == [360, 360]
     assert [one.disk_free_bytes for one in hours] == [90, 0, 0]
 
@@ -111,10 +111,10 @@ def test_nothing_is_dated_by_a_clock_that_is_not_trusted(bench: Bench) -> None:
     worker = bench.worker()
     bench.trusted = False
     bench.pass_time(worker, 1300.0)
-    assert bench.archive.housekeeping("roof", step="hour") == ()
+    assert bench.archive.housekeeping.find("roof", step="hour") == ()
     bench.trusted = True
     bench.pass_time(worker, 700.0)
-    assert len(bench.archive.housekeeping("roof", step="hour")) == 1
+    assert len(bench.archive.housekeeping.find("roof", step="hour")) == 1
 
 
 def test_without_disk_and_camera_there_is_nothing_to_store(bench: Bench) -> None:
@@ -122,7 +122,7 @@ def test_without_disk_and_camera_there_is_nothing_to_store(bench: Bench) -> None
     for _ in range(100):
         worker.step()
         bench.clock.advance(10.0)
-    assert bench.archive.housekeeping("roof", step="hour") == ()
+    assert bench.archive.housekeeping.find("roof", step="hour") == ()
 
 
 def test_old_hours_are_removed_as_time_goes_on(bench: Bench) -> None:
@@ -130,5 +130,5 @@ def test_old_hours_are_removed_as_time_goes_on(bench: Bench) -> None:
     bench.pass_time(worker, 700.0)
     bench.clock.advance(93 * 86400.0)
     bench.pass_time(worker, 700.0)
-    assert [one.time for one in bench.archive.housekeeping("roof", step="hour")] == [START + timedelta(days=93)]
-    assert len(bench.archive.housekeeping("roof", step="day")) == 2
+    assert [one.time for one in bench.archive.housekeeping.find("roof", step="hour")] == [START + timedelta(days=93)]
+    assert len(bench.archive.housekeeping.find("roof", step="day")) == 2

@@ -8,9 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from sqlalchemy import Engine
 from tests.fixtures.archive import new_archive
 
 from sunarc.archive.archive import Archive
+from sunarc.archive.database.connections import DatabaseFile
+from sunarc.archive.sightings import SightingStore
 from sunarc.archive.values import SunPoint
 from sunarc.errors import OutsideError
 from sunarc.workers import detect as keeping
@@ -25,21 +28,40 @@ if TYPE_CHECKING:
 from sunarc.runtime.status import StatusRegistry
 
 
-class Refusing(Archive):
-    """An archive whose disk is full while `full`."""
+class RefusingSightings(SightingStore):
+    """Sightings that a full disk takes none of."""
 
     full = False
 
-    def add_sun_points(self, points: Iterable[SunPoint]) -> int:
+    def add(self, points: Iterable[SunPoint]) -> int:
         if self.full:
             raise OutsideError("cannot use the database: database or disk is full")
-        return super().add_sun_points(points)
+        return super().add(points)
+
+
+class Refusing(Archive):
+    """An archive whose disk is full while `full`."""
+
+    sightings: RefusingSightings
+
+    def __init__(self, engine: Engine, file: DatabaseFile | None) -> None:
+        super().__init__(engine, file)
+        self.sightings = RefusingSightings(self.database)
+
+    @property
+    def full(self) -> bool:
+        """Whether sightings are refused."""
+        return self.sightings.full
+
+    @full.setter
+    def full(self, full: bool) -> None:
+        self.sightings.full = full
 
 
 @pytest.fixture
 def archive(tmp_path: Path) -> Refusing:
     opened = new_archive(tmp_path)
-    return Refusing(opened._engine, opened._file)
+    return Refusing(opened.database.engine, opened.database.file)
 
 
 def sighting(number: int) -> SunPoint:
@@ -61,7 +83,7 @@ def reasons(board: StatusRegistry) -> dict[str, Data]:
 
 def test_a_sighting_is_stored_at_once_in_its_pose_epoch(archive: Refusing, board: StatusRegistry) -> None:
     SightingWriteBuffer(archive, board=board).keep(sighting(1))
-    (stored,) = archive.sun_points("roof")
+    (stored,) = archive.sightings.find("roof")
     assert (stored.x_px, stored.pose_epoch) == (1.0, "roof-1")
     assert reasons(board) == {}
 
@@ -76,10 +98,10 @@ def test_what_the_disk_refuses_waits_is_told_and_is_stored_in_its_order(
         keeper.keep(sighting(number))
     assert keeper.stored == 0
     assert reasons(board)["sightings_not_stored"]["waiting"] == 45
-    assert archive.sun_points("roof") == ()
+    assert archive.sightings.find("roof") == ()
     archive.full = False
     keeper.keep(sighting(45))
-    assert [point.x_px for point in archive.sun_points("roof")] == [float(number) for number in range(46)]
+    assert [point.x_px for point in archive.sightings.find("roof")] == [float(number) for number in range(46)]
     assert reasons(board) == {}
     assert keeper.waiting == 0
     assert keeper.stored == 46
@@ -94,7 +116,7 @@ def test_when_memory_runs_out_the_oldest_are_lost_and_counted(archive: Refusing,
     assert (told["waiting"], told["lost"]) == (3, 2)
     archive.full = False
     keeper.store()
-    assert [point.x_px for point in archive.sun_points("roof")] == [2.0, 3.0, 4.0]
+    assert [point.x_px for point in archive.sightings.find("roof")] == [2.0, 3.0, 4.0]
 
 
 def test_what_is_lost_at_the_end_is_said(

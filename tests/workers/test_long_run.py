@@ -81,21 +81,21 @@ def test_heavy_cloud_changes_nothing_that_is_served(lived: Lived) -> None:
 
 
 def test_each_day_that_shows_the_sun_tells_how_the_camera_stood(lived: Lived) -> None:
-    days = {day.date: day for day in lived.run.archive.days("roof")}
+    days = {day.date: day for day in lived.run.archive.days.find("roof")}
     assert days[FIRST_DAY].pose_offset_deg is None  # there was nothing to compare with
     last = days[FIRST_DAY + timedelta(days=5)]
     assert last.pose_offset_deg is not None
     assert last.pose_offset_sigma_deg is not None
     assert all(abs(turn) < 4.0 * s for turn, s in zip(last.pose_offset_deg, last.pose_offset_sigma_deg, strict=True))
-    told = [event for event in lived.run.archive.events("roof") if event.kind == "day"]
+    told = [event for event in lived.run.archive.events.find("roof") if event.kind == "day"]
     assert told[0].details["pose_offset_deg"] == list(last.pose_offset_deg)
 
 
 def test_a_calibration_tells_how_its_sightings_were_picked(lived: Lived) -> None:
-    current = lived.run.archive.current_calibration("roof")
+    current = lived.run.archive.calibrations.current("roof")
     assert current is not None
     told = current.document["evidence"]["selection"]
-    used = lived.run.archive.sightings_of(current.id)
+    used = lived.run.archive.calibrations.sightings_of(current.id)
     assert told["n_supplied"] - told["n_other_days"] - told["n_repeated"] == used.ids.size
     assert current.document["evidence"]["days"] == ["2013-05-13", "2013-05-15", "2013-05-18"]
 
@@ -108,7 +108,7 @@ def test_a_past_calibration_is_solved_again_with_the_same_result(lived: Lived) -
     told = solve_again(load_settings(config), first)
     assert told["same"]
     assert told["apart_px"] < 1e-9
-    stored = from_document(lived.run.archive.calibration(first).document)
+    stored = from_document(lived.run.archive.calibrations.get(first).document)
     again = from_document(json.loads(json.dumps(told["calibration"])))
     assert np.allclose(again.covariance, stored.covariance, rtol=1e-6)
     assert again.metrics == stored.metrics
@@ -120,20 +120,20 @@ def test_sightings_deleted_by_hand_are_told_and_the_service_carries_on(lived: Li
     by_hand(path, "UPDATE sun_point SET x_px = NULL WHERE id % 10 = 4")
     by_hand(path, "UPDATE sun_point SET y_px = 'left', sigma_px = 'small' WHERE id % 10 = 5")
     by_hand(path, "UPDATE sun_point SET sigma_px = 'small' WHERE id % 10 = 6")
-    served = archive.current_calibration("roof")
+    served = archive.calibrations.current("roof")
     assert served is not None
     run = lived.run.on(archive)
     run.request("by hand")
-    (waiting,) = archive.refits("roof", unfinished=True)
+    (waiting,) = archive.refits.find("roof", unfinished=True)
     run.worker.carry_out(waiting, threading.Event(), lambda: None)
-    assert archive.refit(waiting.id).state in ("accepted", "marginal", "refused")
-    told = [event for event in archive.events("roof") if event.kind == "evidence_changed"]
-    current = archive.current_calibration("roof")
+    assert archive.refits.get(waiting.id).state in ("accepted", "marginal", "refused")
+    told = [event for event in archive.events.find("roof") if event.kind == "evidence_changed"]
+    current = archive.calibrations.current("roof")
     assert current is not None
     if current.id == served.id:
         assert [event.severity for event in told] == ["alarm"]
     with pytest.raises(InputError, check=lambda error: error.field == f"calibration {served.id}"):
-        archive.sightings_of(served.id)
+        archive.calibrations.sightings_of(served.id)
     error, stated, _ = judged_against(run.truth, from_document(current.document))
     assert error < 3.0 * stated
     archive.close()
@@ -141,7 +141,7 @@ def test_sightings_deleted_by_hand_are_told_and_the_service_carries_on(lived: Li
 
 def test_a_calibration_of_a_newer_schema_is_kept_told_and_not_replaced(lived: Lived, tmp_path: Path) -> None:
     path, archive = copied(lived, tmp_path)
-    served = archive.current_calibration("roof")
+    served = archive.calibrations.current("roof")
     assert served is not None
     newer = json.dumps({**served.document, "schema": "sunarc.calibration/9"})
     checksum = hashlib.sha256(newer.encode()).hexdigest()
@@ -152,42 +152,44 @@ def test_a_calibration_of_a_newer_schema_is_kept_told_and_not_replaced(lived: Li
     assert predictor.expectation(datetime(2013, 5, 13, 18, tzinfo=UTC)) is None
     run = lived.run.on(archive)
     run.request("by hand")
-    (waiting,) = archive.refits("roof", unfinished=True)
+    (waiting,) = archive.refits.find("roof", unfinished=True)
     run.worker.carry_out(waiting, threading.Event(), lambda: None)
-    refit = archive.refit(waiting.id)
+    refit = archive.refits.get(waiting.id)
     assert refit.state == "marginal"
     assert "active_unreadable" in codes(refit.findings)
-    current = archive.current_calibration("roof")
+    current = archive.calibrations.current("roof")
     assert current is not None
     assert current.id == served.id
     assert current.document["schema"] == "sunarc.calibration/9"
-    assert [event.kind for event in archive.events("roof", severity="alarm")] == ["calibration_unreadable"]
+    assert [event.kind for event in archive.events.find("roof", severity="alarm")] == ["calibration_unreadable"]
     assert refit.calibration is not None
-    assert archive.reinstate(refit.calibration, at=run.now, reason="read by this version").state == "current"
+    assert (
+        archive.calibrations.reinstate(refit.calibration, at=run.now, reason="read by this version").state == "current"
+    )
     assert predictor.expectation(datetime(2013, 5, 13, 18, tzinfo=UTC)) is not None
     archive.close()
 
 
 def test_a_refit_cut_short_is_begun_again_and_nothing_is_lost(lived: Lived, tmp_path: Path) -> None:
     _, archive = copied(lived, tmp_path)
-    before = archive.current_calibration("roof")
+    before = archive.calibrations.current("roof")
     run = lived.run.on(archive)
     refit = run.request("cut short")
     stopped = run.with_solve(lambda *_, **__: None)
     stopped.carry_out(refit, threading.Event(), lambda: None)
-    assert archive.refit(refit.id).state == "running"
-    assert archive.current_calibration("roof") == before
-    (waiting,) = archive.refits("roof", unfinished=True)
+    assert archive.refits.get(refit.id).state == "running"
+    assert archive.calibrations.current("roof") == before
+    (waiting,) = archive.refits.find("roof", unfinished=True)
     run.worker.carry_out(waiting, threading.Event(), lambda: None)
-    assert archive.refit(refit.id).state in ("accepted", "marginal")
-    assert archive.refits("roof", unfinished=True) == ()
+    assert archive.refits.get(refit.id).state in ("accepted", "marginal")
+    assert archive.refits.find("roof", unfinished=True) == ()
     archive.close()
 
 
 def test_no_fit_is_made_of_days_whose_clock_was_doubtful(tmp_path: Path) -> None:
     run = LongRun(tmp_path, cadence_s=240.0)
-    run.archive.epoch_at("roof", run.now, reason="first frame")
-    run.archive.add_sun_points(
+    run.archive.epochs.at("roof", run.now, reason="first frame")
+    run.archive.sightings.add(
         SunPoint(
             camera="roof",
             pose_epoch="roof-1",
@@ -204,7 +206,7 @@ def test_no_fit_is_made_of_days_whose_clock_was_doubtful(tmp_path: Path) -> None
     run.now += timedelta(hours=1)
     refit = run.request("now")
     run.worker.carry_out(refit, threading.Event(), lambda: None)
-    (unusable,) = run.archive.refit(refit.id).findings
+    (unusable,) = run.archive.refits.get(refit.id).findings
     assert (unusable.code, unusable.data["n"], unusable.data["n_doubtful_clock"]) == ("no_usable_sightings", 30, 30)
     run.archive.close()
 
@@ -213,7 +215,7 @@ def test_what_daily_poses_scatter_enters_the_served_uncertainty(lived: Lived, tm
     _, archive = copied(lived, tmp_path)
     run = lived.run.on(archive)
     for number in range(8):
-        archive.save_day(
+        archive.days.save(
             Day(
                 camera="roof",
                 date=date(2013, 5, 14) + timedelta(days=number),
@@ -228,9 +230,9 @@ def test_what_daily_poses_scatter_enters_the_served_uncertainty(lived: Lived, tm
         )
     refit = run.request("now")
     run.worker.carry_out(refit, threading.Event(), lambda: None)
-    current = archive.current_calibration("roof")
+    current = archive.calibrations.current("roof")
     assert current is not None
-    assert current.id == archive.refit(refit.id).calibration
+    assert current.id == archive.refits.get(refit.id).calibration
     assert current.document["evidence"]["pose_spread_deg"] == pytest.approx([0.074, 0.0, 0.0], abs=0.001)
     assert current.document["uncertainty"]["sky_rms_deg"] > 0.03
     archive.close()

@@ -38,10 +38,10 @@ def sightings(numbers: range, epoch: str) -> list[SunPoint]:
 def archive(tmp_path: Path) -> Iterator[Archive]:
     """Return an archive of 3,000 sightings, of which 2,000 are in a copy."""
     archive = new_archive(tmp_path)
-    epoch = archive.epoch_at("roof", NOON, reason="first frame").id
-    archive.add_sun_points(sightings(range(COPIED), epoch))
+    epoch = archive.epochs.at("roof", NOON, reason="first frame").id
+    archive.sightings.add(sightings(range(COPIED), epoch))
     backup_into(tmp_path / "sunarc.sqlite", tmp_path / "backups", keep=3, now=NOON)
-    archive.add_sun_points(sightings(range(COPIED, COUNT), epoch))
+    archive.sightings.add(sightings(range(COPIED, COUNT), epoch))
     yield archive
     archive.close()
 
@@ -60,7 +60,7 @@ def overwrite_inner_page(path: Path) -> None:
 
 
 def stored(archive: Archive) -> list[float]:
-    return sorted(point.x_px for point in archive.sun_points("roof") if point.x_px is not None)
+    return sorted(point.x_px for point in archive.sightings.find("roof") if point.x_px is not None)
 
 
 def test_a_malformed_page_in_use_is_said_and_everything_readable_is_kept(
@@ -71,14 +71,14 @@ def test_a_malformed_page_in_use_is_said_and_everything_readable_is_kept(
     keeper = SightingWriteBuffer(archive, board=board)
     worker = DatabaseWorker(archive=archive, clock=clock, now=clock.now, board=board)
     with pytest.raises(OutsideError):
-        archive.sun_points("roof")
+        archive.sightings.find("roof")
     keeper.keep(sightings(range(COUNT, COUNT + 1), "")[0])
     assert keeper.waiting == 1
     worker.check()
     keeper.store()
     assert {reason.code for reason in board.snapshot().reasons} == {"database_salvaged"}
     assert stored(archive) == [float(number) for number in range(COUNT + 1)]
-    assert [event.kind for event in archive.events(severity="alarm")] == ["database_salvaged"]
+    assert [event.kind for event in archive.events.find(severity="alarm")] == ["database_salvaged"]
     assert len(list(tmp_path.glob("sunarc.sqlite.found-*"))) == 1
 
 

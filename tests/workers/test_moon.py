@@ -39,7 +39,7 @@ SENSOR = SensorOptions(black_level_fraction=32.0 / 4095.0)
 @pytest.fixture
 def archive(tmp_path: Path) -> Iterator[Archive]:
     made = new_archive(tmp_path)
-    made.save_camera(CameraRecord.at(SGP, name="roof", width=CAMERA.width, height=CAMERA.height))
+    made.cameras.save(CameraRecord.at(SGP, name="roof", width=CAMERA.width, height=CAMERA.height))
     yield made
     made.close()
 
@@ -185,8 +185,8 @@ def test_a_frozen_image_gives_no_second_sighting(archive: Archive) -> None:
 
 def test_sightings_are_kept_with_their_body(archive: Archive) -> None:
     found, _ = night(archive, HALF)
-    assert archive.add_sun_points(found.points) == 4
-    columns = archive.sun_point_columns("roof", body=None)
+    assert archive.sightings.add(found.points) == 4
+    columns = archive.sightings.columns("roof", body=None)
     assert set(columns.body.tolist()) == {"moon"}
 
 

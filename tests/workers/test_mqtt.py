@@ -124,7 +124,7 @@ def test_a_receipt_that_is_lost_doubles_one_message_under_its_id(
     bench.happen(2, "mqtt")
     worker = bench.worker(sink(bench, broker.port))
     with monkeypatch.context() as patched:
-        patched.setattr(bench.archive, "notice_done", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        patched.setattr(bench.archive.notices, "done", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):  # killed between the receipt and the note of it
             step(worker)
     worker.sink.close(orderly=False)
@@ -191,7 +191,7 @@ def test_a_certificate_is_checked(bench: Pushing, broker: Mosquitto, monkeypatch
     monkeypatch.setenv("SSL_CERT_FILE", str(bench.folder / "cert.pem"))
     worker = bench.worker(sink(bench, sealed.port, "mqtts"))
     step(worker)
-    assert (bench.codes(), bench.archive.sink_states()["mqtt"].waiting) == (set(), 0)
+    assert (bench.codes(), bench.archive.notices.sink_states()["mqtt"].waiting) == (set(), 0)
     worker.sink.close(orderly=True)
     sealed.stop()
 

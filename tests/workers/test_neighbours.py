@@ -36,13 +36,13 @@ def save(archive: Archive, name: str, site: Site) -> None:
     record = CameraRecord(
         name=name, latitude=site.latitude, longitude=site.longitude, altitude=318.0, width=9, height=9
     )
-    archive.save_camera(record)
+    archive.cameras.save(record)
 
 
 def install(archive: Archive, name: str, one: Neighbour) -> None:
     """Store a camera, its calibrations and its days; a site that is stated anew is in a calibration from then on."""
     save(archive, name, one.site)
-    archive.open_epoch(name, at=BEGIN, reason="installed")
+    archive.epochs.open(name, at=BEGIN, reason="installed")
     for number, day in enumerate((0, one.wrong.day)):
         created = BEGIN + timedelta(days=day + 0.6)
         document = to_document(
@@ -56,13 +56,13 @@ def install(archive: Archive, name: str, one: Neighbour) -> None:
             pose_epoch=f"{name}-1",
             software_version="1",
         )
-        archive.add_calibration(document)
-    archive.activate(f"{name}-0", at=BEGIN)
+        archive.calibrations.add(document)
+    archive.calibrations.activate(f"{name}-0", at=BEGIN)
     save(archive, name, one.stated_site(one.wrong.day))
     rng = np.random.default_rng(len(name))
     for day in range(DAYS):
         seen = one.sightings(day, rng, n=40)
-        archive.add_sun_points(
+        archive.sightings.add(
             point(name, time, (x, y)) for time, (x, y) in zip(seen.unix_s.tolist(), seen.pixels.tolist(), strict=True)
         )
 
@@ -117,7 +117,7 @@ def test_a_clock_that_was_always_wrong_shows_by_the_clouds(archive: Archive) -> 
     rng = np.random.default_rng(3)
     for number, name in enumerate(NAMES):
         save(archive, name, Site(latitude=36.6 + 0.0003 * number, longitude=-97.5 + 0.0002 * number**2))
-        archive.open_epoch(name, at=BEGIN, reason="installed")
+        archive.epochs.open(name, at=BEGIN, reason="installed")
     for day in range(4):
         noon = FIRST_NOON + 86_400.0 * day
         edges = noon - 9000.0 + np.cumsum(rng.uniform(120.0, 900.0, 60))
@@ -125,7 +125,7 @@ def test_a_clock_that_was_always_wrong_shows_by_the_clouds(archive: Archive) -> 
             true_s = noon + np.arange(-9000.0, 9000.0, 30.0) + 3.0 * number
             clock_s = 45.0 if name == "mast" else 0.0
             shown = (np.searchsorted(edges, true_s) % 2 == 0).tolist()
-            archive.add_sun_points(
+            archive.sightings.add(
                 point(name, time + clock_s, (1.0, 2.0) if seen else None)
                 for time, seen in zip(true_s.tolist(), shown, strict=True)
             )

@@ -125,26 +125,26 @@ class Bench:
         return Refit(id=f"{len(self.refits)}", camera="roof", requested_at=BEGIN, reason=reason)
 
     def serve(self, camera: Camera) -> None:
-        epoch = self.archive.epoch_at("roof", BEGIN - timedelta(days=1), reason="first frame")
+        epoch = self.archive.epochs.at("roof", BEGIN - timedelta(days=1), reason="first frame")
         document = to_document(
             calibration_of(camera), id="day", camera="roof", state="candidate", created_at=BEGIN,
             valid_from=BEGIN - timedelta(days=1), valid_until=None, pose_epoch=epoch.id, software_version="0",
         )  # fmt: skip
-        self.archive.add_calibration(document)
-        self.archive.activate("day")
+        self.archive.calibrations.add(document)
+        self.archive.calibrations.activate("day")
 
     def night(self, *frames: Frame) -> Event:
         for frame in frames:
             self.worker.look_at(frame)
         self.worker.finish()
-        (event,) = self.archive.events("roof", kind="night")
+        (event,) = self.archive.events.find("roof", kind="night")
         return event
 
 
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[Bench]:
     archive = new_archive(tmp_path)
-    archive.save_camera(CameraRecord.at(SGP, name="roof", width=CAMERA.width, height=CAMERA.height))
+    archive.cameras.save(CameraRecord.at(SGP, name="roof", width=CAMERA.width, height=CAMERA.height))
     yield Bench(archive)
     archive.close()
 
@@ -164,7 +164,7 @@ def test_a_clear_night_is_named_stored_and_fitted(bench: Bench) -> None:
     assert 1.5 < details["star_fwhm_px"] < 3.5
     assert details["transparency"] == pytest.approx(10.0**-0.08, abs=0.06)  # coma at the edge takes a part
     assert bench.refits == ["after the night of 2013-05-12 (clear)"]
-    columns = bench.archive.sun_point_columns("roof", body=None)
+    columns = bench.archive.sightings.columns("roof", body=None)
     assert 60 <= columns.ids.size == details["n_stored"] <= 90
     assert np.all(np.char.startswith(columns.body, STAR))
     true = project(CAMERA, body_directions(columns.body, columns.unix_s, SGP))
@@ -178,8 +178,8 @@ def test_a_clear_night_is_named_stored_and_fitted(bench: Bench) -> None:
     # stored as detected: coma displaces the stars of the edge along the radius, and the fit has that among its unknowns
     assert 0.03 < abs(np.median(along[size > 0.9])) < 0.3
     assert np.min(columns.sigma_px) < 0.05
-    assert bench.archive.sun_points("roof") == ()
-    points = bench.archive.sun_points("roof", body=None)
+    assert bench.archive.sightings.find("roof") == ()
+    points = bench.archive.sightings.find("roof", body=None)
     assert {(point.method, point.accepted, point.exposure_us, point.clock_error_s) for point in points} == {
         ("star", True, EXPOSURE_US, 0.01)
     }
@@ -201,7 +201,7 @@ def test_a_night_that_the_calibration_does_not_predict_leaves_nothing(
     event = bench.night(*frames)
     assert event.details["verdict"] == "cloudy"
     assert event.details["n_accepted"] == 0
-    assert bench.archive.sun_points("roof", body=None) == ()
+    assert bench.archive.sightings.find("roof", body=None) == ()
     assert bench.refits == []
 
 
@@ -210,13 +210,13 @@ def test_clouds_leave_nothing(bench: Bench) -> None:
     event = bench.night(*(frame_at(minute, weather="overcast") for minute in (0, 40, 80)))
     assert event.details["verdict"] == "cloudy"
     assert (event.details["cloud_fraction"], bench.refits) == (1.0, [])
-    assert bench.archive.sun_points("roof", body=None) == ()
+    assert bench.archive.sightings.find("roof", body=None) == ()
 
 
 def test_a_camera_that_delivers_one_image_all_night_leaves_its_first_moment_alone(bench: Bench) -> None:
     bench.serve(CAMERA)
     bench.night(*(frame_at(minute, shown=0) for minute in (0, 40, 80)))
-    times = {point.time for point in bench.archive.sun_points("roof", body=None)}
+    times = {point.time for point in bench.archive.sightings.find("roof", body=None)}
     assert times <= {frame_at(0).time}
 
 
@@ -227,9 +227,9 @@ def test_without_a_calibration_or_a_clock_nothing_is_stored(bench: Bench) -> Non
     bench.trusted = False
     bench.worker.look_at(frame_at(40))
     bench.worker.finish()
-    newest = bench.archive.events("roof", kind="night")[0]
+    newest = bench.archive.events.find("roof", kind="night")[0]
     assert newest.details["findings"][0]["code"] == "night_clock_not_trusted"
-    assert bench.archive.sun_points("roof", body=None) == ()
+    assert bench.archive.sightings.find("roof", body=None) == ()
     assert bench.refits == []
 
 
@@ -248,7 +248,7 @@ def test_the_night_ends_when_the_sun_comes_back_and_not_before(bench: Bench) -> 
     beats: list[int] = []
 
     def heartbeat() -> None:
-        beats.append(len(bench.archive.events("roof", kind="night")))
+        beats.append(len(bench.archive.events.find("roof", kind="night")))
         if len(beats) == 5:
             assert beats[-1] == 0
             bench.zenith_deg = 101.0
@@ -256,7 +256,7 @@ def test_the_night_ends_when_the_sun_comes_back_and_not_before(bench: Bench) -> 
             stop.set()
 
     bench.worker.run(stop, heartbeat)
-    assert len(bench.archive.events("roof", kind="night")) == 1
+    assert len(bench.archive.events.find("roof", kind="night")) == 1
     assert len(bench.refits) == 1
 
 
@@ -265,4 +265,4 @@ def test_an_image_of_the_next_night_ends_the_one_before(bench: Bench) -> None:
     for frame in clear():
         bench.worker.look_at(frame)
     bench.worker.look_at(replace(frame_at(0), time=frame_at(0).time + timedelta(days=1)))
-    assert len(bench.archive.events("roof", kind="night")) == 1
+    assert len(bench.archive.events.find("roof", kind="night")) == 1

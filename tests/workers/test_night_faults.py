@@ -34,7 +34,7 @@ Counts = NDArray[np.float64]
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[Bench]:
     archive = new_archive(tmp_path)
-    archive.save_camera(CameraRecord.at(SGP, name="roof", width=CAMERA.width, height=CAMERA.height))
+    archive.cameras.save(CameraRecord.at(SGP, name="roof", width=CAMERA.width, height=CAMERA.height))
     made = Bench(archive)
     made.serve(CAMERA)
     yield made
@@ -101,7 +101,7 @@ def lamp(counts: Counts, number: int) -> Counts:
 
 
 def false_sightings(bench: Bench) -> int:
-    columns = bench.archive.sun_point_columns("roof", body=None)
+    columns = bench.archive.sightings.columns("roof", body=None)
     true = project(CAMERA, body_directions(columns.body, columns.unix_s, SGP))
     return int(np.sum(np.linalg.norm(columns.pixels - true, axis=-1) > 1.0))
 
@@ -144,7 +144,7 @@ def test_a_frozen_image_is_named_and_counts_once(bench: Bench) -> None:
     event = bench.night(*(replace(clear_at(0), time=clear_at(minutes).time) for minutes in MINUTES))
     assert event.details["n_images"] == 1
     assert {"night_frozen", "night_few_images"} <= codes(event)
-    times = {point.time for point in bench.archive.sun_points("roof", body=None)}
+    times = {point.time for point in bench.archive.sightings.find("roof", body=None)}
     assert times <= {clear_at(0).time}
 
 
@@ -164,4 +164,4 @@ def test_two_planets_close_together_are_not_taken_for_one_another(bench: Bench) 
     assert np.linalg.norm(venus - jupiter) < 3.5
     bench.night(*frames)
     assert false_sightings(bench) == 0
-    assert not {"venus", "jupiter"} & set(bench.archive.sun_point_columns("roof", body=None).body.tolist())
+    assert not {"venus", "jupiter"} & set(bench.archive.sightings.columns("roof", body=None).body.tolist())

@@ -26,7 +26,7 @@ LIMITS = NightLimits()
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[Bench]:
     archive = new_archive(tmp_path)
-    archive.save_camera(CameraRecord.at(SGP, name="roof", width=CAMERA.width, height=CAMERA.height))
+    archive.cameras.save(CameraRecord.at(SGP, name="roof", width=CAMERA.width, height=CAMERA.height))
     made = Bench(archive)
     made.serve(CAMERA)
     yield made
@@ -88,7 +88,7 @@ def test_a_dome_that_dews_over_is_suspected_until_the_next_night_without(bench: 
 def night(bench: Bench, *, number: int, **numbers: Any) -> None:  # noqa: ANN401 - of JSON
     """Store a night."""
     time = BEGIN.replace(month=6, day=number)
-    bench.archive.save_night(judged(f"2013-06-{number:02d}", at=time, verdict="clear", **numbers))
+    bench.archive.nights.save(judged(f"2013-06-{number:02d}", at=time, verdict="clear", **numbers))
 
 
 def test_a_lens_out_of_focus_is_said_after_two_nights(bench: Bench) -> None:

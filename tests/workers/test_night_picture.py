@@ -25,7 +25,7 @@ from sunarc.workers.night.images import night_picture
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[Bench]:
     archive = new_archive(tmp_path)
-    archive.save_camera(CameraRecord.at(SGP, name="roof", width=CAMERA.width, height=CAMERA.height))
+    archive.cameras.save(CameraRecord.at(SGP, name="roof", width=CAMERA.width, height=CAMERA.height))
     store = ImageStore(tmp_path / "images", options=DiskOptions(keep_free_mb=64.0))
     yield Bench(archive, store=store)
     archive.close()

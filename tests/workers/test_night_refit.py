@@ -63,9 +63,9 @@ def _points(times: FloatArray, pixels: FloatArray, names: NameArray, sigma: Floa
 def camera(tmp_path: Path) -> Iterator[CameraArchive]:
     archive = new_archive(tmp_path)
     lens = true_camera()
-    archive.save_camera(CameraRecord.at(SGP, name="roof", width=lens.width, height=lens.height))
-    archive.epoch_at("roof", datetime(2013, 5, 13, 6, tzinfo=UTC), reason="first frame")
-    archive.add_sun_points(sun_points(np.random.default_rng(1)))
+    archive.cameras.save(CameraRecord.at(SGP, name="roof", width=lens.width, height=lens.height))
+    archive.epochs.at("roof", datetime(2013, 5, 13, 6, tzinfo=UTC), reason="first frame")
+    archive.sightings.add(sun_points(np.random.default_rng(1)))
     yield CameraArchive(archive, name="roof", site=SGP)
     archive.close()
 
@@ -90,7 +90,7 @@ def north_px(calibration: Calibration) -> float:
 
 
 def test_a_fit_has_the_sun_and_at_most_150_stars_all_over_the_image(camera: CameraArchive) -> None:
-    camera.archive.add_sun_points(star_points(np.random.default_rng(2)))
+    camera.archive.sightings.add(star_points(np.random.default_rng(2)))
     task = task_of(camera)
     of_sun = task.used.body == "sun"
     assert np.count_nonzero(~of_sun) == 150
@@ -105,14 +105,14 @@ def test_a_fit_has_the_sun_and_at_most_150_stars_all_over_the_image(camera: Came
 
 def test_stars_beside_the_sun_bring_the_north_nearer_and_the_fit_is_reproduced(camera: CameraArchive) -> None:
     alone = solved(task_of(camera))
-    camera.archive.add_sun_points(star_points(np.random.default_rng(2)))
+    camera.archive.sightings.add(star_points(np.random.default_rng(2)))
     task = task_of(camera)
     both = solved(task)
     assert both.verdict.accepted
     assert north_px(both) < 0.5 * north_px(alone)
     assert both.sky_rms_deg < alone.sky_rms_deg
-    kept = camera.archive.sun_point_columns("roof", body=None).select(
-        np.isin(camera.archive.sun_point_columns("roof", body=None).ids, task.used.ids)
+    kept = camera.archive.sightings.columns("roof", body=None).select(
+        np.isin(camera.archive.sightings.columns("roof", body=None).ids, task.used.ids)
     )
     again = points_of(kept, site=SGP)
     np.testing.assert_array_equal(again.directions, task.problem.points.directions)
@@ -121,14 +121,14 @@ def test_stars_beside_the_sun_bring_the_north_nearer_and_the_fit_is_reproduced(c
 
 def test_stars_of_a_doubtful_clock_or_of_an_epoch_without_the_sun_are_not_used(camera: CameraArchive) -> None:
     stars = star_points(np.random.default_rng(2), clock_error_s=5.0)
-    camera.archive.add_sun_points(stars)
+    camera.archive.sightings.add(stars)
     assert set(task_of(camera).used.body.tolist()) == {"sun"}
 
 
 def test_stars_alone_are_nothing_to_solve(tmp_path: Path) -> None:
     archive: Archive = new_archive(tmp_path)
-    archive.epoch_at("roof", datetime(2013, 5, 13, 6, tzinfo=UTC), reason="first frame")
-    archive.add_sun_points(star_points(np.random.default_rng(2)))
+    archive.epochs.at("roof", datetime(2013, 5, 13, 6, tzinfo=UTC), reason="first frame")
+    archive.sightings.add(star_points(np.random.default_rng(2)))
     found = next_task(
         CameraArchive(archive, name="roof", site=SGP),
         cadence_s=30.0,

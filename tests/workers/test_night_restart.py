@@ -32,7 +32,7 @@ MINUTES = (0, 20, 40, 60, 80, 100)
 def archive_in(folder: Path) -> Archive:
     folder.mkdir(exist_ok=True)
     archive = new_archive(folder)
-    archive.save_camera(CameraRecord.at(SGP, name="roof", width=CAMERA.width, height=CAMERA.height))
+    archive.cameras.save(CameraRecord.at(SGP, name="roof", width=CAMERA.width, height=CAMERA.height))
     return archive
 
 
@@ -51,13 +51,13 @@ def bench(archive: Archive) -> Bench:
 
 
 def stored_stars(archive: Archive) -> list[tuple[object, ...]]:
-    points = archive.sun_points("roof", body=None)
+    points = archive.sightings.find("roof", body=None)
     return sorted((point.time, point.body, point.x_px, point.y_px, point.accepted) for point in points)
 
 
 def one_night(archive: Archive) -> Event:
-    (event,) = archive.events("roof", kind="night")
-    assert archive.night_images("roof") == ()
+    (event,) = archive.events.find("roof", kind="night")
+    assert archive.nights.images("roof") == ()
     return event
 
 
@@ -76,7 +76,7 @@ def look_and_die(folder: str, minutes: tuple[int, ...], at_verdict: bool) -> Non
     for frame in clear(*minutes):
         bench.worker.look_at(frame)
     if at_verdict:
-        bench.archive.add_sun_points = die_after(bench.archive.add_sun_points)  # type: ignore[method-assign]
+        bench.archive.sightings.add = die_after(bench.archive.sightings.add)  # type: ignore[method-assign]
         bench.worker.finish()
     os.kill(os.getpid(), signal.SIGKILL)
 
@@ -133,7 +133,7 @@ def test_a_night_whose_images_were_kept_is_judged_by_day_after_a_restart(bench: 
     stop = threading.Event()
 
     def heartbeat() -> None:
-        if bench.archive.events("roof", kind="night"):
+        if bench.archive.events.find("roof", kind="night"):
             stop.set()
 
     restarted.worker.run(stop, heartbeat)
@@ -153,7 +153,7 @@ def test_images_that_end_the_process_each_time_are_given_up(bench: Bench, monkey
             restarted = Bench(bench.archive)
             with pytest.raises(RuntimeError):
                 restarted.worker.finish()
-            assert bench.archive.night_images("roof")
+            assert bench.archive.nights.images("roof")
     last = Bench(bench.archive)
     last.worker.finish()
     details = one_night(bench.archive).details
@@ -175,8 +175,8 @@ def test_a_database_that_refuses_an_image_does_not_end_the_night(bench: Bench, m
 def test_a_damaged_image_is_left_out(bench: Bench) -> None:
     for frame in clear():
         bench.worker.look_at(frame)
-    first, *_ = bench.archive.night_images("roof")
-    bench.archive.add_night_image("roof", replace(first, measured=first.measured[:99]), keep_since=first.time)
+    first, *_ = bench.archive.nights.images("roof")
+    bench.archive.nights.add_image("roof", replace(first, measured=first.measured[:99]), keep_since=first.time)
     restarted = Bench(bench.archive)
     restarted.worker.finish()
     assert one_night(bench.archive).details["n_images"] == 2
@@ -188,7 +188,7 @@ def test_the_archive_keeps_as_many_images_of_a_night_as_the_worker(
     monkeypatch.setattr(night_module, "_MOST_IMAGES", 2)
     for frame in clear():
         bench.worker.look_at(frame)
-    assert [image.time for image in bench.archive.night_images("roof")] == [frame_at(m).time for m in (40, 80)]
+    assert [image.time for image in bench.archive.nights.images("roof")] == [frame_at(m).time for m in (40, 80)]
 
 
 @pytest.mark.parametrize(("trusted", "lasts_s", "ends"), [(True, 30, False), (False, 600, False), (True, 90, True)])
@@ -210,8 +210,8 @@ def test_a_sun_that_is_back_for_a_moment_does_not_end_the_night(
             stop.set()
 
     bench.worker.run(stop, heartbeat)
-    assert (len(bench.archive.events("roof", kind="night")) == 1) == ends
-    assert (bench.archive.night_images("roof") == ()) == ends
+    assert (len(bench.archive.events.find("roof", kind="night")) == 1) == ends
+    assert (bench.archive.nights.images("roof") == ()) == ends
 
 
 def test_a_frame_that_a_clock_of_another_day_dates_neither_ends_the_night_nor_joins_it(bench: Bench) -> None:
@@ -221,7 +221,7 @@ def test_a_frame_that_a_clock_of_another_day_dates_neither_ends_the_night_nor_jo
     bench.worker.look_at(replace(second, time=second.time + timedelta(hours=14)))
     bench.clock_error_s = 0.01
     bench.worker.look_at(third)
-    assert bench.archive.events("roof", kind="night") == ()
+    assert bench.archive.events.find("roof", kind="night") == ()
     bench.worker.finish()
     assert one_night(bench.archive).details["n_images"] == 2
 
@@ -244,5 +244,5 @@ def test_stars_carry_the_bound_that_the_clock_had_when_they_were_taken(bench: Be
     for frame in clear(40, 80):
         bench.worker.look_at(frame)
     Bench(bench.archive).worker.finish()
-    bounds = {point.time: point.clock_error_s for point in bench.archive.sun_points("roof", body=None)}
+    bounds = {point.time: point.clock_error_s for point in bench.archive.sightings.find("roof", body=None)}
     assert bounds == {frame_at(0).time: 1.5, frame_at(40).time: 0.01, frame_at(80).time: 0.01}

@@ -65,7 +65,7 @@ def test_jobs_run_once_a_night_two_hours_after_midnight(bench: Bench) -> None:
         work.run_due()
         bench.clock.advance(60.0)
     assert bench.calls == ["first", "second"]
-    nights = bench.archive.nightly_runs(limit=9)
+    nights = bench.archive.nightly.runs(limit=9)
     assert [run.night.isoformat() for run in nights] == ["2026-05-02", "2026-05-01"]
     assert all(run.finished_at is not None and set(run.results) == {"first", "second"} for run in nights)
 

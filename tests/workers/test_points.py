@@ -36,7 +36,7 @@ def add_sightings(archive: Archive, *, day: int, method: str = "disc") -> None:
     times = (NOON + timedelta(days=day)).timestamp() + 600.0 * np.arange(-30.0, 31.0)
     times = times[sun_angles(times, SITE).apparent_zenith < 88.0]
     pixels = project(LENS, sun_directions(times, SITE))
-    archive.add_sun_points(
+    archive.sightings.add(
         SunPoint(camera="roof", pose_epoch="roof-1", time=datetime.fromtimestamp(time, UTC), method=method,
                  accepted=True, verdict="clear", x_px=x, y_px=y)
         for time, (x, y) in zip(times.tolist(), pixels.tolist(), strict=True)
@@ -48,14 +48,14 @@ def archive(tmp_path: Path) -> Iterator[Archive]:
     """Return an archive with a day of sightings in air of 35 degrees, and one of which nothing was measured."""
     make_empty(tmp_path / "sunarc.sqlite")
     opened = open_archive(tmp_path / "sunarc.sqlite")
-    opened.save_camera(
+    opened.cameras.save(
         CameraRecord(name="roof", latitude=SITE.latitude, longitude=SITE.longitude, altitude=SITE.altitude,
                      width=LENS.width, height=LENS.height)
     )  # fmt: skip
-    opened.epoch_at("roof", NOON - timedelta(days=9), reason="first")
+    opened.epochs.at("roof", NOON - timedelta(days=9), reason="first")
     add_sightings(opened, day=0)
     add_sightings(opened, day=1)
-    opened.set_day_air(WARM)
+    opened.days.set_air(WARM)
     yield opened
     opened.close()
 
@@ -108,11 +108,11 @@ def test_a_day_is_judged_in_its_measured_air(archive: Archive, monkeypatch: pyte
 
 
 def test_the_expected_sun_moves_by_what_pvlib_says(archive: Archive) -> None:
-    archive.add_calibration(document("a"))
-    archive.activate("a")
+    archive.calibrations.add(document("a"))
+    archive.calibrations.activate("a")
     predictor = SunPredictor(CameraArchive(archive, name="roof", site=SITE))
     warm = predictor.expectation(LOW_SUN)
-    archive.set_day_air(replace(WARM, temperature_c=None, pressure_hpa=None))
+    archive.days.set_air(replace(WARM, temperature_c=None, pressure_hpa=None))
     assumed = predictor.expectation(LOW_SUN)
     assert warm is not None
     assert assumed is not None

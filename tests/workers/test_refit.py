@@ -55,8 +55,8 @@ def good() -> Calibration:
 def archive(tmp_path: Path) -> Archive:
     opened = new_archive(tmp_path, width=SIZE[0], height=SIZE[1])
     points = sightings()
-    epoch = opened.epoch_at("roof", datetime.fromtimestamp(points.unix_s[0], UTC), reason="first frame")
-    opened.add_sun_points(
+    epoch = opened.epochs.at("roof", datetime.fromtimestamp(points.unix_s[0], UTC), reason="first frame")
+    opened.sightings.add(
         SunPoint(
             camera="roof",
             pose_epoch=epoch.id,
@@ -92,9 +92,9 @@ def carry_out(worker: RefitWorker, archive: Archive, monkeypatch: pytest.MonkeyP
             return answer
 
         monkeypatch.setattr(worker, "_solve", solved)
-        refit = archive.add_refit(Refit(id=name * 6, camera="roof", requested_at=NOW, reason="test"))
+        refit = archive.refits.add(Refit(id=name * 6, camera="roof", requested_at=NOW, reason="test"))
         worker.carry_out(refit, threading.Event(), lambda: None)
-        return archive.refit(refit.id)
+        return archive.refits.get(refit.id)
 
     return carry
 
@@ -103,11 +103,11 @@ def test_the_first_accepted_fit_becomes_current_from_the_epochs_beginning(
     carry_out: Carry, archive: Archive, good: Calibration, board: StatusRegistry
 ) -> None:
     refit = carry_out("a", good)
-    current = archive.current_calibration("roof")
+    current = archive.calibrations.current("roof")
     assert refit.state == "accepted"
     assert current is not None
     assert current.id == refit.calibration
-    (epoch,) = archive.epochs("roof")
+    (epoch,) = archive.epochs.find("roof")
     assert current.valid_from == epoch.started_at
     assert "no_calibration" not in {reason.code for reason in board.snapshot().reasons}
 
@@ -119,15 +119,15 @@ def test_a_worse_fit_is_refused_kept_and_served_to_nobody(
     worse = replace(good, sky_rms_deg=3.0 * good.sky_rms_deg)
     second = carry_out("b", worse)
     assert second.state == "refused"
-    current = archive.current_calibration("roof")
+    current = archive.calibrations.current("roof")
     assert current is not None
     assert current.id == first.calibration
     assert second.calibration is not None
-    kept = archive.calibration(second.calibration)
+    kept = archive.calibrations.get(second.calibration)
     assert kept.state == "refused"
     assert kept.parent == first.calibration
     assert kept.findings[0].code == "direction_sigma_increased"
-    assert archive.events("roof")[0].kind == "refit_refused"
+    assert archive.events.find("roof")[0].kind == "refit_refused"
 
 
 def test_a_pinned_calibration_stays_and_the_better_one_waits_as_a_candidate(
@@ -135,15 +135,15 @@ def test_a_pinned_calibration_stays_and_the_better_one_waits_as_a_candidate(
 ) -> None:
     first = carry_out("a", good)
     assert first.calibration is not None
-    archive.pin(first.calibration, at=NOW, reason="a campaign")
+    archive.calibrations.pin(first.calibration, at=NOW, reason="a campaign")
     second = carry_out("b", replace(good, sky_rms_deg=0.9 * good.sky_rms_deg))
     assert second.state == "accepted"
     assert codes(second.findings)[-1] == "active_is_pinned"
     assert second.message.endswith(text_of(Finding("active_is_pinned")))
-    current = archive.current_calibration("roof")
+    current = archive.calibrations.current("roof")
     assert current is not None
     assert current.id == first.calibration
-    assert [record.id for record in archive.calibrations("roof", state="candidate")] == [second.calibration]
+    assert [record.id for record in archive.calibrations.find("roof", state="candidate")] == [second.calibration]
 
 
 def test_a_fit_that_refuses_itself_is_kept_with_its_reasons(
@@ -153,20 +153,20 @@ def test_a_fit_that_refuses_itself_is_kept_with_its_reasons(
     refit = carry_out("a", refused)
     assert refit.state == "refused"
     assert codes(refit.findings) == ["not_evaluated"]
-    assert archive.current_calibration("roof") is None
+    assert archive.calibrations.current("roof") is None
 
 
 def test_a_solve_that_fails_is_told_and_changes_nothing(carry_out: Carry, archive: Archive) -> None:
     too_long = Finding("solve_too_long", {"limit_s": 1.0})
     refit = carry_out("a", SolveFailedError(too_long))
     assert (refit.state, refit.findings, refit.message) == ("failed", (too_long,), text_of(too_long))
-    assert archive.calibrations("roof") == ()
+    assert archive.calibrations.find("roof") == ()
 
 
 def test_a_refit_that_was_cut_short_waits_to_be_begun_again(carry_out: Carry, archive: Archive) -> None:
     refit = carry_out("a", None)
     assert refit.state == "running"
-    assert [waiting.id for waiting in archive.refits("roof", unfinished=True)] == [refit.id]
+    assert [waiting.id for waiting in archive.refits.find("roof", unfinished=True)] == [refit.id]
 
 
 @pytest.mark.parametrize("outcome", [(0, "accepted", 1), (1, "accepted", 2), (2, "failed", 2)])
@@ -187,9 +187,9 @@ def test_a_solve_whose_process_was_killed_is_begun_once_more(
         return good
 
     monkeypatch.setattr(worker, "_solve", solved)
-    refit = archive.add_refit(Refit(id="abcdef", camera="roof", requested_at=NOW, reason="test"))
+    refit = archive.refits.add(Refit(id="abcdef", camera="roof", requested_at=NOW, reason="test"))
     worker.carry_out(refit, threading.Event(), lambda: None)
-    assert (archive.refit(refit.id).state, len(begun)) == (state, tries)
+    assert (archive.refits.get(refit.id).state, len(begun)) == (state, tries)
 
 
 def solve_and_kill(stop: threading.Event) -> Calibration | None:
@@ -285,16 +285,16 @@ def test_a_solve_ends_when_the_service_stops() -> None:
 def test_a_refit_that_cannot_begin_says_so_and_fails_after_a_day(
     archive: Archive, board: StatusRegistry, worker: RefitWorker, clock: VirtualClock
 ) -> None:
-    refit = archive.add_refit(Refit(id="waits", camera="roof", requested_at=NOW, reason="test"))
+    refit = archive.refits.add(Refit(id="waits", camera="roof", requested_at=NOW, reason="test"))
     worker.let_wait([refit])
     (reason,) = [one for one in board.snapshot().reasons if one.code == "refit_waiting"]
     assert reason.remedy
     clock.wait(threading.Event(), 80_000.0)
     worker.let_wait([refit])
-    assert archive.refit(refit.id).state == "requested"
+    assert archive.refits.get(refit.id).state == "requested"
     clock.wait(threading.Event(), 10_000.0)
     worker.let_wait([refit])
-    ended = archive.refit(refit.id)
+    ended = archive.refits.get(refit.id)
     assert (ended.state, [one.code for one in ended.findings]) == ("failed", ["refit_not_begun"])
     assert "refit_waiting" not in {one.code for one in board.snapshot().reasons}
     worker.let_wait([])

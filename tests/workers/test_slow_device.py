@@ -41,7 +41,7 @@ def test_commits_that_stall_cost_no_frame_and_no_heartbeat_and_are_told(tmp_path
             commits.append(STALLS_S[len(commits) % len(STALLS_S)])
             clock.wait(never, commits[-1])  # with the write lock held, as a slow fsync holds it
 
-    event.listen(archive._engine, "commit", stall)
+    event.listen(archive.database.engine, "commit", stall)
     frames: DropOldestQueue[Frame] = DropOldestQueue(capacity=8)
     keeper = SightingWriteBuffer(archive, board=board)
     worker = DetectWorker(
@@ -69,7 +69,7 @@ def test_commits_that_stall_cost_no_frame_and_no_heartbeat_and_are_told(tmp_path
     thread.join(20.0)
     assert len(commits) >= CYCLES
     assert frames.dropped == 0
-    assert len(archive.sun_points("roof")) == CYCLES * FRAMES
+    assert len(archive.sightings.find("roof")) == CYCLES * FRAMES
     assert told == {"database_slow"}
     assert max(np.diff(beats)) < 5.0
     for number in range(CYCLES * FRAMES, CYCLES * FRAMES + 10):

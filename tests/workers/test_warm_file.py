@@ -161,9 +161,9 @@ def test_the_worker_keeps_its_list_when_a_night_is_over(bench: Bench, tmp_path: 
     first = Bench(bench.archive, warm_pixels=file)
     first.serve(CAMERA)
     first.night(*(noise_at(minutes) for minutes in MINUTES))
-    assert len(bench.archive.events("roof", kind="warm_pixels_unread")) == 1
+    assert len(bench.archive.events.find("roof", kind="warm_pixels_unread")) == 1
     restarted = Bench(bench.archive, warm_pixels=file)
     restarted.worker.look_at(noise_at(0))
     restarted.worker.finish()
-    newest = bench.archive.events("roof", kind="night")[0]
+    newest = bench.archive.events.find("roof", kind="night")[0]
     assert (newest.details["n_images"], newest.details["n_warm_pixels"]) == (1, 300)

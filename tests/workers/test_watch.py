@@ -68,10 +68,10 @@ class Imager:
         self.archive = open_archive(folder / "sunarc.sqlite")
         self.board = board
         self.now = datetime.fromtimestamp(NOON - 3600.0, UTC)
-        self.archive.save_camera(
+        self.archive.cameras.save(
             CameraRecord(name="roof", latitude=36.6, longitude=-97.5, altitude=318.0, width=SIZE[0], height=SIZE[1])
         )
-        self.archive.epoch_at("roof", datetime.fromtimestamp(DAY, UTC), reason="first frame")
+        self.archive.epochs.at("roof", datetime.fromtimestamp(DAY, UTC), reason="first frame")
         document = to_document(
             calibration,
             id="full",
@@ -83,7 +83,7 @@ class Imager:
             pose_epoch="roof-1",
             software_version="1",
         )
-        self.archive.activate(self.archive.add_calibration(document).id)
+        self.archive.calibrations.activate(self.archive.calibrations.add(document).id)
         self.rng = np.random.default_rng(5)
         self.watch = self.new_watch()
 
@@ -106,7 +106,7 @@ class Imager:
         """Store one sighting and let the watch look at it."""
         moment = datetime.fromtimestamp(unix_s, UTC)
         x, y = (float(v) for v in pixel + self.rng.normal(0.0, 0.02, 2))
-        epoch = self.archive.epoch_at("roof", moment, reason="first frame")
+        epoch = self.archive.epochs.at("roof", moment, reason="first frame")
         point = SunPoint(
             camera="roof",
             pose_epoch=epoch.id,
@@ -118,7 +118,7 @@ class Imager:
             y_px=y,
             sigma_px=0.02,
         )
-        self.archive.add_sun_points([point])
+        self.archive.sightings.add([point])
         self.now = moment
         self.watch.notice(moment, x_px=x, y_px=y, sigma_px=0.02)
         while self.watch.process_next():
@@ -133,12 +133,12 @@ class Imager:
         return {reason.code for reason in self.board.snapshot().reasons}
 
     def served(self) -> Calibration:
-        record = self.archive.current_calibration("roof")
+        record = self.archive.calibrations.current("roof")
         assert record is not None
         return from_document(record.document)
 
     def events(self) -> list[Event]:
-        return [event for event in self.archive.events("roof") if event.severity == "alarm"]
+        return [event for event in self.archive.events.find("roof") if event.severity == "alarm"]
 
 
 @pytest.fixture
@@ -162,21 +162,21 @@ def test_after_a_bump_a_provisional_pose_is_served_within_twenty_sightings(image
     assert abs(event.time.timestamp() - NOON) <= 120.0
     assert imager.board.snapshot().health == "degraded"
     imager.see_many(moved, range(10, 20))
-    first, second = imager.archive.epochs("roof")
+    first, second = imager.archive.epochs.find("roof")
     assert abs(second.started_at.timestamp() - NOON) <= 120.0
-    current = imager.archive.current_calibration("roof")
+    current = imager.archive.calibrations.current("roof")
     assert current is not None
     assert (current.pose_epoch, current.valid_from) == (second.id, second.started_at)
     assert "provisional" in codes(current.findings)
     assert off_in_sigmas(imager.served(), moved) < 2.0
     assert "provisional_pose" in imager.codes()
-    assert imager.archive.refits("roof") == ()
-    before = imager.archive.current_calibration("roof", at=datetime.fromtimestamp(NOON - 300.0, UTC))
+    assert imager.archive.refits.find("roof") == ()
+    before = imager.archive.calibrations.current("roof", at=datetime.fromtimestamp(NOON - 300.0, UTC))
     assert before is not None
     assert before.id == "full"
-    times = imager.archive.sun_point_columns("roof", pose_epoch=second.id).unix_s
+    times = imager.archive.sightings.columns("roof", pose_epoch=second.id).unix_s
     assert times.min() >= NOON
-    assert imager.archive.sun_point_columns("roof", pose_epoch=first.id).unix_s.max() < NOON
+    assert imager.archive.sightings.columns("roof", pose_epoch=first.id).unix_s.max() < NOON
 
 
 def test_a_provisional_pose_grows_surer_and_a_full_fit_ends_it(imager: Imager, good: Calibration) -> None:
@@ -197,7 +197,7 @@ def test_a_provisional_pose_grows_surer_and_a_full_fit_ends_it(imager: Imager, g
         pose_epoch="roof-2",
         software_version="1",
     )
-    imager.archive.activate(imager.archive.add_calibration(full).id)
+    imager.archive.calibrations.activate(imager.archive.calibrations.add(full).id)
     imager.see_many(moved, range(40, 44))
     assert "provisional_pose" not in imager.codes()
     assert len(imager.events()) == 1
@@ -209,7 +209,7 @@ def test_a_camera_that_looks_elsewhere_is_followed(imager: Imager) -> None:
     imager.see_many(moved, range(20), verdict="elsewhere")
     assert [event.kind for event in imager.events()] == ["bump"]
     assert off_in_sigmas(imager.served(), moved) < 2.0
-    assert imager.archive.sun_point_columns("roof", pose_epoch="roof-2").unix_s.size >= 4
+    assert imager.archive.sightings.columns("roof", pose_epoch="roof-2").unix_s.size >= 4
 
 
 def test_a_move_for_which_no_pose_is_found_is_one_event_and_one_epoch(
@@ -226,9 +226,9 @@ def test_a_move_for_which_no_pose_is_found_is_one_event_and_one_epoch(
     (finding,) = event.findings
     assert finding["code"] == "changed_bump"
     assert MESSAGES.text_of(from_json(finding)) == event.text  # the data are those of the sentence
-    assert len(imager.archive.epochs("roof")) == 2
+    assert len(imager.archive.epochs.find("roof")) == 2
     assert "changed_bump" in imager.codes()
-    assert imager.archive.sun_point_columns("roof", pose_epoch="roof-2").unix_s.size == 30
+    assert imager.archive.sightings.columns("roof", pose_epoch="roof-2").unix_s.size == 30
 
 
 def test_a_set_clock_leaves_the_calibration_alone_until_it_is_right_again(imager: Imager) -> None:
@@ -241,18 +241,18 @@ def test_a_set_clock_leaves_the_calibration_alone_until_it_is_right_again(imager
         camera="roof",
         details={"step_s": 5.0},
     )
-    imager.archive.add_event(step)
+    imager.archive.events.add(step)
     imager.see_many(TRUTH, range(10), clock_s=5.0)
     assert [event.kind for event in imager.events()] == ["clock"]
     assert "changed_clock" in imager.codes()
-    assert len(imager.archive.epochs("roof")) == 1
-    current = imager.archive.current_calibration("roof")
+    assert len(imager.archive.epochs.find("roof")) == 1
+    current = imager.archive.calibrations.current("roof")
     assert current is not None
     assert current.id == "full"
-    assert imager.archive.sun_point_columns("roof").unix_s.max() < NOON
+    assert imager.archive.sightings.columns("roof").unix_s.max() < NOON
     imager.see_many(TRUTH, range(10, 20))
     assert "changed_clock" not in imager.codes()
-    assert imager.archive.sun_point_columns("roof").unix_s.max() >= NOON + 16 * 60.0
+    assert imager.archive.sightings.columns("roof").unix_s.max() >= NOON + 16 * 60.0
 
 
 def test_a_mirrored_image_moves_nothing(imager: Imager) -> None:
@@ -262,7 +262,7 @@ def test_a_mirrored_image_moves_nothing(imager: Imager) -> None:
         x, y = project(TRUTH, sun_directions(unix_s, SGP))
         imager.see(np.array([SIZE[0] - 1.0 - x, y]), unix_s, verdict="elsewhere")
     assert [event.kind for event in imager.events()] == ["mirrored"]
-    assert len(imager.archive.epochs("roof")) == 1
+    assert len(imager.archive.epochs.find("roof")) == 1
 
 
 def test_a_restart_in_the_midst_of_a_bump_finds_it_all_the_same(imager: Imager) -> None:
@@ -288,7 +288,7 @@ def test_a_database_that_refuses_for_a_while_does_not_end_the_worker(
 
     imager.see_many(TRUTH, range(-5, 0))
     with monkeypatch.context() as patched:
-        patched.setattr(imager.archive, "current_epoch", refuse)
+        patched.setattr(imager.archive.epochs, "current", refuse)
         imager.watch.notice(imager.now, x_px=800.0, y_px=800.0, sigma_px=0.02)
         assert imager.watch.process_next()
     imager.see_many(TRUTH, range(5))
@@ -298,9 +298,9 @@ def test_a_database_that_refuses_for_a_while_does_not_end_the_worker(
 def test_what_is_set_aside_keeps_its_place_in_the_record(imager: Imager) -> None:
     imager.see_many(TRUTH, range(-5, 5))
     since, until = (datetime.fromtimestamp(NOON + s, UTC) for s in (-60.0, 90.0))
-    assert imager.archive.exclude("roof", since=since, until=until, reason="test") == 3
-    assert imager.archive.sun_point_columns("roof").unix_s.size == 7
-    aside = [point for point in imager.archive.sun_points("roof") if point.verdict == "set_aside"]
+    assert imager.archive.sightings.exclude("roof", since=since, until=until, reason="test") == 3
+    assert imager.archive.sightings.columns("roof").unix_s.size == 7
+    aside = [point for point in imager.archive.sightings.find("roof") if point.verdict == "set_aside"]
     assert [point.reason for point in aside] == ["test"] * 3
 
 
@@ -312,8 +312,8 @@ def test_a_closed_pose_epoch_ends_the_conditions_of_its_move(imager: Imager, mon
     imager.see_many(turned(TRUTH, (0.12, -0.1, 0.12)), range(10))
     assert imager.codes() == {"changed_bump"}
     before = imager.events()
-    last = imager.archive.epochs("roof")[-1].id
-    assert imager.archive.close_epoch(last, at=imager.now, reason="a bird") == "full"
+    last = imager.archive.epochs.find("roof")[-1].id
+    assert imager.archive.calibrations.close_epoch(last, at=imager.now, reason="a bird") == "full"
     imager.see_many(TRUTH, range(10, 14))
     assert imager.codes() == set()
     assert imager.events() == before  # is not found again in the same sightings
@@ -323,17 +323,17 @@ def test_a_provisional_pose_is_not_shown_once_it_is_retired(imager: Imager) -> N
     imager.see_many(TRUTH, range(-20, 0))
     moved = turned(TRUTH, (0.12, -0.1, 0.12))
     imager.see_many(moved, range(20))
-    current = imager.archive.current_calibration("roof")
+    current = imager.archive.calibrations.current("roof")
     assert current is not None
     assert "provisional_pose" in imager.codes()
-    imager.archive.retire(current.id, at=imager.now)  # as when another camera takes its place
+    imager.archive.calibrations.retire(current.id, at=imager.now)  # as when another camera takes its place
     imager.see_many(moved, range(20, 22))
     assert "provisional_pose" not in imager.codes()
 
 
 def test_an_epoch_that_another_part_opens_is_followed_though_there_was_none_at_the_start(imager: Imager) -> None:
     imager.see_many(TRUTH, range(-20, 0))  # `remember` was never called: the record was empty then
-    imager.archive.open_epoch("roof", at=imager.now, reason="bump")
+    imager.archive.epochs.open("roof", at=imager.now, reason="bump")
     imager.see_many(TRUTH, range(1))
     assert len(imager.watch._watch) == 2  # the last sighting before is the epoch's first
 
@@ -360,6 +360,6 @@ def test_sightings_are_compared_with_the_sun_in_the_measured_air(
     low = datetime(2013, 5, 14, 12, 0, tzinfo=UTC).timestamp()
     imager.see(project(TRUTH, sun_directions(low, SGP)), low)
     day = DayAir(camera="roof", date=date(2013, 5, 14), temperature_c=40.0, pressure_hpa=900.0, set_at=imager.now)
-    imager.archive.set_day_air(day)
+    imager.archive.days.set_air(day)
     imager.see(project(TRUTH, sun_directions(low + 60.0, air)), low + 60.0)
     assert compared == [tuple(sun_directions(low, SGP).tolist()), tuple(sun_directions(low + 60.0, air).tolist())]

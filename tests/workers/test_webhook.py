@@ -151,7 +151,7 @@ def test_what_is_refused_is_given_up_and_shown_until_one_is_taken(bench: Pushing
         step(worker)
     assert len(receiver.taken) == 1  # neither the refused one again, nor where a redirect pointed
     assert bench.codes() == set()
-    assert bench.archive.sink_states()[name].refused == 1
+    assert bench.archive.notices.sink_states()[name].refused == 1
 
 
 def test_a_restart_loses_and_doubles_nothing(bench: Pushing) -> None:
@@ -184,7 +184,7 @@ def test_a_receiver_that_is_not_reached_is_a_condition_after_a_minute(
     step(bench.worker(sink(bench, url)))
     assert bench.codes() == {f"push_failing_{name}"}
     bench.look(name)
-    assert bench.archive.sink_states()[name].waiting == 1  # it is no notice itself
+    assert bench.archive.notices.sink_states()[name].waiting == 1  # it is no notice itself
 
 
 def certificate(folder: Path) -> None:
@@ -204,7 +204,7 @@ def test_a_certificate_is_checked(bench: Pushing, monkeypatch: pytest.MonkeyPatc
         assert step(bench.worker(sink(bench, receiver.url))) == 1.0
         assert receiver.taken == []
         with pytest.raises(OutsideError, match="CERTIFICATE_VERIFY_FAILED"):
-            sink(bench, receiver.url).deliver(bench.archive.notices_after(name, limit=1)[0], lambda: None)
+            sink(bench, receiver.url).deliver(bench.archive.notices.after(name, limit=1)[0], lambda: None)
         monkeypatch.setenv("SSL_CERT_FILE", str(bench.folder / "cert.pem"))
         step(bench.worker(sink(bench, receiver.url)))
         assert len(receiver.taken) == 1
@@ -248,7 +248,7 @@ def test_a_slow_answer_takes_no_longer_than_it_may_and_the_worker_beats_meanwhil
         assert worker.step(threading.Event(), lambda: beats.append(bench.clock.monotonic())) == 1.0
         assert 0.25 < bench.clock.monotonic() - begun_s < 1.0
     assert len(beats) > 5
-    assert bench.archive.sink_states()[webhook_name(url)].waiting == 1
+    assert bench.archive.notices.sink_states()[webhook_name(url)].waiting == 1
 
 
 @pytest.mark.parametrize("text", [b"SSH-2.0-OpenSSH\r\n\r\n", b"", b"HTTP/1.1 204 " + b"x" * 70_000])
@@ -266,7 +266,7 @@ def test_what_is_no_http_is_tried_again(bench: Pushing, text: bytes) -> None:
         bench.happen(1, webhook_name(url))
         thread = threading.Thread(target=serve)
         thread.start()
-        notice = bench.archive.notices_after(webhook_name(url), limit=1)[0]
+        notice = bench.archive.notices.after(webhook_name(url), limit=1)[0]
         with pytest.raises(OutsideError):
             sink(bench, url).deliver(notice, lambda: None)
         thread.join()

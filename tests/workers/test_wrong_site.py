@@ -84,7 +84,7 @@ def test_a_first_start_with_the_wrong_sign_of_the_longitude_is_said(
     tmp_path: Path, board: StatusRegistry, *, site: Site, said: bool
 ) -> None:
     archive = new_archive(tmp_path)
-    archive.save_camera(CameraRecord.at(site, name="roof", width=SIZE[0], height=SIZE[1]))
+    archive.cameras.save(CameraRecord.at(site, name="roof", width=SIZE[0], height=SIZE[1]))
     camera = CameraArchive(archive, name="roof", site=site)
 
     def now() -> datetime:

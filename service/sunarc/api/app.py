@@ -209,12 +209,12 @@ def new_context(*, archive: Archive, **collaborators: Any) -> ApiContext:  # noq
         archive=archive,
         sites=DaySites(archive),
         ready=SingleFlightCache(
-            lambda record: lookup(archive.model(record.id)),
+            lambda record: lookup(archive.calibrations.model(record.id)),
             key=lambda record: record.id,  # a model never changes under one id
         ),
         ensembles=SingleFlightCache(
             lambda asked: draw_ensemble(
-                archive.model(asked.calibration),
+                archive.calibrations.model(asked.calibration),
                 draws=asked.draws,
                 seed=asked.seed,
                 calibration_id=asked.calibration,

@@ -116,7 +116,7 @@ class DaySites:
         revision = self._archive.revision()
         cached = self._sites.get(camera)
         if cached is None or cached[:2] != (revision, day):
-            cached = self._sites[camera] = (revision, day, self._archive.site_on(camera, site, day))
+            cached = self._sites[camera] = (revision, day, self._archive.days.site_on(camera, site, day))
         return cached[2]
 
 
@@ -167,7 +167,7 @@ class ApiContext:
 
     def _of_another(self, name: str) -> ApiContext:
         """Return what the archive remembers of a camera that another service drives."""
-        record = self.archive.camera(name)
+        record = self.archive.cameras.get(name)
         if record is None:
             raise NotFoundError(field="camera", problem=f"there is no camera {name}", remedy="see /v1/cameras")
         return replace(
@@ -197,7 +197,7 @@ class ApiContext:
     def calibration(self, calibration_id: str, *, field_name: str = "id") -> CalibrationRecord:
         """Return this camera's calibration of an id; NotFoundError without one."""
         try:
-            record = self.archive.calibration(calibration_id)
+            record = self.archive.calibrations.get(calibration_id)
         except NotFoundError as error:
             raise NotFoundError(field=field_name, problem=error.problem, remedy=error.remedy) from None
         if record.camera != self.camera:
@@ -208,12 +208,12 @@ class ApiContext:
     def calibration_or_none(self, at: datetime | None) -> tuple[CalibrationRecord, Calibration] | None:
         """Return the calibration that answers, in both its forms; None without one."""
         record = self.record_or_none(at)
-        return None if record is None else (record, self.archive.model(record.id))
+        return None if record is None else (record, self.archive.calibrations.model(record.id))
 
     def record_or_none(self, at: datetime | None) -> CalibrationRecord | None:
         """Return the calibration that answers; None without one."""
         if self.chosen is None:
-            return self.archive.current_calibration(self.camera, at=at)
+            return self.archive.calibrations.current(self.camera, at=at)
         return self._best(at) if self.chosen == BEST else self._accepted(self.chosen)
 
     def _accepted(self, calibration_id: str) -> CalibrationRecord:
@@ -227,12 +227,12 @@ class ApiContext:
 
     def _best(self, at: datetime | None) -> CalibrationRecord | None:
         """Return the accepted calibration of the pose epoch that answers with the least uncertainty over the sky."""
-        answering = self.archive.current_calibration(self.camera, at=at)
+        answering = self.archive.calibrations.current(self.camera, at=at)
         if answering is None:
             return None
         rivals = [
             record
-            for record in self.archive.calibrations(self.camera)
+            for record in self.archive.calibrations.find(self.camera)
             if record.pose_epoch == answering.pose_epoch and record.accepted and not record.damaged
         ]
         return min([answering, *rivals], key=_sky_rms_deg)

@@ -38,7 +38,7 @@ def camera_opener(settings: Settings, clock: Clock) -> Callable[[], SkyCamera]:
 
 def require_stored_site(archive: Archive, settings: Settings) -> None:
     """Raise `InputError` when the archive has the settings' camera at another site."""
-    stored = archive.camera(settings.name)
+    stored = archive.cameras.get(settings.name)
     if stored is not None:
         require_same_site(stored, settings.site)
 
@@ -48,7 +48,7 @@ def require_same_camera(archive: Archive, *, name: str, info: CameraInfo) -> Non
 
     What is stored (sightings, poses, calibrations) is in the pixels of those images.
     """
-    stored = archive.camera(name)
+    stored = archive.cameras.get(name)
     if stored is None:
         return
     remedy = f"set the region, binning and pixel format as they were, or begin anew under another name than {name!r}"
@@ -82,21 +82,21 @@ def note_other_camera(archive: Archive, record: CameraRecord, *, at: datetime) -
     -------
     What to store of the camera.
     """
-    stored = archive.camera(record.name)
+    stored = archive.cameras.get(record.name)
     if stored is None or not stored.serial:
         return record
     if not record.serial:
         return replace(record, serial=stored.serial)
     if record.serial == stored.serial:
         return record
-    current = archive.current_calibration(record.name)
+    current = archive.calibrations.current(record.name)
     if current is not None:
-        archive.retire(current.id, at=max(at, current.valid_from))
+        archive.calibrations.retire(current.id, at=max(at, current.valid_from))
     _open_epoch(archive, record.name, at)
     retired = None if current is None else current.id
     details = {"model": record.model, "serial": record.serial, "serial_before": stored.serial}
     replaced = Finding("camera_replaced", {**details, "calibration": retired or "none"})
-    archive.add_event(
+    archive.events.add(
         Event.of(replaced, MESSAGES, time=at, severity="alarm", camera=record.name, details={"calibration": retired})
     )
     return record
@@ -104,13 +104,13 @@ def note_other_camera(archive: Archive, record: CameraRecord, *, at: datetime) -
 
 def _open_epoch(archive: Archive, camera: str, at: datetime) -> None:
     """Open a pose epoch with another lens; where a wrong clock has opened one later, divide the one before that."""
-    if archive.current_epoch(camera) is None:
+    if archive.epochs.current(camera) is None:
         return
     try:
-        if any(epoch.started_at > at for epoch in archive.epochs(camera)):
-            archive.split_epoch(camera, at=at, reason=LENS_CHANGED)
+        if any(epoch.started_at > at for epoch in archive.epochs.find(camera)):
+            archive.epochs.split(camera, at=at, reason=LENS_CHANGED)
         else:
-            archive.open_epoch(camera, at=at, reason=LENS_CHANGED)
+            archive.epochs.open(camera, at=at, reason=LENS_CHANGED)
     except InputError as error:
         _log.warning("could not begin a pose epoch for the new camera: %s", error)
 

@@ -42,8 +42,8 @@ def push_workers(
     """
     names = [*(["mqtt"] if options.mqtt else []), *map(webhook_name, options.webhooks)]
     if not names:
-        if archive.sink_states():  # a start writes nothing where nothing has to be: the disk may be full
-            archive.name_sinks(())  # else notices would wait for ever
+        if archive.notices.sink_states():  # a start writes nothing where nothing has to be: the disk may be full
+            archive.notices.name_sinks(())  # else notices would wait for ever
         return ()
     notices = NoticeWorker(archive=archive, states=states, sinks=names, clock=clock, board=board, every_s=every_s)
     sinks = receivers(options, states=lambda: notices.latest, clock=clock, client=client)
@@ -93,7 +93,7 @@ def fleet_states(archive: Archive, now: Callable[[], datetime]) -> Callable[[], 
 
     def states() -> Mapping[str, CameraState]:
         # What was registered and sent nothing yet has no state that could change.
-        known = [camera for camera in archive.fleet() if camera.received_at is not None]
+        known = [camera for camera in archive.feeds.fleet() if camera.received_at is not None]
         return {
             camera.camera: CameraState(
                 health=camera.state,

@@ -116,8 +116,8 @@ def restore_last_known(
     """
     filters: _Filters = {"until": until, "largest_clock_error_s": MAX_CLOCK_ERROR_S, "newest_first": True, "limit": 1}
     try:
-        points = archive.sun_points(camera, body=None, **filters)
-        sightings = archive.sun_points(camera, accepted=True, **filters)
+        points = archive.sightings.find(camera, body=None, **filters)
+        sightings = archive.sightings.find(camera, accepted=True, **filters)
         frames: list[datetime] = [point.time for point in points]
         if (image_at := images.newest_at(kind="hdr.png", until=until)) is not None:
             frames.append(image_at)
@@ -266,7 +266,7 @@ class Service:
 
     def request_refit(self, reason: str) -> Refit:
         """Ask for a refit, or join the one that waits; the refit worker finds it in the archive."""
-        return self.archive.request_refit(
+        return self.archive.refits.request(
             Refit(id=uuid.uuid4().hex, camera=self.settings.name, requested_at=self.frame_time.now(), reason=reason)
         )
 
@@ -285,7 +285,7 @@ class Service:
             raise
         record = camera_record(camera.info, name=self.settings.name, site=self.settings.site)
         try:
-            self.archive.save_camera(note_other_camera(self.archive, record, at=self._time_of_change()))
+            self.archive.cameras.save(note_other_camera(self.archive, record, at=self._time_of_change()))
         except OutsideError as error:
             _log.warning("could not store camera record: %s", error)
         return camera
@@ -298,7 +298,7 @@ class Service:
         now = self.frame_time.now()
         if self.frame_time.is_known and self.clock_watch.trusted():
             return now
-        newest = self.archive.newest_sighting_time(self.settings.name, largest_clock_error_s=MAX_CLOCK_ERROR_S)
+        newest = self.archive.sightings.newest_time(self.settings.name, largest_clock_error_s=MAX_CLOCK_ERROR_S)
         return now if newest is None else newest + MICROSECOND
 
     def capture_worker(self) -> CaptureWorker:

@@ -112,7 +112,7 @@ def _serve_at(listening: socket.socket, settings: Settings) -> int:
     archive = open_archive(settings.archive)
     require_stored_site(archive, settings)
     if settings.hub.url is None:
-        archive.disable_outbox()  # else it would grow for ever
+        archive.outbox.disable()  # else it would grow for ever
     service = Service(
         settings,
         archive=archive,

@@ -8,12 +8,11 @@ from datetime import datetime
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, cast
+from typing import Any, Self
 
-from sqlalchemy import URL, Engine, QueuePool
+from sqlalchemy import URL, Engine
 
-from sunarc.archive.calibrations import EpochClosing
-from sunarc.archive.columns import UsedSightings
+from sunarc.archive.calibrations import CalibrationStore
 from sunarc.archive.database.connections import (
     DAMAGED,
     DELETED,
@@ -29,50 +28,68 @@ from sunarc.archive.database.connections import (
 )
 from sunarc.archive.database.recovery import Recovery, rebuild
 from sunarc.archive.database.schema import UPGRADE_SERVER, require_file, require_head
-from sunarc.archive.database.store import Room
-from sunarc.archive.days import Counts, MeasuredAir, StoredNights
-from sunarc.archive.events import ConditionTimes, HousekeepingRecord, Journal
-from sunarc.archive.fleet.feeds import Feeds, FleetRegistry
-from sunarc.archive.fleet.nightly import Nightly
-from sunarc.archive.fleet.notices import Notices
+from sunarc.archive.database.store import Database
+from sunarc.archive.days import DayStore, NightStore
+from sunarc.archive.events import ConditionStore, EventStore, HousekeepingStore, RefitStore
+from sunarc.archive.fleet.feeds import FeedStore
+from sunarc.archive.fleet.nightly import NightlyStore
+from sunarc.archive.fleet.notices import NoticeStore
 from sunarc.archive.fleet.outbox import Outbox
-from sunarc.archive.sightings import FileSightings, SightingRevisions, SightingStore
+from sunarc.archive.sightings import CameraStore, EpochStore, SightingStore
 from sunarc.archive.values import Event, EventSeverity
 from sunarc.errors import OutsideError
 from sunarc.findings import Finding, Messages
 from sunarc.sky.site import Site
 
 
-class Archive(
-    SightingStore,
-    FileSightings,
-    SightingRevisions,
-    EpochClosing,
-    UsedSightings,
-    Journal,
-    MeasuredAir,
-    Outbox,
-    Feeds,
-    FleetRegistry,
-    Notices,
-    StoredNights,
-    Nightly,
-    Counts,
-    HousekeepingRecord,
-    ConditionTimes,
-    Room,
-):
-    """The database: values in, values out; safe to use from any thread."""
+class Archive:
+    """The database as its parts: values in, values out; safe to use from any thread.
+
+    Attributes
+    ----------
+    database : connections and transactions.
+    cameras, epochs, sightings : the cameras, the intervals in which they did not move, and what was sighted.
+    calibrations, refits : what was made of them.
+    days, nights, events : the record.
+    conditions, housekeeping : how the service is, and its disk and camera.
+    outbox, feeds, notices, nightly : what imagers and hubs exchange, and what a hub does by night.
+
+    Parameters
+    ----------
+    engine, file : see `Database`.
+    """
 
     def __init__(self, engine: Engine, file: DatabaseFile | None) -> None:
-        super().__init__(engine, file)
+        database = self.database = Database(engine, file)
         self._witness = None if file is None else _reader(file)
+        self.cameras = CameraStore(database)
+        self.epochs = EpochStore(database)
+        self.sightings = SightingStore(database)
+        self.calibrations = CalibrationStore(database)
+        self.refits = RefitStore(database)
+        self.days = DayStore(database)
+        self.nights = NightStore(database)
+        self.events = EventStore(database)
+        self.conditions = ConditionStore(database)
+        self.housekeeping = HousekeepingStore(database)
+        self.outbox = Outbox(database)
+        self.feeds = FeedStore(database)
+        self.notices = NoticeStore(database)
+        self.nightly = NightlyStore(database)
+        self.revision = database.revision
+        self.require_room = database.require_room
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self.close()
 
     def close(self) -> None:
         """Close the connections that are not in use."""
         if self._witness is not None:
             self._witness.close()
-        super().close()
+        self.database.close()
 
     def recover(self, *, now: datetime) -> Recovery | None:
         """Put the database's file back when it is not in place; reads and writes wait meanwhile.
@@ -85,7 +102,7 @@ class Archive(
         ------
         OutsideError : it could not be done; sightings wait in memory, and it may be tried again.
         """
-        file, witness = self._file, self._witness
+        file, witness = self.database.file, self._witness
         if file is None or witness is None:
             return None
         problem = file.problem()
@@ -93,23 +110,13 @@ class Archive(
             return None
         if problem not in {DELETED, REPLACED, EMPTIED, DAMAGED}:
             raise OutsideError(f"the database {file.path} {problem}")
-        with self._lock:
-            self._usable.clear()
-            try:
-                self._require_idle(file.path)
-                done = rebuild(file.path, witness, problem=problem, now=now, close=self.close)
-                file.remember()
-                self._witness = _reader(file)
-            finally:
-                self._usable.set()
-        for camera in self.saved_cameras():
-            self.save_camera(camera)  # a new database, or an old copy, may not have it
+        with self.database.out_of_use():
+            done = rebuild(file.path, witness, problem=problem, now=now, close=self.close)
+            file.remember()
+            self._witness = _reader(file)
+        for camera in self.cameras.saved():
+            self.cameras.save(camera)  # a new database, or an old copy, may not have it
         return done
-
-    def _require_idle(self, path: Path) -> None:
-        """Refuse while another thread reads: SQLite removes files by name when it closes the last connection."""
-        if cast("QueuePool", self._engine.pool).checkedout():
-            raise OutsideError(f"the database {path} is being read; it is put back at the next look")
 
 
 def open_archive(store: Path | URL, *, upgrade_command: str | None = None) -> Archive:
@@ -181,37 +188,37 @@ class CameraArchive:
         self.archive = archive
         self.name = name
         self.site = site
-        self.add_housekeeping = partial(archive.add_housekeeping, name)
-        self.current_calibration = partial(archive.current_calibration, name)
-        self.current_epoch = partial(archive.current_epoch, name)
-        self.current_model = partial(archive.current_model, name)
-        self.damaged_calibration = partial(archive.damaged_calibration, name)
-        self.dates_with_points = partial(archive.dates_with_points, name)
-        self.days = partial(archive.days, name)
-        self.epochs = partial(archive.epochs, name)
-        self.events = partial(archive.events, name)
-        self.exclude = partial(archive.exclude, name)
-        self.expire_housekeeping = partial(archive.expire_housekeeping, name)
-        self.last_served = partial(archive.last_served, name)
-        self.add_night_image = partial(archive.add_night_image, name)
-        self.begin_night_verdict = partial(archive.begin_night_verdict, name)
-        self.drop_night_images = partial(archive.drop_night_images, name)
-        self.newest_sighting_time = partial(archive.newest_sighting_time, name)
-        self.night_images = partial(archive.night_images, name)
-        self.nights = partial(archive.nights, name)
-        self.observation_times = partial(archive.observation_times, name)
-        self.open_epoch = partial(archive.open_epoch, name)
-        self.readmit = partial(archive.readmit, name)
-        self.record = partial(archive.camera, name)
-        self.refits = partial(archive.refits, name)
-        self.sightings_of_ids = partial(archive.sightings_of_ids, name)
-        self.site_at = partial(archive.site_at, name, site)
-        self.split_epoch = partial(archive.split_epoch, name)
-        self.sun_candidates = partial(archive.sun_candidates, name)
-        self.sun_levels = partial(archive.sun_levels, name)
-        self.sun_point_columns = partial(archive.sun_point_columns, name)
-        self.sun_points = partial(archive.sun_points, name)
-        self.widen_clock_errors = partial(archive.widen_clock_errors, name)
+        self.add_housekeeping = partial(archive.housekeeping.add, name)
+        self.current_calibration = partial(archive.calibrations.current, name)
+        self.current_epoch = partial(archive.epochs.current, name)
+        self.current_model = partial(archive.calibrations.current_model, name)
+        self.damaged_calibration = partial(archive.calibrations.damaged, name)
+        self.dates_with_points = partial(archive.sightings.dates, name)
+        self.days = partial(archive.days.find, name)
+        self.epochs = partial(archive.epochs.find, name)
+        self.events = partial(archive.events.find, name)
+        self.exclude = partial(archive.sightings.exclude, name)
+        self.expire_housekeeping = partial(archive.housekeeping.expire, name)
+        self.last_served = partial(archive.calibrations.last_served, name)
+        self.add_night_image = partial(archive.nights.add_image, name)
+        self.begin_night_verdict = partial(archive.nights.begin_verdict, name)
+        self.drop_night_images = partial(archive.nights.drop_images, name)
+        self.newest_sighting_time = partial(archive.sightings.newest_time, name)
+        self.night_images = partial(archive.nights.images, name)
+        self.nights = partial(archive.nights.find, name)
+        self.observation_times = partial(archive.sightings.observation_times, name)
+        self.open_epoch = partial(archive.epochs.open, name)
+        self.readmit = partial(archive.sightings.readmit, name)
+        self.record = partial(archive.cameras.get, name)
+        self.refits = partial(archive.refits.find, name)
+        self.sightings_of_ids = partial(archive.sightings.of_ids, name)
+        self.site_at = partial(archive.days.site_at, name, site)
+        self.split_epoch = partial(archive.epochs.split, name)
+        self.sun_candidates = partial(archive.sightings.candidates, name)
+        self.sun_levels = partial(archive.sightings.sun_levels, name)
+        self.sun_point_columns = partial(archive.sightings.columns, name)
+        self.sun_points = partial(archive.sightings.find, name)
+        self.widen_clock_errors = partial(archive.sightings.widen_clock_errors, name)
 
     def add_event(
         self,
@@ -225,4 +232,4 @@ class CameraArchive:
     ) -> Event:
         """Store the event of a finding and return it; `details` are what the finding's data do not say."""
         event = Event.of(finding, messages, time=time, severity=severity, camera=self.name, kind=kind, details=details)
-        return self.archive.add_event(event)
+        return self.archive.events.add(event)

@@ -12,7 +12,7 @@ from itertools import pairwise
 from types import MappingProxyType
 from typing import Any, Literal
 
-from sqlalchemy import ColumnElement, Connection, Engine, and_, func, insert, not_, or_, select, update
+from sqlalchemy import ColumnElement, Connection, and_, func, insert, not_, or_, select, update
 
 from sunarc.archive.calibration_rows import (
     DAMAGED,
@@ -26,9 +26,8 @@ from sunarc.archive.calibration_rows import (
     with_interval,
     wrong_state,
 )
-from sunarc.archive.columns import copy_used, keep_used
-from sunarc.archive.database.connections import DatabaseFile
-from sunarc.archive.database.store import Store, given, values_of
+from sunarc.archive.columns import copy_used, keep_used, sightings_used_by
+from sunarc.archive.database.store import Database, Part, given, values_of
 from sunarc.archive.database.tables import calibration, pose_epoch, sun_point
 from sunarc.archive.events import insert_event
 from sunarc.archive.messages import MESSAGES, text_of
@@ -45,16 +44,16 @@ _MOST_PARSED = 8
 _FIELDS = ("id", "camera", "method", "pose_epoch")
 
 
-class StoredCalibrations(Store):
-    """The part of the archive with calibrations; none is ever deleted."""
+class CalibrationStore(Part):
+    """The calibrations, none of which is ever deleted; each decision by hand is also an event."""
 
-    def __init__(self, engine: Engine, file: DatabaseFile | None) -> None:
-        super().__init__(engine, file)
+    def __init__(self, database: Database) -> None:
+        super().__init__(database)
         self._documents = Documents()
         self._current: dict[str, tuple[int, CalibrationRecord | None]] = {}
         self._parse = lru_cache(_MOST_PARSED)(self._parsed)
 
-    def add_calibration(
+    def add(
         self, document: Mapping[str, Any], *, parent: str | None = None, used: SunPointColumns | None = None
     ) -> CalibrationRecord:
         """Keep a calibration document, as a candidate (accepted or marginal) or as refused, by its verdict.
@@ -66,7 +65,7 @@ class StoredCalibrations(Store):
         used : the sightings that it was given, in the order of time; None where the archive does not have them.
         """
         record = _record(document, parent)
-        with self._writing() as connection:
+        with self._database.writing() as connection:
             if self._exists(connection, record.id):
                 raise wrong_state(record.id, "is there already", remedy="give it an id of its own")
             connection.execute(insert(calibration).values(row_of(record)))
@@ -87,7 +86,7 @@ class StoredCalibrations(Store):
         -------
         The current one; or the candidate as it was, where the current one is pinned.
         """
-        with self._writing() as connection:
+        with self._database.writing() as connection:
             record = self._required(connection, calibration_id)
             if record.state in SERVED:
                 raise wrong_state(
@@ -110,7 +109,7 @@ class StoredCalibrations(Store):
         What began before `since` ends there; what began between and goes on beyond begins at `until`. Where one answers
         from before `since` until after `until`, or is pinned, nothing is changed: the candidate is returned as it was.
         """
-        with self._writing() as connection:
+        with self._database.writing() as connection:
             record = self._required(connection, calibration_id)
             if record.state != "candidate":
                 raise wrong_state(calibration_id, f"is {record.state}", remedy="name a candidate")
@@ -126,7 +125,7 @@ class StoredCalibrations(Store):
 
     def retire(self, calibration_id: str, *, at: datetime) -> CalibrationRecord:
         """End the current calibration with nothing in its place."""
-        with self._writing() as connection:
+        with self._database.writing() as connection:
             record = self._required(connection, calibration_id)
             answering = self._answering(connection, record.camera, None)
             if answering is None or answering.id != calibration_id:
@@ -136,14 +135,14 @@ class StoredCalibrations(Store):
 
     def refuse(self, calibration_id: str, *, findings: tuple[Finding, ...]) -> CalibrationRecord:
         """Mark a candidate as refused, with the findings; it is kept."""
-        with self._writing() as connection:
+        with self._database.writing() as connection:
             record = self._required(connection, calibration_id)
             if record.state != "candidate":
                 raise wrong_state(calibration_id, f"is {record.state}", remedy="refuse a candidate")
             set_columns(connection, calibration_id, state="refused", accepted=False, findings=findings)
             return with_interval(self._required(connection, calibration_id))
 
-    def current_calibration(self, camera: str, *, at: datetime | None = None) -> CalibrationRecord | None:
+    def current(self, camera: str, *, at: datetime | None = None) -> CalibrationRecord | None:
         """Return the calibration that answers now, or the one that answers for the moment `at`; None without one.
 
         Where that one is damaged, the newest undamaged one that answered before it does, unless the lens was changed
@@ -153,20 +152,20 @@ class StoredCalibrations(Store):
             return self._read_answering(camera, at)
         # Read before the record: a commit between the two makes the pair stale, and it is read again; the other
         # order would keep an old record under the new number.
-        revision = self.revision()
+        revision = self._database.revision()
         cached = self._current.get(camera)
         if cached is None or cached[0] != revision:
             cached = self._current[camera] = (revision, self._read_answering(camera, None))
         return cached[1]
 
     def _read_answering(self, camera: str, at: datetime | None) -> CalibrationRecord | None:
-        with self._reading() as connection:
+        with self._database.reading() as connection:
             found = self._answering(connection, camera, at)
         return None if found is None else with_interval(found)
 
     def current_model(self, camera: str) -> Calibration | None:
         """Return the calibration that answers now; None without one, or where another version wrote its document."""
-        record = self.current_calibration(camera)
+        record = self.current(camera)
         try:
             return None if record is None else self.model(record.id)
         except InputError:
@@ -180,17 +179,17 @@ class StoredCalibrations(Store):
         return found
 
     def _parsed(self, calibration_id: str) -> Calibration | InputError:
-        document = self.calibration(calibration_id).document
+        document = self.get(calibration_id).document
         try:
             return from_document(document)
         except InputError as error:
             _log.warning("calibration %s cannot be read by this version: %s", calibration_id, error)
             return error
 
-    def damaged_calibration(self, camera: str) -> str | None:
+    def damaged(self, camera: str) -> str | None:
         """Return the id of the current calibration of a camera when it is damaged, read from the database anew."""
         c = calibration.c
-        with self._reading() as connection:
+        with self._database.reading() as connection:
             found = self._records(connection, c.camera == camera, c.state == "current")
             if not found or not (found[0].damaged or read_document(connection, found[0].id) is None):
                 return None
@@ -237,15 +236,15 @@ class StoredCalibrations(Store):
         """Return when the latest calibration of a pose epoch that ever answered was made; None without one."""
         c = calibration.c
         filters = (c.camera == camera, c.pose_epoch == pose_epoch, c.state.in_(SERVED))
-        with self._reading() as connection:
+        with self._database.reading() as connection:
             return connection.scalar(select(c.created_at).where(*filters).order_by(c.created_at.desc()).limit(1))
 
-    def calibration(self, calibration_id: str) -> CalibrationRecord:
+    def get(self, calibration_id: str) -> CalibrationRecord:
         """Return a calibration by its id; NotFoundError when there is none, ConflictError when it is damaged."""
-        with self._reading() as connection:
+        with self._database.reading() as connection:
             return with_interval(self._required(connection, calibration_id))
 
-    def calibrations(
+    def find(
         self,
         camera: str,
         *,
@@ -256,7 +255,7 @@ class StoredCalibrations(Store):
         """Return a camera's calibrations made before `until`, the newest first."""
         c = calibration.c
         filters = given((c.camera.__eq__, camera), (c.state.__eq__, state), (c.created_at.__lt__, until))
-        with self._reading() as connection:
+        with self._database.reading() as connection:
             return tuple(with_interval(record) for record in self._records(connection, *filters, limit=limit))
 
     def _records(
@@ -283,36 +282,6 @@ class StoredCalibrations(Store):
             )
         return found[0]
 
-
-def _record(document: Mapping[str, Any], parent: str | None) -> CalibrationRecord:
-    """Take the fields from the document, so that the two cannot differ."""
-    try:
-        verdict = document["verdict"]
-        return CalibrationRecord(
-            **{name: document[name] for name in _FIELDS},
-            state="candidate" if verdict["accepted"] or verdict.get("marginal", False) else "refused",
-            created_at=datetime.fromisoformat(document["created_at"]),
-            valid_from=datetime.fromisoformat(document["valid_from"]),
-            valid_until=None,
-            parent=parent,
-            accepted=bool(verdict["accepted"]),
-            findings=findings_of(verdict),
-            document=dict(document),
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(
-            field="calibration document", problem=f"{error} is missing or malformed", remedy="see sunarc.calibration/2"
-        ) from error
-
-
-# Manual decisions on calibrations: reinstate, pin, unpin.
-
-_COPY = re.compile(r"-r\d+$")
-
-
-class History(StoredCalibrations):
-    """The part of the archive with manual decisions; each is also an event."""
-
     def reinstate(self, calibration_id: str, *, at: datetime, reason: str) -> CalibrationRecord:
         """Make any calibration of the record current by hand, whatever is current or pinned.
 
@@ -323,7 +292,7 @@ class History(StoredCalibrations):
         at : from when on it answers.
         reason : why, in words; kept with the calibration and in the event.
         """
-        with self._writing() as connection:
+        with self._database.writing() as connection:
             record = self._required(connection, calibration_id)
             if record.state == "current":
                 raise wrong_state(calibration_id, "is current already", remedy="name another one")
@@ -351,7 +320,7 @@ class History(StoredCalibrations):
     def _hold(
         self, calibration_id: str, what: Literal["pinned", "unpinned"], *, at: datetime, reason: str
     ) -> CalibrationRecord:
-        with self._writing() as connection:
+        with self._database.writing() as connection:
             record = self._required(connection, calibration_id)
             if record.state != "current":
                 raise wrong_state(calibration_id, f"is {record.state}", remedy="name the current one")
@@ -360,6 +329,85 @@ class History(StoredCalibrations):
             found = Finding(f"calibration_{what}", {"calibration": record.id, "reason": reason})
             store_decision(connection, found, at=at, camera=record.camera)
         return with_interval(changed)
+
+    def sightings_of(self, calibration_id: str) -> SunPointColumns:
+        """Return the sightings that a calibration was given, as they were; see `sightings_used_by`."""
+        with self._database.reading() as connection:
+            return sightings_used_by(connection, calibration_id)
+
+    def close_epoch(self, epoch_id: str, *, at: datetime, reason: str) -> str | None:
+        """Undo a pose epoch: the one before it continues, and the calibration served before is current again.
+
+        The epoch's row stays, with a duration of 0. Its sightings move to the epoch before; those that were accepted
+        only because of the supposed move are rejected again. Its calibrations stop answering at `at`.
+
+        Parameters
+        ----------
+        epoch_id : any pose epoch but the camera's first.
+        at : now; no answer given for an earlier time changes.
+        reason : why, in words; kept in the event.
+
+        Returns
+        -------
+        The id of the calibration that is current afterwards; None where none was served before.
+
+        Raises
+        ------
+        NotFoundError : there is no such pose epoch, or it is closed already.
+        InputError : it is the camera's first.
+        """
+        with self._database.writing() as connection:
+            wrong, before = _with_the_one_before(connection, epoch_id)
+            _join(connection, wrong, before)
+            current = self._serve_again(connection, wrong, at=at, reason=reason)
+            data = {"pose_epoch": wrong.id, "started_at": wrong.started_at.isoformat(), "reason": reason}
+            details = {"continues": before.id, "calibration": current}
+            store_decision(connection, Finding(EPOCH_CLOSED, data), at=at, camera=wrong.camera, details=details)
+        return current
+
+    def _serve_again(self, connection: Connection, wrong: PoseEpoch, *, at: datetime, reason: str) -> str | None:
+        """Make the calibration that was served before an epoch current again, and return the id of the current one."""
+        c = calibration.c
+        current = self._records(connection, c.camera == wrong.camera, c.state == "current")
+        if current and current[0].pose_epoch != wrong.id:
+            return current[0].id
+        answered = self._records(connection, *self._may_stand_in(connection, wrong.camera, until=at))
+        undamaged = [record for record in answered if not record.damaged]
+        end_others(connection, wrong.camera, at)
+        if not undamaged:
+            return None
+        last = max(undamaged, key=lambda record: (record.valid_from, record.created_at))
+        if last.valid_until is None or last.valid_until > at:  # it still answers: nothing else ever did
+            set_columns(connection, last.id, state="current", valid_until=None)
+            return last.id
+        again = Finding("served_again", {"reason": reason})
+        return add_copy(connection, last, at=at, findings=(again, *last.findings)).id
+
+
+def _record(document: Mapping[str, Any], parent: str | None) -> CalibrationRecord:
+    """Take the fields from the document, so that the two cannot differ."""
+    try:
+        verdict = document["verdict"]
+        return CalibrationRecord(
+            **{name: document[name] for name in _FIELDS},
+            state="candidate" if verdict["accepted"] or verdict.get("marginal", False) else "refused",
+            created_at=datetime.fromisoformat(document["created_at"]),
+            valid_from=datetime.fromisoformat(document["valid_from"]),
+            valid_until=None,
+            parent=parent,
+            accepted=bool(verdict["accepted"]),
+            findings=findings_of(verdict),
+            document=dict(document),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            field="calibration document", problem=f"{error} is missing or malformed", remedy="see sunarc.calibration/2"
+        ) from error
+
+
+# Manual decisions on calibrations: reinstate, pin, unpin.
+
+_COPY = re.compile(r"-r\d+$")
 
 
 def add_copy(
@@ -408,58 +456,6 @@ def store_decision(
 
 EPOCH_CLOSED = "epoch_closed"
 """Kind of the event of a pose epoch that was closed as wrong."""
-
-
-class EpochClosing(History):
-    """The part of the archive that closes pose epochs opened by mistake."""
-
-    def close_epoch(self, epoch_id: str, *, at: datetime, reason: str) -> str | None:
-        """Undo a pose epoch: the one before it continues, and the calibration served before is current again.
-
-        The epoch's row stays, with a duration of 0. Its sightings move to the epoch before; those that were accepted
-        only because of the supposed move are rejected again. Its calibrations stop answering at `at`.
-
-        Parameters
-        ----------
-        epoch_id : any pose epoch but the camera's first.
-        at : now; no answer given for an earlier time changes.
-        reason : why, in words; kept in the event.
-
-        Returns
-        -------
-        The id of the calibration that is current afterwards; None where none was served before.
-
-        Raises
-        ------
-        NotFoundError : there is no such pose epoch, or it is closed already.
-        InputError : it is the camera's first.
-        """
-        with self._writing() as connection:
-            wrong, before = _with_the_one_before(connection, epoch_id)
-            _join(connection, wrong, before)
-            current = self._serve_again(connection, wrong, at=at, reason=reason)
-            data = {"pose_epoch": wrong.id, "started_at": wrong.started_at.isoformat(), "reason": reason}
-            details = {"continues": before.id, "calibration": current}
-            store_decision(connection, Finding(EPOCH_CLOSED, data), at=at, camera=wrong.camera, details=details)
-        return current
-
-    def _serve_again(self, connection: Connection, wrong: PoseEpoch, *, at: datetime, reason: str) -> str | None:
-        """Make the calibration that was served before an epoch current again, and return the id of the current one."""
-        c = calibration.c
-        current = self._records(connection, c.camera == wrong.camera, c.state == "current")
-        if current and current[0].pose_epoch != wrong.id:
-            return current[0].id
-        answered = self._records(connection, *self._may_stand_in(connection, wrong.camera, until=at))
-        undamaged = [record for record in answered if not record.damaged]
-        end_others(connection, wrong.camera, at)
-        if not undamaged:
-            return None
-        last = max(undamaged, key=lambda record: (record.valid_from, record.created_at))
-        if last.valid_until is None or last.valid_until > at:  # it still answers: nothing else ever did
-            set_columns(connection, last.id, state="current", valid_until=None)
-            return last.id
-        again = Finding("served_again", {"reason": reason})
-        return add_copy(connection, last, at=at, findings=(again, *last.findings)).id
 
 
 def _with_the_one_before(connection: Connection, epoch_id: str) -> tuple[PoseEpoch, PoseEpoch]:

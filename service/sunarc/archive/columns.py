@@ -28,7 +28,6 @@ from sqlalchemy import (
 from sqlalchemy import cast as sql_cast
 
 from sunarc.archive.database import tables
-from sunarc.archive.database.store import Store
 from sunarc.archive.database.tables import calibration, is_number, stored_as, sun_point, used_sightings
 from sunarc.archive.days import air_of_days, within_or_nan
 from sunarc.archive.values import SunPointColumns
@@ -213,44 +212,40 @@ def read_times(connection: Connection, filters: list[ColumnElement[bool]]) -> Fl
     return np.fromiter(connection.scalars(times), dtype=np.float64) / 1e6
 
 
-class UsedSightings(Store):
-    """The part of the archive with the inputs of calibrations."""
+def sightings_used_by(connection: Connection, calibration_id: str) -> SunPointColumns:
+    """Return the sightings that a calibration was given, as they were.
 
-    def sightings_of(self, calibration_id: str) -> SunPointColumns:
-        """Return the sightings that a calibration was given, as they were.
-
-        Raises
-        ------
-        NotFoundError : nothing was kept for this calibration.
-        InputError : they were changed or deleted since.
-        """
-        with self._reading() as connection:
-            row = connection.execute(
-                select(used_sightings, calibration.c.camera)
-                .join(calibration, calibration.c.id == used_sightings.c.calibration)
-                .where(used_sightings.c.calibration == calibration_id)
-            ).one_or_none()
-            if row is None:
-                raise NotFoundError(
-                    field="id",
-                    problem=f"no sightings were kept with calibration {calibration_id}",
-                    remedy="name one that a refit made, see `sunarc calibrations list`",
-                )
-            try:
-                ids, epochs = _unpacked(row.ids), [(str(name), int(start)) for name, start in row.epochs]
-                air = _unpacked_air(row.air, ids.size)
-                sigma = _unpacked_sigma(row.sigma, ids.size)
-            except (TypeError, ValueError, zlib.error):
-                raise _changed(calibration_id, "the list of its sightings is damaged") from None
-            found = read_columns(connection, row.camera, [listed(connection, ids)])
-        if found.ids.size != ids.size:
-            raise _changed(calibration_id, f"{ids.size - found.ids.size} of its {ids.size} sightings are gone")
-        columns = _as_then(found, epochs, air)
-        columns = columns if sigma is None else replace(columns, sigma_px=sigma)
-        # Rows of the same keys may have been edited since: the fit would not be the same.
-        if _digest(columns) != row.digest:
-            raise _changed(calibration_id, "its sightings were changed since")
-        return columns
+    Raises
+    ------
+    NotFoundError : nothing was kept for this calibration.
+    InputError : they were changed or deleted since.
+    """
+    row = connection.execute(
+        select(used_sightings, calibration.c.camera)
+        .join(calibration, calibration.c.id == used_sightings.c.calibration)
+        .where(used_sightings.c.calibration == calibration_id)
+    ).one_or_none()
+    if row is None:
+        raise NotFoundError(
+            field="id",
+            problem=f"no sightings were kept with calibration {calibration_id}",
+            remedy="name one that a refit made, see `sunarc calibrations list`",
+        )
+    try:
+        ids, epochs = _unpacked(row.ids), [(str(name), int(start)) for name, start in row.epochs]
+        air = _unpacked_air(row.air, ids.size)
+        sigma = _unpacked_sigma(row.sigma, ids.size)
+    except (TypeError, ValueError, zlib.error):
+        raise _changed(calibration_id, "the list of its sightings is damaged") from None
+    found = read_columns(connection, row.camera, [listed(connection, ids)])
+    if found.ids.size != ids.size:
+        raise _changed(calibration_id, f"{ids.size - found.ids.size} of its {ids.size} sightings are gone")
+    columns = _as_then(found, epochs, air)
+    columns = columns if sigma is None else replace(columns, sigma_px=sigma)
+    # Rows of the same keys may have been edited since: the fit would not be the same.
+    if _digest(columns) != row.digest:
+        raise _changed(calibration_id, "its sightings were changed since")
+    return columns
 
 
 def keep_used(connection: Connection, calibration_id: str, columns: SunPointColumns) -> None:

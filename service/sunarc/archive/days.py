@@ -3,36 +3,33 @@
 from __future__ import annotations
 
 import logging
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
-from datetime import date, datetime, timedelta
+from datetime import date, datetime
 from functools import partial
 from typing import Any, Literal
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
-from sqlalchemy import BigInteger, Column, Connection, RowMapping, Select, delete, func, select, type_coerce, update
+from sqlalchemy import Connection, RowMapping, delete, func, select, update
 
 from sunarc.archive.database import tables
-from sunarc.archive.database.store import Store, given, upsert, values_of
+from sunarc.archive.database.store import Part, given, upsert, values_of
 from sunarc.archive.database.tables import camera as cameras
-from sunarc.archive.database.tables import day, day_air, night_image, refit, sun_point
+from sunarc.archive.database.tables import day, day_air, night_image
 from sunarc.archive.events import insert_event, log_event
-from sunarc.archive.values import DayAir, Event, Night, SightingCounts, SunPoint, unusable_night
+from sunarc.archive.values import Day, DayAir, Event, Night, SunPoint, unusable_night
 from sunarc.array_types import FloatArray
 from sunarc.errors import InputError, NotFoundError
 from sunarc.findings import Finding, from_json
-from sunarc.sky.days import SECONDS_PER_DEGREE, day_bounds_unix_s, day_of_date, solar_date, solar_days
-from sunarc.sky.night import SUN
+from sunarc.sky.days import day_of_date, solar_date, solar_days
 from sunarc.sky.site import PA_PER_HPA, PRESSURE_BOUNDS_HPA, PRESSURE_BOUNDS_PA, TEMPERATURE_BOUNDS_C, Site
-from sunarc.utc import DAY_S
 
 
-class MeasuredAir(Store):
-    """The part of the archive with the measured air of days."""
+class DayStore(Part):
+    """The solar days: their verdicts, and the air that was measured on them."""
 
-    def set_day_air(self, air: DayAir) -> DayAir:
+    def set_air(self, air: DayAir) -> DayAir:
         """Write a day's air in place of an earlier one, and return what is kept; with neither value, remove it.
 
         The same values again change nothing, `set_at` included.
@@ -46,7 +43,7 @@ class MeasuredAir(Store):
         _require_within("pressure_hpa", air.pressure_hpa, PRESSURE_BOUNDS_HPA)
         c = day_air.c
         this = (c.camera == air.camera, c.date == air.date)
-        with self._writing() as connection:
+        with self._database.writing() as connection:
             if connection.scalar(select(cameras.c.name).where(cameras.c.name == air.camera)) is None:
                 raise NotFoundError(
                     field="camera",
@@ -62,15 +59,15 @@ class MeasuredAir(Store):
                 upsert(connection, day_air, asdict(air), key=["camera", "date"])
         return air
 
-    def day_air(self, camera: str, *, since: date | None = None, until: date | None = None) -> tuple[DayAir, ...]:
+    def air(self, camera: str, *, since: date | None = None, until: date | None = None) -> tuple[DayAir, ...]:
         """Return the measured air of the days with `since` <= date < `until`, the first one first."""
-        with self._reading() as connection:
+        with self._database.reading() as connection:
             return _read(connection, camera, since=since, until=until)
 
     def air_of(self, camera: str, points: Sequence[SunPoint]) -> tuple[FloatArray, FloatArray]:
         """Return temperature (°C) and pressure (Pa) at sightings, (n,) each: their own, else their day's, else NaN."""
         unix_s = np.array([point.time.timestamp() for point in points], dtype=np.float64)
-        with self._reading() as connection:
+        with self._database.reading() as connection:
             of_day = air_of_days(connection, camera, unix_s)
         measured = _numbers(points)
         temperature, pressure = (np.where(np.isnan(own), day, own) for own, day in zip(measured, of_day, strict=True))
@@ -78,7 +75,7 @@ class MeasuredAir(Store):
 
     def site_on(self, camera: str, site: Site, day: date) -> Site:
         """Return a camera's site in the measured air of a solar day; in the site's own where nothing was measured."""
-        with self._reading() as connection:
+        with self._database.reading() as connection:
             found = values_of(
                 connection, select(day_air).where(day_air.c.camera == camera, day_air.c.date == day), DayAir
             )
@@ -90,6 +87,23 @@ class MeasuredAir(Store):
     def site_at(self, camera: str, site: Site, time: datetime) -> Site:
         """Return a camera's site in the measured air of the solar day of a moment, as `site_on`."""
         return self.site_on(camera, site, solar_date(time.timestamp(), longitude=site.longitude))
+
+    def count(self, camera: str) -> Mapping[str, int]:
+        """Return how many days have each verdict."""
+        return self._database.counts(select(day.c.verdict, func.count()).where(day.c.camera == camera), day.c.verdict)
+
+    def save(self, day: Day) -> None:
+        """Write a day's verdict, in place of an earlier one."""
+        with self._database.writing() as connection:
+            upsert(connection, tables.day, asdict(day) | {"findings": day.findings}, key=["camera", "date"])
+
+    def find(
+        self, camera: str, *, since: date | None = None, until: date | None = None, limit: int | None = None
+    ) -> tuple[Day, ...]:
+        """Return the days with `since` <= date < `until` that have a verdict, the newest first."""
+        c = tables.day.c
+        filters = given((c.camera.__eq__, camera), (c.date.__ge__, since), (c.date.__lt__, until))
+        return self._database.values(select(tables.day).where(*filters).order_by(c.date.desc()).limit(limit), Day)
 
 
 def air_of_days(connection: Connection, camera: str, unix_s: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -150,59 +164,6 @@ def _require_within(field: str, value: float | None, bounds: tuple[float, float]
         )
 
 
-class Counts(Store):
-    """The part of the archive that counts."""
-
-    def count_sightings(self, camera: str, *, since: datetime, until: datetime) -> Mapping[str, int]:
-        """Return how many sightings with `since` <= time < `until` have each verdict."""
-        c = sun_point.c
-        return self._counted(
-            select(c.verdict, func.count()).where(c.camera == camera, c.time >= since, c.time < until), c.verdict
-        )
-
-    def count_days(self, camera: str) -> Mapping[str, int]:
-        """Return how many days have each verdict."""
-        return self._counted(select(day.c.verdict, func.count()).where(day.c.camera == camera), day.c.verdict)
-
-    def count_refits(self, camera: str) -> Mapping[str, int]:
-        """Return how many refits are in each state."""
-        return self._counted(select(refit.c.state, func.count()).where(refit.c.camera == camera), refit.c.state)
-
-    def sightings_by_day(
-        self, camera: str, *, longitude: float, since: date, until: date
-    ) -> tuple[SightingCounts, ...]:
-        """Return the counts of the looks at the sun on solar dates with `since` <= date < `until`, the newest first."""
-        c, ahead = sun_point.c, round(1e6 * longitude * SECONDS_PER_DEGREE)
-        begin, end = (round(1e6 * day_bounds_unix_s(one, longitude=longitude)[0]) for one in (since, until))
-        time = type_coerce(c.time, BigInteger)
-        number = ((time + ahead) // round(1e6 * DAY_S)).label("day")
-        counts = select(number, c.verdict, c.accepted, func.count(), func.max(c.clock_error_s))
-        of_days = counts.where(c.camera == camera, c.body == SUN, time >= begin, time < end)
-        with self._reading() as connection:
-            rows = connection.execute(of_days.group_by(number, c.verdict, c.accepted)).all()
-        by_day: dict[int, list[tuple[str, bool, int, float | None]]] = {}
-        for day_number, *row in rows:
-            by_day.setdefault(int(day_number), []).append((row[0], row[1], row[2], row[3]))
-        return tuple(_of_day(one, by_day[one]) for one in sorted(by_day, reverse=True))
-
-    def _counted(self, statement: Select[Any], by: Column[str]) -> Mapping[str, int]:
-        with self._reading() as connection:
-            rows = connection.execute(statement.group_by(by)).all()
-        return {str(name): int(n) for name, n in rows if name is not None}
-
-
-def _of_day(day: int, rows: list[tuple[str, bool, int, float | None]]) -> SightingCounts:
-    verdicts: Counter[str] = Counter()
-    for verdict, _, count, _ in rows:
-        verdicts[verdict] += count
-    return SightingCounts(
-        date=date(1970, 1, 1) + timedelta(days=day),
-        verdicts=dict(sorted(verdicts.items())),
-        accepted=sum(count for _, accepted, count, _ in rows if accepted),
-        clock_error_s=max((error for *_, error in rows if error is not None), default=None),
-    )
-
-
 _log = logging.getLogger(__name__)
 
 NightImageKind = Literal["stars", "moon"]
@@ -248,31 +209,31 @@ _NIGHT = TypeAdapter(Night)
 _COLUMNS = [column for column in night_image.c if column.name not in {"camera", "n_tries"}]
 
 
-class StoredNights(Store):
-    """The part of the archive with the verdicts of nights, and the images of nights that have none yet."""
+class NightStore(Part):
+    """The nights: their verdicts, and the images of those that have none yet."""
 
-    def add_night_image(self, camera: str, image: NightImage, *, keep_since: datetime) -> None:
+    def add_image(self, camera: str, image: NightImage, *, keep_since: datetime) -> None:
         """Store an image of the night, and remove those of its kind from before `keep_since`."""
         c = night_image.c
         row = {"camera": camera, "n_tries": 0, **asdict(image)}
-        with self._writing(camera=camera) as connection:
+        with self._database.writing(camera=camera) as connection:
             upsert(connection, night_image, row, key=["camera", "time", "kind"])
             connection.execute(delete(night_image).where(c.camera == camera, c.kind == image.kind, c.time < keep_since))
 
-    def night_images(self, camera: str) -> tuple[NightImage, ...]:
+    def images(self, camera: str) -> tuple[NightImage, ...]:
         """Return the images of a camera's nights without a verdict, the oldest first."""
         c = night_image.c
-        return self._values(select(*_COLUMNS).where(c.camera == camera).order_by(c.time, c.kind), NightImage)
+        return self._database.values(select(*_COLUMNS).where(c.camera == camera).order_by(c.time, c.kind), NightImage)
 
-    def begin_night_verdict(self, camera: str) -> int:
+    def begin_verdict(self, camera: str) -> int:
         """Count that the verdict of the stored images is begun, and return how often it was, this time included."""
         c = night_image.c
-        with self._writing(camera=camera) as connection:
+        with self._database.writing(camera=camera) as connection:
             connection.execute(update(night_image).where(c.camera == camera).values(n_tries=c.n_tries + 1))
             tries = select(func.max(c.n_tries)).where(c.camera == camera)
             return int(connection.scalar(tries) or 0)
 
-    def save_night(self, night: Night, *, event: Event | None = None, drops_images: bool = False) -> None:
+    def save(self, night: Night, *, event: Event | None = None, drops_images: bool = False) -> None:
         """Write a night's verdict in place of an earlier one, with the event that tells of it: both, or neither.
 
         Parameters
@@ -281,7 +242,7 @@ class StoredNights(Store):
         event : what /v1/events says of it.
         drops_images : whether the stored images were those of this night, and are removed.
         """
-        with self._writing() as connection:
+        with self._database.writing() as connection:
             upsert(connection, tables.night, row_of_night(night), key=["camera", "date"])
             stored = None if event is None else insert_event(connection, event)
             if drops_images:
@@ -289,12 +250,12 @@ class StoredNights(Store):
         if stored is not None:
             log_event(stored)
 
-    def drop_night_images(self, camera: str) -> None:
+    def drop_images(self, camera: str) -> None:
         """Remove the images of a night that gets no verdict."""
-        with self._writing() as connection:
+        with self._database.writing() as connection:
             _drop_images(connection, camera)
 
-    def nights(
+    def find(
         self,
         camera: str,
         *,
@@ -310,7 +271,7 @@ class StoredNights(Store):
         c = tables.night.c
         filters = given((c.camera.__eq__, camera), (c.decided_at.__ge__, since), (c.decided_at.__lt__, until))
         statement = select(tables.night).where(*filters).order_by(c.decided_at.desc(), c.date.desc()).limit(limit)
-        with self._reading() as connection:
+        with self._database.reading() as connection:
             rows = connection.execute(statement).mappings().all()
         return tuple(night for night in map(_night, rows) if night is not None)
 

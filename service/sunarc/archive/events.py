@@ -1,19 +1,19 @@
-"""Verdicts of days, refits, events, conditions, disk space and temperatures."""
+"""Refits, events, conditions, disk space and temperatures."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, replace
-from datetime import UTC, date, datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from typing import Any, get_args
 
 from sqlalchemy import Connection, and_, delete, func, insert, or_, select, update
 
 from sunarc.archive.database import tables
-from sunarc.archive.database.store import Store, given, upsert, values_of
-from sunarc.archive.database.tables import condition, housekeeping
-from sunarc.archive.values import Day, Event, EventSeverity, Housekeeping, HousekeepingStep, Refit, RefitState, merged
+from sunarc.archive.database.store import Part, given, upsert, values_of
+from sunarc.archive.database.tables import condition, housekeeping, refit
+from sunarc.archive.values import Event, EventSeverity, Housekeeping, HousekeepingStep, Refit, RefitState, merged
 from sunarc.errors import NotFoundError
 from sunarc.findings import Finding
 
@@ -21,29 +21,20 @@ _log = logging.getLogger(__name__)
 _LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "alarm": logging.ERROR}
 
 
-class Journal(Store):
-    """The part of the archive with verdicts, refits and events."""
+class RefitStore(Part):
+    """The refits."""
 
-    def save_day(self, day: Day) -> None:
-        """Write a day's verdict, in place of an earlier one."""
-        with self._writing() as connection:
-            upsert(connection, tables.day, _row_of(day), key=["camera", "date"])
+    def count(self, camera: str) -> Mapping[str, int]:
+        """Return how many refits are in each state."""
+        return self._database.counts(select(refit.c.state, func.count()).where(refit.c.camera == camera), refit.c.state)
 
-    def days(
-        self, camera: str, *, since: date | None = None, until: date | None = None, limit: int | None = None
-    ) -> tuple[Day, ...]:
-        """Return the days with `since` <= date < `until` that have a verdict, the newest first."""
-        c = tables.day.c
-        filters = given((c.camera.__eq__, camera), (c.date.__ge__, since), (c.date.__lt__, until))
-        return self._values(select(tables.day).where(*filters).order_by(c.date.desc()).limit(limit), Day)
-
-    def add_refit(self, refit: Refit) -> Refit:
+    def add(self, refit: Refit) -> Refit:
         """Write down that a refit was asked for, or has begun."""
-        with self._writing() as connection:
+        with self._database.writing() as connection:
             connection.execute(insert(tables.refit).values(_row_of(refit)))
         return refit
 
-    def request_refit(self, refit: Refit) -> Refit:
+    def request(self, refit: Refit) -> Refit:
         """Write down that a refit is asked for, or return the one of its camera that has been asked for already.
 
         One that has not begun yet will see every sighting that this one would: there is never more than one of them,
@@ -52,18 +43,18 @@ class Journal(Store):
         c = tables.refit.c
         waiting = select(tables.refit).where(c.camera == refit.camera, c.state == "requested", c.finished_at.is_(None))
         # Read under the write lock: two requests at once would otherwise both find nothing.
-        with self._writing() as connection:
+        with self._database.writing() as connection:
             found = values_of(connection, waiting.order_by(c.requested_at, c.id).limit(1), Refit)
             if found:
                 return found[0]
             connection.execute(insert(tables.refit).values(_row_of(refit)))
         return refit
 
-    def start_refit(self, refit_id: str, *, started_at: datetime) -> Refit:
+    def start(self, refit_id: str, *, started_at: datetime) -> Refit:
         """Write down that a refit has begun."""
-        return self._change_refit(refit_id, state="running", started_at=started_at)
+        return self._change(refit_id, state="running", started_at=started_at)
 
-    def finish_refit(
+    def finish(
         self,
         refit_id: str,
         *,
@@ -74,7 +65,7 @@ class Journal(Store):
         findings: tuple[Finding, ...] = (),
     ) -> Refit:
         """Write down how a refit ended, and the calibration it made (accepted or refused)."""
-        return self._change_refit(
+        return self._change(
             refit_id,
             state=state,
             finished_at=finished_at,
@@ -83,30 +74,41 @@ class Journal(Store):
             findings=findings,
         )
 
-    def refit(self, refit_id: str) -> Refit:
+    def get(self, refit_id: str) -> Refit:
         """Return a refit by its id; NotFoundError when there is none."""
-        found = self._values(select(tables.refit).where(tables.refit.c.id == refit_id), Refit)
+        found = self._database.values(select(tables.refit).where(tables.refit.c.id == refit_id), Refit)
         if not found:
             raise NotFoundError(field="id", problem=f"there is no refit {refit_id}", remedy="use an id that was given")
         return found[0]
 
-    def refits(
+    def find(
         self, camera: str, *, unfinished: bool = False, until: datetime | None = None, limit: int | None = None
     ) -> tuple[Refit, ...]:
         """Return a camera's refits asked for before `until`, the newest first; those that have not ended, if asked."""
         c = tables.refit.c
         filters = given((c.camera.__eq__, camera), (c.requested_at.__lt__, until))
         statement = select(tables.refit).where(*filters).order_by(c.requested_at.desc(), c.id.desc()).limit(limit)
-        return self._values(statement.where(c.finished_at.is_(None)) if unfinished else statement, Refit)
+        return self._database.values(statement.where(c.finished_at.is_(None)) if unfinished else statement, Refit)
 
-    def add_event(self, event: Event) -> Event:
+    def _change(self, refit_id: str, **columns: object) -> Refit:
+        self.get(refit_id)
+        this_refit = tables.refit.c.id == refit_id
+        with self._database.writing() as connection:
+            connection.execute(update(tables.refit).where(this_refit).values(**columns))
+            return values_of(connection, select(tables.refit).where(this_refit), Refit)[0]
+
+
+class EventStore(Part):
+    """The events."""
+
+    def add(self, event: Event) -> Event:
         """Write an event down, tell the log of it, and return it with its id."""
-        with self._writing() as connection:
+        with self._database.writing() as connection:
             stored = insert_event(connection, event)
         log_event(stored)
         return stored
 
-    def events(
+    def find(
         self,
         camera: str | None = None,
         *,
@@ -122,26 +124,19 @@ class Journal(Store):
         filters = given((c.time.__ge__, since), (c.time.__lt__, until), (c.severity.__eq__, severity))
         filters += given((c.kind.__eq__, kind))
         statement = select(tables.event).where(*of_camera, *filters).order_by(c.time.desc(), c.id.desc()).limit(limit)
-        return self._values(statement, Event)
+        return self._database.values(statement, Event)
 
-    def last_event_id(self) -> int:
+    def last_id(self) -> int:
         """Return the number of the newest event of all cameras; 0 without one."""
-        with self._reading() as connection:
+        with self._database.reading() as connection:
             return int(connection.scalar(select(func.max(tables.event.c.id))) or 0)
 
-    def events_after(self, event_id: int, *, camera: str, limit: int) -> tuple[Event, ...]:
+    def after(self, event_id: int, *, camera: str, limit: int) -> tuple[Event, ...]:
         """Return a camera's events that were stored after another one, the oldest first; of many the newest ones."""
         c = tables.event.c
         of_camera = (c.camera == camera) | c.camera.is_(None)
         newest = select(tables.event).where(of_camera, c.id > event_id).order_by(c.id.desc()).limit(limit)
-        return self._values(newest, Event)[::-1]
-
-    def _change_refit(self, refit_id: str, **columns: object) -> Refit:
-        self.refit(refit_id)
-        this_refit = tables.refit.c.id == refit_id
-        with self._writing() as connection:
-            connection.execute(update(tables.refit).where(this_refit).values(**columns))
-            return values_of(connection, select(tables.refit).where(this_refit), Refit)[0]
+        return self._database.values(newest, Event)[::-1]
 
 
 def log_event(stored: Event) -> None:
@@ -158,24 +153,24 @@ def insert_event(connection: Connection, event: Event) -> Event:
     return replace(event, id=None if key is None else int(key[0]))
 
 
-def _row_of(value: Day | Refit) -> dict[str, Any]:
-    """Return the columns of a value; `asdict` alone would take its findings apart."""
+def _row_of(value: Refit) -> dict[str, Any]:
+    """Return the columns of a refit; `asdict` alone would take its findings apart."""
     return asdict(value) | {"findings": value.findings}
 
 
-class ConditionTimes(Store):
-    """The part of the archive with the conditions that held when they were last stored."""
+class ConditionStore(Part):
+    """The conditions that held when they were last stored."""
 
-    def condition_times(self, camera: str) -> Mapping[str, datetime]:
+    def times(self, camera: str) -> Mapping[str, datetime]:
         """Return since when the stored conditions of a camera's service hold, by code; "" is the hub's own."""
-        with self._reading() as connection:
+        with self._database.reading() as connection:
             rows = connection.execute(select(condition.c.code, condition.c.since).where(condition.c.camera == camera))
             return {str(code): since for code, since in rows if since is not None}
 
-    def save_condition_times(self, camera: str, times: Mapping[str, datetime]) -> None:
+    def save(self, camera: str, times: Mapping[str, datetime]) -> None:
         """Store since when conditions hold, in place of all that was stored of this service."""
         rows = [{"camera": camera, "code": code, "since": since} for code, since in times.items()]
-        with self._writing() as connection:
+        with self._database.writing() as connection:
             connection.execute(delete(condition).where(condition.c.camera == camera))
             if rows:
                 connection.execute(insert(condition), rows)
@@ -185,10 +180,10 @@ _KEPT: dict[HousekeepingStep, timedelta] = {"hour": timedelta(days=92), "day": t
 _COLUMNS = [column for column in housekeeping.c if column.name not in {"camera", "step"}]
 
 
-class HousekeepingRecord(Store):
-    """The part of the archive with disk space and temperatures."""
+class HousekeepingStore(Part):
+    """Disk space and temperatures."""
 
-    def add_housekeeping(self, camera: str, measured: Iterable[Housekeeping]) -> None:
+    def add(self, camera: str, measured: Iterable[Housekeeping]) -> None:
         """Add measurements to what is stored of their hour and their UTC day, in one transaction.
 
         Parameters
@@ -196,25 +191,25 @@ class HousekeepingRecord(Store):
         camera : its name; it need not have answered yet.
         measured : each within one hour.
         """
-        with self._writing(camera=camera) as connection:
+        with self._database.writing(camera=camera) as connection:
             for one in measured:
                 for step in get_args(HousekeepingStep):
                     _add(connection, camera, step, one)
 
-    def housekeeping(
+    def find(
         self, camera: str, *, step: HousekeepingStep, since: datetime | None = None, until: datetime | None = None
     ) -> tuple[Housekeeping, ...]:
         """Return the hours or days that begin with `since` <= time < `until`, the newest first."""
         c = housekeeping.c
         filters = given((c.time.__ge__, since), (c.time.__lt__, until))
         statement = select(*_COLUMNS).where(c.camera == camera, c.step == step, *filters).order_by(c.time.desc())
-        return self._values(statement, Housekeeping)
+        return self._database.values(statement, Housekeeping)
 
-    def expire_housekeeping(self, camera: str, *, now: datetime) -> int:
+    def expire(self, camera: str, *, now: datetime) -> int:
         """Remove a camera's hours older than 92 days and days older than 1830, and return how many."""
         c = housekeeping.c
         old = or_(*(and_(c.step == step, c.time < now - kept) for step, kept in _KEPT.items()))
-        with self._writing(camera=camera) as connection:
+        with self._database.writing(camera=camera) as connection:
             return connection.execute(delete(housekeeping).where(c.camera == camera, old)).rowcount
 
 

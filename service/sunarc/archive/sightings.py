@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable
+from collections import Counter
+from collections.abc import Container, Iterable, Mapping
 from dataclasses import asdict, fields, replace
-from datetime import date, datetime
+from datetime import date, datetime, timedelta
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -12,7 +13,6 @@ from sqlalchemy import (
     BigInteger,
     ColumnElement,
     Connection,
-    Engine,
     and_,
     func,
     insert,
@@ -34,11 +34,10 @@ from sunarc.archive.columns import (
     read_times,
 )
 from sunarc.archive.database import tables
-from sunarc.archive.database.connections import DatabaseFile
-from sunarc.archive.database.store import Store, given, insert_new, upsert, values_of
+from sunarc.archive.database.store import Database, Part, given, insert_new, upsert, values_of
 from sunarc.archive.database.tables import sun_point
 from sunarc.archive.events import insert_event
-from sunarc.archive.values import CameraRecord, Event, PoseEpoch, SunPoint, SunPointColumns
+from sunarc.archive.values import CameraRecord, Event, PoseEpoch, SightingCounts, SunPoint, SunPointColumns
 from sunarc.array_types import FloatArray, IntArray
 from sunarc.detection.values import Detection
 from sunarc.errors import InputError
@@ -78,91 +77,6 @@ class FileSighting(NamedTuple):
         return self.time_us, self.exposure_us, self.file
 
 
-class FileSightings(Store):
-    """The part of the archive with the sightings of image files."""
-
-    def file_sightings(self, camera: str, *, times_us: Container[int]) -> list[FileSighting]:
-        """Return what is stored of the sun at the given times, microseconds since 1970-01-01 UTC."""
-        c = sun_point.c
-        names = [name for name in FileSighting._fields if name != "time_us"]
-        rows = select(type_coerce(c.time, BigInteger), *(c[name] for name in names)).where(
-            c.camera == camera, c.body == "sun"
-        )
-        with self._reading() as connection:
-            return [FileSighting(*row) for row in connection.execute(rows.order_by(c.id)) if row[0] in times_us]
-
-    def name_files(self, camera: str, keys: Iterable[ImageKey]) -> None:
-        """Give sightings that have no file name, of the keys' times and exposures, the names in the keys."""
-        c = sun_point.c
-        with self._writing() as connection:
-            for time_us, exposure_us, file in keys:
-                unnamed = (c.camera == camera, type_coerce(c.time, BigInteger) == time_us, c.file == "")
-                change = update(sun_point).where(*unnamed, c.exposure_us == exposure_us, c.body == "sun")
-                connection.execute(change.values(file=file))
-
-    def replace_sun_points(self, points: Iterable[SunPoint]) -> None:
-        """Store sightings of image files; one that is there already (see the key) is replaced, and keeps its id.
-
-        Where one is accepted, sightings of the same image by other methods are set aside: an image counts once. So are
-        those of the other images of its stack, which are among the points.
-        """
-        kept = tuple(points)
-        stacked = {point.time for point in kept if point.accepted}
-        self._prepare_months([point.time for point in kept])
-        with self._writing() as connection:
-            for point in kept:
-                upsert(connection, sun_point, asdict(point), key=_KEY)
-                if point.accepted or (point.verdict == "in_stack" and point.time in stacked):
-                    _set_others_aside(connection, point)
-
-    def replace_stars(self, camera: str, points: Iterable[SunPoint]) -> int:
-        """Store the stars of images that were looked at again, and return how many sightings are new.
-
-        Former sightings of stars in these images that are not among them are set aside; those of other images stay.
-        """
-        named = tuple(points)
-        self._prepare_months([point.time for point in named])
-        c = sun_point.c
-        of_images = (c.camera == camera, c.method == _STAR, c.time.in_({point.time for point in named}))
-        count = select(func.count()).where(*of_images)
-        aside = update(sun_point).where(*of_images, c.accepted.is_(True))
-        with self._writing() as connection:
-            before = int(connection.scalar(count) or 0)
-            connection.execute(aside.values(accepted=False, verdict="set_aside", reason=NOT_NAMED_AGAIN))
-            for point in named:
-                upsert(connection, sun_point, asdict(point), key=_KEY)
-            return int(connection.scalar(count) or 0) - before
-
-    def mark_predicted(self, camera: str, keys: Iterable[ImageKey], *, ingest_pass: int) -> None:
-        """Set the `ingest_pass` of the sightings of image files."""
-        c = sun_point.c
-        with self._writing() as connection:
-            for time_us, exposure_us, file in keys:
-                same = (c.camera == camera, type_coerce(c.time, BigInteger) == time_us, c.file == file, c.body == "sun")
-                change = update(sun_point).where(*same, c.exposure_us == exposure_us)
-                connection.execute(change.values(ingest_pass=ingest_pass))
-
-    def methods_of_files(self, camera: str) -> tuple[str, ...]:
-        """Return the methods by which the sun was found in image files."""
-        c = sun_point.c
-        methods = select(c.method).distinct().where(c.camera == camera, c.file != "", c.x_px.is_not(None))
-        with self._reading() as connection:
-            return tuple(connection.scalars(methods.order_by(c.method)))
-
-    def scale_sigma(self, camera: str, *, method: str, factor: float, event: Event) -> int:
-        """Multiply the stated sigma of a method's sightings of image files, and return how many there are.
-
-        Calibrations that rest on them keep the sigma that they were given, so that they can be solved again. The event
-        is stored with it: both are, or neither is.
-        """
-        c = sun_point.c
-        of_series = and_(c.camera == camera, c.method == method, c.file != "", c.sigma_px.is_not(None))
-        with self._writing() as connection:
-            keep_sigma(connection, camera)
-            insert_event(connection, event)
-            return connection.execute(update(sun_point).where(of_series).values(sigma_px=c.sigma_px * factor)).rowcount
-
-
 def _set_others_aside(connection: Connection, point: SunPoint) -> None:
     c = sun_point.c
     same_image = (c.camera == point.camera, c.time == point.time, c.body == point.body, c.file == point.file)
@@ -186,27 +100,6 @@ LENS_CHANGED = "lens"
 """Reason of a pose epoch that also has another lens: nothing from before says anything of it."""
 
 
-class SightingRevisions(Store):
-    """The part of the archive that changes whether sightings are accepted; their pixels stay."""
-
-    def exclude(self, camera: str, *, since: datetime, until: datetime | None = None, reason: str) -> int:
-        """Leave accepted sightings with `since` <= time < `until` out of every fit, and return how many."""
-        c = sun_point.c
-        filters = given((c.camera.__eq__, camera), (c.time.__ge__, since), (c.time.__lt__, until))
-        change = update(sun_point).where(*filters, c.accepted.is_(True))
-        with self._writing() as connection:
-            return connection.execute(change.values(accepted=False, verdict="set_aside", reason=reason)).rowcount
-
-    def readmit(self, camera: str, *, since: datetime, until: datetime | None = None, reason: str = MOVED) -> int:
-        """Accept the discs seen elsewhere with `since` <= time < `until`, and return how many: the camera has moved."""
-        c = sun_point.c
-        filters = given((c.camera.__eq__, camera), (c.time.__ge__, since), (c.time.__lt__, until))
-        filters += [c.verdict == ELSEWHERE, c.x_px.is_not(None), c.y_px.is_not(None)]
-        with self._writing() as connection:
-            change = update(sun_point).where(*filters).values(accepted=True, verdict="clear", reason=reason)
-            return connection.execute(change).rowcount
-
-
 _FIRST_OF_EACH_DAY = text(
     """
     WITH RECURSIVE first(time) AS (
@@ -224,36 +117,42 @@ _FIRST_OF_EACH_DAY = text(
 """One index lookup a day; five years take milliseconds."""
 
 
-class SightingStore(Store):
-    """The part of the archive with cameras, pose epochs and sightings."""
+class CameraStore(Part):
+    """The cameras that are known."""
 
-    def __init__(self, engine: Engine, file: DatabaseFile | None) -> None:
-        super().__init__(engine, file)
+    def __init__(self, database: Database) -> None:
+        super().__init__(database)
         self._saved: dict[str, CameraRecord] = {}
 
-    def save_camera(self, record: CameraRecord) -> None:
+    def save(self, record: CameraRecord) -> None:
         """Write a camera down, in place of what was known of the same name."""
-        with self._writing() as connection:
+        with self._database.writing() as connection:
             upsert(connection, tables.camera, asdict(record), key=["name"])
         self._saved = {**self._saved, record.name: record}
 
-    def saved_cameras(self) -> tuple[CameraRecord, ...]:
+    def saved(self) -> tuple[CameraRecord, ...]:
         """Return the cameras that were written down by this object."""
         return tuple(self._saved.values())
 
-    def cameras(self) -> tuple[CameraRecord, ...]:
+    def all(self) -> tuple[CameraRecord, ...]:
         """Return the known cameras by name."""
-        return self._values(select(tables.camera).order_by(tables.camera.c.name), CameraRecord)
+        return self._database.values(select(tables.camera).order_by(tables.camera.c.name), CameraRecord)
 
-    def camera(self, name: str) -> CameraRecord | None:
+    def get(self, name: str) -> CameraRecord | None:
         """Return the camera of a name; None where it is not known."""
-        return next(iter(self._values(select(tables.camera).where(tables.camera.c.name == name), CameraRecord)), None)
+        return next(
+            iter(self._database.values(select(tables.camera).where(tables.camera.c.name == name), CameraRecord)), None
+        )
 
-    def open_epoch(self, camera: str, *, at: datetime, reason: str) -> PoseEpoch:
+
+class EpochStore(Part):
+    """The pose epochs of cameras."""
+
+    def open(self, camera: str, *, at: datetime, reason: str) -> PoseEpoch:
         """Begin a new pose epoch: the one before ends, and sightings from `at` on move to the new one."""
         epochs = tables.pose_epoch.c
         # Read under the write lock, so that no other thread opens an epoch between the check and the row.
-        with self._writing() as connection:
+        with self._database.writing() as connection:
             statement = select(tables.pose_epoch).where(epochs.camera == camera)
             before = values_of(connection, statement, PoseEpoch)
             # a closed epoch has no duration, but its beginning stays unique
@@ -269,7 +168,7 @@ class SightingStore(Store):
             connection.execute(moving.values(pose_epoch=epoch.id))
         return epoch
 
-    def split_epoch(self, camera: str, *, at: datetime, reason: str) -> tuple[PoseEpoch, PoseEpoch]:
+    def split(self, camera: str, *, at: datetime, reason: str) -> tuple[PoseEpoch, PoseEpoch]:
         """Divide the pose epoch that `at` lies in, and return both parts; sightings go with their part.
 
         The part that calibrations answered for keeps the id: the later one where they all answer from `at` on, else
@@ -280,7 +179,7 @@ class SightingStore(Store):
         InputError : no epoch has `at` within it, or one that began at `at` was closed as wrong.
         """
         epochs = tables.pose_epoch.c
-        with self._writing() as connection:
+        with self._database.writing() as connection:
             statement = select(tables.pose_epoch).where(epochs.camera == camera).order_by(epochs.started_at)
             every = values_of(connection, statement, PoseEpoch)
             begun = [
@@ -307,27 +206,27 @@ class SightingStore(Store):
             connection.execute(moving.values(pose_epoch=new))
         return earlier, later
 
-    def epoch_at(self, camera: str, at: datetime, *, reason: str) -> PoseEpoch:
+    def at(self, camera: str, at: datetime, *, reason: str) -> PoseEpoch:
         """Return the pose epoch of a moment; the first one reaches back to the earliest moment asked for."""
-        return self.current_epoch(camera, at=at) or self._first_epoch(camera, at, reason)
+        return self.current(camera, at=at) or self._first(camera, at, reason)
 
-    def current_epoch(self, camera: str, *, at: datetime | None = None) -> PoseEpoch | None:
+    def current(self, camera: str, *, at: datetime | None = None) -> PoseEpoch | None:
         """Return the pose epoch that goes on, or the one of the moment `at`; None before the first."""
         epochs = tables.pose_epoch.c
         newest = select(tables.pose_epoch).where(epochs.camera == camera, not_closed())
         newest = newest.order_by(epochs.started_at.desc()).limit(1)
-        found = self._values(newest if at is None else newest.where(epochs.started_at <= at), PoseEpoch)
+        found = self._database.values(newest if at is None else newest.where(epochs.started_at <= at), PoseEpoch)
         return found[0] if found else None
 
-    def epochs(self, camera: str, *, include_closed: bool = False) -> tuple[PoseEpoch, ...]:
+    def find(self, camera: str, *, include_closed: bool = False) -> tuple[PoseEpoch, ...]:
         """Return a camera's pose epochs, the first one first; those closed by an operator only if asked."""
         epochs = tables.pose_epoch.c
         filters = [epochs.camera == camera, *([] if include_closed else [not_closed()])]
-        return self._values(select(tables.pose_epoch).where(*filters).order_by(epochs.started_at), PoseEpoch)
+        return self._database.values(select(tables.pose_epoch).where(*filters).order_by(epochs.started_at), PoseEpoch)
 
-    def _first_epoch(self, camera: str, at: datetime, reason: str) -> PoseEpoch:
+    def _first(self, camera: str, at: datetime, reason: str) -> PoseEpoch:
         epochs = tables.pose_epoch.c
-        with self._writing() as connection:
+        with self._database.writing() as connection:
             statement = select(tables.pose_epoch).where(epochs.camera == camera, not_closed())
             statement = statement.order_by(epochs.started_at).limit(1)
             first = values_of(connection, statement, PoseEpoch)
@@ -339,23 +238,125 @@ class SightingStore(Store):
             connection.execute(update(tables.pose_epoch).where(epochs.id == first[0].id).values(started_at=earlier))
             return replace(first[0], started_at=earlier)
 
-    def add_sun_points(self, points: Iterable[SunPoint]) -> int:
+
+class SightingStore(Part):
+    """The sightings: those of the service, and those of image files."""
+
+    def of_files(self, camera: str, *, times_us: Container[int]) -> list[FileSighting]:
+        """Return what is stored of the sun at the given times, microseconds since 1970-01-01 UTC."""
+        c = sun_point.c
+        names = [name for name in FileSighting._fields if name != "time_us"]
+        rows = select(type_coerce(c.time, BigInteger), *(c[name] for name in names)).where(
+            c.camera == camera, c.body == "sun"
+        )
+        with self._database.reading() as connection:
+            return [FileSighting(*row) for row in connection.execute(rows.order_by(c.id)) if row[0] in times_us]
+
+    def name_files(self, camera: str, keys: Iterable[ImageKey]) -> None:
+        """Give sightings that have no file name, of the keys' times and exposures, the names in the keys."""
+        c = sun_point.c
+        with self._database.writing() as connection:
+            for time_us, exposure_us, file in keys:
+                unnamed = (c.camera == camera, type_coerce(c.time, BigInteger) == time_us, c.file == "")
+                change = update(sun_point).where(*unnamed, c.exposure_us == exposure_us, c.body == "sun")
+                connection.execute(change.values(file=file))
+
+    def replace(self, points: Iterable[SunPoint]) -> None:
+        """Store sightings of image files; one that is there already (see the key) is replaced, and keeps its id.
+
+        Where one is accepted, sightings of the same image by other methods are set aside: an image counts once. So are
+        those of the other images of its stack, which are among the points.
+        """
+        kept = tuple(points)
+        stacked = {point.time for point in kept if point.accepted}
+        self._database.prepare_months([point.time for point in kept])
+        with self._database.writing() as connection:
+            for point in kept:
+                upsert(connection, sun_point, asdict(point), key=_KEY)
+                if point.accepted or (point.verdict == "in_stack" and point.time in stacked):
+                    _set_others_aside(connection, point)
+
+    def replace_stars(self, camera: str, points: Iterable[SunPoint]) -> int:
+        """Store the stars of images that were looked at again, and return how many sightings are new.
+
+        Former sightings of stars in these images that are not among them are set aside; those of other images stay.
+        """
+        named = tuple(points)
+        self._database.prepare_months([point.time for point in named])
+        c = sun_point.c
+        of_images = (c.camera == camera, c.method == _STAR, c.time.in_({point.time for point in named}))
+        count = select(func.count()).where(*of_images)
+        aside = update(sun_point).where(*of_images, c.accepted.is_(True))
+        with self._database.writing() as connection:
+            before = int(connection.scalar(count) or 0)
+            connection.execute(aside.values(accepted=False, verdict="set_aside", reason=NOT_NAMED_AGAIN))
+            for point in named:
+                upsert(connection, sun_point, asdict(point), key=_KEY)
+            return int(connection.scalar(count) or 0) - before
+
+    def mark_predicted(self, camera: str, keys: Iterable[ImageKey], *, ingest_pass: int) -> None:
+        """Set the `ingest_pass` of the sightings of image files."""
+        c = sun_point.c
+        with self._database.writing() as connection:
+            for time_us, exposure_us, file in keys:
+                same = (c.camera == camera, type_coerce(c.time, BigInteger) == time_us, c.file == file, c.body == "sun")
+                change = update(sun_point).where(*same, c.exposure_us == exposure_us)
+                connection.execute(change.values(ingest_pass=ingest_pass))
+
+    def methods_of_files(self, camera: str) -> tuple[str, ...]:
+        """Return the methods by which the sun was found in image files."""
+        c = sun_point.c
+        methods = select(c.method).distinct().where(c.camera == camera, c.file != "", c.x_px.is_not(None))
+        with self._database.reading() as connection:
+            return tuple(connection.scalars(methods.order_by(c.method)))
+
+    def scale_sigma(self, camera: str, *, method: str, factor: float, event: Event) -> int:
+        """Multiply the stated sigma of a method's sightings of image files, and return how many there are.
+
+        Calibrations that rest on them keep the sigma that they were given, so that they can be solved again. The event
+        is stored with it: both are, or neither is.
+        """
+        c = sun_point.c
+        of_series = and_(c.camera == camera, c.method == method, c.file != "", c.sigma_px.is_not(None))
+        with self._database.writing() as connection:
+            keep_sigma(connection, camera)
+            insert_event(connection, event)
+            return connection.execute(update(sun_point).where(of_series).values(sigma_px=c.sigma_px * factor)).rowcount
+
+    def exclude(self, camera: str, *, since: datetime, until: datetime | None = None, reason: str) -> int:
+        """Leave accepted sightings with `since` <= time < `until` out of every fit, and return how many."""
+        c = sun_point.c
+        filters = given((c.camera.__eq__, camera), (c.time.__ge__, since), (c.time.__lt__, until))
+        change = update(sun_point).where(*filters, c.accepted.is_(True))
+        with self._database.writing() as connection:
+            return connection.execute(change.values(accepted=False, verdict="set_aside", reason=reason)).rowcount
+
+    def readmit(self, camera: str, *, since: datetime, until: datetime | None = None, reason: str = MOVED) -> int:
+        """Accept the discs seen elsewhere with `since` <= time < `until`, and return how many: the camera has moved."""
+        c = sun_point.c
+        filters = given((c.camera.__eq__, camera), (c.time.__ge__, since), (c.time.__lt__, until))
+        filters += [c.verdict == ELSEWHERE, c.x_px.is_not(None), c.y_px.is_not(None)]
+        with self._database.writing() as connection:
+            change = update(sun_point).where(*filters).values(accepted=True, verdict="clear", reason=reason)
+            return connection.execute(change).rowcount
+
+    def add(self, points: Iterable[SunPoint]) -> int:
         """Store sightings and return how many were new; one that is there already is left as it is."""
         rows = [asdict(point) for point in points]
         if not rows:
             return 0
-        self._prepare_months([row["time"] for row in rows])
-        with self._writing() as connection:
+        self._database.prepare_months([row["time"] for row in rows])
+        with self._database.writing() as connection:
             return insert_new(connection, sun_point, rows)
 
     def widen_clock_errors(self, camera: str, *, since: datetime, until: datetime, error_s: float) -> int:
         """Widen the bound of the clock's error of sightings with `since` <= time <= `until`; return how many."""
         c = sun_point.c
         doubted = [c.camera == camera, c.time >= since, c.time <= until, func.coalesce(c.clock_error_s, 0.0) < error_s]
-        with self._writing() as connection:
+        with self._database.writing() as connection:
             return connection.execute(update(sun_point).where(*doubted).values(clock_error_s=error_s)).rowcount
 
-    def sun_points(
+    def find(
         self,
         camera: str,
         *,
@@ -377,9 +378,9 @@ class SightingStore(Store):
         filters += [*_clock_within(largest_clock_error_s), *given((c.body.__eq__, body))]
         fields = [column for column in c if column.name != "id"]
         order = (c.time.desc(), c.id.desc()) if newest_first else (c.time, c.id)
-        return self._values(select(*fields).where(*filters).order_by(*order).limit(limit), SunPoint)
+        return self._database.values(select(*fields).where(*filters).order_by(*order).limit(limit), SunPoint)
 
-    def sun_point_columns(
+    def columns(
         self,
         camera: str,
         *,
@@ -405,26 +406,26 @@ class SightingStore(Store):
         filters += [of_camera(camera), *_clock_within(largest_clock_error_s)]
         filters += given((c.body.__eq__, body), (c.method.__eq__, method), (c.file.__ne__, "" if of_files else None))
         filters += given((c.id.__gt__, after_id), (c.body.__ne__, SUN if no_sun else None))
-        with self._reading() as connection:
+        with self._database.reading() as connection:
             return read_columns(connection, camera, filters, others=body != SUN)
 
-    def sun_candidates(
+    def candidates(
         self, camera: str, *, since: datetime | None = None, until: datetime | None = None
     ) -> CandidateColumns:
-        """Return what decides which of the accepted sightings of the sun a fit uses; see `sightings_of_ids`."""
-        with self._reading() as connection:
+        """Return what decides which of the accepted sightings of the sun a fit uses; see `of_ids`."""
+        with self._database.reading() as connection:
             return read_candidates(connection, camera, _filters(camera, since=since, until=until, accepted=True))
 
-    def sightings_of_ids(self, camera: str, ids: IntArray) -> SunPointColumns:
+    def of_ids(self, camera: str, ids: IntArray) -> SunPointColumns:
         """Return the sightings of a camera with these keys, in the order of time; without those that are gone."""
-        with self._reading() as connection:
+        with self._database.reading() as connection:
             return read_columns(connection, camera, [listed(connection, ids)])
 
-    def newest_sighting_time(self, camera: str, *, largest_clock_error_s: float) -> datetime | None:
+    def newest_time(self, camera: str, *, largest_clock_error_s: float) -> datetime | None:
         """Return the time of the newest sighting whose clock error bound is within a limit; None without one."""
         c = sun_point.c
         newest = select(c.time).where(c.camera == camera, *_clock_within(largest_clock_error_s))
-        with self._reading() as connection:
+        with self._database.reading() as connection:
             return connection.scalar(newest.order_by(c.time.desc()).limit(1))
 
     def observation_times(
@@ -439,7 +440,7 @@ class SightingStore(Store):
         c = sun_point.c
         filters = [*_filters(camera, since=since, until=until), *_clock_within(largest_clock_error_s)]
         filters += [c.body == SUN, c.verdict != FROZEN]
-        with self._reading() as connection:
+        with self._database.reading() as connection:
             imported = select(c.id).where(*filters, c.method == "import").limit(1)
             if connection.scalar(imported) is not None:
                 return None
@@ -455,10 +456,10 @@ class SightingStore(Store):
         c = sun_point.c
         filters = _filters(camera, since=since, until=until, accepted=True) + _clock_within(largest_clock_error_s)
         filters += [c.method == "disc", c.body == SUN]
-        with self._reading() as connection:
+        with self._database.reading() as connection:
             return read_levels(connection, filters)
 
-    def dates_with_points(self, camera: str, *, longitude: float, since: date | None = None) -> tuple[date, ...]:
+    def dates(self, camera: str, *, longitude: float, since: date | None = None) -> tuple[date, ...]:
         """Return the solar dates (from `since` on) on which the sun was looked at, accepted or not."""
         values = {
             "camera": camera,
@@ -466,9 +467,43 @@ class SightingStore(Store):
             "day": round(1e6 * DAY_S),
             "ahead": round(1e6 * longitude * SECONDS_PER_DEGREE),
         }
-        with self._reading() as connection:
+        with self._database.reading() as connection:
             times = connection.scalars(_FIRST_OF_EACH_DAY, values).all()
         return tuple(solar_date(time / 1e6, longitude=longitude) for time in times)
+
+    def count(self, camera: str, *, since: datetime, until: datetime) -> Mapping[str, int]:
+        """Return how many sightings with `since` <= time < `until` have each verdict."""
+        c = sun_point.c
+        return self._database.counts(
+            select(c.verdict, func.count()).where(c.camera == camera, c.time >= since, c.time < until), c.verdict
+        )
+
+    def by_day(self, camera: str, *, longitude: float, since: date, until: date) -> tuple[SightingCounts, ...]:
+        """Return the counts of the looks at the sun on solar dates with `since` <= date < `until`, the newest first."""
+        c, ahead = sun_point.c, round(1e6 * longitude * SECONDS_PER_DEGREE)
+        begin, end = (round(1e6 * day_bounds_unix_s(one, longitude=longitude)[0]) for one in (since, until))
+        time = type_coerce(c.time, BigInteger)
+        number = ((time + ahead) // round(1e6 * DAY_S)).label("day")
+        counts = select(number, c.verdict, c.accepted, func.count(), func.max(c.clock_error_s))
+        of_days = counts.where(c.camera == camera, c.body == SUN, time >= begin, time < end)
+        with self._database.reading() as connection:
+            rows = connection.execute(of_days.group_by(number, c.verdict, c.accepted)).all()
+        by_day: dict[int, list[tuple[str, bool, int, float | None]]] = {}
+        for day_number, *row in rows:
+            by_day.setdefault(int(day_number), []).append((row[0], row[1], row[2], row[3]))
+        return tuple(_of_day(one, by_day[one]) for one in sorted(by_day, reverse=True))
+
+
+def _of_day(day: int, rows: list[tuple[str, bool, int, float | None]]) -> SightingCounts:
+    verdicts: Counter[str] = Counter()
+    for verdict, _, count, _ in rows:
+        verdicts[verdict] += count
+    return SightingCounts(
+        date=date(1970, 1, 1) + timedelta(days=day),
+        verdicts=dict(sorted(verdicts.items())),
+        accepted=sum(count for _, accepted, count, _ in rows if accepted),
+        clock_error_s=max((error for *_, error in rows if error is not None), default=None),
+    )
 
 
 def _next_id(connection: Connection, camera: str) -> str:

@@ -41,7 +41,7 @@ def list_calibrations(
     """
     settings = load_settings(config)
     with open_archive(settings.archive) as archive:
-        rows = [_row(record) for record in archive.calibrations(settings.name, limit=limit)]
+        rows = [_row(record) for record in archive.calibrations.find(settings.name, limit=limit)]
     if as_json:
         print_json(rows)
         return
@@ -58,7 +58,7 @@ def activate(
     Example: sunarc calibrations activate 20130514T063000Z-ab12cd --reason "the last one was worse"
     """
     with open_archive(load_settings(config).archive) as archive:
-        row = _row(archive.reinstate(calibration, at=_time_or_now(start), reason=reason))
+        row = _row(archive.calibrations.reinstate(calibration, at=_time_or_now(start), reason=reason))
     _print_result(row, f"{row['id']} is current from {row['valid_from']}", as_json=as_json)
 
 
@@ -69,7 +69,7 @@ def pin(calibration: Id, *, config: Config = None, reason: Reason = "by hand", a
     Example: sunarc calibrations pin 20130514T063000Z-ab12cd
     """
     with open_archive(load_settings(config).archive) as archive:
-        row = _row(archive.pin(calibration, at=_time_or_now(None), reason=reason))
+        row = _row(archive.calibrations.pin(calibration, at=_time_or_now(None), reason=reason))
     _print_result(row, f"{row['id']} stays current until it is unpinned", as_json=as_json)
 
 
@@ -80,7 +80,7 @@ def unpin(calibration: Id, *, config: Config = None, reason: Reason = "by hand",
     Example: sunarc calibrations unpin 20130514T063000Z-ab12cd
     """
     with open_archive(load_settings(config).archive) as archive:
-        row = _row(archive.unpin(calibration, at=_time_or_now(None), reason=reason))
+        row = _row(archive.calibrations.unpin(calibration, at=_time_or_now(None), reason=reason))
     _print_result(row, f"{row['id']} may be replaced again", as_json=as_json)
 
 
@@ -92,7 +92,7 @@ def list_epochs(config: Config = None, *, as_json: AsJson = False) -> None:
     """
     settings = load_settings(config)
     with open_archive(settings.archive) as archive:
-        rows = [_epoch_row(epoch) for epoch in archive.epochs(settings.name, include_closed=True)]
+        rows = [_epoch_row(epoch) for epoch in archive.epochs.find(settings.name, include_closed=True)]
     if as_json:
         print_json(rows)
         return
@@ -116,7 +116,7 @@ def close_epoch(
     Example: sunarc epochs close imager-2 --reason "the clock was ahead"
     """
     with open_archive(load_settings(config).archive) as archive:
-        current = archive.close_epoch(epoch, at=_time_or_now(None), reason=reason)
+        current = archive.calibrations.close_epoch(epoch, at=_time_or_now(None), reason=reason)
     row = {"id": epoch, "closed": True, "calibration": current}
     said = "no calibration was served before it" if current is None else f"calibration {current} is current"
     _print_result(row, f"pose epoch {epoch} is closed; {said}", as_json=as_json)

@@ -38,7 +38,7 @@ def token(
     made, now = secrets.token_urlsafe(32), SystemClock().now()
     with open_archive(load_hub_settings(config).archive) as archive:
         until = now + timedelta(hours=max(overlap, 0.0))
-        archive.add_feed_token(camera, token_digest(made), now=now, former_until=until)
+        archive.feeds.add_token(camera, token_digest(made), now=now, former_until=until)
     print(made)
 
 
@@ -49,7 +49,7 @@ def revoke(camera: Camera, config: Config = None) -> None:
     Example: sunarc hub revoke roof --config /etc/sunarc/hub.toml
     """
     with open_archive(load_hub_settings(config).archive) as archive:
-        count = archive.end_feed_tokens(camera, now=SystemClock().now())
+        count = archive.feeds.end_tokens(camera, now=SystemClock().now())
     print(f"{count} tokens of {camera} ended")
     if not count:
         raise typer.Exit(1)
@@ -62,7 +62,7 @@ def accept(camera: Camera, installation: Installation, config: Config = None) ->
     Example: sunarc hub accept roof 5f1d0c --config /etc/sunarc/hub.toml
     """
     with open_archive(load_hub_settings(config).archive) as archive:
-        archive.accept_installation(camera, installation, now=SystemClock().now())
+        archive.feeds.accept_installation(camera, installation, now=SystemClock().now())
     print(f"installation {installation} sends as {camera} now")
 
 
@@ -73,7 +73,7 @@ def resend(camera: Camera, config: Config = None) -> None:
     Example: sunarc hub resend roof --config /etc/sunarc/hub.toml
     """
     with open_archive(load_hub_settings(config).archive) as archive:
-        archive.ask_again(camera)
+        archive.feeds.ask_again(camera)
     print(f"{camera} is asked for all its rows when it next sends")
 
 
@@ -84,7 +84,7 @@ def quarantine(config: Config = None, *, as_json: AsJson = False) -> None:
     Example: sunarc hub quarantine --config /etc/sunarc/hub.toml
     """
     with open_archive(load_hub_settings(config).archive) as archive:
-        found = archive.quarantine()
+        found = archive.feeds.quarantine()
     names = ("camera", "installation", "reason", "seq", "kind", "n", "text")
     rows = [{name: getattr(one, name) for name in names} | {"last_at": rfc3339(one.last_at)} for one in found]
     if as_json:

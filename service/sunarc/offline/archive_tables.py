@@ -80,24 +80,26 @@ def export_everything(state: Path, folder: Path) -> dict[str, int]:
 
 
 def _write(archive: Archive, folder: Path) -> dict[str, int]:
-    cameras = archive.cameras()
+    cameras = archive.cameras.all()
     names = [camera.name for camera in cameras]
-    points = [point for name in names for point in archive.sun_points(name, body=None)]
-    calibrations = [record for name in names for record in archive.calibrations(name)]
+    points = [point for name in names for point in archive.sightings.find(name, body=None)]
+    calibrations = [record for name in names for record in archive.calibrations.find(name)]
     for record in calibrations:
         _write_json(folder / "calibrations" / f"{record.id}.json", dict(record.document))
-    epochs = [epoch for name in names for epoch in archive.epochs(name, include_closed=True)]
+    epochs = [epoch for name in names for epoch in archive.epochs.find(name, include_closed=True)]
     return {
         "cameras.csv": _write_csv(folder / "cameras.csv", CameraRecord, cameras),
         "pose_epochs.csv": _write_csv(folder / "pose_epochs.csv", PoseEpoch, epochs),
         "sun_points.csv": _write_csv(folder / "sun_points.csv", SunPoint, points),
         "sun_points.nc": _write_netcdf(folder / "sun_points.nc", points),
-        "days.csv": _write_csv(folder / "days.csv", Day, [day for name in names for day in archive.days(name)]),
+        "days.csv": _write_csv(folder / "days.csv", Day, [day for name in names for day in archive.days.find(name)]),
         "day_air.csv": _write_csv(
-            folder / "day_air.csv", DayAir, [air for name in names for air in archive.day_air(name)]
+            folder / "day_air.csv", DayAir, [air for name in names for air in archive.days.air(name)]
         ),
-        "refits.csv": _write_csv(folder / "refits.csv", Refit, [fit for name in names for fit in archive.refits(name)]),
-        "events.csv": _write_csv(folder / "events.csv", Event, archive.events()),
+        "refits.csv": _write_csv(
+            folder / "refits.csv", Refit, [fit for name in names for fit in archive.refits.find(name)]
+        ),
+        "events.csv": _write_csv(folder / "events.csv", Event, archive.events.find()),
         **{
             f"housekeeping_{step}.csv": _write_housekeeping(archive, folder, names, step)
             for step in get_args(HousekeepingStep)
@@ -108,7 +110,7 @@ def _write(archive: Archive, folder: Path) -> dict[str, int]:
 
 def _write_housekeeping(archive: Archive, folder: Path, cameras: Sequence[str], step: HousekeepingStep) -> int:
     """Write disk space and temperature of all cameras; the folder has one imager's archive, so mostly of one."""
-    rows = [row for camera in cameras for row in archive.housekeeping(camera, step=step)]
+    rows = [row for camera in cameras for row in archive.housekeeping.find(camera, step=step)]
     return _write_csv(folder / f"housekeeping_{step}.csv", Housekeeping, rows)
 
 
@@ -218,7 +220,7 @@ def import_points(settings: Settings, path: Path, *, image_size: tuple[int, int]
     with open_archive(settings.archive) as archive:
         register_camera(archive, settings, size)
         return (
-            archive.add_sun_points(_points(archive, settings, table, path.name)),
+            archive.sightings.add(_points(archive, settings, table, path.name)),
             total,
             total - int(table.unix_s.size),
         )
@@ -227,9 +229,9 @@ def import_points(settings: Settings, path: Path, *, image_size: tuple[int, int]
 def write_points(settings: Settings, target: TextIO, *, since: datetime | None, until: datetime | None) -> int:
     """Write the accepted sightings as CSV and return how many, with the air where it was measured (see `air_of`)."""
     with open_archive(settings.archive) as archive:
-        points = archive.sun_points(settings.name, since=since, until=until, accepted=True, body=None)
+        points = archive.sightings.find(settings.name, since=since, until=until, accepted=True, body=None)
         placed = [(p, p.x_px, p.y_px) for p in points if p.x_px is not None and p.y_px is not None]
-        air = archive.air_of(settings.name, [point for point, _, _ in placed])
+        air = archive.days.air_of(settings.name, [point for point, _, _ in placed])
     rows = [(p.time, x, y, p.sigma_px, p.body) for p, x, y in placed]
     if all(p.body == SUN for p, _, _ in placed):
         return write_sightings(target, rows, air=air)
@@ -259,7 +261,7 @@ def _points(archive: Archive, settings: Settings, table: SightingTable, name: st
     return [
         SunPoint(
             camera=settings.name,
-            pose_epoch=archive.epoch_at(settings.name, time, reason=reason).id,
+            pose_epoch=archive.epochs.at(settings.name, time, reason=reason).id,
             time=time,
             body=str(body),
             method="import",

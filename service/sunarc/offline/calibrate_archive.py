@@ -60,14 +60,16 @@ def calibrate_archive(settings: Settings, *, clock: Clock) -> tuple[Refit, dict[
             if refit.calibration is None:
                 return refit, None
             if refit.state == "accepted":
-                learn_sigma(archive, settings, [ValidCamera(archive.model(refit.calibration))], now=clock.now())
-            return refit, dict(archive.calibration(refit.calibration).document)
+                learn_sigma(
+                    archive, settings, [ValidCamera(archive.calibrations.model(refit.calibration))], now=clock.now()
+                )
+            return refit, dict(archive.calibrations.get(refit.calibration).document)
 
 
 def _carried_out(archive: Archive, settings: Settings, clock: Clock) -> Refit:
     """Return a refit that was requested and is finished; one that is interrupted has failed, and is not begun again."""
     refit = Refit(id=uuid.uuid4().hex, camera=settings.name, requested_at=clock.now(), reason="sunarc calibrate")
-    archive.add_refit(refit)
+    archive.refits.add(refit)
     started_at = clock.now()
     worker = RefitWorker(
         CameraArchive(archive, name=settings.name, site=settings.site),
@@ -82,9 +84,9 @@ def _carried_out(archive: Archive, settings: Settings, clock: Clock) -> Refit:
         worker.carry_out(refit, threading.Event(), lambda: None)
     except BaseException as error:
         failed = Finding("solve_failed", {"error": type(error).__name__})
-        archive.finish_refit(refit.id, state="failed", finished_at=clock.now(), message="", findings=(failed,))
+        archive.refits.finish(refit.id, state="failed", finished_at=clock.now(), message="", findings=(failed,))
         raise
-    return archive.refit(refit.id)
+    return archive.refits.get(refit.id)
 
 
 _ROUNDING_PX = 1e-6
@@ -99,9 +101,9 @@ def solve_again(settings: Settings, calibration_id: str) -> dict[str, Any]:
     InputError : its sightings were changed or deleted since.
     """
     with open_archive(settings.archive) as archive:
-        record = archive.calibration(calibration_id)
+        record = archive.calibrations.get(calibration_id)
         past = from_document(record.document)
-        points = points_of(archive.sightings_of(calibration_id), site=past.site, latest=record.pose_epoch)
+        points = points_of(archive.calibrations.sightings_of(calibration_id), site=past.site, latest=record.pose_epoch)
     solved = reproduce_calibration(past, points)
     separation_px = distance_px(past, solved)
     document = to_document(

@@ -20,7 +20,7 @@ def known_camera(archive: Archive, settings: Settings) -> CameraRecord | None:
     ------
     InputError : it stands at another site.
     """
-    found = archive.camera(settings.name)
+    found = archive.cameras.get(settings.name)
     if found is not None:
         require_same_site(found, settings.site)
     return found
@@ -36,7 +36,7 @@ def register_camera(archive: Archive, settings: Settings, size: tuple[int, int])
     known = known_camera(archive, settings)
     if known is None:
         known = CameraRecord.at(settings.site, name=settings.name, width=size[0], height=size[1])
-        archive.save_camera(known)
+        archive.cameras.save(known)
     if known.image_size != size:
         raise InputError(
             field="image size",

@@ -84,7 +84,7 @@ def agreed_cameras(archive: Archive, settings: Settings, found: Iterable[Found])
     archive; otherwise it is fitted to them. A stretch with too few of them gets that of its neighbour.
     """
     stretches = itertools.groupby(sorted(found, key=lambda one: one[0].key), lambda one: one[0].unix_s // _STRETCH_S)
-    agreed, latest = list[Agreed](), archive.current_model(settings.name)
+    agreed, latest = list[Agreed](), archive.calibrations.current_model(settings.name)
     for _, members in stretches:
         agreed.append(_agreed(archive, settings, list(members), latest))
         latest = agreed[-1].calibration or latest
@@ -113,7 +113,7 @@ def _share_consistent(calibration: Calibration, found: Sequence[Found], site: Si
 
 
 def _fitted(archive: Archive, settings: Settings, found: Sequence[Found]) -> Calibration | tuple[Finding, ...]:
-    record = archive.camera(settings.name)
+    record = archive.cameras.get(settings.name)
     if record is None or not found:
         return (Finding("no_accepted_sightings"),)
     some = [found[n] for n in np.unique(np.linspace(0, len(found) - 1, _MOST_SIGHTINGS).astype(int))]

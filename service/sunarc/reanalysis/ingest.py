@@ -171,7 +171,7 @@ def ingest_folder(
 
 
 def _stored(archive: Archive, settings: Settings, index: Index) -> list[FileSighting]:
-    return archive.file_sightings(settings.name, times_us={image.key[0] for image in index.images})
+    return archive.sightings.of_files(settings.name, times_us={image.key[0] for image in index.images})
 
 
 def _known(archive: Archive, settings: Settings, index: Index, options: IngestOptions) -> set[ImageKey]:
@@ -186,7 +186,7 @@ def _known(archive: Archive, settings: Settings, index: Index, options: IngestOp
     for image in index.images:
         if image.key[:2] in unnamed and image.key not in named:
             adopted.setdefault(image.key[:2], image.key)
-    archive.name_files(settings.name, adopted.values())
+    archive.sightings.name_files(settings.name, adopted.values())
     named_now = [one._replace(file=adopted[one.key[:2]][2]) if one.file == "" and one.key[:2] in adopted else one
                  for one in stored]  # fmt: skip
     return {one.key for one in named_now if options.method in {"auto", one.method}}
@@ -212,7 +212,7 @@ class Run:
     @staticmethod
     def of(archive: Archive, settings: Settings, index: Index, options: IngestOptions, progress: ReportProgress) -> Run:
         """Return the passes over an index, the camera being stored with the size of its images."""
-        camera = archive.camera(settings.name)
+        camera = archive.cameras.get(settings.name)
         size = usual_size(index.folder, index.images) if camera is None else camera.image_size
         if size is not None and index.images:
             register_camera(archive, settings, size)
@@ -271,7 +271,7 @@ class Run:
                 as_expected += [image.key for image in moment]
             else:
                 again.append((moment, expected))
-        self.archive.mark_predicted(self.settings.name, as_expected, ingest_pass=PREDICTED)
+        self.archive.sightings.mark_predicted(self.settings.name, as_expected, ingest_pass=PREDICTED)
         return again
 
     def _detect(
@@ -315,7 +315,7 @@ class Run:
             )
 
     def _store(self, answers: Iterable[tuple[ImageFile, Detection]], ingest_pass: int) -> None:
-        self.archive.replace_sun_points([self._point(image, found, ingest_pass) for image, found in answers])
+        self.archive.sightings.replace([self._point(image, found, ingest_pass) for image, found in answers])
 
     def _point(self, image: ImageFile, found: Detection, ingest_pass: int) -> SunPoint:
         time_us, exposure_us, file = image.key
@@ -323,7 +323,7 @@ class Run:
         return sun_point_of(
             found,
             camera=self.settings.name,
-            pose_epoch=self.archive.epoch_at(self.settings.name, time, reason="first image").id,
+            pose_epoch=self.archive.epochs.at(self.settings.name, time, reason="first image").id,
             time=time,
             exposure_us=exposure_us,
             file=file,

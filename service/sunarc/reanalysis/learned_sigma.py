@@ -47,7 +47,7 @@ class ValidCamera(NamedTuple):
 
 def factor_in_force(archive: Archive, camera: str, method: str) -> float:
     """Return by what a method's stated sigma is multiplied where a sighting of an image file is stored."""
-    events = archive.events(camera, kind=_EVENT)
+    events = archive.events.find(camera, kind=_EVENT)
     return next((float(one.details["factor"]) for one in events if one.details["method"] == method), 1.0)
 
 
@@ -62,8 +62,8 @@ def learn_sigma(archive: Archive, settings: Settings, cameras: Sequence[ValidCam
     It is never made smaller than the detector states: the scatter is that of the good ones; those at clouds, contrails
     and haze scatter more.
     """
-    for method in archive.methods_of_files(settings.name):
-        columns = archive.sun_point_columns(settings.name, method=method, of_files=True)
+    for method in archive.sightings.methods_of_files(settings.name):
+        columns = archive.sightings.columns(settings.name, method=method, of_files=True)
         residual = np.full_like(columns.pixels, np.nan)
         directions = sun_directions(columns.unix_s, settings.site)
         for one in cameras:
@@ -74,7 +74,7 @@ def learn_sigma(archive: Archive, settings: Settings, cameras: Sequence[ValidCam
         if change is not None:
             learned = Finding(_EVENT, {"method": method, "factor": before * change, "n": int(columns.unix_s.size)})
             event = Event.of(learned, MESSAGES, time=now, severity="info", camera=settings.name)
-            archive.scale_sigma(settings.name, method=method, factor=change, event=event)
+            archive.sightings.scale_sigma(settings.name, method=method, factor=change, event=event)
 
 
 def sigma_factor(residual: FloatArray, sigma_px: FloatArray, *, in_force: float = 1.0) -> float | None:

@@ -266,7 +266,7 @@ class SightingWriteBuffer:
         try:
             while self._waiting:
                 some = [self._waiting[number] for number in range(min(len(self._waiting), _AT_A_TIME))]
-                self._archive.add_sun_points([self._placed(point) for point in some])
+                self._archive.sightings.add([self._placed(point) for point in some])
                 # Removed after the commit: a row that is stored twice is ignored, one that is dropped early is lost.
                 for _ in some:
                     self._waiting.popleft()
@@ -295,7 +295,7 @@ class SightingWriteBuffer:
             self._board.set_condition(_SLOW, None)
 
     def _placed(self, point: SunPoint) -> SunPoint:
-        epoch = self._archive.epoch_at(point.camera, point.time, reason="first frame")
+        epoch = self._archive.epochs.at(point.camera, point.time, reason="first frame")
         return replace(point, pose_epoch=epoch.id)
 
 

@@ -215,18 +215,18 @@ class FeedWorker:
     def _send_next(self, heartbeat: Callable[[], None]) -> bool:
         """Send the next rows, if there are any, and return whether there may be more."""
         if not self._enabled:
-            if self._archive.enable_outbox():
+            if self._archive.outbox.enable():
                 _log.info("all rows of the archive are queued for the hub")
             self._enabled = True
         if self._clock.monotonic() - self._status_s >= _STATUS_EVERY_S:
-            self._archive.queue_status(self._status())
+            self._archive.outbox.queue_status(self._status())
             self._status_s = self._clock.monotonic()
-        position = self._archive.outbox_position()
-        rows = self._archive.outbox_rows(most=self._most_rows, most_bytes=_MOST_BYTES)
+        position = self._archive.outbox.position()
+        rows = self._archive.outbox.rows(most=self._most_rows, most_bytes=_MOST_BYTES)
         if not rows:
             return False
         # Before they are sent: a database that is put back to before this knows less than the hub, and finds it out.
-        self._archive.mark_sent(rows[-1].seq)
+        self._archive.outbox.mark_sent(rows[-1].seq)
         self._follow(position, rows, self._sent(position, rows, heartbeat))
         return True
 
@@ -258,14 +258,14 @@ class FeedWorker:
             _log.warning(
                 "the hub has rows up to %d, and had them up to %d: all go again", committed, position.committed
             )
-            self._archive.send_again(committed=committed)
+            self._archive.outbox.send_again(committed=committed)
         elif committed > max(rows[-1].seq, position.sent):
-            former, new = position.installation, self._archive.begin_installation()
+            former, new = position.installation, self._archive.outbox.begin_installation()
             _log.warning("the hub has later rows of installation %s than were sent: going on as %s", former, new)
         elif committed == position.committed:
             raise OutsideError(f"the hub took nothing of {len(rows)} rows")
         else:
-            self._archive.acknowledge(committed)
+            self._archive.outbox.acknowledge(committed)
 
     def _status(self) -> Mapping[str, Any]:
         """Return what the fleet page shows of this imager."""

@@ -55,7 +55,7 @@ def cross_check_fleet(archive: Archive, *, now: datetime) -> tuple[CrossCheck, .
     now : the last 60 days before it are compared.
     """
     reading = _Reading(archive, now)
-    cameras = archive.cameras()
+    cameras = archive.cameras.all()
     groups = {one.name: (one, *_neighbours(one, cameras)) for one in cameras}
     return tuple(_check(reading, group) for group in groups.values() if len(group) > 1)
 
@@ -92,15 +92,15 @@ class _Reading:
 
     def stated_sites(self, camera: CameraRecord, unix_s: FloatArray) -> list[Site]:
         """Return the site as it was stated at each time: by the calibrations until the newest, then by the camera."""
-        made = sorted(self._archive.calibrations(camera.name), key=lambda record: record.created_at)
+        made = sorted(self._archive.calibrations.find(camera.name), key=lambda record: record.created_at)
         sites = [*(_site_of(record, camera.site) for record in made), camera.site]
         since = [record.created_at.timestamp() for record in (*made[1:], *made[-1:])]
         return [sites[index] for index in np.searchsorted(since, unix_s, side="right").tolist()]
 
     def _rotations(self, camera: CameraRecord) -> DailyRotations:
         """Return how a camera stood turned on each day against its current calibration."""
-        model = self._archive.current_model(camera.name)
-        columns = self._archive.sun_point_columns(
+        model = self._archive.calibrations.current_model(camera.name)
+        columns = self._archive.sightings.columns(
             camera.name, since=self._now - _DAYS, until=self._now, largest_clock_error_s=MAX_CLOCK_ERROR_S
         )
         day = solar_days(columns.unix_s, longitude=camera.longitude)
@@ -118,9 +118,9 @@ class _Reading:
     def _series(self, camera: CameraRecord) -> tuple[IntArray, SunSeries]:
         """Return when a camera looked for the sun, and whether a cycle showed it, with the days."""
         since = self._now - timedelta(days=_CLOUD_DAYS)
-        times = self._archive.observation_times(camera.name, since=since, until=self._now)
+        times = self._archive.sightings.observation_times(camera.name, since=since, until=self._now)
         times = np.sort(np.zeros(0) if times is None else times)
-        accepted = self._archive.sun_point_columns(camera.name, since=since, until=self._now).unix_s
+        accepted = self._archive.sightings.columns(camera.name, since=since, until=self._now).unix_s
         begins = np.flatnonzero(np.diff(times, prepend=-np.inf) > _CYCLE_S)
         seen = np.isin(times, accepted)
         cycle_s = times[begins]
@@ -222,9 +222,9 @@ def nightly_jobs(archive: Archive, options: NightlyOptions) -> dict[str, Job]:
     """
     keep = timedelta(days=options.keep_sightings_days)
     return {
-        "summaries": lambda _now: {"days": archive.summarise_days()},
+        "summaries": lambda _now: {"days": archive.nightly.summarise_days()},
         "cross_checks": lambda now: {"checks": [one.as_json() for one in cross_check_fleet(archive, now=now)]},
-        "retention": lambda now: {"removed": archive.remove_sightings(before=now - keep, now=now)},
+        "retention": lambda now: {"removed": archive.nightly.remove_sightings(before=now - keep, now=now)},
     }
 
 
@@ -250,8 +250,8 @@ class NightlyWork:
         """Run what is due; to be called every minute."""
         now = self._clock.now()
         unix_s = (now - _AFTER_MIDNIGHT).timestamp()
-        night = solar_date(unix_s, longitude=self._archive.mean_longitude())
-        last = next(iter(self._archive.nightly_runs(limit=1, until=night)), None)
+        night = solar_date(unix_s, longitude=self._archive.nightly.mean_longitude())
+        last = next(iter(self._archive.nightly.runs(limit=1, until=night)), None)
         if last is not None and last.night == night:
             done = last.finished_at is not None and not last.failed
             if done or timedelta(0) <= now - last.started_at < _TRY_AGAIN:
@@ -259,12 +259,12 @@ class NightlyWork:
                 return
         succeeded = {} if last is None or last.night != night else last.results
         run = NightlyRun(night=night, started_at=now, results=_without_errors(succeeded))
-        self._archive.save_nightly(run)
+        self._archive.nightly.save(run)
         for name, job in self._jobs.items():
             if name not in run.results:
                 run = replace(run, results={**run.results, name: self._result(name, job)})
         run = replace(run, finished_at=self._clock.now())
-        self._archive.save_nightly(run)
+        self._archive.nightly.save(run)
         self._show(run)
 
     def _result(self, name: str, job: Job) -> Mapping[str, Any]:

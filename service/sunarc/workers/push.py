@@ -111,7 +111,7 @@ class PushWorker:
     def _send_some(self, stop: threading.Event, heartbeat: Callable[[], None]) -> float | None:
         try:
             self.sink.refresh(heartbeat)
-            notices = self._archive.notices_after(self.sink.name, limit=_MOST_AT_ONCE)
+            notices = self._archive.notices.after(self.sink.name, limit=_MOST_AT_ONCE)
             for notice in notices:
                 heartbeat()
                 if stop.is_set():
@@ -127,13 +127,13 @@ class PushWorker:
         try:
             self.sink.deliver(notice, heartbeat)
         except NoticeRefusedError as refusal:
-            self._archive.notice_done(self.sink.name, notice.seq, refused=True)
-            n = self._archive.sink_states()[self.sink.name].refused
+            self._archive.notices.done(self.sink.name, notice.seq, refused=True)
+            n = self._archive.notices.sink_states()[self.sink.name].refused
             reason = condition_of(_REFUSED, self.sink.name, n=n, kind=notice.kind, error=str(refusal))
             self._show(_REFUSED, reason)
             _log.warning("%s refused message %s (%s): %s", self.sink.name, notice.id, notice.kind, refusal)
         else:
-            self._archive.notice_done(self.sink.name, notice.seq)
+            self._archive.notices.done(self.sink.name, notice.seq)
             self._show(_REFUSED, None)
         self._attempts.succeeded()
 
@@ -187,13 +187,13 @@ class NoticeWorker:
     def step(self) -> None:
         """Look once."""
         if not self._named:
-            self._archive.name_sinks(self._sinks)
+            self._archive.notices.name_sinks(self._sinks)
             self._named = True
         clears = self._clock.monotonic() - self._started_s >= _SETTLED_S
         latest: dict[str, CameraState] = {}
         for camera, state in self._states().items():
             reported = {code: data for code, data in state.conditions.items() if not code.startswith(_OWN)}
-            held = self._archive.record_notices(camera, reported, now=self._clock.now(), clears=clears)
+            held = self._archive.notices.record(camera, reported, now=self._clock.now(), clears=clears)
             latest[camera] = replace(state, conditions=held)
         self.latest = latest
         if self._clock.monotonic() - self._dropped_s >= _DROP_EVERY_S:
@@ -201,7 +201,7 @@ class NoticeWorker:
             self._drop()
 
     def _drop(self) -> None:
-        lost = self._archive.drop_notices(most=_MOST_WAITING)
+        lost = self._archive.notices.drop(most=_MOST_WAITING)
         if lost:
             _log.error("removed %d messages that a receiver did not take for too long", lost)
             self._board.set_condition(OVERFLOW, condition(OVERFLOW, lost=lost, most=_MOST_WAITING))

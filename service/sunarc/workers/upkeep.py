@@ -173,7 +173,7 @@ class DatabaseWorker:
             return
         event = Event.of(_finding(self._unreported), MESSAGES, time=self._now(), severity="alarm")
         try:
-            self._archive.add_event(event)
+            self._archive.events.add(event)
         except OutsideError as error:
             _log.error("could not store the event %s: %s", event.kind, error)
         else:
@@ -351,7 +351,7 @@ class ConditionTimesWorker:
         if held == self._stored:
             return
         try:
-            self._archive.save_condition_times(self._camera, held)
+            self._archive.conditions.save(self._camera, held)
         except OutsideError as error:
             self._complain("could not store since when conditions hold, will retry: %s", error)
         else:
@@ -359,7 +359,7 @@ class ConditionTimesWorker:
 
     def _resume(self) -> None:
         try:
-            self._stored = self._archive.condition_times(self._camera)
+            self._stored = self._archive.conditions.times(self._camera)
         except OutsideError as error:
             self._complain("could not read since when conditions hold, will retry: %s", error)
         else:

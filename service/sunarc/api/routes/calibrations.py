@@ -79,7 +79,9 @@ def calibration_routes(context: ApiContext) -> APIRouter:
     ) -> Calibrations:
         """Return the history, the newest first, refused candidates with their reasons."""
         selected, page = context.of(request), page_at(cursor, limit)
-        found = selected.archive.calibrations(selected.camera, state=state, until=page.until(None), limit=page.rows)
+        found = selected.archive.calibrations.find(
+            selected.camera, state=state, until=page.until(None), limit=page.rows
+        )
         rows, next_ = page.cut(found, request, time=lambda record: record.created_at)
         return Calibrations(calibrations=[summary(record) for record in rows], next=next_)
 
@@ -216,29 +218,29 @@ def decision_routes(context: ApiContext) -> APIRouter:
     @routes.post("/calibrations/{calibration_id}/activate", **of_calibrations)
     def activate(request: Request, calibration_id: CalibrationId, decision: Decision) -> CalibrationSummary:
         """Make a calibration of the history the current one, from now on; a copy of it where it was current before."""
-        return decide(context.archive.reinstate, request, calibration_id, decision)
+        return decide(context.archive.calibrations.reinstate, request, calibration_id, decision)
 
     @routes.post("/calibrations/{calibration_id}/pin", **of_calibrations)
     def pin(request: Request, calibration_id: CalibrationId, decision: Decision) -> CalibrationSummary:
         """Keep the current calibration, whatever a refit finds, until it is unpinned or another is activated."""
-        return decide(context.archive.pin, request, calibration_id, decision)
+        return decide(context.archive.calibrations.pin, request, calibration_id, decision)
 
     @routes.post("/calibrations/{calibration_id}/unpin", **of_calibrations)
     def unpin(request: Request, calibration_id: CalibrationId, decision: Decision) -> CalibrationSummary:
         """Let refits replace the current calibration again."""
-        return decide(context.archive.unpin, request, calibration_id, decision)
+        return decide(context.archive.calibrations.unpin, request, calibration_id, decision)
 
     @routes.post("/epochs/{epoch_id}/close", tags=["epochs"])
     def close_epoch(request: Request, epoch_id: EpochId, decision: Decision) -> ClosedEpoch:
         """Undo a pose epoch begun by mistake: the one before continues, and its calibration is current again."""
         selected = context.of(request)
-        if epoch_id not in {epoch.id for epoch in selected.archive.epochs(selected.camera)}:
+        if epoch_id not in {epoch.id for epoch in selected.archive.epochs.find(selected.camera)}:
             raise NotFoundError(
                 field="id",
                 problem=f"there is no open pose epoch {epoch_id} of camera {selected.camera}",
                 remedy="see `sunarc epochs list`",
             )
-        current = selected.archive.close_epoch(epoch_id, at=selected.frame_clock(), reason=decision.reason)
+        current = selected.archive.calibrations.close_epoch(epoch_id, at=selected.frame_clock(), reason=decision.reason)
         return ClosedEpoch(id=epoch_id, calibration=current)
 
     return routes
@@ -267,14 +269,14 @@ def refit_routes(context: ApiContext) -> APIRouter:
     def refits(request: Request, limit: Annotated[int, row_limit()] = 100, cursor: Cursor = None) -> Refits:
         """Return the refits, waiting, running and completed, the newest first."""
         selected, page = context.of(request), page_at(cursor, limit)
-        found = selected.archive.refits(selected.camera, until=page.until(None), limit=page.rows)
+        found = selected.archive.refits.find(selected.camera, until=page.until(None), limit=page.rows)
         rows, next_ = page.cut(found, request, time=lambda refit: refit.requested_at)
         return Refits(refits=list(rows), next=next_)
 
     @routes.get("/refits/{refit_id}", responses=answers(404))
     def refit(request: Request, refit_id: RefitId) -> Refit:
         """Return the state of a refit."""
-        refit = context.archive.refit(refit_id)
+        refit = context.archive.refits.get(refit_id)
         if refit.camera != context.of(request).camera:
             raise NotFoundError(field="id", problem=f"refit {refit_id} is another camera's", remedy="see /v1/cameras")
         return refit

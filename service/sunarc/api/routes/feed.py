@@ -91,13 +91,13 @@ class FeedReceiver:
         except _TooLargeError as error:
             raise _error(Refusal(reason="body_too_large", text=str(error))) from None  # see FeedSizes
         batch = FeedBatch(camera=camera, installation=installation, after=after, rows=rows)
-        committed = self._archive.take_feed(batch, now=self._now())
+        committed = self._archive.feeds.take(batch, now=self._now())
         if isinstance(committed, Refusal):
             raise _error(committed)
         return committed
 
     def _require_token(self, camera: str, token: str) -> None:
-        digests = self._archive.feed_tokens(camera, now=self._now())
+        digests = self._archive.feeds.tokens(camera, now=self._now())
         if digests is None:
             refusal = Refusal(reason="unknown_camera", text=f"nobody registered a camera {camera}")
             raise self._refused(camera, "", refusal)
@@ -109,12 +109,12 @@ class FeedReceiver:
 
     def note_too_large(self, camera: str) -> None:
         """Write into quarantine that a body was too large."""
-        if self._archive.feed_tokens(camera, now=self._now()) is not None:
+        if self._archive.feeds.tokens(camera, now=self._now()) is not None:
             refusal = Refusal(reason="body_too_large", text="a body was too large; the imager sends it in parts")
-            self._archive.refuse_feed(camera=camera, installation="", refusal=refusal, now=self._now())
+            self._archive.feeds.refuse(camera=camera, installation="", refusal=refusal, now=self._now())
 
     def _refused(self, camera: str, installation: str, refusal: Refusal) -> RefusedError:
-        self._archive.refuse_feed(camera=camera, installation=installation, refusal=refusal, now=self._now())
+        self._archive.feeds.refuse(camera=camera, installation=installation, refusal=refusal, now=self._now())
         return _error(refusal)
 
 

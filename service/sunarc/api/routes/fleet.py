@@ -66,7 +66,7 @@ def fleet_routes(
     def fleet() -> Fleet:
         """Return every camera of the fleet: its site, when it last sent something, and its state."""
         time = now()
-        return Fleet(time=time, cameras=members(archive.fleet(), time))
+        return Fleet(time=time, cameras=members(archive.feeds.fleet(), time))
 
     @routes.get("/v1/quarantine")
     def quarantine(
@@ -74,7 +74,7 @@ def fleet_routes(
         limit: Annotated[int, row_limit()] = 100,
     ) -> Quarantine:
         """Return what the hub refused or set aside of what imagers sent, each with its reason, the newest first."""
-        return Quarantine(rows=list(archive.quarantine(camera, limit=limit)))
+        return Quarantine(rows=list(archive.feeds.quarantine(camera, limit=limit)))
 
     @routes.get("/healthz")
     async def healthz() -> Alive:
@@ -84,7 +84,7 @@ def fleet_routes(
     @routes.get("/readyz", response_model=Readiness, responses=answers(503))
     def readyz(request: Request) -> Readiness | JSONResponse:
         """Return whether the database answers and has room (503 if not), and which of the hub's jobs fail."""
-        archive.cameras()
+        archive.cameras.all()
         snapshot = status()
         if snapshot.health != "not_ready":
             archive.require_room(now=now())
@@ -182,7 +182,7 @@ class FleetCollector(Collector):
         yield from of_fleet
 
     def _of_fleet(self) -> Iterator[Metric]:
-        cameras, now = self._archive.fleet(), self._now()
+        cameras, now = self._archive.feeds.fleet(), self._now()
         for name, meaning, value_of in _NUMBERS:
             family = GaugeMetricFamily(f"sunarc_fleet_{name}", meaning, labels=["camera"])
             for camera in cameras:
@@ -197,7 +197,7 @@ class FleetCollector(Collector):
         crossed = GaugeMetricFamily(
             "sunarc_fleet_cross_check", "1 for what neighbours show of it.", labels=["camera", "found"]
         )
-        for check in self._archive.cross_checks().checks:
+        for check in self._archive.nightly.cross_checks().checks:
             for found in check.found:
                 crossed.add_metric([check.camera, found], 1.0)
         yield crossed
@@ -234,7 +234,7 @@ def nightly_routes(archive: Archive) -> APIRouter:
     @routes.get("/v1/nightly")
     def nightly(limit: Annotated[int, row_limit()] = 31) -> NightlyRuns:
         """Return the state of the nightly jobs (summaries, retention) of the last nights."""
-        return NightlyRuns(runs=list(archive.nightly_runs(limit=limit)))
+        return NightlyRuns(runs=list(archive.nightly.runs(limit=limit)))
 
     @routes.get("/v1/summaries")
     def summaries(
@@ -244,7 +244,7 @@ def nightly_routes(archive: Archive) -> APIRouter:
         limit: Annotated[int, row_limit()] = 1000,
     ) -> Summaries:
         """Return the solar days of every camera: sightings, verdict, clock, warnings, calibration and rotation."""
-        return Summaries(days=list(archive.day_summaries(camera, since=since, until=until, limit=limit)))
+        return Summaries(days=list(archive.nightly.summaries(camera, since=since, until=until, limit=limit)))
 
     @routes.get("/v1/cross-checks")
     def cross_checks(
@@ -254,7 +254,7 @@ def nightly_routes(archive: Archive) -> APIRouter:
 
         Cameras without others within 50 km are not compared. Sizes have their 1-sigma beside them.
         """
-        found = archive.cross_checks()
+        found = archive.nightly.cross_checks()
         return replace(found, checks=tuple(one for one in found.checks if camera in {None, one.camera}))
 
     return routes

@@ -69,9 +69,9 @@ def _not_ready(snapshot: StatusSnapshot, path: str) -> JSONResponse:
 
 def _status(context: ApiContext) -> Status:
     snapshot = context.status()
-    record = context.archive.current_calibration(context.camera)
-    days = days_out(context, context.archive.days(context.camera, limit=1))
-    camera = context.archive.camera(context.camera)
+    record = context.archive.calibrations.current(context.camera)
+    days = days_out(context, context.archive.days.find(context.camera, limit=1))
+    camera = context.archive.cameras.get(context.camera)
     return Status(
         health=snapshot.health,
         reasons=snapshot.reasons,
@@ -101,6 +101,6 @@ def camera_routes(context: ApiContext) -> APIRouter:
     @routes.get("/v1/cameras")
     def cameras() -> Cameras:
         """Return the cameras of the archive; every route of one camera exists under /v1/cameras/{camera}/ too."""
-        return Cameras(default=context.camera, cameras=list(context.archive.cameras()))
+        return Cameras(default=context.camera, cameras=list(context.archive.cameras.all()))
 
     return routes

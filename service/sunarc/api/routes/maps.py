@@ -393,7 +393,7 @@ def _tables(context: ApiContext, record: CalibrationRecord, asked: _AskedTables,
     of_ground = {} if asked.grid == "sky" else {"height_m": asked.height_m, "half_width_m": asked.width()}
     attributes = {"calibration": record.id, **of_ground}
     directions = asked.directions(asked.size)
-    site = context.archive.model(record.id).site
+    site = context.archive.calibrations.model(record.id).site
     table = remap_table(
         _camera(context, record),
         directions,
@@ -425,7 +425,7 @@ def _stated(context: ApiContext, record: CalibrationRecord, asked: _AskedTables)
     headers = {"sunarc-calibration": record.id}
     headers |= _root_mean("sunarc-sigma-deg", np.degrees(1.0) ** 2 * 0.5 * np.trace(covariance, axis1=1, axis2=2))
     if asked.grid == "ground":
-        site = context.archive.model(record.id).site
+        site = context.archive.calibrations.model(record.id).site
         place = clouds(directions, height_m=asked.height_m, covariance=covariance, site=site).covariance_m2
         headers["sunarc-height-m"] = decimal(asked.height_m, digits=9)
         headers |= _root_mean("sunarc-sigma-m", 0.5 * (place[:, 0, 0] + place[:, 1, 1]))

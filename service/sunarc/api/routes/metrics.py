@@ -77,7 +77,7 @@ class StatusCollector(Collector):
         yield from record_metrics(self._context.archive, self._context.camera, now=now)
 
     def _calibration(self) -> Iterator[Metric]:
-        record = self._context.archive.current_calibration(self._context.camera)
+        record = self._context.archive.calibrations.current(self._context.camera)
         summary_now = None if record is None else summary(record)
         yield _single("sunarc_calibration_present", "1 when a calibration is current.", float(summary_now is not None))
         if summary_now is not None:
@@ -108,7 +108,7 @@ def service_metrics(snapshot: StatusSnapshot) -> Iterator[Metric]:
 
 def push_metrics(archive: Archive) -> Iterator[Metric]:
     """Yield how receivers of messages stand; nothing without any."""
-    states = archive.sink_states()
+    states = archive.notices.sink_states()
     waiting: dict[tuple[str, ...], float] = {(name,): float(state.waiting) for name, state in states.items()}
     yield _labelled("sunarc_push_waiting", "Messages that a receiver has not had yet.", ("receiver",), waiting)
     refused = CounterMetricFamily("sunarc_push_refused", "Messages that a receiver refused.", labels=("receiver",))
@@ -141,7 +141,7 @@ def _workers(snapshot: StatusSnapshot) -> Iterator[Metric]:
 
 def _stored_step_at(context: ApiContext) -> datetime | None:
     """Return when the frames' clock was last set before the service started, as its events have it."""
-    events = context.archive.events(context.camera, severity="warning", limit=_EVENTS_LOOKED_AT)
+    events = context.archive.events.find(context.camera, severity="warning", limit=_EVENTS_LOOKED_AT)
     return next((event.time for event in events if event.kind == "clock_step"), None)
 
 
@@ -193,15 +193,15 @@ def record_metrics(archive: Archive, camera: str, *, now: datetime) -> Iterator[
     archive, camera : whose.
     now : the frames' time.
     """
-    sightings = archive.count_sightings(camera, since=now - _A_DAY, until=now + _A_DAY)
+    sightings = archive.sightings.count(camera, since=now - _A_DAY, until=now + _A_DAY)
     text = "Sightings of the last 24 h by verdict, also those of a clock that was ahead."
     yield _counts_of_record_metrics("sunarc_sightings_last_day", text, "verdict", sightings)
-    days = dict.fromkeys(get_args(DayVerdict), 0) | dict(archive.count_days(camera))
+    days = dict.fromkeys(get_args(DayVerdict), 0) | dict(archive.days.count(camera))
     yield _counts_of_record_metrics("sunarc_days", "Days that were judged, by verdict.", "verdict", days)
-    refits = dict.fromkeys(get_args(RefitState), 0) | dict(archive.count_refits(camera))
+    refits = dict.fromkeys(get_args(RefitState), 0) | dict(archive.refits.count(camera))
     yield _counts_of_record_metrics("sunarc_refits", "Refits by state.", "state", refits)
-    yield from _of_last_day(next(iter(archive.days(camera, limit=1)), None))
-    yield from _of_last_night(next(iter(archive.nights(camera, limit=1)), None))
+    yield from _of_last_day(next(iter(archive.days.find(camera, limit=1)), None))
+    yield from _of_last_night(next(iter(archive.nights.find(camera, limit=1)), None))
 
 
 def _of_last_day(day: Day | None) -> Iterator[Metric]:

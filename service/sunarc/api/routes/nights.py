@@ -110,7 +110,7 @@ def night_routes(context: ApiContext) -> APIRouter:
     ) -> Nights:
         """Return the verdicts of the nights evaluated at since <= time < until, the newest first, each once."""
         selected, page = context.of(request), page_at(cursor, limit)
-        found = selected.archive.nights(selected.camera, since=since, until=page.until(until), limit=page.rows)
+        found = selected.archive.nights.find(selected.camera, since=since, until=page.until(until), limit=page.rows)
         rows, next_ = page.cut(found, request, time=lambda night: night.decided_at)
         nights = [_shown(night, images=images, picture=_has_picture(selected, night)) for night in rows]
         return Nights(nights=nights, pose=_pose(selected), next=next_)

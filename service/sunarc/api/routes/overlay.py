@@ -146,7 +146,7 @@ def overlay_routes(context: ApiContext) -> APIRouter:
         """Return the 1-sigma of directions over the image, on a coarse grid."""
         selected = context.of(request)
         record = selected.record(at)
-        return _sent(_uncertainty(selected.archive.model(record.id), cells, record.id), if_none_match)
+        return _sent(_uncertainty(selected.archive.calibrations.model(record.id), cells, record.id), if_none_match)
 
     _add_difference(routes, context)
     return routes
@@ -170,7 +170,7 @@ def _add_difference(routes: APIRouter, context: ApiContext) -> None:
         """Return the angle between the directions of two calibrations over the image, on a coarse grid."""
         selected = context.of(request)
         record, second = selected.record(at), selected.calibration(other, field_name="other")
-        both = selected.archive.model(record.id), selected.archive.model(second.id)
+        both = selected.archive.calibrations.model(record.id), selected.archive.calibrations.model(second.id)
         return _sent(_difference(*both, cells, (record.id, second.id)), if_none_match)
 
 

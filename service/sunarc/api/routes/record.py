@@ -41,7 +41,7 @@ def day_air_routes(context: ApiContext) -> APIRouter:
     def day_air(request: Request, date: DayPath) -> DayAirOut:
         """Return the measured air of a solar day; nulls where nothing was measured."""
         selected = context.of(request)
-        stored = selected.archive.day_air(selected.camera, since=date, until=date + timedelta(days=1))
+        stored = selected.archive.days.air(selected.camera, since=date, until=date + timedelta(days=1))
         return air_out(stored[0]) if stored else DayAirOut(temperature_c=None, pressure_hpa=None, set_at=None)
 
     @routes.put(
@@ -63,7 +63,7 @@ def day_air_routes(context: ApiContext) -> APIRouter:
             pressure_hpa=air.pressure_hpa,
             set_at=selected.frame_clock(),
         )
-        return air_out(selected.archive.set_day_air(given))
+        return air_out(selected.archive.days.set_air(given))
 
     return routes
 
@@ -98,7 +98,7 @@ def record_routes(context: ApiContext) -> APIRouter:
     ) -> Days:
         """Return the verdicts of the solar days with since <= date < until, the newest first."""
         selected, page = context.of(request), page_at(cursor, limit)
-        found = selected.archive.days(selected.camera, since=since, until=page.until_date(until), limit=page.rows)
+        found = selected.archive.days.find(selected.camera, since=since, until=page.until_date(until), limit=page.rows)
         rows, next_ = page.cut(found, request, time=lambda day: day.date)
         return Days(days=days_out(selected, rows), next=next_)
 
@@ -115,7 +115,7 @@ def record_routes(context: ApiContext) -> APIRouter:
     ) -> Events:
         """Return the events with since <= time < until, the newest first."""
         selected, page = context.of(request), page_at(cursor, limit)
-        found = selected.archive.events(
+        found = selected.archive.events.find(
             selected.camera, since=since, until=page.until(until), severity=severity, kind=kind, limit=page.rows
         )
         rows, next_ = page.cut(found, request, time=lambda event: event.time)
@@ -134,7 +134,7 @@ def days_out(context: ApiContext, days: Sequence[Day]) -> list[DayWithAir]:
     if not days:
         return []
     dates = [day.date for day in days]
-    measured = context.archive.day_air(context.camera, since=min(dates), until=max(dates) + timedelta(days=1))
+    measured = context.archive.days.air(context.camera, since=min(dates), until=max(dates) + timedelta(days=1))
     air = {one.date: air_out(one) for one in measured}
     return [DayWithAir(**asdict(day) | {"findings": day.findings}, air=air.get(day.date)) for day in days]
 
@@ -179,7 +179,7 @@ def housekeeping_routes(context: ApiContext) -> APIRouter:
     ) -> HousekeepingRows:
         """Return free disk space and camera temperature of hours or days that begin at since <= time < until."""
         selected = context.of(request)
-        found = selected.archive.housekeeping(selected.camera, step=step, since=since, until=until)
+        found = selected.archive.housekeeping.find(selected.camera, step=step, since=since, until=until)
         return HousekeepingRows(step=step, rows=list(found))
 
     return routes
@@ -256,7 +256,7 @@ class Follower:
         self._context = context
         self._revision = context.archive.revision()
         self._status = context.status()
-        known = Position(context.archive.last_event_id(), self._calibration())
+        known = Position(context.archive.events.last_id(), self._calibration())
         self.position = position or known
         self._behind = position is not None
 
@@ -277,7 +277,7 @@ class Follower:
 
     def _stored(self) -> Iterator[StreamMessage]:
         archive, known = self._context.archive, self.position
-        events = archive.events_after(known.event, camera=self._context.camera, limit=_MOST_MISSED)
+        events = archive.events.after(known.event, camera=self._context.camera, limit=_MOST_MISSED)
         changes = stored_changes(events, self._calibration(), after_event=known.event, known=known.calibration)
         for kind, data, event, calibration in changes:
             self.position = Position(event, calibration)

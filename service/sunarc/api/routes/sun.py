@@ -91,7 +91,7 @@ def _add_counts(routes: APIRouter, context: ApiContext) -> None:
         end = until or solar_date(context.frame_clock().timestamp(), longitude=longitude) + timedelta(days=1)
         longest = timedelta(days=_DAYS if since is None else _MOST_DAYS)
         begin = max(since or date.min, end - longest)
-        counts = selected.archive.sightings_by_day(selected.camera, longitude=longitude, since=begin, until=end)
+        counts = selected.archive.sightings.by_day(selected.camera, longitude=longitude, since=begin, until=end)
         return SightingsByDay(days=list(counts))
 
 
@@ -114,7 +114,7 @@ def _add_sighting_routes(routes: APIRouter, context: ApiContext) -> None:
     ) -> SunPoints:
         """Return the sightings with since <= time < until, the newest first, the rejected ones with their reason."""
         selected, page = context.of(request), page_at(cursor, limit)
-        found = selected.archive.sun_points(
+        found = selected.archive.sightings.find(
             selected.camera,
             since=since,
             until=page.until(until),
@@ -195,7 +195,7 @@ def _residuals(calibration: Calibration, context: ApiContext, points: Sequence[S
     """Return what each sighting differs by; None where it has no pixel, or the calibration none for the sun."""
     unix_s = np.array([point.time.timestamp() for point in points])
     observed = np.array([(point.x_px, point.y_px) for point in points], dtype=np.float64).reshape(-1, 2)
-    temperature, pressure = context.archive.air_of(context.camera, points)
+    temperature, pressure = context.archive.days.air_of(context.camera, points)
     sun = sun_directions(unix_s, context.site, temperature=temperature, pressure=pressure)
     body = np.array([point.body for point in points])
     of_sun = (body == SUN)[:, None]

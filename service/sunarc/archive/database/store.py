@@ -13,9 +13,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import Any, TypeVar, cast
 
-from sqlalchemy import Column, ColumnElement, Connection, Engine, Select, Table, TypeDecorator, insert, text
+from sqlalchemy import Column, ColumnElement, Connection, Engine, QueuePool, Select, Table, TypeDecorator, insert, text
 from sqlalchemy.dialects import postgresql, sqlite
 
 from sunarc.archive.database.connections import (
@@ -42,7 +42,7 @@ _REBUILT_WITHIN_S = 60.0
 """A read waits no longer for a database that is being put back."""
 
 
-class Store:
+class Database:
     """Reads and writes of one database; safe to use from any thread.
 
     Parameters
@@ -52,27 +52,21 @@ class Store:
     """
 
     def __init__(self, engine: Engine, file: DatabaseFile | None) -> None:
-        self._engine = engine
-        self._file = file
+        self.engine = engine
+        self.file = file
         self._changes = SnapshotVersion(engine) if file is None else Changes(engine, file)
-        self._months = Months(engine) if file is None else None
+        self.months = Months(engine) if file is None else None
         self._usable = threading.Event()
         self._usable.set()
         self._lock = threading.Lock()  # our own threads queue here, fairly; other processes wait in SQLite
         self._full: str | None = None
-        """What the last write said that found the disk full; None when there was room since (see `Room`)."""
+        """What the last write said that found the disk full; None when there was room since (see `require_room`)."""
         self._room_tried_at: datetime | None = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_error: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """Close the connections that are not in use."""
         self._changes.close()
-        self._engine.dispose()
+        self.engine.dispose()
 
     def revision(self) -> int:
         """Return a number that is another one after anything was written, by whomever; takes microseconds."""
@@ -80,26 +74,28 @@ class Store:
         return self._changes.count()
 
     @contextmanager
-    def _reading(self) -> Iterator[Connection]:
+    def reading(self) -> Iterator[Connection]:
+        """Yield a connection that reads one snapshot of the database."""
         self._usable.wait(_REBUILT_WITHIN_S)
-        with reading(self._engine) as connection:
+        with reading(self.engine) as connection:
             yield connection
 
     @contextmanager
-    def _writing(self, *, camera: str | None = None) -> Iterator[Connection]:
+    def writing(self, *, camera: str | None = None) -> Iterator[Connection]:
+        """Yield a connection that writes, and commit at the end; of one camera's rows alone where it is named."""
         # On PostgreSQL rows of different cameras are written at the same time.
-        with self._noticing_room(), nullcontext() if camera is not None and self._file is None else self._lock:
+        with self._noticing_room(), nullcontext() if camera is not None and self.file is None else self._lock:
             # A deleted file stays writable in the connections that are open, and is lost with the process.
-            if self._file is not None:
-                self._file.require_in_place()
-            with writing(self._engine, camera=camera) as connection:
+            if self.file is not None:
+                self.file.require_in_place()
+            with writing(self.engine, camera=camera) as connection:
                 yield connection
 
-    def _prepare_months(self, times: Sequence[datetime]) -> None:
+    def prepare_months(self, times: Sequence[datetime]) -> None:
         """Make the partitions that sightings of these times go to; SQLite has none."""
-        if self._months is not None:
+        if self.months is not None:
             with self._noticing_room():
-                self._months.require(times)
+                self.months.require(times)
 
     @contextmanager
     def _noticing_room(self) -> Iterator[None]:
@@ -112,9 +108,85 @@ class Store:
             self._full = str(error)
             raise
 
-    def _values(self, statement: Select[Any], kind: type[Value]) -> tuple[Value, ...]:
-        with self._reading() as connection:
+    @contextmanager
+    def out_of_use(self) -> Iterator[None]:
+        """Let reads and writes wait, while the file is put back.
+
+        Raises
+        ------
+        OutsideError : another thread reads: SQLite removes files by name when it closes the last connection.
+        """
+        with self._lock:
+            self._usable.clear()
+            try:
+                if cast("QueuePool", self.engine.pool).checkedout():
+                    where = "" if self.file is None else f" {self.file.path}"
+                    raise OutsideError(f"the database{where} is being read; it is put back at the next look")
+                yield
+            finally:
+                self._usable.set()
+
+    def counts(self, statement: Select[Any], by: Column[str]) -> Mapping[str, int]:
+        """Return the counts of a statement, grouped by a column."""
+        with self.reading() as connection:
+            rows = connection.execute(statement.group_by(by)).all()
+        return {str(name): int(n) for name, n in rows if name is not None}
+
+    def require_room(self, *, now: datetime) -> None:
+        """Find out whether a row can be stored: once a minute, and every 5 s after a write that found the disk full.
+
+        Raises
+        ------
+        StoreFullError : it cannot. The first call after such a write only says so.
+        OutsideError : the database does not answer.
+        """
+        tried_at, full = self._room_tried_at, self._full
+        waits = tried_at is not None and timedelta(0) <= now - tried_at < (_TRIED_AGAIN_AFTER if full else _TRIED_EVERY)
+        if full is not None and (waits or tried_at is None):
+            self._room_tried_at = tried_at or now
+            raise StoreFullError(full)
+        if waits:
+            return
+        self._room_tried_at = now
+        self._try_to_store(_NEEDED_BYTES if full else _TRIED_BYTES)
+        self._full = None
+
+    def _try_to_store(self, count: int) -> None:
+        """Store so many bytes, and take them back."""
+        if self.file is not None:
+            try:
+                with tempfile.TemporaryFile(dir=self.file.path.parent) as file:
+                    os.posix_fallocate(file.fileno(), 0, count)
+            except OSError as error:
+                if error.errno not in {errno.ENOSPC, errno.EDQUOT}:
+                    raise OutsideError(f"cannot write beside the database {self.file.path}: {error}") from error
+                self._full = f"the disk of the database {self.file.path} is full: {error}"
+                raise StoreFullError(self._full) from error
+            return
+        text = base64.b85encode(os.urandom(count)).decode()  # compressed by the server, it would be no smaller
+        words = dict.fromkeys(("installation", "reason", "kind", "text"), "")
+        row = {**words, "camera": _WITHOUT_CAMERA, "seq": 0, "data": text, "n": 0}
+        time = self._room_tried_at
+        with self.writing(camera=_WITHOUT_CAMERA) as connection, connection.begin_nested() as tried:
+            connection.execute(insert(quarantine).values(**row, first_at=time, last_at=time))
+            tried.rollback()
+
+    def values(self, statement: Select[Any], kind: type[Value]) -> tuple[Value, ...]:
+        """Return one value per row; see `values_of`."""
+        with self.reading() as connection:
             return values_of(connection, statement, kind)
+
+
+class Part:
+    """A part of the archive: values in, values out.
+
+    Parameters
+    ----------
+    database : where they are.
+    """
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
 
 
 def values_of(connection: Connection, statement: Select[Any], kind: type[Value]) -> tuple[Value, ...]:
@@ -171,20 +243,20 @@ class Changes:
     """
 
     def __init__(self, engine: Engine, file: DatabaseFile) -> None:
-        self._engine = engine
-        self._file = file
+        self.engine = engine
+        self.file = file
         self._lock = threading.Lock()
         self._connection: sqlite3.Connection | None = None
         self._opened = 0
 
     def count(self) -> int:
         """Return a number that is another one after any commit, of this process or another."""
-        with self._lock, outside_errors(self._engine):
+        with self._lock, outside_errors(self.engine):
             if self._connection is None:
                 try:
-                    self._connection = self._file.connect()
+                    self._connection = self.file.connect()
                 except sqlite3.Error as error:
-                    raise OutsideError(f"cannot use the database {self._file.path}: {error}") from error
+                    raise OutsideError(f"cannot use the database {self.file.path}: {error}") from error
                 self._opened += 1  # each connection counts from the start
             # SQLite counts commits of other connections only: this one writes nothing, so that it sees them all.
             (version,) = self._connection.execute("PRAGMA data_version").fetchone()
@@ -306,46 +378,3 @@ class Reserve:
     def release(self) -> None:
         """Delete the reserve's file, so that its space is free."""
         self._path.unlink(missing_ok=True)
-
-
-class Room(Store):
-    """The part of the archive that tells whether a row can be stored."""
-
-    def require_room(self, *, now: datetime) -> None:
-        """Find out whether a row can be stored: once a minute, and every 5 s after a write that found the disk full.
-
-        Raises
-        ------
-        StoreFullError : it cannot. The first call after such a write only says so.
-        OutsideError : the database does not answer.
-        """
-        tried_at, full = self._room_tried_at, self._full
-        waits = tried_at is not None and timedelta(0) <= now - tried_at < (_TRIED_AGAIN_AFTER if full else _TRIED_EVERY)
-        if full is not None and (waits or tried_at is None):
-            self._room_tried_at = tried_at or now
-            raise StoreFullError(full)
-        if waits:
-            return
-        self._room_tried_at = now
-        self._try_to_store(_NEEDED_BYTES if full else _TRIED_BYTES)
-        self._full = None
-
-    def _try_to_store(self, count: int) -> None:
-        """Store so many bytes, and take them back."""
-        if self._file is not None:
-            try:
-                with tempfile.TemporaryFile(dir=self._file.path.parent) as file:
-                    os.posix_fallocate(file.fileno(), 0, count)
-            except OSError as error:
-                if error.errno not in {errno.ENOSPC, errno.EDQUOT}:
-                    raise OutsideError(f"cannot write beside the database {self._file.path}: {error}") from error
-                self._full = f"the disk of the database {self._file.path} is full: {error}"
-                raise StoreFullError(self._full) from error
-            return
-        text = base64.b85encode(os.urandom(count)).decode()  # compressed by the server, it would be no smaller
-        words = dict.fromkeys(("installation", "reason", "kind", "text"), "")
-        row = {**words, "camera": _WITHOUT_CAMERA, "seq": 0, "data": text, "n": 0}
-        time = self._room_tried_at
-        with self._writing(camera=_WITHOUT_CAMERA) as connection, connection.begin_nested() as tried:
-            connection.execute(insert(quarantine).values(**row, first_at=time, last_at=time))
-            tried.rollback()

@@ -13,7 +13,7 @@ from sqlalchemy import Connection, Table, and_, delete, func, insert, or_, selec
 from sqlalchemy.exc import DataError, DBAPIError, IntegrityError, StatementError
 
 from sunarc.archive.database.connections import is_of_row, json_text
-from sunarc.archive.database.store import Store, given, upsert, upsert_all, upsert_records
+from sunarc.archive.database.store import Part, given, upsert, upsert_all, upsert_records
 from sunarc.archive.database.tables import (
     calibration,
     camera,
@@ -71,10 +71,10 @@ WHOLE = 0
 """The `seq` of what was refused as a whole."""
 
 
-class Feeds(Store):
-    """The part of the archive that a hub fills with what imagers send."""
+class FeedStore(Part):
+    """What imagers send to a hub, their cameras, and what is in quarantine of them."""
 
-    def take_feed(self, batch: FeedBatch, *, now: datetime) -> int | Refusal:
+    def take(self, batch: FeedBatch, *, now: datetime) -> int | Refusal:
         """Store a batch, and return the number up to which the hub has this imager's rows.
 
         Rows and number are written in one transaction: a batch that comes twice is stored once. A batch that does not
@@ -90,8 +90,8 @@ class Feeds(Store):
         The number; or why the batch was refused as a whole, which is also in quarantine.
         """
         dated = [time for time in map(_sighting_time, batch.rows) if time is not None]
-        self._prepare_months([time for time in dated if time <= now + FUTURE])
-        with self._writing(camera=batch.camera) as connection:
+        self._database.prepare_months([time for time in dated if time <= now + FUTURE])
+        with self._database.writing(camera=batch.camera) as connection:
             position = _position(connection, batch, now)
             if isinstance(position, Refusal):
                 _set_apart(connection, batch, position, now=now)
@@ -107,13 +107,82 @@ class Feeds(Store):
             connection.execute(update(feed).where(this).values(committed=committed, last_at=now))
         return committed
 
-    def refuse_feed(self, *, camera: str, installation: str, refusal: Refusal, now: datetime) -> None:
+    def refuse(self, *, camera: str, installation: str, refusal: Refusal, now: datetime) -> None:
         """Write into quarantine that something was refused as a whole."""
         batch = FeedBatch(camera=camera, installation=installation, after=0, rows=())
-        with self._writing(camera=camera) as connection:
+        with self._database.writing(camera=camera) as connection:
             if refusal.reason == "unknown_camera":
                 batch = replace(batch, camera=_bounded(connection, camera), installation="")
             _set_apart(connection, batch, refusal, now=now)
+
+    def quarantine(self, camera: str | None = None, *, limit: int | None = None) -> tuple[Quarantined, ...]:
+        """Return what was refused or set apart, the newest first."""
+        c = quarantine.c
+        statement = select(quarantine).where(*given((c.camera.__eq__, camera)))
+        return self._database.values(statement.order_by(c.last_at.desc(), c.camera, c.seq).limit(limit), Quarantined)
+
+    def fleet(self) -> tuple[FleetCamera, ...]:
+        """Return every camera that was registered or fed, with how many things of it are in quarantine."""
+        apart = select(quarantine.c.camera, func.count().label("n")).group_by(quarantine.c.camera).subquery()
+        known = select(feed_token.c.camera).union(select(fleet.c.camera)).subquery()
+        f = fleet.c
+        columns = [column for column in f if column.name != "camera"]
+        site = (camera.c.latitude, camera.c.longitude, camera.c.altitude)
+        statement = (
+            select(known.c.camera, *columns, *site, func.coalesce(apart.c.n, 0).label("n_quarantined"))
+            .select_from(known)
+            .outerjoin(fleet, f.camera == known.c.camera)
+            .outerjoin(camera, camera.c.name == known.c.camera)
+            .outerjoin(apart, apart.c.camera == known.c.camera)
+            .order_by(known.c.camera)
+        )
+        with self._database.reading() as connection:
+            return tuple(FleetCamera(**row) for row in connection.execute(statement).mappings())
+
+    def add_token(self, camera: str, digest: str, *, now: datetime, former_until: datetime) -> None:
+        """Register a camera by the digest of its token; tokens that it has end at `former_until`."""
+        c = feed_token.c
+        former = update(feed_token).where(c.camera == camera, or_(c.expires_at.is_(None), c.expires_at > former_until))
+        with self._database.writing() as connection:
+            connection.execute(former.values(expires_at=former_until))
+            connection.execute(insert(feed_token).values(digest=digest, camera=camera, created_at=now))
+            connection.execute(
+                delete(quarantine).where(quarantine.c.camera == camera, quarantine.c.reason == "unknown_camera")
+            )
+
+    def end_tokens(self, camera: str, *, now: datetime) -> int:
+        """End all tokens of a camera, and return how many there were."""
+        c = feed_token.c
+        valid = update(feed_token).where(c.camera == camera, or_(c.expires_at.is_(None), c.expires_at > now))
+        with self._database.writing() as connection:
+            return connection.execute(valid.values(expires_at=now)).rowcount
+
+    def tokens(self, camera: str, *, now: datetime) -> tuple[str, ...] | None:
+        """Return the digests of a camera's valid tokens; None where the camera was never registered."""
+        c = feed_token.c
+        with self._database.reading() as connection:
+            rows = connection.execute(select(c.digest, c.expires_at).where(c.camera == camera)).all()
+        valid = tuple(row.digest for row in rows if row.expires_at is None or row.expires_at > now)
+        return valid if rows else None
+
+    def accept_installation(self, camera: str, installation: str, *, now: datetime) -> None:
+        """Take what an installation sends from now on, in place of the one that was taken before."""
+        c = feed.c
+        with self._database.writing() as connection:
+            connection.execute(update(feed).where(c.camera == camera).values(accepted=False))
+            row = {"camera": camera, "installation": installation, "committed": 0, "accepted": True}
+            upsert(connection, feed, {**row, "first_at": now, "last_at": now}, key=["camera", "installation"])
+            q = quarantine.c
+            here = (q.camera == camera, q.installation == installation, q.reason == "second_installation")
+            connection.execute(delete(quarantine).where(*here))
+
+    def ask_again(self, camera: str) -> None:
+        """Have all rows of a camera sent again, and clear what is set apart of it."""
+        with self._database.writing() as connection:
+            done = connection.execute(update(feed).where(feed.c.camera == camera).values(committed=-1))
+            connection.execute(delete(quarantine).where(quarantine.c.camera == camera))
+        if not done.rowcount:
+            raise NotFoundError(field="camera", problem=f"camera {camera} sent nothing yet", remedy="see /v1/fleet")
 
 
 def _bounded(connection: Connection, name: str) -> str:
@@ -364,76 +433,3 @@ def sky_rms_of(document: object) -> float | None:
     stated = document.get("uncertainty") if isinstance(document, Mapping) else None
     rms = stated.get("sky_rms_deg") if isinstance(stated, Mapping) else None
     return float(rms) if isinstance(rms, int | float) else None
-
-
-class FleetRegistry(Store):
-    """The part of the archive with the cameras of a fleet."""
-
-    def quarantine(self, camera: str | None = None, *, limit: int | None = None) -> tuple[Quarantined, ...]:
-        """Return what was refused or set apart, the newest first."""
-        c = quarantine.c
-        statement = select(quarantine).where(*given((c.camera.__eq__, camera)))
-        return self._values(statement.order_by(c.last_at.desc(), c.camera, c.seq).limit(limit), Quarantined)
-
-    def fleet(self) -> tuple[FleetCamera, ...]:
-        """Return every camera that was registered or fed, with how many things of it are in quarantine."""
-        apart = select(quarantine.c.camera, func.count().label("n")).group_by(quarantine.c.camera).subquery()
-        known = select(feed_token.c.camera).union(select(fleet.c.camera)).subquery()
-        f = fleet.c
-        columns = [column for column in f if column.name != "camera"]
-        site = (camera.c.latitude, camera.c.longitude, camera.c.altitude)
-        statement = (
-            select(known.c.camera, *columns, *site, func.coalesce(apart.c.n, 0).label("n_quarantined"))
-            .select_from(known)
-            .outerjoin(fleet, f.camera == known.c.camera)
-            .outerjoin(camera, camera.c.name == known.c.camera)
-            .outerjoin(apart, apart.c.camera == known.c.camera)
-            .order_by(known.c.camera)
-        )
-        with self._reading() as connection:
-            return tuple(FleetCamera(**row) for row in connection.execute(statement).mappings())
-
-    def add_feed_token(self, camera: str, digest: str, *, now: datetime, former_until: datetime) -> None:
-        """Register a camera by the digest of its token; tokens that it has end at `former_until`."""
-        c = feed_token.c
-        former = update(feed_token).where(c.camera == camera, or_(c.expires_at.is_(None), c.expires_at > former_until))
-        with self._writing() as connection:
-            connection.execute(former.values(expires_at=former_until))
-            connection.execute(insert(feed_token).values(digest=digest, camera=camera, created_at=now))
-            connection.execute(
-                delete(quarantine).where(quarantine.c.camera == camera, quarantine.c.reason == "unknown_camera")
-            )
-
-    def end_feed_tokens(self, camera: str, *, now: datetime) -> int:
-        """End all tokens of a camera, and return how many there were."""
-        c = feed_token.c
-        valid = update(feed_token).where(c.camera == camera, or_(c.expires_at.is_(None), c.expires_at > now))
-        with self._writing() as connection:
-            return connection.execute(valid.values(expires_at=now)).rowcount
-
-    def feed_tokens(self, camera: str, *, now: datetime) -> tuple[str, ...] | None:
-        """Return the digests of a camera's valid tokens; None where the camera was never registered."""
-        c = feed_token.c
-        with self._reading() as connection:
-            rows = connection.execute(select(c.digest, c.expires_at).where(c.camera == camera)).all()
-        valid = tuple(row.digest for row in rows if row.expires_at is None or row.expires_at > now)
-        return valid if rows else None
-
-    def accept_installation(self, camera: str, installation: str, *, now: datetime) -> None:
-        """Take what an installation sends from now on, in place of the one that was taken before."""
-        c = feed.c
-        with self._writing() as connection:
-            connection.execute(update(feed).where(c.camera == camera).values(accepted=False))
-            row = {"camera": camera, "installation": installation, "committed": 0, "accepted": True}
-            upsert(connection, feed, {**row, "first_at": now, "last_at": now}, key=["camera", "installation"])
-            q = quarantine.c
-            here = (q.camera == camera, q.installation == installation, q.reason == "second_installation")
-            connection.execute(delete(quarantine).where(*here))
-
-    def ask_again(self, camera: str) -> None:
-        """Have all rows of a camera sent again, and clear what is set apart of it."""
-        with self._writing() as connection:
-            done = connection.execute(update(feed).where(feed.c.camera == camera).values(committed=-1))
-            connection.execute(delete(quarantine).where(quarantine.c.camera == camera))
-        if not done.rowcount:
-            raise NotFoundError(field="camera", problem=f"camera {camera} sent nothing yet", remedy="see /v1/fleet")

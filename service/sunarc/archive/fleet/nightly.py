@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import TypeAdapter, ValidationError
 from sqlalchemy import BigInteger, Connection, Row, and_, bindparam, case, delete, func, or_, select, text
 
-from sunarc.archive.database.store import Store, given, upsert
+from sunarc.archive.database.store import Part, given, upsert
 from sunarc.archive.database.tables import calibration, camera, day, day_summary, event, nightly_run, sun_point
 from sunarc.archive.fleet.feeds import sky_rms_of
 from sunarc.cross_checks.rotation_steps import Cause
@@ -144,8 +144,8 @@ class NightlyRun(Returned):
         }
 
 
-class Nightly(Store):
-    """The part of the archive that a hub works on by night."""
+class NightlyStore(Part):
+    """What a hub works on by night."""
 
     def summarise_days(self) -> int:
         """Summarise the judged days that have no summary, or were judged anew since, and return how many.
@@ -164,7 +164,7 @@ class Nightly(Store):
         )
         n = 0
         while True:
-            with self._writing() as connection:
+            with self._database.writing() as connection:
                 rows = connection.execute(missing).all()
                 for row in rows:
                     upsert(connection, day_summary, _summary(connection, row), key=["camera", "date"])
@@ -172,14 +172,14 @@ class Nightly(Store):
             if len(rows) < _AT_ONCE:
                 return n
 
-    def day_summaries(
+    def summaries(
         self, camera_name: str | None, *, since: date | None = None, until: date | None = None, limit: int | None = None
     ) -> tuple[DaySummary, ...]:
         """Return the summaries of days with `since` <= date < `until`, the newest first; None does not filter."""
         c = day_summary.c
         filters = given((c.camera.__eq__, camera_name), (c.date.__ge__, since), (c.date.__lt__, until))
         order = (c.date.desc(), c.camera)
-        return self._values(select(day_summary).where(*filters).order_by(*order).limit(limit), DaySummary)
+        return self._database.values(select(day_summary).where(*filters).order_by(*order).limit(limit), DaySummary)
 
     def remove_sightings(self, *, before: datetime, now: datetime) -> int:
         """Remove the sightings of the months that ended before a time, and return how many months (SQLite: rows).
@@ -188,35 +188,35 @@ class Nightly(Store):
         """
         before = min(before, now - LEAST_KEPT)
         month = datetime(before.year, before.month, 1, tzinfo=UTC)
-        with self._writing() as connection:
-            if self._months is None:
+        with self._database.writing() as connection:
+            if self._database.months is None:
                 return connection.execute(delete(sun_point).where(sun_point.c.time < month)).rowcount
             drop = text("SELECT sunarc_drop_months(:before)").bindparams(bindparam("before", type_=BigInteger))
             n = int(connection.execute(drop, {"before": to_microseconds(month)}).scalar() or 0)
-        self._months.forget()
+        self._database.months.forget()
         return n
 
     def mean_longitude(self) -> float:
         """Return the mean longitude of the cameras, degrees; 0 without any, or where they surround the earth."""
-        with self._reading() as connection:
+        with self._database.reading() as connection:
             found = connection.scalars(select(camera.c.longitude)).all()
         return _mean_angle_deg([float(one) for one in found])
 
-    def save_nightly(self, run: NightlyRun) -> None:
+    def save(self, run: NightlyRun) -> None:
         """Remember how the work of a night goes, in place of what was known of it."""
         row = {name: getattr(run, name) for name in ("night", "started_at", "finished_at")}
-        with self._writing() as connection:
+        with self._database.writing() as connection:
             upsert(connection, nightly_run, {**row, "results": dict(run.results)}, key=["night"])
 
-    def nightly_runs(self, *, limit: int, until: date | None = None) -> tuple[NightlyRun, ...]:
+    def runs(self, *, limit: int, until: date | None = None) -> tuple[NightlyRun, ...]:
         """Return how the last nights up to and with `until` went, the newest first."""
         c = nightly_run.c
         statement = select(nightly_run).where(*given((c.night.__le__, until)))
-        return self._values(statement.order_by(c.night.desc()).limit(limit), NightlyRun)
+        return self._database.values(statement.order_by(c.night.desc()).limit(limit), NightlyRun)
 
     def cross_checks(self) -> CrossChecks:
         """Return the cross-checks of the newest night that made some."""
-        for run in self.nightly_runs(limit=_NIGHTS):
+        for run in self.runs(limit=_NIGHTS):
             checks = checks_from_json(run.results.get("cross_checks"))
             if checks is not None:
                 return CrossChecks(night=run.night, time=run.started_at, checks=checks)

@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple
 from pydantic import TypeAdapter
 from sqlalchemy import ColumnElement, Connection, delete, func, insert, select, update
 
-from sunarc.archive.database.store import Store, insert_new, upsert, values_of
+from sunarc.archive.database.store import Part, insert_new, upsert, values_of
 from sunarc.archive.database.tables import calibration, event, notice, notice_position, notice_sink
 from sunarc.archive.values import Event
 
@@ -102,8 +102,8 @@ def stored_changes(events: Iterable[Event], current: str, *, after_event: int, k
         yield StoreChange("calibration", {"calibration": current or None, "previous": known or None}, number, current)
 
 
-class Notices(Store):
-    """The part of the archive that receivers of messages are served from."""
+class NoticeStore(Part):
+    """What receivers of messages are to hear."""
 
     def name_sinks(self, names: Collection[str]) -> None:
         """Serve these receivers and no others: a new one hears of what happens from now on; without any all is removed.
@@ -112,7 +112,7 @@ class Notices(Store):
         ----------
         names : of the receivers.
         """
-        with self._writing() as connection:
+        with self._database.writing() as connection:
             connection.execute(delete(notice_sink).where(notice_sink.c.sink.not_in(names)))
             last = connection.scalar(select(func.max(notice.c.seq))) or 0
             rows = [{"sink": name, "seq": last, "refused": 0} for name in names]
@@ -122,7 +122,7 @@ class Notices(Store):
                 connection.execute(delete(notice))
                 connection.execute(delete(notice_position))
 
-    def record_notices(
+    def record(
         self,
         camera: str,
         conditions: Mapping[str, Mapping[str, Any]],
@@ -147,11 +147,11 @@ class Notices(Store):
         The conditions that hold: with those that have not ended.
         """
         look = _Look(camera, conditions, now, clears)
-        with self._reading() as connection:
+        with self._database.reading() as connection:
             position = _position(connection, camera)
             if position is not None and _news(connection, position, look)[1] == position:
                 return position.conditions
-        with self._writing(camera=camera) as connection:
+        with self._database.writing(camera=camera) as connection:
             rows: list[dict[str, Any]] = []
             if position is None:
                 position = _NoticePosition(
@@ -164,28 +164,30 @@ class Notices(Store):
             upsert(connection, notice_position, {"camera": camera, **position._asdict()}, key=["camera"])
         return position.conditions
 
-    def notices_after(self, sink: str, *, limit: int) -> tuple[Notice, ...]:
+    def after(self, sink: str, *, limit: int) -> tuple[Notice, ...]:
         """Return the next notices that a receiver has not had, in their order."""
         seq = select(notice_sink.c.seq).where(notice_sink.c.sink == sink).scalar_subquery()
-        return self._values(select(notice).where(notice.c.seq > seq).order_by(notice.c.seq).limit(limit), Notice)
+        return self._database.values(
+            select(notice).where(notice.c.seq > seq).order_by(notice.c.seq).limit(limit), Notice
+        )
 
-    def notice_done(self, sink: str, seq: int, *, refused: bool = False) -> None:
+    def done(self, sink: str, seq: int, *, refused: bool = False) -> None:
         """Remember that a receiver has the notices up to a number, or has refused the last of them for good."""
         c = notice_sink.c
-        with self._writing() as connection:
+        with self._database.writing() as connection:
             values = {"seq": seq, "refused": c.refused + int(refused)}
             connection.execute(update(notice_sink).where(c.sink == sink, c.seq < seq).values(values))
 
-    def drop_notices(self, *, most: int) -> int:
+    def drop(self, *, most: int) -> int:
         """Remove the notices that every receiver has, and the oldest beyond so many; return how many those were."""
-        with self._reading() as connection:
+        with self._database.reading() as connection:
             done = connection.scalar(select(func.min(notice_sink.c.seq))) or 0
             last = connection.scalar(select(func.max(notice.c.seq))) or 0
             first = connection.scalar(select(func.min(notice.c.seq))) or last + 1
         until = max(done, last - most)
         if first > until:
             return 0
-        with self._writing() as connection:
+        with self._database.writing() as connection:
             lost = connection.execute(delete(notice).where(notice.c.seq <= until, notice.c.seq > done)).rowcount
             connection.execute(delete(notice).where(notice.c.seq <= until))
         return lost
@@ -193,7 +195,7 @@ class Notices(Store):
     def sink_states(self) -> Mapping[str, SinkState]:
         """Return how each receiver stands, by its name."""
         waiting = select(func.count()).where(notice.c.seq > notice_sink.c.seq).scalar_subquery()
-        with self._reading() as connection:
+        with self._database.reading() as connection:
             rows = connection.execute(select(notice_sink, waiting.label("waiting")).order_by(notice_sink.c.sink)).all()
         return {row.sink: SinkState(seq=row.seq, waiting=row.waiting, refused=row.refused) for row in rows}
 
@@ -208,7 +210,7 @@ class _NoticePosition(NamedTuple):
 
 
 class _Look(NamedTuple):
-    """What is known of a camera when it is looked at; see `record_notices`."""
+    """What is known of a camera when it is looked at; see `NoticeStore.record`."""
 
     camera: str
     conditions: Mapping[str, Mapping[str, Any]]

@@ -11,7 +11,7 @@ from typing import Any
 from sqlalchemy import JSON, Column, Connection, Date, Float, Text, delete, func, insert, select, text, update
 
 from sunarc.archive.database.connections import json_text, parsed_json
-from sunarc.archive.database.store import Store
+from sunarc.archive.database.store import Part
 from sunarc.archive.database.tables import outbox, outbox_position
 from sunarc.archive.fleet.feed_rows import FED, REMOVED, STATUS, FeedRow, columns_of, from_trigger, plain_type
 from sunarc.errors import ConfigurationError
@@ -36,10 +36,10 @@ class OutboxPosition:
     sent: int
 
 
-class Outbox(Store):
-    """The part of the archive that an imager sends to a hub."""
+class Outbox(Part):
+    """What an imager sends to a hub."""
 
-    def enable_outbox(self) -> bool:
+    def enable(self) -> bool:
         """Begin to write changes to the outbox; with all rows that there are, unless it went on without a break.
 
         A migration that makes a table anew takes its triggers away: they are compared with what they should be, and
@@ -50,10 +50,10 @@ class Outbox(Store):
         -------
         Whether all rows were queued.
         """
-        if self._file is None:
+        if self._database.file is None:
             raise ConfigurationError("hub.url: only an archive in SQLite is sent to a hub; unset `store` or `hub.url`")
         wanted = dict(outbox_triggers())
-        with self._writing() as connection:
+        with self._database.writing() as connection:
             present = {str(name): str(sql) for name, sql in connection.execute(text(_TRIGGERS))}
             begun = connection.scalar(select(func.count()).select_from(outbox_position)) == 1
             new = [kind for kind in FED if not present.keys() & _names(kind)]
@@ -70,36 +70,36 @@ class Outbox(Store):
             _set_position(connection, OutboxPosition(installation=uuid.uuid4().hex, committed=0, sent=0))
         return True
 
-    def disable_outbox(self) -> None:
+    def disable(self) -> None:
         """End the outbox, with all that waits in it."""
-        if self._file is None:
+        if self._database.file is None:
             return
-        with self._reading() as connection:
+        with self._database.reading() as connection:
             present = [str(name) for name, _ in connection.execute(text(_TRIGGERS))]
         if present:
-            with self._writing() as connection:
+            with self._database.writing() as connection:
                 _drop(connection, present)
                 connection.execute(delete(outbox))
                 connection.execute(delete(outbox_position))
 
-    def outbox_enabled(self) -> bool:
+    def enabled(self) -> bool:
         """Return whether changes are written to the outbox."""
-        with self._reading() as connection:
+        with self._database.reading() as connection:
             return connection.scalar(select(func.count()).select_from(outbox_position)) == 1
 
-    def outbox_position(self) -> OutboxPosition:
+    def position(self) -> OutboxPosition:
         """Return how far the outbox came; it has to be enabled."""
-        with self._reading() as connection:
+        with self._database.reading() as connection:
             return OutboxPosition(**connection.execute(select(outbox_position)).mappings().one())
 
-    def outbox_waiting(self) -> int:
+    def waiting(self) -> int:
         """Return how many rows wait."""
-        with self._reading() as connection:
+        with self._database.reading() as connection:
             return connection.scalar(select(func.count()).select_from(outbox)) or 0
 
-    def outbox_rows(self, *, most: int, most_bytes: int) -> tuple[FeedRow, ...]:
+    def rows(self, *, most: int, most_bytes: int) -> tuple[FeedRow, ...]:
         """Return the next rows in their order: at most so many, and so many bytes, but at least one."""
-        with self._reading() as connection:
+        with self._database.reading() as connection:
             stored = connection.execute(select(outbox).order_by(outbox.c.seq).limit(most)).all()
         rows: list[FeedRow] = []
         size = 0
@@ -113,7 +113,7 @@ class Outbox(Store):
 
     def queue_status(self, status: Mapping[str, Any]) -> None:
         """Queue what the imager tells of itself, in place of what was not sent yet."""
-        with self._writing() as connection:
+        with self._database.writing() as connection:
             sent = select(outbox_position.c.sent).scalar_subquery()
             connection.execute(delete(outbox).where(outbox.c.kind == STATUS, outbox.c.seq > sent))
             connection.execute(insert(outbox).values(kind=STATUS, data=json_text(status)))
@@ -121,25 +121,25 @@ class Outbox(Store):
     def mark_sent(self, seq: int) -> None:
         """Remember, before rows are sent, that the hub may have them up to a number."""
         c = outbox_position.c
-        with self._writing() as connection:
+        with self._database.writing() as connection:
             connection.execute(update(outbox_position).where(c.sent < seq).values(sent=seq))
 
     def acknowledge(self, seq: int) -> None:
         """Forget the rows up to a number: the hub has them."""
-        with self._writing() as connection:
+        with self._database.writing() as connection:
             connection.execute(delete(outbox).where(outbox.c.seq <= seq))
             connection.execute(update(outbox_position).values(committed=seq))
 
     def send_again(self, *, committed: int) -> None:
         """Queue all rows again: the hub has less than it once confirmed."""
-        with self._writing() as connection:
+        with self._database.writing() as connection:
             _queue_all(connection)
             connection.execute(update(outbox_position).values(committed=committed))
 
     def begin_installation(self) -> str:
         """Begin a feed of its own with all rows, and return its id: another one went on under the former id."""
         new = OutboxPosition(installation=uuid.uuid4().hex, committed=0, sent=0)
-        with self._writing() as connection:
+        with self._database.writing() as connection:
             _queue_all(connection)
             _set_position(connection, new)
         return new.installation

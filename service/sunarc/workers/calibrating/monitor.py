@@ -268,7 +268,7 @@ class WatchWorker:
         current = self._camera.current_calibration()
         if change.kind in LENS_KINDS:
             if current is not None:
-                self._camera.archive.retire(current.id, at=max(at, current.valid_from))
+                self._camera.archive.calibrations.retire(current.id, at=max(at, current.valid_from))
             self._watch = SightingWindow()
         else:
             self._watch = self._watch.since(change.at_unix_s)
@@ -497,7 +497,7 @@ class DayJudge:
         return daily_pose_offset(points_of(last), calibration=calibration, site=self._camera.site)
 
     def _remember(self, day: Day) -> None:
-        self._camera.archive.save_day(day)
+        self._camera.archive.days.save(day)
         offsets = {"pose_offset_deg": day.pose_offset_deg, "pose_offset_sigma_deg": day.pose_offset_sigma_deg}
         numbers = {key: value for key, value in asdict(day).items() if isinstance(value, int | float)}
         why = {"date": f"{day.date}", "verdict": day.verdict, "reasons": "; ".join(day.reasons)}

@@ -153,12 +153,12 @@ class ProvisionalPoseEstimator:
             _log.info("pose estimation failed: %s", "; ".join(posed.verdict.reasons))
             return False
         document = self._document(posed, epoch, count)
-        record = self._camera.archive.add_calibration(document, parent=None if lens is None else lens.id, used=columns)
-        return self._camera.archive.activate(record.id, at=epoch.started_at).state == "current"
+        record = self._camera.archive.calibrations.add(document, parent=None if lens is None else lens.id, used=columns)
+        return self._camera.archive.calibrations.activate(record.id, at=epoch.started_at).state == "current"
 
     def _is_answered(self, current: CalibrationRecord, epoch: PoseEpoch) -> bool:
         """Return whether a full fit knows the pose of an epoch, or a calibration is of a later one."""
-        if current.pose_epoch == epoch.id and not is_provisional(self._camera.archive.model(current.id)):
+        if current.pose_epoch == epoch.id and not is_provisional(self._camera.archive.calibrations.model(current.id)):
             return True
         return self._is_of_later(current, epoch)
 
@@ -173,7 +173,7 @@ class ProvisionalPoseEstimator:
         """Return a new pose of a lens that was calibrated."""
         return estimate_pose(
             points,
-            start=self._camera.archive.model(lens.id),
+            start=self._camera.archive.calibrations.model(lens.id),
             site=self._camera.site,
             options=self._options,
             wander_deg=self._wander_deg,
@@ -183,9 +183,9 @@ class ProvisionalPoseEstimator:
         """Return the full fit whose lens is kept."""
         record = current
         try:
-            while record.parent is not None and is_provisional(self._camera.archive.model(record.id)):
-                record = self._camera.archive.calibration(record.parent)
-            return None if is_provisional(self._camera.archive.model(record.id)) else record
+            while record.parent is not None and is_provisional(self._camera.archive.calibrations.model(record.id)):
+                record = self._camera.archive.calibrations.get(record.parent)
+            return None if is_provisional(self._camera.archive.calibrations.model(record.id)) else record
         except InputError:  # gone, damaged, or of another version
             return None
 

@@ -366,7 +366,7 @@ class RefitWorker:
 
     def carry_out(self, refit: Refit, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Solve, judge, keep, and serve what is better; leaves the refit unfinished when stopped half-way."""
-        self._camera.archive.start_refit(refit.id, started_at=self._now())
+        self._camera.archive.refits.start(refit.id, started_at=self._now())
         child: dict[str, Any] = {
             "clock": self._clock,
             "time_limit_s": self._options.time_limit_s,
@@ -431,7 +431,7 @@ class RefitWorker:
             solved = task.with_selection(solved)
             record = self._keep(task, replace(solved, verdict=accept(solved)), None, pose_epoch=epoch)
             if record.accepted:
-                self._camera.archive.answer_between(record.id, since=starts[epoch], until=ends[epoch])
+                self._camera.archive.calibrations.answer_between(record.id, since=starts[epoch], until=ends[epoch])
 
     def _judge(self, refit: Refit, task: RefitTask, solved: Calibration) -> None:
         current = self._camera.current_calibration()
@@ -444,7 +444,7 @@ class RefitWorker:
             solved = replace(solved, verdict=self._verdict(task, solved, current))
         record = self._keep(task, solved, current)
         state: RefitState = "accepted" if record.accepted else "marginal" if solved.verdict.marginal else "refused"
-        is_active = record.accepted and self._camera.archive.activate(record.id).state == "current"
+        is_active = record.accepted and self._camera.archive.calibrations.activate(record.id).state == "current"
         pinned = (Finding("active_is_pinned"),) if record.accepted and not is_active else ()
         self._finish(refit, state, (*record.findings, *pinned), calibration=record.id)
         self._integrity.check()
@@ -463,7 +463,7 @@ class RefitWorker:
         if current is None:
             return accept(solved)
         try:
-            before = self._camera.archive.model(current.id)
+            before = self._camera.archive.calibrations.model(current.id)
         except InputError as error:
             unreadable = Finding("active_unreadable", {"calibration": current.id, "error": str(error)})
             return Verdict(accepted=False, marginal=True, findings=(unreadable,))
@@ -490,7 +490,7 @@ class RefitWorker:
             pose_epoch=epoch,
             software_version=sunarc.__version__,
         )
-        return self._camera.archive.add_calibration(
+        return self._camera.archive.calibrations.add(
             document, parent=None if current is None else current.id, used=task.used
         )
 
@@ -504,7 +504,7 @@ class RefitWorker:
         self, refit: Refit, state: RefitState, findings: tuple[Finding, ...], *, calibration: str | None = None
     ) -> None:
         now, message = self._now(), "; ".join(map(text_of, findings))
-        self._camera.archive.finish_refit(
+        self._camera.archive.refits.finish(
             refit.id, state=state, finished_at=now, calibration=calibration, message=message, findings=findings
         )
         found = Finding(f"refit_{state}", {"refit": refit.id, "message": message})
@@ -572,14 +572,14 @@ class CalibrationIntegrityCheck:
             reason = self._report("calibration_damaged", calibration=damaged, served=active)
         if current is not None:
             try:
-                self._camera.archive.model(current.id)
+                self._camera.archive.calibrations.model(current.id)
             except InputError as error:
                 reason = self._report("calibration_unreadable", calibration=current.id, error=str(error))
         return reason
 
     def _check_sightings(self, current: CalibrationRecord) -> None:
         try:
-            self._camera.archive.sightings_of(current.id)
+            self._camera.archive.calibrations.sightings_of(current.id)
         except NotFoundError:
             return  # imported, or made before evidence was kept
         except InputError as error:

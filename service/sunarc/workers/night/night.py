@@ -362,7 +362,7 @@ class NightWorker:
         stored = self._store(images, views, matched, again=again)
         moon = self._moon.finish(calibration, within_px=BENT_PX, clock_error_s=self._clock_error_s)
         heartbeat()
-        stored_moon = max(self._camera.archive.add_sun_points(moon.points), len(moon.points) if again else 0)
+        stored_moon = max(self._camera.archive.sightings.add(moon.points), len(moon.points) if again else 0)
         verdict, findings = decide_night(summary, moonlit_share=self._moonlit_share(images))
         refused = [found.matches.findings[0] for found in matched if not found.matches.accepted]
         evening = self._night_of(images[0].time)
@@ -474,15 +474,15 @@ class NightWorker:
             for point in self._points(image, view, found)
         ]
         if self._replaces or again:
-            new = self._camera.archive.replace_stars(self._camera.name, points)
+            new = self._camera.archive.sightings.replace_stars(self._camera.name, points)
             return len(points) if again else new
-        return self._camera.archive.add_sun_points(points)
+        return self._camera.archive.sightings.add(points)
 
     def _points(self, image: _StarImage, view: StarView, found: MatchedView) -> list[SunPoint]:
         """Return the surest stars of each part of an image as sightings."""
         record = self._camera.record()
         names, stars = surest_named(view, found, (0, 0) if record is None else record.image_size)
-        epoch = self._camera.archive.epoch_at(self._camera.name, image.time, reason="first sighting")
+        epoch = self._camera.archive.epochs.at(self._camera.name, image.time, reason="first sighting")
         return [
             SunPoint(
                 camera=self._camera.name,
@@ -513,7 +513,7 @@ class NightWorker:
     def _remember(self, night: Night) -> None:
         """Store the verdict, and set the conditions that the last nights give rise to."""
         event = event_of_night(night)
-        self._camera.archive.save_night(night, event=event, drops_images=self._kept is not None)
+        self._camera.archive.nights.save(night, event=event, drops_images=self._kept is not None)
         _log.info("%s", event.text)
         self.publish_conditions()
 
