@@ -27,7 +27,7 @@ _BLUR = 0.035
 """Of the smaller side: twice the blur in which the middle of the glare is found."""
 
 
-class Part(NamedTuple):
+class ImagePart(NamedTuple):
     """A part of the faintest colour of an image.
 
     Attributes
@@ -71,12 +71,12 @@ class Part(NamedTuple):
         )
 
 
-def whole_part(image: Image, *, static: BoolArray | None, bayer: Bayer | None) -> Part:
+def whole_part(image: Image, *, static: BoolArray | None, bayer: Bayer | None) -> ImagePart:
     """Return all of an image; see `detect_sun_in_photo`."""
     plane = plane_of(image, bayer)
     rows, columns = plane.shape
     cell = 1 if plane.shape == image.shape[:2] else 2
-    return Part(plane, _enlarged(static, (rows, columns)), 0, 0, (rows, columns), cell)
+    return ImagePart(plane, _enlarged(static, (rows, columns)), 0, 0, (rows, columns), cell)
 
 
 def part_near(
@@ -87,7 +87,7 @@ def part_near(
     static: BoolArray | None,
     bayer: Bayer | None,
     complete: bool = False,
-) -> Part:
+) -> ImagePart:
     """Return the window of an image in which a predicted sun is.
 
     Parameters
@@ -109,7 +109,7 @@ def part_near(
     window = slice(cell * top, cell * bottom), slice(cell * left, cell * right)
     shown = _enlarged(static, (rows, columns), (top, bottom, left, right))
     near = Near(x - left, y - top, reach)
-    return Part(plane_of(image[window], bayer), shown, left, top, (rows, columns), cell, near)
+    return ImagePart(plane_of(image[window], bayer), shown, left, top, (rows, columns), cell, near)
 
 
 def plane_of(image: Image, bayer: Bayer | None) -> Image:
@@ -199,7 +199,7 @@ class Candidate(NamedTuple):
 
 
 def candidates_in(
-    part: Part, *, full_scale: int, least_level: float = MIN_LEVEL, least_near: float | None = None
+    part: ImagePart, *, full_scale: int, least_level: float = MIN_LEVEL, least_near: float | None = None
 ) -> list[Candidate]:
     """Return the plateaus of a part of an image that have a rim, in px of the image.
 
@@ -211,7 +211,7 @@ def candidates_in(
     return _with_rims(part, _plateaus(part, full_scale, least_level, least_near), full_scale)
 
 
-def candidates_near(part: Part, *, full_scale: int) -> list[Candidate] | None:
+def candidates_near(part: ImagePart, *, full_scale: int) -> list[Candidate] | None:
     """Return the candidates in the window about a predicted place; None where one may have more light beyond it."""
     found = _plateaus(part, full_scale, MIN_LEVEL, None)
     if not all(part.has_room(each.x, each.y, each.radius) for each in found):
@@ -226,7 +226,7 @@ def window_step(image: Image, bayer: Bayer | None) -> int:
     return math.lcm(step_of(size), _glare_step(size))
 
 
-def _plateaus(part: Part, full_scale: int, least_level: float, least_near: float | None) -> list[Plateau]:
+def _plateaus(part: ImagePart, full_scale: int, least_level: float, least_near: float | None) -> list[Plateau]:
     beside = _LEAST_NEAR ** (1.0 / _tones(full_scale)) if least_near is None else least_near
     found = plateaus(
         part.plane,
@@ -239,7 +239,7 @@ def _plateaus(part: Part, full_scale: int, least_level: float, least_near: float
     return [each for each in found if each.radius <= _MAX_RADIUS_FRACTION * part.size]
 
 
-def _with_rims(part: Part, found: list[Plateau], full_scale: int) -> list[Candidate]:
+def _with_rims(part: ImagePart, found: list[Plateau], full_scale: int) -> list[Candidate]:
     size, tones = part.size, _tones(full_scale)
     rims = [rim_of(part.plane, each, static=part.static) for each in found]
     fitting = [rim for rim in rims if rim is not None and rim.radius <= _MAX_RADIUS_FRACTION * size]
@@ -288,7 +288,7 @@ def _glare_step(size: int) -> int:
     return max(1, round(size / _GLARE_PX))
 
 
-def _reduced(part: Part) -> tuple[FloatArray, float, float]:
+def _reduced(part: ImagePart) -> tuple[FloatArray, float, float]:
     """Return a plane in some 240 px of the whole one, the px of the plane to one of its, and the blur there."""
     plane, static = part.plane, part.static
     shown = plane if static is None else np.where(static, np.zeros_like(plane), plane)
@@ -333,7 +333,7 @@ def _surroundings(
     return area, sky, float(np.mean(lit > min(rim.near, rim.far)))
 
 
-def _in_the_image(seen: Candidate, part: Part) -> Candidate:
+def _in_the_image(seen: Candidate, part: ImagePart) -> Candidate:
     """Return a candidate of a part's plane in px of the image."""
     rim, cell = seen.rim, part.cell
     shift = (cell - 1) / 2.0

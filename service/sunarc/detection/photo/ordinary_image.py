@@ -18,7 +18,7 @@ from sunarc.detection.photo.candidates import (
     REACH_PX,
     REACH_SIGMAS,
     Candidate,
-    Part,
+    ImagePart,
     candidates_in,
     candidates_near,
     part_near,
@@ -309,7 +309,7 @@ def _anywhere(photo: Photo, expectation: Expectation | None) -> Detection:
     return _nothing(part, photo.full_scale, photo.exposure_us)
 
 
-def _nothing(part: Part, full_scale: int, exposure_us: float | None) -> Detection:
+def _nothing(part: ImagePart, full_scale: int, exposure_us: float | None) -> Detection:
     peak = float(part.plane.max(initial=0)) / full_scale
     return _none(*_why_none(part.plane, peak, full_scale), exposure_us, peak)
 
@@ -333,7 +333,7 @@ def _none(verdict: Verdict, finding: Finding, exposure_us: float | None, peak: f
     )
 
 
-def _detection(best: Judged, part: Part, photo: Photo) -> Detection:
+def _detection(best: Judged, part: ImagePart, photo: Photo) -> Detection:
     rim, full_scale = best.seen.rim, photo.full_scale
     return Detection(
         method="paper",
@@ -353,7 +353,7 @@ def _detection(best: Judged, part: Part, photo: Photo) -> Detection:
     )
 
 
-def _sparse(photo: Photo, part: Part) -> Image:
+def _sparse(photo: Photo, part: ImagePart) -> Image:
     """Return every 16th row and column of the whole plane."""
     if part.cell == 1:
         return plane_of(photo.image[::_SPARSE, ::_SPARSE], None)
