@@ -253,7 +253,7 @@ def has_a_history(page: Page) -> None:
     assert page.inner_text("#history-sum").startswith("1 accepted")
     page.wait_for_selector("#history-disk .x-mark >> nth=2", timeout=10_000)  # now by hour
     assert len(page.query_selector_all("#history-temperature .range")) == 2  # of three hours one has no temperature
-    assert "by hour" in page.inner_text("#temperature-sum")
+    assert "per hour" in page.inner_text("#temperature-sum")
     assert page.evaluate(CUT_LABELS) == []
 
 
