@@ -11,7 +11,7 @@ import pytest
 
 from sunarc.archive.sightings import FileSighting
 from sunarc.errors import OutsideError
-from sunarc.reanalysis.index import ImageFile
+from sunarc.reanalysis.index import ArchiveImage
 from sunarc.reanalysis.ingest_summary import ACCEPTED, REJECTED, TILE_PX, TITLE_PX, write_contact_sheet
 
 Pixels = np.ndarray[Any, np.dtype[Any]]
@@ -25,14 +25,14 @@ def read(path: Path) -> Pixels:
     return pixels
 
 
-def image(folder: Path, number: int, *, deep: bool = False) -> ImageFile:
+def image(folder: Path, number: int, *, deep: bool = False) -> ArchiveImage:
     path = f"{number}.png"
     pixels = np.full((SIDE, SIDE), 40, dtype=np.uint16 if deep else np.uint8)
     cv2.imwrite(str(folder / path), pixels)
-    return ImageFile(path, (number, 0.0, path))
+    return ArchiveImage(number, path, 0, str(folder), None, "")
 
 
-def sighting(one: ImageFile, verdict: str, *, x: float | None = None) -> FileSighting:
+def sighting(one: ArchiveImage, verdict: str, *, x: float | None = None) -> FileSighting:
     return FileSighting(
         *one.key, "paper", verdict == "clear", verdict, 1, x_px=x, y_px=None if x is None else 100.0, radius_px=8.0
     )
@@ -47,7 +47,7 @@ def test_a_row_for_each_verdict_the_most_frequent_first(tmp_path: Path) -> None:
     images = [image(tmp_path, number, deep=number == 8) for number in range(9)]
     found = {one: sighting(one, "clear" if number < 7 else "veiled", x=300.0) for number, one in enumerate(images)}
     target = tmp_path / "new" / "sheet.png"
-    write_contact_sheet(tmp_path, found, target)
+    write_contact_sheet(found, target)
     sheet = read(target)
     assert sheet.shape == (2 * ROW_PX, 10 * TILE_PX, 3)
     first, second = sheet[TITLE_PX:ROW_PX], sheet[ROW_PX + TITLE_PX :]
@@ -65,7 +65,7 @@ def test_a_row_for_each_verdict_the_most_frequent_first(tmp_path: Path) -> None:
 def test_an_image_without_a_sun_and_one_that_is_gone_are_no_fault(tmp_path: Path) -> None:
     images = [image(tmp_path, number) for number in range(2)]
     (tmp_path / images[1].path).unlink()
-    write_contact_sheet(tmp_path, {one: sighting(one, "hidden") for one in images}, tmp_path / "sheet.png")
+    write_contact_sheet({one: sighting(one, "hidden") for one in images}, tmp_path / "sheet.png")
     sheet = read(tmp_path / "sheet.png")
     assert sheet[TITLE_PX : ROW_PX - 20, :TILE_PX].min() == 40
     assert not sheet[TITLE_PX:, SIDE : 2 * SIDE].any()
@@ -74,4 +74,4 @@ def test_an_image_without_a_sun_and_one_that_is_gone_are_no_fault(tmp_path: Path
 def test_a_sheet_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     one = image(tmp_path, 0)
     with pytest.raises(OutsideError):
-        write_contact_sheet(tmp_path, {one: sighting(one, "hidden")}, tmp_path / "0.png" / "sheet.png")
+        write_contact_sheet({one: sighting(one, "hidden")}, tmp_path / "0.png" / "sheet.png")

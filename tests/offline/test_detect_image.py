@@ -1,4 +1,4 @@
-"""What a process answers for one image file."""
+"""What a process answers for one image."""
 
 from __future__ import annotations
 
@@ -13,14 +13,23 @@ from tests.detection.photo.suns import glare_image
 from sunarc.detection.values import Detection
 from sunarc.findings import Finding
 from sunarc.reanalysis.detect_files import Method
-from sunarc.reanalysis.look import LookTask, detect_in_file, pack_mask
+from sunarc.reanalysis.look import Chunk, Item, PackedMask, look_at, pack_mask
 
 SIZE = (60, 50)
 
 
-def task(path: Path, *, level: int = 0, method: Method = "auto", outside: bool = False) -> LookTask:
-    cv2.imwrite(str(path), np.full((SIZE[1], SIZE[0]), level, dtype=np.uint8))
-    return LookTask(path=path, exposure_us=20.0, method=method, size=SIZE, outside=outside)
+def answer(
+    path: Path,
+    *,
+    method: Method = "auto",
+    size: tuple[int, int] = SIZE,
+    outside: bool = False,
+    static: PackedMask | None = None,
+) -> object:
+    """Return what comes of one image."""
+    items = (Item(path.name, 0, 20.0, outside=outside),)
+    (found,) = look_at(Chunk("roof", str(path.parent), method, size, items, static))
+    return found.found
 
 
 @pytest.mark.parametrize(
@@ -30,7 +39,8 @@ def task(path: Path, *, level: int = 0, method: Method = "auto", outside: bool =
 def test_an_image_without_the_sun_in_its_field_is_answered_by_the_method_that_would_have_looked(
     tmp_path: Path, level: int, method: Method, expected: Literal["disc", "paper"]
 ) -> None:
-    found = detect_in_file(task(tmp_path / "a.png", level=level, method=method, outside=True))
+    cv2.imwrite(str(tmp_path / "a.png"), np.full((SIZE[1], SIZE[0]), level, dtype=np.uint8))
+    found = answer(tmp_path / "a.png", method=method, outside=True)
     assert isinstance(found, Detection)
     assert (found.method, found.accepted, found.verdict, found.exposure_us) == (expected, False, "hidden", 20.0)
     assert [one.code for one in found.findings] == ["sun_outside_image"]
@@ -42,8 +52,7 @@ def test_what_stands_still_takes_no_part(tmp_path: Path, hidden: bool) -> None: 
     cv2.imwrite(str(tmp_path / "a.png"), image)
     still = np.zeros(image.shape, dtype=np.bool_)
     still[60:120, 70:130] = hidden
-    one = LookTask(path=tmp_path / "a.png", exposure_us=None, method="paper", size=(200, 200), static=pack_mask(still))
-    found = detect_in_file(one)
+    found = answer(tmp_path / "a.png", method="paper", size=(200, 200), static=pack_mask(still))
     assert isinstance(found, Detection)
     assert found.accepted is not hidden
     if not hidden:
@@ -51,10 +60,8 @@ def test_what_stands_still_takes_no_part(tmp_path: Path, hidden: bool) -> None: 
 
 
 def test_a_refused_image_and_one_that_the_method_cannot_take_are_findings(tmp_path: Path) -> None:
-    assert detect_in_file(LookTask(path=tmp_path / "b.png", exposure_us=None, method="auto", size=SIZE)) == Finding(
-        "file_not_image", {"error": "No such file or directory"}
-    )
+    assert answer(tmp_path / "b.png") == Finding("file_not_image", {"error": "No such file or directory"})
     cv2.imwrite(str(tmp_path / "c.png"), np.zeros((SIZE[1], SIZE[0], 3), dtype=np.uint8))
-    found = detect_in_file(LookTask(path=tmp_path / "c.png", exposure_us=None, method="disc", size=SIZE))
+    found = answer(tmp_path / "c.png", method="disc")
     assert isinstance(found, Finding)
     assert found.code == "file_not_image"

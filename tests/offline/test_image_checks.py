@@ -11,14 +11,20 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sunarc.reanalysis.image_files import image_size, read_checked_image
+from sunarc.array_types import Image as Pixels
+from sunarc.reanalysis.image_files import checked_image, content_of, image_size
 from sunarc.reanalysis.messages import RefusedImageError
+from sunarc.reanalysis.sources import Folder
 
 ROWS, COLUMNS = 48, 64
 GREY: np.ndarray[Any, np.dtype[np.uint8]] = np.random.default_rng(5).integers(0, 255, (ROWS, COLUMNS)).astype(np.uint8)
 COLOURS = np.stack([GREY, GREY // 2, GREY // 3], axis=-1)
 DEEP = GREY.astype(np.uint16) * 257
 ORIENTATION = 0x0112
+
+
+def read_checked_image(path: Path, *, size: tuple[int, int] | None = None) -> Pixels:
+    return checked_image(content_of(Folder(str(path.parent)), path.name), path.name, size=size)
 
 
 def code_of(path: Path, **more: Any) -> str:  # noqa: ANN401 - as the function's
@@ -40,7 +46,7 @@ def test_a_whole_image_is_read_as_it_is(tmp_path: Path, name: str, image: np.nda
     read = read_checked_image(path, size=(COLUMNS, ROWS))
     assert read.dtype == image.dtype
     np.testing.assert_array_equal(read, image)
-    assert image_size(path) == (COLUMNS, ROWS)
+    assert image_size(Folder(str(path.parent)), path.name) == (COLUMNS, ROWS)
 
 
 def test_a_jpeg_is_read_in_colours(tmp_path: Path) -> None:
@@ -150,5 +156,4 @@ def test_another_size_is_refused_with_both_sizes(tmp_path: Path) -> None:
 
 def test_the_size_of_what_is_no_image_is_none(tmp_path: Path) -> None:
     (tmp_path / "a.png").write_text("no")
-    assert image_size(tmp_path / "a.png") is None
-    assert image_size(tmp_path / "b.png") is None
+    assert [image_size(Folder(str(tmp_path)), name) for name in ("a.png", "b.png")] == [None, None]

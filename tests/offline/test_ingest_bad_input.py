@@ -74,7 +74,7 @@ def test_each_bad_image_has_its_reason_and_nothing_of_it_is_stored(tmp_path: Pat
     for name in good:
         cv2.imwrite(str(images / name), GREY)
     summary = ingest_folder(new_settings(tmp_path), images, options=IngestOptions())
-    assert {one.path: one.finding.code for one in summary.skipped} == {name: code for name, (_, code) in BAD.items()}
+    assert {one.file: one.finding.code for one in summary.skipped} == {name: code for name, (_, code) in BAD.items()}
     with open_archive(tmp_path / "state" / "sunarc.sqlite") as archive:
         stored = archive.sightings.find("roof")
         assert archive.cameras.all()[0].image_size == SIZE

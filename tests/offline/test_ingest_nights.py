@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from tests.fixtures.calibrations import SITE, chosen_calibration
 from tests.fixtures.command_line import Sunarc
+from tests.offline.test_ingest_times import taken
 from tests.offline.test_star_files import CAMERA, SIZE, night_image
 
 from sunarc.archive.archive import open_archive
@@ -21,7 +22,6 @@ from sunarc.archive.images import ImageStore
 from sunarc.archive.values import CameraRecord, SunPointColumns
 from sunarc.calibration.model.document import to_document
 from sunarc.optics.forward import project
-from sunarc.reanalysis.image_times import Naming, taken
 from sunarc.reanalysis.messages import RefusedImageError
 from sunarc.sky.night import body_directions
 from sunarc.workers.night.images import night_picture, store_picture
@@ -133,6 +133,6 @@ def test_the_picture_that_the_service_keeps_of_a_night_is_no_image_to_look_at(tm
     assert cv2.imread(str(path)) is not None
     for code in ("file_sidecar", "file_preview"):  # with the names of its stars beside it, and without
         with pytest.raises(RefusedImageError) as refused:
-            taken(path, Naming())
+            taken(path)
         assert refused.value.finding.code == code
         path.with_suffix(".json").unlink(missing_ok=True)

@@ -16,7 +16,7 @@ from tests.fixtures.settings import new_settings
 
 from sunarc.archive.archive import open_archive
 from sunarc.optics.forward import project
-from sunarc.reanalysis import consensus
+from sunarc.reanalysis import states
 from sunarc.reanalysis.ingest import IngestOptions, ingest_folder
 from sunarc.sky.sun import sun_directions
 
@@ -59,7 +59,7 @@ def chi2(folder: Path, *, since: datetime) -> tuple[int, float]:
 def test_the_sigma_learned_from_a_series_is_its_error_and_that_of_what_comes_later(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(consensus, "calibrate", lambda *_, **__: stated_calibration(CAMERA))
+    monkeypatch.setattr(states, "calibrate", lambda *_, **__: stated_calibration(CAMERA))
     images = tmp_path / "images"
     found = []
     for numbers in (range(40), range(40, 50)):

@@ -10,16 +10,18 @@ import numpy as np
 import pytest
 from tests.fixtures.settings import SGP
 
-from sunarc.reanalysis.index import ImageFile
-from sunarc.reanalysis.ingest import series_mask
-from sunarc.reanalysis.look import pack_mask
+from sunarc.reanalysis.index import ArchiveImage, CameraImages, CameraPlan, Selector
+from sunarc.reanalysis.ledger import Ledger
+from sunarc.reanalysis.look import PackedMask, pack_mask
+from sunarc.reanalysis.passes import Passes
+from sunarc.reanalysis.pool import ProcessRunner
 
 MORNING = datetime(2013, 5, 13, 14, 0, tzinfo=UTC)
 SIZE = (160, 120)
 STAMP = (slice(4, 16), slice(8, 60))
 
 
-def series(folder: Path, *, every_min: float, count: int = 12) -> list[ImageFile]:
+def series(folder: Path, *, every_min: float, count: int = 12) -> list[ArchiveImage]:
     """Write images of a sun that moves under a stamp that does not; one of them is torn."""
     made = []
     for number in range(count):
@@ -29,13 +31,21 @@ def series(folder: Path, *, every_min: float, count: int = 12) -> list[ImageFile
         time = MORNING + timedelta(minutes=every_min * number)
         name = f"{number:02d}.png"
         cv2.imwrite(str(folder / name), image)
-        made.append(ImageFile(name, (round(time.timestamp() * 1e6), 0.0, name)))
+        made.append(ArchiveImage(round(time.timestamp() * 1e6), name, 0, str(folder), None, ""))
     (folder / made[3].path).write_bytes(b"torn")
     return made
 
 
+def series_mask(images: list[ArchiveImage], *, size: tuple[int, int] = SIZE) -> PackedMask | None:
+    plan = CameraPlan(name="roof", site=SGP, selector=Selector(()))
+    camera = CameraImages(plan=plan, images=tuple(images), example=("", ""), family="", size=size)
+    with Ledger("sqlite://") as ledger:
+        (mask,) = Passes(ledger, ProcessRunner(1), lambda *_: None).masks([camera])
+    return mask
+
+
 def test_the_stamp_is_masked_and_the_sun_is_not(tmp_path: Path) -> None:
-    mask = series_mask(tmp_path, series(tmp_path, every_min=45.0), size=SIZE, site=SGP)
+    mask = series_mask(series(tmp_path, every_min=45.0))
     assert mask is not None
     hidden = mask.unpacked()
     assert hidden.shape == (SIZE[1], SIZE[0])
@@ -44,12 +54,11 @@ def test_the_stamp_is_masked_and_the_sun_is_not(tmp_path: Path) -> None:
 
 
 def test_a_sun_that_has_hardly_moved_is_not_taken_for_a_stamp(tmp_path: Path) -> None:
-    assert series_mask(tmp_path, series(tmp_path, every_min=5.0), size=SIZE, site=SGP) is None
-    assert series_mask(tmp_path, [], size=SIZE, site=SGP) is None
+    assert series_mask(series(tmp_path, every_min=5.0)) is None
 
 
 def test_images_of_another_size_tell_nothing(tmp_path: Path) -> None:
-    assert series_mask(tmp_path, series(tmp_path, every_min=45.0), size=(161, 120), site=SGP) is None
+    assert series_mask(series(tmp_path, every_min=45.0), size=(161, 120)) is None
 
 
 @pytest.mark.parametrize("shape", [(7, 9), (640, 300), (1200, 1920)])

@@ -13,9 +13,11 @@ from sunarc.cli.database import note_running_service
 from sunarc.cli.options import AsJson, Config, DetectionMethod, choice_of, print_json, progress_bars, table
 from sunarc.errors import InputError
 from sunarc.reanalysis.detect_files import METHODS
-from sunarc.reanalysis.image_times import Naming, utc_offset_of
-from sunarc.reanalysis.ingest import IngestOptions, ingest_folder, usable_processors
-from sunarc.reanalysis.ingest_summary import IngestSummary, sentence_of
+from sunarc.reanalysis.image_times import TimeRules, utc_offset_of
+from sunarc.reanalysis.ingest import IngestOptions, ingest_folder
+from sunarc.reanalysis.ingest_summary import IngestSummary
+from sunarc.reanalysis.messages import sentence_of
+from sunarc.reanalysis.pool import usable_processors
 from sunarc.settings.load import load_settings
 
 _LISTED = 20
@@ -60,7 +62,7 @@ def ingest(
         raise InputError(field="--json", problem="given with --calibrate", remedy="run sunarc calibrate --json then")
     options = IngestOptions(
         method=choice_of("--method", method, METHODS),
-        naming=Naming(time_pattern, utc_offset_of(utc_offset, field="--utc-offset")),
+        rules=TimeRules(time_pattern, utc_offset_of(utc_offset, field="--utc-offset"), documents=True),
         reprocess=reprocess,
         processes=workers or usable_processors(),
         contact_sheet=contact_sheet,

@@ -20,8 +20,9 @@ from sunarc.reanalysis.cluster import WORKER_BYTES, Cluster, Workers
 from sunarc.reanalysis.detect_files import METHODS
 from sunarc.reanalysis.image_times import TimeRules, utc_offset_of
 from sunarc.reanalysis.index import CameraPlan, Indexed, Selector, index_archive, read_cameras
-from sunarc.reanalysis.ingest import usable_processors
-from sunarc.reanalysis.results import Summary, sentence_of
+from sunarc.reanalysis.messages import sentence_of
+from sunarc.reanalysis.pool import usable_processors
+from sunarc.reanalysis.results import Summary
 from sunarc.reanalysis.run import ReanalysisOptions, reanalyse
 from sunarc.runtime.clock import SystemClock
 from sunarc.sky.site import Site

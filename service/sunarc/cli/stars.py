@@ -20,7 +20,7 @@ from sunarc.offline.calibrate_files import image_circle_of
 from sunarc.offline.calibration_files import read_calibration
 from sunarc.offline.stars import StarImage, StarOptions, find_stars, find_stars_blind, write_star_sightings
 from sunarc.reanalysis.files import read_lines
-from sunarc.reanalysis.image_times import Naming, utc_offset_of
+from sunarc.reanalysis.image_times import TimeRules, utc_offset_of
 from sunarc.runtime.clock import SystemClock
 from sunarc.sky.site import Site
 
@@ -79,7 +79,7 @@ def stars(
         if not least <= value < 1e6:
             raise InputError(field=name, problem=f"{value:g} is out of range", remedy="give a positive number")
     options = StarOptions(
-        naming=Naming(time_pattern, utc_offset_of(utc_offset, field="--utc-offset")),
+        rules=TimeRules(time_pattern, utc_offset_of(utc_offset, field="--utc-offset"), documents=True),
         to_middle_s=to_middle,
         within_px=within,
         full_scale=full_scale,

@@ -32,8 +32,9 @@ from sunarc.findings import Finding
 from sunarc.reanalysis.detect_files import full_scale_of
 from sunarc.reanalysis.files import read_file, read_image
 from sunarc.reanalysis.image_files import kind_of
-from sunarc.reanalysis.image_times import Naming, taken
+from sunarc.reanalysis.image_times import TimeRules, timed_picture
 from sunarc.reanalysis.messages import MESSAGES, RefusedImageError
+from sunarc.reanalysis.sources import Folder
 from sunarc.runtime.clock import Clock
 from sunarc.sky.night import FAINTEST_V, NightSky, night_sky
 from sunarc.sky.site import Site
@@ -46,14 +47,14 @@ class StarOptions:
 
     Attributes
     ----------
-    naming : how their times are read.
+    rules : how their times are read.
     to_middle_s : seconds from the stated time to the middle of the exposure; the header of a FITS file states that.
     within_px : 1-sigma that is added to the calibration's own uncertainty, px.
     bayer, full_scale : of raw frames; full scale is judged from the file where None.
     gain_e_per_count : electrons per count of a linear camera; None where not known.
     """
 
-    naming: Naming = field(default_factory=Naming)
+    rules: TimeRules = field(default_factory=lambda: TimeRules(offset=timedelta(0), documents=True))
     to_middle_s: float = 0.0
     within_px: float = 0.0
     bayer: Bayer | None = None
@@ -220,7 +221,7 @@ def _read(path: Path, options: StarOptions) -> tuple[datetime, Image, Bayer | No
     """
     to_middle = timedelta(seconds=options.to_middle_s)
     if kind_of(path.name) != "fits":
-        stated, _ = taken(path, options.naming)
+        stated = _stated_time(path, options.rules)
         return stated + to_middle, read_image(path), options.bayer
     from sunarc.reanalysis.image_files import fits_bayer, fits_frame, fits_image  # noqa: PLC0415 - of an extra
 
@@ -228,15 +229,21 @@ def _read(path: Path, options: StarOptions) -> tuple[datetime, Image, Bayer | No
     image = fits_image(content, path.name, size=None)
     bayer = options.bayer or (fits_bayer(content, path.name) if image.ndim == 2 else None)
     frame = fits_frame(content, path.name)
-    if frame.time is not None and options.naming.pattern is None:
+    if frame.time is not None and options.rules.pattern is None:
         return frame.time if frame.exposure_us is not None else frame.time + to_middle, image, bayer
     try:
-        stated, _ = taken(path, options.naming)
+        stated = _stated_time(path, options.rules)
     except RefusedImageError as refused:
         if refused.finding.code != "file_time_unknown":
             raise
         raise RefusedImageError(path.name, Finding("file_time_header")) from None
     return stated + to_middle, image, bayer
+
+
+def _stated_time(path: Path, rules: TimeRules) -> datetime:
+    beside = path.with_suffix(".json")
+    names = [beside.name] if beside.exists() else []
+    return timed_picture(Folder(str(path.parent)), path.name, rules, names=names).time
 
 
 def _require_size(path: Path, found: tuple[int, int], size: tuple[int, int] | None) -> None:

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, TypeVar, cast
 from sunarc.errors import OutsideError
 from sunarc.extras import extra_module
 from sunarc.findings import Finding
-from sunarc.reanalysis.look import Answer, Chunk, PackedMask, look_at, still_parts
+from sunarc.reanalysis.look import Answer, Chunk, Done, PackedMask, look_at, still_parts
 from sunarc.runtime.clock import Clock
 
 DEATHS = 3
@@ -34,7 +34,6 @@ _RESULT_S = 5.0
 Key = TypeVar("Key")
 Given = TypeVar("Given")
 Result = TypeVar("Result")
-Done = Callable[[Chunk, list[Answer]], None]
 
 
 class Workers(NamedTuple):

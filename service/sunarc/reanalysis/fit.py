@@ -208,12 +208,15 @@ class Final(NamedTuple):
 
 
 def first_analysis(given: CameraSightings) -> Rough:
-    """Return the states and epochs of a camera by its first pass."""
-    found = find_states(given.points, given.camera)
+    """Return the states and epochs of a camera by its first pass.
+
+    Offsets of clocks are against the clock that most sightings have; where states are known, against theirs.
+    """
+    found = find_states(given.points, given.camera, given.states)
     if found.finding is not None:
         return Rough(findings=(found.finding,))
     epochs, path = find_epochs(given.points, found.states, given.camera)
-    states = with_true_clock(found.states, path)
+    states = list(found.states) if given.states else with_true_clock(found.states, path)
     largest = states[max(range(len(states)), key=lambda number: int((path == number).sum()))]
     return Rough(tuple(states), tuple(epochs), doubts(largest.calibration, given.camera))
 

@@ -9,7 +9,7 @@ import os
 import re
 import struct
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path, PurePosixPath
@@ -26,7 +26,6 @@ from sunarc.errors import InputError
 from sunarc.extras import extra_module
 from sunarc.findings import Finding
 from sunarc.imaging.metadata import document_of
-from sunarc.reanalysis.files import read_file
 from sunarc.reanalysis.messages import RefusedImageError
 from sunarc.utc import parse_time
 
@@ -72,36 +71,18 @@ _UPRIGHT = 1
 _START_OF_SCAN, _END_OF_IMAGE = 0xDA, b"\xff\xd9"
 
 
-def image_size(path: Path) -> tuple[int, int] | None:
-    """Return width and height that a file's header states, px; None where it has none."""
-    try:
-        with Pictures.open(path, formats=_FORMATS) as picture:
-            return picture.size
-    except (OSError, ValueError, SyntaxError, Pictures.DecompressionBombError):
-        return None
-
-
-def read_checked_image(path: Path, *, size: tuple[int, int] | None = None) -> Image:
-    """Read an image file, (rows, columns) or (rows, columns, 3), uint8 or uint16, as it is stored.
+def checked_image(encoded: bytes, name: str, *, size: tuple[int, int] | None = None) -> Image:
+    """Return the image of a picture's content, (rows, columns) or (rows, columns, 3), uint8 or uint16, as it is stored.
 
     Parameters
     ----------
-    path : PNG, JPEG, TIFF or JPEG 2000.
+    encoded, name : content of a PNG, JPEG, TIFF or JPEG 2000 file, and what it is called.
     size : width and height that it must have, px.
 
     Raises
     ------
     RefusedImageError : it is truncated, animated, transparent, for print, to be rotated, of another size, or no image.
     """
-    try:
-        encoded = read_file(path)
-    except InputError as error:
-        raise _unreadable(path.name, error.problem) from None
-    return checked_image(encoded, path.name, size=size)
-
-
-def checked_image(encoded: bytes, name: str, *, size: tuple[int, int] | None = None) -> Image:
-    """Return the image of a file's content; see `read_checked_image`."""
     fault = _header_fault(encoded, size)
     if fault is not None:
         raise RefusedImageError(name, fault)
@@ -230,11 +211,11 @@ def frames_in(source: ImageSource, name: str, *, sidecar: Callable[[], bytes | N
     """
     kind = kind_of(name)
     if kind == "fits":
-        return [fits_frame(_content(source, name), name)]
+        return [fits_frame(content_of(source, name), name)]
     if kind == "netcdf":
-        return netcdf_frames(source.path(name) or _content(source, name), name)
+        return netcdf_frames(source.path(name) or content_of(source, name), name)
     if kind == "video":
-        return video_frames(source.path(name) or _content(source, name), name, sidecar=sidecar())
+        return video_frames(source.path(name) or content_of(source, name), name, sidecar=sidecar())
     return [FileImage(0)]
 
 
@@ -263,24 +244,62 @@ def _images(
 ) -> Iterator[tuple[int, Image | Finding]]:
     kind = kind_of(name)
     if kind == "fits":
-        yield numbers[0], fits_image(_content(source, name), name, size=size)
+        yield numbers[0], fits_image(content_of(source, name), name, size=size)
     elif kind == "netcdf":
-        yield from netcdf_images(source.path(name) or _content(source, name), name, numbers, size=size)
+        yield from netcdf_images(source.path(name) or content_of(source, name), name, numbers, size=size)
     elif kind == "video":
-        yield from video_images(source.path(name) or _content(source, name), name, numbers, size=size)
+        yield from video_images(source.path(name) or content_of(source, name), name, numbers, size=size)
     else:
-        content = _content(source, name)
+        content = content_of(source, name)
         if (document_of(content[:_HEAD_BYTES]) or {}).get("preview"):
             raise RefusedImageError(name, Finding("file_preview"))
         yield numbers[0], checked_image(content, name, size=size)
 
 
-def _content(source: ImageSource, name: str) -> bytes:
+def image_of(
+    source: ImageSource, name: str, number: int = 0, *, size: tuple[int, int] | None = None
+) -> Image | Finding:
+    """Return one image of a file, or the finding why it cannot be used; see `images_in`."""
+    ((_, found),) = images_in(source, name, [number], size=size)
+    return found
+
+
+def image_size(source: ImageSource, name: str, number: int = 0) -> tuple[int, int] | None:
+    """Return width and height of an image of a file, px, as a picture's header states it; None where unread."""
+    try:
+        if kind_of(name) == "picture":
+            with Pictures.open(source.path(name) or io.BytesIO(source.read(name)), formats=_FORMATS) as picture:
+                return picture.size
+    except (OSError, ValueError, SyntaxError, Pictures.DecompressionBombError):
+        return None
+    found = image_of(source, name, number)
+    return None if isinstance(found, Finding) else (found.shape[1], found.shape[0])
+
+
+def content_of(source: ImageSource, name: str) -> bytes:
+    """Return a file's content; RefusedImageError where it cannot be read."""
     try:
         return source.read(name)
     except OSError as error:
-        unread = Finding("file_not_image", {"error": error.strerror or str(error)})
-        raise RefusedImageError(name, unread) from None
+        raise _unreadable(name, error.strerror or str(error)) from None
+
+
+def document_in(source: ImageSource, name: str) -> Mapping[str, Any]:
+    """Return the document of our own composites in a picture, empty in others.
+
+    Raises
+    ------
+    RefusedImageError : it is the preview of a composite, or cannot be read.
+    """
+    path = source.path(name)
+    try:
+        with io.BytesIO(source.read(name)) if path is None else path.open("rb") as file:
+            document = document_of(file.read(_HEAD_BYTES)) or {}
+    except OSError as error:
+        raise _unreadable(name, error.strerror or str(error)) from None
+    if document.get("preview"):
+        raise RefusedImageError(name, Finding("file_preview"))
+    return document
 
 
 def require_size(shape: tuple[int, ...], name: str, size: tuple[int, int] | None) -> None:

@@ -15,7 +15,7 @@ import math
 import re
 from collections.abc import Collection
 from datetime import UTC, datetime, timedelta
-from pathlib import Path, PurePosixPath
+from pathlib import PurePosixPath
 from typing import Any, BinaryIO, Literal, NamedTuple, TypeAlias
 from zoneinfo import ZoneInfo
 
@@ -25,8 +25,7 @@ from PIL import Image as Pictures
 from sunarc.cameras.replay import exposure_of_name
 from sunarc.errors import InputError
 from sunarc.findings import Finding
-from sunarc.imaging.metadata import document_of
-from sunarc.reanalysis.image_files import FileImage, ImageSource, frames_in, kind_of
+from sunarc.reanalysis.image_files import FileImage, ImageSource, content_of, document_in, frames_in, kind_of
 from sunarc.reanalysis.messages import RefusedImageError
 from sunarc.utc import parse_time
 
@@ -164,82 +163,12 @@ def _reading(year: int, month: int, day: int, clock: list[int]) -> str:
         return "-"
 
 
-_HEAD_BYTES = 1 << 17
-"""A document stands before the image data, and is shorter than a JPEG's comment (64 KiB) or about so."""
-
-
-class Naming(NamedTuple):
-    """How times are read: a `strptime` pattern of the names without suffix, and how far ahead of UTC they are."""
-
-    pattern: str | None = None
-    offset: UtcOffset = timedelta(0)
-
-
-def taken(path: Path, naming: Naming) -> tuple[datetime, float | None]:
-    """Return when an image was taken, and with what exposure (us) where that is known.
-
-    Without a pattern a sidecar (`NAME.json` with `time_utc` and `exposure_us`) goes first, then our own composites'
-    document, then any date and time in the name, then EXIF.
-
-    Raises
-    ------
-    RefusedImageError : nothing tells the time, or it is the preview of a composite.
-    """
-    pattern, offset = naming
-    exposure_us = exposure_of_name(path.name)
-    if pattern is not None:
-        try:
-            time = datetime.strptime(path.stem, pattern)  # noqa: DTZ007 - zoned below
-            return _zoned(time, offset, name=path.name), exposure_us
-        except (ValueError, OverflowError):
-            raise RefusedImageError(path.name, Finding("file_time_pattern", {"pattern": pattern})) from None
-    sidecar = path.with_suffix(".json")
-    if sidecar.exists():
-        return _from_sidecar(sidecar, exposure_us)
-    captured_at = _from_document(path) or time_from_name(path.name, offset) or _from_exif(path, offset)
-    if captured_at is None:
-        raise RefusedImageError(path.name, no_time_finding(path.name))
-    return captured_at, exposure_us
-
-
 def no_time_finding(name: str) -> Finding:
     """Return why nothing tells the time of a file."""
     readings = ambiguous_dates(name)
     if readings is None:
         return Finding("file_time_unknown")
     return Finding("file_time_ambiguous", {"day_first": readings[0], "month_first": readings[1]})
-
-
-def _from_document(path: Path) -> datetime | None:
-    """Return the time that one of our own composites tells."""
-    try:
-        with path.open("rb") as file:
-            document = document_of(file.read(_HEAD_BYTES)) or {}
-    except OSError as error:
-        unreadable = Finding("file_not_image", {"error": error.strerror or str(error)})
-        raise RefusedImageError(path.name, unreadable) from None
-    if document.get("preview"):
-        raise RefusedImageError(path.name, Finding("file_preview"))
-    try:
-        return parse_time(str(document["time_utc"]), where=path.name)
-    except (KeyError, InputError):
-        return None
-
-
-def time_from_name(name: str, offset: UtcOffset) -> datetime | None:
-    """Return the time in a file's name; None where it has none."""
-    named = time_in_name(name)
-    try:
-        return None if named is None else named.utc(offset, name=name)
-    except OverflowError:
-        return None
-
-
-def _from_sidecar(path: Path, exposure_us: float | None) -> tuple[datetime, float | None]:
-    try:
-        return sidecar_time(path.read_bytes(), path.name, exposure_us)
-    except OSError:
-        raise RefusedImageError(path.name, Finding("file_sidecar", {"error": "no JSON with time_utc"})) from None
 
 
 def sidecar_time(text: bytes, name: str, exposure_us: float | None) -> tuple[datetime, float | None]:
@@ -268,15 +197,7 @@ def _exposure(value: object, *, where: str) -> float | None:
     return float(value) or None
 
 
-def _from_exif(path: Path, offset: UtcOffset) -> datetime | None:
-    time = exif_time(path)
-    try:
-        return None if time is None else _zoned(time, offset, name=path.name)
-    except OverflowError:
-        return None
-
-
-def exif_time(file: Path | BinaryIO) -> datetime | None:
+def exif_time(file: BinaryIO) -> datetime | None:
     """Return the time in a picture's EXIF: aware where that has a zone, else naive; None where it has no time."""
     try:
         with Pictures.open(file) as picture:
@@ -293,10 +214,6 @@ def exif_time(file: Path | BinaryIO) -> datetime | None:
         return None
 
 
-def _zoned(time: datetime, offset: UtcOffset, *, name: str) -> datetime:
-    return time.astimezone(UTC) if time.tzinfo else utc_of_local(time, offset, name=name)
-
-
 _MOBOTIX = re.compile(
     rb"PRD=MOBOTIX.*?DAT=(\d{4}-\d{2}-\d{2}).*?TIM=(\d{2}:\d{2}:\d{2}(?:\.\d+)?).*?TZN=(?:GMT|UTC)([+-]\d{1,2})?\b",
     re.DOTALL,
@@ -305,13 +222,15 @@ _HEADER_FAMILIES = {"fits": "FITS header", "netcdf": "NetCDF time", "video": "vi
 
 
 class TimeRules(NamedTuple):
-    """How times are read: a `strptime` pattern of the names without suffix, and how far ahead of UTC they are.
+    """How times are read.
 
-    An offset of None refuses times whose zone nothing tells.
+    pattern: `strptime` pattern of the names without suffix. offset: how far times without a zone are ahead of UTC; None
+    refuses them. documents: whether a picture's head is read for the document of our own composites.
     """
 
     pattern: str | None = None
     offset: UtcOffset | None = None
+    documents: bool = False
 
 
 class TimedFrame(NamedTuple):
@@ -331,8 +250,8 @@ def timed_frames(source: ImageSource, name: str, rules: TimeRules, *, names: Col
     """Return the images of a file with their times.
 
     A pattern goes first, then a sidecar (`NAME.json` with `time_utc` and `exposure_us`), then the file itself where it
-    is FITS, NetCDF or a video, then the name, then the header of a picture: Mobotix, EXIF. A name whose zone is not
-    known gives way to a header that has one.
+    is FITS, NetCDF, a video or our own composite, then the name, then the header of a picture: Mobotix, EXIF. A name
+    whose zone is not known gives way to a header that has one.
 
     Parameters
     ----------
@@ -345,18 +264,38 @@ def timed_frames(source: ImageSource, name: str, rules: TimeRules, *, names: Col
     RefusedImageError : nothing tells the time, or nothing tells its zone.
     """
     kind, path = kind_of(name), PurePosixPath(name)
+    if kind == "picture":
+        return [timed_picture(source, name, rules, names=names)]
+    sidecar_name = path.with_suffix(".json").as_posix()
+    frames = frames_in(source, name, sidecar=lambda: source.read(sidecar_name) if sidecar_name in names else None)
+    named = time_in_name(path.name)
+    return [_of_header(frame, name, named, rules, family=_HEADER_FAMILIES[str(kind)]) for frame in frames]
+
+
+def timed_picture(source: ImageSource, name: str, rules: TimeRules, *, names: Collection[str]) -> TimedFrame:
+    """Return the image of a picture with its time; see `timed_frames`."""
+    path = PurePosixPath(name)
     sidecar_name = path.with_suffix(".json").as_posix()
     named = time_in_name(path.name)
     prefix = "" if named is None else named.prefix
-    if kind == "picture":
-        if rules.pattern is not None:
-            return [_by_pattern(path, rules, prefix)]
-        if sidecar_name in names:
-            time, exposure_us = sidecar_time(source.read(sidecar_name), sidecar_name, exposure_of_name(path.name))
-            return [TimedFrame(0, time, exposure_us, "sidecar", prefix)]
-        return [_of_picture(source, name, named, rules)]
-    frames = frames_in(source, name, sidecar=lambda: source.read(sidecar_name) if sidecar_name in names else None)
-    return [_of_header(frame, name, named, rules, family=_HEADER_FAMILIES[str(kind)]) for frame in frames]
+    if rules.pattern is not None:
+        return _by_pattern(path, rules, prefix)
+    if sidecar_name in names:
+        time, exposure_us = sidecar_time(content_of(source, sidecar_name), sidecar_name, exposure_of_name(path.name))
+        return TimedFrame(0, time, exposure_us, "sidecar", prefix)
+    composed = _of_document(source, name) if rules.documents else None
+    if composed is not None:
+        return TimedFrame(0, composed, exposure_of_name(path.name), "document", prefix)
+    return _of_picture(source, name, named, rules)
+
+
+def _of_document(source: ImageSource, name: str) -> datetime | None:
+    """Return the time that one of our own composites tells; None for other pictures. A preview is refused."""
+    stated = document_in(source, name).get("time_utc")
+    try:
+        return None if stated is None else parse_time(str(stated), where=name)
+    except InputError:
+        return None
 
 
 def _by_pattern(path: PurePosixPath, rules: TimeRules, prefix: str) -> TimedFrame:
@@ -373,7 +312,7 @@ def _of_picture(source: ImageSource, name: str, named: NamedTime | None, rules: 
     prefix = "" if named is None else named.prefix
     if named is not None and (named.zone == "utc" or rules.offset is not None):
         return TimedFrame(0, _utc(named, name, rules), exposure_us, named.family, prefix)
-    found = _from_header(_read(source, name))
+    found = _from_header(content_of(source, name))
     if found is not None and (found[0].tzinfo is not None or named is None):
         return TimedFrame(0, _in_utc(found[0], name, rules), exposure_us, found[1], prefix)
     if named is None:
@@ -389,14 +328,6 @@ def _of_header(frame: FileImage, name: str, named: NamedTime | None, rules: Time
     if named is None:
         raise RefusedImageError(name, Finding("file_time_unknown"))
     return TimedFrame(frame.number, _utc(named, name, rules), frame.exposure_us, named.family, prefix)
-
-
-def _read(source: ImageSource, name: str) -> bytes:
-    try:
-        return source.read(name)
-    except OSError as error:
-        unread = Finding("file_not_image", {"error": error.strerror or str(error)})
-        raise RefusedImageError(name, unread) from None
 
 
 def _from_header(content: bytes) -> tuple[datetime, str] | None:

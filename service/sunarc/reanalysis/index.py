@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 import tomllib
 from collections import Counter, defaultdict
@@ -13,17 +12,16 @@ from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
 import numpy as np
-from PIL import Image as Pictures
 
-from sunarc.archive.sightings import ImageKey, image_key
+from sunarc.archive.sightings import ImageKey
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.errors import InputError
 from sunarc.extras import is_installed
 from sunarc.findings import Finding
 from sunarc.reanalysis.detect_files import Method
 from sunarc.reanalysis.files import read_file
-from sunarc.reanalysis.image_files import MOST_BYTES, ImageSource, SourceFile, image_size, images_in, kind_of
-from sunarc.reanalysis.image_times import Naming, TimedFrame, TimeRules, taken, timed_frames, utc_offset_of
+from sunarc.reanalysis.image_files import MOST_BYTES, ImageSource, SourceFile, image_size, kind_of
+from sunarc.reanalysis.image_times import TimedFrame, TimeRules, timed_frames, utc_offset_of
 from sunarc.reanalysis.messages import RefusedImageError
 from sunarc.reanalysis.sources import open_source
 from sunarc.sky.site import Site
@@ -51,9 +49,23 @@ class ArchiveImage(NamedTuple):
         return self.time_us / 1e6
 
     @property
+    def path(self) -> str:
+        """The file's path below its source, with the number of the frame where there are several."""
+        return self.file + (f"#{self.number}" if self.number else "")
+
+    @property
     def name(self) -> str:
-        """The file's name as tables show it: below its source, with the number of the frame where there are several."""
-        return f"{PurePosixPath(self.address).name}/{self.file}" + (f"#{self.number}" if self.number else "")
+        """The file's name as tables show it: its path, with the name of its source before it."""
+        return _shown(self.address, self.path)
+
+    @property
+    def key(self) -> ImageKey:
+        """What tells it from other images of its camera; of two with one key the second is a copy."""
+        return self.time_us, self.exposure_us or 0.0, PurePosixPath(self.path).name
+
+
+def _shown(address: str, path: str) -> str:
+    return f"{PurePosixPath(address).name}/{path}"
 
 
 class Failure(NamedTuple):
@@ -83,6 +95,8 @@ class CameraPlan:
     image_size : width and height, px; None for what most of its images have.
     method : see `detect_in_image`.
     options : how it is calibrated.
+    largest_zenith_deg : apparent zenith angle of the sun beyond which an image is not one of the day.
+    stacks : whether images of one time are exposures of one scene, with one sighting.
     """
 
     name: str
@@ -92,6 +106,8 @@ class CameraPlan:
     image_size: tuple[int, int] | None = None
     method: Method = "auto"
     options: CalibrationOptions = field(default_factory=CalibrationOptions)
+    largest_zenith_deg: float = 90.0
+    stacks: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -116,8 +132,6 @@ class CameraImages:
     nights: tuple[ArchiveImage, ...] = ()
 
 
-_LARGEST_ZENITH_DEG = 90.0
-"""Apparent zenith angle of the sun beyond which an image is one of the night."""
 _SIZES_READ = 40
 """Images of a camera whose size is read: most of them have that of the camera."""
 _MOST_COPIES = 0.2
@@ -141,7 +155,7 @@ def index_archive(plans: Sequence[CameraPlan]) -> Indexed:
     """Return the images of all cameras.
 
     Files of one plan whose names differ before their times are those of several cameras: each becomes one of its own.
-    An image is used once: a copy (same name and time) is left out.
+    An image is used once: a copy (same name, time and exposure) is left out.
 
     Raises
     ------
@@ -149,7 +163,8 @@ def index_archive(plans: Sequence[CameraPlan]) -> Indexed:
     """
     indexed = Indexed([], [], [])
     for plan in plans:
-        found = _found(plan, indexed.failures)
+        found, failed = _found(plan)
+        indexed.failures.extend(Failure(_shown(address, file), finding) for address, file, finding in failed)
         by_prefix = defaultdict(list)
         for one in found:
             by_prefix[one.frame.prefix].append(one)
@@ -167,8 +182,34 @@ def _camera_name(name: str, prefix: str) -> str:
     return f"{name}-{cleaned}" if cleaned else name
 
 
-def _found(plan: CameraPlan, failures: list[Failure]) -> list[_Found]:
-    found = []
+def index_folder(plan: CameraPlan) -> tuple[CameraImages, list[Failure]]:
+    """Return the images of a plan's folder as those of one camera, and what is left out by its path below the folder.
+
+    Raises
+    ------
+    InputError : it is no folder, or has no images.
+    """
+    folder = plan.selector.sources[0]
+    if not Path(folder).is_dir():
+        raise InputError(field=folder, problem="is no folder", remedy="name a folder of images")
+    found, failed = _found(plan)
+    if not found and not failed:
+        raise InputError(field=folder, problem="has no images", remedy="name a folder of PNG, JPEG or TIFF files")
+    images, copies = _single(sorted(one.image for one in found))
+    parts = _by_sun(images, plan, nights=True)
+    left_out = [
+        *((file, finding) for _, file, finding in failed),
+        *((one.path, _copy_of(one)) for one in copies),
+        *((one.path, finding) for one, finding in parts.dusk),
+    ]
+    size = plan.image_size or _usual_size(parts.day) or (0, 0)
+    camera = CameraImages(plan=plan, images=parts.day, example=("", ""), family="", size=size, nights=parts.night)
+    return camera, [Failure(path, finding) for path, finding in left_out]
+
+
+def _found(plan: CameraPlan) -> tuple[list[_Found], list[tuple[str, str, Finding]]]:
+    """Return the images of a plan's sources, and address, name and finding of the files that tell no time."""
+    found, failed = list[_Found](), list[tuple[str, str, Finding]]()
     for address in plan.selector.sources:
         source = open_source(address)
         files = list(source.files())
@@ -179,8 +220,8 @@ def _found(plan: CameraPlan, failures: list[Failure]) -> list[_Found]:
             try:
                 found += list(_timed(source, file, plan, names))
             except RefusedImageError as error:
-                failures.append(Failure(f"{PurePosixPath(address).name}/{file.name}", error.finding))
-    return found
+                failed.append((address, file.name, error.finding))
+    return found, failed
 
 
 def _timed(source: ImageSource, file: SourceFile, plan: CameraPlan, names: set[str]) -> Iterator[_Found]:
@@ -200,25 +241,19 @@ def _add(indexed: Indexed, plan: CameraPlan, members: list[_Found]) -> None:
             "copies": len(copies),
             "images": len(members),
             "file": copies[0].name,
-            "other": _other(images, copies[0]),
+            "other": next(one.name for one in images if one.key == copies[0].key),
         }
         indexed.refused.append(Failure(plan.name, Finding("cameras_mixed", mixed)))
         return
-    indexed.failures.extend(
-        Failure(one.name, Finding("file_copy", {"file": PurePosixPath(one.file).name})) for one in copies
-    )
-    zenith = np.asarray(sun_angles(np.array([one.unix_s for one in images]), plan.site).apparent_zenith)
-    by_day = tuple(one for one, angle in zip(images, zenith, strict=True) if angle <= _LARGEST_ZENITH_DEG)
+    indexed.failures.extend(Failure(one.name, _copy_of(one)) for one in copies)
     # without images of the day there is no calibration that names the stars
-    darkest = DARK_ZENITH_DEG if by_day and is_installed("ephem") else math.inf
-    nights = tuple(one for one, angle in zip(images, zenith, strict=True) if angle >= darkest)
-    indexed.failures.extend(
-        Failure(one.name, Finding("file_at_night", {"zenith_deg": float(angle)}))
-        for one, angle in zip(images, zenith, strict=True)
-        if _LARGEST_ZENITH_DEG < angle < darkest
-    )
+    parts = _by_sun(images, plan, nights=is_installed("ephem"))
+    parts = parts if parts.day else _by_sun(images, plan, nights=False)
+    by_day = parts.day
+    indexed.failures.extend(Failure(one.name, finding) for one, finding in parts.dusk)
     if not by_day:
-        seen = {"images": len(images), "zenith_deg": float(np.median(zenith))}
+        zenith = np.median([float(finding.data["zenith_deg"]) for _, finding in parts.dusk])
+        seen = {"images": len(images), "zenith_deg": float(zenith)}
         indexed.refused.append(Failure(plan.name, Finding("camera_at_night", seen)))
         return
     size = plan.image_size or _usual_size(by_day)
@@ -229,42 +264,58 @@ def _add(indexed: Indexed, plan: CameraPlan, members: list[_Found]) -> None:
     example = (first.image.name, rfc3339(first.frame.time, timespec="seconds"))
     families = Counter(one.frame.family for one in members).most_common(1)
     indexed.cameras.append(
-        CameraImages(plan=plan, images=by_day, example=example, family=families[0][0], size=size, nights=nights)
+        CameraImages(plan=plan, images=by_day, example=example, family=families[0][0], size=size, nights=parts.night)
     )
 
 
+class _Parts(NamedTuple):
+    """Images of the day, of the night, and those of neither, with the finding why."""
+
+    day: tuple[ArchiveImage, ...]
+    night: tuple[ArchiveImage, ...]
+    dusk: list[tuple[ArchiveImage, Finding]]
+
+
+def _by_sun(images: Sequence[ArchiveImage], plan: CameraPlan, *, nights: bool) -> _Parts:
+    """Return images by the sun's height: of the night where it is 12 degrees below the horizon or deeper."""
+    zenith = zeniths_deg(images, plan.site)
+    darkest = DARK_ZENITH_DEG if nights else math.inf
+    pairs = list(zip(images, zenith, strict=True))
+    return _Parts(
+        tuple(one for one, angle in pairs if angle <= plan.largest_zenith_deg),
+        tuple(one for one, angle in pairs if angle >= darkest),
+        [(one, at_night(angle)) for one, angle in pairs if plan.largest_zenith_deg < angle < darkest],
+    )
+
+
+def zeniths_deg(images: Sequence[ArchiveImage], site: Site) -> list[float]:
+    """Return the apparent zenith angle of the sun at the time of each image."""
+    times = np.array([image.unix_s for image in images])
+    return np.asarray(sun_angles(times, site).apparent_zenith).tolist() if images else []
+
+
+def at_night(zenith_deg: float) -> Finding:
+    """Return why an image is left out at whose time the sun was too low."""
+    return Finding("file_at_night", {"zenith_deg": zenith_deg})
+
+
 def _single(images: Sequence[ArchiveImage]) -> tuple[list[ArchiveImage], list[ArchiveImage]]:
-    """Return images, and those that have the name, time and number of one before them."""
-    single, copies = dict[tuple[int, str, int], ArchiveImage](), []
-    for image in images:
-        key = (image.time_us, PurePosixPath(image.file).name, image.number)
-        if single.setdefault(key, image) is not image:
-            copies.append(image)
+    """Return images, and the copies of those before them."""
+    single: dict[ImageKey, ArchiveImage] = {}
+    copies = [image for image in images if single.setdefault(image.key, image) is not image]
     return list(single.values()), copies
 
 
-def _other(images: Sequence[ArchiveImage], copy: ArchiveImage) -> str:
-    base = PurePosixPath(copy.file).name
-    return next(one.name for one in images if one.time_us == copy.time_us and PurePosixPath(one.file).name == base)
+def _copy_of(copy: ArchiveImage) -> Finding:
+    return Finding("file_copy", {"file": PurePosixPath(copy.file).name})
 
 
 def _usual_size(images: Sequence[ArchiveImage]) -> tuple[int, int] | None:
     """Return the size (width, height) that most of some images have; None where none can be read."""
     some = images[:: len(images) // _SIZES_READ + 1]
-    counted = Counter(size for image in some if (size := _size_of(image)) is not None)
+    sizes = (image_size(open_source(one.address), one.file, one.number) for one in some)
+    counted = Counter(size for size in sizes if size is not None)
     return counted.most_common(1)[0][0] if counted else None
-
-
-def _size_of(image: ArchiveImage) -> tuple[int, int] | None:
-    source = open_source(image.address)
-    try:
-        if kind_of(image.file) == "picture":
-            with Pictures.open(io.BytesIO(source.read(image.file))) as picture:
-                return picture.size
-        ((_, found),) = images_in(source, image.file, [image.number], size=None)
-    except (OSError, ValueError, SyntaxError, Pictures.DecompressionBombError, InputError):
-        return None
-    return None if isinstance(found, Finding) else (found.shape[1], found.shape[0])
 
 
 _NUMBERS = ("latitude", "longitude", "altitude")
@@ -344,110 +395,3 @@ def _one_of(*choices: str) -> Callable[[Any], str]:
         return str(given)
 
     return convert
-
-
-_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".jp2")
-_HEADERS_READ = 100
-"""Headers that the image size is decided from: most of them state it."""
-
-
-class ImageFile(NamedTuple):
-    """An image: its path below the folder, and its key in the archive."""
-
-    path: str
-    key: ImageKey
-
-    @property
-    def unix_s(self) -> float:
-        """Seconds since 1970-01-01 UTC."""
-        return self.key[0] / 1e6
-
-    @property
-    def exposure_us(self) -> float | None:
-        """Exposure time; None where not known."""
-        return self.key[1] or None
-
-
-class Skipped(NamedTuple):
-    """An image that is left out: its path below the folder, and why."""
-
-    path: str
-    finding: Finding
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Index:
-    """The images below a folder, in the order of their names.
-
-    Attributes
-    ----------
-    images : those taken by day.
-    nights : those taken while the sun is 12 degrees below the horizon or deeper.
-    skipped : those without a time, taken at dusk, or with the name, time and exposure of one before them.
-    """
-
-    folder: Path
-    images: list[ImageFile] = field(default_factory=list)
-    nights: list[ImageFile] = field(default_factory=list)
-    skipped: list[Skipped] = field(default_factory=list)
-
-
-def index_folder(folder: Path, *, naming: Naming, site: Site, largest_zenith_deg: float) -> Index:
-    """Return the images below a folder, with their times.
-
-    Parameters
-    ----------
-    folder : searched with all folders in it.
-    naming : how times are read.
-    site : where the camera stands.
-    largest_zenith_deg : apparent zenith angle of the sun beyond which an image counts as one of the night.
-
-    Raises
-    ------
-    InputError : it is no folder, or it has no images.
-    """
-    paths, index, known = _image_paths(folder), Index(folder=folder), set[ImageKey]()
-    dated = []
-    for path in paths:
-        try:
-            time, exposure_us = taken(folder / path, naming)
-        except RefusedImageError as error:
-            index.skipped.append(Skipped(path, error.finding))
-            continue
-        key = image_key(time, exposure_us, Path(path).name)
-        if key in known:
-            index.skipped.append(Skipped(path, Finding("file_copy", {"file": key[2]})))
-        else:
-            known.add(key)
-            dated.append(ImageFile(path, key))
-    for image, zenith_deg in zip(dated, zeniths_deg(dated, site), strict=True):
-        if zenith_deg <= largest_zenith_deg:
-            index.images.append(image)
-        elif zenith_deg >= DARK_ZENITH_DEG:
-            index.nights.append(image)
-        else:
-            index.skipped.append(Skipped(image.path, Finding("file_at_night", {"zenith_deg": zenith_deg})))
-    return index
-
-
-def _image_paths(folder: Path) -> list[str]:
-    if not folder.is_dir():
-        raise InputError(field=str(folder), problem="is not a folder", remedy="name a folder of images")
-    names = (path for path in folder.rglob("*") if path.suffix.lower() in _SUFFIXES)
-    found = sorted(str(path.relative_to(folder)) for path in names)
-    if not found:
-        raise InputError(field=str(folder), problem="has no images", remedy="name a folder of PNG, JPEG or TIFF files")
-    return found
-
-
-def zeniths_deg(images: Sequence[ImageFile], site: Site) -> list[float]:
-    """Return the apparent zenith angle of the sun at the time of each image."""
-    times = np.array([image.unix_s for image in images])
-    return np.asarray(sun_angles(times, site).apparent_zenith).tolist() if images else []
-
-
-def usual_size(folder: Path, images: Sequence[ImageFile]) -> tuple[int, int] | None:
-    """Return the image size (width, height), px, that most headers state; None where none can be read."""
-    some = images[:: len(images) // _HEADERS_READ + 1]
-    counted = Counter(size for image in some if (size := image_size(folder / image.path)) is not None)
-    return counted.most_common(1)[0][0] if counted else None

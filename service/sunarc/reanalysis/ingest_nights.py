@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from pathlib import Path
 from typing import Any
 
 from sunarc.archive.archive import Archive, CameraArchive
 from sunarc.archive.values import Night, Refit
-from sunarc.cameras.frame import Frame
 from sunarc.errors import InputError
 from sunarc.findings import Finding
-from sunarc.reanalysis.image_files import read_checked_image
-from sunarc.reanalysis.index import ImageFile, Skipped, zeniths_deg
-from sunarc.reanalysis.messages import RefusedImageError
+from sunarc.reanalysis.image_files import image_of
+from sunarc.reanalysis.index import CameraImages, Failure, at_night, zeniths_deg
 from sunarc.reanalysis.nights import by_night, evenly, frame_of
+from sunarc.reanalysis.passes import ReportProgress
+from sunarc.reanalysis.sources import open_source
 from sunarc.runtime.loop import DropOldestQueue
 from sunarc.runtime.status import StatusRegistry
 from sunarc.settings.model import Settings
@@ -28,8 +26,6 @@ _KNOWN_SHARE = 0.9
 """Of a night's files, less one, that were looked at: the others are damaged, and are not read again at each run."""
 _CLOCK_S = 1.0
 """Bound of the error of a file's time: names and EXIF have whole seconds."""
-
-ReportNight = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,24 +59,23 @@ class FolderNights:
     ----------
     looked_at : those of this run.
     known : images of nights that were looked at before.
-    skipped : images that could not be used, with the reason.
+    failures : images that could not be used, with the reason.
     findings : why none could.
     """
 
     looked_at: tuple[NightOutcome, ...] = ()
     known: int = 0
-    skipped: tuple[Skipped, ...] = ()
+    failures: tuple[Failure, ...] = ()
     findings: tuple[Finding, ...] = ()
 
 
 def ingest_nights(
     archive: Archive,
     settings: Settings,
-    folder: Path,
-    images: Sequence[ImageFile],
+    images: CameraImages,
     *,
     reprocess: bool,
-    progress: ReportNight,
+    progress: ReportProgress,
 ) -> FolderNights:
     """Name the stars in images of the night, and store them with the verdict of each night.
 
@@ -90,22 +85,21 @@ def ingest_nights(
     Parameters
     ----------
     archive, settings : of the camera.
-    folder : of the images.
-    images : those of the night.
+    images : of the folder.
     reprocess : look at known nights again; the stars of an image take the place of those named in it before. An image
         whose stars are not named again keeps them.
     progress : called after each image.
     """
     camera = CameraArchive(archive, name=settings.name, site=settings.site)
-    if not images:
+    if not images.nights:
         return FolderNights()
     record = camera.record()
     if camera.current_model() is None or record is None:
-        without = Finding("nights_without_calibration", {"n": len(images)})
-        return FolderNights(skipped=_left_out(images, settings), findings=(without,))
+        without = Finding("nights_without_calibration", {"n": len(images.nights)})
+        return FolderNights(failures=_left_out(images), findings=(without,))
     seen = {} if reprocess else {night.date: night.n_images for night in camera.nights()}
-    found, known, skipped, done = list[NightOutcome](), 0, list[Skipped](), 0
-    for night, every in by_night(images, longitude=settings.site.longitude):
+    found, known, failures, done = list[NightOutcome](), 0, list[Failure](), 0
+    for night, every in by_night(images.nights, longitude=settings.site.longitude):
         some = evenly(every)
         if seen.get(night, -1) >= _KNOWN_SHARE * len(some) - 1.0:
             known += len(every)
@@ -113,16 +107,20 @@ def ingest_nights(
         worker = _worker(camera, settings, now=utc_time(every[-1].unix_s), replaces=reprocess)
         n_read = 0
         for image in some:
+            pixels = image_of(open_source(image.address), image.file, image.number, size=record.image_size)
             try:
-                worker.look_at(_frame(folder, image, record.image_size, n_read))
-                n_read += 1
-            except (RefusedImageError, InputError) as error:
-                skipped.append(Skipped(image.path, _why(error)))
+                if isinstance(pixels, Finding):
+                    failures.append(Failure(image.path, pixels))
+                else:
+                    worker.look_at(frame_of(pixels, image.unix_s, image.exposure_us, n_read))
+                    n_read += 1
+            except InputError as error:
+                failures.append(Failure(image.path, Finding("file_not_image", {"error": error.problem})))
             done += 1
-            progress("naming stars", done, len(images))
+            progress("naming stars", done, len(images.nights))
         if n_read:
             found.append(_outcome(worker.finish()))
-    return FolderNights(looked_at=tuple(found), known=known, skipped=tuple(skipped))
+    return FolderNights(looked_at=tuple(found), known=known, failures=tuple(failures))
 
 
 def _worker(camera: CameraArchive, settings: Settings, *, now: datetime, replaces: bool) -> NightWorker:
@@ -145,17 +143,6 @@ def _worker(camera: CameraArchive, settings: Settings, *, now: datetime, replace
     )
 
 
-def _frame(folder: Path, image: ImageFile, size: tuple[int, int], number: int) -> Frame:
-    pixels = read_checked_image(folder / image.path, size=size)
-    return frame_of(pixels, image.unix_s, image.exposure_us, number)
-
-
-def _why(error: RefusedImageError | InputError) -> Finding:
-    if isinstance(error, RefusedImageError):
-        return error.finding
-    return Finding("file_not_image", {"error": error.problem})
-
-
 def _outcome(night: Night) -> NightOutcome:
     return NightOutcome(
         date=f"{night.date}",
@@ -166,6 +153,6 @@ def _outcome(night: Night) -> NightOutcome:
     )
 
 
-def _left_out(images: Sequence[ImageFile], settings: Settings) -> tuple[Skipped, ...]:
-    pairs = zip(images, zeniths_deg(images, settings.site), strict=True)
-    return tuple(Skipped(image.path, Finding("file_at_night", {"zenith_deg": zenith})) for image, zenith in pairs)
+def _left_out(images: CameraImages) -> tuple[Failure, ...]:
+    pairs = zip(images.nights, zeniths_deg(images.nights, images.plan.site), strict=True)
+    return tuple(Failure(image.path, at_night(zenith)) for image, zenith in pairs)

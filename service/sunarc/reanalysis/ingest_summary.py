@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,19 +11,16 @@ from typing import Any
 import cv2
 import numpy as np
 
-from sunarc.archive.sightings import FileSighting, ImageKey
+from sunarc.archive.sightings import FileSighting
 from sunarc.array_types import Image
-from sunarc.calibration.messages import MESSAGES as OF_CALIBRATION
-from sunarc.errors import InputError, OutsideError
+from sunarc.errors import OutsideError
 from sunarc.findings import Finding
 from sunarc.imaging.preview import preview
-from sunarc.reanalysis.image_files import read_checked_image
-from sunarc.reanalysis.index import ImageFile, Skipped
+from sunarc.reanalysis.image_files import image_of
+from sunarc.reanalysis.index import ArchiveImage, Failure
 from sunarc.reanalysis.ingest_nights import NightOutcome
 from sunarc.reanalysis.messages import MESSAGES
-from sunarc.workers.messages import MESSAGES as OF_WORKERS
-
-_TABLES = (MESSAGES, OF_CALIBRATION, OF_WORKERS)
+from sunarc.reanalysis.sources import open_source
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,7 +45,7 @@ class IngestSummary:
     stacked: int
     known: int
     by_verdict: Mapping[str, int]
-    skipped: tuple[Skipped, ...]
+    skipped: tuple[Failure, ...]
     contact_sheet: Path | None
     camera_findings: tuple[Finding, ...] = ()
     nights: tuple[NightOutcome, ...] = ()
@@ -74,26 +71,10 @@ class IngestSummary:
             "nights": [night.as_json() for night in self.nights],
             "nights_known": self.nights_known,
             "files_skipped": [
-                {"file": one.path, **one.finding.as_json(), "reason": MESSAGES.text_of(one.finding)}
+                {"file": one.file, **one.finding.as_json(), "reason": MESSAGES.text_of(one.finding)}
                 for one in self.skipped
             ],
         }
-
-
-def newest_verdicts(images: Iterable[ImageFile], stored: Iterable[FileSighting]) -> dict[ImageFile, FileSighting]:
-    """Return the sighting that counts of each image: the accepted one, else the one stored last."""
-    by_key: dict[ImageKey, FileSighting] = {}
-    for one in stored:
-        former = by_key.get(one.key)
-        if former is None or one.accepted or not former.accepted:
-            by_key[one.key] = one
-    return {image: by_key[image.key] for image in images if image.key in by_key}
-
-
-def sentence_of(finding: Finding) -> str:
-    """Return a finding of `Summary.camera_findings` as a sentence, with what to do about it."""
-    table = next((table for table in _TABLES if finding.code in table), MESSAGES)
-    return f"{table.text_of(finding)}; {table.remedy_of(finding)}"
 
 
 _EXAMPLES = 5
@@ -107,7 +88,7 @@ ACCEPTED, REJECTED, _TEXT = (0, 200, 0), (0, 140, 255), (230, 230, 230)
 _Picture = np.ndarray[Any, np.dtype[np.uint8]]
 
 
-def write_contact_sheet(folder: Path, found: Mapping[ImageFile, FileSighting], target: Path) -> None:
+def write_contact_sheet(found: Mapping[ArchiveImage, FileSighting], target: Path) -> None:
     """Write a PNG with a row of pictures for each verdict, the most frequent first.
 
     An example is the whole image with a mark, and beside it a crop around the mark at its own brightness. They are
@@ -117,12 +98,11 @@ def write_contact_sheet(folder: Path, found: Mapping[ImageFile, FileSighting], t
     ------
     OutsideError : the file cannot be written.
     """
-    by_verdict: dict[str, list[ImageFile]] = {}
+    by_verdict: dict[str, list[ArchiveImage]] = {}
     for image, sighting in found.items():
         by_verdict.setdefault(sighting.verdict, []).append(image)
     rows = [
-        _row(folder, verdict, images, found)
-        for verdict, images in sorted(by_verdict.items(), key=lambda one: -len(one[1]))
+        _row(verdict, images, found) for verdict, images in sorted(by_verdict.items(), key=lambda one: -len(one[1]))
     ]
     encoded = cv2.imencode(".png", np.vstack(rows))[1]
     try:
@@ -132,9 +112,9 @@ def write_contact_sheet(folder: Path, found: Mapping[ImageFile, FileSighting], t
         raise OutsideError(f"{target} could not be written: {error.strerror}") from None
 
 
-def _row(folder: Path, verdict: str, images: Sequence[ImageFile], found: Mapping[ImageFile, FileSighting]) -> _Picture:
+def _row(verdict: str, images: Sequence[ArchiveImage], found: Mapping[ArchiveImage, FileSighting]) -> _Picture:
     some = np.unique(np.linspace(0, len(images) - 1, _EXAMPLES).astype(int))
-    tiles = [_example(folder / images[index].path, found[images[index]]) for index in some]
+    tiles = [_example(images[index], found[images[index]]) for index in some]
     row = np.zeros((TITLE_PX + TILE_PX, 2 * TILE_PX * _EXAMPLES, 3), dtype=np.uint8)
     _write(row, f"{verdict}: {len(images)}", (6, TITLE_PX - 9), scale=0.7)
     for number, tile in enumerate(tiles):
@@ -142,12 +122,11 @@ def _row(folder: Path, verdict: str, images: Sequence[ImageFile], found: Mapping
     return row
 
 
-def _example(path: Path, sighting: FileSighting) -> _Picture:
+def _example(shown: ArchiveImage, sighting: FileSighting) -> _Picture:
     """Return one example, (tile, 2 tiles, 3); an image that is gone meanwhile leaves it dark."""
     tile = np.zeros((TILE_PX, 2 * TILE_PX, 3), dtype=np.uint8)
-    try:
-        image = read_checked_image(path)
-    except InputError:
+    image = image_of(open_source(shown.address), shown.file, shown.number)
+    if isinstance(image, Finding):
         return tile
     small, shrink = _fitted(_colours(image))
     if sighting.x_px is not None and sighting.y_px is not None:
@@ -157,7 +136,7 @@ def _example(path: Path, sighting: FileSighting) -> _Picture:
         crop = _crop(image, sighting)
         tile[: crop.shape[0], TILE_PX : TILE_PX + crop.shape[1]] = crop
     tile[: small.shape[0], : small.shape[1]] = small
-    _write(tile, path.name[-34:], (3, TILE_PX - 5), scale=0.36)
+    _write(tile, shown.key[2][-34:], (3, TILE_PX - 5), scale=0.36)
     return tile
 
 

@@ -70,6 +70,10 @@ _AT_ONCE = 1000
 _FIELDS = [name for name in Detection.__slots__ if name != "findings"]
 
 
+ANY = ""
+"""Key, or stamp, of an answer that holds whatever it rests on."""
+
+
 class ImageId(NamedTuple):
     """Which image: the source's address, the file, the number of the frame."""
 
@@ -91,7 +95,7 @@ class Known(NamedTuple):
 
     key: str
     found: Detection | NamedStars | Finding
-    stamp: str = ""
+    stamp: str = ANY
     content: str | None = None
 
 

@@ -6,27 +6,30 @@ import hashlib
 import itertools
 import math
 import zlib
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Literal, NamedTuple
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from functools import partial
+from pathlib import PurePosixPath
+from typing import Final, Literal, NamedTuple
 
 import cv2
 import numpy as np
 
 from sunarc.array_types import BoolArray, Image
 from sunarc.calibration.model.result import Calibration
+from sunarc.detection.photo.ordinary_image import Photo, detect_sun_in_stack
 from sunarc.detection.photo.plateau import static_mask
 from sunarc.detection.values import Detection, Expectation
 from sunarc.errors import InputError
 from sunarc.findings import Finding
 from sunarc.reanalysis.detect_files import Method, detect_in_image, full_scale_of, selected_method
-from sunarc.reanalysis.image_files import images_in, read_checked_image
-from sunarc.reanalysis.messages import RefusedImageError
+from sunarc.reanalysis.image_files import image_of, images_in
 from sunarc.reanalysis.sources import HashedSource, open_source
 from sunarc.sky.site import Site
 
 _LARGEST_SIDE = 640
+IN_STACK: Final = "in_stack"
+"""Verdict of an exposure whose stack has its sighting in another file."""
 
 
 class PackedMask(NamedTuple):
@@ -84,7 +87,7 @@ class NamedStars(NamedTuple):
 class Chunk(NamedTuple):
     """A unit of work: some images of a camera, in one source, in the order of their files and numbers.
 
-    night: what names the stars in them; None of images of the day.
+    night: what names the stars in them; None of images of the day. stack: whether they are exposures of one time.
     """
 
     camera: str
@@ -94,6 +97,7 @@ class Chunk(NamedTuple):
     items: tuple[Item, ...]
     static: PackedMask | None = None
     night: StarNaming | None = None
+    stack: bool = False
 
 
 class Answer(NamedTuple):
@@ -109,10 +113,16 @@ class Answer(NamedTuple):
     content: str | None = None
 
 
+Done = Callable[[Chunk, list[Answer]], None]
+"""Called with a chunk and its answers when they are there."""
+
+
 def look_at(chunk: Chunk) -> list[Answer]:
     """Return an answer for each image of a chunk."""
     cv2.setNumThreads(1)
     static = None if chunk.static is None else chunk.static.unpacked()
+    if chunk.stack:
+        return _look_at_stack(chunk, static)
     source, answers = HashedSource(open_source(chunk.address)), list[Answer]()
     for file, members in itertools.groupby(chunk.items, key=lambda item: item.file):
         items = {item.number: item for item in members}
@@ -144,7 +154,10 @@ def _is_unchanged(source: HashedSource, item: Item) -> bool:
 def still_parts(chunk: Chunk) -> PackedMask | None:
     """Return what stands still in the images of a chunk that spans hours; None where nothing does."""
     cv2.setNumThreads(1)
-    images = (image for _, _, image in _images(chunk) if not isinstance(image, Finding))
+    source = open_source(chunk.address)
+    by_file = itertools.groupby(chunk.items, key=lambda item: item.file)
+    found = (images_in(source, file, [one.number for one in items], size=chunk.size) for file, items in by_file)
+    images = (image for of_file in found for _, image in of_file if not isinstance(image, Finding))
     first = next(images, None)
     if first is None:
         return None
@@ -153,20 +166,47 @@ def still_parts(chunk: Chunk) -> PackedMask | None:
     return None if mask is None or not mask.any() else pack_mask(mask)
 
 
-def _images(chunk: Chunk) -> Iterator[tuple[str, int, Image | Finding]]:
+def _look_at_stack(chunk: Chunk, static: BoolArray | None) -> list[Answer]:
+    """Return an answer for each of the exposures of one time.
+
+    Where an ordinary image is among them, one sighting comes from all that are alike: it is the answer for the first of
+    these, and the others name that. Microsecond exposures, and files that cannot be stacked, are looked at one by one.
+    """
     source = open_source(chunk.address)
-    for file, items in itertools.groupby(chunk.items, key=lambda item: item.file):
-        numbers = [item.number for item in items]
-        for number, image in images_in(source, file, numbers, size=chunk.size):
-            yield file, number, image
+    images = {item: image_of(source, item.file, item.number, size=chunk.size) for item in chunk.items}
+    read = {item: image for item, image in images.items() if not isinstance(image, Finding)}
+    kind = next(((image.shape, image.dtype) for image in read.values()), None)
+    stack = {item: image for item, image in read.items() if (image.shape, image.dtype) == kind}
+    scale = max((full_scale_of(image) for image in stack.values()), default=0)
+    ordinary = any(selected_method(image, chunk.method, full_scale=scale) == "paper" for image in stack.values())
+    found: dict[Item, Detection | Finding] = {}
+    if len(stack) > 1 and ordinary:
+        first = next(iter(stack))
+        found = {item: _member(first, item) for item in stack}
+        photos = [Photo(image, scale, item.exposure_us, static) for item, image in stack.items()]
+        found[first] = (
+            _no_sun("paper", first.exposure_us)
+            if first.outside
+            else _tried(partial(detect_sun_in_stack, photos, expectation=first.expectation))
+        )
+    for item, image in images.items():
+        if item not in found:
+            found[item] = image if isinstance(image, Finding) else _look(image, item, chunk, static)
+    return [Answer(item.file, item.number, found[item]) for item in chunk.items]
+
+
+def _member(first: Item, item: Item) -> Detection:
+    """Return the answer for an exposure whose stack has its sighting in another file."""
+    named = (Finding("stack_member", {"file": PurePosixPath(first.file).name}),)
+    return Detection(method="paper", accepted=False, verdict=IN_STACK, findings=named, exposure_us=item.exposure_us)
 
 
 def _look(image: Image, item: Item, chunk: Chunk, static: BoolArray | None) -> Detection | Finding:
     if item.outside:
-        method = selected_method(image, chunk.method, full_scale=full_scale_of(image))
-        return Detection(method=method, accepted=False, verdict="hidden", findings=(Finding("sun_outside_image"),))
-    try:
-        found = detect_in_image(
+        return _no_sun(selected_method(image, chunk.method, full_scale=full_scale_of(image)), item.exposure_us)
+    found = _tried(
+        partial(
+            detect_in_image,
             image,
             method=chunk.method,
             expectation=item.expectation,
@@ -174,9 +214,23 @@ def _look(image: Image, item: Item, chunk: Chunk, static: BoolArray | None) -> D
             exposure_us=item.exposure_us,
             elsewhere=False,  # what is there was found without a prediction
         )
+    )
+    return found if isinstance(found, Finding) else _as_reflection(found, item)
+
+
+def _tried(detect: Callable[[], Detection]) -> Detection | Finding:
+    try:
+        return detect()
+    except InputError as error:  # a method that takes no such image
+        return Finding("file_not_image", {"error": f"{error.problem}; {error.remedy}"})
     except Exception as error:  # noqa: BLE001 - whatever an image does to a detector, the others go on
         return Finding("image_failed", {"error": f"{type(error).__name__}: {error}"})
-    return _as_reflection(found, item)
+
+
+def _no_sun(method: Literal["disc", "paper"], exposure_us: float | None) -> Detection:
+    """Return the answer for an image in which the sun cannot be, by the method that would have looked for it."""
+    outside = (Finding("sun_outside_image"),)
+    return Detection(method=method, accepted=False, verdict="hidden", findings=outside, exposure_us=exposure_us)
 
 
 def _as_reflection(found: Detection, item: Item) -> Detection:
@@ -191,74 +245,3 @@ def _as_reflection(found: Detection, item: Item) -> Detection:
 def key_of(parts: Iterable[object]) -> str:
     """Return a hash of what decides a result."""
     return hashlib.blake2b(repr(tuple(parts)).encode(), digest_size=12).hexdigest()
-
-
-FileAnswer = Detection | Finding
-"""A detection, with or without a sun; or why the image is left out."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LookTask:
-    """An image to look at.
-
-    Attributes
-    ----------
-    path : the file.
-    exposure_us : exposure time; None where not known.
-    method : see `detect_in_image`.
-    size : width and height that it must have, px.
-    expectation : where the sun should be; None without a prediction.
-    static : what stands still in the series.
-    outside : whether the sun should be outside the image, or the camera's field: then nothing in it is the sun.
-    more : further files of the same time, with their exposure times.
-    """
-
-    path: Path
-    exposure_us: float | None
-    method: Method
-    size: tuple[int, int]
-    expectation: Expectation | None = None
-    static: PackedMask | None = None
-    outside: bool = False
-    more: tuple[tuple[Path, float | None], ...] = ()
-
-    @property
-    def files(self) -> tuple[tuple[Path, float | None], ...]:
-        """All its files with their exposure times."""
-        return ((self.path, self.exposure_us), *self.more)
-
-
-def detect_in_file(task: LookTask) -> FileAnswer:
-    """Read one image and look for the sun in it."""
-    image = read_for(task)
-    return image if isinstance(image, Finding) else detect_in_read(image, task)
-
-
-def read_for(task: LookTask) -> Image | Finding:
-    """Return the image of a task, or why it is left out."""
-    try:
-        return read_checked_image(task.path, size=task.size)
-    except RefusedImageError as error:
-        return error.finding
-
-
-def detect_in_read(image: Image, task: LookTask) -> FileAnswer:
-    """Look for the sun in an image that was read."""
-    if task.outside:
-        return no_sun(selected_method(image, task.method, full_scale=full_scale_of(image)), task.exposure_us)
-    try:
-        return detect_in_image(
-            image,
-            method=task.method,
-            expectation=task.expectation,
-            static=None if task.static is None else task.static.unpacked(),
-            exposure_us=task.exposure_us,
-        )
-    except InputError as error:
-        return Finding("file_not_image", {"error": f"{error.problem}; {error.remedy}"})
-
-
-def no_sun(method: Literal["disc", "paper"], exposure_us: float | None) -> Detection:
-    """Return the answer for an image in which the sun cannot be, by the method that would have looked for it."""
-    outside = (Finding("sun_outside_image"),)
-    return Detection(method=method, accepted=False, verdict="hidden", findings=outside, exposure_us=exposure_us)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from sunarc.calibration.messages import MESSAGES as OF_CALIBRATION
 from sunarc.errors import InputError
 from sunarc.findings import Finding, Message, Messages
+from sunarc.workers.messages import MESSAGES as OF_WORKERS
 
 _LEFT_OUT = "The image was left out; nothing is stored of it."
 
@@ -133,3 +135,9 @@ class RefusedImageError(InputError):
     def __init__(self, name: str, finding: Finding) -> None:
         super().__init__(field=name, problem=MESSAGES.text_of(finding), remedy=MESSAGES.remedy_of(finding))
         self.finding = finding
+
+
+def sentence_of(finding: Finding) -> str:
+    """Return a finding of a run over an archive as a sentence, with what to do about it."""
+    table = next((table for table in (MESSAGES, OF_CALIBRATION, OF_WORKERS) if finding.code in table), MESSAGES)
+    return f"{table.text_of(finding)}; {table.remedy_of(finding)}"

@@ -4,35 +4,49 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import replace
 from functools import cache
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
 import sunarc
+from sunarc.array_types import FloatArray
+from sunarc.calibration.answers.covariance import project_with_covariance
+from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.calibration.robust_loss import robust_sigma
 from sunarc.detection.values import Detection, Expectation, Verdict
 from sunarc.findings import Finding
-from sunarc.reanalysis.cluster import Cluster
-from sunarc.reanalysis.consensus import expectations, is_consistent
-from sunarc.reanalysis.index import ArchiveImage, CameraImages, ImageFile
-from sunarc.reanalysis.ledger import ImageId, Known, Ledger
-from sunarc.reanalysis.look import Answer, Chunk, Item, NamedStars, PackedMask, key_of, look_at
+from sunarc.optics.forward import local_stretch, project
+from sunarc.reanalysis.index import ArchiveImage, CameraImages
+from sunarc.reanalysis.ledger import ANY, ImageId, KeptMask, Known
+from sunarc.reanalysis.look import IN_STACK, Answer, Chunk, Done, Item, NamedStars, PackedMask, key_of, look_at
 from sunarc.reanalysis.states import Epoch, State
-from sunarc.sky.sun import sun_directions
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_angles, sun_directions
 from sunarc.utc import DAY_S
 
 CHUNK = 64
 """Images of a unit of work: some seconds of it, a few kB of answers."""
 _MASK_IMAGES = 24
 _LEAST_MOTION_DEG = 40.0
-"""As in `ingest/series_mask`: the glare of one sun has to leave every place."""
+"""Largest angle between two suns of the images that a mask is made of, at least: the glare of one is 20 degrees wide at
+most, and has to leave every place."""
 _PIXEL_STEP, _SIGMA_STEP, _STRETCH_STEP, _ZENITH_STEP = 0.25, 0.5, 5.0, 0.01
 """Steps that predictions are rounded to, in px, px, px/rad and rad: a calibration that new images refine must not have
 all former ones looked at again."""
 SEARCHED, PREDICTED, STARS = 1, 2, 3
 """Passes; the third is over the images of the night."""
+MOST_EXPOSURES = 32
+"""More images of one time are no stack, but a series whose names say too little of the time."""
+_LEAST_UNCERTAINTY_PX = 1.0
+"""1-sigma of a prediction, at least."""
+_CONSISTENT_SIGMAS = 3.5
+"""Of sighting and prediction together: two in a thousand right ones are farther away (Rayleigh's distribution), and so
+are round gaps in cloud that were taken for the sun (docs/studies.md, "A day of clouds")."""
+_FEW = 5
 
 
 class FoundSun(NamedTuple):
@@ -46,6 +60,8 @@ class FoundSun(NamedTuple):
 
 
 Found = FoundSun | NamedStars | Finding
+Given = TypeVar("Given")
+Result = TypeVar("Result")
 ReportProgress = Callable[[str, int, int], None]
 
 
@@ -80,11 +96,40 @@ class Work(NamedTuple):
     chunks: Callable[[Collection[int]], list[Chunk]] | None = None
 
 
+class AnswerStore(Protocol):
+    """Where answers are kept: the ledger of an analysis, or the service's archive; see `Ledger`."""
+
+    def answers(self, camera: str, *, stage: int) -> Iterator[tuple[ImageId, Known]]:
+        """Yield the answers for a camera's images in a pass."""
+
+    def store(self, camera: str, stage: int, answers: Iterable[tuple[ImageId, Known]], *, version: str) -> None:
+        """Store the answers of a finished chunk in place of former ones."""
+
+    def mask(self, camera: str, *, version: str) -> KeptMask | None:
+        """Return the mask of a camera that was kept; None where none was."""
+
+    def keep_mask(self, camera: str, mask: PackedMask | None, *, version: str) -> None:
+        """Keep the mask of a camera."""
+
+
+class ChunkRunner(Protocol):
+    """Looks at chunks: a cluster, or processes of this machine."""
+
+    def masks(self, chunks: Sequence[Chunk]) -> list[PackedMask | None]:
+        """Return what stands still in the images of each chunk."""
+
+    def each(self, run: Callable[[Given], Result], given: Sequence[Given]) -> list[Result | None]:
+        """Return the result of a function for each of some values; None where it could not be done."""
+
+    def look(self, chunks: Sequence[Chunk], done: Done, *, run: Callable[[Chunk], list[Answer]] = look_at) -> None:
+        """Have all chunks looked at; `done` is called with each and its answers."""
+
+
 class Passes(NamedTuple):
     """What both passes need of a run."""
 
-    ledger: Ledger
-    cluster: Cluster
+    ledger: AnswerStore
+    cluster: ChunkRunner
     progress: ReportProgress
 
     def masks(self, cameras: Sequence[CameraImages]) -> list[PackedMask | None]:
@@ -157,8 +202,10 @@ class Passes(NamedTuple):
             total += len(one.items)
             if one.chunks is not None:
                 chunks += one.chunks({n for n, _ in camera.waiting})
-                continue
-            chunks += chunks_of(one.camera, [(one.camera.images[n], item) for n, item in camera.waiting], one.mask)
+            elif one.camera.plan.stacks:
+                chunks += _stacks_of(one, {n for n, _ in camera.waiting})
+            else:
+                chunks += chunks_of(one.camera, [(one.camera.images[n], item) for n, item in camera.waiting], one.mask)
         done = total - sum(len(chunk.items) for chunk in chunks)
         self.progress(title, done, total)
 
@@ -183,7 +230,7 @@ class _Question:
         file does, the item has the hash of the content that was read: a file that was only touched keeps its answer.
     """
 
-    def __init__(self, work: Work, ledger: Ledger, stage: int) -> None:
+    def __init__(self, work: Work, ledger: AnswerStore, stage: int) -> None:
         self.found: list[Found | None] = [None] * len(work.camera.images)
         self._camera, self._keys = work.camera, work.keys
         self._of_mask = None if work.mask is None else key_of((work.mask.shape, work.mask.compressed))
@@ -192,9 +239,9 @@ class _Question:
         items = dict(work.items)
         for image, known in ledger.answers(work.camera.plan.name, stage=stage):
             row = self._row.get(image)
-            if row is None or known.key != self._key(row, items[row]):
+            if row is None or known.key not in {ANY, self._key(row, items[row])}:
                 continue
-            if known.stamp == self._stamp(row):
+            if known.stamp in {ANY, self._stamp(row)}:
                 self.found[row] = kept(known.found)
             elif known.content is not None:
                 self._touched[row] = known
@@ -257,10 +304,20 @@ def _spread(camera: CameraImages) -> Chunk:
 
 
 def _not_as_expected(looked: Looked, expected: Sequence[Expectation | None]) -> list[tuple[int, Item]]:
+    """Return the images whose sighting is not where the sun should be; of a stack all, where its sighting is not."""
+    suns = [
+        (number, image, found, one)
+        for number, (image, found, one) in enumerate(zip(looked.images, looked.found, expected, strict=True))
+        if isinstance(found, FoundSun)
+    ]
+    again = [one for one in suns if one[2].verdict != IN_STACK and not is_consistent(one[2], one[3])]
+    stacked = {image.time_us for _, image, found, _ in suns if found.verdict == IN_STACK}
+    times = {image.time_us for _, image, _, _ in again} & stacked
+    numbers = {number for number, *_ in again}
     return [
         (number, Item(image.file, image.number, image.exposure_us, one, one is None, _place(found)))
-        for number, (image, found, one) in enumerate(zip(looked.images, looked.found, expected, strict=True))
-        if isinstance(found, FoundSun) and not is_consistent(found, one)
+        for number, image, found, one in suns
+        if number in numbers or image.time_us in times
     ]
 
 
@@ -285,21 +342,146 @@ def chunks_of(camera: CameraImages, items: Iterable[tuple[ArchiveImage, Item]], 
     return chunks
 
 
+def _stacks_of(work: Work, waiting: Collection[int]) -> list[Chunk]:
+    """Return a unit of work for each time at which an image waits, with all images of that time."""
+    plan, size = work.camera.plan, work.camera.size
+    by_time: dict[int, list[tuple[int, Item]]] = {}
+    for number, item in work.items:
+        by_time.setdefault(work.camera.images[number].time_us, []).append((number, item))
+    stacks = [
+        part
+        for members in by_time.values()
+        for part in ([members] if len(members) <= MOST_EXPOSURES else [[one] for one in members])
+    ]
+    return [
+        Chunk(
+            plan.name,
+            work.camera.images[part[0][0]].address,
+            plan.method,
+            size,
+            tuple(item for _, item in part),
+            work.mask,
+            stack=len(part) > 1,
+        )
+        for part in stacks
+        if any(number in waiting for number, _ in part)
+    ]
+
+
 def _source_and_day(image: ArchiveImage) -> tuple[str, int]:
     return image.address, int(image.unix_s // DAY_S)
 
 
-def predictions(camera: CameraImages, states: Sequence[State], epochs: Sequence[Epoch]) -> list[Expectation | None]:
-    """Return where the sun should be in each image, rounded; None where it is outside the image."""
+def predictions(
+    camera: CameraImages, states: Sequence[State], epochs: Sequence[Epoch], *, misfit_px: Sequence[float] | None = None
+) -> list[Expectation | None]:
+    """Return where the sun should be in each image, rounded; None where it is outside the image.
+
+    Parameters
+    ----------
+    camera, states, epochs : the images, and when each state held.
+    misfit_px : by how much each state is wrong beyond its covariance; None for the scatter of what it was fitted to.
+    """
     expected: list[Expectation | None] = []
     for number, members in itertools.groupby(camera.images, key=lambda image: epoch_at(epochs, image.unix_s)):
         state = states[epochs[number].state]
-        shifted = [
-            ImageFile(image.file, (round(1e6 * (image.unix_s - state.clock_offset_s)), 0.0, image.file))
-            for image in members
-        ]
-        expected += [rounded(one) for one in expectations(state.calibration, shifted, site=camera.plan.site)]
+        times = np.array([image.unix_s for image in members]) - state.clock_offset_s
+        misfit = None if misfit_px is None else misfit_px[epochs[number].state]
+        found = expectations(state.calibration, times, site=camera.plan.site, misfit_px=misfit)
+        expected += [rounded(one) for one in found]
     return expected
+
+
+def expectations(
+    calibration: Calibration, unix_s: FloatArray, *, site: Site, misfit_px: float | None = None
+) -> list[Expectation | None]:
+    """Return where the sun should be at some times (n,); None outside the camera's field or image.
+
+    Parameters
+    ----------
+    calibration, site : of the camera.
+    unix_s : seconds since 1970-01-01 UTC.
+    misfit_px : by which the camera is wrong beyond its covariance, per axis; None for the scatter of the sightings that
+        it was fitted to.
+    """
+    if unix_s.size == 0:
+        return []
+    directions = sun_directions(unix_s, site)
+    pixels, covariance = project_with_covariance(calibration, directions)
+    stretch = local_stretch(calibration.camera, directions)
+    zenith = np.radians(np.asarray(sun_angles(unix_s, site).apparent_zenith))
+    scatter = np.nan_to_num(calibration.evidence.sigma_px) if misfit_px is None else misfit_px
+    sigma = np.hypot(np.sqrt(np.trace(covariance, axis1=-2, axis2=-1) / 2.0), scatter)
+    camera = calibration.camera
+    inside = np.all((pixels > -0.5) & (pixels < np.array([camera.width, camera.height]) - 0.5), axis=-1)
+    return [
+        Expectation(
+            x_px=float(pixels[n, 0]),
+            y_px=float(pixels[n, 1]),
+            uncertainty_px=max(float(sigma[n]), _LEAST_UNCERTAINTY_PX),
+            stretch_px_per_rad=_two_by_two(stretch[n].tolist()),
+            apparent_zenith=float(zenith[n]),
+        )
+        if inside[n] and np.isfinite(sigma[n])
+        else None
+        for n in range(unix_s.size)
+    ]
+
+
+def _two_by_two(rows: list[list[float]]) -> tuple[tuple[float, float], tuple[float, float]]:
+    return (rows[0][0], rows[0][1]), (rows[1][0], rows[1][1])
+
+
+def scatter_beyond_px(calibration: Calibration, points: Sightings, *, site: Site) -> float:
+    """Return by how much accepted sightings scatter about a camera beyond what they state, px per axis.
+
+    That of the fit where they are too few to tell.
+    """
+    stated = points.select(np.flatnonzero(np.isfinite(points.sigma_px)))
+    if len(stated) < _FEW:
+        return float(np.nan_to_num(calibration.evidence.sigma_px))
+    off = stated.pixels - project(calibration.camera, sun_directions(stated.unix_s, site))
+    ratio = np.linalg.norm(off, axis=-1) / stated.sigma_px
+    factor = robust_sigma(ratio[np.isfinite(ratio)], floor=1.0)
+    return math.sqrt(factor**2 - 1.0) * float(np.median(stated.sigma_px))
+
+
+class WithPosition(Protocol):
+    """What a prediction is compared with."""
+
+    @property
+    def accepted(self) -> bool:
+        """Whether fits may use the position."""
+
+    @property
+    def x_px(self) -> float | None:
+        """Of the sun's centre."""
+
+    @property
+    def y_px(self) -> float | None:
+        """Of the sun's centre."""
+
+    @property
+    def sigma_px(self) -> float | None:
+        """1-sigma per axis."""
+
+
+def is_consistent(sighting: WithPosition, expected: Expectation | None) -> bool:
+    """Return whether an accepted sighting lies where the sun should be: it need not be looked for again."""
+    if not sighting.accepted or expected is None or sighting.x_px is None or sighting.y_px is None:
+        return False
+    sigma = math.hypot(expected.uncertainty_px, sighting.sigma_px or 0.0)
+    distance = math.hypot(sighting.x_px - expected.x_px, sighting.y_px - expected.y_px)
+    return distance <= _CONSISTENT_SIGMAS * sigma
+
+
+def as_predicted(found: Detection, expected: Expectation | None) -> Detection:
+    """Return a detection in an ordinary image, refused where it is farther from the prediction than both state."""
+    if not found.accepted or found.method != "paper" or expected is None or is_consistent(found, expected):
+        return found
+    distance = math.hypot((found.x_px or 0.0) - expected.x_px, (found.y_px or 0.0) - expected.y_px)
+    displaced = (Finding("blob_displaced", {"distance_px": distance}),)
+    return replace(found, accepted=False, verdict="reflection", findings=displaced)
 
 
 def epoch_at(epochs: Sequence[Epoch], unix_s: float) -> int:

@@ -15,7 +15,6 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 import cv2
 import numpy as np
 
-from sunarc.calibration.messages import MESSAGES as OF_CALIBRATION
 from sunarc.detection.values import Expectation
 from sunarc.errors import InputError, OutsideError
 from sunarc.exports.formats import FORMATS, export
@@ -24,7 +23,7 @@ from sunarc.optics.forward import project
 from sunarc.reanalysis.fit import Final, Rough, document_of
 from sunarc.reanalysis.index import CameraImages, Failure, Indexed
 from sunarc.reanalysis.learned_sigma import sigma_factor
-from sunarc.reanalysis.messages import MESSAGES
+from sunarc.reanalysis.messages import MESSAGES, sentence_of
 from sunarc.reanalysis.nights import NightsLooked
 from sunarc.reanalysis.passes import FoundSun, Looked
 from sunarc.reanalysis.states import Epoch
@@ -87,7 +86,6 @@ def _is_seen(looked: Looked, row: int) -> bool:
 
 
 _HEADER = ("camera", "time_utc", "file", "x_px", "y_px", "sigma_px", "body", "verdict", "epoch")
-_TABLES = (MESSAGES, OF_CALIBRATION)
 Given = TypeVar("Given")
 Made = TypeVar("Made")
 Document = dict[str, Any]
@@ -189,12 +187,6 @@ def write_results(
 def epoch_name(number: int) -> str:
     """Return the name of an epoch by its number, from 0."""
     return f"{number + 1:03d}"
-
-
-def sentence_of(finding: Finding) -> str:
-    """Return a finding as a sentence, with what to do about it."""
-    table = next((table for table in _TABLES if finding.code in table), MESSAGES)
-    return f"{table.text_of(finding)}; {table.remedy_of(finding)}"
 
 
 def _document(result: CameraResult, number: int) -> Document:

@@ -15,10 +15,10 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from sunarc.array_types import FloatArray, IntArray
+from sunarc.array_types import BoolArray, FloatArray, IntArray, evenly_spread
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.evidence import SEQUENCE_GAIN, bounded_cost, likeliest_path
-from sunarc.calibration.model.options import CalibrationOptions, Mirrored
+from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Mirrored
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.pose import estimate_pose
@@ -73,11 +73,12 @@ class State(NamedTuple):
 
 
 class ArchiveCamera(NamedTuple):
-    """What is known of a camera: site, image size (width, height) and how it is fitted."""
+    """What is known of a camera: site, image size (width, height), how it is fitted, and its image circle."""
 
     site: Site
     size: tuple[int, int]
     options: CalibrationOptions
+    circle: ImageCircle | None = None
 
     def shifted(self, points: Sightings, offset_s: float) -> Sightings:
         """Return sightings with the times that they have by a clock that is ahead by an offset."""
@@ -105,16 +106,17 @@ class Found(NamedTuple):
     finding: Finding | None = None
 
 
-def find_states(points: Sightings, camera: ArchiveCamera) -> Found:
-    """Return the states that explain a camera's sightings.
+def find_states(points: Sightings, camera: ArchiveCamera, known: Sequence[State] = ()) -> Found:
+    """Return the states that explain a camera's sightings, those that are known before them.
 
     Parameters
     ----------
     points : accepted sightings in the order of their stated times, false ones among them.
     camera : see there.
+    known : states that are tried first.
     """
     thin, day = _thinned(points, camera.site)
-    states: list[State] = []
+    states = list(known)
     hopeless: set[int] = set()
     refusal = Finding("too_few_sightings", {"n": len(thin), "least": _FEWEST})
     while len(states) < _MOST_STATES:
@@ -134,17 +136,43 @@ def _thinned(points: Sightings, site: Site) -> tuple[Sightings, IntArray]:
     day = solar_days(points.unix_s, longitude=site.longitude)
     rows = [np.flatnonzero(day == one) for one in np.unique(day)]
     retained = [row[:: -(-row.size // _PER_DAY)] for row in rows if row.size >= _FEWEST_PER_DAY]
-    index = np.concatenate(retained) if retained else np.zeros(0, dtype=np.int64)
+    if not retained:  # a few a day: all of them are sought in as one day
+        index = evenly_spread(len(points), most=_WINDOW_DAYS[0] * _PER_DAY)
+        return points.select(index), np.zeros(index.size, dtype=np.int64)
+    index = np.concatenate(retained)
     return points.select(index), day[index]
 
 
 def _unexplained(states: Sequence[State], points: Sightings, day: IntArray, camera: ArchiveCamera) -> list[int]:
     """Return the days of which too few sightings are near any state's prediction; a day may be of two states."""
+    near, days = _near_any(states, points, camera), np.unique(day)
+    return [int(one) for one in days if float(np.mean(near[day == one])) < _EXPLAINED]
+
+
+def disagreeing_days(points: Sightings, states: Sequence[State], camera: ArchiveCamera) -> dict[int, Finding]:
+    """Return the solar days of which less than half of the sightings are near any state's prediction, and the finding.
+
+    Parameters
+    ----------
+    points : accepted sightings.
+    states, camera : see there.
+    """
+    day = solar_days(points.unix_s, longitude=camera.site.longitude)
+    near = _near_any(states, points, camera)
+    shares = {int(one): float(np.mean(near[day == one])) for one in np.unique(day)}
+    return {
+        one: Finding("sightings_disagree", {"share": share, "least": _MAJORITY})
+        for one, share in shares.items()
+        if share < _MAJORITY
+    }
+
+
+def _near_any(states: Sequence[State], points: Sightings, camera: ArchiveCamera) -> BoolArray:
+    """Return which sightings are near any state's prediction."""
     near = np.zeros(len(points), dtype=bool)
     for state in states:
         near |= camera.distances(state, points) < _near_px(state.sigma_px)
-    days = np.unique(day)
-    return [int(one) for one in days if float(np.mean(near[day == one])) < _EXPLAINED]
+    return near
 
 
 def _near_px(sigma_px: float) -> float:
@@ -246,7 +274,12 @@ def _with_other_lens(
     hand: Mirrored = "auto" if not states else "yes" if states[-1].calibration.camera.mirrored else "no"
     options = replace(camera.loosely(), mirrored=hand)
     fitted = calibrate(
-        camera.shifted(points, clock), site=camera.site, image_size=camera.size, options=options, parts=False
+        camera.shifted(points, clock),
+        site=camera.site,
+        image_size=camera.size,
+        options=options,
+        circle=camera.circle,
+        parts=False,
     )
     if not fitted.verdict.accepted:
         return None, fitted.verdict.findings[0]
@@ -263,6 +296,7 @@ def _with_other_lens(
             image_size=camera.size,
             options=options,
             start=fitted.camera,
+            circle=camera.circle,
             parts=False,
         )
         fitted = again if again.verdict.accepted else fitted

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from sunarc.reanalysis.cluster import Done, Workers
-from sunarc.reanalysis.look import Answer, Chunk, look_at, still_parts
+from sunarc.reanalysis.cluster import Workers
+from sunarc.reanalysis.look import Answer, Chunk, Done, look_at, still_parts
 
 
 class InProcess:

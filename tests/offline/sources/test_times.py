@@ -8,15 +8,13 @@ from zoneinfo import ZoneInfo
 
 import pytest
 from tests.offline.sources.archives import GREY, encoded, folder_of
-from tests.offline.test_ingest_times import TAKEN, ZONE, with_exif
+from tests.offline.test_ingest_times import TAKEN, ZONE, taken, with_exif
 
 from sunarc.errors import InputError
 from sunarc.reanalysis.image_times import (
-    Naming,
     TimedFrame,
     TimeRules,
     ambiguous_dates,
-    taken,
     time_in_name,
     timed_frames,
     utc_offset_of,
@@ -159,7 +157,7 @@ def test_names_in_local_time_are_dated_rightly_over_both_changes_of_the_year_or_
             continue
         (frame,) = timed_frames(source, name, TimeRules(offset=BERLIN), names=set(truth))
         assert [frame.time] == times
-        assert taken(tmp_path / name, Naming(offset=BERLIN))[0] == frame.time
+        assert taken(tmp_path / name, None, BERLIN)[0] == frame.time
         dated.append(frame.time)
     assert refused == doubtful
     assert len(set(dated)) == len(dated) == 108 - doubtful
@@ -180,7 +178,7 @@ def test_a_time_that_the_clocks_of_a_place_showed_twice_or_never_is_refused(
 ) -> None:
     assert code_of(name, tmp_path, offset=ZoneInfo(zone), pattern=pattern) == code
     with pytest.raises(RefusedImageError) as refused:
-        taken(tmp_path / name, Naming(pattern, ZoneInfo(zone)))
+        taken(tmp_path / name, pattern, ZoneInfo(zone))
     assert refused.value.finding.code == code
 
 

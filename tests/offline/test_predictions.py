@@ -1,4 +1,4 @@
-"""Predictions of a consensus camera, and which sightings agree with them."""
+"""Predictions of a camera, and which sightings agree with them."""
 
 from __future__ import annotations
 
@@ -9,28 +9,23 @@ import numpy as np
 import pytest
 from tests.fixtures.calibration import SGP, small_camera, stated_calibration
 
-from sunarc.archive.sightings import FileSighting
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.priors import FREE_NAMES
 from sunarc.detection.values import Detection, Expectation
 from sunarc.optics.forward import project
-from sunarc.reanalysis.consensus import as_predicted, expectations, is_consistent, misfit_px
-from sunarc.reanalysis.index import ImageFile
+from sunarc.reanalysis.passes import FoundSun, as_predicted, expectations, is_consistent, scatter_beyond_px
 from sunarc.sky.sun import sun_angles, sun_directions
 
 CAMERA = small_camera()
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC).timestamp()
 
 
-def image(unix_s: float) -> ImageFile:
-    return ImageFile("a.png", (round(unix_s * 1e6), 0.0, "a.png"))
-
-
-def sighting(x: float | None, *, sigma: float | None = 1.0, accepted: bool = True) -> FileSighting:
-    return FileSighting(0, 0.0, "a.png", "paper", accepted, "clear", 1, x, None if x is None else 50.0, sigma, 8.0)
+def sighting(x: float | None, *, sigma: float | None = 1.0, accepted: bool = True) -> FoundSun:
+    return FoundSun(accepted, "clear", x, None if x is None else 50.0, sigma)
 
 
 def test_a_prediction_is_the_cameras_pixel_with_its_surroundings() -> None:
-    (one,) = expectations(stated_calibration(CAMERA), [image(NOON)], site=SGP)
+    (one,) = expectations(stated_calibration(CAMERA), np.array([NOON]), site=SGP)
     assert one is not None
     direction = sun_directions(NOON, SGP)
     assert (one.x_px, one.y_px) == pytest.approx(project(CAMERA, direction).tolist())
@@ -43,8 +38,8 @@ def test_a_prediction_is_the_cameras_pixel_with_its_surroundings() -> None:
 def test_outside_the_image_there_is_no_prediction() -> None:
     evening = datetime(2013, 5, 14, 1, 0, tzinfo=UTC).timestamp()
     small = stated_calibration(small_camera())
-    assert expectations(small, [], site=SGP) == []
-    beside = [one is None for one in expectations(small, [image(NOON), image(evening + 6 * 3600.0)], site=SGP)]
+    assert expectations(small, np.zeros(0), site=SGP) == []
+    beside = [one is None for one in expectations(small, np.array([NOON, evening + 6 * 3600.0]), site=SGP)]
     assert beside == [False, True]
 
 
@@ -65,7 +60,7 @@ def test_what_is_rejected_or_not_predicted_agrees_with_nothing() -> None:
 
 def test_a_prediction_is_no_better_than_the_scatter_of_what_it_was_fitted_to() -> None:
     calibration = stated_calibration(CAMERA, covariance=1e-12 * np.eye(len(FREE_NAMES)), sigma_px=4.0)
-    (one,) = expectations(calibration, [image(NOON)], site=SGP)
+    (one,) = expectations(calibration, np.array([NOON]), site=SGP)
     assert one is not None
     assert one.uncertainty_px == pytest.approx(4.0, rel=1e-3)
 
@@ -86,13 +81,11 @@ def test_what_is_beyond_the_sigmas_of_both_is_refused_as_displaced() -> None:
 @pytest.mark.parametrize(("sigma", "expected"), [(2.5, 0.0), (1.0, math.sqrt(3.0))])
 def test_the_misfit_is_what_the_sightings_scatter_beyond_their_sigma(sigma: float, expected: float) -> None:
     rng = np.random.default_rng(3)
-    images = [image(NOON + 60.0 * n) for n in range(150)]
-    pixels = project(CAMERA, sun_directions(np.array([one.unix_s for one in images]), SGP))
-    pixels = pixels + rng.normal(0.0, 2.0, pixels.shape)
-    found = [
-        (one, sighting(float(x), sigma=sigma)._replace(y_px=float(y)))
-        for one, (x, y) in zip(images, pixels.tolist(), strict=True)
-    ]
+    times = np.array([NOON + 60.0 * n for n in range(150)])
+    pixels = project(CAMERA, sun_directions(times, SGP))
+    points = Sightings.of(
+        unix_s=times, pixels=pixels + rng.normal(0.0, 2.0, pixels.shape), sigma_px=np.full(times.size, sigma)
+    )
     camera = stated_calibration(CAMERA, sigma_px=7.0)
-    assert misfit_px(camera, found, site=SGP) == pytest.approx(expected, abs=0.25)
-    assert misfit_px(camera, found[:3], site=SGP) == 7.0
+    assert scatter_beyond_px(camera, points, site=SGP) == pytest.approx(expected, abs=0.25)
+    assert scatter_beyond_px(camera, points.select(np.arange(3)), site=SGP) == 7.0
