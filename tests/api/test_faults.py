@@ -119,7 +119,7 @@ def test_a_fault_is_one_answer_with_the_name_that_the_log_has(
     def fail(*_: object, **__: object) -> None:
         raise ZeroDivisionError("a bug")
 
-    monkeypatch.setattr(type(made.archive), "events", fail)
+    monkeypatch.setattr(type(made.archive.events), "find", fail)
     made.client._transport.raise_app_exceptions = True  # what reaches the server is written by it once more
     details = {made.client.get("/v1/events").json()["detail"] for _ in range(20)}
     (detail,) = details

@@ -95,7 +95,7 @@ def test_every_error_has_its_answer(
     def fail(*_: object, **__: object) -> None:
         raise error
 
-    monkeypatch.setattr(type(made.archive), "events", fail)
+    monkeypatch.setattr(type(made.archive.events), "find", fail)
     with caplog.at_level(logging.CRITICAL):
         answer = made.client.get("/v1/events")
     problem = check_shape(answer, status, "/v1/events")

@@ -180,7 +180,7 @@ def test_a_disk_that_refuses_the_record_does_not_keep_the_camera_from_its_work(
     def refuse(*_: object) -> None:
         raise OutsideError("disk is full")
 
-    monkeypatch.setattr(type(service.archive), "save_camera", refuse)
+    monkeypatch.setattr(type(service.archive.cameras), "save", refuse)
     assert service.open_and_remember() is camera
     assert not camera.closed
 

@@ -32,7 +32,7 @@ from datetime import UTC, datetime, timedelta
 sys.path.insert(0, "/usr/lib/sunarc/site")
 if __name__ == "__main__":
     from sunarc.runtime import clock
-    from sunarc.workers.timing import clock_watch
+    from sunarc.workers import clock_watch
     clock_watch.SETTLE_S = 150.0  # ten minutes otherwise
     def setting():
         seconds, state = open("/etc/sunarc/clock").read().split()

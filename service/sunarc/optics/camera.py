@@ -92,7 +92,7 @@ class Camera:
 
     def __post_init__(self) -> None:
         """Refuse what is no camera."""
-        if self.projection not in PROJECTIONS:
+        if self.projection not in tuple(PROJECTIONS):  # what a document holds here need not be hashable
             raise InputError(
                 field="projection", problem=f"{self.projection!r} is unknown", remedy=f"use one of {tuple(PROJECTIONS)}"
             )
