@@ -21,10 +21,9 @@ import numpy as np
 
 from sunarc.array_types import FloatArray
 from sunarc.calibration.changes.daily_rotations import DailyRotations
-from sunarc.calibration.changes.detect_change import pole_of
 from sunarc.cross_checks.rotation_steps import Cause, explain_step, find_steps, rotation_of_site
 from sunarc.sky.days import SECONDS_PER_DEGREE
-from sunarc.sky.site import Site
+from sunarc.sky.site import Site, pole_enu
 
 SITE = Site(latitude=36.6, longitude=-97.5)
 COVARIANCE = np.diag([0.003, 0.002, 0.004]) ** 2
@@ -121,7 +120,7 @@ def alarms(cameras: list[DailyRotations]) -> Counter[str]:
 INJECTED_DAY, WITHIN = 200, 20
 RESTATED = Site(latitude=36.6, longitude=-97.48)
 INJECTED: dict[Cause, tuple[FloatArray, Site]] = {
-    "clock": (-pole_of(SITE) * 4.0 / SECONDS_PER_DEGREE, SITE),
+    "clock": (-pole_enu(SITE) * 4.0 / SECONDS_PER_DEGREE, SITE),
     "longitude": (rotation_of_site(SITE, RESTATED), RESTATED),
     "north": (np.array([0.0, 0.0, 0.1]), SITE),
 }

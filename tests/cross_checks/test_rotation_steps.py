@@ -11,9 +11,8 @@ from tests.cross_checks.cameras import Wrong, neighbours
 
 from sunarc.array_types import FloatArray
 from sunarc.calibration.changes.daily_rotations import DailyRotations, RotationStep, daily_rotations, find_step
-from sunarc.calibration.changes.detect_change import pole_of
 from sunarc.cross_checks.rotation_steps import StepSize, explain_step, find_steps, rotation_of_site
-from sunarc.sky.site import Site
+from sunarc.sky.site import Site, pole_enu
 from sunarc.sky.sun import sun_directions
 
 SITE = Site(latitude=36.6, longitude=-97.5)
@@ -200,7 +199,7 @@ def test_a_mast_that_settles_turns_slowly_and_its_neighbours_do_nothing() -> Non
 
 def test_a_clock_that_gains_is_one_and_a_blow_is_no_slow_turn() -> None:
     rng = np.random.default_rng(12)
-    gaining = -np.outer(np.maximum(DAYS - 10.0, 0.0) / 240.0, pole_of(SITE))  # 1 s a day
+    gaining = -np.outer(np.maximum(DAYS - 10.0, 0.0) / 240.0, pole_enu(SITE))  # 1 s a day
     found = find_step(days_of(noise(rng, DAYS) + gaining, DAYS))
     assert found is not None
     explained = explain_step(found, before=SITE, after=SITE)

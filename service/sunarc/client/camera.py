@@ -110,7 +110,11 @@ class CameraModel:
                 np.degrees(np.arctan2(np.hypot(east, north), up)),
                 np.degrees(np.arctan2(east, north)) % 360.0,
             )
-        sigma_deg = _in_chunks(self._interpolated, unit)[:, 3] if len(unit) >= _MANY else self._sigma_deg(unit, flat)
+        sigma_deg = (
+            _in_chunks(self._interpolated, unit)[:, 3]
+            if len(unit) >= _MANY
+            else self._sigma_deg(unit, self._pixel_covariance(unit, flat))
+        )
         return BackProjection(
             zenith_deg=zenith.reshape(shape),
             azimuth_deg=azimuth.reshape(shape),
@@ -190,12 +194,12 @@ class CameraModel:
         result = rows @ self._covariance @ np.swapaxes(rows, 1, 2)
         return np.asarray(result + self._field.covariance(rows, pixels))
 
-    def _sigma_deg(self, unit: FloatArray, pixels: FloatArray) -> FloatArray:
+    def _sigma_deg(self, unit: FloatArray, covariance_px2: FloatArray) -> FloatArray:
         """Return (n,): the pixel's covariance taken to the sphere, 1-sigma per axis, degrees."""
         valid = np.isfinite(unit[:, 0])
         result, seen = np.full(len(unit), np.nan), unit[valid]
         inverse = np.linalg.inv(self._by_tangents(seen, _tangents(seen)))
-        covariance = inverse @ self._pixel_covariance(seen, pixels[valid]) @ np.swapaxes(inverse, 1, 2)
+        covariance = inverse @ covariance_px2[valid] @ np.swapaxes(inverse, 1, 2)
         result[valid] = np.degrees(np.sqrt(0.5 * np.trace(covariance, axis1=1, axis2=2)))
         return result
 
@@ -229,7 +233,7 @@ class CameraModel:
         xx = np.sqrt(covariance[:, 0, 0])
         yx = covariance[:, 1, 0] / xx
         yy = np.sqrt(np.maximum(covariance[:, 1, 1] - yx**2, 0.0))
-        sigma = self._sigma_deg(unit, pixels)
+        sigma = self._sigma_deg(unit, covariance)
         sheets = np.stack([xx, yx, yy, sigma], axis=-1).reshape(_RINGS, _SPOKES, 4)
         for ring in range(1, _RINGS):  # a node without a pixel has what the next one inwards has
             sheets[ring] = np.where(np.isfinite(sheets[ring]), sheets[ring], sheets[ring - 1])

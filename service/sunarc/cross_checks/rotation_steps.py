@@ -15,11 +15,10 @@ import numpy as np
 
 from sunarc.array_types import FloatArray, picked
 from sunarc.calibration.changes.daily_rotations import DailyRotations, RotationStep, find_change, is_recent
-from sunarc.calibration.changes.detect_change import pole_of
 from sunarc.calibration.evidence import DAYS_GAIN, RARER, Weighed, log_marginal, most_probable
 from sunarc.sky.days import SECONDS_PER_DEGREE
 from sunarc.sky.directions import wrapped_deg
-from sunarc.sky.site import Site
+from sunarc.sky.site import Site, pole_enu
 
 Cause = Literal["clock", "longitude", "site", "north", "clock_or_north", "moved", "slow_turn"]
 """`clock`: about the celestial pole, and the stated site is as before. `longitude`, `site`: what is stated of the site
@@ -64,7 +63,7 @@ def rotation_of_site(before: Site, after: Site) -> FloatArray:
     For differences of a few degrees and less.
     """
     east = float(wrapped_deg(after.longitude - before.longitude))
-    return np.array([after.latitude - before.latitude, 0.0, 0.0]) - east * pole_of(before)
+    return np.array([after.latitude - before.latitude, 0.0, 0.0]) - east * pole_enu(before)
 
 
 def explain_step(step: RotationStep, *, before: Site, after: Site) -> StepSize:
@@ -80,7 +79,7 @@ def explain_step(step: RotationStep, *, before: Site, after: Site) -> StepSize:
     cause, change = most_probable(weighed).explanation
     size = change.rotation_deg
     information = np.asarray(np.linalg.inv(change.covariance_deg2), dtype=np.float64)
-    pole, pole_sigma = _about(size, information, pole_of(before))
+    pole, pole_sigma = _about(size, information, pole_enu(before))
     north, north_sigma = _about(size, information, _UP)
     return StepSize(
         cause=cause,
@@ -105,7 +104,7 @@ def _explanations(change: RotationStep, before: Site, after: Site) -> list[Weigh
         return Weighed((cause, change), change.gain + log_evidence - of_any, rarer)
 
     of_any = evidence(np.eye(3))
-    clock, north = evidence(pole_of(before)[:, None]), evidence(_UP[:, None])
+    clock, north = evidence(pole_enu(before)[:, None]), evidence(_UP[:, None])
     if change.settling_days > 0.0:  # a statement changes at once, and so does north
         return [weighed("slow_turn", of_any, 0.0), weighed("clock", clock, RARER)]
     found = [weighed("moved", of_any, _RARER_MOVED)]

@@ -61,6 +61,12 @@ class Site:
         )
 
 
+def pole_enu(site: Site) -> FloatArray:
+    """Return the direction of the north celestial pole, east-north-up; below the horizon in the south."""
+    latitude = math.radians(site.latitude)
+    return np.array([0.0, math.cos(latitude), math.sin(latitude)])
+
+
 def _standard_pressure_pa(altitude: float) -> float:
     """Return the standard atmosphere's pressure at an altitude in metres, by the constants of pvlib's `alt2pres`."""
     return float(100.0 * ((44_331.514 - altitude) / 11_880.516) ** (1.0 / 0.1902632))

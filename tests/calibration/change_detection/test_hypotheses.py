@@ -19,7 +19,6 @@ from sunarc.calibration.changes.detect_change import (
     best_hypothesis,
     describe_change,
     errors_at,
-    pole_of,
     rarity,
     window_of,
 )
@@ -30,7 +29,7 @@ from sunarc.calibration.model.result import Calibration
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix
-from sunarc.sky.site import Site
+from sunarc.sky.site import Site, pole_enu
 from sunarc.sky.sun import sun_directions
 
 FloatArray = NDArray[np.float64]
@@ -79,9 +78,9 @@ def found(model: ResidualModel, *, site: Site = SGP, clock_stepped: bool = False
 
 
 def test_the_pole_stands_at_the_latitude_in_the_north() -> None:
-    np.testing.assert_allclose(pole_of(replace(SGP, latitude=90.0)), [0.0, 0.0, 1.0], atol=1e-12)
-    np.testing.assert_allclose(pole_of(replace(SGP, latitude=0.0)), [0.0, 1.0, 0.0], atol=1e-12)
-    np.testing.assert_allclose(pole_of(replace(SGP, latitude=-30.0)), [0.0, math.sqrt(0.75), -0.5], atol=1e-12)
+    np.testing.assert_allclose(pole_enu(replace(SGP, latitude=90.0)), [0.0, 0.0, 1.0], atol=1e-12)
+    np.testing.assert_allclose(pole_enu(replace(SGP, latitude=0.0)), [0.0, 1.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(pole_enu(replace(SGP, latitude=-30.0)), [0.0, math.sqrt(0.75), -0.5], atol=1e-12)
 
 
 @pytest.mark.parametrize("size_deg", [1.0, 3.0, 30.0])
@@ -184,7 +183,7 @@ def test_a_rotation_that_fewer_agree_with_is_not_weighed(calibration: Calibratio
 def test_the_clock_s_hypothesis_is_the_rotation_about_the_pole(
     calibration: Calibration, directions: FloatArray
 ) -> None:
-    pole = rotation_matrix(calibration.camera.rotation_cam_enu) @ pole_of(SGP)
+    pole = rotation_matrix(calibration.camera.rotation_cam_enu) @ pole_enu(SGP)
     model = changed(calibration, directions, rotated(calibration.camera, 0.01 * pole))
     best = module.rotation_from(model, FIRST, least=4)
     assert best is not None

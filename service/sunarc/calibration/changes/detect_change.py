@@ -52,7 +52,7 @@ from sunarc.optics.camera import Camera, Param
 from sunarc.optics.forward import project_fast, project_with_rows_fast
 from sunarc.optics.pose import rotation_matrix
 from sunarc.sky.refraction import ASSUMED_AIR_SD, DAILY_AIR_SD, refraction_rad
-from sunarc.sky.site import Site
+from sunarc.sky.site import Site, pole_enu
 from sunarc.sky.sun import sun_directions
 
 # The last sightings held to a calibration: what it states of its errors, and a mount that wanders, allowed for.
@@ -321,17 +321,11 @@ def _rivals(
 
 def clock_hypothesis(window: ResidualModel, best: ScoredHypothesis, site: Site) -> Hypothesis:
     """Return the turn about the celestial pole alone that comes nearest to a turn."""
-    pole = rotation_matrix(window.camera.rotation_cam_enu) @ pole_of(site)
+    pole = rotation_matrix(window.camera.rotation_cam_enu) @ pole_enu(site)
     nearest = float(-best.of.mean[window.error_model.rotation] @ pole)
     size = max(abs(nearest), _SMALLEST_ROTATION_RAD)
     rotation = nearest * pole
     return rotation_hypothesis(window, best.of.first, rotation, size * pole[:, None], kind="clock")
-
-
-def pole_of(site: Site) -> FloatArray:
-    """Return the direction of the celestial north pole, east-north-up."""
-    latitude = math.radians(site.latitude)
-    return np.array([0.0, math.cos(latitude), math.sin(latitude)])
 
 
 def _flips(window: ResidualModel, site: Site, first: int) -> list[Hypothesis]:

@@ -26,7 +26,6 @@ from sunarc.calibration.start.sky_turn import (
     count_on_detections,
     nearest_projection,
     pairs_of,
-    pole_enu,
     radial_for,
     turnings,
     unmirrored,
@@ -42,7 +41,7 @@ from sunarc.optics.projections import ideal_radius
 from sunarc.robust_statistics import biweights, mad_sigma
 from sunarc.sky.directions import angular_distance
 from sunarc.sky.night import NightSky
-from sunarc.sky.site import Site
+from sunarc.sky.site import Site, pole_enu
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

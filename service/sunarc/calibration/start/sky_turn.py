@@ -19,7 +19,6 @@ from sunarc.array_types import FloatArray, IntArray
 from sunarc.jit import njit
 from sunarc.optics.forward import tangent_basis
 from sunarc.optics.projections import PROJECTIONS, Projection, angle_of_shape, ideal_radius, radius_of_shape
-from sunarc.sky.site import Site
 
 # The compiled loop of the search: how many detections of one image come onto those of another.
 
@@ -124,12 +123,6 @@ SIDEREAL_RATE = 2.0 * math.pi / 86_164.0905
 """Radians a second."""
 MAX_ANGLE = math.radians(95.0)
 """Off the axis, to which stars are looked for."""
-
-
-def pole_enu(site: Site) -> FloatArray:
-    """Return the direction of the north celestial pole, east-north-up; below the horizon in the south."""
-    latitude = math.radians(site.latitude)
-    return np.array([0.0, math.cos(latitude), math.sin(latitude)])
 
 
 def turned(rays: FloatArray, pole: FloatArray, angle: float) -> FloatArray:
