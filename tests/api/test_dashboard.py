@@ -298,8 +298,8 @@ def shows_events_by_kind(page: Page, made: Made) -> None:
         made.archive.events.add(Event(time=time, kind="clock", severity="info", text=f"step {number}", camera="roof"))
     page.fill("#event-kind", "bump")
     page.click("#events-form button")
-    page.wait_for_selector("#events >> text=it was moved", timeout=10_000)
-    assert len(page.query_selector_all("#events tbody tr")) == 1
+    # the live page may have shown the event among the others before it was asked for by its kind
+    page.wait_for_selector("#events tbody tr:only-child >> text=it was moved", timeout=10_000)
     assert page.is_hidden("#events-older")
     page.fill("#event-kind", "")
     page.select_option("#event-severity", "info")
