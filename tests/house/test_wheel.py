@@ -47,7 +47,7 @@ def test_the_wheel_holds_the_package_its_types_and_its_migrations(
     root: Path, wheel: Path, tracked_files: list[Path]
 ) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
-    package = {str(name.relative_to("service")) for name in tracked_files if name.parts[0] == "service"}
+    package = {str(name.relative_to("service")) for name in tracked_files if name.parts[:2] == ("service", "sunarc")}
     migrations = {f"sunarc/{name}" for name in tracked_files if name.parts[0] == "migrations"}
     assert root.joinpath("migrations").is_dir()
     assert "sunarc/py.typed" in names

@@ -7,9 +7,10 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sunarc import _kernels
 from sunarc.array_types import FloatArray
 from sunarc.optics.camera import TRANSLATION, Camera, Param
-from sunarc.optics.kernels import Optics, pixels_and_rows_of, pixels_of
+from sunarc.optics.kernels import Optics
 from sunarc.optics.pose import right_jacobian, rotation_matrix
 from sunarc.optics.projections import PROJECTIONS, angle_limit, ideal_radius, ideal_slope
 
@@ -58,7 +59,7 @@ def project_fast(camera: Camera, direction_enu: FloatArray) -> FloatArray:
     """Return what `project` returns for directions (n, 3)."""
     rotation = rotation_matrix(camera.rotation_cam_enu)
     directions = np.ascontiguousarray(direction_enu, dtype=np.float64)
-    pixels = np.asarray(pixels_of(camera.to_vector(), kernel_optics(camera), rotation, directions))
+    pixels = _kernels.pixels_of(camera.to_vector(), *kernel_optics(camera), rotation, directions)
     return pixels if camera.displacement is None else pixels + camera.displacement.at(pixels)
 
 
@@ -66,7 +67,8 @@ def project_with_rows_fast(camera: Camera, direction_enu: FloatArray) -> tuple[F
     """Return pixels (n, 2) and derivatives by the parameters (n, 2, 23) of directions (n, 3); rows are 0 beyond."""
     rotation, jacobian = rotation_matrix(camera.rotation_cam_enu), right_jacobian(camera.rotation_cam_enu)
     directions = np.ascontiguousarray(direction_enu, dtype=np.float64)
-    pixels, rows = pixels_and_rows_of(camera.to_vector(), kernel_optics(camera), rotation, jacobian, directions)
+    vector, optics = camera.to_vector(), kernel_optics(camera)
+    pixels, rows = _kernels.pixels_and_rows_of(vector, *optics, rotation, jacobian, directions)
     if camera.displacement is not None:
         shift, slopes = camera.displacement.with_slopes(pixels)
         pixels, rows = pixels + shift, rows + slopes @ rows

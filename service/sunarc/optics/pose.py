@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sunarc import _kernels
 from sunarc.array_types import FloatArray
-from sunarc.optics.kernels import write_rotation
 from sunarc.sky.directions import angles_from_direction
 
 
@@ -34,9 +34,7 @@ def rotation_matrix(rotation_cam_enu: ArrayLike) -> FloatArray:
 
         return np.asarray(Rotation.from_rotvec(vector).as_matrix())
     # a fit needs one at a time, thousands of times: without scipy's checks it costs a tenth
-    matrix, jacobian = np.empty((3, 3)), np.empty((3, 3))
-    write_rotation(vector, matrix, jacobian)
-    return matrix
+    return _kernels.rotation_and_jacobian(vector)[0]
 
 
 def rotation_vector(matrix_cam_enu: ArrayLike) -> tuple[float, float, float]:
@@ -76,6 +74,4 @@ def right_jacobian(rotation_cam_enu: ArrayLike) -> FloatArray:
 
     Reference: J. Solà et al., "A micro Lie theory", arXiv 1812.01537, Eq. 143.
     """
-    matrix, jacobian = np.empty((3, 3)), np.empty((3, 3))
-    write_rotation(np.array(rotation_cam_enu, dtype=np.float64), matrix, jacobian)
-    return jacobian
+    return _kernels.rotation_and_jacobian(np.array(rotation_cam_enu, dtype=np.float64))[1]

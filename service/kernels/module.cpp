@@ -1,0 +1,6 @@
+// sunarc._kernels: the loops that numpy cannot do. What each returns stands in service/sunarc/_kernels.pyi.
+#include "lens.h"
+
+NB_MODULE(_kernels, module) {
+    sunarc::add_lens(module);
+}
