@@ -37,12 +37,13 @@ def by_hand(offsets: list[tuple[float, float]], used: list[bool]) -> Residuals:
     n = len(offsets)
     number = np.arange(n, dtype=np.float64)
     return Residuals(
-        unix_s=NOON_S + 60.0 * number[::-1],  # the newest first
-        pixels=np.column_stack([100.0 + 50.0 * np.arange(n), np.full(n, 200.0)]),
+        sightings=Sightings(
+            unix_s=NOON_S + 60.0 * number[::-1],  # the newest first
+            pixels=np.column_stack([100.0 + 50.0 * np.arange(n), np.full(n, 200.0)]),
+            directions=direction_from_angles(zenith_deg=20.0 + 5.0 * number, azimuth_deg=150.0 + 10.0 * number),
+        ),
         offset_px=np.array(offsets, dtype=np.float64).reshape(n, 2),
         offset_deg=np.hypot(*np.array(offsets, dtype=np.float64).reshape(n, 2).T) * 0.1,
-        apparent_zenith_deg=20.0 + 5.0 * number,
-        azimuth_deg=150.0 + 10.0 * number,
         used=np.array(used, dtype=np.bool_),
     )
 

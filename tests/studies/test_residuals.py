@@ -105,7 +105,7 @@ def test_residuals_are_observed_minus_predicted(cloudy_fit: Calibration, cloudy_
     found = residuals_of(cloudy_fit, cloudy_points)
     directions = sun_directions(cloudy_points.unix_s, cloudy_fit.site)
     camera = replace(cloudy_fit.camera, rotation_cam_enu=cloudy_fit.poses[0])
-    assert len(found) == len(cloudy_points)
+    assert len(found.used) == len(cloudy_points)
     assert found.offset_px == pytest.approx(cloudy_points.pixels - project(camera, directions))
     expected = np.degrees(angular_distance(unproject(camera, cloudy_points.pixels), directions))
     assert found.offset_deg == pytest.approx(expected)
@@ -118,7 +118,7 @@ def test_sightings_that_are_not_finite_or_below_the_horizon_are_left_out(
     times[0], pixels[1, 0] = math.nan, math.nan
     times[2] -= 6 * 3600.0  # at night
     found = residuals_of(cloudy_fit, replace(cloudy_points, unix_s=times, pixels=pixels))
-    assert len(found) == len(cloudy_points) - 3
+    assert len(found.used) == len(cloudy_points) - 3
     assert np.isfinite(found.offset_px).all()
 
 

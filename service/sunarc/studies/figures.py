@@ -23,7 +23,7 @@ from sunarc.calibration.model.options import Method
 from sunarc.calibration.model.result import Calibration
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
-from sunarc.sky.directions import direction_from_angles
+from sunarc.sky.directions import angles_from_direction, direction_from_angles
 from sunarc.studies.published import FOCAL_LENGTH_P90, PRINCIPAL_POINT_P90, TRUE_RMSE
 from sunarc.studies.residuals import Residuals
 from sunarc.studies.shadow import RAMP_W_M2, WIND_M_S, WINDOW_S, ShadowRow
@@ -85,9 +85,10 @@ def residual_figure(calibration: Calibration, residuals: Residuals) -> Figure:
     """Return the figure of the residuals of a calibration's sightings."""
     figure = new_sheet(width_px=RESIDUAL_SHEET_PX[0], height_px=RESIDUAL_SHEET_PX[1])
     panels = figure.subplot_mosaic([["px_t", "px_z", "map"], ["deg_t", "deg_z", "map"]], width_ratios=[1.0, 1.0, 1.6])
+    seen = residuals.sightings
     for name, across, label in (
-        ("t", residuals.unix_s / DAY_S, "time (UTC)"),  # matplotlib counts time in days from 1970
-        ("z", residuals.apparent_zenith_deg, "apparent zenith of the sun (°)"),
+        ("t", seen.unix_s / DAY_S, "time (UTC)"),  # matplotlib counts time in days from 1970
+        ("z", angles_from_direction(seen.directions)[0], "apparent zenith of the sun (°)"),
     ):
         draw_components(panels[f"px_{name}"], across, residuals)
         letter(panels[f"px_{name}"], x=label, y="seen − predicted (px)")
@@ -168,8 +169,8 @@ def draw_arrows(axes: Axes, camera: Camera, residuals: Residuals) -> None:
         shift = np.array(residuals.offset_px[rows])
         shift *= np.minimum(1.0, _LONGEST_ARROW * unit / np.maximum(np.linalg.norm(shift, axis=-1), 1e-12))[:, None]
         arrows = axes.quiver(
-            *residuals.pixels[rows].T, *shift.T, color=colour, angles="xy", scale_units="xy", scale=1.0 / per_px,
-            width=0.002, zorder=3,
+            *residuals.sightings.pixels[rows].T, *shift.T, color=colour, angles="xy", scale_units="xy",
+            scale=1.0 / per_px, width=0.002, zorder=3,
         )  # fmt: skip
         if rows.size:
             label = f"{unit:g} px, {name} ({rows.size} of {int(belongs.sum())} drawn)"
@@ -228,11 +229,10 @@ def sky_figure(calibration: Calibration, residuals: Residuals) -> Figure:
     _compass(axes)
     if np.any(np.isfinite(sigma)):
         _draw_sigma(figure, axes, np.radians(azimuth), zenith, sigma)
-    order = np.argsort(residuals.unix_s[residuals.used])
+    seen = residuals.sightings.select(residuals.used)
+    sun_zenith, sun_azimuth = angles_from_direction(seen.directions[np.argsort(seen.unix_s)])
     axes.plot(
-        np.radians(residuals.azimuth_deg[residuals.used][order]),
-        residuals.apparent_zenith_deg[residuals.used][order],
-        ".", ms=2.5, color=VERMILLION, label="the sun, where it was used",
+        np.radians(sun_azimuth), sun_zenith, ".", ms=2.5, color=VERMILLION, label="the sun, where it was used",
     )  # fmt: skip
     axes.legend(loc="lower left", bbox_to_anchor=(-0.06, -0.06), fontsize=LETTERING_PT, markerscale=3.0)
     extent = f"{calibration.sky_rms_deg:.4f}° RMS, {calibration.sky_max_deg:.4f}° at most"

@@ -20,25 +20,16 @@ class Residuals:
 
     Attributes
     ----------
-    unix_s : (n,) s.
-    pixels : (n, 2) where the sun was seen, px.
+    sightings : n of them, with their apparent directions.
     offset_px : (n, 2) seen minus predicted, px.
     offset_deg : (n,) angle between where the pixel looks and where the sun was, degrees.
-    apparent_zenith_deg : (n,) of the sun.
-    azimuth_deg : (n,) of the sun.
     used : (n,) whether the fit used the sighting.
     """
 
-    unix_s: FloatArray
-    pixels: FloatArray
+    sightings: Sightings
     offset_px: FloatArray
     offset_deg: FloatArray
-    apparent_zenith_deg: FloatArray
-    azimuth_deg: FloatArray
     used: BoolArray
-
-    def __len__(self) -> int:
-        return int(self.unix_s.size)
 
 
 def residuals_of(calibration: Calibration, points: Sightings) -> Residuals:
@@ -49,16 +40,16 @@ def residuals_of(calibration: Calibration, points: Sightings) -> Residuals:
         camera, in_epoch = replace(calibration.camera, rotation_cam_enu=pose), points.epoch == epoch
         predicted[in_epoch] = project(camera, directions[in_epoch])
         detected[in_epoch] = unproject(camera, points.pixels[in_epoch])
-    zenith, azimuth = angles_from_direction(directions)
     offset = points.pixels - predicted
-    valid = np.all(np.isfinite(offset), axis=-1) & np.isfinite(points.unix_s) & (zenith < 91.0)
+    valid = (
+        np.all(np.isfinite(offset), axis=-1)
+        & np.isfinite(points.unix_s)
+        & (angles_from_direction(directions)[0] < 91.0)
+    )
     return Residuals(
-        unix_s=points.unix_s[valid],
-        pixels=points.pixels[valid],
+        sightings=replace(points, directions=directions).select(valid),
         offset_px=offset[valid],
         offset_deg=np.degrees(angular_distance(detected[valid], directions[valid])),
-        apparent_zenith_deg=zenith[valid],
-        azimuth_deg=azimuth[valid],
         used=used_sightings(calibration, points, offset)[valid],
     )
 

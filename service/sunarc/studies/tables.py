@@ -22,7 +22,7 @@ from sunarc.optics.pose import pose_angles
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.days import solar_date
 from sunarc.studies.published import CASES, Case
-from sunarc.studies.trials import Arc, arcs, found_circle, true_error
+from sunarc.studies.trials import arcs, found_circle, true_error
 
 TableRow = dict[str, str | int | float]
 
@@ -57,7 +57,7 @@ def study_tables(
     return rows
 
 
-def simulated_case(case: Case, rng: np.random.Generator) -> tuple[Arc, Sightings]:
+def simulated_case(case: Case, rng: np.random.Generator) -> tuple[Sightings, Sightings]:
     """Return the arcs of a case and the sightings of them: as many as the paper had, with as much noise (SD_m)."""
     complete = arcs(true_camera(0), case.days)
     arc = complete.select(np.sort(rng.choice(len(complete), case.n_points, replace=False)))
@@ -111,7 +111,7 @@ def published_row(case: Case) -> TableRow:
     }
 
 
-def _misfit(fit: Calibration, arc: Arc, points: Sightings) -> TableRow:
+def _misfit(fit: Calibration, arc: Sightings, points: Sightings) -> TableRow:
     """Return Eq. 27 over all sightings, as the paper has it, whatever the method left out."""
     rmse, mae, sd, sd_of_distance = measures(project(fit.camera, arc.directions) - points.pixels)
     return {"rmse_px": rmse, "mae_px": mae, "sd_px": sd, "sd_of_distance_px": sd_of_distance}

@@ -11,7 +11,6 @@ from functools import cache
 from multiprocessing import get_context
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sunarc.array_types import FloatArray
 from sunarc.calibration.answers.covariance import hemisphere
@@ -32,36 +31,16 @@ SYNTHETIC_DAY = date(2013, 5, 13)
 """The day of the paper's Fig. 3."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Arc:
-    """Moments at which the sun is seen.
+def arcs(camera: Camera, days: Sequence[date], *, cadence_s: float = 30.0) -> Sightings:
+    """Return the arcs of solar days at the Southern Great Plains, one moment every `cadence_s` while the sun is up.
 
-    Attributes
-    ----------
-    unix_s : (n,) s.
-    directions : (n, 3) apparent directions of the sun, east-north-up.
-    pixels : (n, 2) where the true camera sees it, px.
+    Its directions are known, and it is where the camera sees it.
     """
-
-    unix_s: FloatArray
-    directions: FloatArray
-    pixels: FloatArray
-
-    def __len__(self) -> int:
-        return int(self.unix_s.size)
-
-    def select(self, which: NDArray[np.intp]) -> Arc:
-        """Return the moments that an index picks."""
-        return Arc(unix_s=self.unix_s[which], directions=self.directions[which], pixels=self.pixels[which])
-
-
-def arcs(camera: Camera, days: Sequence[date], *, cadence_s: float = 30.0) -> Arc:
-    """Return the arcs of solar days at the Southern Great Plains, one moment every `cadence_s` while the sun is up."""
     bounds = [day_bounds_unix_s(day, longitude=SGP.longitude) for day in days]
     times = np.concatenate([np.arange(begin, end, cadence_s) for begin, end in bounds])
     times = times[sun_angles(times, SGP).apparent_zenith < LARGEST_ZENITH_DEG]
     directions = sun_directions(times, SGP)
-    return Arc(unix_s=times, directions=directions, pixels=project(camera, directions))
+    return Sightings(unix_s=times, directions=directions, pixels=project(camera, directions))
 
 
 QUANTITIES = (
@@ -107,7 +86,7 @@ def run_trial(trial: Trial) -> tuple[float, ...]:
 
 
 @cache
-def synthetic_arc() -> Arc:
+def synthetic_arc() -> Sightings:
     """Return the paper's synthetic arc (Fig. 3): 1673 moments of 13 May 2013."""
     return arcs(true_camera(0), [SYNTHETIC_DAY])
 
