@@ -93,6 +93,9 @@ INLINED void sine_and_cosine_of_half(double theta, double& sine, double& cosine)
     cosine = ROOT_HALF * (c - s);
 }
 
+void add_displacement(nb::module_& module);
+void add_inverse(nb::module_& module);
 void add_lens(nb::module_& module);
+void add_tables(nb::module_& module);
 
 }  // namespace sunarc

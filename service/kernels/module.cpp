@@ -2,5 +2,8 @@
 #include "lens.h"
 
 NB_MODULE(_kernels, module) {
+    sunarc::add_displacement(module);
+    sunarc::add_inverse(module);
     sunarc::add_lens(module);
+    sunarc::add_tables(module);
 }

@@ -3,7 +3,7 @@
 They run without the interpreter's lock and start no threads. Results are new arrays.
 """
 
-from sunarc.array_types import FloatArray
+from sunarc.array_types import FloatArray, IntArray
 
 def pixels_of(
     vector: FloatArray, code: int, mirror: float, max_angle: float, rotation: FloatArray, directions: FloatArray
@@ -37,3 +37,92 @@ def pixels_and_rows_of(
 
 def rotation_and_jacobian(vector: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the rotation matrix and the right Jacobian, (3, 3) each, of a rotation vector (3,), rad."""
+
+def directions_of(
+    code: int,
+    mirror: float,
+    limit: float,
+    plane: FloatArray,
+    radial: FloatArray,
+    decentering: FloatArray,
+    rotation: FloatArray,
+    pixels: FloatArray,
+) -> FloatArray:
+    """Return the directions (n, 3) that pixels (n, 2) look at; NaN where there is none.
+
+    Newton's method in the plane for the decentering, then in one dimension for the angle.
+
+    Parameters
+    ----------
+    limit : largest angle off the axis, rad.
+    plane : (5,) fx, fy, skew, x0, y0, px.
+    radial, decentering : k2 … k9, p1 … p4.
+    code, mirror, rotation : as of `pixels_of`.
+
+    Raises
+    ------
+    ValueError : no projection has this code.
+    """
+
+def directions_from_table(
+    constants: FloatArray, rotation: FloatArray, table: FloatArray, rounds: int, pixels: FloatArray
+) -> tuple[FloatArray, bool]:
+    """Return the directions (n, 3) that pixels (n, 2) look at; infinite where the table is too coarse, and if it is.
+
+    Parameters
+    ----------
+    constants, table, rounds : (13,), (k, 8): see `optics.inverse_table.InverseTable`.
+    """
+
+def pixels_from_grid(
+    grid: FloatArray, origin: FloatArray, step: FloatArray, pixels: FloatArray
+) -> tuple[FloatArray, bool]:
+    """Return pixels (n, 2) less the cubic splines (rows, columns, 2) there; infinite beyond the grid, and if any is.
+
+    `origin` and `step` (2,) are the grid's, px.
+    """
+
+def back_projected(
+    constants: FloatArray,
+    sheet: FloatArray,
+    rings_per_radius: float,
+    width: float,
+    height: float,
+    pixels: FloatArray,
+    directions: FloatArray,
+) -> FloatArray:
+    """Return (n, 7): the columns `answers.direction_table.BACK_PROJECTED` of pixels and their directions.
+
+    `sheet` (rings + 2, spokes + 3): spline coefficients of the 1-sigma, see `direction_table.polar_spline`.
+    """
+
+def projected(
+    constants: FloatArray, sheets: FloatArray, rings_per_radius: float, width: float, height: float, pixels: FloatArray
+) -> FloatArray:
+    """Return (n, 7): the columns `answers.direction_table.PROJECTED`; `sheets` (…, 3) of the covariance's factor."""
+
+def polar_values(constants: FloatArray, sheets: FloatArray, rings_per_radius: float, pixels: FloatArray) -> FloatArray:
+    """Return (n, 2): the values at pixels (n, 2) of two sheets of splines (rings + 2, spokes + 3, 2)."""
+
+def displacement_at(box: FloatArray, coefficients: FloatArray, pixels: FloatArray) -> FloatArray:
+    """Return the displacements (n, 2) at pixels (n, 2), px; 0 beyond the box, NaN for NaN.
+
+    Parameters
+    ----------
+    box : centre (x, y) and half-widths (x, y), px.
+    coefficients : (2, orders of x, orders of y) of sine waves, px.
+    """
+
+def displacement_and_slopes(
+    box: FloatArray, coefficients: FloatArray, pixels: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return what `displacement_at` does, and its derivatives (n, 2, 2), last axis the pixel's."""
+
+def displacement_inverse(box: FloatArray, coefficients: FloatArray, pixels: FloatArray) -> FloatArray:
+    """Return (n, 2): what is displaced to pixels (n, 2), by Newton's method; NaN where that does not converge."""
+
+def waves_at(pixels: FloatArray, box: FloatArray, orders: IntArray) -> FloatArray:
+    """Return (n, m): products of sine waves of orders (m, 2) on a box at pixels (n, 2); 0 beyond the box.
+
+    `box` : centre (x, y) and half-widths (x, y), px. A wave has unit norm over it.
+    """

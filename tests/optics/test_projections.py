@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 from tests.fixtures.calibration import current_document, distinctive_calibration, small_camera
 
+from sunarc import _kernels
 from sunarc.array_types import FloatArray
 from sunarc.calibration.model.document import from_document
 from sunarc.calibration.start.sky_turn import Turns, count_on_detections
 from sunarc.client import CameraModel
 from sunarc.errors import InputError
-from sunarc.optics import inverse, kernels
 from sunarc.optics.forward import kernel_optics
 from sunarc.optics.pose import right_jacobian, rotation_matrix
 from sunarc.optics.projections import PROJECTIONS, Projection, angle_of_shape, ideal_radius, radius_of_shape
@@ -46,17 +46,12 @@ def kernel_calls(code: int) -> list[Callable[[], object]]:
     camera = small_camera()
     vector, optics = camera.to_vector(), kernel_optics(camera)._replace(code=code)
     rotation, jacobian = rotation_matrix(camera.rotation_cam_enu), right_jacobian(camera.rotation_cam_enu)
-    sky, radial, work = np.array([[0.1, 0.2, 0.97]]), np.array(camera.radial), np.empty(kernels.WORK)
-    table = inverse.angle_table(PROJECTIONS["equisolid"].code, radial, 1.0)
-    lens = inverse.InverseLens(optics, np.array([500.0, 500.0, 0.0, 300.0, 200.0]), radial, np.zeros(4), table)
+    sky, radial, pixels = np.array([[0.1, 0.2, 0.97]]), np.array(camera.radial), np.array([[310.0, 220.0]])
+    plane = np.array([500.0, 500.0, 0.0, 300.0, 200.0])
     return [
-        lambda: kernels.radius_and_slope(code, radial, 0.5),
-        lambda: kernels.pixels_of(vector, optics, rotation, sky),
-        lambda: kernels.pixels_and_rows_of(vector, optics, rotation, jacobian, sky),
-        lambda: kernels.write_pixels(vector, optics, rotation, sky, work),
-        lambda: kernels.write_block(vector, optics, rotation, jacobian, sky, work),
-        lambda: inverse.angle_table(code, radial, 1.0),
-        lambda: inverse.write_exact_directions(lens, rotation, np.array([[310.0, 220.0]]), np.empty((1, 3))),
+        lambda: _kernels.pixels_of(vector, *optics, rotation, sky),
+        lambda: _kernels.pixels_and_rows_of(vector, *optics, rotation, jacobian, sky),
+        lambda: _kernels.directions_of(code, -1.0, 1.0, plane, radial, np.zeros(4), rotation, pixels),
     ]
 
 

@@ -9,27 +9,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sunarc import _kernels
 from sunarc.array_types import FloatArray
-from sunarc.jit import njit
 from sunarc.optics.camera import Camera
 from sunarc.optics.displacement import Displacement
 from sunarc.optics.forward import decentering_shift, distorted_radius, mirror_of, radius_slope, rising_limit
 from sunarc.optics.inverse import largest_angle, unproject
 from sunarc.optics.pose import rotation_matrix
-
-
-@njit(nogil=True)
-def spline_weights(position: float, last: int) -> tuple[int, float, float, float, float]:
-    """Return the first of four nodes and the weights of a cubic spline."""
-    node = min(int(position), last)
-    s = position - node
-    t = 1.0 - s
-    third = (-3.0 * s * s * s + 3.0 * s * s + 3.0 * s + 1.0) / 6.0
-    return node, t * t * t / 6.0, (3.0 * s * s * s - 6.0 * s * s + 4.0) / 6.0, third, s * s * s / 6.0
-
-
-_BLOCK = 512
-"""Pixels taken together, so that the simple loops run in vector registers."""
 
 
 class InverseConstants(NamedTuple):
@@ -53,74 +39,6 @@ class InverseConstants(NamedTuple):
     per_radius: float
     limit: float
     exact_from: float
-
-
-@njit(nogil=True)
-def calibrated_of(constants: InverseConstants, x: float, y: float) -> tuple[float, float]:
-    """Return (x̂, ŷ) of a pixel: in focal lengths from the axis, the decentering still in it."""
-    y_hat = (y - constants.y0) * constants.per_fy
-    column = constants.mirror - x if constants.mirror >= 0.0 else x
-    return (column - constants.x0 - constants.skew * y_hat) * constants.per_fx, y_hat
-
-
-@njit(nogil=True, fastmath={"contract", "reassoc", "arcp", "nsz"})
-def decentering_of(constants: InverseConstants, x: float, y: float) -> tuple[float, float]:
-    """Return the shift of Eq. 12 at a point in focal lengths."""
-    xx, yy, xy = x * x, y * y, 2.0 * x * y
-    square = xx + yy
-    profile = 1.0 + square * (constants.p3 + square * constants.p4)
-    p1, p2 = constants.p1, constants.p2
-    return profile * (p1 * (square + 2.0 * xx) + p2 * xy), profile * (p1 * xy + p2 * (square + 2.0 * yy))
-
-
-@njit(nogil=True, fastmath={"contract", "reassoc", "arcp", "nsz"})
-def directions_of(  # noqa: PLR0917 - one loop, compiled; functions take positions
-    constants: InverseConstants,
-    rotation: FloatArray,
-    table: FloatArray,
-    rounds: int,
-    pixels: FloatArray,
-    result: FloatArray,
-) -> bool:
-    """Write the directions (n, 3) that pixels (n, 2) look at, from a table of cubic pieces (see `InverseTable`).
-
-    Infinite where the table is too coarse; returned is whether it is anywhere.
-    """
-    coarse = False
-    last = table.shape[0] - 1.0
-    xe, xn, xu = rotation[0, 0], rotation[0, 1], rotation[0, 2]
-    ye, yn, yu = rotation[1, 0], rotation[1, 1], rotation[1, 2]
-    ze, zn, zu = rotation[2, 0], rotation[2, 1], rotation[2, 2]
-    x_hat, y_hat = np.empty(_BLOCK), np.empty(_BLOCK)
-    x, y, radius = np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK)
-    for begin in range(0, pixels.shape[0], _BLOCK):
-        size = min(_BLOCK, pixels.shape[0] - begin)
-        for k in range(size):
-            x_hat[k], y_hat[k] = calibrated_of(constants, pixels[begin + k, 0], pixels[begin + k, 1])
-            x[k], y[k] = x_hat[k], y_hat[k]
-        for _ in range(rounds):
-            for k in range(size):
-                shift_x, shift_y = decentering_of(constants, x[k], y[k])
-                x[k], y[k] = x_hat[k] - shift_x, y_hat[k] - shift_y
-        for k in range(size):
-            radius[k] = math.sqrt(x[k] * x[k] + y[k] * y[k])
-        for k in range(size):
-            i = begin + k
-            if not radius[k] <= constants.limit:
-                result[i, 0], result[i, 1], result[i, 2] = np.nan, np.nan, np.nan
-                continue
-            if radius[k] > constants.exact_from:
-                result[i, 0], coarse = np.inf, True
-                continue
-            position = radius[k] * constants.per_radius
-            piece = np.uint64(min(position, last))
-            s = position - piece
-            scale = table[piece, 0] + s * (table[piece, 1] + s * (table[piece, 2] + s * table[piece, 3]))
-            z = table[piece, 4] + s * (table[piece, 5] + s * (table[piece, 6] + s * table[piece, 7]))
-            result[i, 0] = scale * (xe * x[k] + ye * y[k]) + ze * z
-            result[i, 1] = scale * (xn * x[k] + yn * y[k]) + zn * z
-            result[i, 2] = scale * (xu * x[k] + yu * y[k]) + zu * z
-    return coarse
 
 
 # The displacement taken out of many pixels at once, from cubic splines on a grid over the image.
@@ -150,8 +68,9 @@ class DisplacementTable:
     def inverse(self, pixels: FloatArray) -> FloatArray:
         """Return (n, 2): what `Displacement.inverse` returns for pixels (n, 2), to 1e-6 px."""
         pixel = np.ascontiguousarray(pixels, dtype=np.float64)
-        result = np.empty(pixel.shape)
-        if _write_inverse(self.coefficients, self.origin_px, self.step_px, pixel, result):
+        origin, step = np.array(self.origin_px), np.array(self.step_px)
+        result, any_beyond = _kernels.pixels_from_grid(self.coefficients, origin, step, pixel)
+        if any_beyond:
             beyond = np.isinf(result[:, 0])
             result[beyond] = self.displacement.inverse(pixel[beyond])
         return result
@@ -175,37 +94,6 @@ def displacement_table(displacement: Displacement, *, width: int, height: int) -
         step_px=(steps[0], steps[1]),
         coefficients=np.ascontiguousarray(coefficients),
     )
-
-
-@njit(nogil=True)
-def _write_inverse(
-    coefficients: FloatArray,
-    origin: tuple[float, float],
-    step: tuple[float, float],
-    pixels: FloatArray,
-    result: FloatArray,
-) -> bool:
-    """Write the pixels without the displacement; infinite beyond the grid, and whether any is."""
-    rows, columns = coefficients.shape[0], coefficients.shape[1]
-    any_beyond = False
-    for i in range(pixels.shape[0]):
-        x, y = pixels[i, 0], pixels[i, 1]
-        across, down = (x - origin[0]) / step[0] - 1.0, (y - origin[1]) / step[1] - 1.0
-        if math.isnan(across) or math.isnan(down):
-            result[i, 0], result[i, 1] = np.nan, np.nan
-            continue
-        if not (0.0 <= across < columns - 3.0 and 0.0 <= down < rows - 3.0):
-            result[i, 0], any_beyond = np.inf, True
-            continue
-        a, a0, a1, a2, a3 = spline_weights(across, columns - 4)
-        b, b0, b1, b2, b3 = spline_weights(down, rows - 4)
-        shift_x, shift_y = 0.0, 0.0
-        for k, weight in enumerate((b0, b1, b2, b3)):
-            for m, along in enumerate((a0, a1, a2, a3)):
-                shift_x += weight * along * coefficients[b + k, a + m, 0]
-                shift_y += weight * along * coefficients[b + k, a + m, 1]
-        result[i, 0], result[i, 1] = x - shift_x, y - shift_y
-    return any_beyond
 
 
 _PIECES = 1024
@@ -239,21 +127,21 @@ class InverseTable:
 
     def directions(self, pixels: ArrayLike) -> FloatArray:
         """Return what `unproject` returns for pixels (..., 2), to about 1e-8 px."""
-        pixel = np.ascontiguousarray(pixels, dtype=np.float64)
-        result = np.empty((*pixel.shape[:-1], 3))
-        self.write_directions(pixel, result)
-        return result
-
-    def write_directions(self, pixels: FloatArray, result: FloatArray) -> None:
-        """Write into `result` (..., 3) what `directions` returns; both arrays are contiguous."""
-        flat, into = pixels.reshape(-1, 2), result.reshape(-1, 3)
+        pixel = np.asarray(pixels, dtype=np.float64)
+        flat = np.ascontiguousarray(pixel.reshape(-1, 2))
         if self.displacement is not None:
             flat = self.displacement.inverse(flat)
         if self.rounds is None:
-            into[:] = unproject(self.camera.lens_alone(), flat)
-        elif directions_of(self.constants, self.rotation, self.pieces, self.rounds, flat, into):
-            coarse = np.isinf(into[:, 0])
-            into[coarse] = unproject(self.camera.lens_alone(), flat[coarse])
+            result = unproject(self.camera.lens_alone(), flat)
+        else:
+            constants = np.array(self.constants)
+            result, any_coarse = _kernels.directions_from_table(
+                constants, self.rotation, self.pieces, self.rounds, flat
+            )
+            if any_coarse:
+                coarse = np.isinf(result[:, 0])
+                result[coarse] = unproject(self.camera.lens_alone(), flat[coarse])
+        return result.reshape(*pixel.shape[:-1], 3)
 
 
 def inverse_table(camera: Camera) -> InverseTable:

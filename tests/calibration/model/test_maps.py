@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.fixtures.calibration import ideal_camera, small_camera, small_errors, spread_directions, stated_calibration
+from tests.fixtures.calibration import small_camera, spread_directions, stated_calibration
 
-from sunarc.calibration.answers import direction_table as module
 from sunarc.calibration.answers.covariance import project_with_covariance, sigma_deg
 from sunarc.calibration.answers.direction_table import Lookup, back_projection_map, lookup
 from sunarc.optics.forward import project
 from sunarc.optics.inverse import unproject
-from sunarc.optics.inverse_table import spline_weights
 from sunarc.sky.directions import angles_from_direction
 
 
@@ -79,41 +76,6 @@ def test_many_rows_are_answered_as_few(ready: Lookup) -> None:
     pixels = np.random.default_rng(2).uniform([0.0, 0.0], [640.0, 480.0], (33_000, 2))
     some = [0, 32_767, 32_768, 32_999]
     np.testing.assert_array_equal(ready.back_project(pixels)[some], ready.back_project(pixels[some]))
-
-
-def test_the_kernels_in_python_are_the_compiled_ones(ready: Lookup) -> None:
-    """What numba runs cannot be traced: the same source is run by the interpreter."""
-    constants, rings, spokes = ready.table.constants, 96, 192
-    for x, y in [(315.0, 243.0), (400.0, 100.0), (200.0, 350.0), (315.2, 300.0), (639.0, 479.0)]:
-        compiled = module.ring_and_spoke(constants, rings, spokes, ready.rings_per_radius, x, y)
-        plain = module.ring_and_spoke.py_func(constants, rings, spokes, ready.rings_per_radius, x, y)
-        np.testing.assert_allclose(compiled, plain, rtol=1e-12)
-        assert 0.0 <= plain[0] <= rings - 1.0
-        assert 0.0 <= plain[1] <= spokes
-    assert module.in_image.py_func((640, 480), -0.5, 479.5) == 1.0
-    assert module.in_image.py_func((640, 480), -0.51, 0.0) == 0.0
-
-
-@pytest.mark.parametrize("place", [0.0, 0.3, 5.5, 93.999, 94.0, 95.0])
-def test_the_weights_of_a_cubic_spline(place: float) -> None:
-    node, *weights = spline_weights.py_func(place, 94)
-    assert sum(weights) == pytest.approx(1.0)
-    # a cubic B-spline reproduces lines: nodes -1, 0, 1, 2 about the place
-    assert sum(w * (node + k - 1.0) for k, w in enumerate(weights)) == pytest.approx(place)
-    s = place - node
-    second = sum(w * (node + k - 1.0) ** 2 for k, w in enumerate(weights))
-    assert second == pytest.approx(place**2 + 1.0 / 3.0)
-    assert weights[3] == pytest.approx(s**3 / 6.0)
-
-
-def test_a_place_is_the_polar_one_of_an_ideal_lens() -> None:
-    ready = lookup(stated_calibration(ideal_camera(), covariance=small_errors()))
-    for angle_deg, radius in [(10.0, 0.5), (200.0, 1.2), (350.0, 0.02)]:
-        turn = math.radians(angle_deg)
-        x, y = 319.5 + 200.0 * radius * math.cos(turn), 239.5 + 200.0 * radius * math.sin(turn)
-        ring, spoke = module.ring_and_spoke.py_func(ready.table.constants, 96, 192, ready.rings_per_radius, x, y)
-        assert ring == pytest.approx(radius * ready.rings_per_radius, rel=1e-6)
-        assert spoke == pytest.approx(angle_deg * 192.0 / 360.0, rel=1e-6)
 
 
 def test_a_mirrored_image_has_its_places_on_the_other_side() -> None:

@@ -8,51 +8,57 @@ import numpy as np
 import pytest
 from tests.fixtures.calibration import ideal_camera
 
-from sunarc.calibration.answers.direction_table import (
-    RINGS,
-    SPOKES,
-    in_image,
-    polar_spline,
-    ring_and_spoke,
-)
-from sunarc.optics.inverse_table import inverse_table, spline_weights
+from sunarc import _kernels
+from sunarc.array_types import FloatArray
+from sunarc.calibration.answers.direction_table import RINGS, SPOKES, polar_spline
+from sunarc.optics.inverse_table import inverse_table
 
-CONSTANTS = inverse_table(ideal_camera()).constants
+CONSTANTS = np.array(inverse_table(ideal_camera()).constants)
 N_RINGS, N_SPOKES = 20, 36
+
+
+def values_at(sheets: FloatArray, x: float, y: float) -> list[float]:
+    return np.asarray(_kernels.polar_values(CONSTANTS, sheets, 10.0, np.array([[x, y]])))[0].tolist()
+
+
+def place_of(x: float, y: float) -> list[float]:
+    """Return the ring and the spoke of a pixel: a spline reproduces its nodes' own numbers."""
+    numbers = np.mgrid[-1.0 : N_RINGS + 1.0, -1.0 : N_SPOKES + 2.0]
+    return values_at(np.ascontiguousarray(np.moveaxis(numbers, 0, -1)), x, y)
 
 
 @pytest.mark.parametrize("angle_deg", [0.0, 0.5, 4.9, 89.9, 180.0, 270.0, 359.5])
 def test_the_spoke_is_the_angle_about_the_principal_point_from_0_to_below_all(angle_deg: float) -> None:
     angle = math.radians(angle_deg)
-    x, y = 319.5 + 80.0 * math.cos(angle), 239.5 + 80.0 * math.sin(angle)
-    ring, spoke = ring_and_spoke(CONSTANTS, N_RINGS, N_SPOKES, 10.0, x, y)
+    ring, spoke = place_of(319.5 + 80.0 * math.cos(angle), 239.5 + 80.0 * math.sin(angle))
     assert ring == pytest.approx(80.0 / 200.0 * 10.0)
     assert spoke == pytest.approx(angle_deg / 10.0, abs=1e-9)
-    assert 0.0 <= spoke < N_SPOKES
+    assert -1e-9 <= spoke < N_SPOKES
 
 
 def test_beyond_the_last_ring_the_last_one_answers() -> None:
-    assert ring_and_spoke(CONSTANTS, N_RINGS, N_SPOKES, 10.0, 319.5 + 1e4, 239.5)[0] == N_RINGS - 1.0
+    assert place_of(319.5 + 1e4, 239.5)[0] == pytest.approx(N_RINGS - 1.0)
 
 
-@pytest.mark.parametrize("place", [0.0, 0.25, 3.5, 6.999, 7.0])
-def test_the_weights_are_those_of_a_cubic_b_spline(place: float) -> None:
-    node, *weights = spline_weights(place, 6)
-    t = place - node
-
+@pytest.mark.parametrize("place", [0.0, 0.25, 3.5, 18.999, 19.0])
+def test_a_node_counts_as_in_a_cubic_b_spline(place: float) -> None:
     def b_spline(u: float) -> float:
         u = abs(u)
         return (4.0 - 6.0 * u * u + 3.0 * u**3) / 6.0 if u < 1.0 else max(2.0 - u, 0.0) ** 3 / 6.0
 
-    assert weights == pytest.approx([b_spline(t + 1.0), b_spline(t), b_spline(t - 1.0), b_spline(t - 2.0)], abs=1e-12)
-    assert node == min(int(place), 6)
+    for ring in range(N_RINGS):
+        sheets = np.zeros((N_RINGS + 2, N_SPOKES + 3, 2))
+        sheets[ring + 1] = [1.0, -2.0]
+        found = values_at(sheets, 319.5 + 20.0 * place, 239.5)
+        assert found == pytest.approx([b_spline(place - ring), -2.0 * b_spline(place - ring)], abs=1e-9)
 
 
 @pytest.mark.parametrize(
     ("x", "y", "inside"), [(-0.5, -0.5, 1.0), (7.5, 5.5, 1.0), (-0.51, 2.0, 0.0), (7.51, 2.0, 0.0), (2.0, 5.51, 0.0)]
 )
 def test_the_image_reaches_to_the_outer_edges_of_its_pixels(x: float, y: float, inside: float) -> None:
-    assert in_image((8, 6), x, y) == inside
+    sheet, up = np.ones((N_RINGS + 2, N_SPOKES + 3)), np.array([[0.0, 0.0, 1.0]])
+    assert _kernels.back_projected(CONSTANTS, sheet, 10.0, 8, 6, np.array([[x, y]]), up)[0, 6] == inside
 
 
 def test_the_spline_passes_through_its_sheet() -> None:

@@ -13,19 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sunarc import _kernels
 from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.answers.covariance import Uncertain, direction_covariance, uncertainties
-from sunarc.jit import njit
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project_fast
-from sunarc.optics.inverse_table import (
-    InverseConstants,
-    InverseTable,
-    calibrated_of,
-    decentering_of,
-    inverse_table,
-    spline_weights,
-)
+from sunarc.optics.inverse_table import InverseTable, inverse_table
 
 Rows = FloatArray | NDArray[np.float32]
 
@@ -80,19 +73,16 @@ class Lookup:
         return direction_covariance(self.camera, directions, covariance)
 
     def _back_project(self, pixels: FloatArray) -> FloatArray:
-        directions = np.empty((pixels.shape[0], 3))
-        self.table.write_directions(pixels, directions)
-        result = np.empty((pixels.shape[0], len(BACK_PROJECTED)))
-        size = (self.camera.width, self.camera.height)
-        _write_angles(self.table.constants, self.sigma_deg, self.rings_per_radius, size, pixels, directions, result)
-        return result
+        directions = self.table.directions(pixels)
+        return _kernels.back_projected(*self._sheet(self.sigma_deg), pixels, directions)
 
     def _project(self, directions: FloatArray) -> FloatArray:
-        pixels = project_fast(self.camera, directions)
-        result = np.empty((pixels.shape[0], len(PROJECTED)))
-        size = (self.camera.width, self.camera.height)
-        _write_pixels(self.table.constants, self.spread_px, self.rings_per_radius, size, pixels, result)
-        return result
+        return _kernels.projected(*self._sheet(self.spread_px), project_fast(self.camera, directions))
+
+    def _sheet(self, sheet: FloatArray) -> tuple[FloatArray, FloatArray, float, int, int]:
+        """Return a sheet as the kernels take it: the camera's numbers, the sheet, its scale, the image's size."""
+        camera = self.camera
+        return np.array(self.table.constants), sheet, self.rings_per_radius, camera.width, camera.height
 
 
 def lookup(calibration: Uncertain) -> Lookup:
@@ -163,86 +153,6 @@ def _in_chunks(rows: Rows, answer: Callable[[FloatArray], FloatArray]) -> Rows:
         part = np.ascontiguousarray(rows[begin : begin + _CHUNK], dtype=np.float64)
         result[begin : begin + _CHUNK] = answer(part)
     return result
-
-
-@njit(nogil=True)
-def ring_and_spoke(  # noqa: PLR0917 - compiled functions take positions
-    constants: InverseConstants, rings: int, spokes: int, rings_per_radius: float, x: float, y: float
-) -> tuple[float, float]:
-    """Return the ring and the spoke (real numbers) of a pixel, the decentering taken out to first order."""
-    x_hat, y_hat = calibrated_of(constants, x, y)
-    shift_x, shift_y = decentering_of(constants, x_hat, y_hat)
-    x_hat, y_hat = x_hat - shift_x, y_hat - shift_y
-    ring = min(math.sqrt(x_hat * x_hat + y_hat * y_hat) * rings_per_radius, rings - 1.0)
-    spoke = math.atan2(y_hat, x_hat) * (spokes / (2.0 * math.pi))
-    return ring, spoke + spokes if spoke < 0.0 else spoke
-
-
-@njit(nogil=True)
-def in_image(size: tuple[int, int], x: float, y: float) -> float:
-    """Return which pixels are within the image."""
-    return 1.0 if -0.5 <= x <= size[0] - 0.5 and -0.5 <= y <= size[1] - 0.5 else 0.0
-
-
-@njit(nogil=True)
-def _write_angles(  # noqa: PLR0917 - compiled functions take positions
-    constants: InverseConstants,
-    sheet: FloatArray,
-    rings_per_radius: float,
-    size: tuple[int, int],
-    pixels: FloatArray,
-    directions: FloatArray,
-    result: FloatArray,
-) -> None:
-    rings, spokes = sheet.shape[0] - 2, sheet.shape[1] - 3
-    for i in range(pixels.shape[0]):
-        x, y = pixels[i, 0], pixels[i, 1]
-        east, north, up = directions[i, 0], directions[i, 1], directions[i, 2]
-        if math.isnan(up):
-            result[i, :6] = np.nan
-            result[i, 6] = 0.0
-            continue
-        ring, spoke = ring_and_spoke(constants, rings, spokes, rings_per_radius, x, y)
-        a, a0, a1, a2, a3 = spline_weights(ring, rings - 2)
-        b, b0, b1, b2, b3 = spline_weights(spoke, spokes - 1)
-        total = 0.0
-        for k, weight in enumerate((a0, a1, a2, a3)):
-            row = sheet[a + k]
-            total += weight * (b0 * row[b] + b1 * row[b + 1] + b2 * row[b + 2] + b3 * row[b + 3])
-        azimuth = math.degrees(math.atan2(east, north))
-        result[i, 0] = math.degrees(math.atan2(math.sqrt(east * east + north * north), up))
-        result[i, 1] = azimuth if azimuth >= 0.0 else (azimuth + 360.0) % 360.0
-        result[i, 2], result[i, 3], result[i, 4] = east, north, up
-        result[i, 5], result[i, 6] = max(total, 0.0), in_image(size, x, y)
-
-
-@njit(nogil=True)
-def _write_pixels(  # noqa: PLR0917 - compiled functions take positions
-    constants: InverseConstants,
-    sheets: FloatArray,
-    rings_per_radius: float,
-    size: tuple[int, int],
-    pixels: FloatArray,
-    result: FloatArray,
-) -> None:
-    rings, spokes = sheets.shape[0] - 2, sheets.shape[1] - 3
-    for i in range(pixels.shape[0]):
-        x, y = pixels[i, 0], pixels[i, 1]
-        if math.isnan(x):
-            result[i, :6] = np.nan
-            result[i, 6] = 0.0
-            continue
-        ring, spoke = ring_and_spoke(constants, rings, spokes, rings_per_radius, x, y)
-        a, a0, a1, a2, a3 = spline_weights(ring, rings - 2)
-        b, b0, b1, b2, b3 = spline_weights(spoke, spokes - 1)
-        xx, yx, yy = 0.0, 0.0, 0.0
-        for k, along in enumerate((a0, a1, a2, a3)):
-            for m, around in enumerate((b0, b1, b2, b3)):
-                weight, node = along * around, sheets[a + k, b + m]
-                xx, yx, yy = xx + weight * node[0], yx + weight * node[1], yy + weight * node[2]
-        result[i, 0], result[i, 1] = x, y
-        result[i, 3], result[i, 4], result[i, 5] = xx * xx, xx * yx, yx * yx + yy * yy
-        result[i, 2], result[i, 6] = math.sqrt(0.5 * (result[i, 3] + result[i, 5])), in_image(size, x, y)
 
 
 # What every pixel sees, and how sure that is, at once.

@@ -14,15 +14,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sunarc import _kernels
 from sunarc.array_types import FloatArray, IntArray, Rows, picked
-from sunarc.calibration.answers.direction_table import polar_directions, polar_spline, ring_and_spoke
+from sunarc.calibration.answers.direction_table import polar_directions, polar_spline
 from sunarc.calibration.model.residual_field import Field, WaveBasis
 from sunarc.calibration.model.result import Calibration
 from sunarc.errors import InputError
-from sunarc.jit import njit
 from sunarc.optics.camera import PARAMETER_NAMES, POSE, Camera
 from sunarc.optics.forward import project_fast, project_with_rows_fast
-from sunarc.optics.inverse_table import InverseConstants, InverseTable, inverse_table, spline_weights
+from sunarc.optics.inverse_table import InverseTable, inverse_table
 from sunarc.optics.pose import right_jacobian, rotation_matrix, rotation_vector
 from sunarc.optics.projections import angle_limit
 
@@ -253,10 +253,8 @@ class Ensemble:
 
         Beyond the camera's field it is that of the field's edge; NaN for a pixel that is NaN.
         """
-        result = np.empty((pixels.shape[0], 2))
-        sheet, rings_per_radius = self.sheets_px[draw], self.rings_per_radius
-        _write_displacement(self.table.constants, sheet, rings_per_radius, np.ascontiguousarray(pixels), result)
-        return result
+        sheets, constants = self.sheets_px[draw], np.array(self.table.constants)
+        return _kernels.polar_values(constants, sheets, self.rings_per_radius, np.ascontiguousarray(pixels))
 
     def project(self, draw: int, directions: FloatArray) -> FloatArray:
         """Return (n, 2): the pixels of unit vectors (n, 3), east-north-up, by one draw; NaN beyond its field."""
@@ -265,12 +263,10 @@ class Ensemble:
 
     def back_project(self, draw: int, pixels: FloatArray) -> FloatArray:
         """Return (n, 3): the unit vectors, east-north-up, of pixels (n, 2) by one draw; NaN where none lands there."""
-        result = np.empty((pixels.shape[0], 3))
         estimated = pixels - self.displacement(draw, pixels)
         # the displacement belongs to where the estimate is, which one round more finds to second order
         estimated = pixels - self.displacement(draw, estimated)
-        self.table.write_directions(np.ascontiguousarray(estimated), result)
-        return result
+        return self.table.directions(estimated)
 
     def __iter__(self) -> Iterator[int]:
         """Return the numbers of the draws."""
@@ -330,24 +326,3 @@ def covariance_root(covariance: FloatArray) -> FloatArray:
     scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(np.float64).tiny))
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
     return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
-
-
-@njit(nogil=True)
-def _write_displacement(
-    constants: InverseConstants, sheet: FloatArray, rings_per_radius: float, pixels: FloatArray, result: FloatArray
-) -> None:
-    rings, spokes = sheet.shape[0] - 2, sheet.shape[1] - 3
-    for i in range(pixels.shape[0]):
-        x, y = pixels[i, 0], pixels[i, 1]
-        if math.isnan(x) or math.isnan(y):
-            result[i, :] = np.nan
-            continue
-        ring, spoke = ring_and_spoke(constants, rings, spokes, rings_per_radius, x, y)
-        a, a0, a1, a2, a3 = spline_weights(ring, rings - 2)
-        b, b0, b1, b2, b3 = spline_weights(spoke, spokes - 1)
-        along_x, along_y = 0.0, 0.0
-        for k, along in enumerate((a0, a1, a2, a3)):
-            for m, around in enumerate((b0, b1, b2, b3)):
-                weight, node = along * around, sheet[a + k, b + m]
-                along_x, along_y = along_x + weight * node[0], along_y + weight * node[1]
-        result[i, 0], result[i, 1] = along_x, along_y

@@ -14,42 +14,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sunarc import _kernels
 from sunarc.array_types import FloatArray, IntArray
-from sunarc.jit import njit
 from sunarc.optics.displacement import Displacement
-
-# The sine waves of a field at many pixels, as a compiled loop without the interpreter's lock.
-
-
-@njit(nogil=True)
-def waves_at(
-    pixels: FloatArray, center: tuple[float, float], half: tuple[float, float], orders: IntArray
-) -> FloatArray:
-    """Return (n, m): products of sine waves of orders (m, 2) on a box at pixels (n, 2); 0 beyond the box."""
-    n, m = pixels.shape[0], orders.shape[0]
-    result = np.zeros((n, m))
-    along, down = np.empty(orders[:, 0].max() + 1), np.empty(orders[:, 1].max() + 1)
-    for k in range(n):
-        x, y = pixels[k, 0] - center[0], pixels[k, 1] - center[1]
-        if abs(x) < half[0] and abs(y) < half[1]:
-            _write_sines(0.5 * math.pi * (x / half[0] + 1.0), 1.0 / math.sqrt(half[0]), along)
-            _write_sines(0.5 * math.pi * (y / half[1] + 1.0), 1.0 / math.sqrt(half[1]), down)
-            row = result[k]
-            for i in range(m):
-                row[i] = along[orders[i, 0]] * down[orders[i, 1]]
-    return result
-
-
-@njit(nogil=True)
-def _write_sines(phase: float, scale: float, result: FloatArray) -> None:
-    """Write scale · sin(k · phase) for k = 0, 1, … by their recurrence, which loses 1e-14 over twenty of them."""
-    twice = 2.0 * math.cos(phase)
-    result[0] = 0.0
-    if result.size > 1:
-        result[1] = scale * math.sin(phase)
-    for k in range(2, result.size):
-        result[k] = twice * result[k - 1] - result[k - 2]
-
 
 _MARGIN_LENGTHS = 1.2
 _REACH = 3.6
@@ -79,8 +46,8 @@ class WaveBasis:
         if orders.size == 0:
             return np.zeros((*pixel.shape[:-1], 0))
         flat = np.ascontiguousarray(pixel.reshape(-1, 2))
-        found = waves_at(flat, tuple(map(float, self.center_px)), tuple(map(float, self.half_px)), orders)
-        return np.asarray(found.reshape(*pixel.shape[:-1], orders.shape[0]))
+        box = np.array([*self.center_px, *self.half_px], dtype=np.float64)
+        return np.asarray(_kernels.waves_at(flat, box, orders).reshape(*pixel.shape[:-1], orders.shape[0]))
 
     def variances(self, *, length_px: float) -> FloatArray:
         """Return (m,): the coefficients' variances of a field of unit amplitude and a length in px."""
