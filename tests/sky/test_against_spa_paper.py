@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import sunarc.sky.sun
+from sunarc.sky.ephemeris import terrestrial_minus_universal_s
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles
 
@@ -37,4 +38,4 @@ def test_our_own_delta_t_moves_the_sun_by_less_than_a_fifth_of_an_arcsecond() ->
 def test_delta_t_is_what_was_observed(year: int, delta_t_s: float) -> None:
     # observed values, 1 January (IERS); 1 s is 0.00001 degrees of sun
     unix_s = datetime(year, 1, 1, tzinfo=UTC).timestamp()
-    assert sunarc.sky.sun.terrestrial_minus_universal_s(np.array([unix_s])) == pytest.approx(delta_t_s, abs=2.5)
+    assert terrestrial_minus_universal_s(np.array([unix_s])) == pytest.approx(delta_t_s, abs=2.5)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.sky import sun as module
-from sunarc.sky.sun import geocentric
+from sunarc.sky.ephemeris import by_series, geocentric
 
 FloatArray = NDArray[np.float64]
 
@@ -31,7 +30,7 @@ def _apart_deg(a: FloatArray, b: FloatArray) -> float:
     ids=["a day", "no order", "before 1970", "a year"],
 )
 def test_the_cubics_are_the_series(unix_s: FloatArray) -> None:
-    found, expected = geocentric(unix_s, DELTA_T_S), module.by_series(unix_s, DELTA_T_S)
+    found, expected = geocentric(unix_s, DELTA_T_S), by_series(unix_s, DELTA_T_S)
     assert not np.array_equal(found.declination, expected.declination)  # else nothing is compared
     for name in ("sidereal", "right_ascension", "declination"):
         assert _apart_deg(getattr(found, name), getattr(expected, name)) < ROUNDING_DEG
@@ -40,7 +39,7 @@ def test_the_cubics_are_the_series(unix_s: FloatArray) -> None:
 
 def test_a_few_times_are_by_the_series() -> None:
     few = np.array([1.4e9, 1.4e9 + 5.0, 1.5e9])
-    for found, expected in zip(geocentric(few, DELTA_T_S), module.by_series(few, DELTA_T_S), strict=True):
+    for found, expected in zip(geocentric(few, DELTA_T_S), by_series(few, DELTA_T_S), strict=True):
         assert np.array_equal(found, expected)
 
 
@@ -50,4 +49,4 @@ def test_the_right_ascension_passes_from_360_to_0_within_a_piece() -> None:
     found = geocentric(unix_s, DELTA_T_S).right_ascension
     assert found.max() > 359.9
     assert found.min() < 0.1
-    assert _apart_deg(found, module.by_series(unix_s, DELTA_T_S).right_ascension) < ROUNDING_DEG
+    assert _apart_deg(found, by_series(unix_s, DELTA_T_S).right_ascension) < ROUNDING_DEG

@@ -11,13 +11,13 @@ import pvlib
 import pytest
 from numpy.typing import NDArray
 
-import sunarc.sky.sun
 from sunarc.errors import InputError
 from sunarc.sky.days import day_bounds_unix_s, solar_date
 from sunarc.sky.directions import angles_from_direction, angular_distance, direction_from_angles
+from sunarc.sky.ephemeris import SECONDS_PER_JULIAN_YEAR, terrestrial_minus_universal_s
 from sunarc.sky.refraction import ASSUMED_AIR_SD, DAILY_AIR_SD, MEASURED_AIR_SD, raised, refraction_rad, upward
 from sunarc.sky.site import Site, relative_air_mass
-from sunarc.sky.sun import SOLAR_RADIUS, hour_angle, sun_angles, sun_directions, terrestrial_minus_universal_s
+from sunarc.sky.sun import SOLAR_RADIUS, hour_angle, sun_angles, sun_directions
 
 FloatArray = NDArray[np.float64]
 STANDARD = Site(latitude=36.6, longitude=-97.5, pressure=101_000.0, temperature=10.0)
@@ -209,7 +209,7 @@ def test_delta_t_is_pvlib_s_of_the_month_at_each_time_s_mean() -> None:
         expected = float(pvlib.spa.calculate_deltat(year, month))
         assert terrestrial_minus_universal_s(np.array([start])) == pytest.approx(expected, abs=0.1)
         assert terrestrial_minus_universal_s(np.array([start - 1e6, start + 1e6])) == pytest.approx(expected, abs=0.1)
-    assert sunarc.sky.sun.SECONDS_PER_JULIAN_YEAR == 365.25 * 86_400.0
+    assert SECONDS_PER_JULIAN_YEAR == 365.25 * 86_400.0
 
 
 @pytest.mark.parametrize("longitude", [-180.0, -179.99, -0.25, 0.0, 179.99, 180.0])

@@ -6,34 +6,11 @@ References: G. Bennett, "The calculation of astronomical refraction in marine na
 
 from __future__ import annotations
 
-from functools import cache
-from importlib.machinery import PathFinder
-from importlib.util import find_spec, module_from_spec
-from types import ModuleType
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sunarc.array_types import FloatArray
 from sunarc.sky.site import PA_PER_HPA, Site
-
-
-@cache
-def load_spa() -> ModuleType:
-    """Return `pvlib.spa`, loaded by itself: it needs numpy alone, its package imports pandas and most of scipy.
-
-    Raises
-    ------
-    ModuleNotFoundError : pvlib is not installed.
-    """
-    package = find_spec("pvlib")
-    spec = None if package is None else PathFinder.find_spec("spa", package.submodule_search_locations)
-    if spec is None or spec.loader is None:
-        raise ModuleNotFoundError("No module named 'pvlib.spa'", name="pvlib.spa")
-    module = module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
 
 ASSUMED_AIR_SD = 0.04
 """1-sigma of the refraction of a record, as a share of it, where the air is the site's annual mean: 10 K of temperature
@@ -45,9 +22,8 @@ DAILY_AIR_SD = 0.015
 """1-sigma of the refraction of one day beside the others of a record, as a share, where it was not measured: 4 K and
 0.6 % of pressure."""
 
-REFRACTION_AT_HORIZON_DEG = 0.5667
-"""Of the sun's algorithm; below it and the sun's radius there is no refraction."""
-_SPA = load_spa()
+_LOWEST_REFRACTED_DEG = -(0.26667 + 0.5667)
+"""True elevation of the sun's centre with its upper limb on the horizon, by the sun's algorithm; none below it."""
 _ZERO_C_IN_K = 273.0
 _REFERENCE_PA = 101_000.0
 _REFERENCE_K = 283.0
@@ -75,10 +51,23 @@ def apparent_elevation(elevation_deg: ArrayLike, site: Site) -> FloatArray:
     """
     elevation = np.asarray(elevation_deg, dtype=np.float64)
     pressure_hpa = site.pressure_pa / PA_PER_HPA
-    refraction = _SPA.atmospheric_refraction_correction(
-        pressure_hpa, site.temperature, elevation, REFRACTION_AT_HORIZON_DEG
-    )
-    return np.asarray(elevation + refraction)
+    lifted = refraction_of_true_deg(elevation, pressure_hpa=pressure_hpa, temperature=site.temperature)
+    return np.asarray(elevation + lifted)
+
+
+def refraction_of_true_deg(
+    elevation_deg: FloatArray, *, pressure_hpa: FloatArray | float, temperature: FloatArray | float
+) -> FloatArray:
+    """Return the refraction at true elevations, (...) degrees, by the sun's algorithm (Saemundsson's formula).
+
+    Parameters
+    ----------
+    elevation_deg : (...) true elevations; below -0.83 degrees there is no refraction.
+    pressure_hpa, temperature : (...) of the air, hPa and °C.
+    """
+    density = (pressure_hpa / 1010.0) * (283.0 / (273.0 + temperature))
+    arcminutes = 1.02 / np.tan(np.radians(elevation_deg + 10.3 / (elevation_deg + 5.11)))
+    return np.asarray(density * arcminutes / 60.0 * (elevation_deg >= _LOWEST_REFRACTED_DEG))
 
 
 def upward(directions: ArrayLike) -> FloatArray:

@@ -1,4 +1,4 @@
-"""The sun's position: NREL's solar position algorithm as pvlib computes it.
+"""The sun's position as seen from a site: NREL's solar position algorithm, digit for digit as pvlib computes it.
 
 Reference: I. Reda and A. Andreas, "Solar position algorithm for solar radiation applications", Solar Energy 76 (2004).
 """
@@ -13,97 +13,16 @@ from numpy.typing import ArrayLike
 
 from sunarc.array_types import FloatArray
 from sunarc.sky.directions import direction_from_angles
-from sunarc.sky.refraction import REFRACTION_AT_HORIZON_DEG, load_spa
+from sunarc.sky.ephemeris import Geocentric, geocentric, terrestrial_minus_universal_s
+from sunarc.sky.refraction import refraction_of_true_deg
 from sunarc.sky.site import Site
-
-# The sun's geocentric place at many times, from a few of them: it moves so slowly that a cubic between hours is exact.
-#
-# The series of the solar position algorithm (Reda and Andreas, 2004) have 200 terms a time; a day of sightings needs
-# them
-# at a dozen times only. Between places three hours apart, which the sun passes in 0.0022 rad, a cubic through four of
-# them is off by 3/128 · 0.0022⁴ = 5e-13 rad; the tests compare with the series themselves.
-
-_STEP_S = 10_800.0
-"""Seconds between the places that the cubics go through."""
-_WORTH_WHILE = 4
-"""Times for each such place from which on it is worth while."""
-
-
-class Geocentric(NamedTuple):
-    """Of the sun, each (n,): sidereal time, right ascension, declination, degrees; distance, astronomical units."""
-
-    sidereal: FloatArray
-    right_ascension: FloatArray
-    declination: FloatArray
-    distance: FloatArray
-
-
-def geocentric(unix_s: FloatArray, delta_t_s: float) -> Geocentric:
-    """Return the sun's geocentric place.
-
-    Parameters
-    ----------
-    unix_s : (n,) seconds since 1970-01-01 UTC.
-    delta_t_s : terrestrial time minus UT, s.
-    """
-    slot = np.floor(unix_s / _STEP_S)
-    slots = np.unique(slot)
-    nodes = np.unique(np.add.outer(slots, np.arange(-1.0, 3.0)))
-    if unix_s.size < _WORTH_WHILE * nodes.size:
-        return by_series(unix_s, delta_t_s)
-    table = _slow_columns(nodes * _STEP_S, delta_t_s)
-    first = np.searchsorted(nodes, slot - 1.0)
-    columns = np.sum(_cubic(unix_s / _STEP_S - slot)[:, :, None] * table[first[:, None] + np.arange(4)], axis=1)
-    x, y, z, distance, nutation = columns.T
-    return Geocentric(
-        sidereal=(_mean_sidereal(unix_s) + nutation) % 360.0,
-        right_ascension=np.degrees(np.arctan2(y, x)) % 360.0,
-        declination=np.degrees(np.arctan2(z, np.hypot(x, y))),
-        distance=distance,
-    )
-
-
-def _cubic(s: FloatArray) -> FloatArray:
-    """Return (n, 4): Lagrange's weights of the values at -1, 0, 1, 2 for places s between 0 and 1."""
-    before, after, beyond = s + 1.0, s - 1.0, s - 2.0
-    weights = (
-        -s * after * beyond / 6.0,
-        before * after * beyond / 2.0,
-        -before * s * beyond / 2.0,
-        before * s * after / 6.0,
-    )
-    return np.stack(weights, axis=-1)
-
-
-def _slow_columns(unix_s: FloatArray, delta_t_s: float) -> FloatArray:
-    """Return (n, 5): unit vector to the sun, its distance, and the nutation in right ascension, degrees."""
-    at = by_series(unix_s, delta_t_s)
-    alpha, delta = np.radians(at.right_ascension), np.radians(at.declination)
-    nutation = (at.sidereal - _mean_sidereal(unix_s) + 180.0) % 360.0 - 180.0
-    across = np.cos(delta)
-    return np.stack([across * np.cos(alpha), across * np.sin(alpha), np.sin(delta), at.distance, nutation], axis=-1)
-
-
-def _mean_sidereal(unix_s: FloatArray) -> FloatArray:
-    day = _SPA.julian_day(unix_s)
-    return np.asarray(_SPA.mean_sidereal_time(day, _SPA.julian_century(day)))
-
-
-def by_series(unix_s: FloatArray, delta_t_s: float) -> Geocentric:
-    """Return the geocentric sun by the series of the solar position algorithm, term by term."""
-    distance = _SPA.heliocentric_radius_vector
-    day = _SPA.julian_ephemeris_day(_SPA.julian_day(unix_s), delta_t_s)
-    millennium = _SPA.julian_ephemeris_millennium(_SPA.julian_ephemeris_century(day))
-    # latitude, altitude and air have no part in what is geocentric
-    sidereal, alpha, delta = _SPA.solar_position(unix_s, 0.0, 0.0, 0.0, 0.0, 0.0, delta_t_s, 0.0, sst=True)
-    return Geocentric(sidereal, alpha, delta, distance(millennium))
-
 
 SOLAR_RADIUS = math.radians(0.2666)
 """The sun's mean angular radius, radians (959.63 arcseconds at one astronomical unit)."""
 
-_SPA = load_spa()
-SECONDS_PER_JULIAN_YEAR = 31_557_600.0
+_POLAR_RADIUS = 0.99664719
+"""Of the earth, in its equatorial ones."""
+_EARTH_RADIUS_M = 6_378_140.0
 
 
 class SunAngles(NamedTuple):
@@ -146,17 +65,23 @@ def sun_angles(
 def _topocentric(
     sun: Geocentric, site: Site, *, pressure_hpa: FloatArray | float, temperature: FloatArray | float
 ) -> SunAngles:
-    """Return the angles of the sun at a site, step by step as `pvlib.spa.solar_position` does."""
-    latitude = site.latitude
-    hour = _SPA.local_hour_angle(sun.sidereal, site.longitude, sun.right_ascension)
-    parallax, u = _SPA.equatorial_horizontal_parallax(sun.distance), _SPA.uterm(latitude)
-    x, y = _SPA.xterm(u, latitude, site.altitude), _SPA.yterm(u, latitude, site.altitude)
-    shift = _SPA.parallax_sun_right_ascension(x, parallax, hour, sun.declination)
-    declination = _SPA.topocentric_sun_declination(sun.declination, x, y, parallax, shift, hour)
-    hour = _SPA.topocentric_local_hour_angle(hour, shift)
-    true = _SPA.topocentric_elevation_angle_without_atmosphere(latitude, declination, hour)
-    lifted = _SPA.atmospheric_refraction_correction(pressure_hpa, temperature, true, REFRACTION_AT_HORIZON_DEG)
-    azimuth = _SPA.topocentric_azimuth_angle(_SPA.topocentric_astronomers_azimuth(hour, declination, latitude))
+    """Return the angles of the sun at a site (equations 32 to 47)."""
+    phi = math.radians(site.latitude)
+    u = math.atan(_POLAR_RADIUS * math.tan(phi))
+    across = math.cos(u) + site.altitude / _EARTH_RADIUS_M * math.cos(phi)
+    up = _POLAR_RADIUS * math.sin(u) + site.altitude / _EARTH_RADIUS_M * math.sin(phi)
+    parallax = np.sin(np.radians(8.794 / (3600.0 * sun.distance)))
+    geocentric_hour = (sun.sidereal + site.longitude - sun.right_ascension) % 360.0
+    hour, declination = np.radians(geocentric_hour), np.radians(sun.declination)
+    towards = np.cos(declination) - across * parallax * np.cos(hour)
+    shift = np.degrees(np.arctan2(-across * parallax * np.sin(hour), towards))
+    declination = np.arctan2((np.sin(declination) - up * parallax) * np.cos(np.radians(shift)), towards)
+    hour = np.radians(geocentric_hour - shift)
+    sine = math.sin(phi) * np.sin(declination) + math.cos(phi) * np.cos(declination) * np.cos(hour)
+    true = np.degrees(np.arcsin(sine))
+    north = np.cos(hour) * math.sin(phi) - np.tan(declination) * math.cos(phi)
+    azimuth = (np.degrees(np.arctan2(np.sin(hour), north)) % 360.0 + 180.0) % 360.0
+    lifted = refraction_of_true_deg(true, pressure_hpa=pressure_hpa, temperature=temperature)
     return SunAngles(90.0 - true, 90.0 - (true + lifted), azimuth)
 
 
@@ -197,10 +122,3 @@ def _measured_or(measured: ArrayLike | None, assumed: float, times: FloatArray) 
         return assumed
     values = np.broadcast_to(np.asarray(measured, dtype=np.float64), times.shape)
     return np.where(np.isfinite(values), values, assumed)
-
-
-def terrestrial_minus_universal_s(unix_s: FloatArray) -> float:
-    """Terrestrial time minus UT in seconds; a decade's drift of it moves the sun by less than 0.0003 degrees."""
-    year = 1970.0 + float(np.mean(unix_s)) / SECONDS_PER_JULIAN_YEAR
-    whole_year = math.floor(year)
-    return float(_SPA.calculate_deltat(whole_year, 1 + 11 * (year - whole_year)))
