@@ -32,7 +32,7 @@ struct Optics {
 };
 
 // Numbers of a block's directions, one array of them each, so that no two overlap.
-struct Block {
+struct alignas(64) Block {
     double columns[N_COLUMNS][2][BLOCK];  // derivatives of x, then of y
     double pixel[2][BLOCK];
     double east[BLOCK], north[BLOCK], up[BLOCK];

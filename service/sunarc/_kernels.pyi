@@ -126,3 +126,106 @@ def waves_at(pixels: FloatArray, box: FloatArray, orders: IntArray) -> FloatArra
 
     `box` : centre (x, y) and half-widths (x, y), px. A wave has unit norm over it.
     """
+
+def most_probable(
+    code: int,
+    mirror: float,
+    max_angle: float,
+    mean: FloatArray,
+    basis: FloatArray,
+    directions: FloatArray,
+    pixels: FloatArray,
+    information: FloatArray,
+    epoch: IntArray,
+    precision: FloatArray,
+    sigma: float,
+    iterations: int,
+    tolerance: float,
+    start: FloatArray,
+    moving: IntArray,
+) -> tuple[FloatArray, float]:
+    """Return the unknowns (p,) where Levenberg-Marquardt converges, and half the weighted squares or the loss there.
+
+    Parameters
+    ----------
+    mean, basis : (17,), (17, 17): the lens is mean + basis · its unknowns; three more are each epoch's pose.
+    directions, pixels, information, epoch : (n, 3), (n, 2), (n,), (n,) of the sightings.
+    precision : (p,) of the prior, about 0.
+    sigma : px, scale of Tukey's loss; 0 takes plain squares.
+    iterations, tolerance : most steps, and the share of the cost below which a gain is the last.
+    moving : the places of the unknowns that may change.
+
+    Raises
+    ------
+    ValueError : lengths that differ, an epoch without a pose, no projection of this code.
+    """
+
+def residuals_of(
+    code: int,
+    mirror: float,
+    max_angle: float,
+    vector: FloatArray,
+    directions: FloatArray,
+    pixels: FloatArray,
+    refraction_sd: FloatArray,
+    air: FloatArray,
+) -> FloatArray:
+    """Return observed minus predicted pixels (n, 2), `robust_loss.UNSEEN_PX` where the lens shows nothing.
+
+    Parameters
+    ----------
+    vector : (23,) the camera.
+    refraction_sd, air : (n, k) rad, (k,): directions are raised by their product.
+    """
+
+def residuals_and_columns_of(
+    code: int,
+    mirror: float,
+    max_angle: float,
+    vectors: FloatArray,
+    basis: FloatArray,
+    directions: FloatArray,
+    pixels: FloatArray,
+    refraction_sd: FloatArray,
+    epoch: IntArray,
+    systematic_px: FloatArray,
+    sizes: FloatArray,
+    air: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return residuals (2, n) as of `residuals_of`, and derivatives of the prediction by the unknowns (2, size, n).
+
+    Parameters
+    ----------
+    vectors : (epochs, 23) their cameras.
+    basis : (17, 17) of the prior: what a unit of the lens's unknowns does to its parameters.
+    systematic_px, sizes : (n, 2, s) px, (s,): pixels are displaced by their product.
+    """
+
+def paper_fit(
+    code: int,
+    mirror: float,
+    max_angle: float,
+    directions: FloatArray,
+    pixels: FloatArray,
+    information: FloatArray,
+    orthogonality: FloatArray,
+    circularity: float,
+    edge_radius: float,
+    edge_powers: FloatArray,
+    cosine: FloatArray,
+    sine: FloatArray,
+    with_decentering: bool,
+    monotony: float,
+    ideal_slope: FloatArray,
+    slope_by_radial: FloatArray,
+    start: FloatArray,
+    moving: IntArray,
+    most_steps: int,
+    least_gain: float,
+    first_damping: float,
+) -> tuple[FloatArray, float]:
+    """Return the parameters (23,) that minimise Eq. 26, by Levenberg-Marquardt, and the sum of squares there.
+
+    Penalties as of `calibration.paper.PenaltyArrays`, limits as of `calibration.paper.Limits`; `moving`: the places of
+    the parameters that may change.
+    """

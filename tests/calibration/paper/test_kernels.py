@@ -6,47 +6,49 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.calibration.least_squares.solve_reference import damped_step
 from tests.fixtures.calibration import observed, small_camera, spread_directions
 
+from sunarc import _kernels
 from sunarc.calibration.model.options import CalibrationOptions, EllipseScope, PaperOptions
-from sunarc.calibration.paper import compiled_equations, penalties_of, unlimited
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.paper import equations as equations_in_numpy
-from sunarc.calibration.solve.levenberg_marquardt import as_seen
+from sunarc.calibration.paper import penalties_of, unlimited
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import kernel_optics
 
 FALLING = (0.0, 0.0, -0.9, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def _compiled(camera: Camera, options: CalibrationOptions, count: int = 50) -> tuple[np.ndarray, np.ndarray, float]:
-    seen = observed(small_camera(mirrored=camera.mirrored), spread_directions(count), sigma_px=0.5)
-    normal, gradient = np.empty((23, 23)), np.empty(23)
-    cost = compiled_equations(
-        kernel_optics(unlimited(camera)),
-        as_seen(seen.weighted(np.linspace(0.5, 3.0, count))),
-        penalties_of(camera, options).weighed(),
-        camera.to_vector(),
-        normal,
-        gradient,
-    )
-    return normal, gradient, cost
+def _fitted(
+    camera: Camera, seen: Sightings, options: CalibrationOptions, *, steps: int, damping: float = 1e-3
+) -> tuple[np.ndarray, float]:
+    optics, weighed = kernel_optics(unlimited(camera)), penalties_of(camera, options).weighed()
+    assert seen.information.flags.c_contiguous
+    sightings = seen.directions, seen.pixels, seen.information
+    moving, start = np.arange(23), camera.to_vector()
+    return _kernels.paper_fit(*optics, *sightings, *weighed, start, moving, steps, 0.0, damping)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("scope", ["focal_lengths", "with_decentering"])
 @pytest.mark.parametrize("hand", ["as it is", "mirrored"])
 @pytest.mark.parametrize("radial", [small_camera().radial, FALLING])
-def test_sums_and_squares_are_those_of_the_rows(scope: EllipseScope, hand: str, radial: tuple[float, ...]) -> None:
+def test_the_cost_and_a_step_are_those_of_the_rows(scope: EllipseScope, hand: str, radial: tuple[float, ...]) -> None:
     mirrored = hand == "mirrored"
     options = CalibrationOptions(paper=PaperOptions(ellipse_scope=scope, monotony_weight=50.0))
     camera = replace(small_camera(mirrored=mirrored), radial=radial, translation=(0.01, -0.02, 0.005))
-    normal, gradient, cost = _compiled(camera, options)
-    seen = observed(small_camera(mirrored=mirrored), spread_directions(50), sigma_px=0.5)
-    rows = equations_in_numpy(camera, seen.weighted(np.linspace(0.5, 3.0, 50)), options)
-    expected = rows.jacobian.T @ rows.jacobian
-    scale = np.sqrt(np.diag(expected) + 1e-300)
-    np.testing.assert_allclose(normal / np.outer(scale, scale), expected / np.outer(scale, scale), atol=1e-9)
-    np.testing.assert_allclose(gradient / scale, -(rows.misfit @ rows.jacobian) / scale, atol=1e-6)
+    seen = observed(small_camera(mirrored=mirrored), spread_directions(150), sigma_px=0.5)
+    seen = seen.weighted(np.linspace(0.5, 3.0, 150))
+    rows = equations_in_numpy(camera, seen, options)
+    start, cost = _fitted(camera, seen, options, steps=0)
+    np.testing.assert_array_equal(start, camera.to_vector())
     assert cost == pytest.approx(float(rows.misfit @ rows.misfit), rel=1e-10)
+    for damping in (1e-2, 1.0, 1e3):
+        expected = damped_step(rows.jacobian.T @ rows.jacobian, -(rows.misfit @ rows.jacobian), damping)
+        found, after = _fitted(camera, seen, options, steps=1, damping=damping)
+        if after < cost:
+            np.testing.assert_allclose(found - start, expected, rtol=1e-5, atol=1e-7 * np.max(np.abs(expected)))
+    assert after < cost  # the last one is short enough to gain
     falls = bool(np.any(rows.misfit[-181:] != 0.0))
     assert falls == (radial == FALLING)
 
@@ -55,11 +57,8 @@ def test_a_sighting_that_the_lens_cannot_show_costs_and_pulls_nothing() -> None:
     options = CalibrationOptions()
     camera = replace(small_camera("perspective"), radial=(0.0,) * 8)
     behind = observed(small_camera(), -spread_directions(3), sigma_px=0.0)
-    normal, gradient = np.empty((23, 23)), np.empty(23)
-    args = kernel_optics(unlimited(camera)), penalties_of(camera, options).weighed()
     empty = behind.select(slice(0, 0))
-    none = compiled_equations(args[0], as_seen(empty), args[1], camera.to_vector(), normal, gradient)
-    alone = gradient.copy()
-    cost = compiled_equations(args[0], as_seen(behind), args[1], camera.to_vector(), normal, gradient)
+    (_, none), (_, cost) = (_fitted(camera, seen, options, steps=0) for seen in (empty, behind))
     assert cost - none == pytest.approx(3 * 2 * 1e8)
-    np.testing.assert_array_equal(gradient, alone)
+    (alone, _), (both, _) = (_fitted(camera, seen, options, steps=1, damping=1e4) for seen in (empty, behind))
+    np.testing.assert_array_equal(both, alone)
