@@ -277,11 +277,16 @@ def _minimised(
 
     Levenberg-Marquardt on the normal equations, their columns brought to one size.
     """
-    optics = kernel_optics(unlimited(camera))
-    directions, pixels = np.ascontiguousarray(observed.directions), np.ascontiguousarray(observed.pixels)
-    seen = directions, pixels, np.ascontiguousarray(observed.information)
-    weighed, start = penalties_of(camera, options).weighed(), camera.to_vector()
-    vector, _ = _kernels.paper_fit(*optics, *seen, **weighed._asdict(), start=start, moving=moving, **limits._asdict())
+    vector, _ = _kernels.paper_fit(
+        **kernel_optics(unlimited(camera))._asdict(),
+        directions=np.ascontiguousarray(observed.directions),
+        pixels=np.ascontiguousarray(observed.pixels),
+        information=np.ascontiguousarray(observed.information),
+        **penalties_of(camera, options).weighed()._asdict(),
+        start=camera.to_vector(),
+        moving=moving,
+        **limits._asdict(),
+    )
     return camera.with_parameters(vector)
 
 

@@ -18,7 +18,7 @@ N_RINGS, N_SPOKES = 20, 36
 
 
 def values_at(sheets: FloatArray, x: float, y: float) -> list[float]:
-    return np.asarray(_kernels.polar_values(CONSTANTS, sheets, 10.0, np.array([[x, y]])))[0].tolist()
+    return [float(v) for v in _kernels.polar_values(CONSTANTS, sheets, 10.0, np.array([[x, y]]))[0]]
 
 
 def place_of(x: float, y: float) -> list[float]:
