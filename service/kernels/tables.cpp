@@ -145,17 +145,25 @@ nb::tuple pixels_from_grid(In<double, -1, -1, 2> grid, In<double, 2> origin, In<
     return nb::make_tuple(result.array(), beyond);
 }
 
-// Splines in polar coordinates about the principal point: rings -1 … n and spokes -1 … m + 1 of a grid (n + 2, m + 3).
+// Splines in polar coordinates, by the radius or by the angle off the axis: rings -1 … n and spokes -1 … m + 1 of a grid (n + 2, m + 3).
 struct Polar {
     const double* grid;
     size_t columns;
-    double rings, spokes, per_radius;
+    double rings, spokes, per_unit;
 
     template <typename Grid>
-    Polar(const Grid& of, double rings_per_radius)
+    Polar(const Grid& of, double rings_per_unit)
         : grid(of.data()), columns(of.shape(1)), rings(of.shape(0) - 2.0), spokes(of.shape(1) - 3.0),
-          per_radius(rings_per_radius) {
+          per_unit(rings_per_unit) {
         if (of.shape(0) < 4 || of.shape(1) < 4) throw nb::value_error("a cubic spline has at least four nodes a side");
+    }
+
+    // The sums at a ring and a turn in radians.
+    template <int DEPTH>
+    void at(double ring, double turn, double* sums) const {
+        const double spoke = turn * (spokes / (4.0 * RIGHT_ANGLE));
+        spline_at<DEPTH>(grid, columns, spline_weights(ring, rings - 2.0),
+                         spline_weights(spoke < 0.0 ? spoke + spokes : spoke, spokes - 1.0), sums);
     }
 
     // The sums at a pixel, the decentering taken out to first order.
@@ -165,10 +173,21 @@ struct Polar {
         calibrated(constants, x, y, x_hat, y_hat);
         decentering(constants, x_hat, y_hat, shift_x, shift_y);
         x_hat -= shift_x, y_hat -= shift_y;
-        const double ring = std::min(std::sqrt(x_hat * x_hat + y_hat * y_hat) * per_radius, rings - 1.0);
-        const double turn = std::atan2(y_hat, x_hat) * (spokes / (4.0 * RIGHT_ANGLE));
-        spline_at<DEPTH>(grid, columns, spline_weights(ring, rings - 2.0),
-                         spline_weights(turn < 0.0 ? turn + spokes : turn, spokes - 1.0), sums);
+        at<DEPTH>(std::min(std::sqrt(x_hat * x_hat + y_hat * y_hat) * per_unit, rings - 1.0),
+                  std::atan2(y_hat, x_hat), sums);
+    }
+};
+
+// The angle off the optical axis and the turn about it of a direction, in radians.
+struct AboutAxis {
+    double angle, turn;
+    AboutAxis(const double* to_camera, const double* direction) {
+        double ray[3];
+        for (int k = 0; k < 3; ++k)
+            ray[k] = to_camera[3 * k] * direction[0] + to_camera[3 * k + 1] * direction[1] +
+                     to_camera[3 * k + 2] * direction[2];
+        angle = std::atan2(std::sqrt(ray[0] * ray[0] + ray[1] * ray[1]), ray[2]);
+        turn = std::atan2(ray[1], ray[0]);
     }
 };
 
@@ -179,16 +198,16 @@ struct Size {
     }
 };
 
-Result back_projected(ConstantNumbers constants, Matrix sheet, double rings_per_radius, double width, double height,
-                      Places pixels, Vectors directions) {
+Result back_projected(Rotation rotation, Matrix sheet, Numbers slope, double rings_per_radian, double width,
+                      double height, Places pixels, Vectors directions) {
     constexpr double DEGREES = 90.0 / RIGHT_ANGLE;
     const size_t n = pixels.shape(0);
     if (directions.shape(0) != n) throw nb::value_error("not as many directions as pixels");
-    const Polar polar(sheet, rings_per_radius);
+    if (slope.shape(0) != sheet.shape(0)) throw nb::value_error("not as many slopes as rings");
+    const Polar polar(sheet, rings_per_radian);
     Out<double> result({n, 7});
     {
         nb::gil_scoped_release unlocked;
-        const Constants c = constants_of(constants);
         for (size_t i = 0; i < n; ++i) {
             const double x = pixels.data()[2 * i], y = pixels.data()[2 * i + 1], *of = directions.data() + 3 * i;
             double* to = result.data + 7 * i;
@@ -197,26 +216,30 @@ Result back_projected(ConstantNumbers constants, Matrix sheet, double rings_per_
                 to[6] = 0.0;
                 continue;
             }
-            double sigma;
-            polar.at<1>(c, x, y, &sigma);
+            const AboutAxis place(rotation.data(), of);
+            const double ring = std::min(place.angle * rings_per_radian, polar.rings - 1.0);
+            double log_sigma, stretch = 0.0;
+            polar.at<1>(ring, place.turn, &log_sigma);
+            const Weights along = spline_weights(ring, polar.rings - 2.0);
+            for (int k = 0; k < 4; ++k) stretch += along.of[k] * slope.data()[along.node + k];
             const double azimuth = std::atan2(of[0], of[1]) * DEGREES;
             to[0] = std::atan2(std::sqrt(of[0] * of[0] + of[1] * of[1]), of[2]) * DEGREES;
             to[1] = azimuth >= 0.0 ? azimuth : std::fmod(azimuth + 360.0, 360.0);
             std::copy_n(of, 3, to + 2);
-            to[5] = std::max(sigma, 0.0), to[6] = Size{width, height}.holds(x, y);
+            to[5] = std::exp(log_sigma) / stretch, to[6] = Size{width, height}.holds(x, y);
         }
     }
     return result.array();
 }
 
-Result projected(ConstantNumbers constants, In<double, -1, -1, 3> sheets, double rings_per_radius, double width,
-                 double height, Places pixels) {
+Result projected(Rotation rotation, In<double, -1, -1, 3> sheets, double rings_per_radian, double width, double height,
+                 Places pixels, Vectors directions) {
     const size_t n = pixels.shape(0);
-    const Polar polar(sheets, rings_per_radius);
+    if (directions.shape(0) != n) throw nb::value_error("not as many directions as pixels");
+    const Polar polar(sheets, rings_per_radian);
     Out<double> result({n, 7});
     {
         nb::gil_scoped_release unlocked;
-        const Constants c = constants_of(constants);
         for (size_t i = 0; i < n; ++i) {
             const double x = pixels.data()[2 * i], y = pixels.data()[2 * i + 1];
             double* to = result.data + 7 * i;
@@ -225,8 +248,10 @@ Result projected(ConstantNumbers constants, In<double, -1, -1, 3> sheets, double
                 to[6] = 0.0;
                 continue;
             }
-            double factor[3];  // of the covariance, by Cholesky: xx, yx, yy
-            polar.at<3>(c, x, y, factor);
+            const AboutAxis place(rotation.data(), directions.data() + 3 * i);
+            double factor[3];  // of the covariance, by Cholesky: log xx, yx / xx, log yy; then xx, yx, yy
+            polar.at<3>(std::min(place.angle * rings_per_radian, polar.rings - 1.0), place.turn, factor);
+            factor[0] = std::exp(factor[0]), factor[1] *= factor[0], factor[2] = std::exp(factor[2]);
             to[0] = x, to[1] = y;
             to[3] = factor[0] * factor[0], to[4] = factor[0] * factor[1];
             to[5] = factor[1] * factor[1] + factor[2] * factor[2];
@@ -260,10 +285,10 @@ void add_tables(nb::module_& module) {
     module.def("directions_from_table", &directions_from_table, named("constants"), named("rotation"), named("table"),
                nb::arg("rounds"), named("pixels"));
     module.def("pixels_from_grid", &pixels_from_grid, named("grid"), named("origin"), named("step"), named("pixels"));
-    module.def("back_projected", &back_projected, named("constants"), named("sheet"), nb::arg("rings_per_radius"),
+    module.def("back_projected", &back_projected, named("rotation"), named("sheet"), named("slope"),
+               nb::arg("rings_per_radian"), nb::arg("width"), nb::arg("height"), named("pixels"), named("directions"));
+    module.def("projected", &projected, named("rotation"), named("sheets"), nb::arg("rings_per_radian"),
                nb::arg("width"), nb::arg("height"), named("pixels"), named("directions"));
-    module.def("projected", &projected, named("constants"), named("sheets"), nb::arg("rings_per_radius"),
-               nb::arg("width"), nb::arg("height"), named("pixels"));
     module.def("polar_values", &polar_values, named("constants"), named("sheets"), nb::arg("rings_per_radius"),
                named("pixels"));
 }

@@ -83,9 +83,10 @@ def pixels_from_grid(
     """
 
 def back_projected(
-    constants: FloatArray,
+    rotation: FloatArray,
     sheet: FloatArray,
-    rings_per_radius: float,
+    slope: FloatArray,
+    rings_per_radian: float,
     width: float,
     height: float,
     pixels: FloatArray,
@@ -93,13 +94,25 @@ def back_projected(
 ) -> FloatArray:
     """Return (n, 7): the columns `answers.direction_table.BACK_PROJECTED` of pixels and their directions.
 
-    `sheet` (rings + 2, spokes + 3): spline coefficients of the 1-sigma, see `direction_table.polar_spline`.
+    Parameters
+    ----------
+    rotation : (3, 3) to the camera's frame.
+    sheet, slope : (rings + 2, spokes + 3) and (rings + 2): `answers.direction_table.Lookup.log_sigma` and `slope`.
     """
 
 def projected(
-    constants: FloatArray, sheets: FloatArray, rings_per_radius: float, width: float, height: float, pixels: FloatArray
+    rotation: FloatArray,
+    sheets: FloatArray,
+    rings_per_radian: float,
+    width: float,
+    height: float,
+    pixels: FloatArray,
+    directions: FloatArray,
 ) -> FloatArray:
-    """Return (n, 7): the columns `answers.direction_table.PROJECTED`; `sheets` (…, 3) of the covariance's factor."""
+    """Return (n, 7): the columns `answers.direction_table.PROJECTED` of directions and their pixels.
+
+    `sheets` (rings + 2, spokes + 3, 3): `answers.direction_table.Lookup.log_factor`.
+    """
 
 def polar_values(constants: FloatArray, sheets: FloatArray, rings_per_radius: float, pixels: FloatArray) -> FloatArray:
     """Return (n, 2): the values at pixels (n, 2) of two sheets of splines (rings + 2, spokes + 3, 2)."""

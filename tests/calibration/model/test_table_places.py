@@ -57,8 +57,32 @@ def test_a_node_counts_as_in_a_cubic_b_spline(place: float) -> None:
     ("x", "y", "inside"), [(-0.5, -0.5, 1.0), (7.5, 5.5, 1.0), (-0.51, 2.0, 0.0), (7.51, 2.0, 0.0), (2.0, 5.51, 0.0)]
 )
 def test_the_image_reaches_to_the_outer_edges_of_its_pixels(x: float, y: float, inside: float) -> None:
-    sheet, up = np.ones((N_RINGS + 2, N_SPOKES + 3)), np.array([[0.0, 0.0, 1.0]])
-    assert _kernels.back_projected(CONSTANTS, sheet, 10.0, 8, 6, np.array([[x, y]]), up)[0, 6] == inside
+    sheet, slope, up = np.ones((N_RINGS + 2, N_SPOKES + 3)), np.ones(N_RINGS + 2), np.array([[0.0, 0.0, 1.0]])
+    assert _kernels.back_projected(np.eye(3), sheet, slope, 10.0, 8, 6, np.array([[x, y]]), up)[0, 6] == inside
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 0.5, 4.9, 89.9, 180.0, 270.0, 359.5])
+def test_a_direction_has_the_ring_of_its_angle_off_the_axis_and_the_spoke_of_its_turn(turn_deg: float) -> None:
+    turn = math.radians(turn_deg)
+    ray = np.array([[0.6 * math.cos(turn), 0.6 * math.sin(turn), 0.8], [0.1, 0.0, -1.0]])
+    ring, spoke = np.mgrid[-1.0 : N_RINGS + 1.0, -1.0 : N_SPOKES + 2.0]
+    for numbers, expected in ((ring, 10.0 * math.atan2(0.6, 0.8)), (spoke, turn_deg / 10.0)):
+        sheet, slope = np.ascontiguousarray(numbers / 10.0), np.full(N_RINGS + 2, 2.0)
+        found = _kernels.back_projected(np.eye(3), sheet, slope, 10.0, 8, 6, np.zeros((2, 2)), ray)[:, 5]
+        assert 10.0 * math.log(2.0 * found[0]) == pytest.approx(expected, abs=1e-9)
+        sheets = np.stack([np.zeros_like(numbers), numbers, np.zeros_like(numbers)], axis=-1)
+        factor = _kernels.projected(np.eye(3), sheets, 10.0, 8, 6, np.zeros((2, 2)), ray)
+        assert factor[0, 4] == pytest.approx(expected, abs=1e-9)
+    assert _kernels.projected(
+        np.eye(3), np.stack([0.0 * ring, ring, 0.0 * ring], axis=-1), 10.0, 8, 6, np.zeros((2, 2)), ray
+    )[1, 4] == pytest.approx(N_RINGS - 1.0)
+
+
+def test_where_a_value_is_not_finite_the_next_one_inwards_stands() -> None:
+    sheet = np.add.outer(np.linspace(1.0, 2.0, 20), np.zeros(36))
+    damaged, mended = sheet.copy(), sheet.copy()
+    damaged[17:, 3], mended[17:, 3] = np.inf, sheet[16, 3]
+    np.testing.assert_array_equal(polar_spline(damaged), polar_spline(mended))
 
 
 def test_the_spline_passes_through_its_sheet() -> None:

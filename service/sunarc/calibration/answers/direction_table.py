@@ -1,7 +1,7 @@
 """A calibration made ready for many pixels and directions: exact places, and how sure they are from a table; maps.
 
-The 1-sigma and the covariance change slowly over the image. They are computed at nodes in polar coordinates about the
-principal point, out to where the field ends, and cubic splines run between them.
+The 1-sigma and the covariance change slowly over the sky. They are computed at nodes in polar coordinates about the
+optical axis, out to where the field ends, and cubic splines run between them.
 """
 
 from __future__ import annotations
@@ -17,8 +17,12 @@ from sunarc import _kernels
 from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.answers.covariance import Uncertain, direction_covariance, uncertainties
 from sunarc.optics.camera import Camera
-from sunarc.optics.forward import project_fast
-from sunarc.optics.inverse_table import InverseTable, inverse_table
+from sunarc.optics.forward import project_fast, radius_slope, rising_limit
+from sunarc.optics.inverse import largest_angle
+from sunarc.optics.inverse_table import (
+    InverseTable,
+    inverse_table,
+)
 
 Rows = FloatArray | NDArray[np.float32]
 
@@ -29,6 +33,9 @@ PROJECTED = ("x_px", "y_px", "sigma_px", "cov_xx_px2", "cov_xy_px2", "cov_yy_px2
 
 RINGS = 96
 SPOKES = 192
+_EDGE = 1e-4
+"""Radians between the last ring and the largest angle, where a lens may hardly stretch, or without bound."""
+_LEAST_FACTOR = 1e-6
 _PADDING = 6
 _CHUNK = 32_768
 
@@ -37,23 +44,25 @@ _CHUNK = 32_768
 class Lookup:
     """A calibration, ready for many at once.
 
-    Directions and pixels are those of the camera to 1e-8 px. The 1-sigma differs from the exact one by less than 1e-4
-    degrees nearly everywhere, and by at most some percent of itself (docs/studies.md).
+    Directions and pixels are those of the camera to 1e-8 px; docs/rest.md says how near the 1-sigma is.
 
     Attributes
     ----------
     camera : the camera.
     table : its inverse.
-    sigma_deg : (rings, spokes) spline coefficients of the 1-sigma on the sphere.
-    spread_px : (rings, spokes, 3) of the covariance's Cholesky factor: xx, yx, yy.
-    rings_per_radius : rings per unit of the radius, in focal lengths.
+    log_sigma : (rings, spokes) spline coefficients of the logarithm of the 1-sigma on the sphere, degrees, times the
+        slope of the radius: where a lens hardly stretches, the 1-sigma grows without bound.
+    slope : (rings) of the slope of the radius over the angle off the axis, focal lengths per radian.
+    log_factor : (rings, spokes, 3) of the pixel covariance's Cholesky factor, px: log xx, yx / xx, log yy.
+    rings_per_radian : rings per radian off the axis.
     """
 
     camera: Camera
     table: InverseTable
-    sigma_deg: FloatArray
-    spread_px: FloatArray
-    rings_per_radius: float
+    log_sigma: FloatArray
+    slope: FloatArray
+    log_factor: FloatArray
+    rings_per_radian: float
 
     def back_project(self, pixels: Rows) -> Rows:
         """Return what pixels (n, 2) look at: (n, 7), the columns `BACK_PROJECTED`, in the precision of the pixels.
@@ -73,64 +82,60 @@ class Lookup:
         return direction_covariance(self.camera, directions, covariance)
 
     def _back_project(self, pixels: FloatArray) -> FloatArray:
-        directions = self.table.directions(pixels)
-        return _kernels.back_projected(*self._sheet(self.sigma_deg), pixels, directions)
+        directions, camera, table = self.table.directions(pixels), self.camera, self.table
+        sheets = (self.log_sigma, self.slope, self.rings_per_radian)
+        return _kernels.back_projected(table.rotation, *sheets, camera.width, camera.height, pixels, directions)
 
     def _project(self, directions: FloatArray) -> FloatArray:
-        return _kernels.projected(*self._sheet(self.spread_px), project_fast(self.camera, directions))
-
-    def _sheet(self, sheet: FloatArray) -> tuple[FloatArray, FloatArray, float, int, int]:
-        """Return a sheet as the kernels take it: the camera's numbers, the sheet, its scale, the image's size."""
-        camera = self.camera
-        return np.array(self.table.constants), sheet, self.rings_per_radius, camera.width, camera.height
+        pixels, camera, sheets = project_fast(self.camera, directions), self.camera, self.log_factor
+        size = (camera.width, camera.height)
+        return _kernels.projected(self.table.rotation, sheets, self.rings_per_radian, *size, pixels, directions)
 
 
 def lookup(calibration: Uncertain) -> Lookup:
     """Return a calibration made ready; takes some tenths of a second."""
     camera = calibration.camera
     table = inverse_table(camera)
-    radius = np.linspace(0.0, table.constants.limit, RINGS)
+    angle = np.linspace(0.0, rising_limit(camera, up_to=largest_angle(camera)) - _EDGE, RINGS)
     azimuth = np.linspace(0.0, 2.0 * math.pi, SPOKES, endpoint=False)
-    covariance, sigma = uncertainties(calibration, polar_directions(table, radius, azimuth))
+    covariance, sigma = uncertainties(calibration, _about_axis(table.rotation, angle, azimuth))
     # the Cholesky factor is smooth where the covariance is, and any spline of it is positive definite
     xx = np.sqrt(np.maximum(covariance[:, 0, 0], 1e-12))
     yx = covariance[:, 1, 0] / xx
-    yy = np.sqrt(np.maximum(covariance[:, 1, 1] - yx**2, 0.0))
-    sheets = np.stack([xx, yx, yy, sigma], axis=-1).reshape(RINGS, SPOKES, 4)
+    yy = np.sqrt(np.maximum(covariance[:, 1, 1] - yx**2, (_LEAST_FACTOR * xx) ** 2))
+    slope = radius_slope(camera, angle)
+    log_sigma = np.log(np.maximum(sigma * np.repeat(slope, SPOKES), np.finfo(np.float64).tiny))
+    sheets = np.stack([np.log(xx), yx / xx, np.log(yy), log_sigma], axis=-1).reshape(RINGS, SPOKES, 4)
     splines = np.stack([polar_spline(sheets[..., k]) for k in range(4)], axis=-1)
     return Lookup(
         camera=camera,
         table=table,
-        sigma_deg=np.ascontiguousarray(splines[..., 3]),
-        spread_px=np.ascontiguousarray(splines[..., :3]),
-        rings_per_radius=float(1.0 / radius[1]),
+        log_sigma=np.ascontiguousarray(splines[..., 3]),
+        slope=polar_spline(np.repeat(slope[:, None], 2, axis=1))[:, 0].copy(),
+        log_factor=np.ascontiguousarray(splines[..., :3]),
+        rings_per_radian=float(1.0 / angle[1]),
     )
 
 
-def polar_directions(table: InverseTable, radius: FloatArray, azimuth: FloatArray) -> FloatArray:
-    """Return unit vectors (rings · spokes, 3) that the lens without its decentering brings to these places."""
-    position = np.minimum(radius * table.constants.per_radius, len(table.pieces) - 1e-9)
-    piece = position.astype(np.int64)
-    powers = (position - piece)[:, None] ** np.arange(4)
-    scale = np.sum(table.pieces[piece, :4] * powers, axis=-1)
-    sine, cosine = scale * radius, np.sum(table.pieces[piece, 4:] * powers, axis=-1)
-    across = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
-    ray = np.empty((len(radius), len(azimuth), 3))
-    ray[..., :2] = sine[:, None, None] * across
-    ray[..., 2] = cosine[:, None]
-    ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
-    return np.asarray(ray.reshape(-1, 3) @ table.rotation)
+def _about_axis(rotation: FloatArray, angle: FloatArray, azimuth: FloatArray) -> FloatArray:
+    """Return unit vectors (rings · spokes, 3) at these angles off the optical axis, and azimuths about it."""
+    ray = np.empty((len(angle), len(azimuth), 3))
+    ray[..., 0] = np.outer(np.sin(angle), np.cos(azimuth))
+    ray[..., 1] = np.outer(np.sin(angle), np.sin(azimuth))
+    ray[..., 2] = np.cos(angle)[:, None]
+    return np.asarray(ray.reshape(-1, 3) @ rotation)
 
 
 def polar_spline(sheet: FloatArray) -> FloatArray:
     """Return spline coefficients of values (rings, spokes) for rings -1 … rings and spokes -1 … spokes + 1.
 
-    The first ring is the axis, and the spokes go round. Where a value is not finite the largest one stands for it.
+    The first ring is the axis, and the spokes go round. For a value that is not finite the next one inwards stands.
     """
     from scipy.ndimage import spline_filter1d  # noqa: PLC0415 - the command line loads without it
 
     rings, spokes = sheet.shape
-    sheet = np.where(np.isfinite(sheet), sheet, np.nanmax(sheet, initial=0.0))
+    inwards = np.maximum.accumulate(np.where(np.isfinite(sheet), np.arange(rings)[:, None], 0), axis=0)
+    sheet = np.nan_to_num(np.take_along_axis(sheet, inwards, axis=0))
     # through the axis a ray goes on at the opposite azimuth: the spline needs no edge there
     inner = np.roll(sheet[1 : _PADDING + 1], spokes // 2, axis=1)[::-1]  # beyond the axis is the other side
     outer = sheet

@@ -16,7 +16,7 @@ import numpy as np
 
 from sunarc import _kernels
 from sunarc.array_types import FloatArray, IntArray, Rows, picked
-from sunarc.calibration.answers.direction_table import polar_directions, polar_spline
+from sunarc.calibration.answers.direction_table import polar_spline
 from sunarc.calibration.model.residual_field import Field, WaveBasis
 from sunarc.calibration.model.result import Calibration
 from sunarc.errors import InputError
@@ -297,7 +297,7 @@ def draw_ensemble(calibration: Calibration, *, draws: int, seed: int, calibratio
     radius = np.linspace(0.0, table.constants.limit, _RINGS)
     azimuth = np.linspace(0.0, 2.0 * math.pi, _SPOKES, endpoint=False)
     errors = error_model_of(calibration)
-    at = predicted(errors, calibration.camera, polar_directions(table, radius, azimuth))
+    at = predicted(errors, calibration.camera, _polar_directions(table, radius, azimuth))
     sheets = np.empty((draws, _RINGS + 2, _SPOKES + 3, 2))
     normal = _normals(calibration_id, seed, draws, errors.mean.size + 2 * errors.variances.size + 1)
     parameters, coefficients = draw_errors(errors, normal[:, :-1])
@@ -306,6 +306,21 @@ def draw_ensemble(calibration: Calibration, *, draws: int, seed: int, calibratio
         moved = np.nan_to_num(moved).reshape(_RINGS, _SPOKES, 2)
         sheets[k] = np.stack([polar_spline(moved[..., axis]) for axis in (0, 1)], axis=-1)
     return Ensemble(table=table, sheets_px=sheets, rings_per_radius=float(1.0 / radius[1]), common=normal[:, -1].copy())
+
+
+def _polar_directions(table: InverseTable, radius: FloatArray, azimuth: FloatArray) -> FloatArray:
+    """Return unit vectors (rings · spokes, 3) that the lens without its decentering brings to these places."""
+    position = np.minimum(radius * table.constants.per_radius, len(table.pieces) - 1e-9)
+    piece = position.astype(np.int64)
+    powers = (position - piece)[:, None] ** np.arange(4)
+    scale = np.sum(table.pieces[piece, :4] * powers, axis=-1)
+    sine, cosine = scale * radius, np.sum(table.pieces[piece, 4:] * powers, axis=-1)
+    across = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
+    ray = np.empty((len(radius), len(azimuth), 3))
+    ray[..., :2] = sine[:, None, None] * across
+    ray[..., 2] = cosine[:, None]
+    ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
+    return np.asarray(ray.reshape(-1, 3) @ table.rotation)
 
 
 def _normals(calibration_id: str, seed: int, draws: int, size: int) -> FloatArray:
