@@ -154,16 +154,16 @@ def test_normal_matrix_and_gradient_are_those_of_weighted_least_squares() -> Non
     assert gradient == pytest.approx(jacobian.T @ (weight * residual))
 
 
-def test_information_sums_are_those_of_the_hat_matrix() -> None:
+def test_information_is_that_of_the_hat_matrix() -> None:
     rng = np.random.default_rng(4)
     jacobian, weight, residual = rng.normal(size=(30, 4)), rng.uniform(0.5, 2.0, 30), rng.normal(size=30)
     jacobian[0] *= 40.0  # a leverage near 1, whose divisor is bounded by 0.05
-    covariance = np.linalg.inv(jacobian.T @ (jacobian * weight[:, None]))
-    rows = jacobian @ covariance
-    leverage = np.sum(rows * jacobian, axis=1) * weight
-    information = np.sum(rows[:, :2] ** 2, axis=1) * weight
-    chi2 = weight * residual**2 / np.maximum(1.0 - leverage, 0.05)
-    expected = [information.sum(), np.sum(information**2), np.sum(information * chi2)]
-    assert leverage[0] > 0.96
-    assert kernels.information_sums(jacobian, weight, residual, covariance) == pytest.approx(expected)
-    assert expected[0] == pytest.approx(float(np.trace(covariance[:2, :2])))
+    covariance: FloatArray = np.asarray(np.linalg.inv(jacobian.T @ (jacobian * weight[:, None])), np.float64)
+    by_pixel, chi2 = kernels.information_of(jacobian, weight, residual, covariance)
+    hat = np.sqrt(weight)[:, None] * jacobian @ covariance @ jacobian.T * np.sqrt(weight)
+    assert hat[0, 0] > 0.96
+    assert chi2 == pytest.approx(weight * residual**2 / np.maximum(1.0 - np.diag(hat), 0.05))
+    assert by_pixel == pytest.approx(
+        [w * float(np.sum((covariance[:2] @ row) ** 2)) for row, w in zip(jacobian, weight, strict=True)]
+    )
+    assert float(by_pixel.sum()) == pytest.approx(float(np.trace(covariance[:2, :2])))

@@ -1,8 +1,9 @@
-"""The compiled loops of the circle through a rim, against their definitions in numpy and scipy."""
+"""The circle through a rim, against definitions in numpy and scipy."""
 
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -26,10 +27,15 @@ def weights(residual: FloatArray, scale: float) -> FloatArray:
     return biweights(residual / (np.where(residual > 0.0, 2.5, 4.0) * scale))
 
 
+fitted = partial(fitted_rim, least_points=10, least_scales=(0.3, 0.01))
+
+
 @pytest.mark.parametrize("drawn_out", [0.1, 1e-4])
 def test_a_fit_is_the_minimum_of_its_weighted_squares(drawn_out: float) -> None:
     points = ring(noise=0.3, wave=(0.4, -0.2))
-    state, scale, residual = fitted_rim(points, np.array([41.0, 30.5, 11.0]), 1.0, drawn_out, 10, (0.3, 0.01))
+    found = fitted(points, np.array([41.0, 30.5, 11.0]), 1.0, drawn_out=drawn_out)
+    assert found is not None
+    state, scale, residual = found
     weight = weights(residual, scale)
 
     def model(values: FloatArray) -> FloatArray:
@@ -50,16 +56,14 @@ def test_what_lies_outside_is_weighted_harder_than_what_lies_inside() -> None:
     for points, far in ((outside, 1.07), (inside, 0.93)):
         points[:40] = (points[:40] - (40.0, 30.0)) * far + (40.0, 30.0)
     start = np.array([40.0, 30.0, 12.0])
-    off = [
-        float(np.hypot(*(fitted_rim(points, start, 0.3, 1e-4, 10, (0.3, 0.01))[0][:2] - (40.0, 30.0))))
-        for points in (outside, inside)
-    ]
+    found = [fitted(points, start, 0.3, drawn_out=1e-4) for points in (outside, inside)]
+    off = [float(np.hypot(*(one[0][:2] - (40.0, 30.0)))) for one in found if one is not None]
     assert off[0] < 1e-3 < off[1]
 
 
 @pytest.mark.parametrize("least", [181, 1000])
 def test_with_too_few_points_there_is_no_circle(least: int) -> None:
-    assert fitted_rim(ring(), np.array([40.0, 30.0, 12.0]), 1.0, 0.1, least, (0.3, 0.01))[1] < 0.0
+    assert fitted(ring(), np.array([40.0, 30.0, 12.0]), 1.0, drawn_out=0.1, least_points=least) is None
 
 
 @pytest.mark.parametrize("n", [20, 21, 90, 180])
@@ -105,3 +109,8 @@ RADII = np.arange(5.0, 15.0)
 def test_light_crosses_a_level_where_it_falls_for_good(light: list[float], radius: float) -> None:
     found = crossings(np.array([light, light], dtype=np.float64), 0.9, 3, RADII)
     assert found == pytest.approx([radius, radius], nan_ok=True)
+
+
+def test_points_on_a_line_are_followed_by_no_circle() -> None:
+    points = np.column_stack([np.arange(30.0), np.arange(30.0)])
+    assert fitted(points, circles_through(points)[0], math.nan, drawn_out=0.1) is None

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.array_types import BoolArray, FloatArray
-from sunarc.detection.disc import model as kernels
 from sunarc.detection.disc.model import (
     PSF,
     WINGS,
@@ -20,6 +19,7 @@ from sunarc.detection.disc.model import (
     Prior,
     SunSources,
     evaluate,
+    information_of,
     inverse,
     make_problem,
     normal_equations,
@@ -117,11 +117,7 @@ def _best_band(
 
 def _misfit(line: NDArray[np.intp], lines: int, evaluation: Evaluation, covariance: FloatArray) -> FloatArray:
     """Return the mean chi² of the pixels outside of each band, each counting as much as it tells of the position."""
-    jacobian, weight = evaluation.jacobian, evaluation.weight
-    moved = jacobian @ covariance
-    leverage = np.einsum("ik,ik->i", moved, jacobian) * weight
-    information = np.sum(moved[:, :2] ** 2, axis=1) * weight
-    chi2 = weight * evaluation.residual**2 / np.maximum(1.0 - leverage, 0.05)
+    information, chi2 = information_of(evaluation.jacobian, evaluation.weight, evaluation.residual, covariance)
     first, last = np.triu_indices(lines + 1, 1)
     values = np.stack([information, information * chi2], axis=-1)
     total = values.sum(axis=0)
@@ -334,7 +330,7 @@ def _local_chi2(evaluation: Evaluation, covariance: FloatArray) -> float:
 
     It rests on few pixels, so it is widened as Student's distribution is: the mean square of error / sigma stays 1.
     """
-    sums = kernels.information_sums(evaluation.jacobian, evaluation.weight, evaluation.residual, covariance)
-    total, squares, misfit = np.maximum(sums, 1e-300).tolist()
+    information, chi2 = information_of(evaluation.jacobian, evaluation.weight, evaluation.residual, covariance)
+    total, squares, misfit = (max(float(information @ by), 1e-300) for by in (np.ones(chi2.size), information, chi2))
     freedom = max(total**2 / squares, 4.0)
     return float(misfit / total * freedom / (freedom - 2.0))

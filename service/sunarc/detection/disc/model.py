@@ -121,47 +121,21 @@ def likelihood_of(  # noqa: PLR0917 - compiled functions take positions
     return misfit, residual, weight, jacobian
 
 
-@njit(nogil=True)
 def normal_of(jacobian: FloatArray, weight: FloatArray, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the normal matrix (p, p) and the gradient (p,) of weighted least squares."""
-    n, p = jacobian.shape
-    matrix, gradient = np.zeros((p, p)), np.zeros(p)
-    for i in range(n):
-        for a in range(p):
-            weighted = weight[i] * jacobian[i, a]
-            if weighted != 0.0:
-                gradient[a] += weighted * residual[i]
-                for b in range(a, p):
-                    matrix[a, b] += weighted * jacobian[i, b]
-    for a in range(p):
-        for b in range(a):
-            matrix[a, b] = matrix[b, a]
-    return matrix, gradient
+    root = np.sqrt(weight)
+    rows = jacobian * root[:, None]
+    return rows.T @ rows, rows.T @ (root * residual)
 
 
-@njit(nogil=True)
-def information_sums(
+def information_of(
     jacobian: FloatArray, weight: FloatArray, residual: FloatArray, covariance: FloatArray
-) -> FloatArray:
-    """Return three sums over the pixels of their information on the first two parameters.
-
-    They are the sum, the sum of squares, and the sum times each pixel's chi². A pixel's chi² is divided by one minus
-    its leverage.
-    """
-    n, p = jacobian.shape
-    sums, row = np.zeros(3), np.empty(p)
-    for i in range(n):
-        leverage = 0.0
-        for a in range(p):
-            row[a] = 0.0
-            for b in range(p):
-                row[a] += covariance[a, b] * jacobian[i, b]
-            leverage += row[a] * jacobian[i, a] * weight[i]
-        information = (row[0] * row[0] + row[1] * row[1]) * weight[i]
-        sums[0] += information
-        sums[1] += information * information
-        sums[2] += information * weight[i] * residual[i] * residual[i] / max(1.0 - leverage, 0.05)
-    return sums
+) -> tuple[FloatArray, FloatArray]:
+    """Return each pixel's information on the first two parameters, and its chi² over one minus its leverage, (n,)."""
+    moved = jacobian @ covariance
+    leverage = np.einsum("ik,ik->i", moved, jacobian) * weight
+    information = np.sum(moved[:, :2] ** 2, axis=1) * weight
+    return information, weight * residual**2 / np.maximum(1.0 - leverage, 0.05)
 
 
 VALUE, BY_X, BY_Y, BY_PSF, SLOPE_U, SLOPE_V, BEND_UU, BEND_UV, BY_S11, BY_S12, BY_S22 = range(11)

@@ -14,72 +14,40 @@ import cv2
 import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray, Image
-from sunarc.compiled_math import cholesky_solve
 from sunarc.detection.photo.plateau import Plateau
-from sunarc.jit import njit
-from sunarc.robust_statistics import MAD_TO_SIGMA
+from sunarc.robust_statistics import biweights, mad_sigma
 
 _CUT_OUTSIDE, _CUT_INSIDE = 2.5, 4.0  # scales of Tukey's weights: harder outside, where cloud and streaks are
 _MOST_ROUNDS = 20
 _SETTLED_PX = 1e-3
-_HELD = 1e-6  # of x, y and radius: where few points follow, a step stays finite
-_SIZE = 5  # x, y, radius, and the cosine and sine of twice the angle
+_HELD = np.array([1e-6, 1e-6, 1e-6, 0.0, 0.0])  # of x, y and radius: where few points follow, a step stays finite
+_VARIES = np.array([0.0, 0.0, 0.0, 1.0, 1.0])  # the cosine and sine of twice the angle, after x, y and radius
 _LEAST_CROSS_PX2 = 1e-6  # three points with less are on a line
 
 
-@njit(nogil=True)
-def _weight(residual: float, scale: float) -> float:
-    """Return Tukey's weight of a distance from a circle, outwards positive."""
-    ratio = residual / ((_CUT_OUTSIDE if residual > 0.0 else _CUT_INSIDE) * scale)
-    inner = 1.0 - ratio * ratio
-    return inner * inner if inner > 0.0 else 0.0
+def _weights(residual: FloatArray, scale: float) -> FloatArray:
+    """Return Tukey's weights of distances from a circle, outwards positive."""
+    return biweights(np.maximum(residual * (1.0 / (_CUT_OUTSIDE * scale)), residual * (-1.0 / (_CUT_INSIDE * scale))))
 
 
-@njit(nogil=True)
-def _residuals(points: FloatArray, state: FloatArray, residual: FloatArray, design: FloatArray) -> None:
-    """Write the distances of points from the rim of a state, outwards positive, and their derivatives."""
-    for i in range(points.shape[0]):
-        dx, dy = points[i, 0] - state[0], points[i, 1] - state[1]
-        length = max(math.sqrt(dx * dx + dy * dy), 1e-6)
-        dx, dy = dx / length, dy / length
-        design[i, 0], design[i, 1], design[i, 2] = dx, dy, 1.0
-        design[i, 3], design[i, 4] = dx * dx - dy * dy, 2.0 * dx * dy
-        residual[i] = length - state[2] - design[i, 3] * state[3] - design[i, 4] * state[4]
+def _residuals(points: FloatArray, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the distances (n,) of points from the rim of a state, outwards positive, and their derivatives (5, n)."""
+    dx, dy = points.T - state[:2, None]
+    length = np.maximum(np.sqrt(dx * dx + dy * dy), 1e-6)
+    dx, dy = dx / length, dy / length
+    design = np.array([dx, dy, np.ones(dx.size), dx * dx - dy * dy, 2.0 * dx * dy])
+    return length - state[2:] @ design[2:], design
 
 
-@njit(nogil=True)
-def _step(
-    residual: FloatArray, design: FloatArray, state: FloatArray, scale: float, held: float
-) -> tuple[FloatArray, int]:
-    """Return the step of Gauss and Newton from a state, and how many points have a weight."""
-    normal, step, inliers = np.zeros((_SIZE, _SIZE)), np.zeros(_SIZE), 0
-    for i in range(residual.size):
-        weight = _weight(residual[i], scale)
-        if weight > 0.0:
-            inliers += 1
-            for j in range(_SIZE):
-                step[j] += design[i, j] * weight * residual[i]
-                for k in range(_SIZE):
-                    normal[j, k] += design[i, j] * weight * design[i, k]
-    for j in range(3):
-        normal[j, j] += _HELD
-    for j in range(3, _SIZE):
-        normal[j, j] += held
-        step[j] -= held * state[j]
-    if not cholesky_solve(normal, step):
-        step[:] = 0.0
-    return step, inliers
-
-
-@njit(nogil=True)
-def fitted_rim(  # noqa: PLR0917 - compiled functions take positions
+def fitted_rim(
     points: FloatArray,
     start: FloatArray,
     scale: float,
+    *,
     drawn_out: float,
     least_points: int,
     least_scales: tuple[float, float],
-) -> tuple[FloatArray, float, FloatArray]:
+) -> tuple[FloatArray, float, FloatArray] | None:
     """Fit a circle whose radius varies with twice the angle, by Gauss and Newton with one-sided weights.
 
     Parameters
@@ -91,81 +59,55 @@ def fitted_rim(  # noqa: PLR0917 - compiled functions take positions
 
     Returns
     -------
-    State (x, y, radius, cosine and sine of the variation), scatter in px, and the residuals (n,) before the last step.
-    The scatter is negative where there is no circle.
+    State (x, y, radius, cosine and sine of the variation), scatter in px, and the residuals (n,) before the last step;
+    None where there is no circle.
     """
-    n = points.shape[0]
-    state, residual, design = np.zeros(_SIZE), np.zeros(n), np.zeros((n, _SIZE))
-    state[:3] = start
+    state = np.array([*start, 0.0, 0.0])
     for _ in range(_MOST_ROUNDS):
-        _residuals(points, state, residual, design)
-        held = (scale / (drawn_out * state[2])) ** 2
-        step, inliers = _step(residual, design, state, scale, held)
-        most, largest = 0.5 * state[2], 0.0
-        for k in range(_SIZE):
-            largest = max(largest, abs(step[k]))
-            state[k] += min(max(step[k], -most), most)
-        if inliers < least_points or state[2] < 1.0:
-            return state, -1.0, residual
-        absolute, count = np.zeros(inliers), 0
-        for i in range(n):
-            if _weight(residual[i], scale) > 0.0:
-                absolute[count] = abs(residual[i])
-                count += 1
-        absolute.sort()
-        middle = 0.5 * (absolute[(inliers - 1) // 2] + absolute[inliers // 2])
-        scale = max(MAD_TO_SIGMA * middle, least_scales[0], least_scales[1] * state[2])
-        if largest < _SETTLED_PX:
+        residual, design = _residuals(points, state)
+        weight = _weights(residual, scale)
+        used = weight > 0.0
+        if np.count_nonzero(used) < least_points:
+            return None
+        held = _VARIES * (scale / (drawn_out * state[2])) ** 2
+        weighted = design * weight
+        normal = weighted @ design.T
+        normal.ravel()[:: state.size + 1] += held + _HELD
+        step = np.linalg.solve(normal, weighted @ residual - held * state)
+        most = 0.5 * state[2]
+        state += np.minimum(np.maximum(step, -most), most)
+        if state[2] < 1.0:
+            return None
+        scale = max(mad_sigma(residual[used]), least_scales[0], least_scales[1] * float(state[2]))
+        if np.max(np.abs(step)) < _SETTLED_PX:
             break
     return state, scale, residual
 
 
-@njit(nogil=True)
 def circles_through(points: FloatArray) -> FloatArray:
     """Return the circles through triples of neighbours by a sixth to a third of the points, (m, 3): x, y, radius.
 
     The triples are fixed ones, so that every arc is tried. NaN where three are on a line.
     """
-    n = points.shape[0]
-    count = (3 * n + 1) // 2
-    found = np.empty((count, 3))
-    for row in range(count):
-        part, first = (3, 4, 6)[2 * row // n], 2 * row % n
-        ax, ay = points[first, 0], points[first, 1]
-        second, third = (first + n // part) % n, (first + 2 * n // part) % n
-        bx, by = points[second, 0] - ax, points[second, 1] - ay
-        cx, cy = points[third, 0] - ax, points[third, 1] - ay
-        cross = 2.0 * (bx * cy - by * cx)
-        if abs(cross) < _LEAST_CROSS_PX2:
-            found[row, :] = np.nan
-            continue
-        b2, c2 = bx * bx + by * by, cx * cx + cy * cy
-        dx, dy = (cy * b2 - by * c2) / cross, (bx * c2 - cx * b2) / cross
-        found[row, 0], found[row, 1], found[row, 2] = ax + dx, ay + dy, math.sqrt(dx * dx + dy * dy)
-    return found
+    n = len(points)
+    at = np.arange(0, 3 * n, 2)
+    part, first = np.array([3, 4, 6])[at // n], at % n
+    a = points[first]
+    b, c = (points[(first + times * n // part) % n] - a for times in (1, 2))
+    cross = 2.0 * (b[:, 0] * c[:, 1] - b[:, 1] * c[:, 0])
+    cross[np.abs(cross) < _LEAST_CROSS_PX2] = np.nan
+    b2, c2 = np.sum(b * b, axis=1), np.sum(c * c, axis=1)
+    off = np.column_stack([c[:, 1] * b2 - b[:, 1] * c2, b[:, 0] * c2 - c[:, 0] * b2]) / cross[:, None]
+    return np.column_stack([a + off, np.hypot(off[:, 0], off[:, 1])])
 
 
-@njit(nogil=True)
 def most_followed(points: FloatArray, circles: FloatArray, scale: float) -> int:
     """Return which circle has the largest sum of the points' weights, the first of equals; NaN has none."""
-    best, most = 0, 0.0
-    for row in range(circles.shape[0]):
-        x, y, radius = circles[row, 0], circles[row, 1], circles[row, 2]
-        if math.isnan(x):
-            continue
-        total, left = 0.0, points.shape[0]
-        for i in range(points.shape[0]):
-            dx, dy = points[i, 0] - x, points[i, 1] - y
-            total += _weight(math.sqrt(dx * dx + dy * dy) - radius, scale)
-            left -= 1
-            if total + left <= most:  # no weight is above 1
-                break
-        if total > most:
-            best, most = row, total
-    return best
+    dx, dy = np.ascontiguousarray(points.T)[:, None] - circles.T[:2, :, None]
+    residual = np.sqrt(dx * dx + dy * dy) - circles[:, 2:]
+    return int(np.argmax(np.nan_to_num(_weights(residual, scale).sum(axis=1))))
 
 
-@njit(nogil=True)
 def crossings(light: FloatArray, level: float, lasting: int, radii: FloatArray) -> FloatArray:
     """Return the radius on each ray from which the light stays below a level for some samples, (rays,).
 
@@ -176,22 +118,13 @@ def crossings(light: FloatArray, level: float, lasting: int, radii: FloatArray) 
 
     NaN where the light does not fall, a ray begins below the level, or is not known before it falls.
     """
-    rays, samples = light.shape
-    found, step = np.full(rays, np.nan), radii[1] - radii[0]
-    for ray in range(rays):
-        run = 0
-        for k in range(samples):
-            value = light[ray, k]
-            if math.isnan(value):
-                break
-            run = run + 1 if value < level else 0
-            if run == lasting:
-                first = k - lasting + 1
-                if first > 0:
-                    share = (light[ray, first - 1] - level) / max(light[ray, first - 1] - light[ray, first], 1e-6)
-                    found[ray] = radii[first - 1] + min(max(share, 0.0), 1.0) * step
-                break
-    return found
+    below = (light < level) & ~np.logical_or.accumulate(np.isnan(light), axis=1)
+    lasts = np.logical_and.reduce([below[:, k : k + light.shape[1] - lasting + 1] for k in range(lasting)])
+    first = lasts.argmax(axis=1)
+    ray, last = np.arange(len(light)), np.maximum(first - 1, 0)
+    before = light[ray, last]
+    share = np.clip((before - level) / np.maximum(before - light[ray, first], 1e-6), 0.0, 1.0)
+    return np.where(lasts.any(axis=1) & (first > 0), radii[last] + share * (radii[1] - radii[0]), np.nan)
 
 
 RAYS = 180
@@ -386,7 +319,7 @@ def _flatness(rays: _Rays, radius: float, level: float) -> float:
 def _crossings(rays: _Rays, level: float, radius: float) -> FloatArray:
     """Return the radius on each ray, (rays,), from which the light stays below a level; NaN where it does not fall."""
     step = rays.radii[1] - rays.radii[0]
-    return np.asarray(crossings(rays.light, level, max(_LASTING_STEPS, round(_LASTING * radius / step)), rays.radii))
+    return crossings(rays.light, level, max(_LASTING_STEPS, round(_LASTING * radius / step)), rays.radii)
 
 
 def _circle(crossing: FloatArray, x: float, y: float, edged: bool) -> Circle | None:  # noqa: FBT001 - of the rim
@@ -408,9 +341,10 @@ def _circle(crossing: FloatArray, x: float, y: float, edged: bool) -> Circle | N
 def _fitted(points: FloatArray, start: FloatArray, scale: float, drawn_out: float) -> Circle | None:
     """Fit a circle whose radius varies with twice the angle, from a circle; None where the points follow none."""
     least = (_LEAST_SCALE_PX, _LEAST_SCALE)
-    state, scale, residual = fitted_rim(points, start, scale, drawn_out, _LEAST_POINTS // 2, least)
-    if scale < 0.0:
+    found = fitted_rim(points, start, scale, drawn_out=drawn_out, least_points=_LEAST_POINTS // 2, least_scales=least)
+    if found is None:
         return None
+    state, scale, residual = found
     followed = np.abs(residual) < max(_FOLLOWED_SCALES * scale, _FOLLOWED * state[2])
     x, y, radius = (float(value) for value in state[:3])
     return Circle(x, y, radius, scale, float(np.count_nonzero(followed)) / RAYS)
@@ -420,7 +354,7 @@ def _consensus(points: FloatArray) -> tuple[FloatArray, float]:
     """Return the circle through three of the points that most of them follow (x, y, radius), and its scale."""
     circles = circles_through(points)
     scale = _FIRST_SCALE * float(np.nanmedian(circles[:, 2])) + _LEAST_SCALE_PX
-    return np.array(circles[most_followed(points, circles, scale)]), scale
+    return circles[most_followed(points, circles, scale)], scale
 
 
 def _ellipticity(crossing: FloatArray, radius: float) -> float:
