@@ -15,9 +15,11 @@ import pytest
 from sunarc.archive.values import SunPoint
 from sunarc.errors import InputError, NotFoundError
 
-from .conftest import NOON
+from .conftest import NOON, ROOF
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from sunarc.archive.archive import Archive
 
 POINT = SunPoint(
@@ -95,6 +97,37 @@ def test_of_threads_that_open_an_epoch_at_one_time_one_does(archive: Archive) ->
 
     with ThreadPoolExecutor(6) as pool:
         assert sum(pool.map(opened, range(6))) == 1
+    require_rules(archive)
+
+
+@pytest.mark.parametrize("method", ["add", "replace", "replace_stars"])
+def test_a_sighting_is_stored_in_the_epoch_that_was_opened_just_before(archive: Archive, method: str) -> None:
+    """Another thread may find that the camera moved between the moments a sighting is made and stored."""
+
+    def made() -> Iterator[SunPoint]:
+        yield replace(POINT, pose_epoch="", method="star", time=at(1))
+        archive.epochs.open("roof", at=at(0.5), reason="moved")
+
+    if method == "replace_stars":
+        archive.sightings.replace_stars("roof", made())
+    else:
+        getattr(archive.sightings, method)(made())
+    assert [p.pose_epoch for p in archive.sightings.find("roof")] == ["roof-2"]
+    require_rules(archive)
+
+
+def test_sightings_without_an_epoch_are_stored_in_those_of_their_times(archive: Archive) -> None:
+    archive.epochs.open("roof", at=at(2), reason="moved")
+    archive.cameras.save(replace(ROOF, name="attic"))
+    camera, hours = ("roof", "attic", "roof", "roof", "attic"), (2, 5, 1, -9000, 1)
+    assert archive.sightings.add(
+        (replace(POINT, camera=c, pose_epoch="", time=at(h)) for c, h in zip(camera, hours, strict=True)),
+        first_epoch="first frame",
+    ) == len(hours)
+    assert [p.pose_epoch for p in archive.sightings.find("roof")] == ["roof-1", "roof-1", "roof-2"]
+    assert archive.epochs.find("roof")[0].started_at == at(-9000)
+    assert [p.pose_epoch for p in archive.sightings.find("attic")] == ["attic-1", "attic-1"]
+    assert [(e.started_at, e.reason) for e in archive.epochs.find("attic")] == [(at(1), "first frame")]
     require_rules(archive)
 
 

@@ -92,6 +92,26 @@ def test_events_of_before_a_camera_was_known_are_passed_over_however_many(
     assert kinds(followed) == ["bump"]
 
 
+class Meanwhile(dict[str, Any]):
+    """Conditions; while they are compared for the first time, another process looks at the camera."""
+
+    def __init__(self, other: Archive) -> None:
+        super().__init__(DUSTY)
+        self.other: Archive | None = other
+
+    def items(self) -> Any:  # noqa: ANN401 - as in dict
+        if self.other is not None:
+            other, self.other = self.other, None
+            look(other, DUSTY)
+        return super().items()
+
+
+def test_of_two_processes_that_look_at_once_one_tells(followed: Archive) -> None:
+    happen(followed, "bump")
+    look(followed, Meanwhile(followed))
+    assert kinds(followed) == ["bump", "condition_set"]
+
+
 def test_another_cameras_events_are_not_told(followed: Archive) -> None:
     followed.cameras.save(followed.cameras.all()[0].at(followed.cameras.all()[0].site, name="mast", width=4, height=4))
     happen(followed, "bump", camera="mast")

@@ -407,6 +407,38 @@ def test_a_worker_that_dies_again_is_a_condition_until_it_has_run_for_half_a_min
     assert supervisor.stop() == ()
 
 
+class CheckedWhenRead(VirtualClock):
+    """A clock on which the watchdog checks whenever a worker reads it, if nothing keeps it from it."""
+
+    def __init__(self) -> None:
+        super().__init__(START)
+        self.supervisor: Supervisor | None = None
+
+    def monotonic(self) -> float:
+        now_s = super().monotonic()
+        if self.supervisor is not None and threading.current_thread().name == "feed":
+            check = threading.Thread(target=self.supervisor.check)
+            check.start()
+            check.join(0.05)
+        return now_s
+
+
+def test_a_check_at_a_birth_takes_back_nothing_that_was_said_of_the_lives_before(board: StatusRegistry) -> None:
+    clock, told = CheckedWhenRead(), list[list[str]]()
+
+    def live(stop: threading.Event, heartbeat: Callable[[], None]) -> None:
+        told.append([reason.code for reason in board.snapshot().reasons])
+        (die if len(told) < 6 else obey_and_tell(runs))(stop, heartbeat)
+
+    runs = threading.Event()
+    worker = Supervised(name="feed", make_worker=Factory([live]), options=SupervisorOptions(max_restarts=2))
+    clock.supervisor = Supervisor([worker], clock=clock, board=board)
+    clock.supervisor.start()
+    assert runs.wait(PATIENCE_S)
+    assert told == [[], [], ["worker_restarting_feed"], *[["worker_failed_feed"]] * 3]
+    assert clock.supervisor.stop() == ()
+
+
 def test_one_death_is_no_condition(clock: VirtualClock, board: StatusRegistry) -> None:
     runs = threading.Event()
     worker = Supervised(name="detect", make_worker=lives_of(1, then=obey_and_tell(runs)))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from sqlalchemy import Engine
-from tests.fixtures.archive import new_archive
+from tests.fixtures.archive import add_after_opening, new_archive
 
 from sunarc.archive.archive import Archive
 from sunarc.archive.database.connections import DatabaseFile
@@ -33,10 +33,10 @@ class RefusingSightings(SightingStore):
 
     full = False
 
-    def add(self, points: Iterable[SunPoint]) -> int:
+    def add(self, points: Iterable[SunPoint], *, first_epoch: str = "first sighting") -> int:
         if self.full:
             raise OutsideError("cannot use the database: database or disk is full")
-        return super().add(points)
+        return super().add(points, first_epoch=first_epoch)
 
 
 class Refusing(Archive):
@@ -86,6 +86,16 @@ def test_a_sighting_is_stored_at_once_in_its_pose_epoch(archive: Refusing, board
     (stored,) = archive.sightings.find("roof")
     assert (stored.x_px, stored.pose_epoch) == (1.0, "roof-1")
     assert reasons(board) == {}
+
+
+def test_a_sighting_is_stored_in_the_epoch_that_was_opened_after_it_was_made(
+    archive: Refusing, board: StatusRegistry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    keeper = SightingWriteBuffer(archive, board=board)
+    keeper.keep(sighting(0))
+    monkeypatch.setattr(archive.sightings, "add", add_after_opening(archive, at=NOON + timedelta(seconds=20)))
+    keeper.keep(sighting(30))
+    assert [point.pose_epoch for point in archive.sightings.find("roof")] == ["roof-1", "roof-2"]
 
 
 def test_what_the_disk_refuses_waits_is_told_and_is_stored_in_its_order(

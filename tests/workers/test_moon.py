@@ -183,11 +183,14 @@ def test_a_frozen_image_gives_no_second_sighting(archive: Archive) -> None:
     assert found.refused[-1].code == "moon_few"
 
 
-def test_sightings_are_kept_with_their_body(archive: Archive) -> None:
+def test_sightings_are_kept_with_their_body_in_the_epochs_of_their_times(archive: Archive) -> None:
+    archive.epochs.open("roof", at=HALF - timedelta(days=1), reason="installed")
     found, _ = night(archive, HALF)
+    archive.epochs.open("roof", at=HALF + timedelta(minutes=15), reason="moved")
     assert archive.sightings.add(found.points) == 4
     columns = archive.sightings.columns("roof", body=None)
     assert set(columns.body.tolist()) == {"moon"}
+    assert columns.epoch.tolist() == [0, 0, 1, 1]
 
 
 @pytest.mark.parametrize(

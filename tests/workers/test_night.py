@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.fixtures.archive import new_archive
+from tests.fixtures.archive import add_after_opening, new_archive
 from tests.fixtures.calibrations import chosen_calibration
 
 from sunarc.archive.archive import Archive, CameraArchive
@@ -184,6 +184,17 @@ def test_a_clear_night_is_named_stored_and_fitted(bench: Bench) -> None:
         ("star", True, EXPOSURE_US, 0.01)
     }
     assert max(point.peak_fraction or 1.0 for point in points) < 0.9
+
+
+def test_an_epoch_that_is_opened_before_the_stars_are_stored_has_those_of_its_time(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench.serve(CAMERA)
+    moved = BEGIN + timedelta(minutes=60)
+    monkeypatch.setattr(bench.archive.sightings, "add", add_after_opening(bench.archive, at=moved))
+    bench.night(*clear())
+    points = bench.archive.sightings.find("roof", body=None)
+    assert {(point.time >= moved, point.pose_epoch) for point in points} == {(False, "roof-1"), (True, "roof-2")}
 
 
 @pytest.mark.parametrize(

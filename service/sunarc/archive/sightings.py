@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import Counter
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import asdict, fields, replace
 from datetime import date, datetime, timedelta
 from typing import Literal, NamedTuple
@@ -50,6 +51,8 @@ SUPERSEDED = "another method's sighting of the same image is accepted"
 """Reason of a sighting that was set aside: an image counts once."""
 NOT_NAMED_AGAIN = "not named when its image was looked at again"
 """Reason of a star's sighting that was set aside."""
+FIRST_SIGHTING = "first sighting"
+"""Reason of a camera's first pose epoch."""
 _STAR = "star"
 ImageKey = tuple[int, float, str]
 """Time (microseconds since 1970-01-01 UTC), exposure (us, 0 where not known) and file name of an image."""
@@ -208,7 +211,8 @@ class EpochStore(Part):
 
     def at(self, camera: str, at: datetime, *, reason: str) -> PoseEpoch:
         """Return the pose epoch of a moment; the first one reaches back to the earliest moment asked for."""
-        return self.current(camera, at=at) or self._first(camera, at, reason)
+        with self._database.writing() as connection:
+            return _epoch_at(connection, camera, at, reason)
 
     def current(self, camera: str, *, at: datetime | None = None) -> PoseEpoch | None:
         """Return the pose epoch that goes on, or the one of the moment `at`; None before the first."""
@@ -224,23 +228,53 @@ class EpochStore(Part):
         filters = [epochs.camera == camera, *([] if include_closed else [not_closed()])]
         return self._database.values(select(tables.pose_epoch).where(*filters).order_by(epochs.started_at), PoseEpoch)
 
-    def _first(self, camera: str, at: datetime, reason: str) -> PoseEpoch:
-        epochs = tables.pose_epoch.c
-        with self._database.writing() as connection:
-            statement = select(tables.pose_epoch).where(epochs.camera == camera, not_closed())
-            statement = statement.order_by(epochs.started_at).limit(1)
-            first = values_of(connection, statement, PoseEpoch)
-            if not first:
-                epoch = PoseEpoch(id=f"{camera}-1", camera=camera, started_at=at, reason=reason)
-                connection.execute(insert(tables.pose_epoch).values(asdict(epoch)))
-                return epoch
-            earlier = min(at, first[0].started_at)
-            connection.execute(update(tables.pose_epoch).where(epochs.id == first[0].id).values(started_at=earlier))
-            return replace(first[0], started_at=earlier)
+
+def _epoch_at(connection: Connection, camera: str, at: datetime, reason: str) -> PoseEpoch:
+    """Return the pose epoch of a moment; the first one is opened, or reaches back to the moment."""
+    epochs = tables.pose_epoch.c
+    known = _known_epochs(connection, camera)
+    if not known:
+        first = PoseEpoch(id=f"{camera}-1", camera=camera, started_at=at, reason=reason)
+        connection.execute(insert(tables.pose_epoch).values(asdict(first)))
+        return first
+    if at < known[0].started_at:
+        connection.execute(update(tables.pose_epoch).where(epochs.id == known[0].id).values(started_at=at))
+        return replace(known[0], started_at=at)
+    return _newest_begun(known, at)
+
+
+def _known_epochs(connection: Connection, camera: str) -> tuple[PoseEpoch, ...]:
+    statement = select(tables.pose_epoch).where(tables.pose_epoch.c.camera == camera, not_closed())
+    return values_of(connection, statement.order_by(tables.pose_epoch.c.started_at), PoseEpoch)
+
+
+def _newest_begun(epochs: Sequence[PoseEpoch], at: datetime) -> PoseEpoch:
+    return epochs[bisect_right(epochs, at, key=lambda epoch: epoch.started_at) - 1]
+
+
+def _in_epochs(connection: Connection, points: Sequence[SunPoint], reason: str) -> Sequence[SunPoint]:
+    """Return the sightings, those without a pose epoch in that of their time.
+
+    In the transaction that stores them: an epoch that is opened before it is found here, and one that is opened after
+    it moves them.
+    """
+    without = [point for point in points if not point.pose_epoch]
+    epochs: dict[str, tuple[PoseEpoch, ...]] = {}
+    for camera in {point.camera for point in without}:
+        _epoch_at(connection, camera, min(point.time for point in without if point.camera == camera), reason)
+        epochs[camera] = _known_epochs(connection, camera)
+    return [
+        point if point.pose_epoch else replace(point, pose_epoch=_newest_begun(epochs[point.camera], point.time).id)
+        for point in points
+    ]
 
 
 class SightingStore(Part):
-    """The sightings: those of the service, and those of image files."""
+    """The sightings: those of the service, and those of image files.
+
+    Sightings whose `pose_epoch` is empty are stored in the one of their time; `first_epoch` is the reason of a camera's
+    first one, where they open it.
+    """
 
     def of_files(self, camera: str, *, times_us: Container[int]) -> list[FileSighting]:
         """Return what is stored of the sun at the given times, microseconds since 1970-01-01 UTC."""
@@ -261,7 +295,7 @@ class SightingStore(Part):
                 change = update(sun_point).where(*unnamed, c.exposure_us == exposure_us, c.body == "sun")
                 connection.execute(change.values(file=file))
 
-    def replace(self, points: Iterable[SunPoint]) -> None:
+    def replace(self, points: Iterable[SunPoint], *, first_epoch: str = FIRST_SIGHTING) -> None:
         """Store sightings of image files; one that is there already (see the key) is replaced, and keeps its id.
 
         Where one is accepted, sightings of the same image by other methods are set aside: an image counts once. So are
@@ -271,7 +305,7 @@ class SightingStore(Part):
         stacked = {point.time for point in kept if point.accepted}
         self._database.prepare_months([point.time for point in kept])
         with self._database.writing() as connection:
-            for point in kept:
+            for point in _in_epochs(connection, kept, first_epoch):
                 upsert(connection, sun_point, asdict(point), key=_KEY)
                 if point.accepted or (point.verdict == "in_stack" and point.time in stacked):
                     _set_others_aside(connection, point)
@@ -290,7 +324,7 @@ class SightingStore(Part):
         with self._database.writing() as connection:
             before = int(connection.scalar(count) or 0)
             connection.execute(aside.values(accepted=False, verdict="set_aside", reason=NOT_NAMED_AGAIN))
-            for point in named:
+            for point in _in_epochs(connection, named, FIRST_SIGHTING):
                 upsert(connection, sun_point, asdict(point), key=_KEY)
             return int(connection.scalar(count) or 0) - before
 
@@ -340,13 +374,14 @@ class SightingStore(Part):
             change = update(sun_point).where(*filters).values(accepted=True, verdict="clear", reason=reason)
             return connection.execute(change).rowcount
 
-    def add(self, points: Iterable[SunPoint]) -> int:
+    def add(self, points: Iterable[SunPoint], *, first_epoch: str = FIRST_SIGHTING) -> int:
         """Store sightings and return how many were new; one that is there already is left as it is."""
-        rows = [asdict(point) for point in points]
-        if not rows:
+        new = tuple(points)
+        if not new:
             return 0
-        self._database.prepare_months([row["time"] for row in rows])
+        self._database.prepare_months([point.time for point in new])
         with self._database.writing() as connection:
+            rows = [asdict(point) for point in _in_epochs(connection, new, first_epoch)]
             return insert_new(connection, sun_point, rows)
 
     def widen_clock_errors(self, camera: str, *, since: datetime, until: datetime, error_s: float) -> int:

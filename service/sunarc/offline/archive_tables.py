@@ -219,8 +219,9 @@ def import_points(settings: Settings, path: Path, *, image_size: tuple[int, int]
     upgrade_present(settings.archive)
     with open_archive(settings.archive) as archive:
         register_camera(archive, settings, size)
+        reason = f"imported from {path.name}"
         return (
-            archive.sightings.add(_points(archive, settings, table, path.name)),
+            archive.sightings.add(_points(settings, table, reason), first_epoch=reason),
             total,
             total - int(table.unix_s.size),
         )
@@ -255,13 +256,12 @@ def _size_in_settings(settings: Settings) -> tuple[int, int] | None:
     return None if region is None else (region[2], region[3])
 
 
-def _points(archive: Archive, settings: Settings, table: SightingTable, name: str) -> list[SunPoint]:
+def _points(settings: Settings, table: SightingTable, reason: str) -> list[SunPoint]:
     times = [utc_time(t) for t in table.unix_s]
-    reason = f"imported from {name}"
     return [
         SunPoint(
             camera=settings.name,
-            pose_epoch=archive.epochs.at(settings.name, time, reason=reason).id,
+            pose_epoch="",
             time=time,
             body=str(body),
             method="import",

@@ -367,16 +367,15 @@ class FolderLedger:
     def _write(self) -> None:
         points, self._waiting = self._waiting, []
         if points:
-            self.archive.sightings.replace(points)
+            self.archive.sightings.replace(points, first_epoch="first image")
 
     def _point(self, image: ArchiveImage, found: Detection, stage: int) -> SunPoint:
         time_us, exposure_us, file = image.key
-        time = from_microseconds(time_us)
         return sun_point_of(
             found,
             camera=self.settings.name,
-            pose_epoch=self.archive.epochs.at(self.settings.name, time, reason="first image").id,
-            time=time,
+            pose_epoch="",
+            time=from_microseconds(time_us),
             exposure_us=exposure_us,
             file=file,
             ingest_pass=stage,

@@ -391,8 +391,9 @@ class _Life:
 
     def _live(self) -> str | None:
         """Run the worker once; return what it died of, None when it was stopped."""
-        self._enter("running")
+        # Before it is running: `check` would take the age of the life before for this one's, and have it recovered.
         self._born_at = self._clock.monotonic()
+        self._enter("running")
         try:
             self._worker.make_worker().run(self._stop, self._beat.beat)
         except OutsideError as error:

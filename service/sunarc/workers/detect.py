@@ -266,7 +266,7 @@ class SightingWriteBuffer:
         try:
             while self._waiting:
                 some = [self._waiting[number] for number in range(min(len(self._waiting), _AT_A_TIME))]
-                self._archive.sightings.add([self._placed(point) for point in some])
+                self._archive.sightings.add(some, first_epoch="first frame")
                 # Removed after the commit: a row that is stored twice is ignored, one that is dropped early is lost.
                 for _ in some:
                     self._waiting.popleft()
@@ -293,10 +293,6 @@ class SightingWriteBuffer:
         elif self._quick >= _QUICK_STORES:
             self._slowest_s = 0.0
             self._board.set_condition(_SLOW, None)
-
-    def _placed(self, point: SunPoint) -> SunPoint:
-        epoch = self._archive.epochs.at(point.camera, point.time, reason="first frame")
-        return replace(point, pose_epoch=epoch.id)
 
 
 _PERHAPS_ELSEWHERE = frozenset({"hidden", "reflection", "obstructed"})

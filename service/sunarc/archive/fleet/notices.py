@@ -152,7 +152,8 @@ class NoticeStore(Part):
             if position is not None and _news(connection, position, look)[1] == position:
                 return position.conditions
         with self._database.writing(camera=camera) as connection:
-            rows: list[dict[str, Any]] = []
+            # Read again under the lock: another process may have stored what is new since, and it is told once.
+            position, rows = _position(connection, camera), list[dict[str, Any]]()
             if position is None:
                 position = _NoticePosition(
                     _last_event(connection, camera), _current(connection, camera), conditions, now
@@ -180,6 +181,7 @@ class NoticeStore(Part):
 
     def drop(self, *, most: int) -> int:
         """Remove the notices that every receiver has, and the oldest beyond so many; return how many those were."""
+        # Read first, so that nothing to remove takes no write lock; what is delivered between counts as lost.
         with self._database.reading() as connection:
             done = connection.scalar(select(func.min(notice_sink.c.seq))) or 0
             last = connection.scalar(select(func.max(notice.c.seq))) or 0

@@ -175,10 +175,9 @@ class MoonImages:
 
     def _point(self, measured: _Measured, clock_error_s: Callable[[datetime], float]) -> SunPoint:
         image, found = measured.image, measured.found
-        epoch = self._camera.archive.epochs.at(self._camera.name, image.time, reason="first sighting")
         return SunPoint(
             camera=self._camera.name,
-            pose_epoch=epoch.id,
+            pose_epoch="",
             time=image.time,
             body="moon",
             method=found.method,

@@ -482,11 +482,10 @@ class NightWorker:
         """Return the surest stars of each part of an image as sightings."""
         record = self._camera.record()
         names, stars = surest_named(view, found, (0, 0) if record is None else record.image_size)
-        epoch = self._camera.archive.epochs.at(self._camera.name, image.time, reason="first sighting")
         return [
             SunPoint(
                 camera=self._camera.name,
-                pose_epoch=epoch.id,
+                pose_epoch="",
                 time=image.time,
                 body=str(names[row]),
                 method="star",
