@@ -3,12 +3,10 @@
 Usage: python3 -I past.py MIDNIGHT DAYS A_DAY, MIDNIGHT the unix time at which the present solar day began
 """
 
-import os
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
 
-os.environ["NUMBA_CACHE_DIR"] = "/var/cache/sunarc/numba"
 sys.path.insert(0, "/usr/lib/sunarc/site")
 
 import numpy as np

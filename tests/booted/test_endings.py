@@ -14,9 +14,7 @@ import pytest
 from .machine import wait_for
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from .conftest import Field, Fields
+    from .conftest import Field
 
 pytestmark = [pytest.mark.booted, pytest.mark.timeout(1200)]
 
@@ -153,24 +151,6 @@ def test_a_hung_web_server_is_ended_by_the_watchdog(field_computer: Field) -> No
     assert "condition worker_stuck_web" in told
     assert "Watchdog timeout" in told
     assert "in hang" in told
-
-
-def test_kernels_are_compiled_by_the_installation_and_a_full_cache_costs_no_sighting(
-    new_field: Fields, installed: Path
-) -> None:
-    field = new_field(installed)
-    assert any(field.path("/var/cache/sunarc/numba").rglob("*.nbc"))  # the service has not run yet
-    field.configure()
-    field.image()
-    field.machine.boot()
-    field.wait_until_ready()
-    field.do("systemctl", "stop", "sunarc")
-    small = "size=16k,mode=0750,uid=sunarc,gid=sunarc"
-    field.do("mount", "-t", "tmpfs", "-o", small, "tmpfs", "/var/cache/sunarc")
-    field.call("sh", "-c", "dd if=/dev/zero of=/var/cache/sunarc/filler bs=4k 2>/dev/null")
-    field.do("systemctl", "start", "sunarc")
-    field.wait_until_ready()
-    field.wait_for_sightings(2)
 
 
 def test_systemctl_shows_how_the_service_is(field_computer: Field) -> None:

@@ -24,7 +24,7 @@ DPKG = ("dpkg", "--force-confold", "--force-unsafe-io")  # as deploy/install has
 # The former version stands aside; new files lie beside the old ones; they take their places; the package is set up.
 MOMENTS = (
     "test -d /usr/lib/sunarc/before",
-    "test -e /usr/lib/sunarc/site/numba/__init__.py.dpkg-new",
+    "test -e /usr/lib/sunarc/site/scipy/__init__.py.dpkg-new",
     "test -e /usr/share/doc/sunarc/usb3.conf.dpkg-new -a ! -e /usr/bin/sunarc.dpkg-new",
     "test ! -d /usr/lib/sunarc/before",
 )

@@ -20,7 +20,6 @@ APART = {
     "sunarc.cross_checks.clocks": "of the core, which computes; its reader is a worker",
     "sunarc.cross_checks.cloud_edges": "of the core, which computes; its reader is a worker",
     "sunarc.offline.calibrate_archive": "a function on a database; its reader is the command line",
-    "sunarc.offline.compile_kernels": "what a child process runs",
 }
 """Fragments that stay, each with its reason."""
 

@@ -1,7 +1,6 @@
 """A pytest plugin: which lines of the package each test runs, written to the file that SUNARC_LINES names.
 
-A compiled kernel runs outside the interpreter and leaves no lines: a call of one counts for every line of its source
-and of the kernels that it calls.
+The compiled kernels (service/kernels) leave no lines, and are not mutated.
 """
 
 from __future__ import annotations
@@ -12,10 +11,8 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import CodeType, FrameType
-from typing import Any
 
 import pytest
-from numba.core.dispatcher import Dispatcher
 
 TraceFunction = Callable[[FrameType, str, object], "TraceFunction | None"]
 _FILE = Path(os.environ["SUNARC_LINES"])
@@ -25,7 +22,6 @@ _seconds: dict[str, float] = {}
 _ours: dict[CodeType, str | None] = {}
 _executed: set[str] = set()
 _fixtures: dict[int, set[str]] = {}
-_kernels: dict[int, frozenset[str]] = {}
 
 
 def _name(code: CodeType) -> str | None:
@@ -33,30 +29,6 @@ def _name(code: CodeType) -> str | None:
         place = code.co_filename.rpartition(_PACKAGE)
         _ours[code] = place[2] if place[1] else None
     return _ours[code]
-
-
-def _kernel_lines(kernel: Any, known: frozenset[int] = frozenset()) -> frozenset[str]:  # noqa: ANN401 - numba is untyped
-    """Return the lines of a kernel's source and of the kernels that it names."""
-    function = kernel.py_func
-    name = _name(function.__code__)
-    found = {f"{name}:{line}" for *_, line in function.__code__.co_lines() if line} if name else set()
-    for other in (function.__globals__.get(each) for each in function.__code__.co_names):
-        if isinstance(other, Dispatcher) and id(other) not in known:
-            found |= _kernel_lines(other, known | {id(kernel)})
-    return frozenset(found)
-
-
-def pytest_configure() -> None:
-    """Note the lines of every kernel that Python calls."""
-    plain = Dispatcher.__call__
-
-    def noted(kernel: Any, *values: object, **named: object) -> object:  # noqa: ANN401 - numba is untyped
-        if id(kernel) not in _kernels:
-            _kernels[id(kernel)] = _kernel_lines(kernel)
-        _executed.update(_kernels[id(kernel)])
-        return plain(kernel, *values, **named)
-
-    Dispatcher.__call__ = noted  # type: ignore[assignment,method-assign]
 
 
 @pytest.hookimpl(hookwrapper=True)

@@ -132,20 +132,6 @@ def run_serve(config: Path, **environment: str) -> subprocess.CompletedProcess[s
     return subprocess.run(command, env=given, capture_output=True, text=True, timeout=60.0, check=False)
 
 
-def test_a_start_after_a_death_by_a_signal_sets_the_compiled_kernels_aside(tmp_path: Path) -> None:
-    """Before anything runs one of them; `tests/test_jit.py` damages them."""
-    cache = tmp_path / "numba"
-    cache.mkdir()
-    (cache / "kernel.nbc").touch()
-    (tmp_path / "numba.died").write_text("SEGV\n")
-    for aside in (True, False):
-        done = run_serve(tmp_path / "absent.toml", NUMBA_CACHE_DIR=str(cache))
-        assert done.returncode == 2
-        assert ("SIGSEGV" in done.stderr) is aside  # in the journal, and once
-    assert (tmp_path / "numba.aside" / "kernel.nbc").exists()
-    assert not (tmp_path / "numba.died").exists()
-
-
 def test_a_port_that_is_taken_is_one_line_and_exit_3(tmp_path: Path) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))

@@ -63,8 +63,7 @@ COMMANDS = {
     "compile": _Command(
         "service",
         "compile_kernels",
-        "Compile the numerical kernels into numba's cache, so that the service's first sighting and first fit "
-        "find them.",
+        "Do nothing: the kernels are compiled where the package is built. Kept for scripts of versions before 0.4.",
     ),
     "simulate": _Command(
         "service",

@@ -31,11 +31,9 @@ def serve(
     """
     from sunarc.app.hub import serve_hub
     from sunarc.app.serving import end_process, serve_imager
-    from sunarc.jit import set_aside_after_death
 
     is_hub = choice_of("--role", role, ("imager", "hub")) == "hub"
     start_log(os.environ)
-    set_aside_after_death()
     end_process(serve_hub(load_hub_settings(config)) if is_hub else serve_imager(load_settings(config)))
 
 
@@ -118,17 +116,14 @@ def check(
 
 def compile_kernels(
     *,
-    first_sighting: Annotated[
-        bool, typer.Option("--first-sighting", help="Without those of the fit, which take most of the time.")
-    ] = False,
+    first_sighting: Annotated[bool, typer.Option("--first-sighting", help="As before 0.4; no effect.")] = False,
 ) -> None:
-    """Compile the numerical kernels into numba's cache, so that the service's first sighting and first fit find them.
+    """Do nothing: the kernels are compiled where the package is built. Kept for scripts of versions before 0.4.
 
     Example: sunarc compile
     """
-    from sunarc.offline.compile_kernels import compile_kernels as compile_all
-
-    compile_all(first_sighting_alone=first_sighting)
+    del first_sighting
+    print("nothing to compile: the package holds its kernels compiled")
 
 
 def settings(*, as_json: AsJson = False) -> None:
