@@ -1,0 +1,274 @@
+"""The border between Python and the compiled module: a wrong call is an exception, an odd one a right answer."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.fixtures.calibration import observed, small_camera, small_problem, spread_directions
+
+from sunarc import _kernels
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.paper import penalties_of, unlimited
+from sunarc.optics.forward import kernel_optics, project
+from sunarc.optics.inverse import unproject
+from sunarc.optics.inverse_table import inverse_table
+
+N = 70  # more than a block
+CAMERA = small_camera("equisolid")
+OPTICS = kernel_optics(CAMERA)._asdict()
+SKY = spread_directions(N, widest_deg=60.0)
+PIXELS = project(CAMERA, SKY)
+ROTATION = np.eye(3)
+TABLE = inverse_table(CAMERA)
+CONSTANTS = np.array(TABLE.constants)
+PROBLEM = small_problem(CAMERA, n_epochs=2)
+SEEN = observed(CAMERA, SKY, sigma_px=0.1)
+BOX, COEFFICIENTS = np.array([320.0, 240.0, 500.0, 400.0]), np.full((2, 3, 4), 0.1)
+EPOCH = np.repeat([0, 1], N // 2)
+SHEETS = np.ones((12, 15, 3))
+_FIT = OPTICS | {"directions": SKY, "pixels": PIXELS}
+
+CALLS: dict[str, dict[str, Any]] = {
+    "rotation_and_jacobian": {"vector": np.array([0.1, 0.2, 0.3])},
+    "pixels_of": OPTICS | {"vector": CAMERA.to_vector(), "rotation": ROTATION, "directions": SKY},
+    "pixels_and_rows_of": OPTICS
+    | {"vector": CAMERA.to_vector(), "rotation": ROTATION, "jacobian": ROTATION, "directions": SKY},
+    "directions_of": {
+        "code": OPTICS["code"],
+        "mirror": -1.0,
+        "limit": 1.4,
+        "plane": np.array([200.0, 200.0, 0.0, 320.0, 240.0]),
+        "radial": np.zeros(8),
+        "decentering": np.array([1e-3, 0.0, 0.0, 0.0]),
+        "rotation": ROTATION,
+        "pixels": PIXELS,
+    },
+    "directions_from_table": {
+        "constants": CONSTANTS,
+        "rotation": ROTATION,
+        "table": TABLE.pieces,
+        "rounds": 3,
+        "pixels": PIXELS,
+    },
+    "pixels_from_grid": {
+        "grid": np.ones((9, 8, 2)),
+        "origin": np.full(2, -200.0),
+        "step": np.array([150.0, 120.0]),
+        "pixels": PIXELS,
+    },
+    "back_projected": {
+        "constants": CONSTANTS,
+        "sheet": SHEETS[..., 0].copy(),
+        "rings_per_radius": 5.0,
+        "width": 640,
+        "height": 480,
+        "pixels": PIXELS,
+        "directions": SKY,
+    },
+    "projected": {
+        "constants": CONSTANTS,
+        "sheets": SHEETS,
+        "rings_per_radius": 5.0,
+        "width": 640,
+        "height": 480,
+        "pixels": PIXELS,
+    },
+    "polar_values": {
+        "constants": CONSTANTS,
+        "sheets": SHEETS[..., :2].copy(),
+        "rings_per_radius": 5.0,
+        "pixels": PIXELS,
+    },
+    "displacement_at": {"box": BOX, "coefficients": COEFFICIENTS, "pixels": PIXELS},
+    "displacement_and_slopes": {"box": BOX, "coefficients": COEFFICIENTS, "pixels": PIXELS},
+    "displacement_inverse": {"box": BOX, "coefficients": COEFFICIENTS, "pixels": PIXELS},
+    "waves_at": {"pixels": PIXELS, "box": BOX, "orders": np.array([[1, 2], [3, 1]])},
+    "most_probable": _FIT
+    | {
+        "mean": np.ascontiguousarray(PROBLEM.prior.mean),
+        "basis": np.ascontiguousarray(PROBLEM.prior.basis),
+        "information": np.ones(N),
+        "epoch": EPOCH,
+        "precision": np.ones(PROBLEM.size),
+        "sigma": 1.0,
+        "iterations": 2,
+        "tolerance": 1e-6,
+        "start": PROBLEM.unknowns([CAMERA, CAMERA]),
+        "moving": np.arange(PROBLEM.size),
+    },
+    "residuals_of": _FIT | {"vector": CAMERA.to_vector(), "refraction_sd": np.full((N, 2), 1e-4), "air": np.ones(2)},
+    "residuals_and_columns_of": _FIT
+    | {
+        "vectors": np.stack([CAMERA.to_vector()] * 2),
+        "basis": np.ascontiguousarray(PROBLEM.prior.basis),
+        "refraction_sd": np.full((N, 2), 1e-4),
+        "epoch": EPOCH,
+        "systematic_px": np.full((N, 2, 3), 0.1),
+        "sizes": np.ones(3),
+        "air": np.ones(2),
+    },
+    "paper_fit": _FIT
+    | penalties_of(CAMERA, CalibrationOptions()).weighed()._asdict()
+    | {
+        "information": np.ones(N),
+        "start": unlimited(CAMERA).to_vector(),
+        "moving": np.arange(20),
+        "most_steps": 2,
+        "least_gain": 1e-6,
+        "first_damping": 1e-3,
+    },
+}
+# kernels whose results for no pixels, directions or sightings are empty
+PER_PLACE = [name for name in CALLS if name not in {"rotation_and_jacobian", "most_probable", "paper_fit"}]
+Spoiled = Callable[[np.ndarray], np.ndarray | None]
+
+
+def wrong_type(array: np.ndarray) -> np.ndarray:
+    return array.astype(np.int32 if array.dtype == np.int64 else np.float32)
+
+
+def backwards(array: np.ndarray) -> np.ndarray | None:
+    return array[::-1] if array.shape[0] > 1 else None
+
+
+def in_steps(array: np.ndarray) -> np.ndarray | None:
+    return np.repeat(array, 2, axis=0)[::2] if array.shape[0] > 1 else None
+
+
+def by_columns(array: np.ndarray) -> np.ndarray | None:
+    return np.asfortranarray(array) if array.ndim > 1 and min(array.shape) > 1 else None
+
+
+def one_axis_more(array: np.ndarray) -> np.ndarray:
+    return array[..., None]
+
+
+def one_column_more(array: np.ndarray) -> np.ndarray | None:
+    return np.concatenate([array, array[..., :1]], axis=-1) if array.ndim > 1 else None
+
+
+def call(name: str, **given: object) -> Any:  # noqa: ANN401 - arrays, or tuples with them
+    return getattr(_kernels, name)(**{**CALLS[name], **given})
+
+
+def flat(answer: Any) -> list[np.ndarray]:  # noqa: ANN401 - as of `call`
+    return [np.asarray(part) for part in (answer if isinstance(answer, tuple) else (answer,))]
+
+
+def test_every_kernel_is_called_here() -> None:
+    names = {name for name in dir(_kernels) if not name.startswith("_")}
+    assert set(CALLS) <= names
+    for name in CALLS:
+        assert all(np.isfinite(part).all() for part in flat(call(name)) if part.dtype == np.float64)
+
+
+@pytest.mark.parametrize("name", CALLS)
+@pytest.mark.parametrize("spoil", [wrong_type, backwards, in_steps, by_columns, one_axis_more])
+def test_an_array_of_another_type_order_or_depth_is_refused(name: str, spoil: Spoiled) -> None:
+    for argument, array in CALLS[name].items():
+        if isinstance(array, np.ndarray) and (spoiled := spoil(array)) is not None:
+            with pytest.raises(TypeError):
+                call(name, **{argument: spoiled})
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_arrays_whose_lengths_do_not_go_together_are_refused_or_answered(name: str) -> None:
+    for argument, array in CALLS[name].items():
+        if not isinstance(array, np.ndarray):
+            continue
+        for other in (array[:-1].copy(), np.concatenate([array, array[:1]]), array[:0].copy(), one_column_more(array)):
+            if other is not None:
+                try:
+                    call(name, **{argument: other})
+                except (TypeError, ValueError):
+                    continue
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_lists_none_and_numbers_are_no_arrays(name: str) -> None:
+    for argument, array in CALLS[name].items():
+        if isinstance(array, np.ndarray):
+            for other in (array.tolist(), None, 1.0, "abc"):
+                with pytest.raises(TypeError):
+                    call(name, **{argument: other})
+
+
+@pytest.mark.parametrize("name", CALLS)
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300])
+def test_numbers_that_are_none_end_in_an_answer(name: str, value: float) -> None:
+    for argument, array in CALLS[name].items():
+        if isinstance(array, np.ndarray) and array.dtype == np.float64:
+            spoiled = array.copy()
+            spoiled.flat[array.size // 2] = value
+            assert flat(call(name, **{argument: spoiled}))
+            assert flat(call(name, **{argument: np.full_like(array, value)}))
+
+
+@pytest.mark.parametrize("name", ["most_probable", "residuals_and_columns_of", "paper_fit", "waves_at"])
+def test_places_out_of_bounds_are_refused(name: str) -> None:
+    for argument, array in CALLS[name].items():
+        if isinstance(array, np.ndarray) and array.dtype == np.int64:
+            for value in (-1, 2**40, np.iinfo(np.int64).min):
+                spoiled = array.copy()
+                spoiled.flat[-1] = value
+                with pytest.raises(ValueError, match=r".+"):
+                    call(name, **{argument: spoiled})
+
+
+@pytest.mark.parametrize("name", PER_PLACE)
+def test_no_pixel_and_no_direction_have_an_empty_answer(name: str) -> None:
+    none = {
+        argument: array[:0].copy()
+        for argument, array in CALLS[name].items()
+        if isinstance(array, np.ndarray) and array.shape[0] == N
+    }
+    assert none
+    assert all(part.size == 0 for part in flat(call(name, **none)) if part.ndim)
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_read_only_arrays_are_read_and_none_is_written(name: str) -> None:
+    frozen, before = {}, {}
+    for argument, array in CALLS[name].items():
+        if isinstance(array, np.ndarray):
+            before[argument] = array.copy()
+            frozen[argument] = array.copy()
+            frozen[argument].flags.writeable = False
+    for one, other in zip(flat(call(name, **frozen)), flat(call(name)), strict=True):
+        np.testing.assert_array_equal(one, other)
+    for argument, array in before.items():
+        np.testing.assert_array_equal(CALLS[name][argument], array)
+
+
+def test_sightings_that_another_thread_changes_end_in_an_answer() -> None:
+    epoch = np.tile(EPOCH, 300)
+    many = {name: np.tile(CALLS["most_probable"][name], (300, 1)) for name in ("directions", "pixels")}
+    ended = threading.Event()
+
+    def spoil() -> None:
+        while not ended.wait(0.0):
+            epoch[:] = 2**40
+            epoch[:] = 0
+
+    other = threading.Thread(target=spoil)
+    other.start()
+    try:
+        for _ in range(20):
+            try:
+                found, _ = call("most_probable", **many, epoch=epoch, information=np.ones(epoch.size))
+                assert found.shape == (PROBLEM.size,)
+            except ValueError:
+                continue
+    finally:
+        ended.set()
+        other.join()
+
+
+def test_more_places_than_one_batch_are_answered_as_one_by_one() -> None:
+    pixels = np.tile(PIXELS, (20, 1))
+    together = unproject(CAMERA, pixels)
+    np.testing.assert_array_equal(together, np.tile(together[:N], (20, 1)))
