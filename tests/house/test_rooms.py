@@ -19,6 +19,7 @@ APART = {
     "sunarc.app.simulating": "app alone may choose the simulator",
     "sunarc.cross_checks.clocks": "of the core, which computes; its reader is a worker",
     "sunarc.cross_checks.cloud_edges": "of the core, which computes; its reader is a worker",
+    "sunarc.imaging.hdr": "of the core, which computes; its reader is a worker",
     "sunarc.offline.calibrate_archive": "a function on a database; its reader is the command line",
 }
 """Fragments that stay, each with its reason."""
