@@ -96,7 +96,7 @@ def sightings(until: datetime, *, every_s: float = 300.0, camera: Camera = LENS)
             method="disc",
             accepted=not cloud,
             verdict="hidden" if cloud else "clear",
-            reason="no disc above the background" if cloud else "the disc fits",
+            findings=(Finding("disc_too_few_pixels") if cloud else Finding("disc_found", {"chi2": 1.1}),),
             exposure_us=47.0,
             x_px=None if cloud else x,
             y_px=None if cloud else y,

@@ -14,6 +14,7 @@ import pytest
 
 from sunarc.archive.values import SunPoint
 from sunarc.errors import InputError, NotFoundError
+from sunarc.findings import uncoded
 
 from .conftest import NOON, ROOF
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
     from sunarc.archive.archive import Archive
 
+FOG = uncoded("fog")
 POINT = SunPoint(
     camera="roof", pose_epoch="roof-1", time=NOON, method="disc", accepted=True, verdict="clear", x_px=1.0, y_px=2.0,
     exposure_us=20.0, peak_fraction=0.6, background_fraction=0.1,
@@ -133,11 +135,11 @@ def test_sightings_without_an_epoch_are_stored_in_those_of_their_times(archive: 
 
 def test_excluded_sightings_are_those_within_the_times_and_no_others(archive: Archive) -> None:
     archive.sightings.add(replace(POINT, time=at(h)) for h in range(6))
-    assert archive.sightings.exclude("roof", since=at(1), until=at(4), reason="fog") == 3
+    assert archive.sightings.exclude("roof", FOG, since=at(1), until=at(4)) == 3
     assert [p.accepted for p in archive.sightings.find("roof")] == [True, False, False, False, True, True]
-    assert archive.sightings.exclude("roof", since=at(1), until=at(4), reason="fog") == 0
-    assert {(p.verdict, p.reason, p.x_px) for p in archive.sightings.find("roof", accepted=False)} == {
-        ("set_aside", "fog", 1.0)
+    assert archive.sightings.exclude("roof", FOG, since=at(1), until=at(4)) == 0
+    assert {(p.verdict, p.findings[0].code, p.x_px) for p in archive.sightings.find("roof", accepted=False)} == {
+        ("set_aside", FOG.code, 1.0)
     }
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from collections.abc import Iterator
-from dataclasses import asdict, replace
+from dataclasses import replace
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -18,9 +19,9 @@ from tests.fixtures.nights import judged, whole_night
 from sunarc.archive.archive import Archive, open_archive
 from sunarc.archive.fleet.feed_rows import FED, FeedBatch, FeedRow, Refusal, read_feed_lines
 from sunarc.archive.fleet.feeds import FUTURE
-from sunarc.archive.values import Day, DayAir, Event, Refit
+from sunarc.archive.values import Day, DayAir, Event, Refit, fields_of
 from sunarc.errors import NotFoundError
-from sunarc.findings import Finding
+from sunarc.findings import Finding, uncoded
 
 from .conftest import ENGINES
 
@@ -90,7 +91,7 @@ def live_a_little(imager: Archive) -> None:
     imager.refits.finish("r", state="accepted", finished_at=NOON, calibration="b", findings=(Finding("x", {"n": 1}),))
     imager.events.add(Event(time=NOON, kind="start", severity="info", text="begun", camera="roof", details={"a": 1.5}))
     imager.epochs.open("roof", at=NOON + timedelta(seconds=300), reason="bumped")
-    imager.sightings.exclude("roof", since=NOON + timedelta(seconds=400), reason="test")
+    imager.sightings.exclude("roof", uncoded("test"), since=NOON + timedelta(seconds=400))
     imager.sightings.widen_clock_errors("roof", since=NOON, until=NOW, error_s=1 / 3)
 
 
@@ -166,7 +167,7 @@ def test_a_late_repetition_of_an_earlier_batch_changes_nothing(imager: Archive, 
     imager.sightings.add([sighting(0)])
     early = next_batch(imager)
     feed(imager, hub)
-    imager.sightings.exclude("roof", since=NOON, reason="test")
+    imager.sightings.exclude("roof", uncoded("test"), since=NOON)
     feed(imager, hub)
     assert hub.feeds.take(early, now=NOW) == imager.outbox.position().committed
     assert not hub.sightings.find("roof")[0].accepted
@@ -211,7 +212,8 @@ def test_a_second_installation_is_set_apart_until_it_is_accepted(imager: Archive
 
 
 def row_of(number: int = 0, **changes: Any) -> dict[str, Any]:  # noqa: ANN401 - of many types
-    row: dict[str, Any] = asdict(sighting(number))
+    row = fields_of(sighting(number))
+    row["reason"] = json.dumps([one.as_json() for one in row.pop("findings")])
     return row | {"time": int(row["time"].timestamp() * 1e6)} | changes
 
 
@@ -235,6 +237,8 @@ EVENT = {"camera": "roof", "time": AHEAD, "kind": "k", "severity": "info", "text
         ("sun_point", row_of(reason="\0"), "malformed"),
         ("sun_point", row_of(reason="half a pair \ud83d"), "malformed"),
         ("sun_point", row_of(reason="ein Wölkchen ☁"), None),
+        ("sun_point", row_of(reason='[{"code": 5, "data": []}, 7]'), None),
+        ("sun_point", row_of(reason='[{"code":' + 9999 * "["), None),
         ("sun_point", {name: value for name, value in row_of().items() if name != "snr"}, None),
         ("sun_point", dict(reversed(row_of().items())), None),
         ("sun_point", row_of(x_px=10**400), "malformed"),

@@ -21,7 +21,7 @@ from sunarc.archive.fleet.feed_rows import FED, STATUS, FeedRow, columns_of, fee
 from sunarc.archive.fleet.outbox import outbox_triggers
 from sunarc.archive.values import Day, DayAir, Event, Housekeeping, Refit
 from sunarc.errors import InputError
-from sunarc.findings import Finding
+from sunarc.findings import Finding, uncoded
 
 DAY = Day(
     camera="roof",
@@ -121,7 +121,7 @@ def test_the_same_values_again_queue_nothing(imager: Archive) -> None:
 def test_changes_of_many_rows_queue_each(imager: Archive) -> None:
     imager.sightings.add(sighting(n) for n in range(5))
     forget(imager)
-    assert imager.sightings.exclude("roof", since=NOON + timedelta(seconds=60), reason="test") == 3
+    assert imager.sightings.exclude("roof", uncoded("test"), since=NOON + timedelta(seconds=60)) == 3
     assert kinds(imager) == ["sun_point"] * 3
     forget(imager)
     imager.epochs.open("roof", at=NOON + timedelta(seconds=90), reason="bumped")
@@ -147,7 +147,7 @@ def test_a_damaged_row_does_not_keep_a_change_from_being_made(imager: Archive, t
     imager.sightings.add([sighting(0)])
     with closing(sqlite3.connect(tmp_path / "roof.sqlite")) as hand, hand:
         hand.execute("UPDATE sun_point SET reason = x'ff00fe', snr = x'ff', saturated_px = 'many'")
-    assert imager.sightings.exclude("roof", since=NOON, reason="test") == 1
+    assert imager.sightings.exclude("roof", uncoded("test"), since=NOON) == 1
     assert waiting(imager)[-1].kind == "sun_point"
 
 

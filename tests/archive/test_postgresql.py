@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import random
 import threading
 from collections.abc import Iterator
-from dataclasses import asdict, replace
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ from sunarc.archive.database.connections import create_server_engine, server_url
 from sunarc.archive.database.schema import check, head_revision, upgrade_server
 from sunarc.archive.database.tables import metadata
 from sunarc.archive.fleet.feed_rows import FeedBatch
-from sunarc.archive.values import SunPoint
+from sunarc.archive.values import SunPoint, fields_of
 from sunarc.errors import InputError, OutsideError, SchemaError, StoreFullError
 
 from .conftest import NOON, ROOF
@@ -298,7 +299,8 @@ def batch_after(imager: Archive, *rows: tuple[str, dict[str, Any]], camera: str)
 
 
 def row_of(number: int, camera: str, **changes: Any) -> dict[str, Any]:  # noqa: ANN401 - of many types
-    row = asdict(sighting(number, camera=camera))
+    row = fields_of(sighting(number, camera=camera))
+    row["reason"] = json.dumps([one.as_json() for one in row.pop("findings")])
     return row | {"time": int(row["time"].timestamp() * 1e6)} | changes
 
 

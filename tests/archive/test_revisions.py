@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
+import runpy
 import sqlite3
 from contextlib import closing
 from dataclasses import replace
 from datetime import datetime, timedelta
 from itertools import pairwise
 from pathlib import Path
+from string import Formatter
 from typing import Any
 
 import pytest
@@ -19,6 +22,7 @@ from sunarc.archive.database.tables import metadata
 from sunarc.archive.days import NightImage
 from sunarc.archive.fleet.feed_rows import FeedBatch, FeedRow, Refusal
 from sunarc.archive.fleet.nightly import NightlyRun
+from sunarc.archive.sightings import MOVED
 from sunarc.archive.values import Day, DayAir, Event, Housekeeping, Refit, SunPoint
 from sunarc.findings import Finding, uncoded
 from sunarc.workers.night.night import event_of_night
@@ -155,6 +159,76 @@ def test_the_sentence_of_an_older_refit_is_its_finding(filled: Path) -> None:
     assert archive.refits.get("r").findings == (uncoded("no camera's arc"),)
     assert archive.refits.get("new").findings == ()
     archive.close()
+
+
+MIGRATION = runpy.run_path(str(VERSIONS / "0018_findings_of_sightings.py"))
+
+
+def reasons_at(path: Path, revision: str, reasons: list[object]) -> list[object]:
+    """Return what these reasons of sightings of revision 0017 are after a way there and back."""
+    downgrade(path, "0017")
+    told = [(text, row) for row, text in enumerate(reasons, 1)]
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.executemany("UPDATE sun_point SET reason = ? WHERE id = ?", told)
+    upgrade(path)
+    if revision != "0018":
+        downgrade(path, revision)
+    with closing(sqlite3.connect(path)) as connection:
+        return [text for (text,) in connection.execute("SELECT reason FROM sun_point ORDER BY id LIMIT ?", [len(told)])]
+
+
+def test_sentences_of_sightings_become_findings_where_their_codes_are_sure(filled: Path) -> None:
+    found = "a disc, reduced chi² 1.04"
+    sentences: list[object] = [
+        *("", found, f"{found}, 12 saturated pixels left out", f"sun covered in another frame of the bracket: {found}"),
+        *("uneven brightness, worth 0.30 px (chi² 9 for 4)", "a cloud; in words of nobody", "bump: a turn", "[{1}]"),
+        *(f"{found}: 12 saturated pixels left out", "the camera had moved", 5, b"\xff"),
+    ]
+    reasons_at(filled, "0018", sentences)
+    archive = open_archive(filled)
+    stored = [point.findings for point in archive.sightings.find("roof")][: len(sentences)]
+    disc = Finding("disc_found", {"chi2": 1.04})
+    assert stored[:5] == [
+        (), (disc,), (disc, Finding("saturated_left_out", {"n": 12})), (Finding("bracket_covered"), disc),
+        (Finding("disc_uneven", {"uneven_px": 0.3, "chi2": 9}),),
+    ]  # fmt: skip
+    assert stored[5:9] == [(uncoded(str(text)),) for text in sentences[5:9]]
+    assert stored[9] == MOVED
+    assert [one[0].code for one in stored[10:]] == ["uncoded", "uncoded"]
+    archive.close()
+
+
+def test_the_sentences_of_sightings_are_the_same_after_a_way_there_and_back(filled: Path) -> None:
+    left_out = "a disc, reduced chi² 1.04, 12 saturated pixels left out"
+    sentences: list[object] = [
+        *("", f"{left_out}; mean of 3 frames (chi² 2.3, 4 degrees of freedom)", "something else"),
+        *("not where it should be: a disc, reduced chi² 1.04", "the camera had moved"),
+    ]
+    assert reasons_at(filled, "0017", sentences) == sentences
+
+
+def test_findings_of_sightings_are_sentences_again_for_an_older_version(filled: Path) -> None:
+    archive = open_archive(filled)
+    point = archive.sightings.find("roof")[0]
+    findings = (Finding("sun_elsewhere"), Finding("disc_found", {"chi2": 1.0449}), Finding("of_tomorrow", {"n": 1}))
+    archive.sightings.replace([replace(point, findings=findings)])
+    archive.close()
+    downgrade(filled, "0017")
+    with closing(sqlite3.connect(filled)) as connection:
+        (reason,) = connection.execute("SELECT reason FROM sun_point ORDER BY time LIMIT 1").fetchone()
+    assert reason == "not where it should be: a disc, reduced chi² 1.04; of_tomorrow {'n': 1}"
+
+
+@pytest.mark.parametrize(("code", "sentence"), MIGRATION["_SENTENCES"].items())
+def test_the_migration_knows_each_sentence_as_that_of_its_code_alone(code: str, sentence: str) -> None:
+    data = {name: 0.25 if spec else 7 for _, name, spec, _ in Formatter().parse(sentence) if name}
+    text = sentence.format_map(data)
+    told = MIGRATION["_as_findings"](text)
+    if code == "file_unreadable":
+        assert told is None
+    else:
+        assert [one["code"] for one in json.loads(told)] == [code]
+        assert MIGRATION["_as_sentence"](told) == text
 
 
 def test_the_events_of_former_nights_become_rows_the_last_of_each_night(filled: Path) -> None:

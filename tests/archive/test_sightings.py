@@ -14,6 +14,7 @@ from sunarc.archive.archive import Archive
 from sunarc.archive.database.tables import UtcTime
 from sunarc.archive.values import PoseEpoch, SunPoint
 from sunarc.errors import InputError
+from sunarc.findings import Finding
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 SEEN = SunPoint(
@@ -23,7 +24,7 @@ SEEN = SunPoint(
     method="disc",
     accepted=True,
     verdict="clear",
-    reason="the disc fits",
+    findings=(Finding("disc_found", {"chi2": 1.0523456789012345}), Finding("saturated_left_out", {"n": 12})),
     exposure_us=47.3,
     x_px=900.25,
     y_px=700.125,

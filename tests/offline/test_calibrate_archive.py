@@ -20,7 +20,7 @@ from sunarc.archive.database.state_folder import lock_state
 from sunarc.archive.values import CameraRecord, SunPoint
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.errors import InputError, OutsideError, SchemaError
-from sunarc.findings import Finding
+from sunarc.findings import Finding, uncoded
 from sunarc.offline import calibrate_archive as module
 from sunarc.offline.calibrate_archive import calibrate_archive
 from sunarc.optics.forward import project
@@ -109,7 +109,7 @@ def test_a_refused_fit_is_stored_served_to_nobody_and_teaches_nothing(
 
 def test_without_sightings_there_is_no_calibration(settings: Settings) -> None:
     with open_archive(settings.database) as archive:
-        archive.sightings.exclude("roof", since=MORNING, reason="test")
+        archive.sightings.exclude("roof", uncoded("test"), since=MORNING)
     refit, document = calibrate_archive(settings, clock=VirtualClock(NOW))
     assert document is None
     assert (refit.state, [one.code for one in refit.findings]) == ("failed", ["no_accepted_sightings"])

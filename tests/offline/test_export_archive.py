@@ -16,10 +16,12 @@ from tests.fixtures.archive import new_archive
 
 from sunarc.archive.archive import Archive
 from sunarc.archive.values import Day, DayAir, Refit, SunPoint
+from sunarc.detection.messages import MESSAGES
 from sunarc.errors import InputError, OutsideError
 from sunarc.findings import Finding
 from sunarc.offline.archive_tables import export_everything, table_cell
 
+FOUND = Finding("disc_found", {"chi2": 1.04})
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 
 
@@ -29,7 +31,7 @@ def archive(tmp_path: Path) -> Iterator[Archive]:
         epoch = opened.epochs.at("roof", NOON, reason="first frame").id
         seen = SunPoint(
             camera="roof", pose_epoch=epoch, time=NOON, method="disc", accepted=True, verdict="clear",
-            x_px=3.25, y_px=2.5, sigma_px=0.04, exposure_us=20.0,
+            x_px=3.25, y_px=2.5, sigma_px=0.04, exposure_us=20.0, findings=(FOUND,),
         )  # fmt: skip
         hidden = SunPoint(
             camera="roof", pose_epoch=epoch, time=NOON.replace(minute=31), method="disc", accepted=False,
@@ -66,6 +68,8 @@ def test_a_sightings_row_holds_its_values_and_empty_cells_where_it_has_none(tmp_
         "2013-05-13T18:30:00Z", "3.25", "0.04", "1",
     )  # fmt: skip
     assert (hidden["x_px"], hidden["sigma_px"], hidden["accepted"]) == ("", "", "0")
+    assert (list(seen)[6], seen["reason"], hidden["reason"]) == ("reason", MESSAGES.text_of(FOUND), "")
+    assert [json.loads(row["findings"]) for row in (seen, hidden)] == [[FOUND.as_json()], []]
 
 
 def test_days_keep_their_sentences_in_their_column_and_findings_are_json_in_the_last(

@@ -17,6 +17,7 @@ from tests.detection.photo.suns import SUN, exposed
 from sunarc.archive.archive import open_archive
 from sunarc.archive.values import SunPoint
 from sunarc.detection.photo.ordinary_image import Photo, detect_sun_in_photo
+from sunarc.findings import Finding
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc
@@ -63,7 +64,7 @@ def test_a_stack_is_one_sighting_in_which_the_short_exposure_rules(sunarc: Sunar
     assert [point.file for point in (first, *others)] == NAMES
     assert (first.accepted, first.verdict, first.time) == (True, "clear", TIME)
     assert {(point.accepted, point.verdict, point.x_px) for point in others} == {(False, "in_stack", None)}
-    assert all(NAMES[0] in point.reason for point in others)
+    assert all(point.findings == (Finding("stack_member", {"file": NAMES[0]}),) for point in others)
     alone = detect_sun_in_photo(Photo(exposed(1.0, slope=SLOPE, seed=1000), 255))
     assert error_px(first.x_px, first.y_px) < 0.35
     assert (first.sigma_px or math.inf) < 0.8 * (alone.sigma_px or 0.0)

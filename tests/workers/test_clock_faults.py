@@ -242,7 +242,7 @@ def test_closing_a_false_move_serves_a_copy_from_then_on_and_rewrites_no_past_an
     imager.run(10.0)
     assert imager.served() == copy
     assert [event.kind for event in imager.alarms()] == ["bump"]  # is not found again in the same sightings
-    assert not any(point.reason == MOVED for point in imager.archive.sightings.find("roof", accepted=True))
+    assert not any(point.findings == MOVED for point in imager.archive.sightings.find("roof", accepted=True))
 
 
 def test_the_first_epoch_an_unknown_and_a_closed_one_cannot_be_closed(tmp_path: Path) -> None:

@@ -26,6 +26,7 @@ from sunarc.calibration.model.document import to_document
 from sunarc.calibration.model.options import CalibrationOptions, WatchOptions
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.errors import InputError
+from sunarc.findings import Finding
 from sunarc.optics.forward import project
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import Reason, StatusRegistry
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 NOW = NOON + timedelta(days=3)
+FOUND = Finding("disc_found", {"chi2": 1.0})
 CAMERA = CameraRecord(
     name="roof",
     latitude=SITE.latitude,
@@ -82,7 +84,7 @@ def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
         x, y = project(LENS, sun_directions(time.timestamp(), SITE)).tolist()
         archive.sightings.add([
             SunPoint(camera="roof", pose_epoch=epoch, time=time, method="disc", accepted=True, verdict="clear",
-                     reason="found", x_px=x, y_px=y, sigma_px=0.02, clock_error_s=0.01, exposure_us=12.0)
+                     findings=(FOUND,), x_px=x, y_px=y, sigma_px=0.02, clock_error_s=0.01, exposure_us=12.0)
         ])  # fmt: skip
     for number, name in enumerate(("first", "second", "third")):
         archive.calibrations.add(document(name, day=number), used=archive.sightings.columns("roof"))

@@ -75,7 +75,6 @@ def point(name: str, unix_s: float, pixel: tuple[float, float] | None) -> SunPoi
         method="disc",
         accepted=pixel is not None,
         verdict="clear" if pixel else "hidden",
-        reason="",
         exposure_us=47.0,
         x_px=pixel[0] if pixel else None,
         y_px=pixel[1] if pixel else None,

@@ -27,7 +27,7 @@ from sunarc.calibration.model.options import CalibrationOptions, WatchOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.errors import OutsideError
-from sunarc.findings import from_json
+from sunarc.findings import from_json, uncoded
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector
@@ -298,10 +298,11 @@ def test_a_database_that_refuses_for_a_while_does_not_end_the_worker(
 def test_what_is_set_aside_keeps_its_place_in_the_record(imager: Imager) -> None:
     imager.see_many(TRUTH, range(-5, 5))
     since, until = (datetime.fromtimestamp(NOON + s, UTC) for s in (-60.0, 90.0))
-    assert imager.archive.sightings.exclude("roof", since=since, until=until, reason="test") == 3
+    why = uncoded("test")
+    assert imager.archive.sightings.exclude("roof", why, since=since, until=until) == 3
     assert imager.archive.sightings.columns("roof").unix_s.size == 7
     aside = [point for point in imager.archive.sightings.find("roof") if point.verdict == "set_aside"]
-    assert [point.reason for point in aside] == ["test"] * 3
+    assert [point.findings for point in aside] == [(why,)] * 3
 
 
 def test_a_closed_pose_epoch_ends_the_conditions_of_its_move(imager: Imager, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,7 @@ import hashlib
 import threading
 from collections import OrderedDict
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from datetime import datetime
 from typing import Any
 
@@ -14,7 +14,7 @@ from sqlalchemy import Connection, RowMapping, case, literal, or_, select, updat
 
 from sunarc.archive.database.connections import json_text, parsed_json
 from sunarc.archive.database.tables import UtcTime, calibration, stored_bytes
-from sunarc.archive.values import CalibrationRecord, CalibrationState
+from sunarc.archive.values import CalibrationRecord, CalibrationState, fields_of
 from sunarc.errors import ConflictError
 from sunarc.findings import Finding
 from sunarc.utc import EPOCH, rfc3339
@@ -77,7 +77,7 @@ def damaged_calibrations(connection: Connection) -> dict[str, str | None]:
 
 def row_of(record: CalibrationRecord) -> dict[str, Any]:
     """Return the columns of a record, with the checksum of the document as it will be stored."""
-    row = asdict(replace(record, document=dict(record.document))) | {"findings": record.findings}
+    row = fields_of(record) | {"document": dict(record.document)}
     row.pop("damaged")
     row["document_sha256"] = hashlib.sha256(json_text(row["document"]).encode()).hexdigest()
     return row

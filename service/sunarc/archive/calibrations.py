@@ -480,6 +480,6 @@ def _join(connection: Connection, wrong: PoseEpoch, before: PoseEpoch) -> None:
     # The row stays, of no duration: its id is never given again, and the event can still name it.
     connection.execute(update(pose_epoch).where(epochs.id == wrong.id).values(ended_at=wrong.started_at))
     connection.execute(update(pose_epoch).where(epochs.id == before.id).values(ended_at=wrong.ended_at))
-    admitted = update(sun_point).where(c.pose_epoch == wrong.id, c.reason == MOVED, c.accepted.is_(True))
-    connection.execute(admitted.values(accepted=False, verdict=ELSEWHERE, reason="not at its predicted position"))
+    admitted = update(sun_point).where(c.pose_epoch == wrong.id, c.findings == MOVED, c.accepted.is_(True))
+    connection.execute(admitted.values(accepted=False, verdict=ELSEWHERE, findings=(Finding("sun_elsewhere"),)))
     connection.execute(update(sun_point).where(c.pose_epoch == wrong.id).values(pose_epoch=before.id))

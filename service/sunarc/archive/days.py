@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from datetime import date, datetime
 from functools import partial
 from typing import Any, Literal
@@ -18,7 +18,7 @@ from sunarc.archive.database.store import Part, given, upsert, values_of
 from sunarc.archive.database.tables import camera as cameras
 from sunarc.archive.database.tables import day, day_air, night_image
 from sunarc.archive.events import insert_event, log_event
-from sunarc.archive.values import Day, DayAir, Event, Night, SunPoint, unusable_night
+from sunarc.archive.values import Day, DayAir, Event, Night, SunPoint, fields_of, unusable_night
 from sunarc.array_types import FloatArray
 from sunarc.errors import InputError, NotFoundError
 from sunarc.findings import Finding, from_json
@@ -56,7 +56,7 @@ class DayStore(Part):
             if _values(air) == (None, None):
                 connection.execute(delete(day_air).where(*this))
             else:
-                upsert(connection, day_air, asdict(air), key=["camera", "date"])
+                upsert(connection, day_air, fields_of(air), key=["camera", "date"])
         return air
 
     def air(self, camera: str, *, since: date | None = None, until: date | None = None) -> tuple[DayAir, ...]:
@@ -95,7 +95,7 @@ class DayStore(Part):
     def save(self, day: Day) -> None:
         """Write a day's verdict, in place of an earlier one."""
         with self._database.writing() as connection:
-            upsert(connection, tables.day, asdict(day) | {"findings": day.findings}, key=["camera", "date"])
+            upsert(connection, tables.day, fields_of(day), key=["camera", "date"])
 
     def find(
         self, camera: str, *, since: date | None = None, until: date | None = None, limit: int | None = None
@@ -215,7 +215,7 @@ class NightStore(Part):
     def add_image(self, camera: str, image: NightImage, *, keep_since: datetime) -> None:
         """Store an image of the night, and remove those of its kind from before `keep_since`."""
         c = night_image.c
-        row = {"camera": camera, "n_tries": 0, **asdict(image)}
+        row = {"camera": camera, "n_tries": 0, **fields_of(image)}
         with self._database.writing(camera=camera) as connection:
             upsert(connection, night_image, row, key=["camera", "time", "kind"])
             connection.execute(delete(night_image).where(c.camera == camera, c.kind == image.kind, c.time < keep_since))

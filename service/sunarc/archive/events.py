@@ -4,16 +4,25 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
-from typing import Any, get_args
+from typing import get_args
 
 from sqlalchemy import Connection, and_, delete, func, insert, or_, select, update
 
 from sunarc.archive.database import tables
 from sunarc.archive.database.store import Part, given, upsert, values_of
 from sunarc.archive.database.tables import condition, housekeeping, refit
-from sunarc.archive.values import Event, EventSeverity, Housekeeping, HousekeepingStep, Refit, RefitState, merged
+from sunarc.archive.values import (
+    Event,
+    EventSeverity,
+    Housekeeping,
+    HousekeepingStep,
+    Refit,
+    RefitState,
+    fields_of,
+    merged,
+)
 from sunarc.errors import NotFoundError
 from sunarc.findings import Finding
 
@@ -31,7 +40,7 @@ class RefitStore(Part):
     def add(self, refit: Refit) -> Refit:
         """Write down that a refit was asked for, or has begun."""
         with self._database.writing() as connection:
-            connection.execute(insert(tables.refit).values(_row_of(refit)))
+            connection.execute(insert(tables.refit).values(fields_of(refit)))
         return refit
 
     def request(self, refit: Refit) -> Refit:
@@ -47,7 +56,7 @@ class RefitStore(Part):
             found = values_of(connection, waiting.order_by(c.requested_at, c.id).limit(1), Refit)
             if found:
                 return found[0]
-            connection.execute(insert(tables.refit).values(_row_of(refit)))
+            connection.execute(insert(tables.refit).values(fields_of(refit)))
         return refit
 
     def start(self, refit_id: str, *, started_at: datetime) -> Refit:
@@ -147,15 +156,10 @@ def log_event(stored: Event) -> None:
 
 def insert_event(connection: Connection, event: Event) -> Event:
     """Store an event in a transaction, and return it with its id."""
-    row = asdict(event)
+    row = fields_of(event)
     row.pop("id")
     key = connection.execute(insert(tables.event).values(row)).inserted_primary_key
     return replace(event, id=None if key is None else int(key[0]))
-
-
-def _row_of(value: Refit) -> dict[str, Any]:
-    """Return the columns of a refit; `asdict` alone would take its findings apart."""
-    return asdict(value) | {"findings": value.findings}
 
 
 class ConditionStore(Part):
@@ -218,7 +222,9 @@ def _add(connection: Connection, camera: str, step: HousekeepingStep, measured: 
     this = (c.camera == camera, c.step == step, c.time == time)
     stored = values_of(connection, select(*_COLUMNS).where(*this), Housekeeping)
     total = merged(measured, stored[0] if stored else Housekeeping(time=time), time=time)
-    upsert(connection, housekeeping, {"camera": camera, "step": step, **asdict(total)}, key=["camera", "step", "time"])
+    upsert(
+        connection, housekeeping, {"camera": camera, "step": step, **fields_of(total)}, key=["camera", "step", "time"]
+    )
 
 
 def _begin(time: datetime, step: HousekeepingStep) -> datetime:

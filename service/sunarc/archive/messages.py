@@ -1,15 +1,31 @@
-"""The messages of what the archive decides: calibrations activated, served again or damaged, pose epochs closed."""
+"""The messages of what the archive decides on sightings, calibrations and pose epochs, and of what it stores."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, get_args
 
-from sunarc.calibration import messages
+from sunarc.calibration import messages as calibration
 from sunarc.calibration.changes.values import ChangeKind
-from sunarc.findings import Message, Messages
+from sunarc.detection import messages as detection
+from sunarc.findings import Finding, Message, Messages
 
 MESSAGES = Messages(
+    # sightings
+    sighting_superseded=Message(
+        "another method's sighting of the same image is accepted", "Set aside: an image counts once."
+    ),
+    star_not_named_again=Message(
+        "not named when its image was looked at again", "The sighting of a star was set aside."
+    ),
+    sighting_ambiguous=Message(
+        "ambiguous: the camera moved between {earliest} and then", "Set aside: it may be of either pose."
+    ),
+    camera_had_moved=Message(
+        "the camera had moved", "Seen elsewhere, and accepted once the camera was known to have moved."
+    ),
+    sighting_imported=Message("imported from {file}", "The sighting comes from a file (`sunarc points import`)."),
+    # calibrations, nights
     activated_by_operator=Message(
         "activated by an operator: {reason}", "An operator activated this calibration (POST …/activate)."
     ),
@@ -37,9 +53,14 @@ MESSAGES = Messages(
     ),
 )
 
-_ALL = Messages(messages.MESSAGES | MESSAGES)
+_ALL = Messages(detection.MESSAGES | calibration.MESSAGES | MESSAGES)
 
 text_of = _ALL.text_of
+
+
+def reason_of(findings: Iterable[Finding]) -> str:
+    """Return the findings of a sighting in a sentence."""
+    return detection.reason_of(findings, _ALL)
 
 
 def code_of_event(kind: str, details: Mapping[str, Any]) -> str:

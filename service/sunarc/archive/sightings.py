@@ -5,7 +5,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Container, Iterable, Mapping, Sequence
-from dataclasses import asdict, fields, replace
+from dataclasses import fields, replace
 from datetime import date, datetime, timedelta
 from typing import Literal, NamedTuple
 
@@ -38,19 +38,19 @@ from sunarc.archive.database import tables
 from sunarc.archive.database.store import Database, Part, given, insert_new, upsert, values_of
 from sunarc.archive.database.tables import sun_point
 from sunarc.archive.events import insert_event
-from sunarc.archive.values import CameraRecord, Event, PoseEpoch, SightingCounts, SunPoint, SunPointColumns
+from sunarc.archive.values import CameraRecord, Event, PoseEpoch, SightingCounts, SunPoint, SunPointColumns, fields_of
 from sunarc.array_types import FloatArray, IntArray
 from sunarc.detection.values import Detection
 from sunarc.errors import InputError
+from sunarc.findings import Finding
 from sunarc.sky.days import SECONDS_PER_DEGREE, day_bounds_unix_s, solar_date
 from sunarc.sky.night import SUN
 from sunarc.sky.site import Site
 from sunarc.utc import DAY_S, to_microseconds
 
-SUPERSEDED = "another method's sighting of the same image is accepted"
-"""Reason of a sighting that was set aside: an image counts once."""
-NOT_NAMED_AGAIN = "not named when its image was looked at again"
-"""Reason of a star's sighting that was set aside."""
+SUPERSEDED = (Finding("sighting_superseded"),)
+"""Findings of a sighting that was set aside: an image counts once."""
+_NOT_NAMED_AGAIN = (Finding("star_not_named_again"),)
 FIRST_SIGHTING = "first sighting"
 """Reason of a camera's first pose epoch."""
 _STAR = "star"
@@ -85,7 +85,7 @@ def _set_others_aside(connection: Connection, point: SunPoint) -> None:
     same_image = (c.camera == point.camera, c.time == point.time, c.body == point.body, c.file == point.file)
     others = (c.exposure_us == point.exposure_us, c.method != point.method, c.accepted.is_(True))
     change = update(sun_point).where(*same_image, *others)
-    connection.execute(change.values(accepted=False, verdict="set_aside", reason=SUPERSEDED))
+    connection.execute(change.values(accepted=False, verdict="set_aside", findings=SUPERSEDED))
 
 
 def image_key(time: datetime, exposure_us: float | None, file: str) -> ImageKey:
@@ -97,8 +97,8 @@ ELSEWHERE = "elsewhere"
 """Verdict on a clean disc where the sun should not be, as far as the calibration knows."""
 FROZEN: Literal["frozen"] = "frozen"
 """Verdict on a sighting in an image that the camera had delivered before."""
-MOVED = "the camera had moved"
-"""Reason of a sighting that was found elsewhere and accepted once the camera was known to have moved."""
+MOVED = (Finding("camera_had_moved"),)
+"""Findings of a sighting that was found elsewhere and accepted once the camera was known to have moved."""
 LENS_CHANGED = "lens"
 """Reason of a pose epoch that also has another lens: nothing from before says anything of it."""
 
@@ -130,7 +130,7 @@ class CameraStore(Part):
     def save(self, record: CameraRecord) -> None:
         """Write a camera down, in place of what was known of the same name."""
         with self._database.writing() as connection:
-            upsert(connection, tables.camera, asdict(record), key=["name"])
+            upsert(connection, tables.camera, fields_of(record), key=["name"])
         self._saved = {**self._saved, record.name: record}
 
     def saved(self) -> tuple[CameraRecord, ...]:
@@ -166,7 +166,7 @@ class EpochStore(Part):
             epoch = PoseEpoch(id=_next_id(connection, camera), camera=camera, started_at=at, reason=reason)
             closing = update(tables.pose_epoch).where(epochs.camera == camera, epochs.ended_at.is_(None))
             connection.execute(closing.values(ended_at=at))
-            connection.execute(insert(tables.pose_epoch).values(asdict(epoch)))
+            connection.execute(insert(tables.pose_epoch).values(fields_of(epoch)))
             moving = update(sun_point).where(sun_point.c.camera == camera, sun_point.c.time >= at)
             connection.execute(moving.values(pose_epoch=epoch.id))
         return epoch
@@ -202,8 +202,8 @@ class EpochStore(Part):
             earlier = replace(divided, id=new if keeps_later else divided.id, ended_at=at)
             later = replace(divided, id=divided.id if keeps_later else new, started_at=at, reason=reason)
             remaining, added = (later, earlier) if keeps_later else (earlier, later)
-            connection.execute(update(tables.pose_epoch).where(epochs.id == divided.id).values(asdict(remaining)))
-            connection.execute(insert(tables.pose_epoch).values(asdict(added)))
+            connection.execute(update(tables.pose_epoch).where(epochs.id == divided.id).values(fields_of(remaining)))
+            connection.execute(insert(tables.pose_epoch).values(fields_of(added)))
             side = sun_point.c.time < at if keeps_later else sun_point.c.time >= at
             moving = update(sun_point).where(sun_point.c.camera == camera, sun_point.c.pose_epoch == divided.id, side)
             connection.execute(moving.values(pose_epoch=new))
@@ -235,7 +235,7 @@ def _epoch_at(connection: Connection, camera: str, at: datetime, reason: str) ->
     known = _known_epochs(connection, camera)
     if not known:
         first = PoseEpoch(id=f"{camera}-1", camera=camera, started_at=at, reason=reason)
-        connection.execute(insert(tables.pose_epoch).values(asdict(first)))
+        connection.execute(insert(tables.pose_epoch).values(fields_of(first)))
         return first
     if at < known[0].started_at:
         connection.execute(update(tables.pose_epoch).where(epochs.id == known[0].id).values(started_at=at))
@@ -306,7 +306,7 @@ class SightingStore(Part):
         self._database.prepare_months([point.time for point in kept])
         with self._database.writing() as connection:
             for point in _in_epochs(connection, kept, first_epoch):
-                upsert(connection, sun_point, asdict(point), key=_KEY)
+                upsert(connection, sun_point, fields_of(point), key=_KEY)
                 if point.accepted or (point.verdict == "in_stack" and point.time in stacked):
                     _set_others_aside(connection, point)
 
@@ -323,9 +323,9 @@ class SightingStore(Part):
         aside = update(sun_point).where(*of_images, c.accepted.is_(True))
         with self._database.writing() as connection:
             before = int(connection.scalar(count) or 0)
-            connection.execute(aside.values(accepted=False, verdict="set_aside", reason=NOT_NAMED_AGAIN))
+            connection.execute(aside.values(accepted=False, verdict="set_aside", findings=_NOT_NAMED_AGAIN))
             for point in _in_epochs(connection, named, FIRST_SIGHTING):
-                upsert(connection, sun_point, asdict(point), key=_KEY)
+                upsert(connection, sun_point, fields_of(point), key=_KEY)
             return int(connection.scalar(count) or 0) - before
 
     def mark_predicted(self, camera: str, keys: Iterable[ImageKey], *, ingest_pass: int) -> None:
@@ -357,21 +357,21 @@ class SightingStore(Part):
             insert_event(connection, event)
             return connection.execute(update(sun_point).where(of_series).values(sigma_px=c.sigma_px * factor)).rowcount
 
-    def exclude(self, camera: str, *, since: datetime, until: datetime | None = None, reason: str) -> int:
+    def exclude(self, camera: str, why: Finding, *, since: datetime, until: datetime | None = None) -> int:
         """Leave accepted sightings with `since` <= time < `until` out of every fit, and return how many."""
         c = sun_point.c
         filters = given((c.camera.__eq__, camera), (c.time.__ge__, since), (c.time.__lt__, until))
         change = update(sun_point).where(*filters, c.accepted.is_(True))
         with self._database.writing() as connection:
-            return connection.execute(change.values(accepted=False, verdict="set_aside", reason=reason)).rowcount
+            return connection.execute(change.values(accepted=False, verdict="set_aside", findings=(why,))).rowcount
 
-    def readmit(self, camera: str, *, since: datetime, until: datetime | None = None, reason: str = MOVED) -> int:
+    def readmit(self, camera: str, *, since: datetime, until: datetime | None = None) -> int:
         """Accept the discs seen elsewhere with `since` <= time < `until`, and return how many: the camera has moved."""
         c = sun_point.c
         filters = given((c.camera.__eq__, camera), (c.time.__ge__, since), (c.time.__lt__, until))
         filters += [c.verdict == ELSEWHERE, c.x_px.is_not(None), c.y_px.is_not(None)]
         with self._database.writing() as connection:
-            change = update(sun_point).where(*filters).values(accepted=True, verdict="clear", reason=reason)
+            change = update(sun_point).where(*filters).values(accepted=True, verdict="clear", findings=MOVED)
             return connection.execute(change).rowcount
 
     def add(self, points: Iterable[SunPoint], *, first_epoch: str = FIRST_SIGHTING) -> int:
@@ -381,7 +381,7 @@ class SightingStore(Part):
             return 0
         self._database.prepare_months([point.time for point in new])
         with self._database.writing() as connection:
-            rows = [asdict(point) for point in _in_epochs(connection, new, first_epoch)]
+            rows = [fields_of(point) for point in _in_epochs(connection, new, first_epoch)]
             return insert_new(connection, sun_point, rows)
 
     def widen_clock_errors(self, camera: str, *, since: datetime, until: datetime, error_s: float) -> int:
@@ -603,7 +603,6 @@ def sun_point_of(
         camera=camera,
         pose_epoch=pose_epoch,
         time=time,
-        reason=detection.reason,
         exposure_us=exposure_us,
         clock_error_s=clock_error_s,
         file=file,

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 import numpy as np
 from pydantic import Field, computed_field
 
-from sunarc.archive.messages import code_of_event, text_of
+from sunarc.archive.messages import code_of_event, reason_of, text_of
 from sunarc.array_types import BoolArray, FloatArray, IntArray, NameArray
 from sunarc.errors import InputError
 from sunarc.findings import Finding, Messages
@@ -77,7 +77,7 @@ class SunPoint(Returned):
     method: Annotated[str, described("The detector: `disc`, `paper`, `star`, or `import`.", "disc")]
     accepted: Annotated[bool, described("Whether a fit may use it; then `x_px` and `y_px` are known.", True)]
     verdict: Annotated[str, described("What was detected, in a word.", "clear")]
-    reason: Annotated[str, described("Why it was accepted or rejected, in words.", "the disc fits")] = ""
+    findings: Findings = ()
     body: Annotated[str, described("`sun`, `moon`, a planet, or `star:HIP` and its number.", "sun")] = "sun"
     exposure_us: Annotated[float, described("As read back from the camera, µs; 0 where not known.", 47.0)] = 0.0
     x_px: Annotated[float | None, described("To the right, px; null where there is no answer.", 871.96)] = None
@@ -106,6 +106,14 @@ class SunPoint(Returned):
             raise InputError(
                 field="x_px, y_px", problem="an accepted sighting without a pixel", remedy="give finite numbers"
             )
+
+    @computed_field(  # type: ignore[prop-decorator]
+        description="Why it was accepted or rejected, in words.", examples=["a disc, reduced chi² 1.10"]
+    )
+    @property
+    def reason(self) -> str:
+        """The findings in a sentence."""
+        return reason_of(self.findings)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -434,6 +442,11 @@ class Event(Returned):
         # numbers and names only: a boolean is none, though Python counts it among the integers
         plain = {key: value for key, value in self.details.items() if type(value) in {str, int, float}}
         return [Finding(code_of_event(self.kind, self.details), plain).as_json()]
+
+
+def fields_of(value: Any) -> dict[str, Any]:  # noqa: ANN401 - any dataclass
+    """Return the fields of a value by their names, those within it as they are (`asdict` takes them apart)."""
+    return {one.name: getattr(value, one.name) for one in fields(value)}
 
 
 def _finite(value: float | None) -> bool:

@@ -29,10 +29,9 @@ _TABLES: dict[str, Messages] = {
 }
 _HEAD = """# Codes of findings
 
-Verdicts of calibrations and days, conditions in `/readyz` and `/v1/status`, and events carry
-`findings: [{"code", "data"}]`. Those of detections are stored as their sentence (`reason` of a sighting). Codes and
-data are stable; the sentences are not. The code of a worker's condition ends with the worker's name
-(`worker_stuck_capture`). This page is the output of `sunarc codes`.
+Verdicts of calibrations and days, sightings, conditions in `/readyz` and `/v1/status`, and events carry
+`findings: [{"code", "data"}]`. Codes and data are stable; the sentences are not. The code of a worker's condition ends
+with the worker's name (`worker_stuck_capture`). This page is the output of `sunarc codes`.
 """
 
 

@@ -165,10 +165,10 @@ _JOINED_BEFORE = {"saturated_left_out": ", "}
 _JOINED_AFTER = {"bracket_covered": ": ", "sun_elsewhere": ": "}
 
 
-def reason_of(findings: Iterable[Finding]) -> str:
-    """Return the findings of one detection in a sentence, as it is stored."""
+def reason_of(findings: Iterable[Finding], messages: Messages = MESSAGES) -> str:
+    """Return the findings of one detection in a sentence, by the messages of their codes."""
     text, after = "", ""
     for finding in findings:
-        text += (text and _JOINED_BEFORE.get(finding.code, after)) + MESSAGES.text_of(finding)
+        text += (text and _JOINED_BEFORE.get(finding.code, after)) + messages.text_of(finding)
         after = _JOINED_AFTER.get(finding.code, "; ")
     return text

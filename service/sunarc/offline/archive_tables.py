@@ -17,6 +17,7 @@ from sunarc.archive.archive import Archive, open_archive
 from sunarc.archive.csv_files import SightingTable, read_sightings, write_sightings
 from sunarc.archive.database.recovery import upgrade_present
 from sunarc.archive.database.schema import upgrade
+from sunarc.archive.messages import reason_of
 from sunarc.archive.values import (
     CameraRecord,
     Day,
@@ -117,9 +118,10 @@ def _write_housekeeping(archive: Archive, folder: Path, cameras: Sequence[str], 
 def _columns(kind: type[Any]) -> list[str]:
     """Return the names of a table's columns: its fields; sentences stand where findings do, which come last."""
     names = [field.name for field in fields(kind)]
-    if not hasattr(kind, "reasons"):
+    sentences = "reason" if kind is SunPoint else "reasons"
+    if "findings" not in names or not hasattr(kind, sentences):
         return names
-    return ["reasons" if name == "findings" else name for name in names] + ["findings"]
+    return [sentences if name == "findings" else name for name in names] + ["findings"]
 
 
 def _write_csv(path: Path, kind: type[Any], values: Iterable[Any]) -> int:
@@ -219,9 +221,9 @@ def import_points(settings: Settings, path: Path, *, image_size: tuple[int, int]
     upgrade_present(settings.archive)
     with open_archive(settings.archive) as archive:
         register_camera(archive, settings, size)
-        reason = f"imported from {path.name}"
+        imported = Finding("sighting_imported", {"file": path.name})
         return (
-            archive.sightings.add(_points(settings, table, reason), first_epoch=reason),
+            archive.sightings.add(_points(settings, table, imported), first_epoch=reason_of([imported])),
             total,
             total - int(table.unix_s.size),
         )
@@ -256,7 +258,7 @@ def _size_in_settings(settings: Settings) -> tuple[int, int] | None:
     return None if region is None else (region[2], region[3])
 
 
-def _points(settings: Settings, table: SightingTable, reason: str) -> list[SunPoint]:
+def _points(settings: Settings, table: SightingTable, imported: Finding) -> list[SunPoint]:
     times = [utc_time(t) for t in table.unix_s]
     return [
         SunPoint(
@@ -267,7 +269,7 @@ def _points(settings: Settings, table: SightingTable, reason: str) -> list[SunPo
             method="import",
             accepted=True,
             verdict="clear",
-            reason=reason,
+            findings=(imported,),
             x_px=float(x),
             y_px=float(y),
             sigma_px=_finite_or_none(sigma),

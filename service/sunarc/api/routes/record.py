@@ -6,7 +6,6 @@ import asyncio
 import json
 import re
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict
 from datetime import timedelta
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -24,7 +23,7 @@ from sunarc.api.routes.calibrations import matches
 from sunarc.api.routes.images import ThumbnailWidth, thumbnail
 from sunarc.api.schemas import DayAirIn, DayAirOut, Days, DayWithAir, Events
 from sunarc.archive.fleet.notices import NoticeKind, condition_changes, stored_changes
-from sunarc.archive.values import Day, DayAir, EventSeverity, Housekeeping, HousekeepingStep
+from sunarc.archive.values import Day, DayAir, EventSeverity, Housekeeping, HousekeepingStep, fields_of
 from sunarc.errors import InputError, NotFoundError, OutsideError
 from sunarc.json_fields import SolarDate, described
 from sunarc.runtime.status import StatusSnapshot
@@ -136,7 +135,7 @@ def days_out(context: ApiContext, days: Sequence[Day]) -> list[DayWithAir]:
     dates = [day.date for day in days]
     measured = context.archive.days.air(context.camera, since=min(dates), until=max(dates) + timedelta(days=1))
     air = {one.date: air_out(one) for one in measured}
-    return [DayWithAir(**asdict(day) | {"findings": day.findings}, air=air.get(day.date)) for day in days]
+    return [DayWithAir(**fields_of(day), air=air.get(day.date)) for day in days]
 
 
 def _image(context: ApiContext, if_none_match: str | None, width: int | None) -> Response:

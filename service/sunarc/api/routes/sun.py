@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict
 from datetime import date, datetime, timedelta
 from typing import Annotated
 
@@ -15,7 +14,7 @@ from sunarc.api.context import ApiContext
 from sunarc.api.parameters import BY_CALIBRATION, At, Cursor, Since, Until, page_at, row_limit
 from sunarc.api.problems import answers
 from sunarc.api.schemas import Residual, SightingsByDay, Sun, SunPoints, SunPointWithResidual, SunTrack
-from sunarc.archive.values import SunPoint
+from sunarc.archive.values import SunPoint, fields_of
 from sunarc.calibration.answers.covariance import sigma_px, sun_with_covariance
 from sunarc.calibration.model.backward import camera_sees
 from sunarc.calibration.model.result import Calibration
@@ -183,7 +182,7 @@ def _sun_points(context: ApiContext, found: Sequence[SunPoint], *, residuals: bo
         residual_rows = _residuals(answering[1], context, found)
     return SunPoints(
         sun_points=[
-            SunPointWithResidual(**asdict(point), residual=residual)
+            SunPointWithResidual(**fields_of(point), residual=residual)
             for point, residual in zip(found, residual_rows, strict=True)
         ],
         next=next_,

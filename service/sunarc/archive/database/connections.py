@@ -103,7 +103,7 @@ def parsed_json(text: str | bytes) -> Any:  # noqa: ANN401 - whatever JSON holds
     """Return a stored value; None where it is no JSON any more."""
     try:
         return json.loads(text)
-    except ValueError:
+    except (ValueError, RecursionError):
         return None
 
 

@@ -6,6 +6,7 @@ which it must have is then left out of what is returned (see `store.values_of`).
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable
 from datetime import date, datetime
@@ -37,6 +38,7 @@ from sqlalchemy.ext.compiler import compiles
 from sqlalchemy.sql.compiler import SQLCompiler
 from sqlalchemy.sql.functions import GenericFunction
 
+from sunarc.archive.database.connections import parsed_json
 from sunarc.archive.values import (
     CalibrationState,
     DayVerdict,
@@ -136,6 +138,27 @@ class FindingTuple(TypeDecorator[tuple[Finding, ...]]):
     def process_result_value(self, value: Any | None, dialect: Dialect) -> tuple[Finding, ...]:  # noqa: ANN401, ARG002 - SQLAlchemy's
         """Return the stored findings; none where they cannot be read."""
         return tuple(from_json(one) for one in value) if isinstance(value, list) else ()
+
+
+class FindingText(TypeDecorator[tuple[Finding, ...]]):
+    """Findings, as the text of a JSON list, empty without any; a sentence of revision 0017 and before is `uncoded`."""
+
+    impl = Text
+    cache_ok = True
+
+    def process_bind_param(self, value: tuple[Finding, ...] | None, dialect: Dialect) -> str:  # noqa: ARG002 - SQLAlchemy's
+        """Return the text to store; equal findings have equal texts."""
+        return json.dumps([one.as_json() for one in value], separators=(",", ":")) if value else ""
+
+    def process_result_value(self, value: Any | None, dialect: Dialect) -> tuple[Finding, ...]:  # noqa: ANN401, ARG002 - SQLAlchemy's
+        """Return the stored findings."""
+        return findings_of_text(value)
+
+
+def findings_of_text(text: Any | None) -> tuple[Finding, ...]:  # noqa: ANN401 - whatever is stored
+    """Return the findings of a text of `FindingText`, or of a sentence."""
+    stored = parsed_json(str(text)) if str(text).startswith("[{") else [text] if text else []
+    return tuple(from_json(one) for one in (stored if isinstance(stored, list) else [text]))
 
 
 class NumberTuple(TypeDecorator[tuple[float, ...]]):
@@ -319,7 +342,7 @@ sun_point = Table(
     Column("method", Text, nullable=False),
     Column("accepted", Boolean, nullable=False),
     Column("verdict", Text, nullable=False),
-    Column("reason", Text, nullable=False),
+    Column("reason", FindingText, key="findings", nullable=False),
     *(
         Column(name, Number)
         for name in (

@@ -18,7 +18,15 @@ from sqlalchemy.types import TypeEngine
 
 from sunarc.archive.database import tables
 from sunarc.archive.database.connections import parsed_json
-from sunarc.archive.database.tables import CalendarDate, FindingTuple, JsonOf, NumberTuple, UtcTime
+from sunarc.archive.database.tables import (
+    CalendarDate,
+    FindingText,
+    FindingTuple,
+    JsonOf,
+    NumberTuple,
+    UtcTime,
+    findings_of_text,
+)
 from sunarc.errors import InputError
 from sunarc.findings import from_json
 from sunarc.json_fields import EXAMPLE_TIME, Returned, Time, described
@@ -157,17 +165,16 @@ def _conversions(kind: str) -> tuple[tuple[str, str, Callable[[Any], Any]], ...]
 
 
 def _conversion(column: Column[Any]) -> Callable[[Any], Any] | None:
-    if isinstance(column.type, UtcTime):
-        return from_microseconds
-    if isinstance(column.type, CalendarDate):
-        return date.fromisoformat
-    if isinstance(column.type, FindingTuple):
-        return lambda value: tuple(from_json(one) for one in value) if isinstance(value, list) else ()
-    if isinstance(column.type, JsonOf):
-        return column.type.read
-    if isinstance(column.type, NumberTuple):
-        return lambda value: tuple(value) if isinstance(value, list) else None
-    return None
+    return column.type.read if isinstance(column.type, JsonOf) else _CONVERSIONS.get(type(column.type))
+
+
+_CONVERSIONS: Mapping[type, Callable[[Any], Any]] = {
+    UtcTime: from_microseconds,
+    CalendarDate: date.fromisoformat,
+    FindingText: findings_of_text,
+    FindingTuple: lambda value: tuple(from_json(one) for one in value) if isinstance(value, list) else (),
+    NumberTuple: lambda value: tuple(value) if isinstance(value, list) else None,
+}
 
 
 Reason = Literal[

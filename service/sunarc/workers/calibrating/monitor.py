@@ -242,7 +242,7 @@ class WatchWorker:
             self._open_epoch(change, at)
         else:
             self._fault, self._agreeing = change, 0
-            self._camera.exclude(since=at, reason=f"{change.kind}: {change.text}")
+            self._camera.exclude(change.finding, since=at)
 
     def _epoch_begun_by(self, change: Change) -> PoseEpoch | None:
         """Return the present epoch where the move began it and no pose has been found since; None for another move."""
@@ -254,9 +254,9 @@ class WatchWorker:
 
     def _open_epoch(self, change: Change, at: datetime) -> None:
         """Open a pose epoch at the first sighting after the change, and exclude those that may be of either side."""
-        doubted = f"ambiguous: the camera moved between {utc_time(change.earliest_unix_s).isoformat()} and then"
-        after_last = utc_time(change.earliest_unix_s) + MICROSECOND
-        self._camera.exclude(since=after_last, until=at, reason=doubted)
+        earliest = utc_time(change.earliest_unix_s)
+        ambiguous = Finding("sighting_ambiguous", {"earliest": earliest.isoformat()})
+        self._camera.exclude(ambiguous, since=earliest + MICROSECOND, until=at)
         try:
             reason = LENS_CHANGED if change.kind in LENS_KINDS else change.kind
             self._camera.open_epoch(at=at, reason=reason)
@@ -284,8 +284,7 @@ class WatchWorker:
             self._board.set_condition(fault.finding.code, None)
             return
         time = utc_time(sighting.unix_s)
-        until = time + MICROSECOND
-        self._camera.exclude(since=time, until=until, reason=f"{fault.kind}: {fault.text}")
+        self._camera.exclude(fault.finding, since=time, until=time + MICROSECOND)
 
     def _report(self, change: Change, at: datetime) -> None:
         self._camera.add_event(

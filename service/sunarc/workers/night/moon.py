@@ -18,7 +18,6 @@ from sunarc.detection.moon import Cutout, MoonExpectation, brightest_cutouts, cu
 from sunarc.detection.values import Detection, Sensor
 from sunarc.findings import Finding
 from sunarc.sky.night import MoonDisc, moon_disc
-from sunarc.workers.messages import text_of
 from sunarc.workers.night.exposures import LEAST_LIT, LOWEST_DEG, MOST_LEVEL, MoonExposures
 from sunarc.workers.options import SensorOptions, sensor_of
 
@@ -183,7 +182,7 @@ class MoonImages:
             method=found.method,
             accepted=True,
             verdict=found.verdict,
-            reason=text_of(found.findings[0]),
+            findings=found.findings[:1],
             exposure_us=image.exposure_us,
             x_px=measured.x_px,
             y_px=measured.y_px,

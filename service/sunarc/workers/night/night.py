@@ -491,7 +491,7 @@ class NightWorker:
                 method="star",
                 accepted=True,
                 verdict="clear",
-                reason=text_of(found.matches.findings[0]),
+                findings=found.matches.findings[:1],
                 exposure_us=image.exposure_us,
                 x_px=float(stars.pixels[row, 0]),
                 y_px=float(stars.pixels[row, 1]),
