@@ -25,7 +25,7 @@ class Options:
     free: float = 0.0
 
     def __post_init__(self) -> None:
-        require_bounds(self, section="capture")
+        require_bounds(self, section_path="capture")
 
 
 @pytest.mark.parametrize(
@@ -75,4 +75,4 @@ def test_fields_without_bounds_are_not_listed() -> None:
 
 def test_only_dataclasses_have_bounds() -> None:
     with pytest.raises(TypeError):
-        require_bounds(object(), section="x")
+        require_bounds(object(), section_path="x")

@@ -70,7 +70,7 @@ def main() -> None:
         stars, moon = frame(slot, 5e6), [frame(slot, us) for us in (60.0, 180.0)]
         begin = time.process_time()
         worker.look_at(stars)
-        worker.look_at_moon(moon)
+        worker.add_moon_exposures(moon)
         costs.append(time.process_time() - begin)
     kept = len(pickle.dumps((worker._images, worker._moon._images, list(worker._warm._seen)))) / ROUNDS  # noqa: SLF001
     print(f"{camera.width} x {camera.height} px: {min(costs):.2f} s a slot, {min(costs) / SLOT_S:.2%} of a core")

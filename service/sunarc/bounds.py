@@ -34,24 +34,24 @@ Share = Annotated[float, Ge(0.0), Le(1.0)]
 Count = Annotated[int, Ge(1)]
 
 
-def require_bounds(options: object, *, section: str) -> None:
+def require_bounds(options: object, *, section_path: str) -> None:
     """Raise where a field of a dataclass is not finite, beyond its declared bounds, or none of its choices.
 
     Parameters
     ----------
     options : an instance of a dataclass whose fields may be annotated with bounds or be a `Literal`; None has neither.
-    section : dotted path of the options in the settings; prefixes the field's name in the error, unless empty.
+    section_path : dotted path of the options in the settings; prefixes the field's name in the error, unless empty.
 
     Raises
     ------
     InputError
-        Naming `section.field`, the value given and what is allowed.
+        Naming `section_path.field`, the value given and what is allowed.
     """
     for name, bounds in bounds_of(type(options)).items():
         for value in _values(getattr(options, name)):
             if not all(_holds(bound, value) for bound in bounds):
                 raise InputError(
-                    field=f"{section}.{name}".lstrip("."),
+                    field=f"{section_path}.{name}".lstrip("."),
                     problem=f"{value!r} is not allowed",
                     remedy=f"give {bounds_text(bounds)}",
                 )

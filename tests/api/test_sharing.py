@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from sunarc.api.bulk import ComputeSlots
-from sunarc.api.middleware.holdings import Holding, Holdings
+from sunarc.api.middleware.shared_quota import QuotaUse, SharedQuota
 from sunarc.api.problems import RefusedError
 
 
@@ -103,23 +103,23 @@ def test_who_goes_away_while_waiting_leaves_no_place_taken() -> None:
 
 def test_the_address_that_holds_the_most_loses_its_oldest_to_one_that_holds_less() -> None:
     async def scenario() -> None:
-        holdings = Holdings(100)
+        quota = SharedQuota(100)
 
-        async def holding(client: str, amount: int, made: list[Holding]) -> None:
-            with holdings.open(client) as mine:
+        async def holding(client: str, amount: int, made: list[QuotaUse]) -> None:
+            with quota.open(client) as mine:
                 made.append(mine)
                 mine.grow(amount)
                 async with asyncio.timeout(None) as until:
                     mine.ends(until)
                     await asyncio.sleep(3600.0)
 
-        made: list[Holding] = []
+        made: list[QuotaUse] = []
         tasks = [asyncio.create_task(holding(client, 30, made)) for client in ("a", "a", "b")]
         await settle()
-        with holdings.open("a") as more, pytest.raises(RefusedError) as refused:
+        with quota.open("a") as more, pytest.raises(RefusedError) as refused:
             more.grow(11)  # it would hold the most itself
         assert refused.value.status == 429
-        with holdings.open("c") as other:
+        with quota.open("c") as other:
             other.grow(11)
             await settle()
             assert [one.ended for one in made] == [True, False, False]
@@ -128,7 +128,7 @@ def test_the_address_that_holds_the_most_loses_its_oldest_to_one_that_holds_less
         for task in tasks[1:]:
             task.cancel()
         await asyncio.wait(tasks)
-        with holdings.open("d") as all_of_it:
+        with quota.open("d") as all_of_it:
             all_of_it.grow(100)  # what was held was given back, once
 
     run(scenario())
@@ -136,8 +136,8 @@ def test_the_address_that_holds_the_most_loses_its_oldest_to_one_that_holds_less
 
 def test_equals_do_not_end_one_another() -> None:
     async def scenario() -> None:
-        holdings = Holdings(2)
-        with holdings.open("a") as one, holdings.open("b") as two, holdings.open("c") as three:
+        quota = SharedQuota(2)
+        with quota.open("a") as one, quota.open("b") as two, quota.open("c") as three:
             one.grow(1)
             two.grow(1)
             with pytest.raises(RefusedError):

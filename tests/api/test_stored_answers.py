@@ -15,7 +15,7 @@ from tests.api.test_slow_clients import SMALL, connect, serving
 from sunarc.api.bulk import ComputeSlots
 from sunarc.api.problems import RefusedError
 from sunarc.api.routes import maps
-from sunarc.api.routes.stored_answers import AnswerFiles, Content, Tagged, byte_range
+from sunarc.api.routes.stored_answers import AnswerFiles, ResponseBody, Tagged, byte_range
 from sunarc.calibration.answers.direction_table import back_projection_map
 
 if TYPE_CHECKING:
@@ -123,9 +123,9 @@ async def _ask(files: AnswerFiles, tag: str, made: list[str], n_bytes: int) -> N
     request: Request = _Asking()  # type: ignore[assignment]
     asked = Tagged(request=request, headers={"etag": tag}, if_none_match=None)
 
-    def make() -> Content:
+    def make() -> ResponseBody:
         made.append(tag)
-        return Content(content=bytes(n_bytes), media_type="application/x-npz")
+        return ResponseBody(content=bytes(n_bytes), media_type="application/x-npz")
 
     await files.answer(asked, ComputeSlots(1), make)
 

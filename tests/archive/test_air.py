@@ -94,10 +94,10 @@ def test_sightings_carry_the_air_of_their_solar_day_and_their_own_comes_first(ar
 
 def test_the_site_of_a_day_is_in_its_air(archive: Archive) -> None:
     archive.days.set_air(replace(WARM, pressure_hpa=None))
-    warm = archive.days.site_at("roof", SITE, NOON)
+    warm = archive.days.site_with_air_at("roof", SITE, NOON)
     assert warm == replace(SITE, temperature=35.0)
-    assert archive.days.site_at("roof", SITE, NOON + timedelta(days=1)) == SITE
-    assert archive.days.site_on("roof", SITE, NOON.date()) == warm
+    assert archive.days.site_with_air_at("roof", SITE, NOON + timedelta(days=1)) == SITE
+    assert archive.days.site_with_air_of("roof", SITE, NOON.date()) == warm
 
 
 def test_a_calibration_is_reproduced_in_the_air_that_it_was_made_with(archive: Archive) -> None:
@@ -132,7 +132,7 @@ def test_what_was_written_by_hand_and_is_no_air_counts_as_not_measured(archive: 
     columns = archive.sightings.columns("roof")
     assert np.all(np.isnan(columns.temperature))
     assert np.all(np.isnan(columns.pressure))
-    assert archive.days.site_at("roof", SITE, NOON) == SITE
+    assert archive.days.site_with_air_at("roof", SITE, NOON) == SITE
 
 
 def test_an_older_revision_keeps_the_sightings_and_a_newer_one_has_no_air(archive: Archive, path: Path) -> None:

@@ -83,7 +83,7 @@ def test_a_camera_archive_asks_for_its_camera_alone(archive: Archive) -> None:
     roof, mast = (CameraArchive(archive, name=name, site=SITE) for name in ("roof", "mast"))
     assert roof.current_calibration() == archive.calibrations.current("roof")
     assert roof.epochs() == archive.epochs.find("roof")
-    assert roof.site_at(MAY) == SITE
+    assert roof.site_with_air_at(MAY) == SITE
     assert mast.current_calibration() is None
     assert mast.epochs() == ()
 

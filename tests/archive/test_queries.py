@@ -160,8 +160,8 @@ def test_no_sightings_are_no_write(archive: Archive) -> None:
 
 def test_an_archives_day_air_is_that_of_the_solar_day(archive: Archive) -> None:
     site = Site(latitude=ROOF.latitude, longitude=ROOF.longitude, altitude=ROOF.altitude)
-    assert archive.days.site_at("roof", site, NOON) == site
-    assert archive.days.site_on("roof", site, solar_date(NOON.timestamp(), longitude=site.longitude)) == site
+    assert archive.days.site_with_air_at("roof", site, NOON) == site
+    assert archive.days.site_with_air_of("roof", site, solar_date(NOON.timestamp(), longitude=site.longitude)) == site
 
 
 def test_a_sighting_has_every_number_of_its_detection() -> None:

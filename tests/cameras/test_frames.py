@@ -13,12 +13,12 @@ import pytest
 from sunarc.cameras.aravis import (
     ExposureControl,
     NotedExposure,
+    event_setter,
     exposure_control,
     follows,
     image_of,
     incomplete,
     require_exposure,
-    setter,
     wait_for_last_reference,
 )
 from sunarc.cameras.features import Link, buffer_limit, route_mtu
@@ -289,5 +289,5 @@ def test_the_last_reference_is_waited_for_half_a_second(references: int, *, alon
 
 def test_a_signal_sets_the_event_whatever_it_carries() -> None:
     event = threading.Event()
-    setter(event)("camera", 1, None)
+    event_setter(event)("camera", 1, None)
     assert event.is_set()

@@ -14,7 +14,7 @@ from sunarc.reanalysis.detect_files import (
     detect_in_files,
     detect_in_image,
     draw_overlay,
-    full_scale_of,
+    estimated_full_scale,
     selected_method,
 )
 
@@ -34,16 +34,16 @@ def disc(full_scale: int, *, sky: float = 0.0) -> NDArray[np.uint16]:
     ("brightest", "full_scale"),
     [(0, 1023), (1023, 1023), (1024, 4095), (4095, 4095), (4096, 16383), (16384, 65535), (65535, 65535)],
 )
-def test_thefull_scale_of_a_16_bit_image_is_the_smallest_usual_one_that_holds_it(
+def test_the_full_scale_of_a_16_bit_image_is_the_smallest_usual_one_that_holds_it(
     brightest: int, full_scale: int
 ) -> None:
     image = np.zeros((4, 4), dtype=np.uint16)
     image[1, 1] = brightest
-    assert full_scale_of(image) == full_scale
+    assert estimated_full_scale(image) == full_scale
 
 
-def test_thefull_scale_of_an_8_bit_image_is_255_whatever_it_holds() -> None:
-    assert full_scale_of(np.full((4, 4), 3, dtype=np.uint8)) == 255
+def test_the_full_scale_of_an_8_bit_image_is_255_whatever_it_holds() -> None:
+    assert estimated_full_scale(np.full((4, 4), 3, dtype=np.uint8)) == 255
 
 
 @pytest.mark.parametrize(("share", "method"), [(0.029, "disc"), (0.031, "paper")])

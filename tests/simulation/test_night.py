@@ -106,7 +106,7 @@ def test_the_moon_s_lit_side_is_the_sun_s_side_and_its_glow_lights_the_sky() -> 
     moon, angles = body_position("moon", unix_s, SGP), sun_angles(unix_s, SGP)
     sun = direction_from_angles(zenith_deg=angles.zenith, azimuth_deg=angles.azimuth)
     assert moon.direction[2] > 0.3
-    assert 0.3 < moon.lit < 0.7
+    assert 0.3 < moon.illuminated_fraction < 0.7
     direction = np.array(moon.direction)
     scene = night_scene(sensor=CLEAN, faintest=0.0, **{**ONLY_STARS, "moon": True})
     x, y = project(scene.camera, direction)

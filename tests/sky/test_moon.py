@@ -66,4 +66,6 @@ def test_the_horizon_flattens_the_disc_by_a_sixth() -> None:
 
 def test_lit_share_is_that_of_the_ephemeris() -> None:
     for unix_s in MOMENTS:
-        assert moon_disc(unix_s, SITES[0]).lit == pytest.approx(body_position("moon", unix_s, SITES[0]).lit, abs=0.02)
+        assert moon_disc(unix_s, SITES[0]).illuminated_fraction == pytest.approx(
+            body_position("moon", unix_s, SITES[0]).illuminated_fraction, abs=0.02
+        )

@@ -165,8 +165,8 @@ def test_the_sky_of_a_moment_holds_what_is_above_the_horizon_the_brightest_first
 def test_the_moons_disc_and_phase() -> None:
     full = body_position("moon", datetime(2026, 3, 3, 11, 34, tzinfo=UTC).timestamp(), SITES[0])  # a lunar eclipse
     half = body_position("moon", datetime(2026, 3, 11, 9, 38, tzinfo=UTC).timestamp(), SITES[0])  # last quarter
-    assert full.lit > 0.995
-    assert abs(half.lit - 0.5) < 0.01
+    assert full.illuminated_fraction > 0.995
+    assert abs(half.illuminated_fraction - 0.5) < 0.01
     for moon in (full, half):
         assert 0.244 < math.degrees(moon.radius) < 0.284  # perigee and apogee, topocentric
         assert -13.0 < moon.magnitude < -9.0

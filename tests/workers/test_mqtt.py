@@ -59,7 +59,7 @@ def test_messages_and_the_retained_state(bench: Pushing, broker: Mosquitto) -> N
     assert kept[THERE] == "online"
     assert (kept[STATE]["health"], kept[STATE]["problem"], kept[STATE]["conditions"]) == ("degraded", "ON", [DUSTY])
     assert EVENTS not in kept
-    worker.sink.close(orderly=True)
+    worker.sink.close(graceful=True)
     assert retained(broker.port)[THERE] == "offline"
     listener.close()
 
@@ -90,7 +90,7 @@ def test_a_broker_that_is_stopped_and_started_loses_nothing(bench: Pushing, brok
     kept = retained(broker.port)
     assert (kept[STATE]["health"], kept[THERE]) == ("ready", "online")
     assert len([topic for topic in kept if topic.startswith("homeassistant/")]) == 5
-    worker.sink.close(orderly=False)
+    worker.sink.close(graceful=False)
     after.close()
 
 
@@ -100,7 +100,7 @@ def test_a_service_that_is_killed_goes_on_where_it_was(bench: Pushing, broker: M
     bench.happen(2, "mqtt")
     first = bench.worker(sink(bench, broker.port))
     step(first)
-    first.sink.close(orderly=False)  # as the kernel closes what a process had
+    first.sink.close(graceful=False)  # as the kernel closes what a process had
     listener.wait_for(4)
     assert listener.of(THERE)[-1] == "offline"  # the last will
     bench.restart()
@@ -112,7 +112,7 @@ def test_a_service_that_is_killed_goes_on_where_it_was(bench: Pushing, broker: M
     assert [message["data"]["text"] for message in listener.of(EVENTS)] == ["0", "1", "0", "1"]
     assert len({message["id"] for message in listener.of(EVENTS)}) == 4
     assert listener.of(THERE)[-1] == "online"
-    second.sink.close(orderly=True)
+    second.sink.close(graceful=True)
     listener.close()
 
 
@@ -127,7 +127,7 @@ def test_a_receipt_that_is_lost_doubles_one_message_under_its_id(
         patched.setattr(bench.archive.notices, "done", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):  # killed between the receipt and the note of it
             step(worker)
-    worker.sink.close(orderly=False)
+    worker.sink.close(graceful=False)
     step(bench.worker(sink(bench, broker.port)))
     listener.wait_for(3)
     ids = [message["id"] for message in listener.of(EVENTS)]
@@ -145,7 +145,7 @@ def test_an_idle_connection_is_kept_and_states_are_sent_when_they_change(bench: 
         step(worker)
     listener.listen(0.2)
     assert [topic for topic, _, _ in listener.heard] == [THERE, STATE]
-    worker.sink.close(orderly=True)
+    worker.sink.close(graceful=True)
     listener.close()
 
 
@@ -170,7 +170,7 @@ def test_a_login_is_refused_and_taken(bench: Pushing, broker: Mosquitto, monkeyp
         if codes:
             (reason,) = bench.board.snapshot().reasons
             assert "Not authorized" in str(reason.data["error"])
-        worker.sink.close(orderly=True)
+        worker.sink.close(graceful=True)
     locked.stop()
 
 
@@ -192,7 +192,7 @@ def test_a_certificate_is_checked(bench: Pushing, broker: Mosquitto, monkeypatch
     worker = bench.worker(sink(bench, sealed.port, "mqtts"))
     step(worker)
     assert (bench.codes(), bench.archive.notices.sink_states()["mqtt"].waiting) == (set(), 0)
-    worker.sink.close(orderly=True)
+    worker.sink.close(graceful=True)
     sealed.stop()
 
 
@@ -244,9 +244,9 @@ def test_a_broker_that_confirms_slowly_holds_up_nobody(bench: Pushing, monkeypat
         )
         begun_s = bench.clock.monotonic()
         with pytest.raises(OutsideError):
-            broker.refresh(lambda: beats.append(bench.clock.monotonic()))
+            broker.publish_states(lambda: beats.append(bench.clock.monotonic()))
         assert bench.clock.monotonic() - begun_s < 2.0
-        broker.close(orderly=False)
+        broker.close(graceful=False)
     assert max(later - former for former, later in pairwise([begun_s, *beats])) < 0.5
 
 
@@ -259,7 +259,7 @@ def test_a_login_that_is_none_is_a_condition_until_it_is_one(bench: Pushing, bro
     assert (step(worker), bench.codes()) == (60.0, {"push_unusable_mqtt"})
     (bench.folder / "login").write_text("sunarc:word")
     assert (step(worker), bench.codes()) == (1.0, set())
-    worker.sink.close(orderly=False)
+    worker.sink.close(graceful=False)
 
 
 def test_a_missing_library_is_a_condition(bench: Pushing, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -276,7 +276,7 @@ def test_a_probe_leaves_what_the_running_service_shows(bench: Pushing, broker: M
     sink(bench, broker.port).probe()
     assert retained(broker.port) == before
     assert before[THERE] == "online"
-    worker.sink.close(orderly=False)
+    worker.sink.close(graceful=False)
 
 
 def test_the_announcement_to_home_assistant_has_what_it_needs() -> None:
@@ -354,9 +354,9 @@ def test_the_states_of_a_fleet_do_not_wait_for_one_another(bench: Pushing, broke
         PushOptions(mqtt=f"mqtt://127.0.0.1:{distance.port}"), states=lambda: states, clock=bench.clock, client="hub"
     )
     begun_s = bench.clock.monotonic()
-    far.refresh(lambda: None)
+    far.publish_states(lambda: None)
     assert bench.clock.monotonic() - begun_s < 4.0  # 240 messages one by one take 9.6 s on the way alone
-    far.close(orderly=False)
+    far.close(graceful=False)
     distance.close()
     kept = retained(broker.port)
     assert [kept[f"sunarc/c{n}/state"]["health"] for n in range(40)] == ["ready"] * 40
@@ -378,15 +378,15 @@ def test_states_that_take_long_go_on_at_the_next_call_and_equal_ones_are_not_loo
     near = MqttBroker(
         PushOptions(mqtt=f"mqtt://127.0.0.1:{broker.port}"), states=lambda: states, clock=clock, client="hub"
     )
-    near.refresh(lambda: None)
+    near.publish_states(lambda: None)
     assert made == ["c0", "c1", "c2"]  # 5 s were over
-    near.refresh(lambda: None)
-    near.refresh(lambda: None)
+    near.publish_states(lambda: None)
+    near.publish_states(lambda: None)
     assert made == ["c0", "c1", "c2", "c3", "c4"]
     states["c1"] = CameraState(health="degraded")
-    near.refresh(lambda: None)
+    near.publish_states(lambda: None)
     assert made[5:] == ["c1"]
-    near.close(orderly=True)
-    near.refresh(lambda: None)  # another connection begins with all
+    near.close(graceful=True)
+    near.publish_states(lambda: None)  # another connection begins with all
     assert made[6:] == ["c0", "c1", "c2"]
-    near.close(orderly=True)
+    near.close(graceful=True)

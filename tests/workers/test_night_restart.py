@@ -118,7 +118,7 @@ def test_a_night_that_was_killed_twice_has_the_verdict_and_the_stars_of_one_that
 
 def test_the_moon_of_before_a_restart_becomes_sightings(bench: Bench) -> None:
     for slot in range(3):
-        bench.worker.look_at_moon([moon_frame(HALF + timedelta(minutes=10 * slot), 160.0)])
+        bench.worker.add_moon_exposures([moon_frame(HALF + timedelta(minutes=10 * slot), 160.0)])
     restarted = Bench(bench.archive)
     restarted.worker.look_at(replace(frame_at(0), time=HALF))
     restarted.worker.finish()

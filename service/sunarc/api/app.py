@@ -29,8 +29,8 @@ from sunarc.api.middleware.admission import (
     host_names,
     read_token,
 )
-from sunarc.api.middleware.holdings import Holdings
 from sunarc.api.middleware.request_bodies import BodyReader, Boundary, HeadRequests
+from sunarc.api.middleware.shared_quota import SharedQuota
 from sunarc.api.options import ApiOptions
 from sunarc.api.problems import Fault, FaultGuard, FaultLog, Problem, add_problem_handlers, answers, require_known_names
 from sunarc.api.routes.calibrations import calibration_routes, decision_routes, refit_routes
@@ -38,7 +38,7 @@ from sunarc.api.routes.directions import direction_routes
 from sunarc.api.routes.feed import FeedReceiver, FeedSizes, feed_routes
 from sunarc.api.routes.fleet import FleetCollector, fleet_page, fleet_routes, nightly_routes, pair_routes
 from sunarc.api.routes.geolocation import GeolocateRequest, geolocation_routes
-from sunarc.api.routes.health import camera_routes, health_routes
+from sunarc.api.routes.health import camera_list_routes, health_routes
 from sunarc.api.routes.images import image_routes
 from sunarc.api.routes.maps import map_routes, mask_routes, remap_routes
 from sunarc.api.routes.metrics import CountRequests, RequestCounts, StatusCollector
@@ -195,7 +195,7 @@ def create_app(
     numbers.register(StatusCollector(context))
     app = new_application("sunarc")
     add_camera_routes(app, context)
-    app.include_router(camera_routes(context))
+    app.include_router(camera_list_routes(context))
     app.include_router(health_routes(context, numbers))
     _add_dashboard(app)
     complete(app, context)
@@ -269,7 +269,7 @@ def _add_guards(app: FastAPI, context: ApiContext, faults: FaultLog) -> None:
         max_body_bytes=options.max_body_bytes,
         max_array_bytes=options.max_array_bytes,
         within_s=options.request_within_s,
-        holdings=Holdings(options.max_large_at_once * (options.max_array_bytes + MOST_BYTES_AHEAD)),
+        quota=SharedQuota(options.max_large_at_once * (options.max_array_bytes + MOST_BYTES_AHEAD)),
     )
     reading = read_token(options.read_token_file, setting="api.read_token_file")
     tokens = tuple(token for token in (reading, context.token) if token is not None)
@@ -367,7 +367,7 @@ def create_hub_app(
     app = new_application("sunarc hub")
     app.include_router(feed_routes(receiver))
     add_camera_routes(app, context)
-    app.include_router(camera_routes(context))
+    app.include_router(camera_list_routes(context))
     app.include_router(fleet_routes(archive, now, numbers, status))
     app.include_router(nightly_routes(archive))
     app.include_router(pair_routes(context))

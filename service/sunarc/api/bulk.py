@@ -22,7 +22,7 @@ from starlette.concurrency import run_in_threadpool
 
 from sunarc.api.arrays import NPY, Rows, bytes_ahead, read_rows, require_few, rows_response
 from sunarc.api.context import CALIBRATION, ApiContext, Sampling
-from sunarc.api.middleware.holdings import client_network
+from sunarc.api.middleware.shared_quota import client_network
 from sunarc.api.problems import Fault, RefusedError
 from sunarc.archive.values import CalibrationRecord
 from sunarc.array_types import FloatArray, IntArray
@@ -137,7 +137,7 @@ def answering_each(context: ApiContext, request: Request, asked: FloatArray) -> 
     return Answering(context=selected, record=first.record, ready=first.ready, time=moment(asked[0]), each=each)
 
 
-def records_at(context: ApiContext, times: FloatArray, asked: FloatArray) -> list[CalibrationRecord]:
+def records_at(context: ApiContext, unix_s: FloatArray, requested_unix_s: FloatArray) -> list[CalibrationRecord]:
     """Return what answers at each of rising times.
 
     A calibration answers for one interval of time (one that is made current again does so as a copy), so that what
@@ -148,16 +148,16 @@ def records_at(context: ApiContext, times: FloatArray, asked: FloatArray) -> lis
 
     def look(k: int) -> CalibrationRecord:
         if k not in found:
-            record = context.record_or_none(moment(times[k]))
+            record = context.record_or_none(moment(unix_s[k]))
             if record is None:
-                place = f"at[{int(np.flatnonzero(asked == times[k])[0])}]"
-                problem = f"no calibration answers for {moment(times[k]).isoformat()}"
+                place = f"at[{int(np.flatnonzero(requested_unix_s == unix_s[k])[0])}]"
+                problem = f"no calibration answers for {moment(unix_s[k]).isoformat()}"
                 raise NotFoundError(field=place, problem=problem, remedy="see /v1/calibrations for what there is")
             found[k] = distinct.setdefault(record.id, record)
             require_few(len(distinct), most=_MOST_CALIBRATIONS, field="at", what="calibrations")
         return found[k]
 
-    spans = [(0, len(times) - 1)]
+    spans = [(0, len(unix_s) - 1)]
     while spans:
         low, high = spans.pop()
         if look(low) is look(high):
@@ -165,7 +165,7 @@ def records_at(context: ApiContext, times: FloatArray, asked: FloatArray) -> lis
         elif high - low > 1:
             middle = (low + high) // 2
             spans += [(low, middle), (middle, high)]
-    return [found[k] for k in range(len(times))]
+    return [found[k] for k in range(len(unix_s))]
 
 
 def moment(unix_s: float) -> datetime:

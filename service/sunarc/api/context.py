@@ -116,7 +116,7 @@ class DaySites:
         revision = self._archive.revision()
         cached = self._sites.get(camera)
         if cached is None or cached[:2] != (revision, day):
-            cached = self._sites[camera] = (revision, day, self._archive.days.site_on(camera, site, day))
+            cached = self._sites[camera] = (revision, day, self._archive.days.site_with_air_of(camera, site, day))
         return cached[2]
 
 
@@ -174,11 +174,11 @@ class ApiContext:
             self, camera=name, site=record.site, latest_image=lambda: None, images=None, request_refit=refuse_refit
         )
 
-    def site_at(self, time: datetime) -> Site:
+    def site_with_air_at(self, time: datetime) -> Site:
         """Return the site in the measured air of the solar day of a moment, in its own where nothing was measured."""
-        return self.site_on(solar_date(time.timestamp(), longitude=self.site.longitude))
+        return self.site_with_air_of(solar_date(time.timestamp(), longitude=self.site.longitude))
 
-    def site_on(self, day: date) -> Site:
+    def site_with_air_of(self, day: date) -> Site:
         """Return the site in the measured air of a solar day, in its own where nothing was measured."""
         return self.sites.get(self.camera, self.site, day)
 

@@ -66,7 +66,7 @@ class ApiOptions:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be served."""
-        require_bounds(self, section="api")
+        require_bounds(self, section_path="api")
         _check_hosts(self.allowed_hosts)
         for origin in self.cors_origins:
             if not origin.startswith(("http://", "https://")) or origin.count("/") != 2:

@@ -51,7 +51,7 @@ from sunarc.workers.upkeep import ConditionTimesWorker, DatabaseWorker, DiskWork
 _WAITING_FRAMES = 4
 
 
-def night_capture(options: NightOptions, site_at: Callable[[datetime], Site]) -> NightCapture | None:
+def night_capture(options: NightOptions, site_with_air_at: Callable[[datetime], Site]) -> NightCapture | None:
     """Return what joins the night's capture and its worker; None where the night is not worked.
 
     Raises
@@ -61,7 +61,7 @@ def night_capture(options: NightOptions, site_at: Callable[[datetime], Site]) ->
     if not options.enabled:
         return None
     extra_module("ephem", extra="night")
-    moon = MoonExposures(lambda time: moon_disc(time.timestamp(), site_at(time)))
+    moon = MoonExposures(lambda time: moon_disc(time.timestamp(), site_with_air_at(time)))
     return NightCapture(
         NightExposures(),
         DropOldestQueue(capacity=_WAITING_FRAMES),
@@ -186,7 +186,7 @@ class Service:
         self.watch = self.watch_worker()
         self.cycles: DropOldestQueue[Sequence[Frame]] = DropOldestQueue(capacity=_WAITING_CYCLES)
         self.sun_frames: DropOldestQueue[Frame] = DropOldestQueue(capacity=_WAITING_SUN_FRAMES)
-        self.night = night_capture(settings.night, self.camera.site_at)
+        self.night = night_capture(settings.night, self.camera.site_with_air_at)
         self.days = DayJudge(
             camera=self.camera,
             cadence_s=settings.capture.cadence_s,

@@ -212,7 +212,7 @@ class CameraArchive:
         self.record = partial(archive.cameras.get, name)
         self.refits = partial(archive.refits.find, name)
         self.sightings_of_ids = partial(archive.sightings.of_ids, name)
-        self.site_at = partial(archive.days.site_at, name, site)
+        self.site_with_air_at = partial(archive.days.site_with_air_at, name, site)
         self.split_epoch = partial(archive.epochs.split, name)
         self.sun_candidates = partial(archive.sightings.candidates, name)
         self.sun_levels = partial(archive.sightings.sun_levels, name)

@@ -73,8 +73,8 @@ class DayStore(Part):
         temperature, pressure = (np.where(np.isnan(own), day, own) for own, day in zip(measured, of_day, strict=True))
         return temperature, pressure
 
-    def site_on(self, camera: str, site: Site, day: date) -> Site:
-        """Return a camera's site in the measured air of a solar day; in the site's own where nothing was measured."""
+    def site_with_air_of(self, camera: str, site: Site, day: date) -> Site:
+        """Return a camera's site with the measured air of a solar day; with its own where nothing was measured."""
         with self._database.reading() as connection:
             found = values_of(
                 connection, select(day_air).where(day_air.c.camera == camera, day_air.c.date == day), DayAir
@@ -84,9 +84,9 @@ class DayStore(Part):
         temperature, pressure = _numbers(found)
         return site.with_air(temperature=_or_none(temperature[0]), pressure=_or_none(pressure[0]))
 
-    def site_at(self, camera: str, site: Site, time: datetime) -> Site:
-        """Return a camera's site in the measured air of the solar day of a moment, as `site_on`."""
-        return self.site_on(camera, site, solar_date(time.timestamp(), longitude=site.longitude))
+    def site_with_air_at(self, camera: str, site: Site, time: datetime) -> Site:
+        """Return a camera's site in the measured air of the solar day of a moment, as `site_with_air_of`."""
+        return self.site_with_air_of(camera, site, solar_date(time.timestamp(), longitude=site.longitude))
 
     def count(self, camera: str) -> Mapping[str, int]:
         """Return how many days have each verdict."""

@@ -46,7 +46,7 @@ class DiskOptions:
 
     def __post_init__(self) -> None:
         """Refuse what leaves the database no room."""
-        require_bounds(self, section="disk")
+        require_bounds(self, section_path="disk")
         if self.keep_free_mb < 2.0 * self.reserve_mb:
             raise InputError(
                 field="disk.keep_free_mb", problem="less than twice the reserve", remedy="raise it, or lower reserve_mb"

@@ -39,25 +39,25 @@ def neighbours(unix_s: FloatArray, run: IntArray) -> BoolArray:
     return np.asarray(same & (step <= _GAP * usual))
 
 
-def lag_one(residual: FloatArray, weight: FloatArray, follows: BoolArray) -> tuple[float, float]:
+def lag_one(residual: FloatArray, counted: BoolArray, follows: BoolArray) -> tuple[float, float]:
     """Return the correlation of neighbouring residuals and its standard error.
 
     Parameters
     ----------
     residual : (n, 2) px, in the order of time.
-    weight : (n,) 0 where a sighting does not count.
+    counted : (n,) whether a sighting counts.
     follows : (n - 1,) see `neighbours`.
     """
-    rho, error = _correlation(*(np.array([np.sum(one)]) for one in _pairs(residual, weight, follows)))
+    rho, error = _correlation(*(np.array([np.sum(one)]) for one in _pairs(residual, counted, follows)))
     return float(rho[0]), float(error[0])
 
 
-def _pairs(residual: FloatArray, weight: FloatArray, follows: BoolArray) -> tuple[BoolArray, FloatArray, FloatArray]:
+def _pairs(residual: FloatArray, counted: BoolArray, follows: BoolArray) -> tuple[BoolArray, FloatArray, FloatArray]:
     """Return (n - 1,): which sightings make a pair with the next one, its product and its mean power; 0 for the rest.
 
     The mean power of both members, so that a correlation lies within -1 and 1.
     """
-    pair = follows & (weight[:-1] > 0.0) & (weight[1:] > 0.0)
+    pair = follows & counted[:-1] & counted[1:]
     x, y = np.ascontiguousarray(residual.T)
     square = x * x + y * y
     return pair, pair * (x[:-1] * x[1:] + y[:-1] * y[1:]), pair * (0.5 * (square[:-1] + square[1:]))
@@ -72,7 +72,9 @@ def _correlation(pairs: FloatArray, product: FloatArray, power: FloatArray) -> t
     return np.where(enough, rho, 0.0), np.where(enough, error, 1.0)
 
 
-def inflation(residual: FloatArray, weight: FloatArray, follows: BoolArray, run: IntArray) -> FloatArray:
+def autocorrelation_inflation(
+    residual: FloatArray, counted: BoolArray, follows: BoolArray, run: IntArray
+) -> FloatArray:
     """Return (n,): by how much each run's variance grows because neighbours err alike, (1 + ρ) / (1 - ρ) >= 1.
 
     A run's own lag-1 correlation is drawn towards that of all runs by how well it is known. The sightings of a run lie
@@ -80,12 +82,12 @@ def inflation(residual: FloatArray, weight: FloatArray, follows: BoolArray, run:
     """
     if run.size == 0:
         return np.ones(0)
-    overall, error = lag_one(residual, weight, follows)
+    overall, error = lag_one(residual, counted, follows)
     # below two standard errors it is as likely to be 0, and must not inflate every variance
     overall = overall if overall > 2.0 * error else 0.0
     same = np.diff(run) == 0
     begin = np.flatnonzero(np.r_[True, ~same])
-    sums = (np.add.reduceat(np.r_[one, 0.0], begin) for one in _pairs(residual, weight, follows & same))
+    sums = (np.add.reduceat(np.r_[one, 0.0], begin) for one in _pairs(residual, counted, follows & same))
     rho, run_error = _correlation(*sums)
     # 0.05: by how much days differ in their correlation; a short run is drawn to the common one
     share = 0.05**2 / (0.05**2 + run_error**2)
@@ -191,7 +193,7 @@ def measured_noise(
         at_mean = _scale(distance / larger, groups)
         scale = larger * at_mean
         weight = tukey_weights(distance / scale, sigma=1.0)
-    inflated = inflation(residuals, weight, groups.follows, groups.run)
+    inflated = autocorrelation_inflation(residuals, weight > 0.0, groups.follows, groups.run)
     inflated = np.where(groups.alone, 1.0, inflated)
     return Noise(scale=scale, weight=weight, inflation=inflated, sigma_px=float(at_mean[0]))
 
@@ -217,6 +219,6 @@ def _by_height(
     sun = groups.group == _SUN_TRACK
     zenith = np.arccos(np.clip(observed.directions[:, 2], -1.0, 1.0))
     counted = sun & (weight > 0.0)
-    rho, _ = lag_one(residuals, weight, groups.follows)
+    rho, _ = lag_one(residuals, weight > 0.0, groups.follows)
     rate = growth_rate(distance[counted], zenith[counted], rho)
     return np.where(sun, np.exp(rate * (zenith - np.mean(zenith[counted]))), 1.0) if rate else None

@@ -86,7 +86,7 @@ def noise_px(start: Calibration, sigma_px: FloatArray) -> FloatArray:
     return np.maximum(estimated_sigma_px, max(usual, _SMALLEST_SIGMA_PX))
 
 
-def inflation(start: Calibration) -> float:
+def inflation_of(start: Calibration) -> float:
     """Return by how much a sighting's variance grows because its neighbours err alike."""
     found = start.evidence.inflation
     return min(max(found, 1.0), _LARGEST_INFLATION) if math.isfinite(found) else 1.0
@@ -227,7 +227,7 @@ def fit_pose(
     close = np.linalg.norm(finite(thin.pixels - project_fast(base, thin.directions)), axis=-1) < _CLOSE * tolerance
     # how far the camera turned is a hyperparameter: each scale is conditioned, then all are averaged
     priors = [error_model.with_free_rotation(-rotation, sigma_rad=float(scale)) for scale in scales]
-    return conditioned_pose(priors, np.log(scales), base, sightings, close, inflation=inflation(start))
+    return conditioned_pose(priors, np.log(scales), base, sightings, close, inflation=inflation_of(start))
 
 
 def thinned(sightings: PredictedSightings) -> PredictedSightings:
@@ -368,7 +368,7 @@ def outcome_of(fit: PoseFit, start: Calibration, usable: Sightings, *, wander_ra
         residual=residual,
         used=fit.inlier,
         sigma_px=fit.sigma_px,
-        inflation=inflation(start),
+        inflation=inflation_of(start),
         radial_px=start.evidence.radial_px,
         held_out=None,
     )

@@ -78,7 +78,7 @@ class SelectionOptions:
 
     def __post_init__(self) -> None:
         """Refuse limits that leave nothing."""
-        require_bounds(self, section="refit.selection")
+        require_bounds(self, section_path="refit.selection")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -54,7 +54,7 @@ class PriorTolerances:
 
     def __post_init__(self) -> None:
         """Refuse tolerances that are none, or so wide that the equations about the stated camera do not hold."""
-        require_bounds(self, section="prior")
+        require_bounds(self, section_path="prior")
 
 
 def calibrate_with_prior(

@@ -188,7 +188,7 @@ _POLLS = 250
 """0.5 s in all: a signal's emission takes less than a millisecond of a thread that runs."""
 
 
-def setter(event: threading.Event) -> Callable[..., None]:
+def event_setter(event: threading.Event) -> Callable[..., None]:
     """Return a signal handler that refers to nothing but the event: a reference to the camera would keep it open."""
 
     def set_event(*_: object) -> None:
@@ -283,7 +283,7 @@ class AravisCamera:
                 self._aravis.disable_interface(unused)  # a GigE camera that is not found is not looked for elsewhere
             self._camera = self._aravis.Camera.new(address)
             self._device = self._camera.get_device()
-            self._handler = self._device.connect("control-lost", setter(self._lost))
+            self._handler = self._device.connect("control-lost", event_setter(self._lost))
             if self._camera.is_gv_device() and not self._device.is_controller():
                 raise CameraLostError(f"the camera at {address} is controlled by another program; close that one")
             self._pins = pin_settings(self._camera, self._options)

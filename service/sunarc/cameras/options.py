@@ -57,7 +57,7 @@ class AravisOptions:
 
     def __post_init__(self) -> None:
         """Refuse what no camera could be opened with."""
-        require_bounds(self, section="camera")
+        require_bounds(self, section_path="camera")
         if self.transport == "gige":
             _require_address(self.address)
         elif not self.address.strip():
@@ -85,7 +85,7 @@ class ReplayOptions:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be played."""
-        require_bounds(self, section="replay")
+        require_bounds(self, section_path="replay")
         if self.pixel_format is not None:
             full_scale_of(self.pixel_format, field="replay.pixel_format")
 

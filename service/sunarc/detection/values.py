@@ -228,7 +228,7 @@ class DiscOptions:
 
     def __post_init__(self) -> None:
         """Refuse values out of bounds."""
-        require_bounds(self, section="detection")
+        require_bounds(self, section_path="detection")
 
 
 FWHM = 2.355

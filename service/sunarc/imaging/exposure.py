@@ -41,7 +41,7 @@ class SunExposureOptions:
 
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""
-        require_bounds(self, section="sun_exposure")
+        require_bounds(self, section_path="sun_exposure")
         if self.target_low >= self.target_high:
             problem = f"{self.target_low:g} is not below sun_exposure.target_high = {self.target_high:g}"
             raise InputError(field="sun_exposure.target_low", problem=problem, remedy="give e.g. 0.4 and 0.8")

@@ -29,7 +29,7 @@ from sunarc.detection.stars.matching import StarMatches
 from sunarc.detection.values import FWHM, Bayer, PredictedStars, Stars
 from sunarc.errors import InputError
 from sunarc.findings import Finding
-from sunarc.reanalysis.detect_files import full_scale_of
+from sunarc.reanalysis.detect_files import estimated_full_scale
 from sunarc.reanalysis.files import read_file, read_image
 from sunarc.reanalysis.image_files import kind_of
 from sunarc.reanalysis.image_times import TimeRules, timed_picture
@@ -205,7 +205,7 @@ def read_stars(path: Path, site: Site, options: StarOptions, *, size: tuple[int,
     _require_size(path, found, size)
     stars = detect_stars(
         image,
-        full_scale=options.full_scale or full_scale_of(image),
+        full_scale=options.full_scale or estimated_full_scale(image),
         bayer=bayer,
         gain_e_per_count=options.gain_e_per_count,
     )

@@ -89,7 +89,7 @@ class Optics(NamedTuple):
 
 
 @njit(nogil=True)
-def require_code(code: int) -> None:
+def require_projection_code(code: int) -> None:
     """Raise ValueError where no projection has this code."""
     if not 0 <= code < _SHAPES.size:
         raise ValueError("no projection has this code")
@@ -174,7 +174,7 @@ def _write_angles(work: FloatArray) -> None:
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
 def _write_ideal(code: int, work: FloatArray) -> None:
     """Write the ideal radius, in focal lengths, and its derivative by the angle."""
-    require_code(code)
+    require_projection_code(code)
     if code == PERSPECTIVE:
         for i in range(BLOCK):
             work[_RADIUS + i] = work[_ACROSS + i] / work[_Z + i]
@@ -326,7 +326,7 @@ def radius_and_slope(code: int, radial: FloatArray, theta: float) -> tuple[float
     ------
     ValueError : no projection has this code.
     """
-    require_code(code)
+    require_projection_code(code)
     shape = _SHAPES[code]
     if shape > 0.0:
         ideal, slope = math.tan(shape * theta) / shape, 1.0 / math.cos(shape * theta) ** 2

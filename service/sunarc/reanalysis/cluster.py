@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, TypeVar, cast
 from sunarc.errors import OutsideError
 from sunarc.extras import extra_module
 from sunarc.findings import Finding
-from sunarc.reanalysis.look import Answer, Chunk, Done, PackedMask, look_at, still_parts
+from sunarc.reanalysis.look import Answer, Chunk, Done, PackedMask, look_at, static_mask_of
 from sunarc.runtime.clock import Clock
 
 DEATHS = 3
@@ -70,9 +70,9 @@ class Cluster:
         """Address of Dask's dashboard."""
         return str(self.client.dashboard_link)
 
-    def masks(self, chunks: Sequence[Chunk]) -> list[PackedMask | None]:
-        """Return what stands still in the images of each chunk; None where the workers that looked died."""
-        return self.each(still_parts, chunks)
+    def compute_static_masks(self, chunks: Sequence[Chunk]) -> list[PackedMask | None]:
+        """Return the mask of what stands still in the images of each chunk; None where the workers that looked died."""
+        return self.each(static_mask_of, chunks)
 
     def each(self, run: Callable[[Given], Result], given: Sequence[Given]) -> list[Result | None]:
         """Return the result of a function for each of some values; None where it killed three workers."""

@@ -65,7 +65,7 @@ def detect_in_image(
     exposure_us : returned in the result.
     elsewhere : as in `detect_sun_in_photo`.
     """
-    top = full_scale or full_scale_of(image)
+    top = full_scale or estimated_full_scale(image)
     selected = selected_method(image, method, full_scale=top)
     if selected == "paper":
         photo = Photo(image, top, exposure_us, static, bayer)
@@ -116,7 +116,7 @@ def selected_method(image: Image, method: Method, *, full_scale: int) -> Literal
     return "paper" if image.ndim == 3 or exposed else "disc"
 
 
-def full_scale_of(image: Image) -> int:
+def estimated_full_scale(image: Image) -> int:
     """Return the smallest usual full scale that holds the image."""
     if image.dtype == np.uint8:
         return 255

@@ -266,10 +266,10 @@ class FolderLedger:
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, at: TracebackType | None) -> None:
         self._write()  # also when the run is broken off: what was found need not be looked for again
 
-    def answers(self, camera: str, *, stage: int) -> Iterator[tuple[ImageId, Known]]:
+    def answers(self, camera: str, *, pass_number: int) -> Iterator[tuple[ImageId, Known]]:
         """Yield the sightings that are known: without a prediction all, with one those that were predicted."""
         del camera
-        known = self._known() if stage == SEARCHED else None
+        known = self._known() if pass_number == SEARCHED else None
         for image, one in self.found().items():
             if image.key in known if known is not None else one.ingest_pass != SEARCHED:
                 detection = Detection(
@@ -279,17 +279,17 @@ class FolderLedger:
                 )  # fmt: skip
                 yield id_of(image), Known(ANY, detection)
 
-    def store(self, camera: str, stage: int, answers: Iterable[tuple[ImageId, Known]], *, version: str) -> None:
+    def store(self, camera: str, pass_number: int, answers: Iterable[tuple[ImageId, Known]], *, version: str) -> None:
         """Store the sightings of some images."""
         del camera, version
         for identity, known in answers:
             image, found = self._images[identity], known.found
-            if stage == SEARCHED:
+            if pass_number == SEARCHED:
                 self.looked_at.append(image)
             if isinstance(found, Detection):
                 found = as_predicted(with_factor(found, self._factors[found.method]), self._expected.get(identity))
-                self._waiting.append(self._point(image, found, stage))
-            elif isinstance(found, Finding) and stage == SEARCHED:
+                self._waiting.append(self._point(image, found, pass_number))
+            elif isinstance(found, Finding) and pass_number == SEARCHED:
                 self.failures.append(Failure(image.path, found))
         if len(self._waiting) >= _BATCH:
             self._write()
@@ -369,7 +369,7 @@ class FolderLedger:
         if points:
             self.archive.sightings.replace(points, first_epoch="first image")
 
-    def _point(self, image: ArchiveImage, found: Detection, stage: int) -> SunPoint:
+    def _point(self, image: ArchiveImage, found: Detection, pass_number: int) -> SunPoint:
         time_us, exposure_us, file = image.key
         return sun_point_of(
             found,
@@ -378,5 +378,5 @@ class FolderLedger:
             time=from_microseconds(time_us),
             exposure_us=exposure_us,
             file=file,
-            ingest_pass=stage,
+            ingest_pass=pass_number,
         )

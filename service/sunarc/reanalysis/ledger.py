@@ -133,24 +133,24 @@ class Ledger:
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, at: TracebackType | None) -> None:
         self._engine.dispose()
 
-    def answers(self, camera: str, *, stage: int) -> Iterator[tuple[ImageId, Known]]:
+    def answers(self, camera: str, *, pass_number: int) -> Iterator[tuple[ImageId, Known]]:
         """Yield the answers for a camera's images in a pass."""
         c = _ANSWER.c
         columns = (c.address, c.file, c.number, c.key, c.stamp, c.content, c.found)
-        rows = select(*columns).where(c.camera == camera, c.stage == stage)
+        rows = select(*columns).where(c.camera == camera, c.stage == pass_number)
         with self._engine.connect() as connection:
             for row in connection.execution_options(yield_per=_AT_ONCE).execute(rows):
                 known = Known(row.key, _read(json.loads(row.found)), row.stamp, row.content)
                 yield ImageId(row.address, row.file, row.number), known
 
-    def store(self, camera: str, stage: int, answers: Iterable[tuple[ImageId, Known]], *, version: str) -> None:
+    def store(self, camera: str, pass_number: int, answers: Iterable[tuple[ImageId, Known]], *, version: str) -> None:
         """Store the answers of a finished chunk, in one transaction, in place of former ones."""
         rows = [
             {
                 **image._asdict(),
                 **known._asdict(),
                 "camera": camera,
-                "stage": stage,
+                "stage": pass_number,
                 "found": json.dumps(_written(known.found)),
             }
             for image, known in answers
@@ -159,10 +159,10 @@ class Ledger:
         with self._engine.begin() as connection:
             for row in rows:
                 same = (c.camera == camera, c.address == row["address"], c.file == row["file"])
-                connection.execute(delete(_ANSWER).where(*same, c.number == row["number"], c.stage == stage))
+                connection.execute(delete(_ANSWER).where(*same, c.number == row["number"], c.stage == pass_number))
             if rows:
                 connection.execute(insert(_ANSWER), rows)
-            count = {"camera": camera, "stage": stage, "images": len(rows), "version": version}
+            count = {"camera": camera, "stage": pass_number, "images": len(rows), "version": version}
             connection.execute(insert(_CHUNK), [count])
 
     def mask(self, camera: str, *, version: str) -> KeptMask | None:

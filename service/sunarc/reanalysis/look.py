@@ -22,7 +22,7 @@ from sunarc.detection.photo.plateau import static_mask
 from sunarc.detection.values import Detection, Expectation
 from sunarc.errors import InputError
 from sunarc.findings import Finding
-from sunarc.reanalysis.detect_files import Method, detect_in_image, full_scale_of, selected_method
+from sunarc.reanalysis.detect_files import Method, detect_in_image, estimated_full_scale, selected_method
 from sunarc.reanalysis.image_files import image_of, images_in
 from sunarc.reanalysis.sources import HashedSource, open_source
 from sunarc.sky.site import Site
@@ -151,8 +151,8 @@ def _is_unchanged(source: HashedSource, item: Item) -> bool:
     return source.content(item.file) == item.content
 
 
-def still_parts(chunk: Chunk) -> PackedMask | None:
-    """Return what stands still in the images of a chunk that spans hours; None where nothing does."""
+def static_mask_of(chunk: Chunk) -> PackedMask | None:
+    """Return the mask of what stands still in the images of a chunk that spans hours; None where nothing does."""
     cv2.setNumThreads(1)
     source = open_source(chunk.address)
     by_file = itertools.groupby(chunk.items, key=lambda item: item.file)
@@ -162,7 +162,7 @@ def still_parts(chunk: Chunk) -> PackedMask | None:
     if first is None:
         return None
     like_first = (one for one in images if (one.shape, one.dtype) == (first.shape, first.dtype))
-    mask = static_mask(itertools.chain([first], like_first), full_scale=full_scale_of(first))
+    mask = static_mask(itertools.chain([first], like_first), full_scale=estimated_full_scale(first))
     return None if mask is None or not mask.any() else pack_mask(mask)
 
 
@@ -177,7 +177,7 @@ def _look_at_stack(chunk: Chunk, static: BoolArray | None) -> list[Answer]:
     read = {item: image for item, image in images.items() if not isinstance(image, Finding)}
     kind = next(((image.shape, image.dtype) for image in read.values()), None)
     stack = {item: image for item, image in read.items() if (image.shape, image.dtype) == kind}
-    scale = max((full_scale_of(image) for image in stack.values()), default=0)
+    scale = max((estimated_full_scale(image) for image in stack.values()), default=0)
     ordinary = any(selected_method(image, chunk.method, full_scale=scale) == "paper" for image in stack.values())
     found: dict[Item, Detection | Finding] = {}
     if len(stack) > 1 and ordinary:
@@ -203,7 +203,7 @@ def _member(first: Item, item: Item) -> Detection:
 
 def _look(image: Image, item: Item, chunk: Chunk, static: BoolArray | None) -> Detection | Finding:
     if item.outside:
-        return _no_sun(selected_method(image, chunk.method, full_scale=full_scale_of(image)), item.exposure_us)
+        return _no_sun(selected_method(image, chunk.method, full_scale=estimated_full_scale(image)), item.exposure_us)
     found = _tried(
         partial(
             detect_in_image,

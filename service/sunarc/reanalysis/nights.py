@@ -18,7 +18,7 @@ from sunarc.cameras.frame import Frame
 from sunarc.detection.messages import reason_of
 from sunarc.detection.stars.detect import detect_stars
 from sunarc.findings import Finding
-from sunarc.reanalysis.detect_files import full_scale_of
+from sunarc.reanalysis.detect_files import estimated_full_scale
 from sunarc.reanalysis.image_files import images_in
 from sunarc.reanalysis.index import ArchiveImage, CameraImages
 from sunarc.reanalysis.look import Answer, Chunk, Item, NamedStars, StarNaming, key_of
@@ -82,7 +82,7 @@ def frame_of(image: Image, unix_s: float, exposure_us: float | None, number: int
         exposure_us=exposure_us or _UNSTATED_US,
         gain_db=0.0,
         pixel_format="Mono8" if image.dtype == np.uint8 else "Mono16",
-        full_scale=full_scale_of(image),
+        full_scale=estimated_full_scale(image),
         frame_id=number,
     )
 

@@ -99,10 +99,10 @@ class Work(NamedTuple):
 class AnswerStore(Protocol):
     """Where answers are kept: the ledger of an analysis, or the service's archive; see `Ledger`."""
 
-    def answers(self, camera: str, *, stage: int) -> Iterator[tuple[ImageId, Known]]:
+    def answers(self, camera: str, *, pass_number: int) -> Iterator[tuple[ImageId, Known]]:
         """Yield the answers for a camera's images in a pass."""
 
-    def store(self, camera: str, stage: int, answers: Iterable[tuple[ImageId, Known]], *, version: str) -> None:
+    def store(self, camera: str, pass_number: int, answers: Iterable[tuple[ImageId, Known]], *, version: str) -> None:
         """Store the answers of a finished chunk in place of former ones."""
 
     def mask(self, camera: str, *, version: str) -> KeptMask | None:
@@ -115,8 +115,8 @@ class AnswerStore(Protocol):
 class ChunkRunner(Protocol):
     """Looks at chunks: a cluster, or processes of this machine."""
 
-    def masks(self, chunks: Sequence[Chunk]) -> list[PackedMask | None]:
-        """Return what stands still in the images of each chunk."""
+    def compute_static_masks(self, chunks: Sequence[Chunk]) -> list[PackedMask | None]:
+        """Return the mask of what stands still in the images of each chunk."""
 
     def each(self, run: Callable[[Given], Result], given: Sequence[Given]) -> list[Result | None]:
         """Return the result of a function for each of some values; None where it could not be done."""
@@ -137,9 +137,8 @@ class Passes(NamedTuple):
         kept = [self.ledger.mask(camera.plan.name, version=sunarc.__version__) for camera in cameras]
         new = [camera for camera, mask in zip(cameras, kept, strict=True) if mask is None]
         moving = [camera for camera in new if _motion_deg(camera) >= _LEAST_MOTION_DEG]
-        found = dict(
-            zip((one.plan.name for one in moving), self.cluster.masks(list(map(_spread, moving))), strict=True)
-        )
+        masks = self.cluster.compute_static_masks(list(map(_spread, moving)))
+        found = dict(zip((one.plan.name for one in moving), masks, strict=True))
         for camera in new:
             self.ledger.keep_mask(camera.plan.name, found.get(camera.plan.name), version=sunarc.__version__)
         return [found.get(one.plan.name) if k is None else k.mask for one, k in zip(cameras, kept, strict=True)]
@@ -184,7 +183,7 @@ class Passes(NamedTuple):
     def _looked(
         self,
         work: Iterable[Work],
-        stage: int,
+        pass_number: int,
         title: str,
         *,
         run: Callable[[Chunk], list[Answer]] = look_at,
@@ -197,7 +196,7 @@ class Passes(NamedTuple):
         chunks: list[Chunk] = []
         total = 0
         for one in work:
-            camera = _Question(one, self.ledger, stage)
+            camera = _Question(one, self.ledger, pass_number)
             asked[one.camera.plan.name] = camera
             total += len(one.items)
             if one.chunks is not None:
@@ -212,7 +211,7 @@ class Passes(NamedTuple):
         def keep(chunk: Chunk, answers: Sequence[Answer]) -> None:
             nonlocal done
             rows = asked[chunk.camera].answered(chunk, answers)
-            self.ledger.store(chunk.camera, stage, rows, version=sunarc.__version__)
+            self.ledger.store(chunk.camera, pass_number, rows, version=sunarc.__version__)
             done += len(rows)
             self.progress(title, done, total)
 
@@ -230,14 +229,14 @@ class _Question:
         file does, the item has the hash of the content that was read: a file that was only touched keeps its answer.
     """
 
-    def __init__(self, work: Work, ledger: AnswerStore, stage: int) -> None:
+    def __init__(self, work: Work, ledger: AnswerStore, pass_number: int) -> None:
         self.found: list[Found | None] = [None] * len(work.camera.images)
         self._camera, self._keys = work.camera, work.keys
         self._of_mask = None if work.mask is None else key_of((work.mask.shape, work.mask.compressed))
         self._row = {id_of(work.camera.images[n]): n for n, _ in work.items}
         self._touched: dict[int, Known] = {}
         items = dict(work.items)
-        for image, known in ledger.answers(work.camera.plan.name, stage=stage):
+        for image, known in ledger.answers(work.camera.plan.name, pass_number=pass_number):
             row = self._row.get(image)
             if row is None or known.key not in {ANY, self._key(row, items[row])}:
                 continue

@@ -16,7 +16,7 @@ from typing import TypeVar
 import cv2
 
 from sunarc.findings import Finding
-from sunarc.reanalysis.look import Answer, Chunk, Done, PackedMask, look_at, still_parts
+from sunarc.reanalysis.look import Answer, Chunk, Done, PackedMask, look_at, static_mask_of
 from sunarc.runtime.child_process import one_thread_each
 
 Run = Callable[[Chunk], list[Answer]]
@@ -37,9 +37,9 @@ class ProcessRunner:
     def __init__(self, processes: int) -> None:
         self._processes = processes
 
-    def masks(self, chunks: Sequence[Chunk]) -> list[PackedMask | None]:
-        """Return what stands still in the images of each chunk."""
-        return self.each(still_parts, chunks)
+    def compute_static_masks(self, chunks: Sequence[Chunk]) -> list[PackedMask | None]:
+        """Return the mask of what stands still in the images of each chunk."""
+        return self.each(static_mask_of, chunks)
 
     def each(self, run: Callable[[Given], Result], given: Sequence[Given]) -> list[Result | None]:
         """Return the result of a function for each of some values."""

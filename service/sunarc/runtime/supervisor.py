@@ -183,7 +183,7 @@ class SupervisorOptions:
 
     def __post_init__(self) -> None:
         """Refuse what would give up at once, or take a busy worker for stuck."""
-        require_bounds(self, section="supervisor")
+        require_bounds(self, section_path="supervisor")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

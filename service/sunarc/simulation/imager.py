@@ -113,7 +113,7 @@ class ImagerOptions:
         """Refuse what cannot be simulated."""
         if self.start.tzinfo is None:
             raise InputError(field="start", problem="has no time zone", remedy="give UTC, as 2013-05-13T12:00:00Z")
-        require_bounds(self, section="")
+        require_bounds(self, section_path="")
         if self.exposure_min_us >= self.exposure_max_us:
             raise InputError(field="exposure_min_us", problem="not below exposure_max_us", remedy="lower it")
         _weathers(self.clouds)

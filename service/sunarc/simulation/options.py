@@ -48,7 +48,7 @@ class SimulatedNight:
 
     def __post_init__(self) -> None:
         """Refuse what is no night."""
-        require_bounds(self, section="")
+        require_bounds(self, section_path="")
 
 
 Weather = Literal["clear", "veil", "broken", "overcast"]
@@ -108,7 +108,7 @@ class SensorModel:
 
     def __post_init__(self) -> None:
         """Refuse what is no sensor."""
-        require_bounds(self, section="")
+        require_bounds(self, section_path="")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -155,7 +155,7 @@ class SceneOptions:
 
     def __post_init__(self) -> None:
         """Refuse what is no scene."""
-        require_bounds(self, section="")
+        require_bounds(self, section_path="")
         if not self.weather:
             raise InputError(field="weather", problem="is empty", remedy=f"use {', '.join(WEATHERS)}")
         if self.moon_at is not None and not 0.0 <= self.moon_at[0] <= 180.0:

@@ -101,13 +101,13 @@ class BodyPosition:
     direction : apparent unit vector, east-north-up, of the disc's centre seen from the site.
     magnitude : V, outside the atmosphere.
     radius : of the disc, radians.
-    lit : share of the disc that is lit, 0 to 1.
+    illuminated_fraction : of the disc, 0 to 1.
     """
 
     direction: tuple[float, float, float]
     magnitude: float
     radius: float
-    lit: float
+    illuminated_fraction: float
 
 
 def star_table() -> StarTable:
@@ -153,7 +153,10 @@ def body_position(name: SolarSystemBody, unix_s: float, site: Site) -> BodyPosit
     direction = _apparent(np.array([float(body.alt)]), np.array([float(body.az)]), site)[0]
     east, north, up = direction.tolist()
     return BodyPosition(
-        direction=(east, north, up), magnitude=float(body.mag), radius=float(body.radius), lit=float(body.phase) / 100.0
+        direction=(east, north, up),
+        magnitude=float(body.mag),
+        radius=float(body.radius),
+        illuminated_fraction=float(body.phase) / 100.0,
     )
 
 
@@ -303,8 +306,8 @@ class MoonDisc:
     magnitude: float
 
     @property
-    def lit(self) -> float:
-        """Share of the disc that is lit, 0 to 1."""
+    def illuminated_fraction(self) -> float:
+        """Of the disc, 0 to 1."""
         return 0.5 * (1.0 + self.cos_phase)
 
 

@@ -45,7 +45,7 @@ class Site:
 
     def __post_init__(self) -> None:
         """Refuse what is no place on Earth."""
-        require_bounds(self, section="site")
+        require_bounds(self, section_path="site")
 
     @property
     def pressure_pa(self) -> float:

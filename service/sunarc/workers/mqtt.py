@@ -70,7 +70,7 @@ class MqttBroker:
         self._shown: dict[str, CameraState] = {}
         self._heartbeat: Callable[[], None] = lambda: None
 
-    def refresh(self, heartbeat: Callable[[], None]) -> None:
+    def publish_states(self, heartbeat: Callable[[], None]) -> None:
         """Keep the connection, and publish what changed of the cameras' states; what takes long goes on next time."""
         self._heartbeat = heartbeat
         client = self._connected()
@@ -99,21 +99,21 @@ class MqttBroker:
             client.disconnect()
             client.loop(_TURN_S)
         finally:
-            self.close(orderly=False)
+            self.close(graceful=False)
 
     def deliver(self, notice: Notice, heartbeat: Callable[[], None]) -> None:
         """Publish a notice, and wait for the broker's receipt."""
         self._heartbeat = heartbeat
         self._publish(self._connected(), f"{camera_topic(notice.camera)}/events", json.dumps(message_of(notice)))
 
-    def close(self, *, orderly: bool) -> None:
-        """End the connection: orderly, after the message that the service is offline; else the broker publishes it."""
+    def close(self, *, graceful: bool) -> None:
+        """End the connection: `graceful` after the message that the service is offline; else the broker sends that."""
         client, self._connection = self._connection, None
         self._kept.clear()
         self._shown.clear()
         if client is None:
             return
-        if orderly:
+        if graceful:
             try:
                 self._publish(client, self._availability, _OFFLINE, retain=True)
                 client.disconnect()

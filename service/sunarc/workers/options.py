@@ -141,7 +141,7 @@ class SensorOptions:
 
     def __post_init__(self) -> None:
         """Refuse what no sensor has."""
-        require_bounds(self, section="sensor")
+        require_bounds(self, section_path="sensor")
 
 
 def sensor_of(frame: Frame, options: SensorOptions) -> Sensor:
@@ -174,7 +174,7 @@ class LensPriorOptions(FirstPoseOptions):
 
     def __post_init__(self) -> None:
         """Refuse what is no pose."""
-        require_bounds(self, section="first_pose")
+        require_bounds(self, section_path="first_pose")
 
 
 CirclePx = Annotated[float, Ge(-1e5), Le(1e5)]
@@ -197,7 +197,7 @@ class RefitOptions:
 
     def __post_init__(self) -> None:
         """Refuse durations that are none, and a circle without a radius."""
-        require_bounds(self, section="refit")
+        require_bounds(self, section_path="refit")
         if self.image_circle_px is not None and self.image_circle_px[2] <= 0.0:
             problem = f"the radius {self.image_circle_px[2]:g} is not positive"
             raise InputError(field="refit.image_circle_px", problem=problem, remedy="give x, y and radius in px")
@@ -239,7 +239,7 @@ class NightlyOptions:
 
     def __post_init__(self) -> None:
         """Refuse what would remove what is needed."""
-        require_bounds(self, section="nightly")
+        require_bounds(self, section_path="nightly")
 
 
 Duration = Annotated[float, Gt(0.0), Le(86_400.0)]
@@ -260,7 +260,7 @@ class ClockOptions:
 
     def __post_init__(self) -> None:
         """Refuse what is no duration."""
-        require_bounds(self, section="clock")
+        require_bounds(self, section_path="clock")
 
 
 _SHORTEST_NORMAL_US, _SHORTEST_BRACKET_US = 10.0, 100.0  # no lens shows the sky in less; the sun's are not set
@@ -293,7 +293,7 @@ class CaptureOptions:
 
     def __post_init__(self) -> None:
         """Refuse a cycle that cannot be kept."""
-        require_bounds(self, section="capture")
+        require_bounds(self, section_path="capture")
         if not self.hdr_exposures_us:
             raise InputError(field="capture.hdr_exposures_us", problem="is empty", remedy="give exposures in µs")
         _require_microseconds(self.hdr_exposures_us)

@@ -52,8 +52,8 @@ class Sink(Protocol):
     def probe(self) -> None:
         """Connect as for a message, and send none; OutsideError where it cannot be reached."""
 
-    def refresh(self, heartbeat: Callable[[], None]) -> None:
-        """Show how the cameras are, where the receiver keeps that; OutsideError where it cannot be reached.
+    def publish_states(self, heartbeat: Callable[[], None]) -> None:
+        """Publish how the cameras are, where the receiver keeps that; OutsideError where it cannot be reached.
 
         This and `deliver` end after seconds, whatever the receiver does, and call `heartbeat` while they wait.
         """
@@ -67,8 +67,11 @@ class Sink(Protocol):
         OutsideError : it may take it later.
         """
 
-    def close(self, *, orderly: bool) -> None:
-        """End the connection, if there is one; the next call makes another."""
+    def close(self, *, graceful: bool) -> None:
+        """End the connection, if there is one; the next call makes another.
+
+        `graceful`: MQTT publishes `offline` and sends DISCONNECT; else the socket is closed.
+        """
 
 
 class PushWorker:
@@ -98,7 +101,7 @@ class PushWorker:
         try:
             Loop(self._clock, stop, heartbeat).repeat(partial(self.step, stop, heartbeat))
         finally:
-            self.sink.close(orderly=stop.is_set())
+            self.sink.close(graceful=stop.is_set())
 
     def step(self, stop: threading.Event, heartbeat: Callable[[], None]) -> float:
         """Send what there is, and return the seconds until the next time."""
@@ -110,7 +113,7 @@ class PushWorker:
 
     def _send_some(self, stop: threading.Event, heartbeat: Callable[[], None]) -> float | None:
         try:
-            self.sink.refresh(heartbeat)
+            self.sink.publish_states(heartbeat)
             notices = self._archive.notices.after(self.sink.name, limit=_MOST_AT_ONCE)
             for notice in notices:
                 heartbeat()
@@ -118,7 +121,7 @@ class PushWorker:
                     break
                 self._deliver(notice, heartbeat)
         except (OutsideError, ConfigurationError, InputError):
-            self.sink.close(orderly=False)
+            self.sink.close(graceful=False)
             raise
         self._show(_UNUSABLE, None)
         return 0.0 if len(notices) == _MOST_AT_ONCE else None
@@ -232,7 +235,7 @@ class Webhook:
         self._context = ssl.create_default_context() if self._url.scheme == "https" else None
         self._clock = clock
 
-    def refresh(self, heartbeat: Callable[[], None]) -> None:
+    def publish_states(self, heartbeat: Callable[[], None]) -> None:
         """Read the key, if it is not there yet: a webhook keeps no state of the cameras."""
         del heartbeat
         self._read_key()
@@ -246,7 +249,7 @@ class Webhook:
         except (OSError, ValueError) as error:
             raise OutsideError(f"{self._url.hostname}: {error}") from error
 
-    def close(self, *, orderly: bool) -> None:
+    def close(self, *, graceful: bool) -> None:
         """Do nothing: every notice has a connection of its own."""
 
     def deliver(self, notice: Notice, heartbeat: Callable[[], None]) -> None:

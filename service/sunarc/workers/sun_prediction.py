@@ -74,7 +74,7 @@ class SunPredictor:
         calibration = self._camera.current_model()
         if calibration is None:
             return None
-        site = self._camera.site_at(time)
+        site = self._camera.site_with_air_at(time)
         direction = sun_directions(time.timestamp(), site)
         pixel, covariance = project_with_covariance(calibration, direction)
         if not np.all(np.isfinite(pixel)):

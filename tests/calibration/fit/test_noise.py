@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from sunarc.calibration.noise import growth_rate, inflation, lag_one, neighbours
+from sunarc.calibration.noise import autocorrelation_inflation, growth_rate, lag_one, neighbours
 
 FloatArray = NDArray[np.float64]
 
@@ -45,32 +45,32 @@ def test_lag_one_by_hand() -> None:
     follows = np.ones(16, dtype=bool)
     first, second = residual[:-1], residual[1:]
     expected = np.sum(first * second) / (0.5 * (np.sum(first**2) + np.sum(second**2)))
-    rho, error = lag_one(residual, np.ones(17), follows)
+    rho, error = lag_one(residual, np.ones(17, dtype=bool), follows)
     assert rho == pytest.approx(expected)
     assert error == pytest.approx(np.sqrt((1.0 - expected**2) / 32.0))
 
 
 def test_fewer_than_fifteen_pairs_tell_nothing() -> None:
     follows = np.ones(14, dtype=bool)
-    assert lag_one(np.ones((15, 2)), np.ones(15), follows) == (0.0, 1.0)
-    assert lag_one(np.ones((16, 2)), np.ones(16), np.ones(15, dtype=bool))[0] == pytest.approx(1.0)
+    assert lag_one(np.ones((15, 2)), np.ones(15, dtype=bool), follows) == (0.0, 1.0)
+    assert lag_one(np.ones((16, 2)), np.ones(16, dtype=bool), np.ones(15, dtype=bool))[0] == pytest.approx(1.0)
 
 
 def test_sightings_without_weight_make_no_pair() -> None:
     residual, weight = _ar1(400, 0.8, seed=1), np.ones(400)
     residual[::7], weight[::7] = 1e3, 0.0
-    rho, _ = lag_one(residual, weight, np.ones(399, dtype=bool))
+    rho, _ = lag_one(residual, weight > 0.0, np.ones(399, dtype=bool))
     assert rho == pytest.approx(0.8, abs=0.1)
 
 
 def test_residuals_of_nothing_have_no_correlation() -> None:
-    assert lag_one(np.zeros((60, 2)), np.ones(60), np.ones(59, dtype=bool))[0] == 0.0
+    assert lag_one(np.zeros((60, 2)), np.ones(60, dtype=bool), np.ones(59, dtype=bool))[0] == 0.0
 
 
 @pytest.mark.parametrize("rho", [-0.5, 0.0, 0.3, 0.7, 0.95])
 def test_the_correlation_is_unbiased_and_its_error_covers(rho: float) -> None:
     follows = np.ones(799, dtype=bool)
-    found = np.array([lag_one(_ar1(800, rho, seed=s), np.ones(800), follows) for s in range(40)])
+    found = np.array([lag_one(_ar1(800, rho, seed=s), np.ones(800, dtype=bool), follows) for s in range(40)])
     assert np.mean(found[:, 0]) == pytest.approx(rho, abs=0.02)
     inside = np.abs(found[:, 0] - rho) < 2.0 * found[:, 1]
     assert 0.85 < inside.mean() <= 1.0
@@ -82,26 +82,36 @@ def test_the_correlation_is_unbiased_and_its_error_covers(rho: float) -> None:
 def test_the_inflation_is_that_of_the_variance_of_a_mean(rho: float) -> None:
     means = [_ar1(500, rho, seed=s).mean(axis=0) for s in range(200)]
     follows = np.ones(499, dtype=bool)
-    found = np.mean([inflation(_ar1(500, rho, seed=s), np.ones(500), follows, _run(500))[0] for s in range(20)])
+    found = np.mean(
+        [
+            autocorrelation_inflation(_ar1(500, rho, seed=s), np.ones(500, dtype=bool), follows, _run(500))[0]
+            for s in range(20)
+        ]
+    )
     assert found == pytest.approx((1.0 + rho) / (1.0 - rho), rel=0.1)
     assert np.mean(np.square(means)) * 500.0 == pytest.approx(found, rel=0.2)
 
 
 def test_white_noise_is_not_inflated() -> None:
     follows = np.ones(999, dtype=bool)
-    found = [inflation(_ar1(1000, 0.0, seed=s), np.ones(1000), follows, _run(1000))[0] for s in range(20)]
+    found = [
+        autocorrelation_inflation(_ar1(1000, 0.0, seed=s), np.ones(1000, dtype=bool), follows, _run(1000))[0]
+        for s in range(20)
+    ]
     assert np.min(found) == 1.0
     assert np.mean(found) < 1.05
 
 
 def test_negative_correlation_does_not_deflate() -> None:
     follows = np.ones(999, dtype=bool)
-    np.testing.assert_array_equal(inflation(_ar1(1000, -0.6, seed=3), np.ones(1000), follows, _run(1000)), 1.0)
+    np.testing.assert_array_equal(
+        autocorrelation_inflation(_ar1(1000, -0.6, seed=3), np.ones(1000, dtype=bool), follows, _run(1000)), 1.0
+    )
 
 
 def test_the_inflation_is_bounded() -> None:
     same = np.ones((100, 2))
-    found = inflation(same, np.ones(100), np.ones(99, dtype=bool), _run(100))
+    found = autocorrelation_inflation(same, np.ones(100, dtype=bool), np.ones(99, dtype=bool), _run(100))
     np.testing.assert_allclose(found, 1.995 / 0.005)
 
 
@@ -109,7 +119,7 @@ def test_a_short_run_has_the_correlation_of_all() -> None:
     run = np.r_[np.zeros(1000, dtype=np.int64), np.ones(10, dtype=np.int64)]
     residual = _ar1(1010, 0.8, seed=4)
     times = 30.0 * np.arange(1010.0)
-    found = inflation(residual, np.ones(1010), neighbours(times, run), run)
+    found = autocorrelation_inflation(residual, np.ones(1010, dtype=bool), neighbours(times, run), run)
     assert found[0] == pytest.approx(9.0, rel=0.25)
     assert found[-1] == pytest.approx(found[0], rel=0.1)
 
@@ -117,7 +127,7 @@ def test_a_short_run_has_the_correlation_of_all() -> None:
 def test_runs_keep_their_own_correlation_where_it_is_well_known() -> None:
     run = np.repeat([0, 1], 3000).astype(np.int64)
     residual = np.concatenate([_ar1(3000, 0.2, seed=5), _ar1(3000, 0.8, seed=6)])
-    found = inflation(residual, np.ones(6000), neighbours(np.arange(6000.0), run), run)
+    found = autocorrelation_inflation(residual, np.ones(6000, dtype=bool), neighbours(np.arange(6000.0), run), run)
     assert found[0] == pytest.approx(1.2 / 0.8, rel=0.2)
     assert found[-1] == pytest.approx(9.0, rel=0.2)
 
@@ -127,9 +137,11 @@ def test_white_noise_is_not_inflated_and_a_bad_day_alone_is() -> None:
     times = 30.0 * np.arange(2000.0)
     noise = np.random.default_rng(6).standard_normal((2000, 2))
     follows = neighbours(times, run)
-    np.testing.assert_allclose(inflation(noise, np.ones(2000), follows, run), 1.0, atol=0.15)
+    np.testing.assert_allclose(
+        autocorrelation_inflation(noise, np.ones(2000, dtype=bool), follows, run), 1.0, atol=0.15
+    )
     noise[1000:] = _ar1(1000, 0.9, seed=5)
-    mixed = inflation(noise, np.ones(2000), follows, run)
+    mixed = autocorrelation_inflation(noise, np.ones(2000, dtype=bool), follows, run)
     assert mixed[0] < mixed[-1]
     assert mixed[-1] > 8.0
 

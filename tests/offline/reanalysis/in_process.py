@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from sunarc.reanalysis.cluster import Workers
-from sunarc.reanalysis.look import Answer, Chunk, Done, look_at, still_parts
+from sunarc.reanalysis.look import Answer, Chunk, Done, look_at, static_mask_of
 
 
 class InProcess:
@@ -22,8 +22,8 @@ class InProcess:
         self.chunks: list[Chunk] = []
         self._most = most
 
-    def masks(self, chunks: Sequence[Chunk]) -> list[Any]:
-        return [still_parts(chunk) for chunk in chunks]
+    def compute_static_masks(self, chunks: Sequence[Chunk]) -> list[Any]:
+        return [static_mask_of(chunk) for chunk in chunks]
 
     def each(self, run: Callable[[Any], Any], given: Sequence[Any]) -> list[Any]:
         return [run(one) for one in given]

@@ -38,8 +38,8 @@ def test_answers_come_back_as_they_were(tmp_path: Path) -> None:
     with ledger_in(tmp_path) as ledger:
         ledger.store("roof", 1, [(ONE, Known("k1", SUN)), (OTHER, Known("k2", REFUSED))], version="1")
     with ledger_in(tmp_path) as ledger:
-        assert dict(ledger.answers("roof", stage=1)) == {ONE: Known("k1", SUN), OTHER: Known("k2", REFUSED)}
-        assert dict(ledger.answers("roof", stage=2)) == dict(ledger.answers("mast", stage=1)) == {}
+        assert dict(ledger.answers("roof", pass_number=1)) == {ONE: Known("k1", SUN), OTHER: Known("k2", REFUSED)}
+        assert dict(ledger.answers("roof", pass_number=2)) == dict(ledger.answers("mast", pass_number=1)) == {}
         assert ledger.chunks() == 1
 
 
@@ -53,7 +53,7 @@ def test_a_ledger_in_postgresql_gives_the_same_answers_and_mask(postgresql: Serv
             ledger.store("roof", 1, [(ONE, Known("k3", SUN))], version="1")
             ledger.keep_mask("roof", mask, version="1")
         with Ledger(address) as ledger:
-            assert dict(ledger.answers("roof", stage=1)) == {ONE: Known("k3", SUN), OTHER: Known("k2", REFUSED)}
+            assert dict(ledger.answers("roof", pass_number=1)) == {ONE: Known("k3", SUN), OTHER: Known("k2", REFUSED)}
             assert ledger.mask("roof", version="1") == KeptMask(mask)
             assert ledger.chunks() == 2
     finally:
@@ -64,7 +64,7 @@ def test_what_an_answer_rests_on_is_stored_with_it(tmp_path: Path) -> None:
     known = Known("k1", SUN, "a" * 24, "b" * 32)
     with ledger_in(tmp_path) as ledger:
         ledger.store("roof", 1, [(ONE, known)], version="1")
-        assert dict(ledger.answers("roof", stage=1)) == {ONE: known}
+        assert dict(ledger.answers("roof", pass_number=1)) == {ONE: known}
 
 
 def test_an_answer_that_is_stored_again_replaces_the_former_one_of_its_pass(tmp_path: Path) -> None:
@@ -72,8 +72,8 @@ def test_an_answer_that_is_stored_again_replaces_the_former_one_of_its_pass(tmp_
         ledger.store("roof", 1, [(ONE, Known("k1", SUN)), (OTHER, Known("k1", SUN))], version="1")
         ledger.store("roof", 2, [(ONE, Known("k1", SUN))], version="1")
         ledger.store("roof", 1, [(ONE, Known("k2", REFUSED))], version="1")
-        assert dict(ledger.answers("roof", stage=1)) == {ONE: Known("k2", REFUSED), OTHER: Known("k1", SUN)}
-        assert dict(ledger.answers("roof", stage=2)) == {ONE: Known("k1", SUN)}
+        assert dict(ledger.answers("roof", pass_number=1)) == {ONE: Known("k2", REFUSED), OTHER: Known("k1", SUN)}
+        assert dict(ledger.answers("roof", pass_number=2)) == {ONE: Known("k1", SUN)}
 
 
 def test_numbers_of_numpy_are_stored_as_numbers(tmp_path: Path) -> None:
@@ -87,7 +87,7 @@ def test_numbers_of_numpy_are_stored_as_numbers(tmp_path: Path) -> None:
     )
     with ledger_in(tmp_path) as ledger:
         ledger.store("roof", 1, [(ONE, Known("k", found))], version="1")
-        stored = dict(ledger.answers("roof", stage=1))[ONE].found
+        stored = dict(ledger.answers("roof", pass_number=1))[ONE].found
     assert isinstance(stored, Detection)
     assert (stored.x_px, stored.saturated_px) == (1.5, 3)
 
@@ -111,7 +111,7 @@ def test_a_chunk_is_stored_whole_or_not_at_all(tmp_path: Path) -> None:
     with ledger_in(tmp_path) as ledger:
         with pytest.raises(RuntimeError):
             ledger.store("roof", 1, broken(), version="1")  # type: ignore[arg-type]
-        assert dict(ledger.answers("roof", stage=1)) == {}
+        assert dict(ledger.answers("roof", pass_number=1)) == {}
 
 
 def test_a_file_that_is_no_ledger_is_refused(tmp_path: Path) -> None:

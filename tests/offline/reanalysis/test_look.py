@@ -12,7 +12,7 @@ from tests.offline.sources.archives import encoded, folder_of
 from sunarc.detection.values import Detection, Expectation
 from sunarc.findings import Finding
 from sunarc.reanalysis import look
-from sunarc.reanalysis.look import Answer, Chunk, Item, key_of, look_at, still_parts
+from sunarc.reanalysis.look import Answer, Chunk, Item, key_of, look_at, static_mask_of
 from sunarc.simulation.made_archive import photograph
 
 SIZE = 240
@@ -83,7 +83,7 @@ def test_what_stands_still_in_a_series_is_masked(tmp_path: Path) -> None:
         picture[8:20, 10:90] = 255
         pictures[f"{number:02d}.png"] = encoded(picture, ".png")
     items = tuple(Item(name, 0, None) for name in pictures)
-    mask = still_parts(Chunk("roof", str(folder_of(pictures, tmp_path)), "auto", (SIZE, SIZE), items))
+    mask = static_mask_of(Chunk("roof", str(folder_of(pictures, tmp_path)), "auto", (SIZE, SIZE), items))
     assert mask is not None
     unpacked = mask.unpacked()
     assert unpacked[12, 50]

@@ -21,7 +21,7 @@ from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from sunarc.api.middleware.holdings import ClientAddressError, Holdings, answer_held, client_network
+from sunarc.api.middleware.shared_quota import ClientAddressError, SharedQuota, answer_held, client_network
 from sunarc.api.options import ApiOptions
 from sunarc.api.problems import Fault, RefusedError, problem_response
 from sunarc.errors import ConfigurationError
@@ -243,8 +243,8 @@ class ConcurrencyLimit:
 
     def __init__(self, app: ASGIApp, *, at_once: int, streams: int = 64) -> None:
         self._app = app
-        self._under_way = Holdings(at_once)
-        self._streams = Holdings(streams)
+        self._under_way = SharedQuota(at_once)
+        self._streams = SharedQuota(streams)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it."""

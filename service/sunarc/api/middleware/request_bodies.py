@@ -9,7 +9,7 @@ from http import HTTPStatus
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from sunarc.api.middleware.holdings import Holding, Holdings, answer_held, client_network
+from sunarc.api.middleware.shared_quota import QuotaUse, SharedQuota, answer_held, client_network
 from sunarc.api.options import MIN_RATE_BYTES_PER_S
 from sunarc.api.problems import Fault, RefusedError, UnreadError, refusal_response
 
@@ -25,41 +25,41 @@ class BodyReader:
     max_body_bytes, max_array_bytes : a larger body, or one of .npy, is refused (413).
     within_s : a body that is not there after so many seconds, and of which in so many seconds hardly any more came, is
         refused (408).
-    holdings : bounds the memory of all bodies.
+    quota : bounds the memory of all bodies.
     """
 
     def __init__(
-        self, app: ASGIApp, *, max_body_bytes: int, max_array_bytes: int, within_s: float, holdings: Holdings
+        self, app: ASGIApp, *, max_body_bytes: int, max_array_bytes: int, within_s: float, quota: SharedQuota
     ) -> None:
         self._app = app
         self._max_body_bytes = max_body_bytes
         self._max_array_bytes = max_array_bytes
         self._within_s = within_s
-        self._holdings = holdings
+        self._quota = quota
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on when its body is complete, or refuse it; end it when its memory is claimed by others."""
         if scope["type"] != "http" or scope["method"] in _WITHOUT_BODY:
             await self._app(scope, receive, send)
             return
-        with self._holdings.open(client_network(scope)) as holding:
-            answer = partial(self._pass, scope, receive, holding)
-            await answer_held(holding, answer, scope=scope, receive=receive, send=send)
+        with self._quota.open(client_network(scope)) as use:
+            answer = partial(self._pass, scope, receive, use)
+            await answer_held(use, answer, scope=scope, receive=receive, send=send)
 
-    async def _pass(self, scope: Scope, receive: Receive, holding: Holding, send: Send) -> None:
+    async def _pass(self, scope: Scope, receive: Receive, use: QuotaUse, send: Send) -> None:
         most = self._max_array_bytes if is_array(scope) else self._max_body_bytes
         try:
-            body = await self._read(receive, holding, most)
+            body = await self._read(receive, use, most)
         except UnreadError as error:
             await error.response(scope["path"])(scope, receive, send)
         except RefusedError as error:
             await refusal_response(scope["path"], error)(scope, receive, send)
         else:
             if body is not None:
-                scope["state"] = {**scope.get("state", {}), "holding": holding}
+                scope["state"] = {**scope.get("state", {}), "use": use}
                 await self._app(scope, _replayed(body, receive), send)
 
-    async def _read(self, receive: Receive, holding: Holding, most: int) -> bytes | None:
+    async def _read(self, receive: Receive, use: QuotaUse, most: int) -> bytes | None:
         """Return the body; None where the client went away."""
         parts: list[bytes] = []
         read, progress = 0, _Progress(self._within_s)
@@ -69,7 +69,7 @@ class BodyReader:
                     message = await receive()
             except TimeoutError:
                 # Two deadlines end in the same error: this one is another client's claim to the memory.
-                if holding.ended:
+                if use.ended:
                     raise
                 problem = f"too little of it came within {self._within_s:g} s"
                 raise _refused(HTTPStatus.REQUEST_TIMEOUT, problem) from None
@@ -79,7 +79,7 @@ class BodyReader:
             read += len(part)
             if read > most:
                 raise too_large(most)
-            holding.grow(len(part))
+            use.grow(len(part))
             parts.append(part)
             if not message.get("more_body", False):
                 return b"".join(parts)

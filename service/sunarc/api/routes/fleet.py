@@ -341,4 +341,4 @@ def _view(context: ApiContext, time: datetime, pixel: list[float], field: str) -
         covariance = ready.direction_covariance(np.ascontiguousarray(direction))
     if not np.isfinite(covariance).all():
         raise InputError(field=field, problem="lies outside the camera's field", remedy="give a pixel of the sky")
-    return PairView(site=context.site_at(time), direction=direction[0], covariance=covariance[0]), record.id
+    return PairView(site=context.site_with_air_at(time), direction=direction[0], covariance=covariance[0]), record.id

@@ -226,7 +226,7 @@ def _locate(answering: Answering, points: Rows) -> Rows:
 
 def _located_at(answering: Answering, exact: FloatArray, unix_s: float | FloatArray) -> FloatArray:
     """Return the answer's rows for points that see the sun of one time, or each of its own, of one solar day."""
-    site = answering.context.site_at(answering.time)
+    site = answering.context.site_with_air_at(answering.time)
     directions = np.asarray(answering.ready.back_project(np.ascontiguousarray(exact[:, :2]))[:, 2:5], dtype=np.float64)
     with np.errstate(all="ignore"):  # what has no place is answered with null
         covariance = answering.ready.direction_covariance(np.ascontiguousarray(directions))
@@ -244,7 +244,7 @@ def _height_sigma(points: FloatArray) -> FloatArray:
 
 def _draw_places(answering: Answering, ensemble: Ensemble, draw: int, points: Rows) -> Rows:
     """Return (n, 12): clouds and shadows by one draw; its heights are off by one number of sigmas, all to one side."""
-    site, exact = answering.context.site_at(answering.time), np.asarray(points, dtype=np.float64)
+    site, exact = answering.context.site_with_air_at(answering.time), np.asarray(points, dtype=np.float64)
     directions = ensemble.back_project(draw, exact[:, :2])
     height = exact[:, 2] + ensemble.common[draw] * _height_sigma(exact)
     with np.errstate(all="ignore"):  # what has no place is answered with null
@@ -277,7 +277,7 @@ def _row(found: Located) -> FloatArray:
 
 
 def _geolocation_json(answering: Answering, rows: Rows) -> dict[str, Any]:
-    sun = sun_angles(answering.time.timestamp(), answering.context.site_at(answering.time))
+    sun = sun_angles(answering.time.timestamp(), answering.context.site_with_air_at(answering.time))
     each = {} if answering.each is None else {"each": _each_json(answering.each)}
     return {
         "time": answering.time,
@@ -291,7 +291,7 @@ def _geolocation_json(answering: Answering, rows: Rows) -> dict[str, Any]:
 def _each_json(each: Timeline) -> dict[str, Any]:
     zenith, azimuth = np.empty((2, len(each.asked)))
     for one, at in each.split(each.asked):
-        sun = sun_angles(each.asked[at], one.context.site_at(one.time))
+        sun = sun_angles(each.asked[at], one.context.site_with_air_at(one.time))
         zenith[at], azimuth[at] = sun.apparent_zenith, sun.azimuth
     return {
         "calibration": each.of_points(),

@@ -94,8 +94,8 @@ def _status(context: ApiContext) -> Status:
     )
 
 
-def camera_routes(context: ApiContext) -> APIRouter:
-    """Return the route of the cameras."""
+def camera_list_routes(context: ApiContext) -> APIRouter:
+    """Return the route that lists the cameras."""
     routes = APIRouter(tags=["cameras"])
 
     @routes.get("/v1/cameras")

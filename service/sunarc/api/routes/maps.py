@@ -25,7 +25,7 @@ from sunarc.api.parameters import BY_CALIBRATION, At, IfNoneMatch
 from sunarc.api.problems import answers
 from sunarc.api.routes.calibrations import decimal, etag_of
 from sunarc.api.routes.images import Captured, composite_file, decoded_preview
-from sunarc.api.routes.stored_answers import RANGED, AnswerFiles, Content, Tagged
+from sunarc.api.routes.stored_answers import RANGED, AnswerFiles, ResponseBody, Tagged
 from sunarc.archive.values import CalibrationRecord
 from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.answers.direction_table import BackProjectionMap, back_projection_map
@@ -75,7 +75,7 @@ def map_routes(context: ApiContext, files: AnswerFiles) -> APIRouter:
         """Return every pixel's direction and 1-sigma, now or at the time `at`, and a mask round the sun."""
         selected, record = await run_in_threadpool(context.answering, request, at)
         sun = None if sun_radius_deg is None else (at or selected.frame_clock(), sun_radius_deg)
-        site = None if sun is None else await run_in_threadpool(selected.site_at, sun[0])
+        site = None if sun is None else await run_in_threadpool(selected.site_with_air_at, sun[0])
         requested = _Map(context=selected, record=record, format=format_, sun=sun, site=site)
         tag = await run_in_threadpool(_tag, requested)
         headers = {"etag": tag, "cache-control": "no-cache", "sunarc-calibration": record.id}
@@ -105,14 +105,14 @@ class _Map:
     site: Site | None
 
 
-def _content(requested: _Map) -> Content:
+def _content(requested: _Map) -> ResponseBody:
     found = back_projection_map(requested.context.ready.get(requested.record))
     masks = _obstructions(requested.context, requested.record)
     if requested.sun is not None and requested.site is not None:
         masks |= _sun_mask(requested.site, *requested.sun, found)
     table = map_table(found, requested.record.document, masks=masks)
     content = table_bytes(table, requested.format)
-    return Content(content=content, media_type=str(FORMATS[requested.format].media_type))
+    return ResponseBody(content=content, media_type=str(FORMATS[requested.format].media_type))
 
 
 def _tag(requested: _Map) -> str:
@@ -195,7 +195,7 @@ def mask_routes(context: ApiContext, files: AnswerFiles) -> APIRouter:
         time = at or selected.frame_clock()
         axis = np.array([0.0, 0.0, 1.0])
         if name == "sun":
-            site = await run_in_threadpool(selected.site_at, time)
+            site = await run_in_threadpool(selected.site_with_air_at, time)
             axis = np.asarray(sun_directions(time.timestamp(), site))
         hidden = await run_in_threadpool(hidden_by_obstructions, selected, record) if name == "horizon" else None
         key = repr(
@@ -204,8 +204,8 @@ def mask_routes(context: ApiContext, files: AnswerFiles) -> APIRouter:
         tag, headers = etag_of(key.encode()), {"sunarc-calibration": record.id, "cache-control": "no-cache"}
         asked = Tagged(request=request, headers=headers | {"etag": tag}, if_none_match=if_none_match)
 
-        def made() -> Content:
-            return Content(content=_mask(selected, record, axis, limit, hidden), media_type="image/png")
+        def made() -> ResponseBody:
+            return ResponseBody(content=_mask(selected, record, axis, limit, hidden), media_type="image/png")
 
         return await files.answer(asked, slots, made)
 
@@ -381,8 +381,8 @@ def _tagged(request: Request, if_none_match: str | None, tag: str) -> Tagged:
     return Tagged(request=request, headers=headers, if_none_match=if_none_match)
 
 
-def _made(content: Callable[[], bytes], stated: Callable[[], dict[str, str]], media_type: str) -> Content:
-    return Content(content=content(), media_type=media_type, headers=stated())
+def _made(content: Callable[[], bytes], stated: Callable[[], dict[str, str]], media_type: str) -> ResponseBody:
+    return ResponseBody(content=content(), media_type=media_type, headers=stated())
 
 
 def _camera(context: ApiContext, record: CalibrationRecord) -> Camera:

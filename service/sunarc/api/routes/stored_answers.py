@@ -20,7 +20,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.types import Receive, Scope, Send
 
 from sunarc.api.bulk import ComputeSlots
-from sunarc.api.middleware.holdings import Holding, Holdings, client_network
+from sunarc.api.middleware.shared_quota import QuotaUse, SharedQuota, client_network
 from sunarc.api.problems import Fault, RefusedError
 from sunarc.api.routes.calibrations import matches
 from sunarc.errors import OutsideError
@@ -55,7 +55,7 @@ class Tagged:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Content:
+class ResponseBody:
     """What is sent: bytes of a media type, and headers that came with their making."""
 
     content: bytes
@@ -77,10 +77,10 @@ class AnswerFiles:
 
     def __init__(self, *, most_bytes: int = _MOST_BYTES, most_readers: int = _MOST_READERS) -> None:
         self._most_bytes = most_bytes
-        self._readers = Holdings(most_readers)
+        self._readers = SharedQuota(most_readers)
         self._files: OrderedDict[str, _File] = OrderedDict()
 
-    async def answer(self, asked: Tagged, slots: ComputeSlots, make: Callable[[], Content]) -> Response:
+    async def answer(self, asked: Tagged, slots: ComputeSlots, make: Callable[[], ResponseBody]) -> Response:
         """Return what `make` returns, from a file; 304 where the client has it.
 
         Parameters
@@ -102,7 +102,7 @@ class AnswerFiles:
         part = _requested_part(asked.request, tag, len(file.bytes))
         counted = 1 if len(file.bytes) >= _LARGE_BYTES else 0
         headers = {**file.headers, **asked.headers}
-        return FileAnswer(file, part, headers=headers, holding=self._readers.open(client), counted=counted)
+        return FileAnswer(file, part, headers=headers, use=self._readers.open(client), counted=counted)
 
     def _kept(self, tag: str) -> _File | None:
         if tag in self._files:
@@ -123,7 +123,7 @@ class _File:
     headers: Mapping[str, str]
 
 
-def _stored(make: Callable[[], Content]) -> _File:
+def _stored(make: Callable[[], ResponseBody]) -> _File:
     """Return what is made, in a file: where systemd says that caches are, else where temporary files are."""
     made = make()
     folder = os.environ.get("CACHE_DIRECTORY", "").partition(":")[0] or None
@@ -147,14 +147,14 @@ class FileAnswer(Response):
     file : what is sent.
     part : which bytes of it; None: all.
     headers : to send along.
-    holding : ends it where others need the room.
+    use : ends it where others need the room.
     counted : what it counts as, of what is being sent, until all is sent.
     """
 
     def __init__(
-        self, file: _File, part: range | None, *, headers: dict[str, str], holding: Holding, counted: int
+        self, file: _File, part: range | None, *, headers: dict[str, str], use: QuotaUse, counted: int
     ) -> None:
-        self._file, self._holding, self._counted = file, holding, counted
+        self._file, self._use, self._counted = file, use, counted
         size = len(file.bytes)
         self._part = range(size) if part is None else part
         self.background, self.media_type = None, file.media_type
@@ -165,10 +165,10 @@ class FileAnswer(Response):
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:  # noqa: ARG002 - the protocol's
         """Send the answer; one that is ended is cut off, and its connection with it."""
-        with suppress(TimeoutError), self._holding:
-            self._holding.grow(self._counted)
+        with suppress(TimeoutError), self._use:
+            self._use.grow(self._counted)
             async with asyncio.timeout(None) as until:
-                self._holding.ends(until)
+                self._use.ends(until)
                 await self._send(send)
 
     async def _send(self, send: Send) -> None:

@@ -129,7 +129,7 @@ def _add_sighting_routes(routes: APIRouter, context: ApiContext) -> None:
 
 
 def _sun(context: ApiContext, time: datetime, *, past: datetime | None) -> Sun:
-    site = context.site_at(time)
+    site = context.site_with_air_at(time)
     angles = sun_angles(time.timestamp(), site)
     direction = direction_from_angles(zenith_deg=angles.apparent_zenith, azimuth_deg=angles.azimuth)
     answering = context.calibration_or_none(past)
@@ -157,7 +157,7 @@ def track_of(context: ApiContext, day: date, *, step_s: int, past: datetime | No
     """Return the sun's way through a solar day, by the current calibration or the one of a moment in the `past`."""
     start, end = day_bounds_unix_s(day, longitude=context.site.longitude)
     unix_s = np.arange(math.ceil(start / step_s) * step_s, end, step_s)
-    angles = sun_angles(unix_s, context.site_on(day))
+    angles = sun_angles(unix_s, context.site_with_air_of(day))
     up = angles.apparent_zenith <= _HORIZON_DEG
     zenith, azimuth = angles.apparent_zenith[up], angles.azimuth[up]
     answering = context.calibration_or_none(past)

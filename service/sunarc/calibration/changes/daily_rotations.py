@@ -29,7 +29,7 @@ from sunarc.calibration.answers.error_model import (
 from sunarc.calibration.evidence import DAYS_GAIN, whitened
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
-from sunarc.calibration.pose import PredictedSightings, fit_pose, gathered, inflation, noise_px
+from sunarc.calibration.pose import PredictedSightings, fit_pose, gathered, inflation_of, noise_px
 from sunarc.calibration.robust_loss import finite
 from sunarc.optics.camera import Camera
 from sunarc.optics.pose import rotation_matrix
@@ -352,7 +352,7 @@ def daily_pose_offset(points: Sightings, *, calibration: Calibration, site: Site
         false_density=np.zeros(len(usable)),
     )
     camera = at_every_angle(calibration.camera)
-    together = gathered(camera, sightings, inlier, inflation=inflation(calibration))
+    together = gathered(camera, sightings, inlier, inflation=inflation_of(calibration))
     rotation, covariance = _gls_rotation(error_model_of(calibration), camera, together)
     to_enu = -rotation_matrix(camera.rotation_cam_enu).T  # a camera that turns one way sees the sky turn the other
     sigma = np.sqrt(np.diag(to_enu @ covariance @ to_enu.T))

@@ -31,7 +31,7 @@ from sunarc.calibration.fit.marginal_likelihood import (
 from sunarc.calibration.fit.normal_equations import LinearSystem, irls_converged, linear_system, system_about
 from sunarc.calibration.fit.posterior import prediction_variance
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.noise import Noise, NoiseGroups, inflation, measured_noise
+from sunarc.calibration.noise import Noise, NoiseGroups, autocorrelation_inflation, measured_noise
 from sunarc.calibration.robust_loss import CUT, robust_sigma, surely_well_behaved, tukey_loss, tukey_weights
 from sunarc.calibration.solve.levenberg_marquardt import most_probable
 from sunarc.calibration.solve.problem import Bins, FitProblem
@@ -192,7 +192,8 @@ def _share_by_chance(residuals: FloatArray, weight: FloatArray, groups: NoiseGro
     groups : of the sightings.
     """
     counted = weight > 0.0
-    inflated = np.where(groups.alone, 1.0, inflation(residuals, weight, groups.follows, groups.run))[counted]
+    inflated = autocorrelation_inflation(residuals, counted, groups.follows, groups.run)
+    inflated = np.where(groups.alone, 1.0, inflated)[counted]
     # the cost of each sighting is 1 in the mean: two axes of half a square
     return _CHANCE * float(np.mean(inflated)) / inflated.size if inflated.size else 0.0
 

@@ -159,7 +159,7 @@ class UnitSpread:
 
     def __post_init__(self) -> None:
         """Refuse a spread that is none."""
-        require_bounds(self, section="spread")
+        require_bounds(self, section_path="spread")
 
     def scales(self, focal_px: float) -> FloatArray:
         """Return (17,): 1-sigma of a unit's coordinates in a frame (`frame_of`)."""

@@ -44,7 +44,7 @@ class LensTolerances:
 
     def __post_init__(self) -> None:
         """Refuse tolerances that are none."""
-        require_bounds(self, section="calibration.tolerances")
+        require_bounds(self, section_path="calibration.tolerances")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,7 +70,7 @@ class PaperOptions:
 
     def __post_init__(self) -> None:
         """Refuse choices that are none."""
-        require_bounds(self, section="calibration.paper")
+        require_bounds(self, section_path="calibration.paper")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,7 +115,7 @@ class CalibrationOptions:
 
     def __post_init__(self) -> None:
         """Refuse choices that are none."""
-        require_bounds(self, section="calibration")
+        require_bounds(self, section_path="calibration")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -135,7 +135,7 @@ class ImageCircle:
 
     def __post_init__(self) -> None:
         """Refuse what is no circle."""
-        require_bounds(self, section="image circle")
+        require_bounds(self, section_path="image circle")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -155,7 +155,7 @@ class FirstPoseOptions:
 
     def __post_init__(self) -> None:
         """Refuse what is no pose."""
-        require_bounds(self, section="first_pose")
+        require_bounds(self, section_path="first_pose")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -171,4 +171,4 @@ class WatchOptions:
 
     def __post_init__(self) -> None:
         """Refuse what is out of bounds."""
-        require_bounds(self, section="watch")
+        require_bounds(self, section_path="watch")

@@ -114,9 +114,9 @@ def static_sightings(pixels: FloatArray, directions: FloatArray, group: IntArray
     return static
 
 
-def static_positions(pixels: FloatArray, static: BoolArray) -> tuple[StaticPosition, ...]:
+def static_positions(pixels: FloatArray, is_static: BoolArray) -> tuple[StaticPosition, ...]:
     """Return the positions of static sightings, the most frequent one first; those within 3 px are one."""
-    remaining, found = pixels[static], []
+    remaining, found = pixels[is_static], []
     while remaining.size:
         _, member, count = np.unique(np.floor(remaining), axis=0, return_inverse=True, return_counts=True)
         middle = np.median(remaining[member.ravel() == np.argmax(count)], axis=0)

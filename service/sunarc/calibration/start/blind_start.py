@@ -79,7 +79,7 @@ class BlindOptions:
 
     def __post_init__(self) -> None:
         """Refuse what is no tilt."""
-        require_bounds(self, section="blind start")
+        require_bounds(self, section_path="blind start")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -220,7 +220,7 @@ class NightLimits:
 
     def __post_init__(self) -> None:
         """Refuse what is no limit."""
-        require_bounds(self, section="night")
+        require_bounds(self, section_path="night")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

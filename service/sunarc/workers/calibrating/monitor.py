@@ -177,7 +177,7 @@ class WatchWorker:
             return
         if len(self._watch) and sighting.unix_s <= self._watch.unix_s[-1]:
             return
-        site = self._camera.site_at(utc_time(sighting.unix_s))
+        site = self._camera.site_with_air_at(utc_time(sighting.unix_s))
         if site != self._camera.site:  # not in `notice`, which must not wait for the database
             sighting = replace(sighting, direction=_sun(sighting.unix_s, site))
         self._watch, change = update_window(

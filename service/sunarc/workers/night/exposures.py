@@ -141,10 +141,10 @@ class MoonExposures:
         """Return the surface's brightness over that of a full moon above the air; None without a moon to be seen."""
         disc = self._disc_at(time)
         zenith = math.degrees(math.acos(min(max(float(disc.direction[2]), -1.0), 1.0)))
-        if zenith > LOWEST_DEG or disc.lit < LEAST_LIT:
+        if zenith > LOWEST_DEG or disc.illuminated_fraction < LEAST_LIT:
             return None
         lost = _EXTINCTION * float(relative_air_mass(zenith))
-        return float(10.0 ** (-0.4 * (disc.magnitude - _FULL_MOON + lost)) / disc.lit)
+        return float(10.0 ** (-0.4 * (disc.magnitude - _FULL_MOON + lost)) / disc.illuminated_fraction)
 
     def report(self, time: datetime, levels: tuple[tuple[float, float], ...]) -> None:
         """Take note of a slot's frames.

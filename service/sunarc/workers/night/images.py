@@ -251,7 +251,8 @@ def _moon(unix_s: float, calibration: Calibration, camera: CameraArchive) -> lis
         return []
     at = [round(float(value), 2) for value in pixel]
     magnitude = round(place.magnitude, 2)
-    return [{"body": "moon", "title": "Moon", "pixel": at, "magnitude": magnitude, "found": None, "lit": place.lit}]
+    moon = {"body": "moon", "title": "Moon", "pixel": at, "magnitude": magnitude, "found": None}
+    return [{**moon, "lit": place.illuminated_fraction}]
 
 
 def store_picture(

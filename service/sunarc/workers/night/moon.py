@@ -108,7 +108,7 @@ class MoonImages:
         def near(frame: Frame, cutouts: tuple[Cutout, ...]) -> tuple[Cutout, ...]:
             if calibration is None:
                 return cutouts
-            disc = moon_disc(frame.time.timestamp(), self._camera.site_at(frame.time))
+            disc = moon_disc(frame.time.timestamp(), self._camera.site_with_air_at(frame.time))
             expected = predicted_moon(calibration, disc, within_px=1.0)
             if expected is None:
                 return ()
@@ -151,9 +151,13 @@ class MoonImages:
         return MoonNight(points, len(images), tuple(refused))
 
     def _measured(self, image: _MoonImage, calibration: Calibration, within_px: float) -> _Measured | Finding:
-        disc = moon_disc(image.time.timestamp(), self._camera.site_at(image.time))
+        disc = moon_disc(image.time.timestamp(), self._camera.site_with_air_at(image.time))
         expected = predicted_moon(calibration, disc, within_px=within_px)
-        if expected is None or disc.lit < LEAST_LIT or disc.direction[2] < np.cos(np.radians(LOWEST_DEG)):
+        if (
+            expected is None
+            or disc.illuminated_fraction < LEAST_LIT
+            or disc.direction[2] < np.cos(np.radians(LOWEST_DEG))
+        ):
             return Finding("moon_outside")
         reach = _SEARCH_SIGMAS * expected.uncertainty_px
         cutout = cutout_around(image.cutouts, expected.x_px, expected.y_px, within_px=reach)

@@ -226,7 +226,7 @@ class NightWorker:
         for _ in turns(stop, heartbeat):
             frame = self._frames.get(timeout_s=_POLL_S)
             if self._moon_frames is not None and (moon := self._moon_frames.get(timeout_s=0.0)) is not None:
-                self.look_at_moon(moon)
+                self.add_moon_exposures(moon)
             if frame is not None:
                 self.look_at(frame)
             elif self._images and self._is_over():
@@ -325,8 +325,8 @@ class NightWorker:
     def _report(self, found: Finding) -> None:
         self._camera.add_event(found, MESSAGES, time=self._now(), severity="warning")
 
-    def look_at_moon(self, frames: Sequence[Frame]) -> None:
-        """Keep the brightest places of a slot's short exposures until the night is over."""
+    def add_moon_exposures(self, frames: Sequence[Frame]) -> None:
+        """Keep the brightest cutouts of a slot's short exposures, in which the moon may be, until the night is over."""
         frame, cutouts = self._moon.add(frames)
         if self._kept is not None:
             note = FrameNote(frame, self._clock_error_s(frame.time))
@@ -451,7 +451,7 @@ class NightWorker:
         return solar_date(time.timestamp() - 0.5 * DAY_S, longitude=self._camera.site.longitude)
 
     def _view(self, image: _StarImage, calibration: Calibration) -> StarView:
-        stars, site = self._warm.without_warm(image.stars), self._camera.site_at(image.time)
+        stars, site = self._warm.without_warm(image.stars), self._camera.site_with_air_at(image.time)
         return star_view(stars, image.time.timestamp(), site=site, calibration=calibration)
 
     def _store(
@@ -507,7 +507,7 @@ class NightWorker:
 
     def _moonlit_share(self, images: Sequence[_StarImage]) -> float:
         moons = [body_position("moon", image.time.timestamp(), self._camera.site) for image in images]
-        return sum(moon.direction[2] > 0.0 and moon.lit > _HALF_LIT for moon in moons) / len(moons)
+        return sum(moon.direction[2] > 0.0 and moon.illuminated_fraction > _HALF_LIT for moon in moons) / len(moons)
 
     def _remember(self, night: Night) -> None:
         """Store the verdict, and set the conditions that the last nights give rise to."""

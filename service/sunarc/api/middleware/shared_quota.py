@@ -15,7 +15,7 @@ from starlette.types import Message, Receive, Scope, Send
 from sunarc.api.problems import Fault, RefusedError, UnreadError
 
 
-class Holdings:
+class SharedQuota:
     """Keeps the sum of what is held within a limit.
 
     Where room is short, an address that holds less than another takes it from that one, whose oldest request is ended;
@@ -28,69 +28,69 @@ class Holdings:
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
-        self._open: dict[Holding, None] = {}  # in the order in which they were opened
+        self._open: dict[QuotaUse, None] = {}  # in the order in which they were opened
         self._of_client: Counter[str | None] = Counter()
 
-    def open(self, client: str | None) -> Holding:
-        """Return an empty holding of a client's request; a context manager. On the event loop alone."""
-        return Holding(self, client)
+    def open(self, client: str | None) -> QuotaUse:
+        """Return the use of a client's request, of nothing yet; a context manager. On the event loop alone."""
+        return QuotaUse(self, client)
 
-    def enter(self, holding: Holding) -> None:
-        """Begin to count a holding."""
-        self._open[holding] = None
+    def enter(self, use: QuotaUse) -> None:
+        """Begin to count a request's use."""
+        self._open[use] = None
 
-    def leave(self, holding: Holding) -> None:
-        """Count a holding no longer."""
-        self._open.pop(holding, None)
-        self._of_client[holding.client] -= holding.amount
-        if not self._of_client[holding.client]:
-            del self._of_client[holding.client]
-        holding.amount = 0
+    def leave(self, use: QuotaUse) -> None:
+        """Count a request's use no longer."""
+        self._open.pop(use, None)
+        self._of_client[use.client] -= use.amount
+        if not self._of_client[use.client]:
+            del self._of_client[use.client]
+        use.amount = 0
 
-    def grow(self, holding: Holding, amount: int) -> None:
-        """Count more of a holding; RefusedError (429) where there is no room, nor an address that holds more."""
+    def grow(self, use: QuotaUse, amount: int) -> None:
+        """Count more for a request; RefusedError (429) where there is no room, nor an address that holds more."""
         while self._of_client.total() + amount > self._limit:
-            heaviest, most = self._of_client.most_common(1)[0] if self._of_client else (holding.client, 0)
-            if self._of_client[holding.client] + amount >= most:
+            heaviest, most = self._of_client.most_common(1)[0] if self._of_client else (use.client, 0)
+            if self._of_client[use.client] + amount >= most:
                 fault = Fault(field="request", problem="too much at once", remedy="ask again in a second, or in parts")
                 raise RefusedError(HTTPStatus.TOO_MANY_REQUESTS, fault, headers={"retry-after": "1"})
             # A dictionary keeps the order of insertion: the first is the oldest.
             oldest = next(one for one in self._open if one.client == heaviest and one.amount)
             self.leave(oldest)
             oldest.end()
-        holding.amount += amount
-        self._of_client[holding.client] += amount
+        use.amount += amount
+        self._of_client[use.client] += amount
 
 
-class Holding:
+class QuotaUse:
     """What one request holds.
 
     Parameters
     ----------
-    holdings : where it is counted.
+    quota : where it is counted.
     client : whose it is.
     """
 
-    def __init__(self, holdings: Holdings, client: str | None) -> None:
-        self._holdings = holdings
+    def __init__(self, quota: SharedQuota, client: str | None) -> None:
+        self._quota = quota
         self._until: asyncio.Timeout | None = None
         self.client = client
         self.amount = 0
         self.ended = False
 
     def __enter__(self) -> Self:
-        self._holdings.enter(self)
+        self._quota.enter(self)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, stack: TracebackType | None
     ) -> None:
-        self._holdings.leave(self)
+        self._quota.leave(self)
 
     def grow(self, amount: int) -> None:
-        """Hold more; see `Holdings.grow`."""
+        """Hold more; see `SharedQuota.grow`."""
         if not self.ended:
-            self._holdings.grow(self, amount)
+            self._quota.grow(self, amount)
 
     def ends(self, until: asyncio.Timeout) -> None:
         """Set the timeout that ends the request when its memory is claimed."""
@@ -104,13 +104,13 @@ class Holding:
 
 
 async def answer_held(
-    holding: Holding, answer: Callable[[Send], Awaitable[None]], *, scope: Scope, receive: Receive, send: Send
+    use: QuotaUse, answer: Callable[[Send], Awaitable[None]], *, scope: Scope, receive: Receive, send: Send
 ) -> None:
-    """Answer a request until its holding is ended: then with 503, or by cutting off the answer that has begun.
+    """Answer a request until its use of the quota is ended: then with 503, or by cutting off the answer that has begun.
 
     Parameters
     ----------
-    holding : what the request holds.
+    use : what the request holds.
     answer : answers it, by what it is given.
     scope, receive, send : of the request.
     """
@@ -123,10 +123,10 @@ async def answer_held(
 
     try:
         async with asyncio.timeout(None) as until:
-            holding.ends(until)
+            use.ends(until)
             await answer(sending)
     except TimeoutError:
-        if not holding.ended:
+        if not use.ended:
             raise
         # A status line that is sent cannot be taken back: then the answer is cut off.
         if not started:
