@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.special import ndtr
 from tests.fixtures.calibration import observed, small_camera, small_problem, spread_directions
 
 from sunarc import _kernels
@@ -122,13 +123,74 @@ CALLS: dict[str, dict[str, Any]] = {
         "first_damping": 1e-3,
     },
 }
+_GREY = np.random.default_rng(5).uniform(0.0, 1.0, (6, 8, 4)).astype(np.float32)
+_CLOUDS = {"layer": np.full((4, 4), 0.5, np.float32), "offset_x": 40.0, "offset_y": 80.0}
+_MERGE = {
+    "stack": np.arange(48, dtype=np.uint16).reshape(2, 4, 6) * 90,
+    "exposures": np.array([10.0, 40.0]),
+    "black": 32.0,
+    "full_scale": 4095.0,
+    "read_variance": 6.0,
+    "counts_per_electron": 0.2,
+}
+CALLS |= {
+    "render_disc": {
+        "rows": 12,
+        "columns": 14,
+        "x": 6.2,
+        "y": 5.7,
+        "psf": 0.7,
+        "stretch": np.array([[2.9, 0.2], [0.2, 2.5]]),
+        "positions": np.array([[0.0, 0.0], [0.5, -0.2], [-0.5, 0.2]]),
+        "weights": np.array([0.5, 0.2, 0.3]),
+    },
+    "likelihood_of": {
+        "planes": np.random.default_rng(6).uniform(0.1, 1.0, (4, 16, 20)),
+        "moved": np.array([1, 3]),
+        "scale": np.array([1.0, 0.7]),
+        "glare": np.array([0.4, 0.1, 0.5, 2.2, 1.8]),
+        "places": np.arange(N),
+        "counts": np.linspace(50.0, 900.0, N),
+        "colour": np.arange(N) % 3,
+        "offset": np.random.default_rng(7).uniform(-5.0, 5.0, (N, 2)),
+        "flux": np.array([500.0, 600.0, 700.0]),
+        "background": np.array([20.0, 25.0, 30.0]),
+        "around": np.array([0.5, -0.25, 0.01, 4.0]),
+        "noise": 2.0,
+        "gain": 5.0,
+        "binning": 2,
+        "clip": 400.0,
+        "by_counts": False,
+    },
+    "merge_exposures": _MERGE,
+    "cloud_transmittance": _CLOUDS | {"directions": SKY.astype(np.float32)},
+    "sky_light": _CLOUDS
+    | {"field": _GREY, "sun": np.array([0.0, 0.6, 0.8], np.float32), "levels": np.full(6, 0.1, np.float32)},
+    "night_glow": _CLOUDS
+    | {
+        "field": _GREY,
+        "levels": np.full(4, 0.1, np.float32),
+        "city": np.array([0.6, 0.8], np.float32),
+        "moon": np.array([0.0, 0.6, 0.8], np.float32),
+    },
+    "count_light": {
+        "light": _GREY[..., 0].copy(),
+        "smear": np.zeros(8, np.float32),
+        "noise": np.linspace(-2.0, 2.0, 50, dtype=np.float32),
+        "starts": np.arange(37, 43),
+        "sensor": np.array([100.0, 23_000.0, 144.0, 0.2, 32.0, 4095.0], np.float32),
+    },
+    "image_of_points": {"rows": 7, "columns": 9, "points": np.array([[3.1, 2.9, 5.0, 0.8], [8.0, 0.0, 1.0, 1.4]])},
+}
 # kernels whose results for no pixels, directions or sightings are empty
-PER_PLACE = [name for name in CALLS if name not in {"rotation_and_jacobian", "most_probable", "paper_fit"}]
+_WHOLE = {"rotation_and_jacobian", "most_probable", "paper_fit", "render_disc", "merge_exposures"}
+_WHOLE |= {"sky_light", "night_glow", "count_light", "image_of_points"}
+PER_PLACE = [name for name in CALLS if name not in _WHOLE]
 Spoiled = Callable[[np.ndarray], np.ndarray | None]
 
 
 def wrong_type(array: np.ndarray) -> np.ndarray:
-    return array.astype(np.int32 if array.dtype == np.int64 else np.float32)
+    return array.astype({np.dtype(np.int64): np.int32, np.dtype(np.float32): np.float64}.get(array.dtype, np.float32))
 
 
 def backwards(array: np.ndarray) -> np.ndarray | None:
@@ -201,14 +263,18 @@ def test_lists_none_and_numbers_are_no_arrays(name: str) -> None:
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300])
 def test_numbers_that_are_none_end_in_an_answer(name: str, value: float) -> None:
     for argument, array in CALLS[name].items():
-        if isinstance(array, np.ndarray) and array.dtype == np.float64:
+        if isinstance(array, np.ndarray) and array.dtype in {np.dtype(np.float64), np.dtype(np.float32)}:
+            worst = min(value, float(np.finfo(array.dtype).max)) if np.isfinite(value) else value
             spoiled = array.copy()
-            spoiled.flat[array.size // 2] = value
+            spoiled.flat[array.size // 2] = worst
             assert flat(call(name, **{argument: spoiled}))
-            assert flat(call(name, **{argument: np.full_like(array, value)}))
+            assert flat(call(name, **{argument: np.full_like(array, worst)}))
 
 
-@pytest.mark.parametrize("name", ["most_probable", "residuals_and_columns_of", "paper_fit", "waves_at"])
+_BY_PLACE = ["most_probable", "residuals_and_columns_of", "paper_fit", "waves_at", "likelihood_of", "count_light"]
+
+
+@pytest.mark.parametrize("name", _BY_PLACE)
 def test_places_out_of_bounds_are_refused(name: str) -> None:
     for argument, array in CALLS[name].items():
         if isinstance(array, np.ndarray) and array.dtype == np.int64:
@@ -272,3 +338,78 @@ def test_more_places_than_one_batch_are_answered_as_one_by_one() -> None:
     pixels = np.tile(PIXELS, (20, 1))
     together = unproject(CAMERA, pixels)
     np.testing.assert_array_equal(together, np.tile(together[:N], (20, 1)))
+
+
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [
+        ("render_disc", {"rows": 1 << 17}),
+        ("render_disc", {"weights": np.ones(2)}),
+        ("likelihood_of", {"binning": 0}),
+        ("likelihood_of", {"binning": 3}),
+        ("likelihood_of", {"counts": np.ones(N - 1)}),
+        ("merge_exposures", {"exposures": np.ones(3)}),
+        ("merge_exposures", {"stack": np.zeros((0, 4, 6), np.uint16), "exposures": np.ones(0)}),
+        ("sky_light", {"layer": np.ones((3, 3), np.float32)}),
+        ("night_glow", {"layer": np.ones((4, 2), np.float32)}),
+        ("cloud_transmittance", {"layer": np.ones((0, 0), np.float32)}),
+        ("count_light", {"noise": np.zeros(7, np.float32)}),
+        ("count_light", {"starts": np.arange(38, 44)}),
+        ("image_of_points", {"columns": 1 << 17}),
+    ],
+)
+def test_images_that_do_not_go_together_are_refused(name: str, given: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=r".+"):
+        call(name, **given)
+
+
+def test_an_image_without_pixels_is_empty() -> None:
+    for rows, columns in ((0, 14), (12, 0), (0, 0)):
+        assert call("render_disc", rows=rows, columns=columns).shape == (11, rows, columns)
+        assert call("image_of_points", rows=rows, columns=columns).shape == (rows, columns)
+        assert call("merge_exposures", stack=np.zeros((2, rows, columns), np.uint8))[0].shape == (rows, columns)
+        assert call("sky_light", field=np.zeros((rows, columns, 4), np.float32)).shape == (rows, columns)
+
+
+def test_a_disc_where_there_is_none_is_not_a_number() -> None:
+    assert np.isnan(call("render_disc", x=np.nan)).any()
+    assert not call("render_disc", x=np.inf).any()
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("n", [1, 255, 256, 700])
+def test_a_merge_is_the_weighted_mean_of_what_is_not_saturated(dtype: type, n: int) -> None:
+    full, black, read_variance, per_electron = float(np.iinfo(dtype).max) * 0.9, 8.0, 6.0, 0.2
+    exposures = np.array([10.0, 40.0, 160.0])
+    light = np.random.default_rng(n).gamma(1.0, 0.3, (1, n)) * full
+    stack = np.clip(black + light * exposures[:, None, None] / 40.0, 0, full).astype(dtype)
+    merged, lost = call(
+        "merge_exposures", stack=stack, exposures=exposures, black=black, full_scale=full,
+        read_variance=read_variance, counts_per_electron=per_electron,
+    )  # fmt: skip
+    used = np.logical_and.accumulate(stack < 0.98 * full, axis=0)
+    signal, time = (stack - black) * used, exposures[:, None, None] * used
+    photon = np.maximum(signal.sum(axis=0) / np.maximum(time.sum(axis=0), 1.0), 0.0) * per_electron
+    weight = used * exposures[:, None, None] / (read_variance + photon * exposures[:, None, None])
+    rate = (weight * signal).sum(axis=0) / np.maximum((weight * time).sum(axis=0), 1e-300)
+    share = np.where(used[0], np.clip(rate / ((full - black) / exposures[0]), 0.0, 1.0), 1.0)
+    np.testing.assert_array_equal(merged, np.rint(share * 65535.0))
+    assert lost == np.count_nonzero(~used[0])
+
+
+def test_a_disc_is_the_sum_of_its_sources_spread() -> None:
+    one = CALLS["render_disc"]
+    found = call("render_disc")
+    expected, slopes = np.zeros((12, 14)), []
+    for (u, v), weight in zip(one["positions"], one["weights"], strict=True):
+        x, y = np.array([one["x"], one["y"]]) + one["stretch"] @ (u, v)
+        across = np.diff(ndtr((np.arange(15) - 0.5 - x) / one["psf"]))
+        down = np.diff(ndtr((np.arange(13) - 0.5 - y) / one["psf"]))
+        expected += weight * np.outer(down, across)
+        slopes.append(u * weight * np.outer(down, across))
+    np.testing.assert_allclose(found[0], expected, rtol=0, atol=2e-7)  # beyond five widths a source is dark
+    np.testing.assert_allclose(found[4], np.sum(slopes, axis=0), rtol=0, atol=2e-7)
+    step = 1e-5
+    for plane, name in ((1, "x"), (2, "y"), (3, "psf")):
+        ends = [call("render_disc", **{name: one[name] + side * step})[0] for side in (1.0, -1.0)]
+        np.testing.assert_allclose(found[plane], (ends[0] - ends[1]) / (2.0 * step), rtol=0, atol=1e-6)

@@ -56,4 +56,6 @@ struct Out {
 };
 using Result = nb::ndarray<nb::numpy, double>;
 
+void add_image(nb::module_& module);
+
 }  // namespace sunarc

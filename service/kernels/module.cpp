@@ -4,6 +4,7 @@
 NB_MODULE(_kernels, module) {
     sunarc::add_displacement(module);
     sunarc::add_fit(module);
+    sunarc::add_image(module);
     sunarc::add_inverse(module);
     sunarc::add_lens(module);
     sunarc::add_paper(module);

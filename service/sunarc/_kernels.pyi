@@ -3,7 +3,14 @@
 They run without the interpreter's lock and start no threads. Results are new arrays.
 """
 
-from sunarc.array_types import FloatArray, IntArray
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.array_types import FloatArray, Image, IntArray
+
+Float32Array: TypeAlias = NDArray[np.float32]
 
 def pixels_of(
     vector: FloatArray, code: int, mirror: float, max_angle: float, rotation: FloatArray, directions: FloatArray
@@ -242,3 +249,130 @@ def paper_fit(
     Penalties as of `calibration.paper.PenaltyArrays`, limits as of `calibration.paper.Limits`; `moving`: the places of
     the parameters that may change.
     """
+
+def render_disc(
+    rows: int,
+    columns: int,
+    x: float,
+    y: float,
+    psf: float,
+    stretch: FloatArray,
+    positions: FloatArray,
+    weights: FloatArray,
+) -> FloatArray:
+    """Return the (11, rows, columns) planes of `detection.disc.model.render_disc`.
+
+    `positions`, `weights` : (k, 2), (k,) of `Sources`.
+    """
+
+def likelihood_of(
+    planes: FloatArray,
+    moved: NDArray[np.intp],
+    scale: FloatArray,
+    glare: FloatArray,
+    places: NDArray[np.intp],
+    counts: FloatArray,
+    colour: NDArray[np.intp],
+    offset: FloatArray,
+    flux: FloatArray,
+    background: FloatArray,
+    around: FloatArray,
+    noise: float,
+    gain: float,
+    binning: int,
+    clip: float,
+    by_counts: bool,
+) -> tuple[float, FloatArray, FloatArray, FloatArray]:
+    """Compare a disc's model with the pixels.
+
+    Parameters
+    ----------
+    planes : (k, binning rows, binning columns) the disc of unit flux, first its value, on the sensor's pixels.
+    moved, scale : the planes that are derivatives by the free nonlinear parameters, and what each is multiplied by.
+    glare : u and v are (a dx - b dy, c dy - b dx) and dx, dy are what a pixel is off (x, y): a, b, c, x, y.
+    places, counts, colour, offset : see `detection.disc.model.UsedPixels`.
+    flux, background : one per colour.
+    around : the background's slope in x and y, smear of the columns, glare.
+    noise, gain : of the readout, counts; electrons per count.
+    binning, clip : each pixel is the mean of binning² of the sensor's, which are clipped at so many counts.
+    by_counts : take the variance that the counts tell, not the model.
+
+    Returns
+    -------
+    Twice the negative log likelihood, residual (n,), weight (n,) and Jacobian (n, p), its columns the free nonlinear
+    parameters, flux and background of each colour, slope in x and y, smear and glare.
+
+    Raises
+    ------
+    ValueError : lengths that differ, a plane, a place or a colour that is not there.
+    """
+
+def merge_exposures(
+    stack: Image,
+    exposures: FloatArray,
+    black: float,
+    full_scale: float,
+    read_variance: float,
+    counts_per_electron: float,
+) -> tuple[NDArray[np.uint16], int]:
+    """Merge (frames, rows, columns), shortest first, and count what is saturated in the first.
+
+    Each is weighted by its noise, of which the photons' is that of the pooled rate.
+    """
+
+def cloud_transmittance(
+    layer: Float32Array, offset_x: float, offset_y: float, directions: Float32Array
+) -> Float32Array:
+    """Return the transmittance (n,) of a `CloudLayer` in directions (n, 3), 1 below the horizon."""
+
+def sky_light(
+    field: Float32Array,
+    sun: Float32Array,
+    levels: Float32Array,
+    layer: Float32Array,
+    offset_x: float,
+    offset_y: float,
+) -> Float32Array:
+    """Return the light (h, w) of sky, clouds, ground and the lens's glare, in the units of `levels`.
+
+    Parameters
+    ----------
+    field : (h, w, 4) from `simulation.scene_parts.pixel_field`.
+    sun : (3,) its direction.
+    levels : clear zenith, cloud, ground, glare (strength, core), forward scattering in cloud.
+    layer, offset_x, offset_y : the clouds; a layer of size 1 is a clear sky.
+    """
+
+def night_glow(
+    field: Float32Array,
+    levels: Float32Array,
+    city: Float32Array,
+    moon: Float32Array,
+    layer: Float32Array,
+    offset_x: float,
+    offset_y: float,
+) -> Float32Array:
+    """Return the diffuse light (h, w) of the night.
+
+    Parameters
+    ----------
+    levels : the dark zenith, the town's dome on the horizon, the moonlit sky far from the moon, the lens's glare one
+        degree from the moon; in light.
+    city, moon : (2,) east and north of the town, (3,) direction of the moon; the rest as of `sky_light`.
+    """
+
+def count_light(
+    light: Float32Array, smear: Float32Array, noise: Float32Array, starts: IntArray, sensor: Float32Array
+) -> NDArray[np.uint16]:
+    """Return the counts (h, w) of an exposure.
+
+    Parameters
+    ----------
+    smear : (w,) electrons that every row of a column gets besides.
+    noise, starts : (n,) unit normal numbers; (h,) where each row begins in them.
+    sensor : electrons per light, most electrons, read noise squared (or less than 0: no noise at all), counts per
+        electron, black level, full scale.
+    """
+
+def image_of_points(rows: int, columns: int, points: FloatArray) -> Float32Array:
+    """Return Gaussian images, integrated over each pixel, of points (n, 4): column, row, light in all, sigma, px."""

@@ -20,7 +20,7 @@ from sunarc.imaging.brightness import (
     light_ratio_contradiction,
     trimmed_mean,
 )
-from sunarc.imaging.hdr import merge_exposures, merge_hdr
+from sunarc.imaging.hdr import merge_hdr
 from sunarc.imaging.preview import preview as preview_of
 
 FloatArray = NDArray[np.float64]
@@ -63,22 +63,6 @@ def test_a_merge_of_three_by_three_pixels_is_the_one_by_hand() -> None:
     assert merged.image[0, 1] * merged.counts_per_us == pytest.approx(0.25, abs=merged.counts_per_us)
     assert merged.image[0, 0] == 0
     assert merged.image[2, 0] == 0
-
-
-def test_the_merge_interpreted_is_the_merge_compiled() -> None:
-    arguments = (
-        np.stack([SHORT, LONG]),
-        np.array([1000.0, 4000.0]),
-        BLACK,
-        float(FULL_SCALE),
-        2.0**2 + 1.0 / 12.0,
-        1.0 / 2.5,
-    )
-    image, lost = merge_exposures.py_func(*arguments)
-    merged = merge_hdr([SHORT, LONG], [1000.0, 4000.0], sensor=SENSOR)
-    np.testing.assert_array_equal(image, merged.image)
-    np.testing.assert_array_equal(image, image_by_hand())
-    assert lost == merged.saturated_px
 
 
 def test_photons_shift_the_weight_from_the_exposure_squared_to_the_exposure() -> None:

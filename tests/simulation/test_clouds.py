@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sunarc.simulation.kernels import transmittance_towards
+from sunarc import _kernels
 from sunarc.simulation.options import SceneOptions, Weather
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.scene_parts import cloud_layer
@@ -50,8 +50,7 @@ def test_the_layer_moves_with_the_wind_as_a_whole() -> None:
 
 def test_below_the_horizon_there_are_no_clouds() -> None:
     layer = cloud_layer("overcast", seed=0, unix_s=NOON_S)
-    level, below = np.float32(0.0), np.float32(-0.1)
-    assert transmittance_towards(*layer, np.float32(1.0), level, below) == 1.0
+    assert _kernels.cloud_transmittance(*layer, np.array([[1.0, 0.0, -0.1]], np.float32)) == 1.0
 
 
 def test_the_weather_changes_with_the_solar_day() -> None:

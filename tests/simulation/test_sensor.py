@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from sunarc import _kernels
 from sunarc.errors import InputError
 from sunarc.optics.camera import Camera
 from sunarc.optics.pose import rotation_matrix
-from sunarc.simulation.kernels import count_light, sky_light, transmittance_towards
 from sunarc.simulation.options import Bump, Obstruction, SceneOptions, SensorModel
 from sunarc.simulation.scene import Scene, add_stamp, behind_mosaic, bumped_camera, run_over
 from sunarc.simulation.scene_parts import (
@@ -87,11 +87,10 @@ def test_each_pixel_is_dimmed_by_its_colour(first: tuple[int, int], bayer: Any) 
 def counted(
     light: NDArray[np.float32], *, noise: float, read_square: float, full: float = 4095.0
 ) -> NDArray[np.uint16]:
-    out = np.empty(light.shape, np.uint16)
     factors = np.array([100.0, 23_000.0, read_square, 0.2, 32.0, full], np.float32)
     smear = np.zeros(light.shape[1], np.float32)
-    count_light(light, smear, np.full(light.size, noise, np.float32), np.zeros(light.shape[0], np.int64), factors, out)
-    return out
+    starts = np.zeros(light.shape[0], np.int64)
+    return _kernels.count_light(light, smear, np.full(light.size, noise, np.float32), starts, factors)
 
 
 @pytest.mark.parametrize("noise", [-1.0, 0.0, 2.0])
@@ -117,19 +116,18 @@ def test_counts_are_not_negative() -> None:
 
 def test_a_clear_sky_lets_all_through() -> None:
     assert cloud_layer("clear", seed=1, unix_s=0.0) is CLEAR_SKY
-    assert transmittance_towards(*CLEAR_SKY, *np.array([0.6, 0.0, 0.8], np.float32)) == 1.0
+    assert _kernels.cloud_transmittance(*CLEAR_SKY, np.array([[0.6, 0.0, 0.8]], np.float32)) == 1.0
 
 
 def test_below_the_horizon_there_are_no_clouds() -> None:
     layer = cloud_layer("overcast", seed=1, unix_s=0.0)
-    assert transmittance_towards(*layer, *np.array([0.8, 0.0, -0.6], np.float32)) == 1.0
+    assert _kernels.cloud_transmittance(*layer, np.array([[0.8, 0.0, -0.6]], np.float32)) == 1.0
 
 
 def test_between_the_texels_the_layer_is_bilinear() -> None:
     layer = np.random.default_rng(0).uniform(0.0, 1.0, (4, 4)).astype(np.float32)
-    up = np.float32(0.88)  # 200 / (0.88 + 0.12): 200 texels a unit
-    east, north, offset = np.float32(0.00625), np.float32(0.01125), np.float32(8.0)
-    found = transmittance_towards(layer, offset, offset, east, north, up)
+    direction = np.array([[0.00625, 0.01125, 0.88]], np.float32)  # 200 / (0.88 + 0.12): 200 texels a unit
+    found = _kernels.cloud_transmittance(layer, 8.0, 8.0, direction)
     x, y = 1.25, 2.25  # texels, without the offset of two periods
     expected = sum(
         layer[(int(y) + j) % 4, (int(x) + i) % 4] * (0.75 if i == 0 else 0.25) * (0.75 if j == 0 else 0.25)
@@ -142,8 +140,8 @@ def test_between_the_texels_the_layer_is_bilinear() -> None:
 def test_the_sky_is_the_formula_of_its_levels() -> None:
     sun = direction_from_angles(zenith_deg=35.0, azimuth_deg=120.0)
     field = pixel_field(SMALL, field_deg=90.0, obstructions=())
-    levels, out = np.array([2.0, 5.0, 0.5, 0.01, 1e-4, 0.3], np.float32), np.empty((60, 64), np.float32)
-    sky_light(field, sun.astype(np.float32), levels, CLEAR_SKY, out)
+    levels = np.array([2.0, 5.0, 0.5, 0.01, 1e-4, 0.3], np.float32)
+    out = _kernels.sky_light(field, sun.astype(np.float32), levels, *CLEAR_SKY)
     ray, sees = field[..., :3].astype(np.float64), field[..., 3].astype(np.float64)
     chord = np.sum((ray - sun) ** 2, axis=-1)
     clear = 2.0 * (1.0 + 1.5 * (1.0 - ray[..., 2]) ** 3) * (0.8 + 0.4 * (1.0 - 0.5 * chord) ** 2)

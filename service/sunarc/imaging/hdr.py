@@ -5,17 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.array_types import FloatArray, Image
+from sunarc import _kernels
+from sunarc.array_types import Image
 from sunarc.detection.values import Sensor
 from sunarc.errors import InputError
-from sunarc.jit import njit
 
 _FULL = 65535.0
-_SATURATED = 0.98
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -55,18 +55,18 @@ def merge_hdr(images: Sequence[Image], exposures_us: Sequence[float], *, sensor:
     """
     _require_alike(images, exposures_us)
     order = np.argsort(np.asarray(exposures_us, dtype=np.float64), kind="stable")
-    stack = np.stack([images[int(i)] for i in order])
+    stack = cast("Image", np.stack([images[int(i)] for i in order]))
     exposures = np.asarray(exposures_us, dtype=np.float64)[order]
     read_variance = (sensor.read_noise_e / sensor.gain_e_per_count) ** 2 + 1.0 / 12.0
     full = float(sensor.full_scale)
-    merged, saturated = merge_exposures(
+    merged, saturated = _kernels.merge_exposures(
         stack, exposures, sensor.black_level, full, read_variance, 1.0 / sensor.gain_e_per_count
     )
     return HdrImage(
         image=merged,
         counts_per_us=(full - sensor.black_level) / float(exposures[0]) / _FULL,
         exposures_us=tuple(exposures.tolist()),
-        saturated_px=int(saturated),
+        saturated_px=saturated,
     )
 
 
@@ -77,41 +77,3 @@ def _require_alike(images: Sequence[Image], exposures_us: Sequence[float]) -> No
         raise InputError(field="images", problem="unlike shapes or types", remedy="give raw frames of one camera")
     if not all(math.isfinite(exposure) and exposure > 0.0 for exposure in exposures_us):
         raise InputError(field="exposures_us", problem="not positive", remedy="give microseconds")
-
-
-@njit(nogil=True)
-def merge_exposures(  # noqa: PLR0917 - numba compiles no keyword-only arguments
-    stack: Image,
-    exposures: FloatArray,
-    black: float,
-    full_scale: float,
-    read_variance: float,
-    counts_per_electron: float,
-) -> tuple[NDArray[np.uint16], int]:
-    """Merge (frames, rows, columns), shortest first; the photons' noise is that of the pooled rate."""
-    frames, rows, columns = stack.shape
-    saturated_from, top_rate = _SATURATED * full_scale, (full_scale - black) / exposures[0]
-    out = np.empty((rows, columns), np.uint16)
-    lost = 0
-    for y in range(rows):
-        for x in range(columns):
-            signal, time = 0.0, 0.0
-            for k in range(frames):
-                if stack[k, y, x] >= saturated_from:
-                    break
-                signal += stack[k, y, x] - black
-                time += exposures[k]
-            if time == 0.0:
-                lost += 1
-                out[y, x] = 65535
-                continue
-            photon = max(signal / time, 0.0) * counts_per_electron
-            total, weights = 0.0, 0.0
-            for k in range(frames):
-                if stack[k, y, x] >= saturated_from:
-                    break
-                weight = exposures[k] / (read_variance + photon * exposures[k])
-                total += weight * (stack[k, y, x] - black)
-                weights += weight * exposures[k]
-            out[y, x] = round(min(max(total / weights / top_rate, 0.0), 1.0) * 65535.0)
-    return out, lost

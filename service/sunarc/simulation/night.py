@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sunarc import _kernels
 from sunarc.array_types import FloatArray
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix
-from sunarc.simulation.kernels import add_glow, add_points, transmittance_towards
 from sunarc.simulation.options import Obstruction, SimulatedNight
 from sunarc.simulation.scene_parts import CloudLayer, RegionLight, disc_points, is_blocked
 from sunarc.sky.directions import direction_from_angles
@@ -82,7 +82,8 @@ class NightLight:
         scale = 1e-6 / well_e
         rng = np.random.default_rng([self._seed, 17, round(unix_s * 1e3)])
         moon = body_position("moon", unix_s, self._site) if self._options.moon else None
-        add_glow(region.field, *self._glow(moon, scale), layer, region.light)
+        light = region.light
+        light += _kernels.night_glow(region.field, *self._glow(moon, scale), *layer)
         points = [
             self._images(*self._stars(unix_s, exposure_us, rng, layer)),
             self._images(*self._planets(unix_s, layer)),
@@ -93,10 +94,12 @@ class NightLight:
         every = np.concatenate(points)
         every[:, :2] -= region.origin
         every[:, 2] *= scale
-        add_points(every, region.light)
+        light += _kernels.image_of_points(light.shape[0], light.shape[1], every)
 
-    def _glow(self, moon: BodyPosition | None, scale: float) -> tuple[NDArray[np.float32], ...]:
-        """Return the levels, the town's direction and the moon's, of `add_glow`."""
+    def _glow(
+        self, moon: BodyPosition | None, scale: float
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+        """Return the levels, the town's direction and the moon's, of `night_glow`."""
         options = self._options
         pixel_arcsec2 = (_ARCSEC_PER_RAD / self._camera.focal_length_px[0]) ** 2
         zero = options.star_e_per_s * scale
@@ -196,7 +199,7 @@ class NightLight:
         return pixels[seen, None], electrons_per_s[seen]
 
     def _moon(self, moon: BodyPosition | None, unix_s: float, layer: CloudLayer) -> FloatArray:
-        """Return the moon's lit part as points (n, 4) of `add_points`."""
+        """Return the moon's lit part as points of `image_of_points`."""
         if moon is None:
             return np.zeros((0, 4))
         direction = np.array(moon.direction)
@@ -224,7 +227,7 @@ class NightLight:
         return np.column_stack([place, 10.0 ** rng.uniform(1.5, 3.5, count), np.full(count, _SIGMA_PX)])
 
     def _images(self, pixels: FloatArray, electrons: FloatArray) -> FloatArray:
-        """Return the images of sources along their trails, pixels (n, steps, 2), as points (n, 4) of `add_points`."""
+        """Return the images of sources along their trails, pixels (n, steps, 2), as points of `image_of_points`."""
         steps = pixels.shape[1]
         every = pixels.reshape(-1, 2)
         light = np.repeat(electrons / max(steps, 1), steps)
@@ -249,7 +252,7 @@ class NightLight:
         zenith = np.degrees(np.arccos(np.clip(direction[:, 2], -1.0, 1.0)))
         through = 10.0 ** (-0.4 * self._options.extinction * relative_air_mass(np.minimum(zenith, 89.9)))
         if layer is not None and layer.transmittance.shape[0] > 1:
-            through *= [transmittance_towards(*layer, *ray) for ray in direction.astype(np.float32)]
+            through *= _kernels.cloud_transmittance(*layer, direction.astype(np.float32))
         axis = rotation_matrix(self._camera.rotation_cam_enu)[2]
         hidden = is_blocked(direction, self._obstructions) | (direction @ axis < math.cos(self._camera.max_angle))
         return np.where(hidden, 0.0, through)

@@ -8,13 +8,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sunarc import _kernels
 from sunarc.array_types import BoolArray, FloatArray, Image
 from sunarc.detection.values import Bayer
-from sunarc.jit import njit
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector
-from sunarc.simulation.kernels import count_light, sky_light, transmittance_towards
 from sunarc.simulation.night import NightLight
 from sunarc.simulation.options import Bump, SceneOptions, SensorModel, Weather
 from sunarc.simulation.scene_parts import (
@@ -122,9 +121,8 @@ class Scene:
             self._add_hot_pixels(light, region, exposure_us)
             key = [self.options.seed, start_us, round(exposure_us * 1000.0), region[0], region[1]]
             starts = np.random.default_rng(key).integers(0, _NOISE_LENGTH, region[3])
-        counts = np.empty(light.shape, dtype=np.uint16)
         factors = self._sensor_factors(exposure_us, gain_db=gain_db, full_scale=full_scale, noise=noise)
-        count_light(light, smear, self._noise, starts, factors, counts)
+        counts = _kernels.count_light(light, smear, self._noise, starts, factors)
         return counts.astype(np.uint8) if full_scale == 255 else counts
 
     def sun_direction(self, unix_s: float) -> FloatArray:
@@ -184,12 +182,11 @@ class Scene:
         sun = self.sun_direction(unix_s)
         layer = cloud_layer(self.weather(unix_s), seed=self.options.seed, unix_s=unix_s)
         x, y, width, height = region
-        field = self._field[y : y + height, x : x + width]
-        light = np.empty((height, width), dtype=np.float32)
+        field = np.ascontiguousarray(self._field[y : y + height, x : x + width])
         smear = np.zeros(width, dtype=np.float32)
         stamps, share = self._stamps(sun, layer)
         stamps += self._moon(layer)
-        sky_light(field, sun.astype(np.float32), self._levels(sun[2], share), layer, light)
+        light = _kernels.sky_light(field, sun.astype(np.float32), self._levels(sun[2], share), *layer)
         if self._night is not None and sun[2] < _NIGHT_UP:
             well_e, part = self.sensor.full_well_e, RegionLight(light, field, (x, y))
             self._night.add(part, unix_s=unix_s, exposure_us=exposure_us, layer=layer, well_e=well_e)
@@ -230,7 +227,7 @@ class Scene:
         return [stamp_of(points.pixel, weight, sigma_px=self.options.psf_sigma_px)]
 
     def _transmittance(self, direction_enu: FloatArray, layer: CloudLayer) -> FloatArray:
-        through = np.array([transmittance_towards(*layer, *ray) for ray in direction_enu.astype(np.float32)])
+        through = _kernels.cloud_transmittance(*layer, direction_enu.astype(np.float32))
         return np.where(is_blocked(direction_enu, self.options.obstructions), 0.0, through)
 
     def _uncovered(self, direction_enu: FloatArray, sun_enu: FloatArray) -> BoolArray:
@@ -297,7 +294,6 @@ def behind_mosaic(light: NDArray[np.float32], bayer: Bayer, *, first: tuple[int,
         light[row::2, column::2] *= _TRANSMISSION[letter]
 
 
-@njit(nogil=True)
 def run_over(light: NDArray[np.float32], most: float, share: float) -> None:
     """Let what a well cannot hold run along its column, half up and half down, until wells with room have taken it.
 
@@ -307,16 +303,11 @@ def run_over(light: NDArray[np.float32], most: float, share: float) -> None:
     most : light that fills a well.
     share : of the excess that runs; the rest is drained.
     """
-    height, width = light.shape
-    for column in range(width):
-        for way in range(2):
-            carried = 0.0
-            for step in range(height):
-                row = step if way == 0 else height - 1 - step
-                level = light[row, column]
-                if level > most:
-                    carried += 0.5 * share * (level - most)
-                elif carried > 0.0:
-                    added = min(carried, most - level)
-                    light[row, column] = level + added
-                    carried -= added
+    columns = np.flatnonzero((light > most).any(axis=0))
+    for way in (slice(None), slice(None, None, -1)):
+        room = most - light[way, columns].astype(np.float64)
+        level = np.cumsum(np.where(room < 0.0, -0.5 * share, -1.0) * room, axis=0)
+        # what runs is never less than nothing: as the water in a tank, it is the level above its lowest so far
+        carried = level - np.minimum(np.minimum.accumulate(level, axis=0), 0.0)
+        before = np.concatenate([np.zeros((1, columns.size)), carried[:-1]])
+        light[way, columns] += np.minimum(np.maximum(room, 0.0), before).astype(np.float32)

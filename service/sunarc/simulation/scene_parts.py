@@ -102,11 +102,11 @@ class CloudLayer(NamedTuple):
     """The layer at one moment: transmittance (1024, 1024), periodic, and its offset in texels, positive."""
 
     transmittance: NDArray[np.float32]
-    offset_x: np.float32
-    offset_y: np.float32
+    offset_x: float
+    offset_y: float
 
 
-CLEAR_SKY = CloudLayer(np.ones((1, 1), dtype=np.float32), np.float32(0.0), np.float32(0.0))
+CLEAR_SKY = CloudLayer(np.ones((1, 1), dtype=np.float32), 0.0, 0.0)
 """No clouds."""
 
 
@@ -115,7 +115,7 @@ def cloud_layer(weather: Weather, *, seed: int, unix_s: float) -> CloudLayer:
     if weather == "clear":
         return CLEAR_SKY
     # eight periods more keep every position of the layer positive
-    offset_x, offset_y = (np.float32(speed * unix_s % _SIZE + 8.0 * _SIZE) for speed in _WIND_TEXELS_PER_S)
+    offset_x, offset_y = (speed * unix_s % _SIZE + 8.0 * _SIZE for speed in _WIND_TEXELS_PER_S)
     return CloudLayer(_transmittance(weather, seed), offset_x, offset_y)
 
 

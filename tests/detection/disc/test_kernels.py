@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from tests.detection.rendering import FloatArray
 
-from sunarc.detection.disc import model as kernels
+from sunarc import _kernels
+from sunarc.detection.disc.model import information_of, normal_of
 
 ROWS, COLUMNS, GAIN, READ = 5, 6, 5.0, 2.0
 GLARE = (0.4, 0.1, 0.5, 2.2, 1.8)
@@ -42,27 +43,15 @@ def inputs(*, colours: int = 1, binning: int = 1, seed: int = 0, **changes: Any)
 
 
 def offset(rows: FloatArray, columns: FloatArray) -> FloatArray:
-    return np.stack([columns - 2.0, rows - 2.5], axis=-1).astype(np.float64)
+    return np.column_stack([columns - 2.0, rows - 2.5])
 
 
 def compared(arguments: dict[str, Any]) -> tuple[float, FloatArray, FloatArray, FloatArray]:
-    flat = [arguments[name] for name in ("flux", "background", "around")]
-    readout = kernels.Readout(
-        noise=arguments["noise"][0],
-        gain=arguments["noise"][1],
-        binning=arguments["binning"],
-        clip=arguments["clip"],
-        by_counts=arguments["by_counts"],
-    )
-    cost, residual, weight, jacobian = kernels.likelihood_of(
-        arguments["planes"],
-        (arguments["moved"], arguments["scale"]),
-        arguments["glare"],
-        kernels.UsedPixels(*arguments["places"]),
-        kernels.Levels(*flat),
-        readout,
-    )
-    return float(cost), np.asarray(residual), np.asarray(weight), np.asarray(jacobian)
+    names = ("planes", "moved", "scale", "flux", "background", "around", "binning", "clip", "by_counts")
+    given = {name: arguments[name] for name in names} | {"glare": np.array(arguments["glare"])}
+    given |= dict(zip(("places", "counts", "colour", "offset"), arguments["places"], strict=True))
+    given |= dict(zip(("noise", "gain"), arguments["noise"], strict=True))
+    return _kernels.likelihood_of(**given)
 
 
 def model_of(arguments: dict[str, Any]) -> FloatArray:
@@ -149,7 +138,7 @@ def test_normal_matrix_and_gradient_are_those_of_weighted_least_squares() -> Non
     rng = np.random.default_rng(3)
     jacobian, weight, residual = rng.normal(size=(40, 5)), rng.uniform(0.1, 2.0, 40), rng.normal(size=40)
     jacobian[rng.random(jacobian.shape) < 0.3] = 0.0
-    matrix, gradient = kernels.normal_of(jacobian, weight, residual)
+    matrix, gradient = normal_of(jacobian, weight, residual)
     assert matrix == pytest.approx(jacobian.T @ (jacobian * weight[:, None]))
     assert gradient == pytest.approx(jacobian.T @ (weight * residual))
 
@@ -159,7 +148,7 @@ def test_information_is_that_of_the_hat_matrix() -> None:
     jacobian, weight, residual = rng.normal(size=(30, 4)), rng.uniform(0.5, 2.0, 30), rng.normal(size=30)
     jacobian[0] *= 40.0  # a leverage near 1, whose divisor is bounded by 0.05
     covariance: FloatArray = np.asarray(np.linalg.inv(jacobian.T @ (jacobian * weight[:, None])), np.float64)
-    by_pixel, chi2 = kernels.information_of(jacobian, weight, residual, covariance)
+    by_pixel, chi2 = information_of(jacobian, weight, residual, covariance)
     hat = np.sqrt(weight)[:, None] * jacobian @ covariance @ jacobian.T * np.sqrt(weight)
     assert hat[0, 0] > 0.96
     assert chi2 == pytest.approx(weight * residual**2 / np.maximum(1.0 - np.diag(hat), 0.05))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from tests.detection.disc.fitting import (
     BACKGROUND,
+    CENTER,
     FLUX,
     NONLINEAR,
     PRIOR,
@@ -107,7 +108,7 @@ def test_the_disc_with_wings_is_the_mean_of_two_discs() -> None:
     image = evaluate(problem, state_of(wings=0.1)).planes[VALUE]
     wide = render_disc(
         SHAPE,
-        *NONLINEAR[:2],
+        *CENTER,
         WING_PSF * math.exp(NONLINEAR[PSF]),
         STRETCH,
         SOURCES.wings,
@@ -207,7 +208,7 @@ def test_an_even_disc_has_no_unevenness_and_a_tilted_one_that_of_least_squares()
     assert unevenness(problem, state, found) < 1e-6
     u, _ = SOURCES.core.positions.T
     tilted = render_disc(
-        SHAPE, *NONLINEAR[:2], 0.7, STRETCH, SOURCES.core._replace(weights=SOURCES.core.weights * (1.0 + 0.3 * u))
+        SHAPE, *CENTER, 0.7, STRETCH, SOURCES.core._replace(weights=SOURCES.core.weights * (1.0 + 0.3 * u))
     )
     problem = problem_of(window._replace(counts=FLUX * tilted[VALUE] + BACKGROUND))
     state, found = with_levels(problem, NONLINEAR)

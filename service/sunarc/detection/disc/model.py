@@ -13,15 +13,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sunarc import _kernels
 from sunarc.array_types import BoolArray, FloatArray
 from sunarc.detection.disc.window import Window
 from sunarc.detection.values import Sensor
-from sunarc.jit import njit
 
 Indices = NDArray[np.intp]
 Likelihood = tuple[float, FloatArray, FloatArray, FloatArray]
-
-_STEPPED = 0.1  # counts² of noise below which it does not blur the steps of rounding
 
 
 class UsedPixels(NamedTuple):
@@ -31,94 +29,6 @@ class UsedPixels(NamedTuple):
     counts: FloatArray
     colour: Indices
     offset: FloatArray
-
-
-class Readout(NamedTuple):
-    """How light becomes counts.
-
-    noise : of the readout, counts. gain : electrons per count. binning, clip : each pixel is the mean of binning² of
-    the sensor's, which are clipped at so many counts. by_counts : take the variance that the counts tell, not the
-    model.
-    """
-
-    noise: float
-    gain: float
-    binning: int
-    clip: float
-    by_counts: bool
-
-
-class Levels(NamedTuple):
-    """flux, background : one per colour. around : the background's slope in x and y, smear of the columns, glare."""
-
-    flux: FloatArray
-    background: FloatArray
-    around: FloatArray
-
-
-@njit(nogil=True)
-def likelihood_of(  # noqa: PLR0917 - compiled functions take positions
-    planes: FloatArray,
-    moved: tuple[Indices, FloatArray],
-    glare: tuple[float, float, float, float, float],
-    pixels: UsedPixels,
-    levels: Levels,
-    readout: Readout,
-) -> Likelihood:
-    """Compare a disc's model with the pixels.
-
-    Parameters
-    ----------
-    planes : (k, binning rows, binning columns) the disc of unit flux, first its value, on the sensor's pixels.
-    moved : the planes that are derivatives by the free nonlinear parameters, and what each is multiplied by.
-    glare : u and v are (a dx - b dy, c dy - b dx) and dx, dy are what a pixel is off (x, y): a, b, c, x, y.
-    pixels, levels, readout : the pixels used, the linear parameters, and the sensor.
-
-    Returns
-    -------
-    Twice the negative log likelihood, residual (n,), weight (n,) and Jacobian (n, p), its columns the free nonlinear
-    parameters, flux and background of each colour, slope in x and y, smear and glare.
-    """
-    pixel, counts, colour, offset = pixels
-    flux, background, around = levels
-    binning, clip, by_plane, scale = readout.binning, readout.clip, moved[0], moved[1]
-    a, b, c, x, y = glare
-    columns, share = planes.shape[2] // binning, 1.0 / binning**2
-    nonlinear, colours = by_plane.size, flux.size
-    smear = np.zeros(columns)
-    for j in range(planes.shape[1]):
-        for i in range(columns * binning):
-            smear[i // binning] += planes[0, j, i] * share
-    first = nonlinear + 2 * colours
-    jacobian = np.zeros((pixel.size, first + 4))
-    residual, weight, misfit = np.empty(pixel.size), np.empty(pixel.size), 0.0
-    for i in range(pixel.size):
-        channel, (j, k) = colour[i], divmod(pixel[i], columns)
-        dx, dy = offset[i, 0] - x, offset[i, 1] - y
-        u, v = a * dx - b * dy, c * dy - b * dx
-        jacobian[i, first], jacobian[i, first + 1] = offset[i, 0], offset[i, 1]
-        jacobian[i, first + 2], jacobian[i, first + 3] = smear[k], 1.0 / (1.0 + u * u + v * v)
-        beside, model, unclipped = background[channel], 0.0, 0.0
-        for m in range(4):
-            beside += around[m] * jacobian[i, first + m]
-        for row in range(j * binning, (j + 1) * binning):
-            for column in range(k * binning, (k + 1) * binning):
-                value = flux[channel] * planes[0, row, column] + beside
-                if value >= clip:  # more light changes nothing
-                    model += clip * share
-                    continue
-                model, unclipped = model + value * share, unclipped + share
-                for m in range(nonlinear):
-                    jacobian[i, m] += share * flux[channel] * scale[m] * planes[by_plane[m], row, column]
-                jacobian[i, nonlinear + channel] += share * planes[0, row, column]
-        jacobian[i, nonlinear + colours + channel] = unclipped
-        for m in range(4):
-            jacobian[i, first + m] *= unclipped
-        variance = readout.noise**2 + max(counts[i] if readout.by_counts else model, 0.0) / readout.gain
-        variance = 0.25 if variance < _STEPPED else variance + 1.0 / 12.0
-        residual[i], weight[i] = counts[i] - model, 1.0 / variance
-        misfit += residual[i] * residual[i] / variance + math.log(variance)
-    return misfit, residual, weight, jacobian
 
 
 def normal_of(jacobian: FloatArray, weight: FloatArray, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -143,7 +53,6 @@ VALUE, BY_X, BY_Y, BY_PSF, SLOPE_U, SLOPE_V, BEND_UU, BEND_UV, BY_S11, BY_S12, B
 
 _MOST_RINGS = 24
 _DENSITIES = 8.0  # steps per unit of radius over point spread in which sources are made and kept
-_REACH = 5.0  # point-spread widths beyond which a source is dark
 
 
 class Sources(NamedTuple):
@@ -199,27 +108,13 @@ def _sources(radius_in_psf: float, limb_darkening: float) -> Sources:
     return Sources(positions, weights, 1.0 - limb_darkening / 3.0)
 
 
-@njit(nogil=True)
-def _spread(first: int, last: int, center: float, psf: float, out: FloatArray) -> None:
-    """Fill out (3, …) for pixels first … last: the share of a source, and its derivatives by center and psf."""
-    root = math.sqrt(0.5)
-    norm = 1.0 / math.sqrt(2.0 * math.pi)
-    z = (first - 0.5 - center) / psf
-    below, density = math.erf(z * root), norm * math.exp(-0.5 * z * z)
-    for i in range(first, last + 1):
-        z_next = (i + 0.5 - center) / psf
-        above, density_next = math.erf(z_next * root), norm * math.exp(-0.5 * z_next * z_next)
-        out[0, i] = 0.5 * (above - below)
-        out[1, i] = (density - density_next) / psf
-        out[2, i] = (z * density - z_next * density_next) / psf
-        z, below, density = z_next, above, density_next
-
-
-@njit(nogil=True)
-def render_disc(  # noqa: PLR0917 - numba compiles no keyword-only arguments
+def render_disc(  # noqa: PLR0917 - where and how large, in the order of the formula
     shape: tuple[int, int], x: float, y: float, psf: float, stretch: FloatArray, sources: Sources
 ) -> FloatArray:
-    """Return the image of a disc of unit flux and its derivatives.
+    """Return the image of a disc of unit flux and its derivatives, (11, rows, columns): VALUE … BY_S22.
+
+    SLOPE_… and BEND_… are the image of a disc whose brightness is multiplied by u, v, u² - v² and uv, the coordinates
+    on the unit disc.
 
     Parameters
     ----------
@@ -228,45 +123,8 @@ def render_disc(  # noqa: PLR0917 - numba compiles no keyword-only arguments
     psf : standard deviation of the point spread, px.
     stretch : (2, 2) px, takes the unit disc to the sun's image; the derivatives take it as symmetric.
     sources : on the unit disc.
-
-    Returns
-    -------
-    (11, rows, columns): the planes named VALUE … BY_S22; SLOPE_… and BEND_… are the image of a disc whose brightness
-    is multiplied by u, v, u² - v² and uv, the coordinates on the unit disc.
     """
-    rows, columns = shape
-    positions, weights = sources.positions, sources.weights
-    out = np.zeros((11, rows, columns))
-    across, down = np.zeros((3, columns)), np.zeros((3, rows))
-    # The half pixel keeps a pixel whose near edge is within reach though its centre is not.
-    reach = _REACH * psf + 0.5
-    for k in range(weights.size):
-        u, v, weight = positions[k, 0], positions[k, 1], weights[k]
-        uu, uv = u * u - v * v, u * v
-        px = x + stretch[0, 0] * u + stretch[0, 1] * v
-        py = y + stretch[1, 0] * u + stretch[1, 1] * v
-        i0, i1 = max(0, math.ceil(px - reach)), min(columns - 1, math.floor(px + reach))
-        j0, j1 = max(0, math.ceil(py - reach)), min(rows - 1, math.floor(py + reach))
-        if i1 < i0 or j1 < j0:
-            continue
-        _spread(i0, i1, px, psf, across)
-        _spread(j0, j1, py, psf, down)
-        for j in range(j0, j1 + 1):
-            d0, d1, d2 = weight * down[0, j], weight * down[1, j], weight * down[2, j]
-            for i in range(i0, i1 + 1):
-                value, by_x, by_y = d0 * across[0, i], d0 * across[1, i], d1 * across[0, i]
-                out[0, j, i] += value
-                out[1, j, i] += by_x
-                out[2, j, i] += by_y
-                out[3, j, i] += d0 * across[2, i] + d2 * across[0, i]
-                out[4, j, i] += u * value
-                out[5, j, i] += v * value
-                out[6, j, i] += uu * value
-                out[7, j, i] += uv * value
-                out[8, j, i] += u * by_x
-                out[9, j, i] += v * by_x + u * by_y
-                out[10, j, i] += v * by_y
-    return out
+    return _kernels.render_disc(*shape, x, y, psf, stretch, sources.positions, sources.weights)
 
 
 PSF, WINGS, STRETCH = 2, 3, slice(4, 7)
@@ -400,7 +258,7 @@ def _rendered(problem: DiscProblem, state: DiscState, sources: Sources, *, psf: 
     """Return the disc's planes on the sensor's own pixels; derivatives are by the image's, which are `binning` wide."""
     n, (rows, columns) = problem.sensor.binning, problem.window.counts.shape
     x, y = (n * state.nonlinear[:2] + 0.5 * (n - 1)).tolist()
-    planes: FloatArray = render_disc((n * rows, n * columns), x, y, n * psf, n * state.stretch, sources)
+    planes = render_disc((n * rows, n * columns), x, y, n * psf, n * state.stretch, sources)
     if n > 1:
         planes *= n**2  # of a disc whose flux is the sum over the image's pixels
         planes[_BY_LENGTH] *= n
@@ -422,21 +280,21 @@ def _likelihood(
     # (d, b, a) / det is the inverse of the symmetric stretch: pixels to solar radii, over the glare's core.
     core = _GLARE_CORE * max(abs(a * d - b * b), 1e-9)
     gain = problem.sensor.gain_e_per_count
-    answer: Likelihood = likelihood_of(
+    return _kernels.likelihood_of(
         planes,
-        (np.array(moved, dtype=np.intp), np.array([psf if plane == BY_PSF else 1.0 for plane in moved])),
-        (d / core, b / core, a / core, x, y),
-        problem.pixels,
-        Levels(state.flux, state.background, state.around),
-        Readout(
-            float(problem.sensor.read_noise_e / gain),
-            float(gain),
-            problem.sensor.binning,
-            _clip(problem.sensor),
-            by_counts,
-        ),
+        np.array(moved, dtype=np.intp),
+        np.array([psf if plane == BY_PSF else 1.0 for plane in moved]),
+        np.array([d / core, b / core, a / core, x, y]),
+        *problem.pixels,
+        state.flux,
+        state.background,
+        state.around,
+        problem.sensor.read_noise_e / gain,
+        gain,
+        problem.sensor.binning,
+        _clip(problem.sensor),
+        by_counts,
     )
-    return answer
 
 
 def _clip(sensor: Sensor) -> float:
