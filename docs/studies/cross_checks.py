@@ -21,7 +21,8 @@ import numpy as np
 
 from sunarc.array_types import FloatArray
 from sunarc.calibration.changes.daily_rotations import DailyRotations
-from sunarc.cross_checks.rotation_steps import Cause, explain_step, find_steps, rotation_of_site
+from sunarc.calibration.changes.values import Cause
+from sunarc.cross_checks.rotation_steps import explain_step, find_steps, rotation_of_site
 from sunarc.sky.days import SECONDS_PER_DEGREE
 from sunarc.sky.site import Site, pole_enu
 

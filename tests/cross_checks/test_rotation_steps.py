@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from tests.cross_checks.cameras import Wrong, neighbours
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration.changes.daily_rotations import DailyRotations, RotationStep, daily_rotations, find_step
+from sunarc.calibration.changes.daily_rotations import DailyRotations, RotationStep, daily_rotations
 from sunarc.cross_checks.rotation_steps import StepSize, explain_step, find_steps, rotation_of_site
 from sunarc.sky.site import Site, pole_enu
 from sunarc.sky.sun import sun_directions
@@ -106,7 +106,7 @@ def test_the_stated_error_of_a_step_is_that_of_many_draws() -> None:
     size = np.array([0.01, -0.01, 0.02])
     squares = []
     for _ in range(200):
-        found = find_step(days_of(noise(rng, DAYS) + (DAYS >= 25)[:, None] * size, DAYS))
+        found = find_steps([days_of(noise(rng, DAYS) + (DAYS >= 25)[:, None] * size, DAYS)])[0]
         assert found is not None
         assert found.day == 25.0
         off = found.rotation_deg - size
@@ -121,7 +121,7 @@ def test_what_drifts_is_no_step() -> None:
         axis = rng.normal(size=3)
         slow = np.outer(0.05 * DAYS / 60.0, axis / np.linalg.norm(axis))
         walk = np.cumsum(rng.normal(0.0, 0.002, (40, 3)), axis=0)
-        steps = [find_step(days_of(noise(rng, DAYS) + drift, DAYS)) for drift in (slow, walk)]
+        steps = [find_steps([days_of(noise(rng, DAYS) + drift, DAYS)])[0] for drift in (slow, walk)]
         found += sum(explain_step(step, before=SITE, after=SITE).cause != "slow_turn" for step in steps if step)
     assert found <= 2  # of 80
 
@@ -137,13 +137,13 @@ def test_what_all_cameras_do_is_none_of_them() -> None:
 def test_too_few_days_and_single_bad_days_are_no_step() -> None:
     rng = np.random.default_rng(8)
     rotation = noise(rng, DAYS) + (DAYS >= 37)[:, None] * np.array([0.0, 0.05, 0.05])
-    assert find_step(days_of(rotation, DAYS)) is None  # three days after it
-    assert find_step(days_of(rotation[:4], DAYS[:4])) is None
+    assert find_steps([days_of(rotation, DAYS)])[0] is None  # three days after it
+    assert find_steps([days_of(rotation[:4], DAYS[:4])])[0] is None
     assert find_steps([days_of(rotation[:0], DAYS[:0]), days_of(rotation[:9], DAYS[:9])]) == (None, None)
     bad = noise(rng, DAYS)
     bad[[12, 29]] += 0.5
-    assert find_step(days_of(bad, DAYS)) is None
-    assert find_step(days_of(np.zeros((40, 3)), DAYS)) is None
+    assert find_steps([days_of(bad, DAYS)])[0] is None
+    assert find_steps([days_of(np.zeros((40, 3)), DAYS)])[0] is None
 
 
 def test_a_day_of_false_sightings_among_true_ones_turns_little() -> None:
@@ -200,13 +200,13 @@ def test_a_mast_that_settles_turns_slowly_and_its_neighbours_do_nothing() -> Non
 def test_a_clock_that_gains_is_one_and_a_blow_is_no_slow_turn() -> None:
     rng = np.random.default_rng(12)
     gaining = -np.outer(np.maximum(DAYS - 10.0, 0.0) / 240.0, pole_enu(SITE))  # 1 s a day
-    found = find_step(days_of(noise(rng, DAYS) + gaining, DAYS))
+    found = find_steps([days_of(noise(rng, DAYS) + gaining, DAYS)])[0]
     assert found is not None
     explained = explain_step(found, before=SITE, after=SITE)
     assert (explained.cause, np.isinf(explained.change.settling_days)) == ("clock", True)
     assert abs(explained.clock_s - 29.0) < 4.0 * explained.clock_sigma_s < 4.0
     blow = (DAYS >= 25)[:, None] * np.array([0.03, -0.02, 0.03])
-    found = find_step(days_of(noise(rng, DAYS) + blow, DAYS))
+    found = find_steps([days_of(noise(rng, DAYS) + blow, DAYS)])[0]
     assert found is not None
     assert found.slower is not None
     assert found.gain > found.slower.gain + 2.0

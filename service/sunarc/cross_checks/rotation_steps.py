@@ -9,23 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
 from sunarc.array_types import FloatArray, picked
 from sunarc.calibration.changes.daily_rotations import DailyRotations, RotationStep, find_change, is_recent
+from sunarc.calibration.changes.values import Cause
 from sunarc.calibration.evidence import DAYS_GAIN, RARER, Weighed, log_marginal, most_probable
 from sunarc.sky.days import SECONDS_PER_DEGREE
 from sunarc.sky.directions import wrapped_deg
 from sunarc.sky.site import Site, pole_enu
 
-Cause = Literal["clock", "longitude", "site", "north", "clock_or_north", "moved", "slow_turn"]
-"""`clock`: about the celestial pole, and the stated site is as before. `longitude`, `site`: what is stated of the site
-changed, by the rotation that was seen. `north`: about the vertical. `clock_or_north`: both fit, as they do near the
-poles. `moved`: none of them. `slow_turn`: no step, but a turn of days and weeks
-about another axis than the celestial pole, as that of a mast that settles; no alarm, since the imager's own calibration
-follows it."""
 _UP = np.array([0.0, 0.0, 1.0])
 _FEWEST_OTHERS = 2
 """Of two cameras that differ none is the one that is wrong."""

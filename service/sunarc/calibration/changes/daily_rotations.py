@@ -26,7 +26,7 @@ from sunarc.calibration.answers.error_model import (
     joint_covariance,
     predicted,
 )
-from sunarc.calibration.evidence import DAYS_GAIN, whitened
+from sunarc.calibration.evidence import whitened
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.pose import PredictedSightings, fit_pose, gathered, inflation_of, noise_px
@@ -169,22 +169,17 @@ def is_recent(step: RotationStep) -> bool:
     return step.settling_days == 0.0 and step.n_after < _FEWEST_AFTER
 
 
-def find_step(days: DailyRotations, *, min_gain: float = DAYS_GAIN) -> RotationStep | None:
+def find_change(days: DailyRotations, min_gain: float) -> RotationStep | None:
     """Return the step that explains a camera's daily rotations best; None where none does so clearly.
 
-    Where no step does, but a slow turn, that is returned.
+    Where no step does, but a slow turn, that is returned; or a step of the last days, which is not reported yet
+    (`is_recent`).
 
     Parameters
     ----------
     days : of at most some 60 days, without what is common to the neighbours.
     min_gain : the least gain, natural logarithm.
     """
-    found = find_change(days, min_gain)
-    return None if found is None or is_recent(found) else found
-
-
-def find_change(days: DailyRotations, min_gain: float) -> RotationStep | None:
-    """Return what `find_step` does, or a step of the last days, which is not reported yet."""
     n = len(days.day)
     if n < _FEWEST_BEFORE + _FEWEST_AFTER:
         return None

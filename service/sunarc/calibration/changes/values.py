@@ -16,6 +16,11 @@ from sunarc.optics.camera import Camera
 ChangeKind = Literal["bump", "clock", "lens", "refocus", "shift", "mirrored", "site"]
 LENS_KINDS: frozenset[ChangeKind] = frozenset({"lens", "refocus", "shift"})
 """Kinds after which earlier sightings carry no information on the lens."""
+Cause = Literal["clock", "longitude", "site", "north", "clock_or_north", "moved", "slow_turn"]
+"""`clock`: about the celestial pole, and the stated site is as before. `longitude`, `site`: what is stated of the site
+changed, by the rotation that was seen. `north`: about the vertical. `clock_or_north`: both fit, as they do near the
+poles. `moved`: none of them. `slow_turn`: no step, but a turn of days and weeks about another axis than the celestial
+pole, as that of a mast that settles; no alarm, since the imager's own calibration follows it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
