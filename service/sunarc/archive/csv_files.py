@@ -5,13 +5,13 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from typing import TextIO
 
 import numpy as np
 
-from sunarc.array_types import FloatArray, NameArray
+from sunarc.array_types import FloatArray
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.errors import InputError
 from sunarc.sky.directions import angles_from_direction, direction_from_angles
 from sunarc.sky.site import PA_PER_HPA, PRESSURE_BOUNDS_HPA, TEMPERATURE_BOUNDS_C
@@ -24,34 +24,11 @@ _DIRECTION_COLUMNS = ("zenith_deg", "azimuth_deg")
 _ZENITH_BOUNDS_DEG, _AZIMUTH_BOUNDS_DEG = (0.0, 180.0), (-360.0, 360.0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SightingTable:
-    """Sightings of a CSV file, of the sun where no direction is stated.
-
-    Attributes
-    ----------
-    unix_s : (n,) mid-exposure, seconds since 1970-01-01 UTC.
-    pixels : (n, 2) px.
-    sigma_px : (n,) 1-sigma per axis; NaN where the file states none.
-    temperature, pressure : (n,) of the air, °C and Pa; NaN where the file states none.
-    directions : (n, 3) apparent ones, east-north-up; NaN where the file states none.
-    body : (n,) as the file names it; `sun` where it does not.
-    """
-
-    unix_s: FloatArray
-    pixels: FloatArray
-    sigma_px: FloatArray
-    temperature: FloatArray
-    pressure: FloatArray
-    directions: FloatArray
-    body: NameArray
-
-
-def read_sightings(lines: Iterable[str], *, name: str) -> SightingTable:
+def read_sightings(lines: Iterable[str], *, name: str) -> Sightings:
     """Read `time_utc,x_px,y_px[,sigma_px][,body][,zenith_deg,azimuth_deg][,temperature_c][,pressure_hpa]`.
 
     Times are ISO 8601 with Z; the header is required, other columns are ignored. A zenith angle and an azimuth
-    (apparent, clockwise from north) override the body; without them the body is the sun.
+    (apparent, clockwise from north) override the body; without them the body is the sun. What is not stated is NaN.
 
     Parameters
     ----------
@@ -79,7 +56,7 @@ def read_sightings(lines: Iterable[str], *, name: str) -> SightingTable:
             )
         )
     columns = np.array(rows, dtype=np.float64).reshape(-1, 8)
-    return SightingTable(
+    return Sightings.of(
         unix_s=columns[:, 0],
         pixels=columns[:, 1:3],
         sigma_px=columns[:, 3],

@@ -9,7 +9,8 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from sunarc.archive.csv_files import SightingTable, read_sightings
+from sunarc.archive.csv_files import read_sightings
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.selection import MOST_STARS
 from sunarc.calibration.start.blind_start import BlindOptions
 from sunarc.cli.options import SITE, Altitude, AsJson, choice_of, print_json, table
@@ -140,7 +141,7 @@ def _print(found: list[StarImage]) -> None:
     Console(soft_wrap=True).print(table(columns, [[row[column] for column in columns] for row in rows]))
 
 
-def _write(output: Path, found: list[StarImage], sun: SightingTable | None, most: int) -> int:
+def _write(output: Path, found: list[StarImage], sun: Sightings | None, most: int) -> int:
     try:
         with output.open("w", encoding="utf-8", newline="") as target:
             return write_star_sightings(target, found, beside=sun, most=most)

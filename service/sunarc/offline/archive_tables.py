@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.csv_files import SightingTable, read_sightings, write_sightings
+from sunarc.archive.csv_files import read_sightings, write_sightings
 from sunarc.archive.database.recovery import upgrade_present
 from sunarc.archive.database.schema import upgrade
 from sunarc.archive.messages import reason_of
@@ -29,8 +29,8 @@ from sunarc.archive.values import (
     Refit,
     SunPoint,
 )
-from sunarc.array_types import FloatArray, picked
-from sunarc.calibration.model.sightings import inside_image
+from sunarc.array_types import FloatArray
+from sunarc.calibration.model.sightings import Sightings, inside_image
 from sunarc.errors import InputError, OutsideError
 from sunarc.exports.exported import Table, Variable
 from sunarc.exports.tables import netcdf_bytes
@@ -216,7 +216,7 @@ def import_points(settings: Settings, path: Path, *, image_size: tuple[int, int]
             remedy="give the width and height of its images in px, as --image-size 1748,1748",
         )
     require_inside(table.pixels, size, name=path.name)
-    total, table = int(table.unix_s.size), picked(table, inside_image(table.pixels, size))
+    total, table = len(table), table.select(inside_image(table.pixels, size))
     _require_bodies(table, settings.site, path.name)
     upgrade_present(settings.archive)
     with open_archive(settings.archive) as archive:
@@ -225,7 +225,7 @@ def import_points(settings: Settings, path: Path, *, image_size: tuple[int, int]
         return (
             archive.sightings.add(_points(settings, table, imported), first_epoch=reason_of([imported])),
             total,
-            total - int(table.unix_s.size),
+            total - len(table),
         )
 
 
@@ -258,7 +258,7 @@ def _size_in_settings(settings: Settings) -> tuple[int, int] | None:
     return None if region is None else (region[2], region[3])
 
 
-def _points(settings: Settings, table: SightingTable, imported: Finding) -> list[SunPoint]:
+def _points(settings: Settings, table: Sightings, imported: Finding) -> list[SunPoint]:
     times = [utc_time(t) for t in table.unix_s]
     return [
         SunPoint(
@@ -282,7 +282,7 @@ def _points(settings: Settings, table: SightingTable, imported: Finding) -> list
     ]
 
 
-def _require_bodies(table: SightingTable, site: Site, name: str) -> None:
+def _require_bodies(table: Sightings, site: Site, name: str) -> None:
     """Raise InputError where a stated direction is not that of the body: the archive has bodies, and no directions."""
     stated = np.isfinite(table.directions[:, 0])
     if not np.any(stated):

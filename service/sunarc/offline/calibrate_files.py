@@ -20,7 +20,7 @@ from sunarc.calibration.lens_library.joint import Entry, Unit, calibrate_jointly
 from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread
 from sunarc.calibration.model.document import from_document, to_document
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
-from sunarc.calibration.model.sightings import Sightings, kinds_of
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.pose import estimate_pose
 from sunarc.calibration.projection_choice import calibrate_unknown_lens
 from sunarc.calibration.start.initial_guess import find_image_circle
@@ -173,17 +173,9 @@ def calibrate_file(
 
 def read_points(path: Path, image_size: tuple[int, int]) -> Sightings:
     """Return a CSV file's sightings; InputError where they are of images of another size, or the file is none."""
-    table = read_sightings(read_lines(path), name=path.name)
-    require_inside(table.pixels, image_size, name=path.name)
-    return Sightings.of(
-        unix_s=table.unix_s,
-        pixels=table.pixels,
-        sigma_px=table.sigma_px,
-        temperature=table.temperature,
-        pressure=table.pressure,
-        directions=table.directions,
-        kind=kinds_of(table.body),
-    )
+    points = read_sightings(read_lines(path), name=path.name)
+    require_inside(points.pixels, image_size, name=path.name)
+    return points
 
 
 def start_camera(

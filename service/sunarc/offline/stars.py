@@ -12,7 +12,7 @@ from typing import Any, TextIO
 import numpy as np
 
 import sunarc
-from sunarc.archive.csv_files import SightingTable, write_sightings
+from sunarc.archive.csv_files import write_sightings
 from sunarc.array_types import FloatArray, Image, IntArray, evenly_spread
 from sunarc.calibration.answers.stars import StarView, match_views, predict_stars
 from sunarc.calibration.calibrate import calibrate
@@ -145,7 +145,7 @@ def named_stars(images: Sequence[StarImage], calibration: Calibration, *, within
 
 
 def write_star_sightings(
-    target: TextIO, images: Sequence[StarImage], *, beside: SightingTable | None = None, most: int = MOST_STARS
+    target: TextIO, images: Sequence[StarImage], *, beside: Sightings | None = None, most: int = MOST_STARS
 ) -> int:
     """Write the stars of accepted images as `sunarc calibrate` reads them, and return how many.
 

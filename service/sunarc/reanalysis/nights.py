@@ -13,7 +13,7 @@ import numpy as np
 
 from sunarc.array_types import Image, evenly_spread
 from sunarc.calibration.answers.stars import MatchedView, StarView, match_views
-from sunarc.calibration.model.sightings import Sightings, kinds_of
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.cameras.frame import Frame
 from sunarc.detection.messages import reason_of
 from sunarc.detection.stars.detect import detect_stars
@@ -256,5 +256,5 @@ def star_points(found: NightsLooked, states: Sequence[State], epochs: Sequence[E
         sigma_px=sigma,
         epoch=pose,
         directions=body_directions(body, unix_s, found.nights.camera.plan.site),
-        kind=kinds_of(body),
+        body=body,
     )

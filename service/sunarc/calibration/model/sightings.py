@@ -206,6 +206,7 @@ class Sightings:
     sigma_px : (n,) stated 1-sigma per axis, px; NaN where none is stated. Fits trust their ratios and find
         their common scale themselves: filtered ones have a median of 1, and 1 where none was stated.
     epoch : (n,) which pose epoch a sighting belongs to, 0, 1, ….
+    body : (n,) names of what was seen: `sun`, `venus`, `star:HIP32349`.
     kind : (n,) see `Kind`.
     clock_error_s : (n,) bound of the clock's error, s; NaN where unknown.
     temperature, pressure : (n,) of the air, °C and Pa; NaN where not measured: the site's are assumed.
@@ -225,6 +226,7 @@ class Sightings:
     directions: FloatArray = field(default_factory=lambda: np.full((1, 3), np.nan))
     sigma_px: FloatArray = field(default_factory=_unknown)
     epoch: IntArray = field(default_factory=_first)
+    body: NameArray = field(default_factory=lambda: np.array([SUN]))
     kind: IntArray = field(default_factory=_sun)
     clock_error_s: FloatArray = field(default_factory=_zero)
     temperature: FloatArray = field(default_factory=_unknown)
@@ -247,13 +249,16 @@ class Sightings:
                 object.__setattr__(self, name, np.broadcast_to(column, (n, *column.shape[1:])))
 
     @classmethod
-    def of(cls, *, unix_s: ArrayLike, pixels: ArrayLike, **stated: ArrayLike) -> Sightings:
+    def of(
+        cls, *, unix_s: ArrayLike, pixels: ArrayLike, body: NameArray | None = None, **stated: ArrayLike
+    ) -> Sightings:
         """Return sightings that are given from outside: checked, scalars broadcast, columns read-only copies.
 
         Parameters
         ----------
         unix_s : (n,) mid-exposure times, seconds since 1970-01-01 UTC.
         pixels : (n, 2) px.
+        body : (n,) names, which state the kinds; None: the sun.
         stated : further columns by their names, each (n, ...) or one value for all.
         """
         times = _column("unix_s", unix_s, None)
@@ -274,6 +279,8 @@ class Sightings:
                 field="epoch", problem="not a whole number from 0", remedy="number the pose epochs 0, 1, …"
             )
         columns |= {name: columns[name].astype(np.int64) for name in ("epoch", "kind") if name in columns}
+        if body is not None:
+            columns |= {"body": body, "kind": kinds_of(body)}
         return cls(unix_s=times, pixels=places, **columns)
 
     def __len__(self) -> int:
@@ -380,6 +387,7 @@ def filter_sightings(points: Sightings, *, site: Site, image_size: tuple[int, in
         directions=directions[retained],
         sigma_px=_relative_sigma(stated_px, alone[retained]),
         alone=alone[retained],
+        body=points.body[retained],
         kind=points.kind[retained],
         night=at_night(points.unix_s[retained], points.kind[retained], site),
         epoch=points.epoch[retained],

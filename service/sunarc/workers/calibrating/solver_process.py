@@ -18,7 +18,7 @@ from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.changes.step_search import PoseStep, find_pose_steps
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import Sightings, kinds_of
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.findings import Finding
 from sunarc.jit import set_aside_after_exit
 from sunarc.runtime.child_process import answer_call, one_thread_each
@@ -198,15 +198,18 @@ def points_of(columns: SunPointColumns, *, site: Site | None = None, latest: str
         epoch = np.where(epoch == index, len(columns.epoch_ids) - 1, epoch - (epoch > index))
     if site is None and np.any(columns.body != SUN):
         raise ValueError("sightings of stars without a site")
-    air = {"temperature": columns.temperature, "pressure": columns.pressure}
-    directions = None if site is None else body_directions(columns.body, columns.unix_s, site, **air)
+    temperature, pressure = columns.temperature, columns.pressure
+    directions = np.full((1, 3), np.nan)
+    if site is not None:
+        directions = body_directions(columns.body, columns.unix_s, site, temperature=temperature, pressure=pressure)
     return Sightings.of(
         unix_s=columns.unix_s,
         pixels=columns.pixels,
         sigma_px=columns.sigma_px,
         epoch=epoch,
         clock_error_s=columns.clock_error_s,
-        kind=kinds_of(columns.body),
-        **air,
-        **({} if directions is None else {"directions": directions}),
+        body=columns.body,
+        temperature=temperature,
+        pressure=pressure,
+        directions=directions,
     )
