@@ -98,15 +98,15 @@ def ocam_model(camera: Camera, *, cubic: bool = False) -> OcamModel:
     forward_px = float(np.max(np.linalg.norm(_forward(found, rays, sign, domain) - row_column_of_rays, axis=-1)))
     rotation = rotation_matrix(found[4:7]) @ frame @ rotation_matrix(camera.rotation_cam_enu)
     good_px = max(_GOOD_ENOUGH_PX, 1.3 * forward_px)
-    affine, tried = _affine(found, sign), _CUBIC if cubic else _BACKWARD
-    polynomial = _backward(camera, sky, found[:2], affine, rotation, tried=tried, good_px=good_px)
-    return OcamModel(
-        pixel_to_ray=polynomial,
+    model = OcamModel(
+        pixel_to_ray=np.zeros(0),
         ray_to_pixel=np.asarray(Chebyshev(found[7:], domain).convert(kind=Polynomial).coef, dtype=np.float64),
         center_row_column=found[:2],
-        affine=affine,
+        affine=_affine(found, sign),
         rotation=rotation,
     )
+    polynomial = _backward(camera, sky, model, tried=_CUBIC if cubic else _BACKWARD, good_px=good_px)
+    return replace(model, pixel_to_ray=polynomial)
 
 
 def ocam_view(form: str, model: OcamModel, *, size: tuple[int, int], has_pose: bool = True) -> View:
@@ -181,20 +181,13 @@ def _forward(parameters: FloatArray, rays: FloatArray, sign: float, domain: list
 
 
 def _backward(
-    camera: Camera,
-    sky: Sky,
-    center: FloatArray,
-    affine: FloatArray,
-    rotation: FloatArray,
-    *,
-    tried: tuple[tuple[int, ...], ...],
-    good_px: float,
+    camera: Camera, sky: Sky, model: OcamModel, *, tried: tuple[tuple[int, ...], ...], good_px: float
 ) -> FloatArray:
     """Return the polynomial from a pixel to a ray, with the first powers that are good enough."""
-    c, d, e = affine
-    plane = (sky.pixels[:, ::-1] - center) @ np.linalg.inv(np.array([[c, d], [e, 1.0]])).T
+    c, d, e = model.affine
+    plane = (sky.pixels[:, ::-1] - model.center_row_column) @ np.linalg.inv(np.array([[c, d], [e, 1.0]])).T
     radius = np.linalg.norm(plane, axis=-1)
-    ray = sky.directions @ rotation.T
+    ray = sky.rays @ rotation_matrix(camera.rotation_cam_enu) @ model.rotation.T
     across = np.hypot(ray[:, 0], ray[:, 1])
     weight = across / radius * _SCALE  # an error of z turns the ray by sin θ / radius of it
     for orders in tried:
@@ -203,7 +196,7 @@ def _backward(
         polynomial = np.zeros(orders[-1] + 1)
         polynomial[list(orders)] = fitted / _SCALE ** np.array(orders)
         z = Polynomial(polynomial)(radius)
-        rays = np.concatenate([plane, z[:, None]], axis=-1) @ rotation
+        rays = np.concatenate([plane, z[:, None]], axis=-1) @ model.rotation
         rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
         if np.nanmax(np.linalg.norm(_landing(camera, rays) - sky.pixels, axis=-1)) < good_px:
             break

@@ -344,19 +344,17 @@ _FITTED_DIRECTIONS = 4000
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sky:
-    """Directions spread evenly over what the lens sees, and their pixels.
+    """Rays spread evenly over what the lens sees, and their pixels.
 
     Attributes
     ----------
     within : radians off the axis that they reach to.
     rays : (n, 3) unit vectors in the camera frame.
-    directions : (n, 3) the same, east-north-up.
     pixels : (n, 2) where our model puts them, all in the image.
     """
 
     within: float
     rays: FloatArray
-    directions: FloatArray
     pixels: FloatArray
 
 
@@ -367,10 +365,9 @@ def sky_of(camera: Camera, *, within: float) -> Sky:
     cosine = 1.0 - (1.0 - rays[:, 2]) * (1.0 - math.cos(limit))  # the hemisphere, stretched over the cap
     across = np.sqrt((1.0 - cosine**2) / (1.0 - rays[:, 2] ** 2))
     rays = np.stack([rays[:, 0] * across, rays[:, 1] * across, cosine], axis=-1)
-    directions = rays @ rotation_matrix(camera.rotation_cam_enu)
-    pixels = project(camera, directions)
+    pixels = project(camera, rays @ rotation_matrix(camera.rotation_cam_enu))
     inside = camera_sees(camera, pixels)
-    return Sky(within=limit, rays=rays[inside], directions=directions[inside], pixels=pixels[inside])
+    return Sky(within=limit, rays=rays[inside], pixels=pixels[inside])
 
 
 # The camera of ours that is closest to a view.
