@@ -50,31 +50,24 @@ _LASTING = 3
 _FROZEN_CODE = "camera_frozen"
 
 
-@dataclass(frozen=True, slots=True)
-class _DiscPosition:
-    time: datetime
-    x_px: float
-    y_px: float
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Disc:
-    """The pixels around a disc as they were delivered, and their place in the image."""
+    """The image around a disc as it was delivered, and its place in the whole one."""
 
     time: datetime
     place: tuple[slice, slice]
-    pixels: Image
+    image: Image
 
     def is_in(self, frame: Frame) -> bool:
         """Return whether a frame has these very pixels."""
         here = frame.image[self.place]
-        if here.shape != self.pixels.shape or self.pixels.size == 0:
+        if here.shape != self.image.shape or self.image.size == 0:
             return False
-        above = self.pixels - float(np.median(self.pixels))
-        lit = (above >= max(_LIT * float(above.max()), _LEAST_COUNTS)) & (self.pixels < _SATURATED * frame.full_scale)
+        above = self.image - float(np.median(self.image))
+        lit = (above >= max(_LIT * float(above.max()), _LEAST_COUNTS)) & (self.image < _SATURATED * frame.full_scale)
         if np.count_nonzero(lit) < _FEWEST_LIT:
             return False
-        return bool(np.array_equal(here[lit], self.pixels[lit]))
+        return bool(np.array_equal(here[lit], self.image[lit]))
 
 
 class FrozenFrames:
@@ -91,7 +84,7 @@ class FrozenFrames:
         self._board = board
         self._lock = threading.Lock()
         self._images: OrderedDict[bytes, datetime] = OrderedDict()
-        self._positions: deque[_DiscPosition] | None = None
+        self._positions: deque[tuple[datetime, float, float]] | None = None
         self._discs: deque[_Disc] = deque(maxlen=_MAX_POSITIONS)
         self._in_a_row = 0
 
@@ -135,12 +128,12 @@ class FrozenFrames:
         if self._positions is None:
             self._positions = self._stored(time)
         x_px, y_px = detection.x_px, detection.y_px
-        for position in self._positions:
-            if abs(position.x_px - x_px) < _SAME_PX and abs(position.y_px - y_px) < _SAME_PX:
-                before, now = sun_directions(np.array([position.time.timestamp(), time.timestamp()]), self._camera.site)
+        for earlier, x, y in self._positions:
+            if abs(x - x_px) < _SAME_PX and abs(y - y_px) < _SAME_PX:
+                before, now = sun_directions(np.array([earlier.timestamp(), time.timestamp()]), self._camera.site)
                 if float(angular_distance(before, now)) > _SUN_MOVED_RAD:
-                    return position.time
-        self._positions.append(_DiscPosition(time, x_px, y_px))
+                    return earlier
+        self._positions.append((time, x_px, y_px))
         return None
 
     def _without_earlier_disc(self, frame: Frame, detection: Detection) -> Detection:
@@ -157,15 +150,15 @@ class FrozenFrames:
         self._discs.append(_Disc(frame.time, place, frame.image[place].copy()))
         return detection
 
-    def _stored(self, time: datetime) -> deque[_DiscPosition]:
-        """Return where the sun was seen before this process began."""
+    def _stored(self, time: datetime) -> deque[tuple[datetime, float, float]]:
+        """Return when and where the sun was seen before this process began."""
         try:
             points = self._camera.sun_points(until=time, newest_first=True, limit=_MAX_POSITIONS)
         except OutsideError as error:
             _log.warning("could not read earlier sightings: %s", error)
             points = ()
         suns = [p for p in points if _is_sun(p)]
-        found = [_DiscPosition(p.time, p.x_px, p.y_px) for p in suns if p.x_px is not None and p.y_px is not None]
+        found = [(p.time, p.x_px, p.y_px) for p in suns if p.x_px is not None and p.y_px is not None]
         return deque(reversed(found), maxlen=_MAX_POSITIONS)
 
     def _count(self, time: datetime, earlier: datetime) -> None:
