@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_solve
 
-from sunarc.array_types import BoolArray, FloatArray, Rows, picked
+from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.answers.error_model import (
     CameraErrorModel,
     Predicted,
@@ -57,27 +57,6 @@ _SMALLEST_SIGMA_PX = 0.005
 _LARGEST_INFLATION = 25.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PredictedSightings:
-    """Where the sun was, and where it was seen, in the order of time.
-
-    Attributes
-    ----------
-    directions, pixels : (n, 3), (n, 2) px.
-    variance : (n,) of each axis of a true sighting, px².
-    false_density : (n,) logarithm of how likely a false one is to be there, px⁻².
-    """
-
-    directions: FloatArray
-    pixels: FloatArray
-    variance: FloatArray
-    false_density: FloatArray
-
-    def select(self, which: Rows) -> PredictedSightings:
-        """Return those that a slice, an index or a mask picks."""
-        return picked(self, which)
-
-
 def noise_px(start: Calibration, sigma_px: FloatArray) -> FloatArray:
     """Return (n,): 1-sigma per axis of sightings, never below what the calibration's own came to."""
     fit_sigma_px = start.evidence.sigma_px
@@ -86,31 +65,28 @@ def noise_px(start: Calibration, sigma_px: FloatArray) -> FloatArray:
     return np.maximum(estimated_sigma_px, max(usual, _SMALLEST_SIGMA_PX))
 
 
+def with_noise(usable: Sightings, points: Sightings, start: Calibration) -> Sightings:
+    """Return what a fit can use of sightings, its sigma in px: as stated with them, see `noise_px`."""
+    return replace(usable, sigma_px=noise_px(start, points.sigma_px[usable.index]))
+
+
 def inflation_of(start: Calibration) -> float:
     """Return by how much a sighting's variance grows because its neighbours err alike."""
     found = start.evidence.inflation
     return min(max(found, 1.0), _LARGEST_INFLATION) if math.isfinite(found) else 1.0
 
 
-def gathered(
-    camera: Camera, sightings: PredictedSightings, inlier: BoolArray, *, inflation: float
-) -> PredictedSightings:
+def gathered(camera: Camera, sightings: Sightings, inlier: BoolArray, *, inflation: float) -> Sightings:
     """Return the inliers, neighbours averaged so that there are not too many."""
     true = sightings.select(np.flatnonzero(inlier))
     # rounded up, so that no more than MOST groups remain
-    each = -(-true.variance.size // MOST)
-    member = np.arange(true.variance.size) // max(each, 1)
+    each = -(-len(true) // MOST)
+    member = np.arange(len(true)) // max(each, 1)
     bins = Bins(member=member, count=int(member[-1]) + 1 if member.size else 0)
-    observed = Sightings(
-        directions=true.directions, pixels=true.pixels, information=1.0 / true.variance, epoch=0 * member
-    )
     residual = finite(true.pixels - project_fast(camera, true.directions))
-    one, mean = bins.gathered(observed, residual, observed.information)
+    one, mean = bins.gathered(true, residual, 1.0 / true.variance)
     pixels = project_fast(camera, one.directions) + mean
-    density = np.zeros(bins.count)
-    return PredictedSightings(
-        directions=one.directions, pixels=pixels, variance=inflation / one.information, false_density=density
-    )
+    return replace(one, pixels=pixels, sigma_px=np.sqrt(inflation / one.information))
 
 
 def conditioned(error_model: CameraErrorModel, at: Predicted, sightings: PixelResiduals) -> CameraErrorModel:
@@ -175,7 +151,7 @@ def estimate_pose(
     job = Job(points=points, usable=usable, site=site, image_size=size, options=effective, circle=None, free="pose")
     if len(usable) < FEWEST:
         return refused(job, (Finding("too_few_sightings", {"n": len(usable), "least": FEWEST}),))
-    fit = fit_pose(start, usable.directions, usable.pixels, noise_px(start, points.sigma_px[usable.index]))
+    fit = fit_pose(start, with_noise(usable, points, start))
     fitted = outcome_of(fit, start, usable, wander_rad=math.radians(wander_deg))
     return calibration_from_fit(fitted, job, Handedness(mirrored=start.camera.mirrored, ambiguous=False))
 
@@ -198,27 +174,20 @@ class PoseFit:
     sigma_px: float
 
 
-def fit_pose(
-    start: Calibration,
-    directions: FloatArray,
-    pixels: FloatArray,
-    sigma_px: FloatArray,
-    *,
-    turned_rad: float | None = None,
-) -> PoseFit:
+def fit_pose(start: Calibration, sightings: Sightings, *, turned_rad: float | None = None) -> PoseFit:
     """Return a lens in the pose that sightings ask for.
 
     Parameters
     ----------
     start : lens, former pose and what is known of both.
-    directions, pixels : (n, 3) where the sun was, (n, 2) where it was seen, in the order of time.
-    sigma_px : (n,) 1-sigma per axis of a sighting.
+    sightings : in the order of time, with directions and sigma in px (`with_noise`).
     turned_rad : 1-sigma of the rotation about each axis since the former pose; None where the camera may have turned
         by any angle.
     """
     error_model, camera = error_model_of(start), at_every_angle(start.camera)
-    density = false_density(pixels - project_fast(camera, directions), area_px2=float(camera.width * camera.height))
-    sightings = PredictedSightings(directions=directions, pixels=pixels, variance=sigma_px**2, false_density=density)
+    apart = sightings.pixels - project_fast(camera, sightings.directions)
+    area_px2 = float(camera.width * camera.height)
+    sightings = replace(sightings, false_density=false_density(apart, area_px2=area_px2))
     thin = thinned(sightings)
     tolerance = tolerance_px(error_model, camera, thin)
     rotation = ransac_rotation(camera, thin.directions, thin.pixels, tolerance)
@@ -230,16 +199,16 @@ def fit_pose(
     return conditioned_pose(priors, np.log(scales), base, sightings, close, inflation=inflation_of(start))
 
 
-def thinned(sightings: PredictedSightings) -> PredictedSightings:
+def thinned(sightings: Sightings) -> Sightings:
     """Return at most `MOST` sightings, spread over time."""
-    return sightings.select(np.unique(np.linspace(0, sightings.variance.size - 1, MOST).astype(int)))
+    return sightings.select(np.unique(np.linspace(0, len(sightings) - 1, MOST).astype(int)))
 
 
 def conditioned_pose(
     priors: list[CameraErrorModel],
     log_prior: FloatArray,
     base: Camera,
-    sightings: PredictedSightings,
+    sightings: Sightings,
     close: BoolArray,
     *,
     inflation: float,
@@ -257,8 +226,8 @@ def conditioned_pose(
     """
     rough, mixture = settled(priors[min(1, len(priors) - 1)], base, thinned(sightings), close)
     worse = _excess_noise(mixture)
-    stated_px = float(np.median(np.sqrt(sightings.variance)))
-    sightings = replace(sightings, variance=sightings.variance * worse**2)
+    stated_px = float(np.median(sightings.sigma_px))
+    sightings = replace(sightings, sigma_px=sightings.sigma_px * worse)
     inlier = _inliers(rough, moved(base, rough, rough.mean), sightings)
     together = gathered(moved(base, rough, rough.mean), sightings, inlier, inflation=inflation)
     fits = [_given_inliers(prior, base, together) for prior in priors]
@@ -276,7 +245,7 @@ def _scales_for(angle_rad: float) -> FloatArray:
     return _SCALES_RAD[min(int(np.searchsorted(_SCALES_RAD, 0.25 * angle_rad)), _SCALES_RAD.size - 1) :]
 
 
-def tolerance_px(error_model: CameraErrorModel, camera: Camera, sightings: PredictedSightings) -> FloatArray:
+def tolerance_px(error_model: CameraErrorModel, camera: Camera, sightings: Sightings) -> FloatArray:
     """Return (n,): how far a true sighting may lie off where the camera has not turned, 1-sigma, px."""
     at = predicted(error_model, camera, sightings.directions)
     model_variance = np.nan_to_num(np.diag(joint_covariance(error_model, at)).reshape(-1, 2).mean(axis=1))
@@ -284,7 +253,7 @@ def tolerance_px(error_model: CameraErrorModel, camera: Camera, sightings: Predi
 
 
 def settled(
-    error_model: CameraErrorModel, base: Camera, sightings: PredictedSightings, inlier: BoolArray
+    error_model: CameraErrorModel, base: Camera, sightings: Sightings, inlier: BoolArray
 ) -> tuple[CameraErrorModel, MixtureFit]:
     """Return the error model conditioned on sightings with outliers, linearised anew in every round."""
     after = replace(error_model, mean=0.0 * error_model.mean)
@@ -309,25 +278,23 @@ def _excess_noise(mixture: MixtureFit) -> float:
     return max(1.0, robust_sigma(np.sqrt(np.maximum(mixture.surprise, 0.0))))
 
 
-def _inliers(after: CameraErrorModel, camera: Camera, sightings: PredictedSightings) -> BoolArray:
+def _inliers(after: CameraErrorModel, camera: Camera, sightings: Sightings) -> BoolArray:
     """Return which sightings agree with a fit of some of them."""
     at = predicted(after, camera, sightings.directions)
-    square = np.empty(sightings.variance.size)
+    square, variance = np.empty(len(sightings)), sightings.variance
     for part in np.array_split(np.arange(square.size), max(square.size // MOST, 1)):
         blocks = joint_covariance(after, at.select(part)).reshape(part.size, 2, part.size, 2)
         row = np.arange(part.size)
-        spread = blocks[row, :, row] + sightings.variance[part, None, None] * np.eye(2)
+        spread = blocks[row, :, row] + variance[part, None, None] * np.eye(2)
         gap = finite(sightings.pixels[part] - at.pixels[part])
         square[part] = np.einsum("ni,nij,nj->n", gap, np.linalg.inv(spread), gap)
     return np.asarray(square < 25.0)
 
 
-def _given_inliers(
-    error_model: CameraErrorModel, base: Camera, sightings: PredictedSightings
-) -> tuple[CameraErrorModel, float]:
+def _given_inliers(error_model: CameraErrorModel, base: Camera, sightings: Sightings) -> tuple[CameraErrorModel, float]:
     """Return the error model conditioned on inliers, and their log evidence."""
     after = replace(error_model, mean=0.0 * error_model.mean)
-    everyone = np.ones(sightings.variance.size, dtype=bool)
+    everyone = np.ones(len(sightings), dtype=bool)
     for _ in range(_ROUNDS):
         at = predicted(error_model, moved(base, error_model, after.mean), sightings.directions)
         residual = finite(sightings.pixels - at.pixels) + at.rows @ after.mean

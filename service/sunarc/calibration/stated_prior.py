@@ -16,7 +16,7 @@ from sunarc.calibration.fit.assemble import Job, calibration_from_fit, no_field,
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances, Mirrored
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
-from sunarc.calibration.pose import FEWEST, MOST, PredictedSightings, fit_pose, noise_px, outcome_of, tolerance_px
+from sunarc.calibration.pose import FEWEST, fit_pose, outcome_of, thinned, tolerance_px, with_noise
 from sunarc.calibration.quality.fit_checks import Handedness
 from sunarc.calibration.robust_loss import finite
 from sunarc.calibration.solve.priors import FREE, FREE_NAMES, LENS, N_LENS, lens_prior, precisions
@@ -92,12 +92,12 @@ def calibrate_with_prior(
         return refused(job, (Finding("too_few_sightings", {"n": len(usable), "least": FEWEST}),))
     basis = whitened_basis(prior, tolerances)
     start = _stated(prior, basis, job)
-    sigma_px = noise_px(start, points.sigma_px[usable.index])
+    sightings = with_noise(usable, points, start)
     turned_rad = None if tolerances.pose_deg is None else math.radians(tolerances.pose_deg)
-    distance = _distance(start, usable.directions, usable.pixels, sigma_px, turned_rad)
+    distance = _distance(start, sightings, turned_rad)
     if distance > _LARGEST_DEPARTURE:
         return refused(job, (_contradicted(distance),))
-    fit = fit_pose(start, usable.directions, usable.pixels, sigma_px, turned_rad=turned_rad)
+    fit = fit_pose(start, sightings, turned_rad=turned_rad)
     fitted = outcome_of(fit, start, usable, wander_rad=0.0)
     result = calibration_from_fit(fitted, job, Handedness(mirrored=prior.mirrored, ambiguous=False))
     options_of = {**result.evidence.options, "prior": asdict(tolerances)}
@@ -146,21 +146,16 @@ def _stated(prior: Camera, basis: FloatArray, job: Job) -> Calibration:
     )
 
 
-def _distance(
-    start: Calibration, directions: FloatArray, pixels: FloatArray, sigma_px: FloatArray, turned_rad: float | None
-) -> float:
+def _distance(start: Calibration, sightings: Sightings, turned_rad: float | None) -> float:
     """Return the median distance of sightings from where the prior images the sun, in its sigmas and theirs; per axis.
 
     0 where the pose is not known.
     """
     if turned_rad is None:
         return 0.0
-    model, camera = error_model_of(start), at_every_angle(start.camera)
-    predicted = PredictedSightings(
-        directions=directions, pixels=pixels, variance=sigma_px**2, false_density=np.zeros(sigma_px.size)
-    ).select(np.unique(np.linspace(0, sigma_px.size - 1, MOST).astype(int)))
-    tolerance = tolerance_px(model.with_free_rotation(np.zeros(3), sigma_rad=turned_rad), camera, predicted)
-    off = np.linalg.norm(finite(predicted.pixels - project_fast(camera, predicted.directions)), axis=-1)
+    model, camera, some = error_model_of(start), at_every_angle(start.camera), thinned(sightings)
+    tolerance = tolerance_px(model.with_free_rotation(np.zeros(3), sigma_rad=turned_rad), camera, some)
+    off = np.linalg.norm(finite(some.pixels - project_fast(camera, some.directions)), axis=-1)
     return float(np.median(off / tolerance)) / math.sqrt(2.0)
 
 

@@ -10,7 +10,8 @@ import pytest
 from tests.fixtures.calibration import small_camera, stated_calibration, sun_arc
 
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.pose import MOST, PredictedSightings, gathered, inflation_of, noise_px
+from sunarc.calibration.model.sightings import Sightings
+from sunarc.calibration.pose import MOST, gathered, inflation_of, noise_px
 from sunarc.calibration.robust_loss import finite
 from sunarc.optics.forward import project
 
@@ -47,13 +48,12 @@ def test_residuals_of_what_is_not_seen_lie_far_off() -> None:
     np.testing.assert_array_equal(finite(np.array([1.0, np.nan, np.inf])), [1.0, 1e4, 1e4])
 
 
-def _seen(count: int, *, variance: float = 0.04) -> PredictedSightings:
+def _seen(count: int, *, variance: float = 0.04) -> Sightings:
     directions = sun_arc(count)
-    return PredictedSightings(
+    return Sightings(
         directions=directions,
         pixels=project(small_camera(), directions),
-        variance=np.full(count, variance),
-        false_density=np.zeros(count),
+        sigma_px=np.full(count, math.sqrt(variance)),
     )
 
 

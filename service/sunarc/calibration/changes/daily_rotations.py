@@ -29,7 +29,7 @@ from sunarc.calibration.answers.error_model import (
 from sunarc.calibration.evidence import whitened
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
-from sunarc.calibration.pose import PredictedSightings, fit_pose, gathered, inflation_of, noise_px
+from sunarc.calibration.pose import fit_pose, gathered, inflation_of, with_noise
 from sunarc.calibration.robust_loss import finite
 from sunarc.optics.camera import Camera
 from sunarc.optics.pose import rotation_matrix
@@ -336,16 +336,10 @@ def daily_pose_offset(points: Sightings, *, calibration: Calibration, site: Site
     usable = filter_sightings(points, site=site)
     if len(usable) < FEWEST:
         return None
-    sigma_px = noise_px(calibration, points.sigma_px[usable.index])
-    inlier = fit_pose(calibration, usable.directions, usable.pixels, sigma_px).inlier
+    sightings = with_noise(usable, points, calibration)
+    inlier = fit_pose(calibration, sightings).inlier
     if inlier.sum() < FEWEST:
         return None
-    sightings = PredictedSightings(
-        directions=usable.directions,
-        pixels=usable.pixels,
-        variance=sigma_px**2,
-        false_density=np.zeros(len(usable)),
-    )
     camera = at_every_angle(calibration.camera)
     together = gathered(camera, sightings, inlier, inflation=inflation_of(calibration))
     rotation, covariance = _gls_rotation(error_model_of(calibration), camera, together)
@@ -355,9 +349,7 @@ def daily_pose_offset(points: Sightings, *, calibration: Calibration, site: Site
     return PoseOffset(turn_deg=(east, north, up), sigma_deg=(s_east, s_north, s_up), n=int(inlier.sum()))
 
 
-def _gls_rotation(
-    error_model: CameraErrorModel, camera: Camera, sightings: PredictedSightings
-) -> tuple[FloatArray, FloatArray]:
+def _gls_rotation(error_model: CameraErrorModel, camera: Camera, sightings: Sightings) -> tuple[FloatArray, FloatArray]:
     """Return the turn (3,) about the camera's axes by generalised least squares, and its covariance (3, 3)."""
     at = predicted(error_model, camera, sightings.directions)
     rows = at.rows[..., error_model.rotation].reshape(-1, 3)

@@ -43,12 +43,11 @@ from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.pose import (
     PoseFit,
-    PredictedSightings,
     conditioned_pose,
-    noise_px,
     outcome_of,
     settled,
     thinned,
+    with_noise,
 )
 from sunarc.calibration.quality.fit_checks import Handedness
 from sunarc.calibration.robust_loss import finite
@@ -210,9 +209,11 @@ def first_pose(
     if len(usable) < FEWEST_SIGHTINGS:
         return refused(job, (Finding("too_few_sightings", {"n": len(usable), "least": FEWEST_SIGHTINGS}),))
     start = _stated(lens, job)
-    sigma_px = noise_px(start, points.sigma_px[usable.index])
     both = start, _mirrored(start)
-    sightings = _observed(usable, sigma_px, lens.camera)
+    # a false one may be anywhere in the image
+    area_px2 = float(lens.camera.width * lens.camera.height)
+    anywhere = false_density(np.full(usable.pixels.shape, np.inf), area_px2=area_px2)
+    sightings = replace(with_noise(usable, points, start), false_density=anywhere)
     # the same sightings for both handednesses, or their evidences could not be compared
     close = max((_agreeing(at_every_angle(one.camera), thinned(sightings)) for one in both), key=np.sum)
     if np.sum(close) < FEWEST_SIGHTINGS:
@@ -259,15 +260,7 @@ def _mirrored(start: Calibration) -> Calibration:
     return replace(start, camera=replace(start.camera, mirrored=not start.camera.mirrored))
 
 
-def _observed(usable: Sightings, sigma_px: FloatArray, camera: Camera) -> PredictedSightings:
-    """Return the sightings; a false one may be anywhere in the image."""
-    anywhere = false_density(np.full(usable.pixels.shape, np.inf), area_px2=float(camera.width * camera.height))
-    return PredictedSightings(
-        directions=usable.directions, pixels=usable.pixels, variance=sigma_px**2, false_density=anywhere
-    )
-
-
-def _agreeing(camera: Camera, thin: PredictedSightings) -> BoolArray:
+def _agreeing(camera: Camera, thin: Sightings) -> BoolArray:
     """Return which sightings agree on a rotation of a camera, whichever it is."""
     tolerance = np.sqrt(thin.variance + _LENS_PX**2)
     rotation = ransac_rotation(camera, thin.directions, thin.pixels, tolerance)
@@ -275,7 +268,7 @@ def _agreeing(camera: Camera, thin: PredictedSightings) -> BoolArray:
     return np.asarray(np.linalg.norm(finite(off), axis=-1) < _CLOSE * tolerance)
 
 
-def _most_probable(start: Calibration, sightings: PredictedSightings, close: BoolArray, tilt_rad: float) -> _FoundPose:
+def _most_probable(start: Calibration, sightings: Sightings, close: BoolArray, tilt_rad: float) -> _FoundPose:
     """Return the most probable pose at any azimuth of a camera that is level within a 1-sigma per axis."""
     error_model, camera = error_model_of(start), at_every_angle(start.camera)
     some = np.flatnonzero(close)
@@ -295,7 +288,7 @@ def _most_probable(start: Calibration, sightings: PredictedSightings, close: Boo
     return _FoundPose(fit, base, prior, evidence, evidence - max(rivals, default=-math.inf))
 
 
-def _rough_evidence(cell: CameraErrorModel, base: Camera, coarse: PredictedSightings) -> float:
+def _rough_evidence(cell: CameraErrorModel, base: Camera, coarse: Sightings) -> float:
     """Return the log evidence of a level camera, by equations that are good to some px."""
     at = predicted(cell, base, coarse.directions)
     about = PixelResiduals(
@@ -303,14 +296,14 @@ def _rough_evidence(cell: CameraErrorModel, base: Camera, coarse: PredictedSight
         variance=coarse.variance + _NONLINEAR_PX**2,
         false_density=coarse.false_density,
     )
-    everyone = np.ones(coarse.variance.size, dtype=bool)
+    everyone = np.ones(len(coarse), dtype=bool)
     return fit_inlier_mixture(np.nan_to_num(joint_covariance(cell, at)), about, everyone).log_evidence
 
 
-def _refined(cell: CameraErrorModel, base: Camera, coarse: PredictedSightings) -> tuple[float, Camera]:
+def _refined(cell: CameraErrorModel, base: Camera, coarse: Sightings) -> tuple[float, Camera]:
     """Return the log evidence of the poses about a level camera, and the best of them."""
     try:
-        after, mixture = settled(cell, base, coarse, np.ones(coarse.variance.size, dtype=bool))
+        after, mixture = settled(cell, base, coarse, np.ones(len(coarse), dtype=bool))
     except np.linalg.LinAlgError:  # so far off that the equations mean nothing
         return -math.inf, base
     return mixture.log_evidence, moved(base, after, after.mean)

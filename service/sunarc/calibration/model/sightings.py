@@ -217,6 +217,7 @@ class Sightings:
     information : (n,) inverse variance of each axis, px⁻²; relative where the scale is still sought.
     refraction_sd : (n, k) 1-sigma of the refraction, rad, by k independent causes: the measured air, the assumed one,
         and the assumed one of each day (or of so many runs of days); 0 where a cause does not act.
+    false_density : (n,) logarithm of how likely a false sighting is to be just there, px⁻²; 0 where none is sought.
     systematic_px : (n, 2, s) displacements by s errors that many sightings share, each at its 1-sigma, px.
     filtering : what was left out of them.
     """
@@ -237,6 +238,7 @@ class Sightings:
     night: BoolArray = field(default_factory=_no)
     information: FloatArray = field(default_factory=_one)
     refraction_sd: FloatArray = field(default_factory=lambda: np.zeros((1, 1)))
+    false_density: FloatArray = field(default_factory=_zero)
     systematic_px: FloatArray = field(default_factory=lambda: np.zeros((1, 2, 0)))
     filtering: Filtering = field(default_factory=Filtering)
 
@@ -285,6 +287,11 @@ class Sightings:
 
     def __len__(self) -> int:
         return int(self.pixels.shape[0])
+
+    @property
+    def variance(self) -> FloatArray:
+        """(n,) of each axis by the stated sigma, px²."""
+        return np.asarray(self.sigma_px**2)
 
     def select(self, which: Rows) -> Sightings:
         """Return the sightings that a slice, an index or a mask picks."""
