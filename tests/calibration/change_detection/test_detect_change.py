@@ -260,4 +260,5 @@ def test_as_many_sightings_as_an_hour_has_minutes_less_four_are_remembered(
 )
 def test_half_of_the_last_six_must_disagree_the_last_one_too(late: tuple[bool, ...], *, expected: bool) -> None:
     before = [False] * 5  # earlier ones do not count
-    assert distrusted(SightingWindow(trusted=np.array([*before, *late]))) == expected
+    trusted = np.array([*before, *late])
+    assert distrusted(SightingWindow(pixels=np.zeros((trusted.size, 2)), trusted=trusted)) == expected

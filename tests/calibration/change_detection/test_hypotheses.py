@@ -160,9 +160,9 @@ def test_the_evidence_of_a_rotation_is_the_gaussian_integral_over_it(
     assert scored is not None
     assert np.all(scored.mixture.inlier)
     of = scored.of
-    after = predicted(model.error_model, of.camera, of.directions)
+    after = predicted(model.error_model, of.camera, of.sightings.directions)
     residual = model.sightings.residual.copy()
-    residual[FIRST:] = of.pixels - after.pixels - after.rows @ of.mean
+    residual[FIRST:] = of.sightings.pixels - after.pixels - after.rows @ of.mean
     at = joined(model.at.select(np.arange(FIRST)), after)
     free = np.zeros((2 * N, 3))
     free[2 * FIRST :] = (after.rows @ of.free).reshape(-1, 3)

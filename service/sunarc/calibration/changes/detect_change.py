@@ -247,9 +247,9 @@ def _rotations(window: ResidualModel, starts: list[int], *, least: int) -> list[
 def _weigh(window: ResidualModel, explanation: Hypothesis) -> ScoredHypothesis:
     """Return an explanation with its evidence."""
     before = np.arange(explanation.first)
-    after = predicted(window.error_model, explanation.camera, explanation.directions)
+    after = predicted(window.error_model, explanation.camera, explanation.sightings.directions)
     at = joined(window.at.select(before), after)
-    residual = np.concatenate([window.sightings.residual[before], finite(explanation.pixels - after.pixels)])
+    residual = np.concatenate([window.sightings.residual[before], finite(explanation.sightings.pixels - after.pixels)])
     residual[explanation.first :] -= after.rows @ explanation.mean
     # free numbers are integrated out by adding their covariance to that of the sightings after the change
     free = np.concatenate(
@@ -295,8 +295,7 @@ def rotation_hypothesis(
         kind=kind,
         first=first,
         camera=rotated(window.camera, rotation),
-        directions=window.watch.directions[first:],
-        pixels=window.watch.pixels[first:],
+        sightings=window.watch.select(slice(first, None)),
         free=free,
         mean=mean,
     )
@@ -330,25 +329,26 @@ def clock_hypothesis(window: ResidualModel, best: ScoredHypothesis, site: Site) 
 
 def _flips(window: ResidualModel, site: Site, first: int) -> list[Hypothesis]:
     """Return the explanations without any free number: a mirrored image, a site with a wrong sign."""
-    watch, size = window.watch, window.error_model.mean.size
+    watch, size = window.watch.select(slice(first, None)), window.error_model.mean.size
     plain = Hypothesis(
         kind="mirrored",
         first=first,
         camera=window.camera,
-        directions=watch.directions[first:],
-        pixels=watch.pixels[first:],
+        sightings=watch,
         free=np.zeros((size, 1)),
         mean=np.zeros(size),
     )
     last = np.array([window.camera.width - 1.0, window.camera.height - 1.0])
-    mirrored = [replace(plain, pixels=np.where(axis, last - plain.pixels, plain.pixels)) for axis in ([1, 0], [0, 1])]
+    flipped = [np.where(axis, last - watch.pixels, watch.pixels) for axis in ([1, 0], [0, 1])]
+    mirrored = [replace(plain, sightings=replace(watch, pixels=pixels)) for pixels in flipped]
     sites = [
         replace(site, latitude=-site.latitude),
         replace(site, longitude=-site.longitude),
         replace(site, latitude=-site.latitude, longitude=-site.longitude),
     ]
     return mirrored + [
-        replace(plain, kind="site", directions=sun_directions(watch.unix_s[first:], other)) for other in sites
+        replace(plain, kind="site", sightings=replace(watch, directions=sun_directions(watch.unix_s, other)))
+        for other in sites
     ]
 
 
@@ -563,11 +563,11 @@ def _after(window: ResidualModel, explanation: Hypothesis, mixture: MixtureFit) 
     before = replace(
         window.error_model, mean=explanation.mean, covariance=window.error_model.covariance + free @ free.T
     )
-    at = predicted(window.error_model, explanation.camera, explanation.directions)
+    at = predicted(window.error_model, explanation.camera, explanation.sightings.directions)
     inlier = mixture.inlier[explanation.first :]
     noise = window.sightings.variance[explanation.first :][inlier]
     sightings = PixelResiduals(
-        residual=finite(explanation.pixels - at.pixels)[inlier], variance=noise, false_density=0.0 * noise
+        residual=finite(explanation.sightings.pixels - at.pixels)[inlier], variance=noise, false_density=0.0 * noise
     )
     return conditioned(before, at.select(inlier), sightings)
 

@@ -8,8 +8,9 @@ from typing import Literal
 
 import numpy as np
 
-from sunarc.array_types import BoolArray, FloatArray, picked
+from sunarc.array_types import BoolArray, FloatArray, stacked
 from sunarc.calibration.messages import MESSAGES
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.findings import Finding
 from sunarc.optics.camera import Camera
 
@@ -42,45 +43,39 @@ class Sighting:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SightingWindow:
+class SightingWindow(Sightings):
     """The last sightings, the oldest first; a value: every look makes a new one.
 
     Attributes
     ----------
-    unix_s, sigma_px : (n,)
-    pixels, directions : (n, 2), (n, 3)
+    pixels, unix_s, directions, sigma_px : see `Sightings`.
     trusted : (n,) whether each agreed with those before it.
     surprise : (n, 2) by how many sigmas it did not, in whitened axes; 0 where it is not trusted.
     """
 
-    unix_s: FloatArray = field(default_factory=lambda: np.zeros(0))
     pixels: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
-    directions: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
-    sigma_px: FloatArray = field(default_factory=lambda: np.zeros(0))
-    trusted: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))
-    surprise: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
-
-    def __len__(self) -> int:
-        return int(self.unix_s.size)
+    trusted: BoolArray = field(default_factory=lambda: np.array([False]))
+    surprise: FloatArray = field(default_factory=lambda: np.zeros((1, 2)))
 
     def since(self, unix_s: float) -> SightingWindow:
         """Return what is remembered from a moment on."""
-        return picked(self, self.unix_s >= unix_s)
+        return self.select(self.unix_s >= unix_s)
 
     def last(self, count: int) -> SightingWindow:
         """Return the last ones."""
-        return picked(self, np.arange(len(self)) >= len(self) - count)
+        return self.select(np.arange(len(self)) >= len(self) - count)
 
     def with_one(self, sighting: Sighting, *, trusted: bool, surprise: FloatArray) -> SightingWindow:
         """Return this with one more sighting."""
-        return SightingWindow(
-            unix_s=np.append(self.unix_s, sighting.unix_s),
-            pixels=np.vstack([self.pixels, sighting.pixel]),
-            directions=np.vstack([self.directions, sighting.direction]),
-            sigma_px=np.append(self.sigma_px, sighting.sigma_px),
-            trusted=np.append(self.trusted, trusted),
-            surprise=np.vstack([self.surprise, surprise]),
+        one = SightingWindow(
+            unix_s=np.array([sighting.unix_s]),
+            pixels=np.array([sighting.pixel]),
+            directions=np.array([sighting.direction]),
+            sigma_px=np.array([sighting.sigma_px]),
+            trusted=np.array([trusted]),
+            surprise=np.asarray(surprise)[None],
         )
+        return stacked([self, one])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -138,7 +133,7 @@ class Hypothesis:
     kind : what.
     first : the first sighting after the change.
     camera : that sees them then.
-    directions, pixels : (k, 3) where the sun was, (k, 2) where it was detected, in the pixels of that camera.
+    sightings : from that one on; the directions where the sun was, the pixels those of that camera.
     free : (p, f) free directions in the error model's parameters, one column per standard normal number.
     mean : (p,) where those are expected before the sightings.
     """
@@ -146,7 +141,6 @@ class Hypothesis:
     kind: ChangeKind
     first: int
     camera: Camera
-    directions: FloatArray
-    pixels: FloatArray
+    sightings: Sightings
     free: FloatArray
     mean: FloatArray

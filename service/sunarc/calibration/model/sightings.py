@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -245,7 +246,7 @@ class Sightings:
     def __post_init__(self) -> None:
         """Give every sighting what is said of all."""
         n = len(self)
-        for name in _COLUMNS:
+        for name in self._further_columns():
             column = getattr(self, name)
             if column.shape[:1] != (n,):
                 object.__setattr__(self, name, np.broadcast_to(column, (n, *column.shape[1:])))
@@ -293,9 +294,12 @@ class Sightings:
         """(n,) of each axis by the stated sigma, px²."""
         return np.asarray(self.sigma_px**2)
 
-    def select(self, which: Rows) -> Sightings:
+    def _further_columns(self) -> Iterator[str]:
+        return (name for name in self.__dataclass_fields__ if name not in {"pixels", "filtering"})
+
+    def select(self, which: Rows) -> Self:
         """Return the sightings that a slice, an index or a mask picks."""
-        columns = {name: getattr(self, name) for name in _COLUMNS}
+        columns = {name: getattr(self, name) for name in self._further_columns()}
         # what is said of all is said of some, and takes no memory
         some = {name: one[:1] if one.strides[0] == 0 and len(self) else one[which] for name, one in columns.items()}
         return replace(self, pixels=self.pixels[which], **some)
@@ -303,9 +307,6 @@ class Sightings:
     def weighted(self, information: FloatArray) -> Sightings:
         """Return the same sightings with other information."""
         return replace(self, information=information)
-
-
-_COLUMNS = tuple(one.name for one in fields(Sightings) if one.name not in {"pixels", "filtering"})
 
 
 def _column(name: str, values: ArrayLike, length: int | None) -> FloatArray:
