@@ -29,7 +29,7 @@ def test_newtons_method_inverts_a_lens_that_is_given_one_way() -> None:
     rotation = rotation_matrix(LENS.rotation_cam_enu)
     view = lens_view(
         "other", size=SIZE, rotation=rotation, pixels_of_rays=lambda rays: project(LENS, rays @ rotation),
-        center=np.array(LENS.principal_point_px) + 9.0, focal=np.array([580.0, 620.0]),
+        start=lambda pixels: (pixels - LENS.principal_point_px - 9.0) / [580.0, 620.0],
     )  # fmt: skip
     directions, pixels = seen()
     assert view.project(directions) == pytest.approx(pixels)

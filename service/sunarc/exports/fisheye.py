@@ -113,14 +113,13 @@ def fisheye_view(form: str, model: FisheyeModel, *, size: tuple[int, int], has_p
     def shown(rays: FloatArray) -> FloatArray:
         return np.where(_within(rays, limit)[:, None], pixels_of_rays(model.parameters, rays), np.nan)
 
-    fx, fy, cx, cy = model.parameters[:4]
+    focal, center = model.parameters[:2], model.parameters[2:4]
     return lens_view(
         form,
         size=size,
         rotation=model.rotation,
         pixels_of_rays=shown,
-        center=np.array([cx, cy]),
-        focal=np.array([fx, fy]),
+        start=lambda pixels: (pixels - center) / focal,
         has_pose=has_pose,
     )
 

@@ -97,8 +97,7 @@ def splined_view(model: SplinedModel, *, size: tuple[int, int]) -> View:
         size=size,
         rotation=rotation_matrix(model.rotation_vector),
         pixels_of_rays=shown,
-        center=center,
-        focal=focal,
+        start=lambda pixels: (pixels - center) / focal,
     )
 
 

@@ -204,6 +204,5 @@ def _table_view(tables: FloatArray, size: tuple[int, int]) -> View:
         size=size,
         rotation=turn,
         pixels_of_rays=lambda rays: shown(rays @ turn),
-        center=at_zenith,
-        focal=np.array([focal, focal]),
+        start=lambda pixels: (pixels - at_zenith) / focal,
     )

@@ -83,8 +83,7 @@ def lens_view(
     size: tuple[int, int],
     rotation: FloatArray,
     pixels_of_rays: Convert,
-    center: FloatArray,
-    focal: FloatArray,
+    start: Convert,
     has_pose: bool = True,
 ) -> View:
     """Return the view of a model that is given from rays to pixels; the other way is solved by Newton's method.
@@ -94,7 +93,7 @@ def lens_view(
     form, size : name of the format; width and height.
     rotation : (3, 3) from east-north-up to the camera; the identity where the file has no pose.
     pixels_of_rays : (n, 3) rays in the camera frame to (n, 2) px.
-    center, focal : (2,) px, where and at what scale the solution starts: 2 tan(θ/2) times `focal` from `center`.
+    start : (n, 2) px to where the solution starts, (n, 2) in the stereographic plane, whose radius is 2 tan(θ/2).
     has_pose : whether the file has one.
     """
     return View(
@@ -102,7 +101,7 @@ def lens_view(
         width=size[0],
         height=size[1],
         project=lambda directions: pixels_of_rays(directions @ rotation.T),
-        unproject=lambda pixels: _rays(pixels_of_rays, pixels, (pixels - center) / focal) @ rotation,
+        unproject=lambda pixels: _rays(pixels_of_rays, pixels, start(pixels)) @ rotation,
         has_pose=has_pose,
     )
 
