@@ -168,37 +168,24 @@ def _rows(seen: DirectionErrors, sigma_deg: float) -> list[ShadowRow]:
     zenith, azimuth = np.meshgrid(_ZENITHS_DEG, _AZIMUTHS_DEG)
     first = direction_from_angles(zenith_deg=zenith.ravel(), azimuth_deg=azimuth.ravel())
     first_seen = seen(first, 0)
-    return [
-        _row(first, first_seen, seen, sun, sigma_deg=sigma_deg, height_m=height, baseline_m=baseline)
-        for height in HEIGHTS_M
-        for baseline in BASELINES_M
-    ]
 
+    def row(height_m: float, baseline_m: float) -> ShadowRow:
+        place = first * (height_m / first[:, 2:])
+        second = place - np.array([baseline_m, 0.0, 0.0])
+        second_seen = seen(second / np.linalg.norm(second, axis=-1, keepdims=True), 1)
+        height = pair_height(first_seen, second_seen, baseline_m=baseline_m)
+        true = shadow_place(first, np.full(len(first), height_m), sun)
+        known = shadow_place(first_seen, np.full(height.shape, height_m), sun) - true
+        by_pair = shadow_place(first_seen, height, sun) - true
+        return ShadowRow(
+            sigma_deg=sigma_deg,
+            height_m=height_m,
+            baseline_m=baseline_m,
+            height_sigma_m=float(np.nanquantile(np.abs(height - height_m), _PER_SIGMA)),
+            height_overhead_m=overhead_height_sigma_m(sigma_deg=sigma_deg, height_m=height_m, baseline_m=baseline_m),
+            shadow_sigma_m=float(np.nanquantile(np.linalg.norm(known, axis=-1), _PER_SIGMA_2D)),
+            shadow_pair_sigma_m=float(np.nanquantile(np.linalg.norm(by_pair, axis=-1), _PER_SIGMA_2D)),
+            ramp_error_w_m2=float(np.nanmean(ramp_error(by_pair))),
+        )
 
-def _row(
-    first: FloatArray,
-    first_seen: FloatArray,
-    seen: DirectionErrors,
-    sun: FloatArray,
-    *,
-    sigma_deg: float,
-    height_m: float,
-    baseline_m: float,
-) -> ShadowRow:
-    place = first * (height_m / first[:, 2:])
-    second = place - np.array([baseline_m, 0.0, 0.0])
-    second_seen = seen(second / np.linalg.norm(second, axis=-1, keepdims=True), 1)
-    height = pair_height(first_seen, second_seen, baseline_m=baseline_m)
-    true = shadow_place(first, np.full(len(first), height_m), sun)
-    known = shadow_place(first_seen, np.full(height.shape, height_m), sun) - true
-    by_pair = shadow_place(first_seen, height, sun) - true
-    return ShadowRow(
-        sigma_deg=sigma_deg,
-        height_m=height_m,
-        baseline_m=baseline_m,
-        height_sigma_m=float(np.nanquantile(np.abs(height - height_m), _PER_SIGMA)),
-        height_overhead_m=overhead_height_sigma_m(sigma_deg=sigma_deg, height_m=height_m, baseline_m=baseline_m),
-        shadow_sigma_m=float(np.nanquantile(np.linalg.norm(known, axis=-1), _PER_SIGMA_2D)),
-        shadow_pair_sigma_m=float(np.nanquantile(np.linalg.norm(by_pair, axis=-1), _PER_SIGMA_2D)),
-        ramp_error_w_m2=float(np.nanmean(ramp_error(by_pair))),
-    )
+    return [row(height, baseline) for height in HEIGHTS_M for baseline in BASELINES_M]
