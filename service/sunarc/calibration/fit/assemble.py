@@ -99,15 +99,7 @@ def calibration_from_fit(fitted: FitOutcome, job: Job, handedness: Handedness) -
         metrics=_metrics(fitted, usable, cameras),
         pose=pose_angles(camera.rotation_cam_enu),
         backward=fit_backward(camera),
-        evidence=_evidence(
-            job,
-            n_used=int(np.sum(fitted.used)),
-            sigma_px=fitted.sigma_px,
-            inflation=fitted.inflation,
-            radial_px=fitted.radial_px,
-            log_odds=fitted.log_odds,
-            held_out={} if fitted.doubts is None else fitted.doubts._asdict(),
-        ),
+        evidence=_evidence(job, fitted),
         verdict=Verdict(accepted=False, findings=(Finding("not_evaluated"),)),
         method=options.method,
         site=job.site,
@@ -155,30 +147,33 @@ def _clock_error(points: Sightings) -> float:
     return float(np.max(np.abs(known_errors), initial=0.0))
 
 
-def _evidence(
-    job: Job,
-    *,
-    n_used: int,
-    sigma_px: float,
-    inflation: float,
-    radial_px: float,
-    log_odds: Mapping[str, float] = MappingProxyType({}),
-    held_out: Mapping[str, float] = MappingProxyType({}),
-) -> Provenance:
-    return Provenance(
+def _evidence(job: Job, fitted: FitOutcome | None = None) -> Provenance:
+    """Return what a fit rests on, or what there is without one."""
+    none = Provenance(
         days=tuple(date_of_day(int(day)).isoformat() for day in np.unique(job.usable.day)),
         n_supplied=len(job.points),
-        n_used=n_used,
-        n_rejected=len(job.points) - n_used,
+        n_used=0,
+        n_rejected=len(job.points),
         options={**asdict(job.options), "free": job.free},
-        sigma_px=sigma_px,
-        inflation=inflation,
-        radial_px=radial_px,
+        sigma_px=math.nan,
+        inflation=math.nan,
+        radial_px=math.nan,
         clock_error_s=_clock_error(job.points),
         circle=None if job.circle is None else asdict(job.circle),
         start=None if job.start is None else asdict(job.start.lens_alone()),
-        log_odds=dict(log_odds),
-        held_out=dict(held_out),
+    )
+    if fitted is None:
+        return none
+    n_used = int(np.sum(fitted.used))
+    return replace(
+        none,
+        n_used=n_used,
+        n_rejected=len(job.points) - n_used,
+        sigma_px=fitted.sigma_px,
+        inflation=fitted.inflation,
+        radial_px=fitted.radial_px,
+        log_odds=dict(fitted.log_odds),
+        held_out={} if fitted.doubts is None else fitted.doubts._asdict(),
     )
 
 
@@ -208,7 +203,7 @@ def refused(job: Job, findings: tuple[Finding, ...]) -> Calibration:
         metrics=NO_METRICS,
         pose=pose_angles(camera.rotation_cam_enu),
         backward=NO_BACKWARD,
-        evidence=_evidence(job, n_used=0, sigma_px=math.nan, inflation=math.nan, radial_px=math.nan),
+        evidence=_evidence(job),
         verdict=Verdict(accepted=False, findings=findings),
         method=options.method,
         site=job.site,
