@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import sunarc
+from sunarc import errors
 from sunarc.api.middleware.admission import read_token
 from sunarc.app.cameras import camera_opener, require_stored_site
 from sunarc.app.pushing import receivers
@@ -31,14 +32,6 @@ from sunarc.archive.database.schema import check, head_revision
 from sunarc.archive.fleet.outbox import OutboxPosition
 from sunarc.cameras.aravis import AravisCamera
 from sunarc.cameras.frame import SkyCamera
-from sunarc.errors import (
-    CameraError,
-    CameraSilentError,
-    CameraTimeoutError,
-    ConfigurationError,
-    OutsideError,
-    SunarcError,
-)
 from sunarc.runtime.clock import Clock, SystemClock, host_clock_state
 from sunarc.runtime.host import listen, prepare_state
 from sunarc.settings.model import Settings
@@ -77,7 +70,7 @@ def survey(settings: Settings, *, clock: Clock) -> Iterator[CheckResult]:
     """Open the camera as the service would, and run the checks of it."""
     try:
         camera = camera_opener(settings, clock)()
-    except SunarcError as error:
+    except errors.SunarcError as error:
         yield CheckResult("camera", "fail", str(error))
         return
     with closing(camera):
@@ -122,9 +115,9 @@ def check_frames(camera: SkyCamera, exposures_us: Sequence[float]) -> CheckResul
     for number in range(_TRIAL_FRAMES):
         try:
             camera.expose(exposures_us[number % len(exposures_us)])
-        except CameraTimeoutError as error:
-            lost, silent, last = lost + 1, silent + isinstance(error, CameraSilentError), str(error)
-        except CameraError as error:
+        except errors.CameraTimeoutError as error:
+            lost, silent, last = lost + 1, silent + isinstance(error, errors.CameraSilentError), str(error)
+        except errors.CameraError as error:
             refused, last = refused + 1, str(error)
     complete = _TRIAL_FRAMES - lost - refused
     text = f"{complete} of {_TRIAL_FRAMES} frames complete"
@@ -196,7 +189,7 @@ def _token(path: Path, setting: str) -> tuple[Outcome, str]:
 def _receiver(sink: Sink) -> tuple[Outcome, str]:
     try:
         _within(sink.probe)
-    except OutsideError as error:
+    except errors.OutsideError as error:
         return "warn", f"{error}; messages wait until it answers; check its address in the settings, and the network"
     return "ok", "it takes the connection"
 
@@ -211,8 +204,8 @@ def _hub(settings: Settings) -> tuple[Outcome, str]:
         # After -1: the hub answers where it stands, and stores nothing.
         _within(lambda: connection.send(replace(position, committed=-1), [], lambda: None))
     except HubRefusal as refusal:
-        raise ConfigurationError(f"the hub refuses with {refusal.status}: {refusal}") from None
-    except OutsideError as error:
+        raise errors.ConfigurationError(f"the hub refuses with {refusal.status}: {refusal}") from None
+    except errors.OutsideError as error:
         return "warn", f"{error}; rows wait until it answers; check hub.url and the network"
     return "ok", "it takes the token"
 
@@ -230,7 +223,7 @@ def _connect(url: str) -> None:
         port = parts.port or (443 if parts.scheme == "https" else 80)
         socket.create_connection((parts.hostname or "", port), timeout=_ANSWER_S).close()
     except (OSError, ValueError) as error:
-        raise OutsideError(f"{parts.hostname}: {error}") from error
+        raise errors.OutsideError(f"{parts.hostname}: {error}") from error
 
 
 def _within(call: Callable[[], object]) -> None:
@@ -249,7 +242,7 @@ def _within(call: Callable[[], object]) -> None:
     thread.start()
     thread.join(_RECEIVER_S)
     if not ended:
-        raise OutsideError(f"no answer within {_RECEIVER_S:g} s")
+        raise errors.OutsideError(f"no answer within {_RECEIVER_S:g} s")
     if ended[0] is not None:
         raise ended[0]
 
@@ -275,7 +268,7 @@ def _rights_of_owner(folder: Path) -> Iterator[None]:
 def _checked(what: str, check_it: Callable[[], tuple[Outcome, str]]) -> CheckResult:
     try:
         outcome, text = check_it()
-    except SunarcError as error:
+    except errors.SunarcError as error:
         outcome, text = "fail", str(error)
     except PermissionError as error:
         outcome, text = "fail", f"{error.filename} is not for this user; look as root, or as the service's user"

@@ -15,30 +15,12 @@ from sunarc.calibration.answers.error_model import draw_ensemble
 from sunarc.calibration.model.document import from_document
 from sunarc.calibration.model.result import Calibration
 from sunarc.errors import InputError
+from sunarc.exports import fisheye, pixel_maps
 from sunarc.exports.asi_core import asi_core_file, read_asi_core
 from sunarc.exports.exported import PIXELS, Exported, Table, Variable, notes_of
-from sunarc.exports.fisheye import (
-    colmap_text,
-    fisheye_model,
-    fisheye_view,
-    opencv_yaml,
-    read_colmap,
-    read_opencv,
-    read_ros,
-    require_no_mirror,
-    ros_yaml,
-)
 from sunarc.exports.messages import MESSAGES
 from sunarc.exports.mrcal import cameramodel, read_mrcal, splined_model, splined_view
 from sunarc.exports.ocam import calib_results, ocam_model, ocam_view, read_ocamcalib
-from sunarc.exports.pixel_maps import (
-    fits_file,
-    matlab_file,
-    read_fits,
-    read_matlab,
-    read_sixteen_bit,
-    sixteen_bit_files,
-)
 from sunarc.exports.remap import is_remap, read_remap, remap_table, sky_grid
 from sunarc.exports.tables import MapFormat, calibration_table, map_table, read_table, table_bytes
 from sunarc.exports.view import View, camera_view, compare
@@ -195,7 +177,7 @@ def _size(calibration: Calibration) -> tuple[int, int]:
 
 
 def _opencv(calibration: Calibration, document: Document) -> Exported:
-    model, (width, height) = fisheye_model(calibration.camera), _size(calibration)
+    model, (width, height) = fisheye.fisheye_model(calibration.camera), _size(calibration)
 
     def content(notes: list[str]) -> bytes:
         stated = {
@@ -205,9 +187,9 @@ def _opencv(calibration: Calibration, document: Document) -> Exported:
             "limit": "the model divides by z: nothing at 90 degrees off the axis and beyond has a pixel",
             "fit_error": notes[-1],
         }
-        return opencv_yaml(model, width=width, height=height, notes=stated)
+        return fisheye.opencv_yaml(model, width=width, height=height, notes=stated)
 
-    return _of_model(calibration, document, fisheye_view("opencv", model, size=(width, height)), content)
+    return _of_model(calibration, document, fisheye.fisheye_view("opencv", model, size=(width, height)), content)
 
 
 def _mrcal(calibration: Calibration, document: Document) -> Exported:
@@ -242,15 +224,15 @@ def _read_back(name: str, write: WriteFiles, calibration: Calibration, document:
 
 def _colmap(calibration: Calibration, document: Document, notes: list[str]) -> Written:
     del document
-    require_no_mirror(calibration.camera, "colmap")
-    model = fisheye_model(calibration.camera, prism=True)
-    return {"cameras.txt": colmap_text(model, size=_size(calibration), notes=notes)}
+    fisheye.require_no_mirror(calibration.camera, "colmap")
+    model = fisheye.fisheye_model(calibration.camera, prism=True)
+    return {"cameras.txt": fisheye.colmap_text(model, size=_size(calibration), notes=notes)}
 
 
 def _ros(calibration: Calibration, document: Document, notes: list[str]) -> Written:
-    require_no_mirror(calibration.camera, "ros")
-    model, camera = fisheye_model(calibration.camera), str(document["camera"])
-    return {"camera_info.yaml": ros_yaml(model, size=_size(calibration), camera=camera, notes=notes)}
+    fisheye.require_no_mirror(calibration.camera, "ros")
+    model, camera = fisheye.fisheye_model(calibration.camera), str(document["camera"])
+    return {"camera_info.yaml": fisheye.ros_yaml(model, size=_size(calibration), camera=camera, notes=notes)}
 
 
 def _remap(calibration: Calibration, document: Document, notes: list[str]) -> Written:
@@ -305,7 +287,7 @@ FORMATS: Mapping[str, Format] = {
     for form in (
         Format(name="json", file="calibration.json", write=_json, read=_read_json, media_type="application/json"),
         Format(
-            name="opencv", file="opencv_fisheye.yml", write=_opencv, read=_alone(read_opencv),
+            name="opencv", file="opencv_fisheye.yml", write=_opencv, read=_alone(fisheye.read_opencv),
             inside=(b"%YAML", b"opencv_storage", b"<?xml"), media_type="application/yaml",
         ),
         Format(
@@ -329,27 +311,27 @@ FORMATS: Mapping[str, Format] = {
             start=(b"PK",), media_type="application/x-npz",
         ),
         _file("opencv-remap", "remap.npz", _remap, _alone(read_remap), start=(b"PK",)),
-        _file("colmap", "cameras.txt", _colmap, _alone(read_colmap), inside=(b"_FISHEYE ",)),
-        _file("ros", "camera_info.yaml", _ros, _alone(read_ros), inside=(b"distortion_model:",)),
+        _file("colmap", "cameras.txt", _colmap, _alone(fisheye.read_colmap), inside=(b"_FISHEYE ",)),
+        _file("ros", "camera_info.yaml", _ros, _alone(fisheye.read_ros), inside=(b"distortion_model:",)),
         _file(
             "fits", "directions.fits",
-            _pixels(lambda found, notes: {"directions.fits": fits_file(found, notes)}),
-            _alone(read_fits), start=(b"SIMPLE  =",),
+            _pixels(lambda found, notes: {"directions.fits": pixel_maps.fits_file(found, notes)}),
+            _alone(pixel_maps.read_fits), start=(b"SIMPLE  =",),
         ),
         _file(
             "matlab", "directions.mat",
-            _pixels(lambda found, notes: {"directions.mat": matlab_file(found, notes)}),
-            _alone(read_matlab), start=(b"MATLAB 5.0",),
+            _pixels(lambda found, notes: {"directions.mat": pixel_maps.matlab_file(found, notes)}),
+            _alone(pixel_maps.read_matlab), start=(b"MATLAB 5.0",),
         ),
         _file(
             "azimuth-zenith-png", "azimuth_visible.png",
-            _pixels(lambda found, _: sixteen_bit_files(found, suffix=".png")),
-            read_sixteen_bit, start=(b"\x89PNG",), says=False,
+            _pixels(lambda found, _: pixel_maps.sixteen_bit_files(found, suffix=".png")),
+            pixel_maps.read_sixteen_bit, start=(b"\x89PNG",), says=False,
         ),
         _file(
             "azimuth-zenith-jp2", "azimuth_visible.jp2",
-            _pixels(lambda found, _: sixteen_bit_files(found, suffix=".jp2")),
-            read_sixteen_bit, start=(b"\x00\x00\x00\x0cjP  ",), says=False,
+            _pixels(lambda found, _: pixel_maps.sixteen_bit_files(found, suffix=".jp2")),
+            pixel_maps.read_sixteen_bit, start=(b"\x00\x00\x00\x0cjP  ",), says=False,
         ),
         Format(
             name="map-netcdf", file="map.nc", write=partial(_map, form="netcdf"), read=_alone(read_table),

@@ -17,17 +17,7 @@ from sunarc.detection.values import DiscOptions
 from sunarc.imaging.exposure import SunExposureOptions
 from sunarc.runtime.supervisor import SupervisorOptions
 from sunarc.sky.site import Site
-from sunarc.workers.options import (
-    CaptureOptions,
-    ClockOptions,
-    HubOptions,
-    LensPriorOptions,
-    NightlyOptions,
-    NightOptions,
-    PushOptions,
-    RefitOptions,
-    SensorOptions,
-)
+from sunarc.workers import options
 
 
 class _WithStore(BaseModel):
@@ -60,8 +50,8 @@ class HubSettings(_WithStore):
     model_config = ConfigDict(extra="ignore", frozen=True)
 
     api: ApiOptions = ApiOptions()
-    push: PushOptions = PushOptions()
-    nightly: NightlyOptions = NightlyOptions()
+    push: options.PushOptions = options.PushOptions()
+    nightly: options.NightlyOptions = options.NightlyOptions()
 
 
 class Settings(_WithStore):
@@ -100,21 +90,21 @@ class Settings(_WithStore):
     site: Site
     camera: AravisOptions | None = None
     replay: ReplayOptions | None = None
-    sensor: SensorOptions = SensorOptions()
+    sensor: options.SensorOptions = options.SensorOptions()
     detection: DiscOptions = DiscOptions()
-    capture: CaptureOptions = CaptureOptions()
+    capture: options.CaptureOptions = options.CaptureOptions()
     sun_exposure: SunExposureOptions = SunExposureOptions()
-    clock: ClockOptions = ClockOptions()
+    clock: options.ClockOptions = options.ClockOptions()
     calibration: CalibrationOptions = CalibrationOptions()
-    refit: RefitOptions = RefitOptions()
-    first_pose: LensPriorOptions = LensPriorOptions()
+    refit: options.RefitOptions = options.RefitOptions()
+    first_pose: options.LensPriorOptions = options.LensPriorOptions()
     watch: WatchOptions = WatchOptions()
     disk: DiskOptions = DiskOptions()
     api: ApiOptions = ApiOptions()
-    hub: HubOptions = HubOptions()
-    push: PushOptions = PushOptions()
-    night: NightOptions = NightOptions()
-    nightly: NightlyOptions = NightlyOptions()
+    hub: options.HubOptions = options.HubOptions()
+    push: options.PushOptions = options.PushOptions()
+    night: options.NightOptions = options.NightOptions()
+    nightly: options.NightlyOptions = options.NightlyOptions()
     supervisor: SupervisorOptions = SupervisorOptions()
 
     @property

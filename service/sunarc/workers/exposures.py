@@ -13,16 +13,8 @@ import numpy as np
 from sunarc.cameras.frame import CameraInfo, Frame, SkyCamera
 from sunarc.detection.values import Detection
 from sunarc.errors import CameraError, CameraLostError, ExposureMismatchError
+from sunarc.imaging import exposure
 from sunarc.imaging.brightness import Exposed, light_ratio_contradiction
-from sunarc.imaging.exposure import (
-    ExposureBounds,
-    Peak,
-    SunExposureOptions,
-    SunExposureState,
-    SunLook,
-    first_sun_exposures,
-    next_sun_exposures,
-)
 from sunarc.runtime.status import StatusRegistry
 from sunarc.workers.capture_status import CaptureReport
 from sunarc.workers.messages import condition
@@ -187,7 +179,7 @@ class SunExposures:
 
     def __init__(
         self,
-        options: SunExposureOptions,
+        options: exposure.SunExposureOptions,
         *,
         apparent_zenith: Callable[[], float] = lambda: 0.0,
         clear_level_per_us: Callable[[], float] = lambda: 0.0,
@@ -198,9 +190,9 @@ class SunExposures:
         self._clear_level_per_us = clear_level_per_us
         self._board = board
         self._lock = threading.Lock()
-        self._state: SunExposureState | None = None
+        self._state: exposure.SunExposureState | None = None
         self._shortest_us = 0.0
-        self._peaks: list[Peak] = []
+        self._peaks: list[exposure.Peak] = []
         self._spoiled = False
         self._reported = 0
 
@@ -212,13 +204,15 @@ class SunExposures:
         bounds = info.exposure_bounds
         zenith, clear_level = self._apparent_zenith(), self._clear_level_per_us()
         with self._lock:
-            observation = SunLook(
+            observation = exposure.SunLook(
                 peaks=tuple(self._peaks), apparent_zenith=zenith, clear_level_per_us=clear_level, spoiled=self._spoiled
             )
             if self._state is None:
-                self._state = first_sun_exposures(self._options, bounds)
+                self._state = exposure.first_sun_exposures(self._options, bounds)
             elif self._reported:
-                self._state = next_sun_exposures(self._state, observation, options=self._options, bounds=bounds)
+                self._state = exposure.next_sun_exposures(
+                    self._state, observation, options=self._options, bounds=bounds
+                )
                 self._publish(self._state, bounds)
             self._shortest_us = bounds.minimum_us + bounds.step_us
             self._peaks, self._spoiled, self._reported = [], False, 0
@@ -232,12 +226,12 @@ class SunExposures:
             is_informative = detection.accepted or detection.saturated_px > 0
             if burnt:  # whatever was fitted to the streak
                 level = max(detection.peak_fraction or 0.0, _BURNT_LEVEL)
-                self._peaks.append(Peak(exposure_us=frame.exposure_us, fraction=level))
+                self._peaks.append(exposure.Peak(exposure_us=frame.exposure_us, fraction=level))
             elif is_informative and detection.peak_fraction is not None:
-                self._peaks.append(Peak(exposure_us=frame.exposure_us, fraction=detection.peak_fraction))
+                self._peaks.append(exposure.Peak(exposure_us=frame.exposure_us, fraction=detection.peak_fraction))
             self._spoiled |= burnt and frame.exposure_us <= self._shortest_us
 
-    def _publish(self, state: SunExposureState, bounds: ExposureBounds) -> None:
+    def _publish(self, state: exposure.SunExposureState, bounds: exposure.ExposureBounds) -> None:
         if self._board is None:
             return
         if state.cycles_spoiled >= SPOILED_AFTER:

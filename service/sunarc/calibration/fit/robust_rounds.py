@@ -35,14 +35,7 @@ from sunarc.calibration.noise import Noise, NoiseGroups, autocorrelation_inflati
 from sunarc.calibration.robust_loss import CUT, robust_sigma, surely_well_behaved, tukey_loss, tukey_weights
 from sunarc.calibration.solve.levenberg_marquardt import most_probable
 from sunarc.calibration.solve.problem import Bins, FitProblem
-from sunarc.calibration.start.multistart import (
-    SMALLEST_SIGMA_PX,
-    distance_sigmas,
-    least_squares,
-    loosened,
-    staged_least_squares,
-    undistorted,
-)
+from sunarc.calibration.start import multistart
 
 # Least squares as the reference that a robust fit must reach: its priors and its field may not cost it the data.
 #
@@ -153,13 +146,13 @@ def at_least_least_squares(
     near_minimum : whether least squares from the unknowns alone is enough.
     """
     means = groups.bins.observations(observed, problem, unknowns, information=observed.information)
-    plain = [least_squares(problem, means, unknowns, tolerance=_GAIN)]
+    plain = [multistart.least_squares(problem, means, unknowns, tolerance=_GAIN)]
     if not near_minimum:
         plain += [
-            least_squares(problem, means, undistorted(unknowns), tolerance=_GAIN),
-            staged_least_squares(problem, means, unknowns, tolerance=_GAIN),
+            multistart.least_squares(problem, means, multistart.undistorted(unknowns), tolerance=_GAIN),
+            multistart.staged_least_squares(problem, means, unknowns, tolerance=_GAIN),
         ]
-    met = [distance_sigmas(problem, observed, at) for at in plain]
+    met = [multistart.distance_sigmas(problem, observed, at) for at in plain]
     best = int(np.argmin([_costs(distance, np.array([sigma]))[0] for distance in met]))
     residuals = problem.residuals(plain[best], observed)
     chance = _share_by_chance(residuals, tukey_weights(met[best], sigma=sigma), groups)
@@ -171,13 +164,13 @@ def at_least_least_squares(
         cost_ratio=max(_COST_RATIO, 1.0 + chance),
         median_ratio=_MEDIAN_RATIO + max(chance - (_COST_RATIO - 1.0), 0.0),
     )
-    if level.reached_by(distance_sigmas(problem, observed, unknowns)):
+    if level.reached_by(multistart.distance_sigmas(problem, observed, unknowns)):
         return unknowns
-    precision = loosened(problem)
+    precision = multistart.loosened(problem)
     # the loose robust fit may end in another local minimum: each start is tried until one reaches the level
     for begin in (unknowns, *plain):
         end = most_probable(problem, observed, begin, precision=precision, sigma=sigma, iterations=30).unknowns
-        if level.reached_by(distance_sigmas(problem, observed, end)):
+        if level.reached_by(multistart.distance_sigmas(problem, observed, end)):
             return _nearest(problem, observed, unknowns, end, level)
     return _nearest(problem, observed, unknowns, plain[best], level)
 
@@ -205,7 +198,7 @@ def _nearest(
     low, high = 0.0, 1.0
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        if level.reached_by(distance_sigmas(problem, observed, start + middle * (end - start))):
+        if level.reached_by(multistart.distance_sigmas(problem, observed, start + middle * (end - start))):
             high = middle
         else:
             low = middle
@@ -334,15 +327,15 @@ def _with_field(
     camera itself miss the sightings has taken over what the lens's parameters explain: it is bounded more tightly, and
     the rounds begin again.
     """
-    distance = distance_sigmas(problem, observed, plain)
+    distance = multistart.distance_sigmas(problem, observed, plain)
     share = surely_well_behaved(len(observed), problem.size - problem.n_unit)
-    sigma, weight = robust_sigma(distance, share=share, floor=SMALLEST_SIGMA_PX), finest_weight(observed)
+    sigma, weight = robust_sigma(distance, share=share, floor=multistart.SMALLEST_SIGMA_PX), finest_weight(observed)
     state, noise, system = _rounds(problem, observed, plain, grid, groups)
     for _ in range(_FIELD_BOUNDS):
         level = allowed_level(
             distance, sigma=sigma, field_px=state.proven_field_px, weight=weight, cost_ratio=_FIELD_MAY_COST
         )
-        if level.reached_by(distance_sigmas(problem, observed, state.unknowns)):
+        if level.reached_by(multistart.distance_sigmas(problem, observed, state.unknowns)):
             break
         grid = grid.up_to(_FIELD_SHRINKS * state.scales.amplitude_px)
         state, noise, system = _rounds(problem, observed, plain, grid, groups)

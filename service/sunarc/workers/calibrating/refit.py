@@ -35,15 +35,8 @@ from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.sky.days import solar_date
 from sunarc.sky.night import SUN
 from sunarc.utc import DAY_S, utc_time
+from sunarc.workers.calibrating import solver_process
 from sunarc.workers.calibrating.provisional_pose import is_provisional
-from sunarc.workers.calibrating.solver_process import (
-    SolveFailedError,
-    SolveProblem,
-    SolverDiedError,
-    points_of,
-    search_in_child,
-    solve_in_child,
-)
 from sunarc.workers.messages import MESSAGES, condition, text_of
 from sunarc.workers.options import RefitOptions
 
@@ -88,14 +81,14 @@ class EpochSearch:
         self._now = now
         self._last_id = 0
 
-    def due(self) -> SolveProblem | None:
+    def due(self) -> solver_process.SolveProblem | None:
         """Return what is to be searched; None where nothing is new."""
         columns, record = self._near_new(), self._camera.record()
         if columns is None or record is None or float(np.ptp(columns.unix_s)) < DAY_S:
             return None
         self._last_id = int(columns.ids.max())
-        return SolveProblem(
-            points=points_of(columns),
+        return solver_process.SolveProblem(
+            points=solver_process.points_of(columns),
             site=self._camera.site,
             image_size=record.image_size,
             options=self._options,
@@ -200,7 +193,7 @@ class RefitTask:
     selection : how they were picked.
     """
 
-    problem: SolveProblem
+    problem: solver_process.SolveProblem
     used: SunPointColumns
     selection: Selection
 
@@ -209,9 +202,9 @@ class RefitTask:
         """The pose epoch of the result."""
         return self.used.epoch_ids[-1]
 
-    def of_epoch(self, epoch: str) -> SolveProblem:
+    def of_epoch(self, epoch: str) -> solver_process.SolveProblem:
         """Return the same solve, its answer that of another pose epoch."""
-        return replace(self.problem, points=points_of(self.used, site=self.problem.site, latest=epoch))
+        return replace(self.problem, points=solver_process.points_of(self.used, site=self.problem.site, latest=epoch))
 
     def with_selection(self, solved: Calibration) -> Calibration:
         """Return a calibration whose evidence tells how its sightings were picked."""
@@ -253,8 +246,8 @@ def next_task(
     used = camera.sightings_of_ids(np.concatenate([read.ids[selection.index], stars]))
     if not np.any(used.body == SUN):  # deleted meanwhile
         return Finding("no_accepted_sightings")
-    problem = SolveProblem(
-        points=points_of(used, site=camera.site),
+    problem = solver_process.SolveProblem(
+        points=solver_process.points_of(used, site=camera.site),
         site=camera.site,
         image_size=record.image_size,
         options=options,
@@ -312,8 +305,8 @@ class RefitWorker:
         now: Callable[[], datetime],
         board: StatusRegistry,
         may_solve: Callable[[], bool] = lambda: True,
-        solve: Callable[..., Calibration | None] = solve_in_child,
-        search: Callable[..., tuple[PoseStep, ...] | None] = search_in_child,
+        solve: Callable[..., Calibration | None] = solver_process.solve_in_child,
+        search: Callable[..., tuple[PoseStep, ...] | None] = solver_process.search_in_child,
     ) -> None:
         self._camera = camera
         self._options = options
@@ -389,7 +382,7 @@ class RefitWorker:
             return
         try:
             solved = _in_child(self._solve, task.problem, child)
-        except SolveFailedError as error:
+        except solver_process.SolveFailedError as error:
             self._finish(refit, "failed", (error.finding,))
             return
         if solved is not None:
@@ -408,7 +401,7 @@ class RefitWorker:
             return
         try:
             steps = _in_child(self._search, problem, child)
-        except SolveFailedError as error:  # the fit says itself when it cannot do with one pose
+        except solver_process.SolveFailedError as error:  # the fit says itself when it cannot do with one pose
             _log.warning("pose epochs were not searched for: %s", error)
             return
         if steps is not None:
@@ -423,7 +416,7 @@ class RefitWorker:
         for epoch in reversed(waiting[-_MOST_PAST:]):
             try:
                 solved = _in_child(self._solve, task.of_epoch(epoch), child)
-            except SolveFailedError as error:
+            except solver_process.SolveFailedError as error:
                 _log.warning("no calibration of pose epoch %s: %s", epoch, error)
                 continue
             if solved is None:
@@ -512,11 +505,11 @@ class RefitWorker:
         self._camera.add_event(found, MESSAGES, time=now, severity=severity, details={"calibration": calibration})
 
 
-def _in_child(run: Callable[..., _Answer], problem: SolveProblem, child: Mapping[str, Any]) -> _Answer:
+def _in_child(run: Callable[..., _Answer], problem: solver_process.SolveProblem, child: Mapping[str, Any]) -> _Answer:
     """Solve or search, and once more where the process died: it may have been killed for another's need of memory."""
     try:
         return run(problem, **child)
-    except SolverDiedError as error:
+    except solver_process.SolverDiedError as error:
         _log.warning("%s; starting it once more", error)
         return run(problem, **child)
 

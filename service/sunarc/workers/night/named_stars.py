@@ -14,17 +14,7 @@ from sunarc.array_types import FloatArray, NameArray
 from sunarc.calibration.answers.stars import MatchedView, StarView, predict_stars
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.selection import image_parts, surest_of_parts
-from sunarc.detection.stars.photometry import (
-    ZENITH_BANDS_DEG,
-    Extinction,
-    NightTrend,
-    StarLight,
-    detected,
-    extinction_of,
-    limiting_magnitude,
-    trend_of,
-    zenith_bands,
-)
+from sunarc.detection.stars import photometry
 from sunarc.detection.values import FWHM, Stars
 from sunarc.robust_statistics import biweights, mad_sigma
 from sunarc.sky.directions import angles_from_direction
@@ -166,8 +156,8 @@ class NightNumbers(NamedTuple):
     `bands` are by zenith angle, `images` of each image; None without one.
     """
 
-    air: Extinction
-    trend: NightTrend
+    air: photometry.Extinction
+    trend: photometry.NightTrend
     star_ellipticity: float
     halo: float
     bands: tuple[NightBand, ...]
@@ -177,11 +167,11 @@ class NightNumbers(NamedTuple):
 def numbers_of(taken: Sequence[TakenImage]) -> NightNumbers:
     """Return the numbers of a night; only images whose stars were named say something of the sky."""
     named = [one for one in taken if one.found.matches.accepted]
-    air = extinction_of([_light(one) for one in named], ZENITH_BANDS_DEG)
+    air = photometry.extinction_of([_light(one) for one in named], photometry.ZENITH_BANDS_DEG)
     zero_points = dict(zip(map(id, named), air.zero_point.tolist(), strict=True))
     images = [_image_numbers(one, zero_points.get(id(one), math.nan)) for one in taken]
     columns = {name: np.array([image[name] for image in images]) for name in images[0]} if images else {}
-    trend = trend_of(*(columns.get(name, np.zeros(0)) for name in ("star_fwhm_px", "halo", "zero_point")))
+    trend = photometry.trend_of(*(columns.get(name, np.zeros(0)) for name in ("star_fwhm_px", "halo", "zero_point")))
     return NightNumbers(
         air=air,
         trend=trend,
@@ -195,13 +185,15 @@ def numbers_of(taken: Sequence[TakenImage]) -> NightNumbers:
 def cloud_fraction(view: StarView) -> float:
     """Return the share of the predicted stars to V 4 that have no detection."""
     counted = view.predicted.magnitude <= COUNTED_TO_V
-    return 1.0 - float(np.mean(detected(view.stars, view.predicted)[counted])) if np.any(counted) else math.nan
+    found = photometry.detected(view.stars, view.predicted)
+    return 1.0 - float(np.mean(found[counted])) if np.any(counted) else math.nan
 
 
 def limit_of(view: StarView) -> float:
     """Return the V at which half as many stars are detected as of the bright ones, 5.5 at most."""
     listed = view.predicted.magnitude <= FAINTEST_V
-    return limiting_magnitude(view.predicted.magnitude[listed], detected(view.stars, view.predicted)[listed])
+    found = photometry.detected(view.stars, view.predicted)
+    return photometry.limiting_magnitude(view.predicted.magnitude[listed], found[listed])
 
 
 def _image_numbers(one: TakenImage, zero_point: float) -> dict[str, float]:
@@ -223,13 +215,13 @@ def _own_shapes(one: TakenImage) -> Stars:
     return stars.select(stars.sound & (stars.snr > _OWN_SHAPE_SNR))
 
 
-def _light(one: TakenImage) -> StarLight:
+def _light(one: TakenImage) -> photometry.StarLight:
     """Return the light of the named, unclipped stars to V 4."""
     stars = one.found.stars.select(one.found.matches.detection)
     zenith, _ = angles_from_direction(one.found.directions(one.view))
     magnitude = one.view.sky.magnitude[one.view.sky.rows_of(one.found.names(one.view))]
     used = stars.sound & (magnitude < COUNTED_TO_V)
-    return StarLight(
+    return photometry.StarLight(
         zenith_deg=zenith[used],
         air_mass=relative_air_mass(zenith[used]),
         magnitude=magnitude[used],
@@ -237,7 +229,7 @@ def _light(one: TakenImage) -> StarLight:
     )
 
 
-def _bands(named: Sequence[TakenImage], air: Extinction) -> tuple[NightBand, ...]:
+def _bands(named: Sequence[TakenImage], air: photometry.Extinction) -> tuple[NightBand, ...]:
     """Return the bands of zenith angle: stars to V 4 that were predicted and found, and the share of their light."""
     zenith, found = [np.zeros(0)], [np.zeros(0, dtype=np.bool_)]
     for one in named:
@@ -245,8 +237,8 @@ def _bands(named: Sequence[TakenImage], air: Extinction) -> tuple[NightBand, ...
         counted = predicted.magnitude <= COUNTED_TO_V
         directions = one.view.sky.directions[one.view.sky.rows_of(predicted.names.tolist())]
         zenith.append(np.asarray(angles_from_direction(directions)[0])[counted])
-        found.append(detected(one.view.stars, predicted)[counted])
-    bands = zenith_bands(np.concatenate(zenith), np.concatenate(found))
+        found.append(photometry.detected(one.view.stars, predicted)[counted])
+    bands = photometry.zenith_bands(np.concatenate(zenith), np.concatenate(found))
     return tuple(
         NightBand(**asdict(band), transparency=_rounded(share))
         for band, share in zip(bands, air.transparency.tolist(), strict=True)
