@@ -6,12 +6,12 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
+from tests.fixtures.scene_camera import SceneCamera
 
 from sunarc.cameras.frame import SkyCamera
 from sunarc.errors import CameraError, CameraLostError, CameraTimeoutError
 from sunarc.runtime.clock import VirtualClock
 from sunarc.simulation.scene import Scene
-from sunarc.simulation.scene_camera import SceneCamera
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 REGION = (700, 500, 100, 80)

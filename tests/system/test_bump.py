@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.fixtures.scene_camera import SceneCamera
 
 from sunarc.app.service import Service
 from sunarc.archive.archive import Archive, open_archive
@@ -22,7 +23,6 @@ from sunarc.runtime.clock import VirtualClock
 from sunarc.settings.model import Settings
 from sunarc.simulation.options import Bump, SceneOptions, SensorModel
 from sunarc.simulation.scene import Scene, bumped_camera
-from sunarc.simulation.scene_camera import SceneCamera
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.sun import sun_angles, sun_directions
 from sunarc.workers.options import CaptureOptions

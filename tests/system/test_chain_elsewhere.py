@@ -10,6 +10,7 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
+from tests.fixtures.scene_camera import SceneCamera
 from tests.workers.long_run import solve_here
 
 from sunarc.app.service import Service
@@ -24,7 +25,6 @@ from sunarc.runtime.clock import VirtualClock
 from sunarc.settings.model import Settings
 from sunarc.simulation.options import SensorModel
 from sunarc.simulation.scene import Scene
-from sunarc.simulation.scene_camera import SceneCamera
 from sunarc.simulation.truth import true_camera
 from sunarc.sky.days import day_bounds_unix_s
 from sunarc.sky.directions import direction_from_angles

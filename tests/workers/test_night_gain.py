@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.fixtures.scene_camera import SceneCamera
 from tests.workers.test_night import CAMERA
 
 from sunarc.cameras.frame import Frame
@@ -15,7 +16,6 @@ from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
 from sunarc.simulation.options import SceneOptions, SimulatedNight
 from sunarc.simulation.scene import Scene
-from sunarc.simulation.scene_camera import SceneCamera
 from sunarc.simulation.truth import SGP
 from sunarc.workers.capture import CODE, NightGain
 from sunarc.workers.options import SensorOptions, sensor_of
