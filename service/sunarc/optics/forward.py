@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,11 +11,22 @@ from numpy.typing import ArrayLike
 from sunarc import _kernels
 from sunarc.array_types import FloatArray
 from sunarc.optics.camera import TRANSLATION, Camera, Param
-from sunarc.optics.kernels import Optics
 from sunarc.optics.pose import right_jacobian, rotation_matrix
 from sunarc.optics.projections import PROJECTIONS, angle_limit, ideal_radius, ideal_slope
 
 _RIGHT_ANGLE = math.pi / 2
+
+
+class Optics(NamedTuple):
+    """What the kernels take of a camera beside its 23 parameters.
+
+    code : of the projection (`projections.PROJECTIONS`). mirror : width - 1 of a mirrored image, negative for one that
+    is not. max_angle : angle off the axis up to which it shows anything, radians.
+    """
+
+    code: int
+    mirror: float
+    max_angle: float
 
 
 def project(camera: Camera, direction_enu: ArrayLike) -> FloatArray:

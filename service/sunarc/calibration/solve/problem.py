@@ -4,29 +4,61 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
 
+from sunarc import _kernels
 from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.robust_loss import UNSEEN_PX
 from sunarc.calibration.solve.priors import LENS, N_LENS, LensPrior
-from sunarc.calibration.solve.row_kernels import (
-    Sighted,
-    residuals_and_columns_of,
-    residuals_of,
-    vectors_of,
-)
 from sunarc.optics.camera import POSE, Camera, Param
-from sunarc.optics.forward import by_direction, kernel_optics
-from sunarc.optics.kernels import Optics
+from sunarc.optics.forward import Optics, by_direction, kernel_optics
 from sunarc.optics.pose import rotation_matrix
 from sunarc.optics.projections import angle_limit
 from sunarc.sky.refraction import raised, upward
 
 _RIGHT_ANGLE = math.pi / 2
+
+
+class Sighted(NamedTuple):
+    """Sightings as the kernels take them, contiguous.
+
+    directions (n, 3), pixels (n, 2), 1-sigma of the refraction (n, k), rad, epoch (n,). systematic_px (n, 2, s):
+    displacements by errors that many share, each at its 1-sigma.
+    """
+
+    directions: FloatArray
+    pixels: FloatArray
+    refraction_sd: FloatArray
+    epoch: IntArray
+    systematic_px: FloatArray
+
+
+def residuals_and_columns_of(  # noqa: PLR0917 - as the kernel has it
+    optics: Optics, vectors: FloatArray, seen: Sighted, sizes: FloatArray, air: FloatArray, basis: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the residuals (2, n) and the derivatives of the prediction by the unknowns (2, size, n).
+
+    Parameters
+    ----------
+    vectors : (epochs, 23) cameras.
+    sizes : (s,) of the systematic errors.
+    air : (k,) departures of the refraction in units of its 1-sigma; (0,): it is as it is assumed.
+    basis : (17, 17) of the prior.
+    """
+    return _kernels.residuals_and_columns_of(
+        **optics._asdict(), vectors=vectors, basis=basis, **seen._asdict(), sizes=sizes, air=air
+    )
+
+
+def vectors_of(mean: FloatArray, basis: FloatArray, unknowns: FloatArray, epochs: int) -> FloatArray:
+    """Return the cameras (epochs, 23) of some unknowns: lens = mean + basis · its part of them."""
+    vectors = np.zeros((epochs, len(Param)))
+    vectors[:, LENS] = mean + basis @ unknowns[:N_LENS]
+    vectors[:, POSE] = unknowns[N_LENS : N_LENS + 3 * epochs].reshape(epochs, 3)
+    return vectors
 
 
 def observations(usable: Sightings) -> Sightings:
@@ -100,12 +132,15 @@ class FitProblem:
 
     def residuals(self, unknowns: FloatArray, observed: Sightings) -> FloatArray:
         """Return observed minus predicted pixels, (n, 2)."""
-        optics, vectors, air = self.optics(), self._vectors(unknowns), self.air(unknowns)
+        vectors, air = self._vectors(unknowns), self.air(unknowns)
         residual = np.empty(observed.pixels.shape)
         for epoch in range(self.n_epochs):
             in_epoch = slice(None) if self.n_epochs == 1 else observed.epoch == epoch
             part = observed if self.n_epochs == 1 else observed.select(in_epoch)
-            residual[in_epoch] = residuals_of(optics, vectors[epoch], self.sighted(part), air)
+            directions, pixels, refraction_sd, *_ = self.sighted(part)
+            residual[in_epoch] = _kernels.residuals_of(
+                *self.optics(), vectors[epoch], directions, pixels, refraction_sd, air
+            )
         if self.n_systematic == 0:
             return residual
         return np.where(residual == UNSEEN_PX, residual, residual - self.displaced(unknowns, observed))
@@ -147,11 +182,11 @@ class FitProblem:
         if self.n_air:
             refraction_sd = np.broadcast_to(refraction_sd, (len(observed), self.n_air))
         return Sighted(
-            directions=_constant(observed.directions),
-            pixels=_constant(observed.pixels),
-            refraction_sd=_constant(refraction_sd),
-            systematic_px=_constant(observed.systematic_px[:, :, : self.n_systematic]),
-            epoch=_constant(observed.epoch, np.int64),
+            directions=np.ascontiguousarray(observed.directions),
+            pixels=np.ascontiguousarray(observed.pixels),
+            refraction_sd=np.ascontiguousarray(refraction_sd),
+            systematic_px=np.ascontiguousarray(observed.systematic_px[:, :, : self.n_systematic]),
+            epoch=np.ascontiguousarray(observed.epoch, dtype=np.int64),
         )
 
     def optics(self) -> Optics:
@@ -165,13 +200,6 @@ class FitProblem:
     def _of(self, epoch: int, observed: Sightings) -> slice | BoolArray:
         """Return which observations belong to an epoch."""
         return slice(None) if self.n_epochs == 1 else observed.epoch == epoch
-
-
-def _constant(column: NDArray[Any], dtype: DTypeLike = np.float64) -> NDArray[Any]:
-    """Return a contiguous read-only view: numba compiles a kernel once more for an array that may be written to."""
-    view = np.ascontiguousarray(column, dtype=dtype).view()
-    view.flags.writeable = False
-    return view
 
 
 def by_elevation(camera: Camera, directions: FloatArray, by_parameters: FloatArray) -> FloatArray:
