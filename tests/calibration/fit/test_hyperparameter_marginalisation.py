@@ -174,6 +174,21 @@ def test_the_stated_95_percent_hold_95_percent_of_the_mixture(
     assert held == pytest.approx(0.95, abs=0.005)
 
 
+def test_moments_and_mean_are_those_of_each_choice_s_covariance(
+    system: LinearSystem, grid: HyperparameterGrid, at: FloatArray
+) -> None:
+    field = module.plausible(system.normal(), grid, at).fields[0]
+    rng, count = np.random.default_rng(8), len(field.covariance)
+    left, right = rng.standard_normal((2, 2, at.size, 5))
+    found, weight = field.moments(left, right), rng.uniform(0.1, 1.0, count)
+    covariances = field.known + field.back @ field.covariance @ field.back.T
+    for k, n in np.ndindex(count, 5):
+        product = left[..., n] @ covariances[k] @ right[..., n].T
+        expected = 0.5 * (product + product.T)[[0, 0, 1], [0, 1, 1]]
+        np.testing.assert_allclose(found[k, :, n], expected, rtol=1e-9, atol=1e-9 * np.max(np.abs(product)))
+    np.testing.assert_allclose(field.mean_covariance(weight), np.tensordot(weight, covariances, 1), rtol=1e-9)
+
+
 def test_a_tilt_is_a_power_of_the_amplitude(system: LinearSystem, grid: HyperparameterGrid, at: FloatArray) -> None:
     choices = module.plausible(system.normal(), grid, at)
     np.testing.assert_allclose(choices.tilted(0.0), choices.share)

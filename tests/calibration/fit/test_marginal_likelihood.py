@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -9,17 +10,19 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.stats import multivariate_normal
+from tests.fixtures.calibration import random_covariance
 
 from sunarc.calibration.fit.marginal_likelihood import (
     BasisProducts,
+    FieldChoices,
+    LensScaleEquations,
     NormalEquations,
     Scales,
-    Turned,
+    inverses,
     log_evidences,
     marginal_fit,
     normal_sums,
     penalty,
-    posterior_covariances,
     prior_precision,
     summed,
 )
@@ -177,15 +180,42 @@ def test_the_fit_and_its_field_are_the_joint_mode_and_the_gain_is_what_the_step_
     assert found.gain == pytest.approx(gain, rel=1e-6)
 
 
-def test_several_precisions_are_those_of_each_alone(basis: WaveBasis) -> None:
+def test_each_choice_of_a_grid_is_the_fit_under_its_scales(basis: WaveBasis) -> None:
     normal = _Case(basis).normal()
-    scales = [SCALES, SCALES._replace(radial_px=1.0, decentering_px=0.3)]
-    turned = Turned.of(normal, basis, SCALES.length_px)
-    shrink = turned.axes.shrinkage(np.array([SCALES.amplitude_px]))[0]
-    precision = np.stack([normal.prior_precision(one.radial_px, one.decentering_px) for one in scales])
-    found = posterior_covariances(normal.jj - turned.absorbed(shrink), normal, precision)
-    for one, covariance in zip(scales, found, strict=True):
-        np.testing.assert_allclose(covariance, marginal_fit(normal, basis, one).covariance)
+    amplitudes, lengths, lens = np.array([0.1, 0.4, 3.0]), np.array([260.0, 300.0]), np.array([[2.0, 0.7], [1.0, 0.3]])
+    equations = FieldChoices.of(normal, basis, amplitudes, lengths, lens).equations
+    for (j, i, k), _ in np.ndenumerate(np.empty((2, 3, 2))):
+        step, reduced = equations.fits(np.array([3 * j + i]), np.array([k]))
+        known, at_rest, back = equations.others_of(3 * j + i)
+        fit = marginal_fit(normal, basis, Scales(amplitudes[i], lengths[j], *lens[k]))
+        np.testing.assert_allclose(known + back @ reduced[0] @ back.T, fit.covariance, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(normal.at + at_rest + back @ step[0], fit.unknowns, rtol=1e-9, atol=1e-12)
+
+
+def test_terms_are_those_of_dense_matrices_in_any_units() -> None:
+    rng, pairs = np.random.default_rng(3), np.array([[1.0, 2.0], [1.0, 5.0], [-1e9, 1.0], [2.0, -1e9], [4.0, 7.0]])
+    units = 10.0 ** rng.uniform(-3.0, 3.0, 21)
+    units[5:15] = 1.0  # which are whitened
+    matrices = np.stack([random_covariance(21, seed=s) * np.outer(units, units) for s in (1, 2)])
+    vectors, at = rng.standard_normal((2, 21)) * units, rng.standard_normal(21) / units
+    precision = rng.uniform(0.1, 2.0, 21) * units**2
+    found = LensScaleEquations.of(matrices, vectors, at, precision, pairs).terms
+    for (n, k), value in np.ndenumerate(found):
+        precision[5:13], precision[13:15] = pairs[k]
+        whole, pull = matrices[n] + np.diag(precision), vectors[n] - precision * at
+        expected = pull @ np.linalg.solve(whole, pull) - np.linalg.slogdet(whole)[1] if k not in {2, 3} else math.nan
+        assert value == pytest.approx(expected, rel=1e-9, nan_ok=True)
+
+
+@pytest.mark.parametrize("size", [1, 2, 9, 23])
+def test_inverses_of_matrices_in_any_units(size: int) -> None:
+    units = np.geomspace(1.0, 1e6, size)
+    matrices = np.stack([random_covariance(size, seed=seed) * np.outer(units, units) for seed in (3, 4)])
+    found = inverses(matrices)
+    np.testing.assert_allclose(found @ matrices * (units[:, None] / units), np.tile(np.eye(size), (2, 1, 1)), atol=1e-9)
+    np.testing.assert_array_equal(found, np.swapaxes(found, -1, -2))
+    negative = np.array([[1.0, 3.0], [3.0, 1.0]])
+    np.testing.assert_allclose(inverses(negative) @ negative, np.eye(2), atol=1e-9)
 
 
 def test_the_unknowns_scatter_as_the_covariance_says(basis: WaveBasis) -> None:

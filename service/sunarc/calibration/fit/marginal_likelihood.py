@@ -16,8 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dpstrf
 
-from sunarc.array_types import FloatArray
-from sunarc.calibration.fit.kernels import evidence_terms, write_inverses
+from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.model.residual_field import WaveBasis, wave_basis
 from sunarc.calibration.solve.priors import DECENTERING, N_LENS, RADIAL, precisions
 
@@ -110,8 +109,9 @@ ROUNDING = 1e-13
 """Share of the sightings' whole information that is lost to rounding where the field takes nearly all of it."""
 STRONG_EVIDENCE = math.log(20.0)
 """Log odds from which on sightings prove something: 20 to 1, the usual "strong" evidence."""
-_VARIED = slice(RADIAL.start, DECENTERING.stop)
-"""Places of the unknowns whose prior precisions are sought: the radial distortion and, right after it, p1 and p2."""
+_VARIED = np.r_[RADIAL, DECENTERING]
+"""Places of the unknowns whose prior precisions are sought: the radial distortion, p1 and p2."""
+_N_RADIAL = RADIAL.stop - RADIAL.start
 
 
 class Scales(NamedTuple):
@@ -148,12 +148,6 @@ class NormalEquations:
     def prior_precision(self, radial_px: float, decentering_px: float) -> FloatArray:
         """Return the prior precisions of the unknowns under two scales of the lens, (p,)."""
         return prior_precision(self.at.size, radial_px, decentering_px, n_unit=self.n_unit)
-
-    def prior_precisions(self, lens_scales: FloatArray) -> FloatArray:
-        """Return (k, p): those under pairs (k, 2) of the radial distortion's and the decentering's scale."""
-        result = np.tile(self.prior_precision(1.0, 1.0), (lens_scales.shape[0], 1))
-        result[:, RADIAL], result[:, DECENTERING] = lens_scales[:, :1] ** -2.0, lens_scales[:, 1:] ** -2.0
-        return result
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -229,7 +223,8 @@ def marginal_fit(normal: NormalEquations, basis: WaveBasis, scales: Scales) -> M
     shrink = turned.axes.shrinkage(np.array([scales.amplitude_px]))[0]
     precision = normal.prior_precision(scales.radial_px, scales.decentering_px)
     vector = normal.jr - turned.explained(shrink) - precision * normal.at
-    covariance = posterior_covariances(normal.jj - turned.absorbed(shrink), normal, precision[None])[0]
+    information = normal.jj - turned.absorbed(shrink)
+    covariance = inverses(information + np.diag(precision + ROUNDING * np.diag(normal.jj)))
     # the field is integrated out already: this is the mean of the unknowns' marginal
     step = covariance @ vector
     return MarginalFit(
@@ -247,25 +242,11 @@ def field_at(normal: NormalEquations, basis: WaveBasis, scales: Scales) -> Float
     return turned.coefficients(turned.axes.shrinkage(np.array([scales.amplitude_px]))[0], np.zeros(normal.at.size))
 
 
-def posterior_covariances(matrix: FloatArray, normal: NormalEquations, precision: FloatArray) -> FloatArray:
-    """Return (k, p, p): covariances of the unknowns of one matrix of information (p, p) under precisions (k, p)."""
-    return inverses(matrix, precision + ROUNDING * np.diag(normal.jj))
-
-
-def inverses(matrix: FloatArray, diagonal: FloatArray) -> FloatArray:
-    """Return (k, p, p): inverses of a symmetric matrix (p, p) plus diagonals (k, p), with a ridge, see `RIDGE`."""
-    result = np.empty((diagonal.shape[0], *matrix.shape))
-    if write_inverses(np.ascontiguousarray(matrix), diagonal, RIDGE, result):
-        return result
-    return general_inverses(matrix, diagonal)
-
-
-def general_inverses(matrix: FloatArray, diagonal: FloatArray) -> FloatArray:
-    """Return (k, p, p): what `inverses` does, also where rounding makes a matrix negative."""
-    matrices = matrix + diagonal[:, :, None] * np.eye(matrix.shape[-1])
+def inverses(matrices: FloatArray) -> FloatArray:
+    """Return the inverses of symmetric matrices (..., p, p), with a ridge, see `RIDGE`."""
     scale = 1.0 / np.sqrt(np.diagonal(matrices, axis1=-2, axis2=-1))
-    both = scale[:, :, None] * scale[:, None, :]
-    covariance = np.linalg.inv(matrices * both + RIDGE * np.eye(matrix.shape[-1])) * both
+    both = scale[..., :, None] * scale[..., None, :]
+    covariance = np.linalg.inv(matrices * both + RIDGE * np.eye(matrices.shape[-1])) * both
     return np.asarray(0.5 * (covariance + np.swapaxes(covariance, -1, -2)))
 
 
@@ -285,25 +266,177 @@ def log_evidences(
 
     `lens_scales` (k, 2) holds pairs of the radial distortion's and the decentering's scale.
     """
-    precision = normal.prior_precisions(lens_scales)
-    each = [_log_evidence(normal, Turned.of(normal, basis, float(l)), amplitudes, precision) for l in lengths]
-    return np.stack(each, axis=1)
+    return FieldChoices.of(normal, basis, amplitudes, lengths, lens_scales).log_evidence
 
 
-def _log_evidence(normal: NormalEquations, turned: Turned, amplitudes: FloatArray, precision: FloatArray) -> FloatArray:
-    """Return (amplitudes, k) for one length and prior precisions (k, p)."""
-    shrink = turned.axes.shrinkage(amplitudes)
-    # Woodbury's identity: the inverse of noise plus field acts through the turned coefficients
-    matrices = normal.jj + ROUNDING * np.diag(np.diag(normal.jj)) - turned.absorbed(shrink)
-    vectors = normal.jr - turned.explained(shrink)
-    square = normal.rr - shrink @ np.sum(turned.residual**2, axis=0)
-    # twice: the field's two components have the same kernel and the same sightings
-    determinant = 2.0 * np.sum(np.log1p(amplitudes[:, None] ** 2 * turned.axes.power), axis=1)
-    terms = np.empty((amplitudes.size, precision.shape[0]))
-    varied = np.ascontiguousarray(precision[:, _VARIED])
-    evidence_terms(matrices, vectors, normal.at, precision[0], varied, int(_VARIED.start), RIDGE, terms)
-    prior = np.sum(precision * normal.at**2, axis=1) - np.sum(np.log(precision), axis=1)
-    return np.asarray(-0.5 * (square[:, None] + prior - terms + determinant[:, None]))
+class FieldChoices(NamedTuple):
+    """The fits on a grid of scales.
+
+    turned (j): the sums in the axes of each length. shrink (j): (i, r) of each amplitude. equations: of the i · j
+    fields, a length's together. log_evidence (i, j, k).
+    """
+
+    turned: list[Turned]
+    shrink: list[FloatArray]
+    equations: LensScaleEquations
+    log_evidence: FloatArray
+
+    @classmethod
+    def of(
+        cls,
+        normal: NormalEquations,
+        basis: WaveBasis,
+        amplitudes: FloatArray,
+        lengths: FloatArray,
+        lens_scales: FloatArray,
+    ) -> FieldChoices:
+        """Return the fits under all choices, see `log_evidences`."""
+        turned = [Turned.of(normal, basis, float(length)) for length in lengths]
+        shrink = [one.axes.shrinkage(amplitudes) for one in turned]
+        pairs = list(zip(turned, shrink, strict=True))
+        # Woodbury's identity: the inverse of noise plus field acts through the turned coefficients
+        absorbed = np.concatenate([one.absorbed(of_length) for one, of_length in pairs])
+        explained = np.concatenate([one.explained(of_length) for one, of_length in pairs])
+        known = normal.jj + ROUNDING * np.diag(np.diag(normal.jj))
+        precision = normal.prior_precision(1.0, 1.0)
+        tried = lens_scales**-2.0
+        equations = LensScaleEquations.of(known - absorbed, normal.jr - explained, normal.at, precision, tried)
+        square = normal.rr - np.array([of_length @ np.sum(one.residual**2, axis=0) for one, of_length in pairs])
+        # twice: the field's two components have the same kernel and the same sightings
+        field = [2.0 * np.sum(np.log1p(amplitudes[:, None] ** 2 * one.axes.power), axis=1) for one in turned]
+        weighed = precision * normal.at**2
+        prior = (tried - 1.0) @ [np.sum(weighed[RADIAL]), np.sum(weighed[DECENTERING])] + np.sum(weighed)
+        prior -= np.log(tried) @ [_N_RADIAL, _VARIED.size - _N_RADIAL] + np.sum(np.log(precision))
+        terms = equations.terms.reshape(*square.shape, -1) - (square + np.array(field))[..., None] - prior
+        return cls(turned, shrink, equations, 0.5 * np.swapaxes(terms, 0, 1))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LensScaleEquations:
+    """The equations of n fields under k pairs of prior precisions: of the radial distortion, and of p1 and p2.
+
+    All else is eliminated (the Schur complement), and the radial coefficients are turned to the eigenvectors of what is
+    left of theirs: a pair then costs divisions and two equations of two unknowns. "Turned" are these q, p1 and p2 last.
+
+    Attributes
+    ----------
+    others : (o,) places of what is eliminated.
+    information, scale : (n, o, o) of the others, the diagonal brought to 1; (n, o) by these factors.
+    solved : (n, o, q + 1) their inverse times the couplings to the q, not turned, and times their pull.
+    eigenvectors : (n, 8, 8) of the radial coefficients.
+    coupling : (n, 8, 2) of the turned ones to p1 and p2.
+    of_pair : (k,) which of the u precisions of the radial coefficients each pair has.
+    radial, pull : (n, u, 8) variances of the turned ones where all others of the q are known, and their pull.
+    decentering, step : (n, k, 3) covariance of p1 and p2, its xx, xy and yy; (n, k, 2) their steps.
+    terms : (n, k) v' M⁻¹ v - log |M| of all unknowns, M with its precisions and v the pull; NaN where M is not
+        positive.
+    """
+
+    others: IntArray
+    information: FloatArray
+    scale: FloatArray
+    solved: FloatArray
+    eigenvectors: FloatArray
+    coupling: FloatArray
+    of_pair: IntArray
+    radial: FloatArray
+    pull: FloatArray
+    decentering: FloatArray
+    step: FloatArray
+    terms: FloatArray
+
+    @classmethod
+    def of(
+        cls, matrices: FloatArray, vectors: FloatArray, at: FloatArray, precision: FloatArray, pairs: FloatArray
+    ) -> LensScaleEquations:
+        """Return the equations of matrices (n, p, p) and pulls (n, p) about unknowns (p,).
+
+        Parameters
+        ----------
+        precision : (p,) prior precisions of the others.
+        pairs : (k, 2) those of the radial coefficients, and of p1 and p2.
+        """
+        others = np.delete(np.arange(at.size), _VARIED)
+        rows = matrices[:, others]
+        information = rows[..., others] + np.diag(precision[others])
+        scale = 1.0 / np.sqrt(np.diagonal(information, axis1=1, axis2=2))
+        information = information * scale[..., :, None] * scale[..., None, :] + RIDGE * np.eye(others.size)
+        pull = vectors[:, others] - precision[others] * at[others]
+        right = scale[..., None] * np.concatenate([rows[..., _VARIED], pull[..., None]], axis=-1)
+        solved = np.linalg.solve(information, right)
+        own = matrices[:, _VARIED][..., _VARIED]
+        schur = np.zeros((len(matrices), _VARIED.size + 1, _VARIED.size + 1))
+        schur[:, :-1, :-1] = own + RIDGE * np.eye(_VARIED.size) * own
+        schur[:, :-1, -1] = vectors[:, _VARIED]
+        schur -= right.swapaxes(1, 2) @ solved
+        sign, determinant = np.linalg.slogdet(information)
+        of_others = np.sum(np.log(scale**2), axis=1) - determinant - schur[:, -1, -1]
+        radial_precision, of_pair = np.unique(pairs[:, 0], return_inverse=True)
+        values, eigenvectors = np.linalg.eigh(schur[:, :_N_RADIAL, :_N_RADIAL])
+        turned = eigenvectors.swapaxes(1, 2) @ schur[:, :_N_RADIAL, _N_RADIAL:]
+        coupling = turned[..., :-1]
+        pull = turned[:, None, :, -1] - radial_precision[:, None] * (at[RADIAL] @ eigenvectors)[:, None]
+        values = values[:, None] + (1.0 + RIDGE) * radial_precision[:, None]
+        radial = 1.0 / values
+        # p1 and p2 with the radial coefficients eliminated, too: two equations each
+        x, y = np.moveaxis(coupling, -1, 0)
+        taken = radial @ np.stack([x * x, x * y, y * y], axis=-1), (radial * pull) @ coupling
+        decentering_precision, rest = (1.0 + RIDGE) * pairs[:, 1], schur[:, None, _N_RADIAL:]
+        xx, xy, yy = np.moveaxis(taken[0][:, of_pair], -1, 0)
+        xx, xy = rest[..., 0, -3] + decentering_precision - xx, rest[..., 0, -2] - xy
+        yy = rest[..., 1, -2] + decentering_precision - yy
+        left = rest[..., :2, -1] - pairs[:, 1:] * at[DECENTERING] - taken[1][:, of_pair]
+        size = xx * yy - xy * xy
+        step = np.stack([yy * left[..., 0] - xy * left[..., 1], xx * left[..., 1] - xy * left[..., 0]], axis=-1)
+        step /= size[..., None]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            of_radial = np.sum(radial * pull**2 - np.log(values), axis=-1)[:, of_pair]
+            of_decentering = np.sum(left * step, axis=-1) - np.log(xx) - np.log(size / xx)
+        return cls(
+            others=others,
+            information=information,
+            scale=scale,
+            solved=solved,
+            eigenvectors=eigenvectors,
+            coupling=coupling,
+            of_pair=of_pair,
+            radial=radial,
+            pull=pull,
+            decentering=np.stack([yy, -xy, xx], axis=-1) / size[..., None],
+            step=step,
+            terms=np.where(sign > 0.0, of_others, math.nan)[:, None] + of_radial + of_decentering,
+        )
+
+    def fits(self, field: IntArray, pair: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return the steps (c, q) and covariances (c, q, q) of the turned unknowns in c fields under a pair each."""
+        radial, coupling, step = self.radial[field, self.of_pair[pair]], self.coupling[field], self.step[field, pair]
+        pull = self.pull[field, self.of_pair[pair]] - (coupling @ step[..., None])[..., 0]
+        along = radial[..., None] * coupling
+        decentering = self.decentering[field, pair][:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+        result = np.empty((field.size, _VARIED.size, _VARIED.size))
+        both = along @ decentering
+        result[:, :_N_RADIAL, :_N_RADIAL] = both @ along.swapaxes(1, 2)
+        result[:, range(_N_RADIAL), range(_N_RADIAL)] += radial
+        result[:, :_N_RADIAL, _N_RADIAL:] = -both
+        result[:, _N_RADIAL:, :_N_RADIAL] = -both.swapaxes(1, 2)
+        result[:, _N_RADIAL:, _N_RADIAL:] = decentering
+        return np.concatenate([radial * pull, step], axis=-1), result
+
+    def others_of(self, field: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return what all unknowns take from the others in a field, the turned ones being known and at rest.
+
+        Returns
+        -------
+        Their covariance (p, p), their step (p,), and the derivative (p, q) of all unknowns by the turned ones.
+        """
+        p, scale, solved = self.others.size + _VARIED.size, self.scale[field], self.solved[field]
+        covariance, step, back = np.zeros((p, p)), np.zeros(p), np.zeros((p, _VARIED.size))
+        covariance[np.ix_(self.others, self.others)] = np.linalg.inv(self.information[field]) * np.outer(scale, scale)
+        step[self.others] = scale * solved[:, -1]
+        back[self.others] = -scale[:, None] * solved[:, :-1]
+        back[_VARIED] = np.eye(_VARIED.size)
+        back[:, :_N_RADIAL] = back[:, :_N_RADIAL] @ self.eigenvectors[field]
+        return covariance, step, back
 
 
 class Turned(NamedTuple):
@@ -415,9 +548,12 @@ def scale_grid(
 
 def log_weights(normal: NormalEquations, grid: HyperparameterGrid) -> FloatArray:
     """Return the log of prior times evidence of each choice of scales, (i, j, k), but for one constant."""
-    return grid.log_prior + log_evidences(
-        normal, grid.basis, amplitudes=grid.amplitudes, lengths=grid.lengths, lens_scales=grid.lens_scales
-    )
+    return grid.log_prior + choices_of(normal, grid).log_evidence
+
+
+def choices_of(normal: NormalEquations, grid: HyperparameterGrid) -> FieldChoices:
+    """Return the fits on a grid."""
+    return FieldChoices.of(normal, grid.basis, grid.amplitudes, grid.lengths, grid.lens_scales)
 
 
 def log_evidence(log_weight: FloatArray) -> float:

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray, IntArray
-from sunarc.calibration.fit.kernels import LensBasis, Sums, Weighing, gauss_newton
 from sunarc.calibration.fit.marginal_likelihood import (
     RIDGE,
     ROUNDING,
@@ -23,7 +22,10 @@ from sunarc.calibration.fit.marginal_likelihood import (
 )
 from sunarc.calibration.model.residual_field import WaveBasis
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.calibration.solve.priors import N_LENS
 from sunarc.calibration.solve.problem import Bins, FitProblem
+from sunarc.calibration.solve.row_kernels import Sighted, residuals_and_columns_of, vectors_of
+from sunarc.optics.kernels import Optics
 
 _STEPS = 8
 _HALVINGS = 6
@@ -158,18 +160,6 @@ def irls_converged(problem: FitProblem, system: LinearSystem, scales: Scales) ->
     return found._replace(fit=found.fit.with_coefficients_on(transform))
 
 
-def _weighing(problem: FitProblem, system: LinearSystem, scales: Scales) -> Weighing:
-    """Return how the bins of a system in the field's axes count under some scales."""
-    root = np.sqrt(system.observed.information)
-    return Weighing(
-        root=root,
-        field=np.ascontiguousarray((system.basis_values * root[:, None] * _spread(system, scales)).T),
-        precision=prior_precision(problem.size, scales.radial_px, scales.decentering_px, n_unit=problem.n_unit),
-        rounding=ROUNDING,
-        ridge=RIDGE,
-    )
-
-
 def _spread(system: LinearSystem, scales: Scales) -> FloatArray:
     """Return (r,): the roots of the shrinkage of each of the field's axes."""
     axes = system.basis_products.axes(system.basis, scales.length_px)
@@ -185,29 +175,128 @@ def converged_in_axes(
     steps: int = _STEPS,
 ) -> Converged:
     """Return what `irls_converged` does from a start, for a system in the field's axes and its coefficients."""
-    weighing = _weighing(problem, system, scales)
-    lens = LensBasis(problem.prior.mean, np.ascontiguousarray(problem.prior.basis))
-    shared = problem.optics(), lens, problem.sighted(system.observed), weighing
-    begin = np.array(start, dtype=np.float64)
-    at, sums, gain = gauss_newton(*shared, begin, problem.n_air, steps, _HALVINGS, _LEAST_GAIN)
-    fit, log_evidence = _converged(at, sums, _spread(system, scales), weighing.precision)
-    return Converged(at, fit, gain, log_evidence)
+    equations = _Equations.of(problem, system, scales)
+    at = np.array(start, dtype=np.float64)
+    sums = equations.about(at)
+    begin = sums.penalty
+    for _ in range(steps):
+        step, promise = sums.step()
+        if promise < _LEAST_GAIN:
+            break
+        gain = 0.0
+        # Gauss-Newton may overshoot where the lens bends: half a step still gains if the direction is right
+        for halving in range(_HALVINGS):
+            trial = at + 0.5**halving * step
+            there = equations.about(trial)
+            gain = sums.penalty - there.penalty
+            if gain > 0.0:
+                at, sums = trial, there
+                break
+        if not gain >= _LEAST_GAIN:
+            break
+    fit, log_evidence = sums.converged(at, equations)
+    return Converged(at, fit, begin - sums.penalty, log_evidence)
 
 
-def _converged(at: FloatArray, sums: Sums, spread: FloatArray, precision: FloatArray) -> tuple[MarginalFit, float]:
-    """Return the linear fit from some unknowns, and their log evidence but for a constant (Laplace's approximation)."""
-    covariance = inverses(sums.matrix, np.zeros((1, at.size)))[0]
-    step = covariance @ sums.vector
-    gain = float(step @ sums.vector)
-    fit = MarginalFit(
-        unknowns=at + step,
-        gain=gain,
-        coefficients=spread * (sums.left - sums.rows @ step),
-        covariance=covariance,
-        cross=-(covariance @ np.swapaxes(sums.rows, -1, -2)) * spread,
-    )
-    determinant = float(log_determinants(sums.matrix) - np.sum(np.log(precision)))
-    return fit, -0.5 * (float(sums.penalty[0]) - gain + determinant)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Equations:
+    """What a solve's equations are made of, wherever it stands.
+
+    Attributes
+    ----------
+    optics, sighted, mean, basis, n_air : of the problem and its bins, as the kernels take them.
+    root : (b,) of the bins' information, 1/px.
+    field : (r, b) the field's basis functions in its axes, each bin times its root, each axis times its spread: what
+        such products have, the field takes from the sightings.
+    spread : (r,) roots of the shrinkage of the axes.
+    precision : (p,) of the prior.
+    """
+
+    optics: Optics
+    sighted: Sighted
+    mean: FloatArray
+    basis: FloatArray
+    n_air: int
+    root: FloatArray
+    field: FloatArray
+    spread: FloatArray
+    precision: FloatArray
+
+    @classmethod
+    def of(cls, problem: FitProblem, system: LinearSystem, scales: Scales) -> _Equations:
+        """Return those of a system in the field's axes under some scales."""
+        root, spread = np.sqrt(system.observed.information), _spread(system, scales)
+        return cls(
+            optics=problem.optics(),
+            sighted=problem.sighted(system.observed),
+            mean=problem.prior.mean,
+            basis=np.ascontiguousarray(problem.prior.basis),
+            n_air=problem.n_air,
+            root=root,
+            field=np.ascontiguousarray((system.basis_values * root[:, None] * spread).T),
+            spread=spread,
+            precision=prior_precision(problem.size, scales.radial_px, scales.decentering_px, n_unit=problem.n_unit),
+        )
+
+    def about(self, at: FloatArray) -> _Sums:
+        """Return the sums about some unknowns (p,)."""
+        sizes, air = at[: at.size - self.n_air], at[at.size - self.n_air :]
+        shared = sizes.size - self.sighted.systematic_px.shape[2]
+        vectors = vectors_of(self.mean, self.basis, at, (shared - N_LENS) // 3)
+        left, columns = residuals_and_columns_of(self.optics, vectors, self.sighted, sizes[shared:], air, self.basis)
+        left *= self.root
+        columns *= self.root
+        rows, of_field = self.field @ columns.swapaxes(1, 2), left @ self.field.T
+        own = np.sum(columns @ columns.swapaxes(1, 2), axis=0)
+        flat = rows.reshape(-1, at.size)
+        pull = np.sum(columns @ left[..., None], axis=(0, 2))
+        return _Sums(
+            matrix=own - flat.T @ flat + np.diag(self.precision + ROUNDING * np.diag(own)),
+            vector=pull - of_field.ravel() @ flat - self.precision * at,
+            rows=rows,
+            left=of_field,
+            penalty=float(np.sum(left**2) - np.sum(of_field**2) + self.precision @ at**2),
+        )
+
+
+class _Sums(NamedTuple):
+    """The equations about some unknowns, the field integrated out.
+
+    matrix (p, p), vector (p,): information on the unknowns, prior and rounding in it, and pull. rows (2, r, p), left
+    (2, r): products of the weighed field with derivatives and residuals. penalty: twice the negative log posterior.
+    """
+
+    matrix: FloatArray
+    vector: FloatArray
+    rows: FloatArray
+    left: FloatArray
+    penalty: float
+
+    def step(self) -> tuple[FloatArray, float]:
+        """Return the step (p,) and what it promises; 0 where the equations cannot be solved."""
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(self.matrix), 1e-300))
+        scaled = self.matrix * scale[:, None] * scale + RIDGE * np.eye(scale.size)
+        try:
+            np.linalg.cholesky(scaled)  # raises where it is not positive
+            step = scale * np.linalg.solve(scaled, scale * self.vector)
+        except np.linalg.LinAlgError:
+            return np.zeros(scale.size), 0.0
+        return step, float(step @ self.vector)
+
+    def converged(self, at: FloatArray, equations: _Equations) -> tuple[MarginalFit, float]:
+        """Return the linear fit from some unknowns, and their log evidence but for a constant (Laplace's)."""
+        covariance = inverses(self.matrix)
+        step = covariance @ self.vector
+        gain = float(step @ self.vector)
+        fit = MarginalFit(
+            unknowns=at + step,
+            gain=gain,
+            coefficients=equations.spread * (self.left - self.rows @ step),
+            covariance=covariance,
+            cross=-(covariance @ np.swapaxes(self.rows, -1, -2)) * equations.spread,
+        )
+        determinant = float(log_determinants(self.matrix) - np.sum(np.log(equations.precision)))
+        return fit, -0.5 * (self.penalty - gain + determinant)
 
 
 def log_determinants(matrices: FloatArray) -> FloatArray:

@@ -18,7 +18,6 @@ import numpy as np
 
 from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.answers.covariance import hemisphere
-from sunarc.calibration.fit.kernels import add_moments, write_coverage
 from sunarc.calibration.fit.marginal_likelihood import (
     ROUNDING,
     HyperparameterGrid,
@@ -26,11 +25,10 @@ from sunarc.calibration.fit.marginal_likelihood import (
     NormalEquations,
     Scales,
     Turned,
-    general_inverses,
-    log_weights,
+    choices_of,
+    inverses,
     normal_sums,
     normalised,
-    posterior_covariances,
 )
 from sunarc.calibration.fit.normal_equations import LinearSystem, converged_in_axes, log_determinants
 from sunarc.calibration.model.residual_field import Field, WaveBasis
@@ -148,13 +146,30 @@ class PosteriorCovariance(NamedTuple):
 class _Field(NamedTuple):
     """The field under one amplitude and length, px: the sums in its axes, and its shrinkage (r,).
 
-    `values` (n, r) are those of its axes at some places.
+    known (p, p), back (p, q): the covariance of the unknowns where those q whose scales are tried are known, and the
+    derivatives by these, turned; covariance (k, q, q): theirs under each choice; see `LensScaleEquations`.
     """
 
     turned: Turned
     shrink: FloatArray
     amplitude_px: float
     length_px: float
+    known: FloatArray
+    back: FloatArray
+    covariance: FloatArray
+
+    def mean_covariance(self, weight: FloatArray) -> FloatArray:
+        """Return (p, p): the sum of the covariances of the unknowns, times weights (k,)."""
+        mean = np.tensordot(weight, self.covariance, 1)
+        return np.asarray(weight.sum() * self.known + self.back @ mean @ self.back.T)
+
+    def moments(self, left: FloatArray, right: FloatArray) -> FloatArray:
+        """Return (k, 3, n): L' C R made symmetric, xx, xy and yy at n places, of L and R (2, p, n), x before y."""
+        own = np.sum(left[:, None] * (self.known @ right), axis=-2)
+        left, right = self.back.T @ left, self.back.T @ right
+        through = self.covariance[:, None] @ left
+        products = np.sum(through[:, :, None] * right, axis=-2) + own
+        return np.stack([products[:, 0, 0], 0.5 * (products[:, 0, 1] + products[:, 1, 0]), products[:, 1, 1]], axis=1)
 
     def pull(self, values: FloatArray) -> FloatArray:
         """Return (2, p, n): J' of each component with the field's posterior at the places."""
@@ -169,9 +184,8 @@ class _Field(NamedTuple):
 class _Choices:
     """The plausible scales, those of one field together.
 
-    share (k,): probabilities. amplitude, length (k,): px. fields: one for each `field` (k,) of them. covariance
-    (k, p, p); shift (k, p): from the fit that is doubted; field_shift (k, 2, m): that of the field's mean, where it is
-    predicted.
+    share (k,): probabilities. amplitude, length (k,): px. fields: with the covariances; `field` (k,) is each choice's.
+    shift (k, p): from the fit that is doubted; field_shift (k, 2, m): that of the field's mean, where it is predicted.
     """
 
     share: FloatArray
@@ -179,7 +193,6 @@ class _Choices:
     length: FloatArray
     fields: list[_Field]
     field: IntArray
-    covariance: FloatArray
     shift: FloatArray
     field_shift: FloatArray | None
 
@@ -188,15 +201,15 @@ class _Choices:
         weight = self.share * self.amplitude**tilt
         return np.asarray(weight / weight.sum())
 
-    def mean_cross(self, weight: FloatArray) -> FloatArray:
-        """Return (2, p, m): the mean covariance of the unknowns with the field's coefficients."""
-        in_axes: dict[float, FloatArray] = {}
+    def mean_covariances(self, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the mean covariance of the unknowns, (p, p), and theirs with the field's coefficients, (2, p, m)."""
+        total, in_axes, transforms = np.zeros(()), dict[float, FloatArray](), dict[float, FloatArray]()
         for number, field in enumerate(self.fields):
-            inside = self.field == number
-            mean = np.tensordot(weight[inside], self.covariance[inside], 1)
+            mean = field.mean_covariance(weight[self.field == number])
+            total = total + mean
             in_axes[field.length_px] = in_axes.get(field.length_px, 0.0) - mean @ (field.turned.rows * field.shrink)
-        transforms = {field.length_px: field.turned.axes.transform for field in self.fields}
-        return np.asarray(np.sum([part @ transforms[length].T for length, part in in_axes.items()], axis=0))
+            transforms[field.length_px] = field.turned.axes.transform
+        return total, np.sum([part @ transforms[length].T for length, part in in_axes.items()], axis=0)
 
 
 def marginalised_covariance(
@@ -217,8 +230,8 @@ def marginalised_covariance(
     power = weight * choices.amplitude**2
     amplitude = math.sqrt(float(power.sum()))
     length = math.exp(float(power @ np.log(choices.length) / power.sum()))
-    covariance = (choices.shift.T * weight) @ choices.shift + np.tensordot(weight, choices.covariance, 1)
-    cross = choices.mean_cross(weight)
+    covariance, cross = choices.mean_covariances(weight)
+    covariance = covariance + (choices.shift.T * weight) @ choices.shift
     unseen = Field(amplitude_px=amplitude, length_px=length, basis=grid.basis, cross=cross)
     if choices.field_shift is None:
         return PosteriorCovariance(covariance, unseen)
@@ -230,7 +243,8 @@ def plausible(
     normal: NormalEquations, grid: HyperparameterGrid, unknowns: FloatArray, mean: FloatArray | None = None
 ) -> _Choices:
     """Return the scales that hold nearly all of the probability, tilted towards large fields or not."""
-    weight = normalised(log_weights(normal, grid))
+    tried = choices_of(normal, grid)
+    weight = normalised(grid.log_prior + tried.log_evidence)
     # large fields of small probability decide the tilt: they must not be cut off beforehand
     tail = weight * grid.amplitudes[:, None, None] ** _TAIL_TILT
     either = (weight + tail / tail.sum()).ravel()
@@ -239,21 +253,18 @@ def plausible(
     retained = np.sort(order[: 1 + int(np.searchsorted(np.cumsum(either[order]), _WEIGHT_RETAINED * either.sum()))])
     i, j, k = np.unravel_index(retained, weight.shape)
     pairs, field = np.unique(np.stack([i, j], axis=-1), axis=0, return_inverse=True)
-    precision = normal.prior_precisions(grid.lens_scales)
-    each_length = {length: Turned.of(normal, grid.basis, length) for length in grid.lengths[np.unique(j)].tolist()}
-    fields, covariance, fitted, coefficients = [], [], [], []
+    equations, row = tried.equations, j * grid.amplitudes.size + i
+    step, reduced = equations.fits(row, k)
+    fields, fitted, coefficients = [], [], []
     for number, (amplitude, length) in enumerate(pairs):
-        length_px = float(grid.lengths[length])
-        turned = each_length[length_px]
-        shrink = turned.axes.shrinkage(grid.amplitudes[amplitude : amplitude + 1])[0]
-        here = precision[k[field.ravel() == number]]
-        covariance.append(posterior_covariances(normal.jj - turned.absorbed(shrink), normal, here))
-        pull = normal.jr - turned.explained(shrink) - here * normal.at
-        step = (covariance[-1] @ pull[..., None])[..., 0]
-        fitted.append(normal.at + step)
+        here = field.ravel() == number
+        known, at_rest, back = equations.others_of(length * grid.amplitudes.size + amplitude)
+        turned, shrink = tried.turned[length], tried.shrink[length][amplitude]
+        fitted.append(at_rest + step[here] @ back.T)
         if mean is not None:
-            coefficients.append(turned.coefficients(shrink, step) - mean)
-        fields.append(_Field(turned, shrink, float(grid.amplitudes[amplitude]), length_px))
+            coefficients.append(turned.coefficients(shrink, fitted[-1]) - mean)
+        scales = float(grid.amplitudes[amplitude]), float(grid.lengths[length])
+        fields.append(_Field(turned, shrink, *scales, known, back, reduced[here]))
     share = weight.ravel()[retained]
     return _Choices(
         share=share / share.sum(),
@@ -261,8 +272,7 @@ def plausible(
         length=grid.lengths[j],
         fields=fields,
         field=field.ravel(),
-        covariance=np.concatenate(covariance),
-        shift=np.concatenate(fitted) - unknowns,
+        shift=normal.at - unknowns + np.concatenate(fitted),
         field_shift=np.concatenate(coefficients) if coefficients else None,
     )
 
@@ -274,24 +284,22 @@ def at_probes(choices: _Choices, basis: WaveBasis, problem: FitProblem, unknowns
     mean of the field in the prediction its own block is that before any sighting.
     """
     rows, basis_values = sky_rows(problem, unknowns, basis)
-    # a component of all places after the other: (p, 2 n)
-    by_unknowns = np.ascontiguousarray(np.moveaxis(rows, -1, 0).swapaxes(1, 2)).reshape(unknowns.size, -1)
-    moved = (choices.shift @ by_unknowns).reshape(-1, 2, rows.shape[0])
+    by_unknowns = np.ascontiguousarray(rows.transpose(1, 2, 0))
+    moved = choices.shift @ by_unknowns
     predicted = choices.field_shift is not None
     if choices.field_shift is not None:
-        moved = moved + choices.field_shift @ basis_values.T
-    x, y = np.moveaxis(moved, 1, 0)
+        moved = moved + choices.field_shift.swapaxes(0, 1) @ basis_values.T
+    x, y = moved
     moments = np.stack([x * x, x * y, y * y], axis=1)
     axes = {field.length_px: field.turned.axes for field in choices.fields}
     in_axes = {length: basis_values @ one.transform for length, one in axes.items()}
     for number, field in enumerate(choices.fields):
         inside = choices.field == number
         values = in_axes[field.length_px]
-        pull = np.concatenate(list(field.pull(values)), axis=-1)
+        pull = field.pull(values)
         # camera and field: J C J' - J C X' - X C J', and with the field's mean in the prediction X C X' beside it
         left, right = (by_unknowns - pull,) * 2 if predicted else (by_unknowns, by_unknowns - 2.0 * pull)
-        own = np.zeros((np.count_nonzero(inside), *moments.shape[1:]))
-        add_moments(left, right, choices.covariance[inside], own)
+        own = field.moments(left, right)
         reduction = field.reduction(values) if predicted else 0.0
         own[:, ::2] += np.maximum(field.amplitude_px**2 - reduction, 0.0)
         moments[inside] += own
@@ -359,9 +367,16 @@ def coverage(moments: FloatArray, covariance: FloatArray) -> FloatArray:
 
     With l₁, l₂ the eigenvalues of stated⁻¹ · moments, it is the mean over φ of 1 - exp(-q / 2 (l₁ cos² φ + l₂ sin² φ)).
     """
-    share = np.empty(moments.shape[0])
-    write_coverage(moments, covariance, ELLIPSE, COS_DOUBLED, share)
-    return share
+    (xx, xy, yy), (a, b, d) = moments.swapaxes(0, 1), covariance
+    inverse = 1.0 / (a * d - b * b)
+    half = 0.5 * inverse * (d * xx - 2.0 * b * xy + a * yy)
+    gap = np.sqrt(np.maximum(half * half - inverse * (xx * yy - xy * xy), 0.0))
+    outside, work = np.zeros_like(half), np.empty_like(half)
+    for cosine in COS_DOUBLED:
+        np.multiply(gap, cosine, out=work)
+        np.maximum(np.add(half, work, out=work), 1e-12, out=work)
+        outside += np.exp(np.divide(-0.5 * ELLIPSE, work, out=work), out=work)
+    return np.asarray(1.0 - np.mean(outside, axis=1) / COS_DOUBLED.size)
 
 
 # Covariance where the decentering's higher coefficients are not known: a mixture over them.
@@ -481,7 +496,7 @@ class BilinearSums:
         back = columns.swapaxes(-1, -2)
         matrix = back @ self.information @ columns + np.diag(self.precision)
         vector = (back @ (self.pull - offset @ self.information)[..., None])[..., 0] - self.precision * begin
-        covariance = general_inverses(matrix, np.zeros((1, begin.size)))
+        covariance = inverses(matrix)
         step = (covariance @ vector[..., None])[..., 0]
         # where the step begins
         penalty = self.square + np.sum(offset * (offset @ self.information - 2.0 * self.pull), axis=1)
