@@ -7,7 +7,6 @@ import math
 import numpy as np
 
 from sunarc.array_types import FloatArray
-from sunarc.jit import njit
 from sunarc.robust_statistics import biweights
 
 UNSEEN_PX = 1e4
@@ -22,6 +21,9 @@ _PER_UNKNOWN = 0.9
 _MOST_WELL_BEHAVED = 0.9
 _ROUNDS = 60
 _KEEP = 2.5
+_TAIL = math.exp(-0.5 * _KEEP**2)
+_CORRECTION = 1.0 - 0.5 * _KEEP**2 * _TAIL / (1.0 - _TAIL)
+"""Share of a round Gaussian's mean square that lies within the cut: without it every round would shrink the scale."""
 
 
 def finite(residual: FloatArray) -> FloatArray:
@@ -63,76 +65,31 @@ def robust_sigma(distance: FloatArray, *, share: float = WELL_BEHAVED, floor: fl
     """
     if distance.size == 0:
         return floor
-    return float(robust_scale(np.asarray(distance, dtype=np.float64), share, floor))
-
-
-_TAIL = math.exp(-0.5 * _KEEP**2)
-_CORRECTION = 1.0 - 0.5 * _KEEP**2 * _TAIL / (1.0 - _TAIL)
-"""Share of a round Gaussian's mean square that lies within the cut: without it every round would shrink the scale."""
-
-
-@njit(nogil=True)
-def robust_scale(distance: FloatArray, share: float, floor: float) -> float:
-    """Return `robust_sigma` of distances (n,), at least one, for compiled loops."""
+    ordered = np.sort(distance)
     # the distance of a round Gaussian is Rayleigh: its quantile q lies at sqrt(-2 ln(1 - q)) sigma
-    nearest = chi_quantile(distance, share)
-    first = nearest / math.sqrt(-2.0 * math.log1p(-share))
+    nearest = _quantile(ordered, share)
     # the well-behaved ones stay within the cut: it would else close in on those of few that a fit passes through
     floor = max(floor, nearest / _KEEP)
-    return float(_settled(distance, max(first, floor), floor))
-
-
-@njit(nogil=True)
-def chi_quantile(values: FloatArray, share: float) -> float:
-    """Return `numpy.quantile` of (n,) values, linear between neighbours, without its cost a call."""
-    place = share * (values.size - 1)
-    below = min(int(place), max(values.size - 2, 0))
-    ordered = values.copy()
-    _order_about(ordered, below)
-    lower = ordered[below]
-    upper = lower if values.size == 1 else np.min(ordered[below + 1 :])
-    return float(lower + (place - below) * (upper - lower))
-
-
-@njit(nogil=True)
-def _order_about(values: FloatArray, place: int) -> None:
-    """Order (n,) values so that none before a place is larger, and none behind it smaller, than the one there.
-
-    Hoare's selection; `numpy.partition` does the same, but takes numba seconds to compile.
-    """
-    first, last = 0, values.size - 1
-    while first < last:
-        pivot, i, j = values[place], first, last
-        while i <= j:
-            while values[i] < pivot:
-                i += 1
-            while pivot < values[j]:
-                j -= 1
-            if i <= j:
-                values[i], values[j] = values[j], values[i]
-                i, j = i + 1, j - 1
-        if j < place:
-            first = i
-        if place < i:
-            last = j
-
-
-@njit(nogil=True)
-def _settled(distance: FloatArray, sigma: float, floor: float) -> float:
-    """Return the scale after the rounds that begin at one, px."""
+    sigma = max(nearest / math.sqrt(-2.0 * math.log1p(-share)), floor)
+    with np.errstate(over="ignore"):
+        squares = np.cumsum(ordered * ordered)
     for _ in range(_ROUNDS):
-        total, count = 0.0, 0
-        for value in distance:
-            if value < _KEEP * sigma:
-                total += value * value
-                count += 1
+        count = int(ordered.searchsorted(_KEEP * sigma))
         if count == 0:
             break
-        next_ = max(math.sqrt(0.5 * total / count / _CORRECTION), floor)
-        if abs(next_ - sigma) < 1e-4 * sigma:
-            return next_
-        sigma = next_
+        before = sigma
+        sigma = max(math.sqrt(0.5 * float(squares[count - 1]) / count / _CORRECTION), floor)
+        if abs(sigma - before) < 1e-4 * before:
+            break
     return sigma
+
+
+def _quantile(ordered: FloatArray, share: float) -> float:
+    """Return `numpy.quantile` of values (n,) in order, linear between neighbours, without its cost a call."""
+    place = share * (ordered.size - 1)
+    below = min(int(place), max(ordered.size - 2, 0))
+    lower, upper = float(ordered[below]), float(ordered[min(below + 1, ordered.size - 1)])
+    return lower + (place - below) * (upper - lower)
 
 
 _GRID = np.linspace(0.0, CUT, 2001)

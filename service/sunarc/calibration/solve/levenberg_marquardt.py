@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from sunarc import _kernels
-from sunarc.array_types import BoolArray, FloatArray, IntArray
+from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.robust_loss import tukey_weights
 from sunarc.calibration.solve.problem import FitProblem
-from sunarc.compiled_math import cholesky_solve
-from sunarc.jit import njit
-
-RIDGE = 1e-14
 
 
 class Solution(NamedTuple):
@@ -75,25 +70,3 @@ def information(residual: FloatArray, observed: Sightings, sigma: float | None) 
         return observed.information
     distance = np.hypot(residual[:, 0], residual[:, 1]) * np.sqrt(observed.information)
     return np.asarray(observed.information * tukey_weights(distance, sigma=sigma) / sigma**2)
-
-
-@njit(nogil=True)
-def damped_step_of(  # noqa: PLR0917 - compiled functions take positions
-    normal: FloatArray, gradient: FloatArray, moving: IntArray, damping: float, work: FloatArray, step: FloatArray
-) -> None:
-    """Write the Levenberg-Marquardt step (f,), scaled by the diagonal; zeros where the equations cannot be solved."""
-    f = moving.size
-    # focal lengths in px stand beside coefficients of 1e-3: scaled, the damping means the same to all
-    scale = np.empty(f)
-    for i in range(f):
-        scale[i] = 1.0 / math.sqrt(max(normal[moving[i], moving[i]], 1e-300))
-    for i in range(f):
-        step[i] = scale[i] * gradient[moving[i]]
-        for j in range(i + 1):
-            work[i, j] = normal[moving[i], moving[j]] * scale[i] * scale[j]
-        work[i, i] += damping + RIDGE
-    if not cholesky_solve(work, step):
-        step[:] = 0.0
-        return
-    for i in range(f):
-        step[i] *= scale[i]

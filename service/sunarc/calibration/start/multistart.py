@@ -9,110 +9,16 @@ misses the rest would be rated above one that fits everything.
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Sequence
 
 import numpy as np
 
-from sunarc.array_types import FloatArray, IntArray
+from sunarc.array_types import FloatArray
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.robust_loss import UNSEEN_PX, robust_scale, robust_sigma, surely_well_behaved, tukey_loss
-from sunarc.calibration.solve.levenberg_marquardt import damped_step_of, most_probable
+from sunarc.calibration.robust_loss import UNSEEN_PX, robust_sigma, surely_well_behaved, tukey_loss
+from sunarc.calibration.solve.levenberg_marquardt import most_probable
 from sunarc.calibration.solve.priors import DECENTERING, HIGHER, N_LENS, RADIAL, Whitened
 from sunarc.calibration.solve.problem import FitProblem
-from sunarc.jit import njit
-
-# The linear trials of `ransac_start` and their refinement as compiled loops, without the interpreter's lock.
-
-RIDGE = 1e-12
-"""Share of the diagonal that is added to it: a camera far from the sightings has derivatives of any size, and rounding
-makes a matrix singular."""
-
-
-@njit(nogil=True)
-def trial_steps(  # noqa: PLR0917 - compiled functions take positions
-    residual: FloatArray, rows: FloatArray, picks: IntArray, start: FloatArray, precision: FloatArray, trust_px: float
-) -> FloatArray:
-    """Return the steps (t, p) that samples of sightings lead to, each by linear least squares with the prior.
-
-    Parameters
-    ----------
-    residual, rows : (n, 2), (n, 2, p) about the start (p,), of prior precisions (p,).
-    picks : (t, s) the sightings of each sample.
-    trust_px : 1-sigma of a sighting, px.
-    """
-    p, weight = start.size, 1.0 / trust_px**2
-    steps, moving = np.empty((picks.shape[0], p)), np.arange(p)
-    normal, gradient, work = np.empty((p, p)), np.empty(p), np.empty((p, p))
-    for t in range(picks.shape[0]):
-        _write_prior(start, precision, normal, gradient)
-        for n in picks[t]:
-            for c in range(2):
-                _add_row(rows[n, c], residual[n, c], weight, normal, gradient)
-        damped_step_of(normal, gradient, moving, RIDGE, work, steps[t])
-    return steps
-
-
-@njit(nogil=True)
-def _write_prior(start: FloatArray, precision: FloatArray, normal: FloatArray, gradient: FloatArray) -> None:
-    normal[:] = 0.0
-    for i in range(start.size):
-        normal[i, i] = precision[i]
-        gradient[i] = -precision[i] * start[i]
-
-
-@njit(nogil=True, error_model="numpy", fastmath={"contract"})
-def _add_row(row: FloatArray, residual: float, weight: float, normal: FloatArray, gradient: FloatArray) -> None:
-    """Add one line of the equations to the lower half of the sums."""
-    for i in range(row.size):
-        share, line = weight * row[i], normal[i]
-        gradient[i] += share * residual
-        for j in range(i + 1):
-            line[j] += share * row[j]
-
-
-@njit(nogil=True)
-def tightened(  # noqa: PLR0917 - compiled functions take positions
-    step: FloatArray,
-    residual: FloatArray,
-    columns: FloatArray,
-    start: FloatArray,
-    precision: FloatArray,
-    cuts: FloatArray,
-    share: float,
-    floor: float,
-) -> FloatArray:
-    """Return a step (p,) refined on all sightings, those far off counting less and less.
-
-    Parameters
-    ----------
-    residual : (2, n) px, x and y. columns : (p, 2 n) their derivatives, likewise.
-    cuts : (rounds,) distances, in the scale found, at which a sighting counts a quarter.
-    share : of the sightings that is surely well-behaved.
-    floor : px, smallest scale.
-    """
-    p, n = start.size, residual.shape[1]
-    found, moving, root = step.copy(), np.arange(p), np.empty(n)
-    normal, gradient, work = np.empty((p, p)), np.empty(p), np.empty((p, p))
-    weighted, right = np.empty_like(columns), np.empty(2 * n)
-    for cut in cuts:
-        after = residual.copy().reshape(2 * n)
-        after -= np.dot(found, columns)
-        distance = np.sqrt(after[:n] ** 2 + after[n:] ** 2)
-        sigma = robust_scale(distance, share, floor)
-        root[:] = 1.0 / ((1.0 + (distance / (sigma * cut)) ** 2) * sigma)
-        for i in range(p):
-            weighted[i, :n] = columns[i, :n] * root
-            weighted[i, n:] = columns[i, n:] * root
-        right[:n], right[n:] = residual[0] * root, residual[1] * root
-        np.dot(weighted, weighted.T, normal)
-        np.dot(weighted, right, gradient)
-        for i in range(p):
-            normal[i, i] += precision[i]
-            gradient[i] -= precision[i] * start[i]
-        damped_step_of(normal, gradient, moving, RIDGE, work, found)
-    return found
-
 
 SMALLEST_SIGMA_PX = 1e-4
 """px; exact (simulated) sightings must not make a scale of 0."""
@@ -288,13 +194,15 @@ _GOOD = 24
 """So many of these are judged by all of them."""
 _SEED = 20160830
 _TRUST_PX = 0.7
-_LARGEST_SQUARE = 1e60
-"""Bound of squared sigmas, so that products of four stay finite: far from the sightings residuals have any size."""
+_RIDGE = 1e-12
+"""Share of the diagonal that is added to it: a camera far from the sightings has derivatives of any size, and rounding
+makes a matrix singular."""
 CUTS = np.repeat([3.0, 1.5], [4, _ROUNDS - 4])
 """Distances, in the scale found, at which a sighting counts a quarter in each round: fewer and fewer count."""
 FLOOR_PX = 1e-3
 
 
+@np.errstate(over="ignore", invalid="ignore")  # far from the sightings residuals have any size
 def ransac_start(problem: FitProblem, observed: Sightings, start: FloatArray, *, precision: FloatArray) -> FloatArray:
     """Return the unknowns that most sightings agree on closely, or the start where nothing is better.
 
@@ -316,7 +224,7 @@ def ransac_start(problem: FitProblem, observed: Sightings, start: FloatArray, *,
     weight = thin.information / close**2
     # most trials are poor, and a part of the sightings shows it
     few = slice(None, None, _FEW_STEP)
-    good = np.argsort(_disagreements(_after(residual[few], rows[few], steps), weight[few].copy()))[:_GOOD]
+    good = np.argsort(_disagreements(_after(residual[few], rows[few], steps), weight[few]))[:_GOOD]
     steps = steps[np.sort(good)]
     agreed = _disagreements(_after(residual, rows, steps), weight)
     best = [tightened_step(steps[k], residual, rows, start, precision, share) for k in np.argsort(agreed)[:3]]
@@ -340,36 +248,47 @@ def sampled_steps(residual: FloatArray, rows: FloatArray, start: FloatArray, pre
     # one sighting of each stretch of the arc: random ones would often be neighbours
     edges = np.linspace(0, residual.shape[0], _SAMPLE + 1).astype(int)
     picks = np.stack([rng.integers(a, max(b, a + 1), _TRIALS) for a, b in itertools.pairwise(edges)], axis=-1)
-    return np.asarray(trial_steps(residual, rows, picks, start, precision, _TRUST_PX))
+    columns = rows[picks].reshape(_TRIALS, 2 * _SAMPLE, -1) / _TRUST_PX
+    normal = columns.swapaxes(1, 2) @ columns + np.diag(precision)
+    gradient = (residual[picks].reshape(_TRIALS, 1, -1) / _TRUST_PX @ columns)[:, 0] - precision * start
+    return _solved(normal, gradient)
 
 
-def tightened_step(  # noqa: PLR0917 - the kernel takes positions
+def _solved(normal: FloatArray, gradient: FloatArray) -> FloatArray:
+    """Return the steps (..., p) of normal equations (..., p, p), (..., p); zeros where they cannot be solved."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal, axis1=-2, axis2=-1), 1e-300))
+    scaled = normal * scale[..., :, None] * scale[..., None, :] + _RIDGE * np.eye(scale.shape[-1])
+    step = scale * np.linalg.solve(scaled, (scale * gradient)[..., None])[..., 0]
+    return np.where(np.isfinite(step), step, 0.0)
+
+
+def tightened_step(  # noqa: PLR0917 - the equations, piece by piece
     step: FloatArray, residual: FloatArray, rows: FloatArray, start: FloatArray, precision: FloatArray, share: float
 ) -> FloatArray:
-    """Return the step refined on all sightings, those far off counting less and less."""
-    columns = np.ascontiguousarray(np.moveaxis(rows, -1, 0).swapaxes(1, 2)).reshape(rows.shape[-1], -1)
-    return np.asarray(
-        tightened(step, np.ascontiguousarray(residual.T), columns, start, precision, CUTS, share, FLOOR_PX)
-    )
+    """Return the step refined on all sightings, those far off counting less and less.
 
-
-@njit(nogil=True)
-def _disagreements(after: FloatArray, information: FloatArray) -> FloatArray:
-    """Return (k,): Cauchy's loss of residuals (k, 2 n), in which it hardly counts how far off one is.
-
-    The logarithms of four sightings are taken together, as that of their product.
+    Parameters
+    ----------
+    step, start, precision : (p,) where it begins, what it is a step from, and the prior's precisions.
+    residual, rows : (n, 2), (n, 2, p) about the start.
+    share : of the sightings that is surely well-behaved.
     """
-    result = np.zeros(after.shape[0])
-    for k in range(after.shape[0]):
-        product = 1.0
-        for n in range(information.size):
-            dx, dy = after[k, 2 * n], after[k, 2 * n + 1]
-            product *= 1.0 + min((dx * dx + dy * dy) * information[n], _LARGEST_SQUARE)
-            if n % 4 == 3:
-                result[k] += math.log(product)
-                product = 1.0
-        result[k] += math.log(product)
-    return result
+    columns = np.ascontiguousarray(rows.transpose(2, 1, 0)).reshape(start.size, -1)
+    right = residual.T.ravel()
+    for cut in CUTS:
+        after = (right - step @ columns).reshape(2, -1)
+        distance = np.hypot(*after)
+        sigma = robust_sigma(distance, share=share, floor=FLOOR_PX)
+        root = np.tile(1.0 / ((1.0 + (distance / (sigma * cut)) ** 2) * sigma), 2)
+        weighted = columns * root
+        step = _solved(weighted @ weighted.T + np.diag(precision), weighted @ (right * root) - precision * start)
+    return step
+
+
+def _disagreements(after: FloatArray, information: FloatArray) -> FloatArray:
+    """Return (k,): Cauchy's loss of residuals (k, 2 n), in which it hardly counts how far off one is."""
+    squares = (after[:, ::2] ** 2 + after[:, 1::2] ** 2) * information
+    return np.asarray(np.sum(np.log(1.0 + squares), axis=1))
 
 
 def disagreement(problem: FitProblem, observed: Sightings, at: FloatArray, close: float) -> float:
