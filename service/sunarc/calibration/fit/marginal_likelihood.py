@@ -376,7 +376,8 @@ class LensScaleEquations:
         turned = eigenvectors.swapaxes(1, 2) @ schur[:, :_N_RADIAL, _N_RADIAL:]
         coupling = turned[..., :-1]
         pull = turned[:, None, :, -1] - radial_precision[:, None] * (at[RADIAL] @ eigenvectors)[:, None]
-        values = values[:, None] + (1.0 + RIDGE) * radial_precision[:, None]
+        # below that share of the largest is rounding, which may be negative: a lens that cannot show the sightings
+        values = np.maximum(values, RIDGE * values[:, -1:])[:, None] + (1.0 + RIDGE) * radial_precision[:, None]
         radial = 1.0 / values
         # p1 and p2 with the radial coefficients eliminated, too: two equations each
         x, y = np.moveaxis(coupling, -1, 0)

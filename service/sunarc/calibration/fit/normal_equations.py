@@ -23,9 +23,8 @@ from sunarc.calibration.fit.marginal_likelihood import (
 from sunarc.calibration.model.residual_field import WaveBasis
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.priors import N_LENS
-from sunarc.calibration.solve.problem import Bins, FitProblem
-from sunarc.calibration.solve.row_kernels import Sighted, residuals_and_columns_of, vectors_of
-from sunarc.optics.kernels import Optics
+from sunarc.calibration.solve.problem import Bins, FitProblem, Sighted, residuals_and_columns_of, vectors_of
+from sunarc.optics.forward import Optics
 
 _STEPS = 8
 _HALVINGS = 6
@@ -300,7 +299,8 @@ class _Sums(NamedTuple):
 
 
 def log_determinants(matrices: FloatArray) -> FloatArray:
-    """Return (...,): log determinants of positive matrices (..., p, p), with a ridge, see `RIDGE`."""
+    """Return (...,): log determinants of positive matrices (..., p, p), with a ridge, see `RIDGE`; NaN for NaN."""
     scale = 1.0 / np.sqrt(np.diagonal(matrices, axis1=-2, axis2=-1))
     scaled = matrices * scale[..., :, None] * scale[..., None, :] + RIDGE * np.eye(matrices.shape[-1])
-    return np.asarray(np.linalg.slogdet(scaled)[1] - 2.0 * np.sum(np.log(scale), axis=-1))
+    with np.errstate(invalid="ignore"):  # of a projection that cannot show the sightings nothing is a number
+        return np.asarray(np.linalg.slogdet(scaled)[1] - 2.0 * np.sum(np.log(scale), axis=-1))
