@@ -319,7 +319,7 @@ def _backups(settings: Settings, clock: Clock) -> tuple[Outcome, str]:
 
 def _versions() -> tuple[Outcome, str]:
     python = ".".join(str(part) for part in sys.version_info[:3])
-    return "ok", f"sunarc {sunarc.__version__}, Python {python}, numpy {version('numpy')}, numba {version('numba')}"
+    return "ok", f"sunarc {sunarc.__version__}, Python {python}, numpy {version('numpy')}"
 
 
 def _running(settings: Settings) -> dict[str, Any] | None:

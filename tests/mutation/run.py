@@ -29,7 +29,6 @@ from queue import SimpleQueue
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import numba
 import pytest
 from tests.mutation.reach import lines_that_matter
 from tests.mutation.sites import Site, mutated, sites
@@ -47,7 +46,7 @@ _SECONDS_AT_MOST = 120.0
 _NOTHING_RAN = (pytest.ExitCode.USAGE_ERROR, pytest.ExitCode.NO_TESTS_COLLECTED)
 _WARM = multiprocessing.get_context("forkserver")
 _WARM.set_forkserver_preload(
-    ["cv2", "numba", "pytest", "scipy.integrate", "scipy.ndimage", "scipy.optimize", "scipy.signal", "scipy.stats"]
+    ["cv2", "pytest", "scipy.integrate", "scipy.ndimage", "scipy.optimize", "scipy.signal", "scipy.stats"]
 )
 
 
@@ -161,7 +160,7 @@ def _texts() -> dict[str, str]:
 
 
 def _detected(mutant: Mutant, tests: list[str], copy: Path) -> bool:
-    """Return whether a test fails on the changed copy; it runs in a process that has numpy, scipy and numba already."""
+    """Return whether a test fails on the changed copy; it runs in a process that has numpy and scipy already."""
     if not tests:
         return False
     target = copy / "sunarc" / mutant.file
@@ -190,7 +189,6 @@ def _exit_code(copy: Path, tests: list[str]) -> int | None:
 
 def _run_tests(copy: str, tests: list[str]) -> None:
     """Run tests on the package in a folder, silently, and exit with their result; called in a process of its own."""
-    numba.config.CACHE_DIR = f"{copy}/.numba"
     os.chdir(ROOT)
     sys.path[:0] = [copy, str(ROOT)]
     sys.dont_write_bytecode = True

@@ -1,16 +1,13 @@
 from __future__ import annotations
 
 import multiprocessing
-import signal
 import threading
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
-from functools import partial
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
 from tests.finding_codes import codes
@@ -30,7 +27,6 @@ from sunarc.runtime.clock import SystemClock, VirtualClock
 from sunarc.runtime.status import StatusRegistry
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.sun import sun_angles, sun_directions
-from sunarc.workers.calibrating import solver_process
 from sunarc.workers.calibrating.refit import RefitWorker
 from sunarc.workers.calibrating.solver_process import SolveFailedError, SolveProblem, SolverDiedError, solve_in_child
 from sunarc.workers.messages import text_of
@@ -222,23 +218,6 @@ def test_a_child_that_dies_before_it_has_read_its_problem_is_one_that_was_killed
     problem = SolveProblem(points=points, site=SGP, image_size=SIZE, options=CalibrationOptions())
     with pytest.raises(SolverDiedError):
         solve_in_child(problem, clock=SystemClock(), time_limit_s=60.0, stop=threading.Event(), heartbeat=lambda: None)
-
-
-@pytest.mark.parametrize(("number", "aside"), [(signal.SIGSEGV, True), (signal.SIGKILL, False)])
-def test_a_child_that_a_damaged_kernel_ends_has_all_kernels_compiled_anew(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, number: signal.Signals, *, aside: bool
-) -> None:
-    folder = tmp_path / "numba"
-    folder.mkdir()
-    (folder / "kernel.nbc").touch()
-    monkeypatch.setattr(numba.config, "CACHE_DIR", str(folder))
-    with pytest.raises(SolverDiedError):
-        solver_process.in_child(
-            partial(signal.raise_signal, number),
-            clock=SystemClock(), time_limit_s=60.0, stop=threading.Event(), heartbeat=lambda: None,
-        )  # fmt: skip
-    assert (tmp_path / "numba.aside" / "kernel.nbc").exists() is aside
-    assert folder.exists() is not aside
 
 
 def test_a_child_that_is_ended_a_moment_before_the_stop_leaves_the_refit_unfinished() -> None:

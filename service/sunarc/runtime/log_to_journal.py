@@ -20,7 +20,7 @@ from pathlib import Path
 _SOCKET = Path("/run/systemd/journal/socket")
 _FIELDS = {"event_id": "SUNARC_EVENT", "event_kind": "SUNARC_KIND"}
 _PRIORITIES = ((logging.CRITICAL, 2), (logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6))
-_QUIET_LIBRARIES = ("apscheduler", "alembic", "uvicorn.access", "matplotlib", "PIL", "numba")
+_QUIET_LIBRARIES = ("apscheduler", "alembic", "uvicorn.access", "matplotlib", "PIL")
 
 
 def start_log(environment: Mapping[str, str]) -> None:

@@ -20,7 +20,6 @@ from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.findings import Finding
-from sunarc.jit import set_aside_after_exit
 from sunarc.runtime.child_process import answer_call, one_thread_each
 from sunarc.runtime.clock import Clock
 from sunarc.sky.night import SUN, body_directions
@@ -145,7 +144,6 @@ def in_child(
         exit_code = _exit_code(process)
         if clock.wait(stop, _STOP_FOLLOWS_S):  # one stop ends both, and the child a moment before this is reached
             return None
-        set_aside_after_exit(exit_code)
         raise SolverDiedError(Finding("solver_died", {"end": _end(exit_code)})) from None
     finally:
         receiving.close()
