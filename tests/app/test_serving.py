@@ -125,7 +125,20 @@ def test_the_command_line_loads_no_library_that_only_a_fit_or_an_export_needs() 
 
 def test_an_imager_loads_no_study_simulator_archive_analysis_or_optional_format() -> None:
     never = ["studies", "simulation", "offline", "reanalysis", "cli"]
-    optional = ["dask", "distributed", "xarray", "h5py", "h5netcdf", "pandas", "matplotlib", "astropy", "fsspec", "numba", "llvmlite", "pvlib"]
+    optional = [
+        "dask",
+        "distributed",
+        "xarray",
+        "h5py",
+        "h5netcdf",
+        "pandas",
+        "matplotlib",
+        "astropy",
+        "fsspec",
+        "numba",
+        "llvmlite",
+        "pvlib",
+    ]
     code = "import sys, sunarc.app.serving, sunarc.app.service, sunarc.api.app; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120.0, check=True)
     loaded = set(done.stdout.split())
