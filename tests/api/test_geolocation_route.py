@@ -38,9 +38,34 @@ def test_one_height_for_all_and_one_for_each_say_the_same(made: Made) -> None:
 
 
 def test_where_there_is_no_place_there_is_null(made: Made) -> None:
-    told = ask(made, {"points": [[0.0, 0.0, 1500.0], [800.0, 800.0, -3.0], [800.0, 800.0, 1500.0]]})
+    told = ask(made, {"points": [[0.0, 0.0, 1500.0], [800.0, 800.0, 1500.0]]})
     for name, values in told["cloud"].items():
-        assert [value is None for value in values] == [True, True, False], name
+        assert [value is None for value in values] == [True, False], name
+
+
+@pytest.mark.parametrize("height_m", [-5.0, 0.0, 30_001.0])
+def test_a_height_that_is_none_is_refused_wherever_it_stands_and_has_no_place_in_an_array(
+    made: Made, height_m: float
+) -> None:
+    good, bad = [800.0, 800.0, 1500.0], [800.0, 800.0, height_m]
+    for body, field in (
+        ({"pixels": [bad[:2]], "height_m": height_m}, "height_m"),
+        ({"points": [good, bad]}, "points[1][2]"),
+    ):
+        answer = made.client.post("/v1/geolocate", json=body)
+        assert (answer.status_code, [error["field"] for error in answer.json()["errors"]]) == (422, [field])
+    answer = made.client.get("/v1/remap", params={"grid": "ground", "size": 16, "height": height_m})
+    assert (answer.status_code, [error["field"] for error in answer.json()["errors"]]) == (422, ["height"])
+    for query in ("", "?draws=2"):
+        rows = io.BytesIO()
+        np.save(rows, np.array([good, bad, [800.0, 800.0, np.nan]]))
+        headers = {"content-type": "application/x-npy"}
+        answer = made.client.post(f"/v1/geolocate{query}", content=rows.getvalue(), headers=headers)
+        found = np.atleast_3d(np.load(io.BytesIO(answer.content))).reshape(
+            -1, 3, len(answer.headers["sunarc-columns"].split(","))
+        )
+        assert np.all(np.isfinite(found[:, 0]))
+        assert np.all(np.isnan(found[:, 1:]))
 
 
 def test_at_night_there_are_clouds_and_no_shadows(made: Made) -> None:

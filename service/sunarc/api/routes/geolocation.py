@@ -26,14 +26,17 @@ from sunarc.api.context import ApiContext
 from sunarc.api.parameters import BY_CALIBRATION, Answers, At, Body, Draws, Number, Pair, Pixel, Seed
 from sunarc.api.problems import answers
 from sunarc.api.routes.directions import finite_rows
-from sunarc.array_types import FloatArray
+from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.answers.error_model import Ensemble
 from sunarc.errors import InputError
 from sunarc.geolocation.locate import Located, clouds, shadows
 from sunarc.json_fields import Time, described
 from sunarc.sky.sun import sun_angles, sun_directions
 
-Height = Annotated[Number, Field(gt=0.0, le=30_000.0, description="Of the cloud base above the camera's altitude, m.")]
+_HIGHEST_M = 30_000.0
+Height = Annotated[
+    Number, Field(gt=0.0, le=_HIGHEST_M, description="Of the cloud base above the camera's altitude, m.")
+]
 HeightSigma = Annotated[
     Number, Field(ge=0.0, le=10_000.0, description="1-sigma of the height, the same error for all points, m.")
 ]
@@ -49,7 +52,7 @@ class GeolocateRequest(Body):
     height_m: Height | None = Field(default=None, description="Of all pixels, m.", examples=[1500.0])
     points: list[Point] | None = Field(
         default=None,
-        description="(n, 3) px, px, metres, in place of pixels and height_m; no place for a height of 0 or less.",
+        description="(n, 3) px, px, metres (above 0, at most 30 000), in place of pixels and height_m.",
         examples=[[[400.0, 912.5, 1500.0]]],
     )
 
@@ -174,8 +177,9 @@ def geolocation_routes(context: ApiContext, slots: ComputeSlots) -> APIRouter:
         responses=row_responses(LOCATED) | answers(404, 408, 413, 415, 422),
         openapi_extra=body_of(
             "GeolocateRequest",
-            "(n, 3) x, y in px, cloud base height in m; (n, 4) with the height's 1-sigma in m; (n, 5) with that and a "
-            "time for each point, s since 1970-01-01 UTC (float64).",
+            "(n, 3) x, y in px, cloud base height in m, without a place where it is not above 0 and at most 30 000; "
+            "(n, 4) with the height's 1-sigma in m; (n, 5) with that and a time for each point, s since 1970-01-01 UTC "
+            "(float64).",
         ),
     )
     async def geolocate(request: Request, at: At = None, draws: Draws = 0, seed: Seed = 0) -> Response:
@@ -190,6 +194,7 @@ def _read(body: bytes, most: int) -> FloatArray:
     if request.points is not None:
         require_few(len(request.points), most=most, field="points")
         points = np.array(request.points, dtype=np.float64).reshape(-1, 3)
+        _require_heights(points[:, 2])
     else:
         pixels = np.array(request.pixels or [], dtype=np.float64).reshape(-1, 2)
         require_few(len(pixels), most=most, field="pixels")
@@ -199,6 +204,19 @@ def _read(body: bytes, most: int) -> FloatArray:
         _require_each(len(request.at), len(points))
         columns.append(np.array([time.timestamp() for time in request.at], dtype=np.float64).reshape(-1, 1))
     return np.concatenate(columns, axis=1)
+
+
+def _require_heights(height_m: FloatArray) -> None:
+    """Refuse a height in a list as `height_m` is refused, and name its place."""
+    valid = _are_heights(height_m)
+    if not np.all(valid):
+        place = int(np.argmin(valid))
+        problem = f"a height of {height_m[place]:g} m is not above 0 and at most {_HIGHEST_M:g}"
+        raise InputError(field=f"points[{place}][2]", problem=problem, remedy="give the height of a cloud base in m")
+
+
+def _are_heights(height_m: FloatArray) -> BoolArray:
+    return (height_m > 0.0) & (height_m <= _HIGHEST_M)
 
 
 def _require_each(n_times: int, n_points: int) -> None:
@@ -227,6 +245,7 @@ def _locate(answering: Answering, points: Rows) -> Rows:
 def _located_at(answering: Answering, exact: FloatArray, unix_s: float | FloatArray) -> FloatArray:
     """Return the answer's rows for points that see the sun of one time, or each of its own, of one solar day."""
     site = answering.context.site_with_air_at(answering.time)
+    exact = _with_heights(exact)
     directions = np.asarray(answering.ready.back_project(np.ascontiguousarray(exact[:, :2]))[:, 2:5], dtype=np.float64)
     with np.errstate(all="ignore"):  # what has no place is answered with null
         covariance = answering.ready.direction_covariance(np.ascontiguousarray(directions))
@@ -237,6 +256,15 @@ def _located_at(answering: Answering, exact: FloatArray, unix_s: float | FloatAr
         return np.concatenate([_row(cloud), _row(shadow)], axis=1)
 
 
+def _with_heights(points: FloatArray) -> FloatArray:
+    """Return points whose height is NaN where it is none of a cloud: an array's values are not refused one by one."""
+    valid = _are_heights(points[:, 2])
+    if not np.all(valid):
+        points = points.copy()
+        points[~valid, 2] = np.nan
+    return points
+
+
 def _height_sigma(points: FloatArray) -> FloatArray:
     """Return (n,): 1-sigma of the heights, m; 0 where none is given."""
     return points[:, 3] if points.shape[1] > 3 else np.zeros(len(points))
@@ -244,7 +272,10 @@ def _height_sigma(points: FloatArray) -> FloatArray:
 
 def _draw_places(answering: Answering, ensemble: Ensemble, draw: int, points: Rows) -> Rows:
     """Return (n, 12): clouds and shadows by one draw; its heights are off by one number of sigmas, all to one side."""
-    site, exact = answering.context.site_with_air_at(answering.time), np.asarray(points, dtype=np.float64)
+    site, exact = (
+        answering.context.site_with_air_at(answering.time),
+        _with_heights(np.asarray(points, dtype=np.float64)),
+    )
     directions = ensemble.back_project(draw, exact[:, :2])
     height = exact[:, 2] + ensemble.common[draw] * _height_sigma(exact)
     with np.errstate(all="ignore"):  # what has no place is answered with null
