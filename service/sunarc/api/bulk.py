@@ -299,7 +299,7 @@ async def compute(
     slots.require_room(client)
     async with slots.slot(client):
         answer = await run_in_threadpool(_json, computation, context, request, body, question)
-    request.state.holding.grow(len(answer.body))
+    request.state.use.grow(len(answer.body))
     return answer
 
 
@@ -355,7 +355,7 @@ async def _rows(
     require_few(len(rows) * question.draws, most=context.options.max_rows, field="draws")
     columns = computation.draw_columns if question.draws else computation.answer_columns
     width = len(columns)
-    request.state.holding.grow(bytes_ahead(rows, width) + (rows.nbytes if rows.flags.owndata else 0))
+    request.state.use.grow(bytes_ahead(rows, width) + (rows.nbytes if rows.flags.owndata else 0))
     answering = await run_in_threadpool(_answering, computation, context, request, rows, question)
     answers: list[Callable[[Rows], Rows]] = [partial(computation.answer, answering)]
     if question.draws:
