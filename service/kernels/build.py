@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+import sysconfig
 import tempfile
 from pathlib import Path
 from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+
+PYTHON = f"{sys.version_info.major}.{sys.version_info.minor}"
+MULTIARCH = sysconfig.get_config_var("MULTIARCH")
+OTHER = os.environ.get("SUNARC_KERNELS_FOR", "")
+"""An architecture to compile for that is not this computer's, as GNU names it: aarch64."""
 
 
 class CompiledModule(BuildHookInterface[Any]):
@@ -20,14 +27,18 @@ class CompiledModule(BuildHookInterface[Any]):
             return
         package = Path(self.root, "service", "sunarc")
         self.folder = tempfile.TemporaryDirectory()
-        for stale in package.glob("_kernels*.so"):
-            stale.unlink()
         compiled = _compiled(Path(self.root, "service", "kernels"), Path(self.folder.name))
-        build_data["pure_python"], build_data["infer_tag"] = False, True
+        build_data["pure_python"], build_data["infer_tag"] = False, not OTHER
+        if OTHER:
+            python = f"cp{PYTHON.replace('.', '')}"
+            build_data["tag"] = f"{python}-{python}-linux_{OTHER}"
         if version == "editable":
+            for stale in package.glob("_kernels*.so"):
+                stale.unlink()
             package.joinpath(compiled.name).write_bytes(compiled.read_bytes())
         else:
-            build_data["force_include"][str(compiled)] = f"sunarc/{compiled.name}"
+            name = compiled.name.replace(MULTIARCH, f"{OTHER}-linux-gnu") if OTHER else compiled.name
+            build_data["force_include"][str(compiled)] = f"sunarc/{name}"
 
     def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
         """Remove what was compiled, which the wheel holds now."""
@@ -37,16 +48,25 @@ class CompiledModule(BuildHookInterface[Any]):
 
 def _compiled(sources: Path, folder: Path) -> Path:
     """Return the module, compiled in a folder."""
-    command = [
-        "cmake",
-        "-S",
-        sources,
-        "-B",
-        folder,
-        "-DCMAKE_BUILD_TYPE=Release",
-        f"-DPython_EXECUTABLE={sys.executable}",
-    ]
-    subprocess.run(command, check=True, stdout=sys.stderr)
+    options = ["-DCMAKE_BUILD_TYPE=Release", f"-DPython_EXECUTABLE={sys.executable}"]
+    if OTHER:
+        options += _for_other(folder)
+    subprocess.run(["cmake", "-S", sources, "-B", folder, *options], check=True, stdout=sys.stderr)
     subprocess.run(["cmake", "--build", folder, "--parallel", "2"], check=True, stdout=sys.stderr)
     (module,) = folder.glob("_kernels*.so")
     return module
+
+
+def _for_other(folder: Path) -> list[str]:
+    """Return what cmake takes to compile for another 64-bit architecture with Debian's compiler for it.
+
+    Of Python's headers one differs by architecture, in name alone: they state the sizes of C's types.
+    """
+    header = folder / "include" / f"{OTHER}-linux-gnu" / f"python{PYTHON}" / "pyconfig.h"
+    header.parent.mkdir(parents=True)
+    own = Path(sysconfig.get_paths()["include"]).parent / MULTIARCH / header.parent.name
+    header.write_text(f'#include "{own}/pyconfig.h"\n')
+    return [
+        f"-DCMAKE_CXX_COMPILER={OTHER}-linux-gnu-g++",
+        f"-DCMAKE_CXX_FLAGS=-I{folder}/include",
+    ]
