@@ -142,7 +142,7 @@ class Page:
         ----------
         found : `rows` rows, fewer at the end of the list.
         request : the question, which the link repeats.
-        time : tells a row's time, or date.
+        time : returns a row's time, or date.
         """
         rows = found[self.skip : self.skip + self.limit]
         if len(found) < self.rows:

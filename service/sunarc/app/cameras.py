@@ -75,7 +75,7 @@ def note_other_camera(archive: Archive, record: CameraRecord, *, at: datetime) -
     Parameters
     ----------
     archive : has the camera of before.
-    record : the camera that answers now; one that does not tell its serial number counts as the one of before.
+    record : the camera that answers now; one that does not state its serial number counts as the one of before.
     at : no later than the first frame of the new camera.
 
     Returns

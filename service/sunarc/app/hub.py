@@ -20,7 +20,7 @@ from sunarc.runtime.supervisor import Heartbeat, Monitored, Watchdog
 from sunarc.settings.model import HubSettings
 from sunarc.workers.nightly import NightlyWork, nightly_jobs
 
-_LOOK_EVERY_S = 10.0  # at all cameras; imagers tell of themselves every minute
+_LOOK_EVERY_S = 10.0  # at all cameras; imagers report their state every minute
 _DUE_EVERY_S = 60.0
 _LONGEST_NIGHT_S = 4 * 3600.0  # of all nightly jobs
 

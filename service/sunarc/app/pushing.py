@@ -72,7 +72,7 @@ def _same(worker: PushWorker) -> PushWorker:
 
 
 def imager_states(camera: CameraArchive, board: StatusRegistry) -> Callable[[], Mapping[str, CameraState]]:
-    """Return a function that tells how an imager's camera is."""
+    """Return a function that returns the state of an imager's camera."""
 
     def states() -> Mapping[str, CameraState]:
         snapshot, record = board.snapshot(), camera.current_calibration()
@@ -89,7 +89,7 @@ def imager_states(camera: CameraArchive, board: StatusRegistry) -> Callable[[], 
 
 
 def fleet_states(archive: Archive, now: Callable[[], datetime]) -> Callable[[], Mapping[str, CameraState]]:
-    """Return a function that tells how the cameras of a hub are, by what they last reported."""
+    """Return a function that returns the states of a hub's cameras, by what they last reported."""
 
     def states() -> Mapping[str, CameraState]:
         # What was registered and sent nothing yet has no state that could change.

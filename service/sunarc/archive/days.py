@@ -234,7 +234,7 @@ class NightStore(Part):
             return int(connection.scalar(tries) or 0)
 
     def save(self, night: Night, *, event: Event | None = None, drops_images: bool = False) -> None:
-        """Write a night's verdict in place of an earlier one, with the event that tells of it: both, or neither.
+        """Write a night's verdict in place of an earlier one, with its event: both, or neither.
 
         Parameters
         ----------
@@ -300,7 +300,7 @@ def _night(row: RowMapping) -> Night | None:
 
 
 def night_of_event(camera: str, time: datetime, details: Mapping[str, Any]) -> Night | None:
-    """Return the night that the event of an imager before revision 0017 tells of; None where it names none.
+    """Return the night that the event of an imager before revision 0017 is of; None where it names none.
 
     What such an event leaves out is not known, or 0 of what is counted; without its images the night is damaged.
 

@@ -111,7 +111,7 @@ class EventStore(Part):
     """The events."""
 
     def add(self, event: Event) -> Event:
-        """Write an event down, tell the log of it, and return it with its id."""
+        """Write an event down, log it, and return it with its id."""
         with self._database.writing() as connection:
             stored = insert_event(connection, event)
         log_event(stored)
@@ -149,7 +149,7 @@ class EventStore(Part):
 
 
 def log_event(stored: Event) -> None:
-    """Tell the log of an event that is stored."""
+    """Log an event that is stored."""
     shared = {"event_id": stored.id, "event_kind": stored.kind}  # what the journal's line has of /v1/events
     _log.log(_LEVELS[stored.severity], "%s: %s", stored.kind, stored.text, extra=shared)
 

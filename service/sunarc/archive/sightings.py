@@ -76,7 +76,7 @@ class FileSighting(NamedTuple):
 
     @property
     def key(self) -> ImageKey:
-        """What tells the image from others."""
+        """What distinguishes the image from others."""
         return self.time_us, self.exposure_us, self.file
 
 

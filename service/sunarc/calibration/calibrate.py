@@ -314,7 +314,7 @@ def reproduce_calibration(past: Calibration, points: Sightings) -> Calibration:
 
     Parameters
     ----------
-    past : as it was made, or as its document tells it.
+    past : as it was made, or as its document states it.
     points : the sightings that it was given.
 
     Raises

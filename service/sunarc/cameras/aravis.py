@@ -62,7 +62,7 @@ from sunarc.runtime.clock import Clock
 
 _FLOATS = ("ExposureTime", "ExposureTimeAbs")
 _SAME = 1.5
-"""Factor up to which two exposures may be one to a camera that does not tell its step."""
+"""Factor up to which two exposures may be one to a camera that does not state its step."""
 _RAW, _RAW_UNIT = "ExposureTimeRaw", "ExposureTimeBaseAbs"
 
 

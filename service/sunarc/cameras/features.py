@@ -170,7 +170,7 @@ def write_or_keep(camera: Any, name: str, kind: Kind, value: Value) -> Pin:  # n
 
 
 def serial_of(camera: Any) -> str:  # noqa: ANN401 - a GObject has no types
-    """Return the serial number, empty where the camera does not tell it."""
+    """Return the serial number, empty where the camera does not state it."""
     name = first(camera, _SERIAL)
     return "" if name is None else str(camera.get_string(name))
 
@@ -351,7 +351,7 @@ class Link:
     ----------
     packet_bytes : of a stream packet, IP and UDP headers included.
     frame_bytes : of one frame.
-    mtu : of the route to the camera, bytes; None where the kernel does not tell.
+    mtu : of the route to the camera, bytes; None where the kernel does not state it.
     packet_socket : a ring that the kernel fills without a socket's buffer (needs CAP_NET_RAW).
     buffer_limit_bytes : `net.core.rmem_max`, up to which the kernel grants a UDP socket's buffer.
     """
@@ -423,7 +423,7 @@ def may_open_packet_sockets() -> bool:
 def buffer_limit() -> int:
     """Return the largest receive buffer that the kernel grants a socket, bytes: `net.core.rmem_max`.
 
-    A socket of our own is asked, for the unit hides the file that tells it; the kernel answers with twice the number.
+    A socket of our own is asked, for the unit hides the file that has it; the kernel answers with twice the number.
     """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _MORE_THAN_ANY_BYTES)

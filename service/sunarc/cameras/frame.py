@@ -56,7 +56,7 @@ class CameraInfo:
     width, height : px of the frames that it delivers (its region of interest).
     pixel_format, full_scale : as in `Frame`.
     exposure_min_us, exposure_max_us : bounds of what may be asked for.
-    exposure_step_us : increment of the exposure; 0 where the camera does not tell.
+    exposure_step_us : increment of the exposure; 0 where the camera does not state it.
     gain_raise_db : by how much the gain can be raised over that of the settings; 0 where it cannot be set in decibels.
     packet_bytes, packet_bytes_lost : size of stream packets where it is not the one that was set or negotiated, and
         that one, with which no frame came whole.

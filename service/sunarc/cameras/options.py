@@ -76,7 +76,7 @@ class ReplayOptions:
     ----------
     folder : where they are, subfolders included.
     pixel_format : their format; unset: Mono8 or Mono16, by depth.
-    exposure_us : exposure of images whose name does not tell it; unset: those are left out.
+    exposure_us : exposure of images whose name does not state it; unset: those are left out.
     """
 
     folder: Path

@@ -73,7 +73,7 @@ class ReplayCamera:
         """Change nothing: a file stays what it is."""
 
     def check(self) -> CameraCondition:
-        """Tell nothing: a folder has no settings."""
+        """Return nothing: a folder has no settings."""
         return CameraCondition()
 
     def close(self) -> None:

@@ -99,7 +99,7 @@ class SunLook:
 
     Attributes
     ----------
-    peaks : of the exposures that tell one; empty where no sun was seen.
+    peaks : of the exposures that show one; empty where no sun was seen.
     apparent_zenith : the sun's, degrees.
     clear_level_per_us : level of the sun in 1 µs under a clear sky, fraction of full scale; 0 where unknown.
     spoiled : the shortest exposure that the camera can do showed a disc burnt beyond use.

@@ -207,7 +207,7 @@ def frames_in(source: ImageSource, name: str, *, sidecar: Callable[[], bytes | N
 
     Raises
     ------
-    RefusedImageError : it cannot be read, or does not tell when its images were taken.
+    RefusedImageError : it cannot be read, or does not state when its images were taken.
     """
     kind = kind_of(name)
     if kind == "fits":
@@ -502,7 +502,7 @@ def video_frames(file: Path | bytes, name: str, *, sidecar: bytes | None) -> lis
 
     Raises
     ------
-    RefusedImageError : it is no video, or nothing tells when its images were taken.
+    RefusedImageError : it is no video, or nothing states when its images were taken.
     """
     with _video(file, name) as video:
         count = int(video.get(cv2.CAP_PROP_FRAME_COUNT))

@@ -50,7 +50,7 @@ class NameFamily(NamedTuple):
 
 
 class NamedTime(NamedTuple):
-    """What a name tells: its family, what precedes the time, the time as it is written, and whether that is UTC."""
+    """What a name states: its family, what precedes the time, the time as it is written, and whether that is UTC."""
 
     family: str
     prefix: str
@@ -129,7 +129,7 @@ _ANY = _family("date and time", rf"^(.*?){_DATE_AND_TIME}")
 
 
 def time_in_name(name: str) -> NamedTime | None:
-    """Return the time in a file's name, by the first family that it is of; None where it tells none."""
+    """Return the time in a file's name, by the first family that it is of; None where it states none."""
     for family in (*FAMILIES, _ANY_UTC, _ANY):
         match = family.pattern.search(name)
         if match is None:
@@ -164,7 +164,7 @@ def _reading(year: int, month: int, day: int, clock: list[int]) -> str:
 
 
 def no_time_finding(name: str) -> Finding:
-    """Return why nothing tells the time of a file."""
+    """Return why nothing states the time of a file."""
     readings = ambiguous_dates(name)
     if readings is None:
         return Finding("file_time_unknown")
@@ -234,7 +234,7 @@ class TimeRules(NamedTuple):
 
 
 class TimedFrame(NamedTuple):
-    """An image of a file: its number, mid-exposure time (aware, UTC), exposure, and what tells the time.
+    """An image of a file: its number, mid-exposure time (aware, UTC), exposure, and what states the time.
 
     `prefix` is what precedes the time in the name, by which cameras differ.
     """
@@ -261,7 +261,7 @@ def timed_frames(source: ImageSource, name: str, rules: TimeRules, *, names: Col
 
     Raises
     ------
-    RefusedImageError : nothing tells the time, or nothing tells its zone.
+    RefusedImageError : nothing states the time, or nothing states its zone.
     """
     kind, path = kind_of(name), PurePosixPath(name)
     if kind == "picture":
@@ -290,7 +290,7 @@ def timed_picture(source: ImageSource, name: str, rules: TimeRules, *, names: Co
 
 
 def _of_document(source: ImageSource, name: str) -> datetime | None:
-    """Return the time that one of our own composites tells; None for other pictures. A preview is refused."""
+    """Return the time that one of our own composites states; None for other pictures. A preview is refused."""
     stated = document_in(source, name).get("time_utc")
     try:
         return None if stated is None else parse_time(str(stated), where=name)

@@ -60,7 +60,7 @@ class ArchiveImage(NamedTuple):
 
     @property
     def key(self) -> ImageKey:
-        """What tells it from other images of its camera; of two with one key the second is a copy."""
+        """What distinguishes it from other images of its camera; of two with one key the second is a copy."""
         return self.time_us, self.exposure_us or 0.0, PurePosixPath(self.path).name
 
 
@@ -119,7 +119,7 @@ class CameraImages:
     plan : see there; of a camera that was found among others, with its own name.
     images : those by day, in the order of time and name.
     example : an image's name and time (UTC) as it was read, for confirmation.
-    family : what tells the times.
+    family : what states the times.
     size : width and height of its images, px.
     nights : those of the night (the sun 12 degrees below the horizon or deeper), in the order of time and name.
     """
@@ -208,7 +208,7 @@ def index_folder(plan: CameraPlan) -> tuple[CameraImages, list[Failure]]:
 
 
 def _found(plan: CameraPlan) -> tuple[list[_Found], list[tuple[str, str, Finding]]]:
-    """Return the images of a plan's sources, and address, name and finding of the files that tell no time."""
+    """Return the images of a plan's sources, and address, name and finding of the files that state no time."""
     found, failed = list[_Found](), list[tuple[str, str, Finding]]()
     for address in plan.selector.sources:
         source = open_source(address)

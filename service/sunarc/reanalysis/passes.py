@@ -85,7 +85,7 @@ class Looked(NamedTuple):
 class Work(NamedTuple):
     """Images of a camera to look at, by their number among its images, and what stands still in them.
 
-    keys: hash of what each of its answers rests on; None where the item tells that. chunks: divides images that wait,
+    keys: hash of what each of its answers rests on; None where the item states that. chunks: divides images that wait,
     by their numbers, into units of work; None: by source and day.
     """
 

@@ -210,7 +210,7 @@ class Supervised:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Watchdog:
-    """What the supervisor's watchdog looks at, and whom it tells.
+    """What the supervisor's watchdog looks at, and what it reports to.
 
     Attributes
     ----------

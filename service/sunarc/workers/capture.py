@@ -141,7 +141,7 @@ class CaptureWorker:
     Parameters
     ----------
     open_camera : opens the camera; raises `CameraError` when it does not answer.
-    clock, frame_time : real time, and the time that the frames tell.
+    clock, frame_time : real time, and the time of the frames.
     options : the cadence.
     name : the camera's name on the board.
     apparent_zenith : the sun's, in degrees, at a frame time.
@@ -426,7 +426,7 @@ class ReplayWorker:
     Parameters
     ----------
     open_camera : opens the folder; raises `CameraError` when there is nothing to play.
-    clock, frame_time : real time, and the time that the images tell.
+    clock, frame_time : real time, and the time of the images.
     name : the camera's name on the board.
     sun_frames : where the images of the sun go; nothing is dropped, the replay waits for room.
     board : where the replay's state is shown.

@@ -276,7 +276,7 @@ class OverdueSightings:
     ----------
     stored : how many sightings this process has stored so far.
     apparent_zenith : the sun's now, degrees.
-    clock, frame_time : real time, and the time that the frames tell, with its speed.
+    clock, frame_time : real time, and the time of the frames, with its speed.
     cadence_s : seconds of frame time from slot to slot.
     board : where the condition is set.
     """

@@ -252,7 +252,7 @@ class ClockOptions:
     Attributes
     ----------
     step_s : wall time that moves against monotonic time by more than this was set; slewing moves both alike.
-    assumed_error_s : bound of the host's clock where it is kept right by something that does not tell the kernel.
+    assumed_error_s : bound of the host's clock where it is kept right by something that does not inform the kernel.
     """
 
     step_s: Duration = 0.1

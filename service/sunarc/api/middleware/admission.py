@@ -113,7 +113,7 @@ def _bearer_token(scope: Scope) -> str | None:
 
 
 def _is_one_of(given: str, tokens: tuple[bytes, ...]) -> bool:
-    """Compare with every token, so that the time does not tell which one is meant."""
+    """Compare with every token, so that the time does not reveal which one is meant."""
     return sum(_same(given, token) for token in tokens) > 0
 
 
@@ -122,7 +122,7 @@ def _is_open(path: str) -> bool:
 
 
 def _same(given: str, token: bytes) -> bool:
-    """Compare what is given with a token's digest, in a time that tells nothing of either."""
+    """Compare what is given with a token's digest, in a time that reveals nothing of either."""
     return hmac.compare_digest(_digest(given.encode("utf-8", "replace")), token)
 
 
@@ -181,7 +181,7 @@ class TokenBuckets:
 class RateLimit:
     """Refuses what one client asks too often (429), and clients whose address a proxy garbles (400).
 
-    A client on loopback is not counted: it is the host itself, or a proxy that does not tell for whom it asks.
+    A client on loopback is not counted: it is the host itself, or a proxy that does not state for whom it asks.
 
     Parameters
     ----------

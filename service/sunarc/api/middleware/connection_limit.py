@@ -2,7 +2,7 @@
 
 uvicorn waits for a request's head, and for a client that does not read, as long as it takes, and its own limit on
 connections lets idle ones keep others out. `BoundedConnection` stands between its protocol and the event loop, with
-asyncio's interface alone; `RequestFollower`, as ASGI middleware, tells it when a request begins and ends.
+asyncio's interface alone; `RequestFollower`, as ASGI middleware, notifies it when a request begins and ends.
 """
 
 from __future__ import annotations
@@ -167,7 +167,7 @@ _connection: ContextVar[BoundedConnection] = ContextVar("connection")
 
 
 class RequestFollower:
-    """Tells a connection when a request begins and when its answer is written.
+    """Notifies a connection when a request begins and when its answer is written.
 
     Parameters
     ----------

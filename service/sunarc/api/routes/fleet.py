@@ -31,7 +31,7 @@ from sunarc.json_fields import Time, described
 from sunarc.runtime.status import StatusSnapshot
 
 SILENT = timedelta(minutes=15)
-"""A camera that sent nothing for so long is silent: imagers tell of themselves every minute."""
+"""A camera that sent nothing for so long is silent: imagers report their state every minute."""
 State = Literal["silent", "not_ready", "degraded", "quarantine", "uncalibrated", "ready"]
 """How a camera is, the worst first."""
 

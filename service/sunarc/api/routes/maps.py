@@ -249,7 +249,7 @@ def _mask(
 
 
 _HEIGHT_M = 1000.0
-"""Of a cloud base where none is given, m: that of fair-weather cumulus; the header `Sunarc-Height-M` tells it."""
+"""Of a cloud base where none is given, m: that of fair-weather cumulus; the header `Sunarc-Height-M` states it."""
 _CELLS = 24
 """Along a side, of the grid that the stated error is taken over."""
 _GRID = Annotated[Grid, Query(description="Equidistant map of the sky, or the ground under a cloud layer.")]

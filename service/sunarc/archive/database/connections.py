@@ -247,7 +247,7 @@ def _first_line(error: DBAPIError) -> str:
 
 
 class SnapshotVersion:
-    """A connection of its own that tells whether anything was committed, by anyone, since it was last asked.
+    """A connection of its own that returns whether anything was committed, by anyone, since it was last asked.
 
     Parameters
     ----------

@@ -47,7 +47,7 @@ FED: Mapping[str, tuple[Table, tuple[str, ...]]] = {
 """The tables that are sent, each after those that it refers to, with what makes a row of it another one."""
 
 STATUS = "status"
-"""Kind of what the imager tells of itself; the hub keeps the newest."""
+"""Kind of the imager's own state; the hub keeps the newest."""
 REMOVED = ".removed"
 """Ending of the kind of a row that is there no more, or not under that key."""
 _NUMBERED = frozenset({"sun_point", "event"})

@@ -112,7 +112,7 @@ class Outbox(Part):
         return tuple(rows)
 
     def queue_status(self, status: Mapping[str, Any]) -> None:
-        """Queue what the imager tells of itself, in place of what was not sent yet."""
+        """Queue the imager's own state, in place of what was not sent yet."""
         with self._database.writing() as connection:
             sent = select(outbox_position.c.sent).scalar_subquery()
             connection.execute(delete(outbox).where(outbox.c.kind == STATUS, outbox.c.seq > sent))

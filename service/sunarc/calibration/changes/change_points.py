@@ -361,7 +361,7 @@ def calibrate_moved(
 ) -> Moved:
     """Fit a camera that may have been moved among the sightings: one lens, and a pose before and after every move.
 
-    The calibration is of the last pose; its evidence tells the moves, and its verdict names them. Sightings that are
+    The calibration is of the last pose; its evidence lists the moves, and its verdict names them. Sightings that are
     of several pose epochs already are fitted as they are, as are those of a fit by the paper's method or of the pose
     alone, and where directions are stated, which make no track. A move within 20 sightings or 75 minutes of an end or
     of another move is not found: cloud lasts as long.

@@ -74,7 +74,7 @@ def lens_type_of(units: Sequence[Unit], *, spread: UnitSpread | None = None) -> 
     ------
     InputError
         Where the cameras cannot be of one type: another projection, image size or handedness; or where a calibration
-        does not tell the covariance of its lens.
+        does not state the covariance of its lens.
     """
     stated = UnitSpread() if spread is None else spread
     require_one_type(units)
@@ -97,7 +97,7 @@ def lens_type_of(units: Sequence[Unit], *, spread: UnitSpread | None = None) -> 
 
 
 def require_one_type(units: Sequence[Unit]) -> None:
-    """Raise InputError unless calibrations can be of one type of lens, and tell its covariance."""
+    """Raise InputError unless calibrations can be of one type of lens, and state its covariance."""
     if not units:
         raise InputError(field="lens prior", problem="no calibration", remedy="name accepted calibrations")
     first = units[0]
@@ -252,7 +252,7 @@ def calibrate_jointly(
     names = list(dict.fromkeys(entry.camera for entry in entries))
     together = {name: [entry for entry in entries if entry.camera == name] for name in names}
     alone = {id(entry): _of_epoch(together[entry.camera], entry, calibrate) for entry in entries}
-    # all epochs of a camera have one lens: any of its calibrations tells it
+    # all epochs of a camera have one lens: any of its calibrations states it
     units = {name: Unit(name, alone[id(together[name][-1])]) for name in names}
     accepted = [unit for unit in units.values() if unit.calibration.verdict.accepted]
     if not accepted:

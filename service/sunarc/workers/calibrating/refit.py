@@ -207,7 +207,7 @@ class RefitTask:
         return replace(self.problem, points=solver_process.points_of(self.used, site=self.problem.site, latest=epoch))
 
     def with_selection(self, solved: Calibration) -> Calibration:
-        """Return a calibration whose evidence tells how its sightings were picked."""
+        """Return a calibration whose evidence states how its sightings were picked."""
         counts = {**asdict(_LIMITS), **self.selection.counts()}
         return replace(solved, evidence=replace(solved.evidence, selection=counts))
 

@@ -524,7 +524,7 @@ class NightWorker:
 
 
 def event_of_night(night: Night) -> Event:
-    """Return the event that tells of a night: its verdict, its numbers as far as they are known, and why."""
+    """Return the event of a night: its verdict, its numbers as far as they are known, and why."""
     values = {one.name: getattr(night, one.name) for one in fields(night)}
     numbers = {name: value for name, value in values.items() if isinstance(value, int | float)}
     parts: dict[str, object] = {"findings": [finding.as_json() for finding in night.findings]}
