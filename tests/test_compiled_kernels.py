@@ -165,6 +165,12 @@ CALLS |= {
         "by_counts": False,
     },
     "merge_exposures": _MERGE,
+    "most_followed": {
+        "points": PIXELS,
+        "circles": np.array([[300.0, 200.0, 90.0], [320.0, 240.0, 100.0]]),
+        "outside": 25.0,
+        "inside": 40.0,
+    },
     "cloud_transmittance": _CLOUDS | {"directions": SKY.astype(np.float32)},
     "sky_light": _CLOUDS
     | {"field": _GREY, "sun": np.array([0.0, 0.6, 0.8], np.float32), "levels": np.full(6, 0.1, np.float32)},
@@ -186,7 +192,7 @@ CALLS |= {
 }
 # kernels whose results for no pixels, directions or sightings are empty
 _WHOLE = {"rotation_and_jacobian", "most_probable", "paper_fit", "render_disc", "merge_exposures"}
-_WHOLE |= {"sky_light", "night_glow", "count_light", "image_of_points"}
+_WHOLE |= {"most_followed", "sky_light", "night_glow", "count_light", "image_of_points"}
 PER_PLACE = [name for name in CALLS if name not in _WHOLE]
 Spoiled = Callable[[np.ndarray], np.ndarray | None]
 

@@ -1,4 +1,4 @@
-// Images: the sun's disc and its likelihood, the merge of exposures, and what the simulated sky and sensor make.
+// Images: the sun's disc and its likelihood, a plateau's rim, the merge of exposures, and what the simulated sky and sensor make.
 // Compiled without contraction (CMakeLists.txt): the same counts on every processor.
 #include <algorithm>
 #include <cmath>
@@ -244,6 +244,32 @@ nb::tuple merge_exposures(In<T, -1, -1, -1> stack, Numbers exposures, double bla
     return nb::make_tuple(out.array(), lost);
 }
 
+// The rim of a plateau.
+
+// The sum of Tukey's weights of distances from a circle, whose cuts outside and inside of it are given, px.
+DISPATCHED double followed(const double* points, size_t n, const double* circle, double outside, double inside) {
+    double total = 0.0;
+#pragma omp simd reduction(+ : total)
+    for (size_t i = 0; i < n; ++i) {
+        const double dx = points[2 * i] - circle[0], dy = points[2 * i + 1] - circle[1];
+        const double off = std::sqrt(dx * dx + dy * dy) - circle[2], ratio = std::max(off / outside, -off / inside);
+        const double weight = std::max(0.0, 1.0 - ratio * ratio);  // 0 where the circle is not a number
+        total += weight * weight;
+    }
+    return total;
+}
+
+size_t most_followed(Places points, Vectors circles, double outside, double inside) {
+    nb::gil_scoped_release unlocked;
+    size_t best = 0;
+    double most = 0.0;
+    for (size_t k = 0; k < circles.shape(0); ++k) {
+        const double total = followed(points.data(), points.shape(0), circles.data() + 3 * k, outside, inside);
+        if (total > most) best = k, most = total;
+    }
+    return best;
+}
+
 // The simulated sky and sensor.
 
 constexpr float TEXELS_PER_HEIGHT = 200.0f;
@@ -433,6 +459,8 @@ void add_image(nb::module_& module) {
                nb::arg("black"), nb::arg("full_scale"), nb::arg("read_variance"), nb::arg("counts_per_electron"));
     module.def("merge_exposures", &merge_exposures<uint16_t, merge_words>, named("stack"), named("exposures"),
                nb::arg("black"), nb::arg("full_scale"), nb::arg("read_variance"), nb::arg("counts_per_electron"));
+    module.def("most_followed", &most_followed, named("points"), named("circles"), nb::arg("outside"),
+               nb::arg("inside"));
     module.def("cloud_transmittance", &cloud_transmittance, named("layer"), nb::arg("offset_x"),
                nb::arg("offset_y"), named("directions"));
     module.def("sky_light", &sky_light, named("field"), named("sun"), named("levels"), named("layer"),

@@ -320,6 +320,12 @@ def merge_exposures(
     Each is weighted by its noise, of which the photons' is that of the pooled rate.
     """
 
+def most_followed(points: FloatArray, circles: FloatArray, outside: float, inside: float) -> int:
+    """Return which circle (m, 3) has the largest sum of the weights of points (n, 2), the first of equals.
+
+    The weights are Tukey's, with a cut outside of the circle and one inside, px; a circle of NaN has none.
+    """
+
 def cloud_transmittance(
     layer: Float32Array, offset_x: float, offset_y: float, directions: Float32Array
 ) -> Float32Array:

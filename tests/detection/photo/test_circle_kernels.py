@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from sunarc import _kernels
 from sunarc.array_types import FloatArray
-from sunarc.detection.photo.rim import circles_through, crossings, fitted_rim, most_followed
+from sunarc.detection.photo.rim import circles_through, crossings, fitted_rim
 from sunarc.robust_statistics import MAD_TO_SIGMA, biweights
 
 RNG = np.random.default_rng(6)
@@ -88,7 +89,7 @@ def test_the_most_followed_circle_has_the_largest_sum_of_weights(seed: int) -> N
     circles = np.column_stack([rng.normal(40.0, 3.0, 40), rng.normal(30.0, 3.0, 40), rng.normal(12.0, 2.0, 40)])
     circles[3] = math.nan
     sums = [float(np.nansum(weights(np.hypot(*(points - circle[:2]).T) - circle[2], 0.8))) for circle in circles]
-    assert most_followed(points, circles, 0.8) == int(np.argmax(sums))
+    assert _kernels.most_followed(points, circles, 2.5 * 0.8, 4.0 * 0.8) == int(np.argmax(sums))
 
 
 RADII = np.arange(5.0, 15.0)

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from sunarc import _kernels
 from sunarc.array_types import BoolArray, FloatArray, Image
 from sunarc.detection.photo.plateau import Plateau
 from sunarc.robust_statistics import biweights, mad_sigma
@@ -99,13 +100,6 @@ def circles_through(points: FloatArray) -> FloatArray:
     b2, c2 = np.sum(b * b, axis=1), np.sum(c * c, axis=1)
     off = np.column_stack([c[:, 1] * b2 - b[:, 1] * c2, b[:, 0] * c2 - c[:, 0] * b2]) / cross[:, None]
     return np.column_stack([a + off, np.hypot(off[:, 0], off[:, 1])])
-
-
-def most_followed(points: FloatArray, circles: FloatArray, scale: float) -> int:
-    """Return which circle has the largest sum of the points' weights, the first of equals; NaN has none."""
-    dx, dy = np.ascontiguousarray(points.T)[:, None] - circles.T[:2, :, None]
-    residual = np.sqrt(dx * dx + dy * dy) - circles[:, 2:]
-    return int(np.argmax(np.nan_to_num(_weights(residual, scale).sum(axis=1))))
 
 
 def crossings(light: FloatArray, level: float, lasting: int, radii: FloatArray) -> FloatArray:
@@ -354,7 +348,7 @@ def _consensus(points: FloatArray) -> tuple[FloatArray, float]:
     """Return the circle through three of the points that most of them follow (x, y, radius), and its scale."""
     circles = circles_through(points)
     scale = _FIRST_SCALE * float(np.nanmedian(circles[:, 2])) + _LEAST_SCALE_PX
-    return circles[most_followed(points, circles, scale)], scale
+    return circles[_kernels.most_followed(points, circles, _CUT_OUTSIDE * scale, _CUT_INSIDE * scale)], scale
 
 
 def _ellipticity(crossing: FloatArray, radius: float) -> float:
