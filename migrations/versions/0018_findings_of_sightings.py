@@ -158,6 +158,13 @@ _FORMER = {
 }
 """What version 0.3.0 wrote of some of them."""
 
+_SINCE: dict[str, dict[str, float | None]] = {
+    "disc_uneven": {"limit_px": 0.03, "limit_chi2": 16.0},
+    "image_saturated": {"level": None, "limit": 0.98},
+    "blob_one_sided": {"limit": 0.5},
+}
+"""Data that sentences have from this revision on: the limits then in force, and a level that was not stated."""
+
 _ANY_TEXT = "file_unreadable"
 """Its sentence is whatever went wrong: of none it is known that it is this code's."""
 _BEFORE = {"saturated_left_out": ", "}
@@ -232,7 +239,7 @@ def _of_one(text: str) -> Found | None:
         match = pattern.fullmatch(text)
         data = {name: _value(value) for name, value in match.groupdict().items()} if match else {}
         if match and _text(sentence, data) == text:
-            return code, data
+            return code, data | _SINCE.get(code, {})
     return None
 
 

@@ -190,7 +190,7 @@ def test_sentences_of_sightings_become_findings_where_their_codes_are_sure(fille
     disc = Finding("disc_found", {"chi2": 1.04})
     assert stored[:5] == [
         (), (disc,), (disc, Finding("saturated_left_out", {"n": 12})), (Finding("bracket_covered"), disc),
-        (Finding("disc_uneven", {"uneven_px": 0.3, "chi2": 9}),),
+        (Finding("disc_uneven", {"uneven_px": 0.3, "chi2": 9, "limit_px": 0.03, "limit_chi2": 16.0}),),
     ]  # fmt: skip
     assert stored[5:9] == [(uncoded(str(text)),) for text in sentences[5:9]]
     assert stored[9] == MOVED

@@ -108,7 +108,7 @@ class SunPoint(Returned):
             )
 
     @computed_field(  # type: ignore[prop-decorator]
-        description="Why it was accepted or rejected, in words.", examples=["a disc, reduced chi² 1.10"]
+        description="Why it was accepted or rejected, in words.", examples=["a disc was fitted, reduced chi² 1.10"]
     )
     @property
     def reason(self) -> str:

@@ -34,9 +34,10 @@ MESSAGES = Messages(
         "the sun moved {arc_deg:.1f}°; at least {least_deg:.0f}° are needed", _REFUSED, "collect sightings for longer"
     ),
     spread_too_small=Message(
-        "all sightings lie within {spread_px:.1f} px (at least {least_px:.0f} px are needed): this is not the sun",
+        "the detections extend over {spread_px:.1f} px of the image (at least {least_px:.0f} px are needed): what is "
+        "detected does not move with the sun",
         _REFUSED,
-        "check what the detector finds in the images",
+        "look at the detected positions in the images; mask what stands still",
     ),
     no_camera_fits=Message(
         "no camera of this projection fits the sightings",
@@ -92,13 +93,15 @@ MESSAGES = Messages(
         "A pose change within the sightings of the fit.",
     ),
     projection_chosen=Message(
-        "the sightings make {projection} the lens's projection, 10^{log10_odds:.1f} times as probable as {next}",
-        "No projection was named; the five were compared.",
+        "the sightings determine the projection {projection}: it is 10^{log10_odds:.1f} times as probable as {next}",
+        "No projection was named; those that could be fitted were compared.",
     ),
     simulated_camera=Message("the camera of a simulation", "The document states a simulated camera's true parameters."),
     # why a fit refuses itself
     mirroring_ambiguous=Message(
-        "a mirrored and an unmirrored camera fit equally well", _REFUSED, "give --mirrored no or --mirrored yes"
+        "the mirrored and the unmirrored camera fit the sightings equally well",
+        _REFUSED,
+        'set calibration.mirrored to "no" or "yes" (command line: --mirrored)',
     ),
     projection_ambiguous=Message(
         "the sightings do not determine the lens's projection: from {n} (at least {least} are needed) {projection} is "
@@ -113,7 +116,7 @@ MESSAGES = Messages(
         "give --mirrored {mirrored}, in the settings calibration.mirrored; or swap the columns x_px and y_px",
     ),
     rmse_too_large=Message(
-        "RMSE of the sightings {rmse_px:.2f} px (at most {limit_px:g} px)",
+        "the RMSE of the sightings is {rmse_px:.2f} px (at most {limit_px:g} px allowed)",
         _REFUSED,
         "check the clock, the site and the projection",
     ),
@@ -140,10 +143,11 @@ MESSAGES = Messages(
         _MORE_DAYS,
     ),
     held_out_contradicts=Message(
-        "held-out check: a fit without {n} of the sightings predicts them with an error of {rmse_px:.2f} px and states "
-        "{stated_px:.2f} px; the errors are {excess:.1f} times what chance allows (at most {limit:g})",
-        "The fit is refused. Thirds of a day, or whole days, were predicted by fits of the other sightings, and the "
-        "errors compared with what these fits state, together and one by one.",
+        "held-out check: the worst predicted part, {n} sightings, is missed by {rmse_px:.2f} px RMS where "
+        "{stated_px:.2f} px are stated; the test statistic over all parts is {excess:.2f} (at most {limit:.2f})",
+        "The fit is refused. Thirds of a day, or whole days, were predicted by fits of the other sightings. The "
+        "statistic is the larger of two: the furthest bin over 7 sigma, and the root of chi-square over its 1e-4 "
+        "quantile.",
         "collect sightings of whole clear days; check the clock, the mount and the projection",
     ),
     hours_missing=Message(
@@ -240,7 +244,8 @@ MESSAGES = Messages(
     # a fit beside the active one
     first_calibration=Message("first calibration of this camera", "It becomes the active one."),
     direction_sigma_compared=Message(
-        "direction uncertainty {now_deg:~3}° (was {before_deg:~3}°)", "The fit becomes the active one."
+        "the RMS 1-sigma of directions is {now_deg:~3}° ({before_deg:~3}° for the calibration in use)",
+        "The fit becomes the active one.",
     ),
     replaces_damaged=Message(
         "it replaces a damaged calibration",
@@ -316,7 +321,8 @@ MESSAGES = Messages(
         "set the camera's image back as it was (reverse X, reverse Y)",
     ),
     changed_site=Message(
-        f"sun at the position of a site with the opposite latitude or longitude{_AGREE}",
+        "the sun is where it would be over a site with the opposite sign of latitude or longitude{alternatives}; "
+        "{agreeing} of {of} sightings since then agree",
         "Sightings are left out until the site is right.",
         "correct the sign of site.latitude or site.longitude in the settings",
     ),
@@ -332,8 +338,8 @@ MESSAGES = Messages(
         "give images of one clear night, an hour or more apart",
     ),
     blind_no_turning=Message(
-        "no rotation about the pole maps the detections of one image onto those of another: {share:.2f} of them agree, "
-        "{limit:.2f} needed",
+        "no rotation about the celestial pole maps the detections of one image onto those of another: for the best one "
+        "{share:.2f} of them agree ({limit:.2f} needed)",
         _NO_CAMERA,
         "give images of a clear night; check their times and the latitude; crop what is outside the image circle",
     ),
@@ -372,7 +378,7 @@ MESSAGES = Messages(
         "free processor time, or set a longer capture.cadence_s",
     ),
     day_scatter=Message(
-        "the sightings scatter about the arc with {sd_px:.2f} px (clear: at most {limit_px:g} px)",
+        "the sightings scatter about the arc by {sd_px:.2f} px (on a clear day by at most {limit_px:g} px)",
         "Decides between clear and partly.",
     ),
     day_share_uncertain=Message(

@@ -11,14 +11,14 @@ _NO_SUN = "No sun in this image."
 _REJECTED = "A position is given and not used."
 _NO_STARS = "No star of this image is used."
 _NO_MOON = "The moon of this image is not used."
-_BETTER_START = "check time and place, and the calibration that predicts the stars"
+_BETTER_START = "check the clock, the site and the calibration that predicts the stars"
 _BY_RIM = "The bright region is not the sun, or too little of it is seen; a position is given and not used."
 _PREDICT = "none: a prediction from a calibration decides"
 _FILTER = "set detection.clear_level_per_us if there is a filter before the lens"
 
 MESSAGES = Messages(
     # accepted discs
-    disc_found=Message("a disc, reduced chi² {chi2:.2f}", _ACCEPTED),
+    disc_found=Message("a disc was fitted, reduced chi² {chi2:.2f}", _ACCEPTED),
     disc_dimmed=Message("{share:.2f} of the clear sun's brightness", "Accepted as veiled."),
     disc_in_bright_sky=Message("{share:.2f} of the light comes from the disc", "Accepted as veiled."),
     saturated_left_out=Message("{n} saturated pixels left out", "The disc was fitted without them."),
@@ -42,8 +42,8 @@ MESSAGES = Messages(
     disc_poor_fit=Message("poor disc fit: residuals {residual:.3f} of its level, sigma {sigma_px:.3f} px", _REJECTED),
     disc_without_limb=Message("a disc without the sun's darker limb: the moon, or a lamp", _REJECTED),
     disc_uneven=Message(
-        "brightness gradient across the disc moves its centre by {uneven_px:.2f} px (chi² {chi2:.0f}, 4 degrees of "
-        "freedom)",
+        "a brightness gradient across the disc moves its centre by {uneven_px:.2f} px (at most {limit_px:g} px; chi² "
+        "{chi2:.0f} with 4 degrees of freedom, at most {limit_chi2:g})",
         _REJECTED,
     ),
     disc_foreign_rows=Message(
@@ -79,7 +79,11 @@ MESSAGES = Messages(
     stack_mean=Message("mean of {frames} exposures, reduced chi² {chi2:.1f}", _ACCEPTED),
     stack_member=Message("an exposure of a stack whose sighting is that of {file}", "Used there."),
     image_dark=Message("the brightest pixel is {peak:.2f} of full scale", _NO_SUN),
-    image_saturated=Message("more than half of the image is saturated", _NO_SUN),
+    image_saturated=Message(
+        "the median of the image is {level:.2f} of full scale (at most {limit:.2f} allowed)",
+        _NO_SUN,
+        "take shorter exposures",
+    ),
     no_round_region=Message("no bright region is round", _NO_SUN),
     blob_displaced=Message("a round bright region {distance_px:.0f} px from where the sun should be", _REJECTED),
     blob_edged=Message(
@@ -100,7 +104,7 @@ MESSAGES = Messages(
     blob_not_alone=Message(
         "other regions are as bright: {area:.1%} of the image (of the square of its smaller side)", _BY_RIM, _PREDICT
     ),
-    blob_one_sided=Message("rim round in only {share:.2f} of the directions", _BY_RIM),
+    blob_one_sided=Message("the rim is circular in {share:.2f} of the directions only ({limit:.2f} needed)", _BY_RIM),
     blob_uneven=Message("rim uneven by {scatter:.3f} of its radius", _BY_RIM),
     blob_centre_uncertain=Message("centre known to {sigma_px:.1f} px only", _BY_RIM),
     # images of the night

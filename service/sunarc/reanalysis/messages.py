@@ -55,9 +55,10 @@ MESSAGES = Messages(
         "its times are in {units!r}", _LEFT_OUT, "give them in UTC, as seconds since 1970-01-01T00:00:00Z"
     ),
     file_video_times=Message(
-        "the video does not state when its {frames} frames ({frames_per_s:.0f} per second) were taken",
-        _LEFT_OUT,
-        'write a sidecar, {{"times_utc": ["…Z"]}} or {{"start_utc": "…Z", "interval_s": 60}}',
+        "the times of the video's {frames} frames are unknown: it states none, or plays more than one frame a second "
+        "({frames_per_s:~2})",
+        "The file was left out; nothing is stored of it.",
+        'write NAME.json beside the video NAME.*: {{"times_utc": ["…Z"]}} or {{"start_utc": "…Z", "interval_s": 60}}',
     ),
     file_sidecar=Message("the sidecar cannot be read: {error}", _LEFT_OUT, 'write {{"time_utc": "…Z"}}'),
     file_at_night=Message(

@@ -76,7 +76,8 @@ MESSAGES = Messages(
         "correct site.longitude (east is positive), or the clock and its zone; else look for a lamp at the camera",
     ),
     epoch_in_future=Message(
-        "pose epoch {pose_epoch} begins at {started_at}, later than now; a clock that was ahead dated it",
+        "pose epoch {pose_epoch} begins at {started_at}, which is in the future: the clock was ahead when it was "
+        "opened",
         "It is not used, but no other can begin.",
         "if the clock is right now: sunarc epochs close {pose_epoch}",
     ),
@@ -101,7 +102,9 @@ MESSAGES = Messages(
         "see the log for how the process ended; report it with the log",
     ),
     night_clock_not_trusted=Message(
-        "the clock is not trusted", "The stars of this night are not used.", "see the condition of the clock"
+        "the clock that dates the images is not trusted",
+        "The stars of this night are not used.",
+        "see clock_unsynchronised, clock_settling or camera_clock_offset in /readyz",
     ),
     night_focus_worse=Message(
         "for {nights} nights the stars have been {ratio:.2f} times as wide as before: {fwhm_px:.2f} px",
@@ -129,16 +132,18 @@ MESSAGES = Messages(
         "After a restart the former list is used.",
         "free disk space; it is written again after the next night",
     ),
-    refit_accepted=Message("{message}", "A refit made a calibration that may be served."),
+    refit_accepted=Message("refit {refit} was accepted: {message}", "A refit made a calibration that may be served."),
     refit_marginal=Message(
-        "{message}",
+        "refit {refit} is marginal: {message}",
         "A refit made a calibration that is kept as a candidate.",
         "`sunarc calibrations activate ID` serves it",
     ),
     refit_refused=Message(
-        "{message}", "A refit made a calibration that is not served.", "see the findings of the calibration"
+        "refit {refit} was refused: {message}",
+        "A refit made a calibration that is not served.",
+        "see the findings of the calibration",
     ),
-    refit_failed=Message("{message}", "A refit made no calibration.", "see the text"),
+    refit_failed=Message("refit {refit} failed: {message}", "A refit made no calibration.", "see the text"),
     no_accepted_sightings=Message(
         "there are no accepted sightings yet",
         "A refit had nothing to solve.",
@@ -168,15 +173,15 @@ MESSAGES = Messages(
         "free processor time on the host (see its load)",
     ),
     solver_died=Message(
-        "the solving process died ({end}); see the log",
+        "the solver process ended before it answered ({end})",
         "It was killed, or memory was short; it is started once more.",
-        "free memory on the host (see the kernel's log)",
+        "free memory on the host (journalctl -k names what the kernel killed)",
     ),
     search_failed=Message(
         "the search for pose epochs failed: {error}", "The refit goes on with the known ones.", "see the log"
     ),
     active_is_pinned=Message(
-        "kept as a candidate: the active calibration is pinned",
+        "the accepted fit is kept as a candidate: the active calibration is pinned",
         "An operator pinned the active one.",
         "`sunarc calibrations unpin ID` lets refits replace it",
     ),
@@ -185,7 +190,7 @@ MESSAGES = Messages(
     ),
     # hub
     hub_unreachable=Message(
-        "the hub was not reached for {hours:g} h: {error}",
+        "the hub has not been reached for {hours:g} h: {error}",
         "Rows wait in the outbox, without a limit; measurements continue.",
         "check the network, the hub, and hub.url",
     ),
@@ -223,7 +228,7 @@ MESSAGES = Messages(
         "correct the receiver, or its address in push.webhooks; the next message that it accepts ends this notice",
     ),
     push_overflow=Message(
-        "{lost:g} messages were removed: a receiver left more than {most:g} of them waiting",
+        "{lost} messages were deleted before a receiver had taken them: at most {most} are kept",
         "The oldest messages are lost to that receiver.",
         f"correct the receiver, or remove it from [push]; {_NO_NOTICE}",
     ),
@@ -323,7 +328,7 @@ MESSAGES = Messages(
         "free space on this disk, soon; rechecked automatically",
     ),
     disk_no_inodes=Message(
-        "the file system of {folder} has no inodes left ({free_mb:.0f} MB free); no file can be made",
+        "the file system of {folder} has no free inodes ({free_mb:.0f} MB free); no file can be created",
         "No composite is kept.",
         "remove small files (df -i shows the file system); rechecked automatically",
     ),

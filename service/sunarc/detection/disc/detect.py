@@ -528,7 +528,15 @@ def _covered(fit: DiscFit, expectation: Expectation | None, sensor: Sensor) -> t
     del expectation, sensor
     uneven_px = math.sqrt(max(fit.uneven, 0.0)) * fit.sigma_px
     if fit.uneven > _SIGNIFICANT_CLASSIFY and uneven_px > MAX_UNEVEN_PX:
-        return "partly_covered", Finding("disc_uneven", {"uneven_px": uneven_px, "chi2": fit.uneven})
+        return "partly_covered", Finding(
+            "disc_uneven",
+            {
+                "uneven_px": uneven_px,
+                "limit_px": MAX_UNEVEN_PX,
+                "chi2": fit.uneven,
+                "limit_chi2": _SIGNIFICANT_CLASSIFY,
+            },
+        )
     if fit.residual > MAX_RESIDUAL_FRACTION:
         return "partly_covered", Finding("disc_residuals", {"residual": fit.residual, "chi2": fit.chi2})
     if is_foreign(*fit.bands):

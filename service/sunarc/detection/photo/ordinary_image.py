@@ -135,7 +135,7 @@ def _fault(seen: Candidate) -> tuple[Verdict, Finding] | None:
     if rim.near > _MAX_NEAR or rim.far > _MAX_FAR:
         return "hidden", Finding("blob_flat", {"near": rim.near, "far": rim.far})
     if rim.share < _MIN_SHARE:
-        return "partly_covered", Finding("blob_one_sided", {"share": rim.share})
+        return "partly_covered", Finding("blob_one_sided", {"share": rim.share, "limit": _MIN_SHARE})
     if rim.scatter > _MAX_SCATTER * rim.radius:
         return "veiled", Finding("blob_uneven", {"scatter": rim.scatter / rim.radius})
     if seen.sigma_px > max(min(MAX_SIGMA * seen.size_px, _MAX_SIGMA_RADIUS * rim.radius), _MAX_SIGMA_PX):
@@ -317,8 +317,9 @@ def _nothing(part: ImagePart, full_scale: int, exposure_us: float | None) -> Det
 def _why_none(plane: Image, peak: float, full_scale: int) -> tuple[Verdict, Finding]:
     if peak < MIN_LEVEL:
         return "hidden", Finding("image_dark", {"peak": peak})
-    if float(np.median(plane[::8, ::8])) >= _ALL_WHITE * full_scale:
-        return "saturated", Finding("image_saturated")
+    level = float(np.median(plane[::8, ::8])) / full_scale
+    if level >= _ALL_WHITE:
+        return "saturated", Finding("image_saturated", {"level": level, "limit": _ALL_WHITE})
     return "hidden", Finding("no_round_region")
 
 

@@ -178,7 +178,9 @@ def _exit_code(process: SpawnProcess) -> int | None:
 
 
 def _end(exit_code: int | None) -> str:
-    return f"signal {-exit_code}" if exit_code is not None and exit_code < 0 else f"exit code {exit_code}"
+    if exit_code is None:
+        return "exit code unknown"
+    return f"signal {-exit_code}" if exit_code < 0 else f"exit code {exit_code}"
 
 
 def points_of(columns: SunPointColumns, *, site: Site | None = None, latest: str | None = None) -> Sightings:
