@@ -86,6 +86,8 @@ class Equations {
             const int size = seen_.run(begin);
             write_block(vector, optics_, &rotation[9 * e], &jacobian[9 * e], seen_.directions + 3 * begin, size, *block_);
             cost += weigh(*block_, seen_.pixels + 2 * begin, seen_.information + begin, size, goal_.sigma);
+            // J'WJ with the weights of the loss (iteratively reweighted least squares): the second derivative of Tukey's
+            // loss is negative for far sightings, and the matrix with it would not always be positive.
             add_products(*block_, &products_[e * SUMS * SUMS], SUMS);
             begin += size;
         }

@@ -1,4 +1,4 @@
-"""Findings: what was found, as a code and data; a room's table of messages makes the sentence of it."""
+"""Findings: what was found, as a code and data; a package's table of messages makes the sentence of it."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class Message(NamedTuple):
 
 
 class Messages(dict[str, Message]):
-    """The messages of a room, by code."""
+    """The messages of a package, by code."""
 
     def text_of(self, finding: Finding) -> str:
         """Return the sentence of a finding; of an unknown code (another version's) the code and its data."""

@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 from sunarc.calibration.answers.direction_table import back_projection_map, lookup
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.fit.marginal_likelihood import Scales, prior_precision
-from sunarc.calibration.fit.normal_equations import irls_converged, linear_system
+from sunarc.calibration.fit.normal_equations import linear_system, most_probable_with_field
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.residual_field import wave_basis
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
@@ -71,7 +71,7 @@ class _Task:
         bins, at = time_bins(self.usable), self.start
         for _ in range(2):
             system = linear_system(self.problem, self.seen, bins, at, information=self.seen.information, basis=basis)
-            at = irls_converged(self.problem, system, NO_FIELD).unknowns
+            at = most_probable_with_field(self.problem, system, NO_FIELD).unknowns
         return at
 
     def misfit(self, at: FloatArray) -> FloatArray:

@@ -41,7 +41,8 @@ def test_what_was_left_out_follows_after_a_comma_and_a_mean_after_a_semicolon() 
     left_out = Finding("saturated_left_out", {"n": 12})
     mean = Finding("bracket_mean", {"frames": 3, "chi2": 2.345, "freedom": 4})
     assert reason_of([FITTED, left_out, mean]) == (
-        "a disc was fitted, reduced chi² 1.04, 12 saturated pixels left out; mean of 3 frames (chi² 2.3, 4 degrees of freedom)"
+        "a disc was fitted, reduced chi² 1.04, 12 saturated pixels left out; mean of 3 frames (chi² 2.3, 4 degrees of "
+        "freedom)"
     )
 
 

@@ -36,7 +36,7 @@ with the worker's name (`worker_stuck_capture`). This page is the output of `sun
 
 
 class Code(NamedTuple):
-    """A code, the room that makes it, its sentence, what it means, and what to do."""
+    """A code, the package (`room`) that makes it, its sentence, what it means, and what to do."""
 
     code: str
     room: str
@@ -57,17 +57,17 @@ def codes(*, as_json: AsJson = False) -> None:
 
 
 def all_codes() -> list[Code]:
-    """Return the codes of all rooms, each room's in alphabetical order."""
-    return [Code(code, room, *table[code]) for room, table in _TABLES.items() for code in sorted(table)]
+    """Return the codes of all packages, each one's in alphabetical order."""
+    return [Code(code, package, *table[code]) for package, table in _TABLES.items() for code in sorted(table)]
 
 
 def codes_as_markdown(codes: Iterable[Code]) -> str:
     """Return the page docs/codes.md."""
-    rows, room = [_HEAD], ""
+    rows, package = [_HEAD], ""
     for one in codes:
-        if one.room != room:
-            room = one.room
-            rows.append(f"\n## `{room}/`\n\n| code | message | meaning | action |\n|---|---|---|---|\n")
+        if one.room != package:
+            package = one.room
+            rows.append(f"\n## `{package}/`\n\n| code | message | meaning | action |\n|---|---|---|---|\n")
         rows.append(f"| `{one.code}` | {_plain(one.text)} | {_plain(one.meaning)} | {_plain(one.action)} |\n")
     return "".join(rows)
 

@@ -10,7 +10,7 @@ from sunarc.archive.values import CameraRecord
 from sunarc.errors import InputError
 
 if TYPE_CHECKING:
-    from sunarc.settings.model import Settings  # with it come all rooms
+    from sunarc.settings.model import Settings  # with it come all packages
 
 
 def known_camera(archive: Archive, settings: Settings) -> CameraRecord | None:

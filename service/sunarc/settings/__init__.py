@@ -1,1 +1,1 @@
-"""Settings: the rooms' own options, from a TOML file and SUNARC_* variables, parsed once at the top."""
+"""Settings: the packages' own options, from a TOML file and SUNARC_* variables, parsed once at the top."""

@@ -11,7 +11,7 @@ from tests.fixtures.calibration import observed, small_camera, small_problem, sp
 
 from sunarc.calibration.fit.cross_validation import doubts, held_out
 from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit, scale_grid
-from sunarc.calibration.fit.normal_equations import irls_converged, linear_system
+from sunarc.calibration.fit.normal_equations import linear_system, most_probable_with_field
 from sunarc.calibration.fit.posterior import PosteriorCovariance
 from sunarc.calibration.fit.robust_fit import RobustFit
 from sunarc.calibration.model.residual_field import Field
@@ -38,7 +38,7 @@ def _fit(
     information = np.full(n, stated_px**-2)
     at = problem.unknowns([camera])
     system = linear_system(problem, seen, bins, at, information=information, basis=grid.basis)
-    unknowns = irls_converged(problem, system, SCALES).unknowns
+    unknowns = most_probable_with_field(problem, system, SCALES).unknowns
     system = linear_system(problem, seen, bins, unknowns, information=information, basis=grid.basis)
     fit = marginal_fit(system.normal(), grid.basis, SCALES)
     robust = RobustFit(

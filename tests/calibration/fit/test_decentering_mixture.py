@@ -11,7 +11,12 @@ from tests.fixtures.calibration import observed, random_covariance, small_camera
 
 from sunarc.calibration.fit import posterior as module
 from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit, penalty
-from sunarc.calibration.fit.normal_equations import LinearSystem, converged_in_axes, irls_converged, linear_system
+from sunarc.calibration.fit.normal_equations import (
+    LinearSystem,
+    converged_in_axes,
+    linear_system,
+    most_probable_with_field,
+)
 from sunarc.calibration.fit.posterior import BilinearSums, PosteriorCovariance, mixed_over_decentering
 from sunarc.calibration.model.residual_field import Field, wave_basis
 from sunarc.calibration.solve.problem import Bins, FitProblem
@@ -48,7 +53,7 @@ def fitted(problem: FitProblem) -> LinearSystem:
     seen = observed(problem.camera(start), sun_arc(60), sigma_px=0.05)
     bins = Bins(member=np.arange(60) // 4, count=15)
     whole = linear_system(problem, seen, bins, start, information=np.full(60, 400.0), basis=basis)
-    return whole.moved(problem, irls_converged(problem, whole, SCALES).unknowns)
+    return whole.moved(problem, most_probable_with_field(problem, whole, SCALES).unknowns)
 
 
 def _posterior(system: LinearSystem) -> PosteriorCovariance:

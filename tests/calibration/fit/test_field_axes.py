@@ -28,7 +28,7 @@ def test_shrunk_in_the_axes_it_is_the_posterior_of_the_coefficients(basis: WaveB
     waves = _waves(basis, 60)
     axes = BasisProducts(matrix=waves.T @ waves * 100.0).axes(basis, LENGTH)
     pull = waves.T @ np.random.default_rng(4).standard_normal(60) * 100.0
-    shrink = axes.shrinkage(np.array([amplitude]))[0]
+    shrink = axes.posterior_variances(np.array([amplitude]))[0]
     found = axes.transform @ (shrink * (axes.transform.T @ pull))
     prior = amplitude**2 * basis.variances(length_px=LENGTH)
     # without the inverse of the prior, which is next to nothing for the short waves
@@ -41,10 +41,10 @@ def test_what_the_sightings_tell_nothing_of_is_left_out(basis: WaveBasis) -> Non
     axes = BasisProducts(matrix=waves.T @ waves).axes(basis, LENGTH)
     assert axes.transform.shape == (waves.shape[1], 10)
     diagonal = axes.transform.T @ (waves.T @ waves) @ axes.transform
-    np.testing.assert_allclose(diagonal, np.diag(axes.power), atol=1e-9 * np.max(axes.power))
-    assert np.min(axes.power) > 0.0
+    np.testing.assert_allclose(diagonal, np.diag(axes.information), atol=1e-9 * np.max(axes.information))
+    assert np.min(axes.information) > 0.0
     nothing = BasisProducts(matrix=np.zeros_like(waves.T @ waves)).axes(basis, LENGTH)
-    assert nothing.power.size == 0
+    assert nothing.information.size == 0
 
 
 def test_axes_of_a_longer_field_are_the_same_from_those_of_a_shorter_one(basis: WaveBasis) -> None:
@@ -52,8 +52,12 @@ def test_axes_of_a_longer_field_are_the_same_from_those_of_a_shorter_one(basis: 
     products = BasisProducts(matrix=1e6 * waves.T @ waves)
     products.axes(basis, 250.0)
     derived, direct = products.axes(basis, 390.0), BasisProducts(matrix=products.matrix).axes(basis, 390.0)
-    np.testing.assert_allclose(derived.power, direct.power[: derived.power.size], atol=1e-9 * direct.power[0])
-    seen = [waves @ axes.transform * np.sqrt(axes.shrinkage(np.array([0.3]))[0]) for axes in (derived, direct)]
+    np.testing.assert_allclose(
+        derived.information, direct.information[: derived.information.size], atol=1e-9 * direct.information[0]
+    )
+    seen = [
+        waves @ axes.transform * np.sqrt(axes.posterior_variances(np.array([0.3]))[0]) for axes in (derived, direct)
+    ]
     first, second = (one @ one.T for one in seen)
     np.testing.assert_allclose(first, second, atol=1e-7 * np.max(second))
 
@@ -66,7 +70,7 @@ def test_what_exact_sightings_leave_over_is_positive(basis: WaveBasis) -> None:
         axes = products.axes(basis, length)
         seen = waves @ axes.transform
         # noise of 1e-4 px beside a field of 8 px: no more may be taken from the information than there is
-        left = waves.T @ waves - waves.T @ (seen * axes.shrinkage(np.array([8.0]))[0]) @ seen.T @ waves
+        left = waves.T @ waves - waves.T @ (seen * axes.posterior_variances(np.array([8.0]))[0]) @ seen.T @ waves
         values = np.linalg.eigvalsh(left)
         assert values[0] > -1e-11 * np.max(np.diag(waves.T @ waves))
 

@@ -14,8 +14,8 @@ from sunarc.calibration.fit.marginal_likelihood import Scales, log_evidences, ma
 from sunarc.calibration.fit.normal_equations import (
     LinearSystem,
     converged_in_axes,
-    irls_converged,
     linear_system,
+    most_probable_with_field,
     system_about,
 )
 from sunarc.calibration.model.residual_field import WaveBasis, wave_basis
@@ -103,7 +103,7 @@ def test_the_sums_of_all_bins_are_those_of_parts_together(system: LinearSystem) 
 
 
 def test_the_solve_lowers_the_penalty_to_a_stationary_point(system: LinearSystem, problem: FitProblem) -> None:
-    rest = irls_converged(problem, system, SCALES)
+    rest = most_probable_with_field(problem, system, SCALES)
     found, waves = rest.unknowns, rest.fit.coefficients
     rested = system.moved(problem, found)
     now = penalty(rested.normal(), system.basis, SCALES)
@@ -130,7 +130,7 @@ def test_where_a_solve_ends_its_fit_is_the_linear_one(
     begin = at.copy()
     begin[17:20] += [off, 0.0, -off]
     system, scales = system.moved(problem, begin), SCALES._replace(amplitude_px=amplitude_px)
-    found = irls_converged(problem, system, scales)
+    found = most_probable_with_field(problem, system, scales)
     there = system.moved(problem, found.unknowns).normal()
     lost = penalty(system.normal(), system.basis, scales) - penalty(there, system.basis, scales)
     assert found.gain == pytest.approx(lost, rel=1e-7, abs=1e-9)
@@ -162,8 +162,8 @@ def test_the_log_evidence_is_that_of_the_grid_but_for_a_constant(
 
 
 def test_a_solve_from_its_own_answer_stays(system: LinearSystem, problem: FitProblem) -> None:
-    found = irls_converged(problem, system, SCALES).unknowns
-    again = irls_converged(problem, system.moved(problem, found), SCALES)
+    found = most_probable_with_field(problem, system, SCALES).unknowns
+    again = most_probable_with_field(problem, system.moved(problem, found), SCALES)
     np.testing.assert_array_equal(again.unknowns, found)
     assert again.gain == 0.0
 
@@ -172,8 +172,8 @@ def test_a_solve_from_its_own_answer_stays(system: LinearSystem, problem: FitPro
 def test_a_start_far_off_is_brought_back(system: LinearSystem, problem: FitProblem, at: FloatArray, off: float) -> None:
     begin = at.copy()
     begin[17:20] += [off, 0.0, -off]
-    found = irls_converged(problem, system.moved(problem, begin), SCALES).unknowns
-    near = irls_converged(problem, system, SCALES).unknowns
+    found = most_probable_with_field(problem, system.moved(problem, begin), SCALES).unknowns
+    near = most_probable_with_field(problem, system, SCALES).unknowns
     costs = [penalty(system.moved(problem, one).normal(), system.basis, SCALES) for one in (found, near, begin)]
     assert costs[0] < 0.01 * costs[2]
     if off < 0.1:
@@ -211,7 +211,7 @@ def test_coverage_of_the_stated_95_percent_of_a_small_fit(problem: FitProblem, b
         begin = here.unknowns([camera])
         seen = observed(drawn, directions, sigma_px=0.2, seed=int(rng.integers(1 << 30)))
         system = linear_system(here, seen, BINS, begin, information=np.full(60, 25.0), basis=basis)
-        found = irls_converged(here, system, scales._replace(radial_px=1.0, decentering_px=1e-3)).unknowns
+        found = most_probable_with_field(here, system, scales._replace(radial_px=1.0, decentering_px=1e-3)).unknowns
         fit = marginal_fit(
             system.moved(here, found).normal(), basis, scales._replace(radial_px=1.0, decentering_px=1e-3)
         )

@@ -175,6 +175,7 @@ def create_server_engine(url: URL) -> Engine:
     def _begin(connection: Connection) -> None:
         options = connection.get_execution_options()
         if options.get(WRITES, False):
+            # REPEATABLE READ takes its snapshot before the lock is granted: what its last holder wrote would be missed
             connection.exec_driver_sql("SET TRANSACTION ISOLATION LEVEL READ COMMITTED")
             _lock(connection, options.get(ONE_CAMERA))
 

@@ -58,7 +58,8 @@ class Database:
         self.months = Months(engine) if file is None else None
         self._usable = threading.Event()
         self._usable.set()
-        self._lock = threading.Lock()  # our own threads queue here, fairly; other processes wait in SQLite
+        # our own threads wait here and are woken at once; other processes poll in SQLite (busy_timeout)
+        self._lock = threading.Lock()
         self._full: str | None = None
         """What the last write said that found the disk full; None when there was room since (see `require_room`)."""
         self._room_tried_at: datetime | None = None
@@ -114,11 +115,13 @@ class Database:
 
         Raises
         ------
-        OutsideError : another thread reads: SQLite removes files by name when it closes the last connection.
+        OutsideError : another thread reads.
         """
         with self._lock:
             self._usable.clear()
             try:
+                # A reader between `wait` and its connection is not counted: a new connection is refused
+                # (`DatabaseFile.connect`), a pooled one reads the former file once more.
                 if cast("QueuePool", self.engine.pool).checkedout():
                     where = "" if self.file is None else f" {self.file.path}"
                     raise OutsideError(f"the database{where} is being read; it is put back at the next look")

@@ -1,6 +1,6 @@
 """The fit with the field marginalised, and how probable the data are under each choice of scales.
 
-With the lens and pose as θ (prior precision P about 0) and the field's coefficients as c, the sightings are r = J dθ
+With the lens and pose as θ (prior precision P, mean 0) and the field's coefficients as c, the sightings are r = J dθ
 + Φ c + noise. Everything needed is a few sums over the sightings (`NormalEquations`), so that the amplitude and the
 length of the field and the scale of the residual radial distortion can be tried at the price of one small
 factorisation each (generalised least squares, Laplace's approximation of the marginal likelihood).
@@ -29,17 +29,17 @@ _NEGLIGIBLE = 1e-13
 class FieldAxes(NamedTuple):
     """The axes for one length and unit amplitude.
 
-    transform (m, r) takes turned coefficients back; power (r,) is what the sightings tell of each. Those of which they
-    tell nothing are left out: products with derivatives and residuals are 0 there.
+    transform (m, r) takes turned coefficients back; information (r,), px⁻², is the sightings' on each. Those of which
+    they tell nothing are left out: products with derivatives and residuals are 0 there.
     """
 
     transform: FloatArray
-    power: FloatArray
+    information: FloatArray
 
-    def shrinkage(self, amplitudes: FloatArray) -> FloatArray:
-        """Return (amplitudes, r): prior variance over one plus what is known, of each turned coefficient."""
-        square = amplitudes[:, None] ** 2
-        return np.asarray(square / (1.0 + square * self.power))
+    def posterior_variances(self, amplitudes_px: FloatArray) -> FloatArray:
+        """Return (amplitudes, r), px²: posterior variance of each coefficient, 1 / (1 / amplitude² + information)."""
+        square = amplitudes_px[:, None] ** 2
+        return np.asarray(square / (1.0 + square * self.information))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -78,7 +78,7 @@ def _longer(axes: FieldAxes, basis: WaveBasis, length_px: float, longer_px: floa
     beside that the longer field has still less of.
     """
     spread, longer = (np.sqrt(basis.variances(length_px=length)) for length in (length_px, longer_px))
-    return _axes_of(longer, (longer / spread**2)[:, None] * axes.transform * np.sqrt(axes.power))
+    return _axes_of(longer, (longer / spread**2)[:, None] * axes.transform * np.sqrt(axes.information))
 
 
 def _axes_of(spread: FloatArray, factor: FloatArray) -> FieldAxes:
@@ -220,7 +220,7 @@ def prior_precision(size: int, radial_px: float, decentering_px: float, *, n_uni
 def marginal_fit(normal: NormalEquations, basis: WaveBasis, scales: Scales) -> MarginalFit:
     """Return the fit under one choice of scales."""
     turned = Turned.of(normal, basis, scales.length_px)
-    shrink = turned.axes.shrinkage(np.array([scales.amplitude_px]))[0]
+    shrink = turned.axes.posterior_variances(np.array([scales.amplitude_px]))[0]
     precision = normal.prior_precision(scales.radial_px, scales.decentering_px)
     vector = normal.jr - turned.explained(shrink) - precision * normal.at
     information = normal.jj - turned.absorbed(shrink)
@@ -239,7 +239,8 @@ def marginal_fit(normal: NormalEquations, basis: WaveBasis, scales: Scales) -> M
 def field_at(normal: NormalEquations, basis: WaveBasis, scales: Scales) -> FloatArray:
     """Return (2, m): the most probable coefficients of the field beside the unknowns at `normal.at`."""
     turned = Turned.of(normal, basis, scales.length_px)
-    return turned.coefficients(turned.axes.shrinkage(np.array([scales.amplitude_px]))[0], np.zeros(normal.at.size))
+    shrink = turned.axes.posterior_variances(np.array([scales.amplitude_px]))[0]
+    return turned.coefficients(shrink, np.zeros(normal.at.size))
 
 
 def inverses(matrices: FloatArray) -> FloatArray:
@@ -253,7 +254,7 @@ def inverses(matrices: FloatArray) -> FloatArray:
 def penalty(normal: NormalEquations, basis: WaveBasis, scales: Scales) -> float:
     """Return what a fit makes small at `normal.at`: twice the negative log posterior, the field at its best."""
     turned = Turned.of(normal, basis, scales.length_px)
-    shrink = turned.axes.shrinkage(np.array([scales.amplitude_px]))[0]
+    shrink = turned.axes.posterior_variances(np.array([scales.amplitude_px]))[0]
     precision = normal.prior_precision(scales.radial_px, scales.decentering_px)
     explained = float(np.sum(shrink * turned.residual**2))
     return normal.rr - explained + float(np.sum(precision * normal.at**2))
@@ -292,7 +293,7 @@ class FieldChoices(NamedTuple):
     ) -> FieldChoices:
         """Return the fits under all choices, see `log_evidences`."""
         turned = [Turned.of(normal, basis, float(length)) for length in lengths]
-        shrink = [one.axes.shrinkage(amplitudes) for one in turned]
+        shrink = [one.axes.posterior_variances(amplitudes) for one in turned]
         pairs = list(zip(turned, shrink, strict=True))
         # Woodbury's identity: the inverse of noise plus field acts through the turned coefficients
         absorbed = np.concatenate([one.absorbed(of_length) for one, of_length in pairs])
@@ -303,7 +304,7 @@ class FieldChoices(NamedTuple):
         equations = LensScaleEquations.of(known - absorbed, normal.jr - explained, normal.at, precision, tried)
         square = normal.rr - np.array([of_length @ np.sum(one.residual**2, axis=0) for one, of_length in pairs])
         # twice: the field's two components have the same kernel and the same sightings
-        field = [2.0 * np.sum(np.log1p(amplitudes[:, None] ** 2 * one.axes.power), axis=1) for one in turned]
+        field = [2.0 * np.sum(np.log1p(amplitudes[:, None] ** 2 * one.axes.information), axis=1) for one in turned]
         weighed = precision * normal.at**2
         prior = (tried - 1.0) @ [np.sum(weighed[RADIAL]), np.sum(weighed[DECENTERING])] + np.sum(weighed)
         prior -= np.log(tried) @ [_N_RADIAL, _VARIED.size - _N_RADIAL] + np.sum(np.log(precision))
@@ -440,6 +441,7 @@ class LensScaleEquations:
         return covariance, step, back
 
 
+# The field's coefficients turned so that its own normal equations are diagonal: an amplitude then costs a division.
 class Turned(NamedTuple):
     """The sums in the field's axes: rows (2, p, r) and residual (2, r), products with derivatives and residuals."""
 
@@ -459,11 +461,11 @@ class Turned(NamedTuple):
         return np.asarray((shrink * (self.residual - explained)) @ self.axes.transform.T)
 
     def explained(self, shrink: FloatArray) -> FloatArray:
-        """Return (..., p): what fields of shrinkages (..., r) take from the sightings' pull on the parameters."""
+        """Return (..., p): what fields of variances (..., r) take from the sightings' pull on the parameters."""
         return np.asarray(shrink @ np.einsum("apr,ar->rp", self.rows, self.residual))
 
     def absorbed(self, shrink: FloatArray) -> FloatArray:
-        """Return (..., p, p): what fields of shrinkages (..., r) take from the sightings' information on them."""
+        """Return (..., p, p): what fields of variances (..., r) take from the sightings' information on them."""
         p = self.rows.shape[1]
         both = (np.sqrt(shrink)[..., None, None, :] * self.rows).swapaxes(-3, -2).reshape(*shrink.shape[:-1], p, -1)
         return np.asarray(both @ both.swapaxes(-1, -2))
@@ -473,7 +475,6 @@ class Turned(NamedTuple):
 
 _LENGTH_FRACTIONS = (0.16, 0.24, 0.36)
 """Lengths tried, as fractions of the image's shorter side."""
-# The field's coefficients turned so that its own normal equations are diagonal: an amplitude then costs a division.
 
 _LARGEST_AMPLITUDE_PX = 8.0
 _AMPLITUDES = 16

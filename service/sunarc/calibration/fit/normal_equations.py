@@ -84,10 +84,10 @@ class LinearSystem:
         the basis.
         """
         axes = self.basis_products.axes(self.basis, scales.length_px)
-        measured = scales.amplitude_px**2 * axes.power > _TELLS_NOTHING
+        measured = scales.amplitude_px**2 * axes.information > _TELLS_NOTHING
         transform = np.ascontiguousarray(axes.transform[:, measured])
-        own = FieldAxes(np.eye(transform.shape[1]), axes.power[measured])
-        products = BasisProducts(matrix=np.diag(own.power), _axes={scales.length_px: own})
+        own = FieldAxes(np.eye(transform.shape[1]), axes.information[measured])
+        products = BasisProducts(matrix=np.diag(own.information), _axes={scales.length_px: own})
         return replace(self, basis_values=self.basis_values @ transform, basis_products=products), transform
 
     def moved(self, problem: FitProblem, at: FloatArray) -> LinearSystem:
@@ -152,17 +152,20 @@ class Converged(NamedTuple):
     log_evidence: float
 
 
-def irls_converged(problem: FitProblem, system: LinearSystem, scales: Scales) -> Converged:
-    """Return the most probable unknowns and field: Gauss-Newton with halved steps."""
+def most_probable_with_field(problem: FitProblem, system: LinearSystem, scales: Scales) -> Converged:
+    """Return the most probable unknowns and field by Gauss-Newton with halved steps.
+
+    The weights stay: the rounds renew them.
+    """
     in_axes, transform = system.in_field_axes(scales)
     found = converged_in_axes(problem, in_axes, scales, system.at)
     return found._replace(fit=found.fit.with_coefficients_on(transform))
 
 
 def _spread(system: LinearSystem, scales: Scales) -> FloatArray:
-    """Return (r,): the roots of the shrinkage of each of the field's axes."""
+    """Return (r,): the roots of the posterior variance, px, of each of the field's axes."""
     axes = system.basis_products.axes(system.basis, scales.length_px)
-    return np.asarray(np.sqrt(axes.shrinkage(np.array([scales.amplitude_px]))[0]))
+    return np.asarray(np.sqrt(axes.posterior_variances(np.array([scales.amplitude_px]))[0]))
 
 
 def converged_in_axes(
@@ -173,7 +176,7 @@ def converged_in_axes(
     *,
     steps: int = _STEPS,
 ) -> Converged:
-    """Return what `irls_converged` does from a start, for a system in the field's axes and its coefficients."""
+    """Return what `most_probable_with_field` does, from a start, for a system in the field's axes."""
     equations = _Equations.of(problem, system, scales)
     at = np.array(start, dtype=np.float64)
     sums = equations.about(at)
@@ -183,7 +186,8 @@ def converged_in_axes(
         if promise < _LEAST_GAIN:
             break
         gain = 0.0
-        # Gauss-Newton may overshoot where the lens bends: half a step still gains if the direction is right
+        # Gauss-Newton may overshoot where the lens bends: half a step still gains if the direction is right. No damping
+        # as in Levenberg-Marquardt: the start is a robust fit, and the priors keep the matrix positive
         for halving in range(_HALVINGS):
             trial = at + 0.5**halving * step
             there = equations.about(trial)
@@ -207,7 +211,7 @@ class _Equations:
     root : (b,) of the bins' information, 1/px.
     field : (r, b) the field's basis functions in its axes, each bin times its root, each axis times its spread: what
         such products have, the field takes from the sightings.
-    spread : (r,) roots of the shrinkage of the axes.
+    spread : (r,) roots of the posterior variances along the axes.
     precision : (p,) of the prior.
     """
 

@@ -104,7 +104,7 @@ def joint_covariance(covariance: FloatArray, field: Field, rows: FloatArray, val
 def _known(field: Field, normal: NormalEquations) -> FloatArray:
     """Return K, (r, m): with the unknowns given, an axis measured to t has 1 / (1 + t) of its variance left."""
     axes = normal.ff.axes(field.basis, field.length_px)
-    measured = field.amplitude_px**2 * axes.power
+    measured = field.amplitude_px**2 * axes.information
     counts = measured > _LEAST_KNOWN
     measured = measured[counts]
     return np.asarray(
@@ -144,7 +144,7 @@ class PosteriorCovariance(NamedTuple):
 
 
 class _Field(NamedTuple):
-    """The field under one amplitude and length, px: the sums in its axes, and its shrinkage (r,).
+    """The field under one amplitude and length, px: the sums in its axes, and its posterior variances (r,), px².
 
     known (p, p), back (p, q): the covariance of the unknowns where those q whose scales are tried are known, and the
     derivatives by these, turned; covariance (k, q, q): theirs under each choice; see `LensScaleEquations`.
@@ -430,7 +430,7 @@ class BilinearSums:
     information, pull : (p + 4, p + 4), (p + 4,) of the unknowns and the products, the field integrated out.
     square : what the field leaves of the squares of the residuals.
     precision, at : (p,) of the prior; and the unknowns that the sums are about.
-    turned, shrink : the sums in the field's axes, and its shrinkage, under the scales.
+    turned, shrink : the sums in the field's axes, and its posterior variances, under the scales.
     """
 
     information: FloatArray
@@ -455,7 +455,7 @@ class BilinearSums:
             n_unit=system.n_unit,
         )
         turned = Turned.of(normal, system.basis, scales.length_px)
-        shrink = turned.axes.shrinkage(np.array([scales.amplitude_px]))[0]
+        shrink = turned.axes.posterior_variances(np.array([scales.amplitude_px]))[0]
         return cls(
             information=normal.jj + ROUNDING * np.diag(np.diag(normal.jj)) - turned.absorbed(shrink),
             pull=normal.jr - turned.explained(shrink),

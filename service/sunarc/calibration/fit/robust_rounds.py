@@ -28,7 +28,7 @@ from sunarc.calibration.fit.marginal_likelihood import (
     marginal_fit,
     normalised,
 )
-from sunarc.calibration.fit.normal_equations import LinearSystem, irls_converged, linear_system, system_about
+from sunarc.calibration.fit.normal_equations import LinearSystem, linear_system, most_probable_with_field, system_about
 from sunarc.calibration.fit.posterior import prediction_variance
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.noise import Noise, NoiseGroups, autocorrelation_inflation, measured_noise
@@ -410,7 +410,7 @@ def _improved(problem: FitProblem, observed: Sightings, system: LinearSystem, gr
     """Return the state after a solve with the scales that the data speak for."""
     log_weight = log_weights(system.normal(), grid)
     scales = likely_scales(normalised(log_weight), grid)
-    found = irls_converged(problem, system, scales)
+    found = most_probable_with_field(problem, system, scales)
     leverage = None
     few = len(observed) < _FEW_PER_UNKNOWN * (problem.size - problem.n_unit)
     if problem.n_systematic or few:
@@ -443,7 +443,7 @@ def _in_assumed_air(  # noqa: PLR0917 - the fit, piece by piece
     if log_evidence(other) - log_evidence(usual) > STRONG_EVIDENCE:
         return state
     scales = likely_scales(normalised(usual), grid)
-    unknowns = irls_converged(assumed, in_assumed_air, scales).unknowns
+    unknowns = most_probable_with_field(assumed, in_assumed_air, scales).unknowns
     return replace(state, unknowns=np.concatenate([unknowns, np.zeros(problem.n_air)]), scales=scales)
 
 

@@ -38,7 +38,7 @@ def most_probable(
     problem : the camera sought, its air as it is assumed.
     observed : sightings; with `sigma` given, their information is relative to it.
     start : first unknowns.
-    precision : prior precisions of the unknowns, (size,), about 0 for the lens.
+    precision : prior precisions (size,) of the unknowns; the prior's mean is 0.
     sigma : px, scale of the redescending loss; None takes plain squares.
     free : which unknowns may move; all by default.
     iterations : most steps.

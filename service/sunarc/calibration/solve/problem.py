@@ -217,7 +217,7 @@ def problem_for(template: Camera, prior: LensPrior, *, n_epochs: int, max_angle:
 
     Parameters
     ----------
-    max_angle : rad, see `Problem`; the sun is always allowed to be a right angle off the axis.
+    max_angle : rad, see `FitProblem`; the sun is always allowed to be a right angle off the axis.
     """
     widest = angle_limit(template.projection) * (1.0 - 1e-6)
     template = replace(template, max_angle=widest)

@@ -137,7 +137,8 @@ def in_child(
         process.start()
         sending.close()
         # Not an argument of the process: `start` holds both ends of the pipe that carries those, and more than the
-        # pipe takes would block it for ever where the child has died.
+        # pipe takes would block it for ever where the child has died. The child reads before it imports: no heartbeat
+        # is due while it does.
         receiving.send(call)
         return _answer(receiving, clock.monotonic, time_limit_s=time_limit_s, stop=stop, heartbeat=heartbeat)
     except (EOFError, ConnectionError):  # it died before it answered, or before it had read its problem
