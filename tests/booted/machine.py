@@ -40,10 +40,10 @@ exec systemd-nspawn -q -D "$tree" --boot --network-namespace-path="/run/netns/$n
 """
 
 
-def build_tree(tree: Path) -> None:
-    """Unpack a small Debian with what sunarc's package depends on; the mirror is the one that this host uses."""
+def build_tree(tree: Path, packages: str = PACKAGES) -> None:
+    """Unpack a small Debian with packages, else what sunarc's depends on; the mirror is the one that this host uses."""
     sources = "/etc/apt/sources.list.d/debian.sources"
-    command = ["mmdebstrap", "--quiet", "--variant=minbase", "--format=directory", f"--include={PACKAGES}"]
+    command = ["mmdebstrap", "--quiet", "--variant=minbase", "--format=directory", f"--include={packages}"]
     subprocess.run([*command, "bookworm", tree, sources], check=True)
 
 
