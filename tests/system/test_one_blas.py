@@ -48,7 +48,7 @@ def test_opencv_solves_and_multiplies_with_the_blas_of_scipy_and_carries_none(si
     before = sum(file.stat().st_size for file in site.rglob("*"))
     subprocess.run([SCRIPT, site], check=True)
     assert before - sum(file.stat().st_size for file in site.rglob("*")) > 40e6
-    command = ["/usr/bin/python3", "-I", "-c", SOLVED, site]
+    command = ["/usr/bin/python3", "-I", "-c", SOLVED, str(site)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["libopenblasp", "libscipy_openblas", "libscipy_openblas64_"]
