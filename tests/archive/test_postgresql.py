@@ -24,8 +24,10 @@ from sunarc.archive.database.connections import create_server_engine, server_url
 from sunarc.archive.database.schema import check, head_revision, upgrade_server
 from sunarc.archive.database.tables import metadata
 from sunarc.archive.fleet.feed_rows import FeedBatch
+from sunarc.archive.sightings import MOVED
 from sunarc.archive.values import SunPoint, fields_of
 from sunarc.errors import InputError, OutsideError, SchemaError, StoreFullError
+from sunarc.findings import uncoded
 
 from .conftest import NOON, ROOF
 
@@ -302,6 +304,19 @@ def row_of(number: int, camera: str, **changes: Any) -> dict[str, Any]:  # noqa:
     row = fields_of(sighting(number, camera=camera))
     row["reason"] = json.dumps([one.as_json() for one in row.pop("findings")])
     return row | {"time": int(row["time"].timestamp() * 1e6)} | changes
+
+
+def test_sentences_of_sightings_become_findings_in_the_partitions(url: URL) -> None:
+    upgrade_server(url)
+    with opened(url) as archive:
+        archive.sightings.add([POINT, replace(POINT, time=NOON + timedelta(days=40))])
+        with writing(archive.database.engine) as connection:
+            connection.execute(text("UPDATE sun_point SET reason = 'the camera had moved' WHERE id = 1"))
+            connection.execute(text("UPDATE sun_point SET reason = 'of another version' WHERE id > 1"))
+            connection.execute(text("UPDATE alembic_version SET version_num = '0017'"))
+    assert upgrade_server(url)
+    with open_archive(url) as archive:
+        assert [one.findings for one in archive.sightings.find("roof")] == [MOVED, (uncoded("of another version"),)]
 
 
 def test_what_the_feeds_role_may_not_do_is_set_apart_and_the_rest_is_stored(fleet: Server, tmp_path: Path) -> None:

@@ -98,7 +98,7 @@ def test_what_a_full_disk_refuses_waits_and_is_stored_later(bench: Bench, monkey
         raise OutsideError("the disk is full")
 
     with monkeypatch.context() as full:
-        full.setattr(bench.camera, "add_housekeeping", refuse)
+        full.setattr(bench.archive.housekeeping, "add", refuse)
         bench.pass_time(worker, 2 * 3600.0, free=0)
         assert bench.archive.housekeeping.find("roof", step="hour") == ()
     bench.pass_time(worker, 620.0, free=90)

@@ -165,7 +165,7 @@ def test_a_database_that_refuses_an_image_does_not_end_the_night(bench: Bench, m
         raise OutsideError("cannot use the database: disk is full")
 
     with monkeypatch.context() as patched:
-        patched.setattr(bench.camera, "add_night_image", full)
+        patched.setattr(bench.archive.nights, "add_image", full)
         for frame in clear():
             bench.worker.look_at(frame)
     bench.worker.finish()

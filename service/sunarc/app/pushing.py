@@ -75,7 +75,7 @@ def imager_states(camera: CameraArchive, board: StatusRegistry) -> Callable[[], 
     """Return a function that returns the state of an imager's camera."""
 
     def states() -> Mapping[str, CameraState]:
-        snapshot, record = board.snapshot(), camera.current_calibration()
+        snapshot, record = board.snapshot(), camera.archive.calibrations.current(camera.name)
         state = CameraState(
             health=snapshot.health,
             conditions=snapshot.conditions,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Mapping
 from datetime import datetime
-from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Self
@@ -175,11 +174,11 @@ def _reader(file: DatabaseFile) -> sqlite3.Connection:
 
 
 class CameraArchive:
-    """The methods of an archive that concern one camera, without its name; see `Archive` for each.
+    """A camera in an archive.
 
-    Parameters
+    Attributes
     ----------
-    archive : open.
+    archive : open; its parts are asked by the camera's name.
     name : of the camera.
     site : where it stands.
     """
@@ -188,37 +187,10 @@ class CameraArchive:
         self.archive = archive
         self.name = name
         self.site = site
-        self.add_housekeeping = partial(archive.housekeeping.add, name)
-        self.current_calibration = partial(archive.calibrations.current, name)
-        self.current_epoch = partial(archive.epochs.current, name)
-        self.current_model = partial(archive.calibrations.current_model, name)
-        self.damaged_calibration = partial(archive.calibrations.damaged, name)
-        self.dates_with_points = partial(archive.sightings.dates, name)
-        self.days = partial(archive.days.find, name)
-        self.epochs = partial(archive.epochs.find, name)
-        self.events = partial(archive.events.find, name)
-        self.exclude = partial(archive.sightings.exclude, name)
-        self.expire_housekeeping = partial(archive.housekeeping.expire, name)
-        self.last_served = partial(archive.calibrations.last_served, name)
-        self.add_night_image = partial(archive.nights.add_image, name)
-        self.begin_night_verdict = partial(archive.nights.begin_verdict, name)
-        self.drop_night_images = partial(archive.nights.drop_images, name)
-        self.newest_sighting_time = partial(archive.sightings.newest_time, name)
-        self.night_images = partial(archive.nights.images, name)
-        self.nights = partial(archive.nights.find, name)
-        self.observation_times = partial(archive.sightings.observation_times, name)
-        self.open_epoch = partial(archive.epochs.open, name)
-        self.readmit = partial(archive.sightings.readmit, name)
-        self.record = partial(archive.cameras.get, name)
-        self.refits = partial(archive.refits.find, name)
-        self.sightings_of_ids = partial(archive.sightings.of_ids, name)
-        self.site_with_air_at = partial(archive.days.site_with_air_at, name, site)
-        self.split_epoch = partial(archive.epochs.split, name)
-        self.sun_candidates = partial(archive.sightings.candidates, name)
-        self.sun_levels = partial(archive.sightings.sun_levels, name)
-        self.sun_point_columns = partial(archive.sightings.columns, name)
-        self.sun_points = partial(archive.sightings.find, name)
-        self.widen_clock_errors = partial(archive.sightings.widen_clock_errors, name)
+
+    def site_with_air_at(self, time: datetime) -> Site:
+        """Return the site in the measured air of the solar day of a moment (`DayStore.site_with_air_at`)."""
+        return self.archive.days.site_with_air_at(self.name, self.site, time)
 
     def add_event(
         self,

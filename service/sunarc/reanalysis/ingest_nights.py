@@ -93,11 +93,11 @@ def ingest_nights(
     camera = CameraArchive(archive, name=settings.name, site=settings.site)
     if not images.nights:
         return FolderNights()
-    record = camera.record()
-    if camera.current_model() is None or record is None:
+    record = camera.archive.cameras.get(camera.name)
+    if camera.archive.calibrations.current_model(camera.name) is None or record is None:
         without = Finding("nights_without_calibration", {"n": len(images.nights)})
         return FolderNights(failures=_left_out(images), findings=(without,))
-    seen = {} if reprocess else {night.date: night.n_images for night in camera.nights()}
+    seen = {} if reprocess else {night.date: night.n_images for night in camera.archive.nights.find(camera.name)}
     found, known, failures, done = list[NightOutcome](), 0, list[Failure](), 0
     for night, every in by_night(images.nights, longitude=settings.site.longitude):
         some = evenly(every)

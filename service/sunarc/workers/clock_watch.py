@@ -381,8 +381,12 @@ class ClockWatch:
         """Compare a first reading with the record: its newest sighting, and a wait that has not ended."""
         day = timedelta(seconds=IMPLAUSIBLE_SETTLE_S)
         try:
-            newest = self._camera.newest_sighting_time(largest_clock_error_s=MAX_CLOCK_ERROR_S)
-            events = self._camera.events(since=now.wall - day, until=now.wall + timedelta(seconds=1))
+            newest = self._camera.archive.sightings.newest_time(
+                self._camera.name, largest_clock_error_s=MAX_CLOCK_ERROR_S
+            )
+            events = self._camera.archive.events.find(
+                self._camera.name, since=now.wall - day, until=now.wall + timedelta(seconds=1)
+            )
         except OutsideError as error:
             _log.warning("could not compare the clock with the record: %s", error)
             return
@@ -436,7 +440,9 @@ class ClockWatch:
             step, wait_s = self._unwritten[0]
             try:
                 for since, until in step.doubted:
-                    self._camera.widen_clock_errors(since=since, until=until, error_s=abs(step.step_s))
+                    self._camera.archive.sightings.widen_clock_errors(
+                        self._camera.name, since=since, until=until, error_s=abs(step.step_s)
+                    )
                 self._store(step, wait_s)
             except OutsideError as error:
                 _log.warning("could not store clock step, will retry: %s", error)

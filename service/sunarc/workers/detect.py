@@ -153,7 +153,9 @@ class FrozenFrames:
     def _stored(self, time: datetime) -> deque[tuple[datetime, float, float]]:
         """Return when and where the sun was seen before this process began."""
         try:
-            points = self._camera.sun_points(until=time, newest_first=True, limit=_MAX_POSITIONS)
+            points = self._camera.archive.sightings.find(
+                self._camera.name, until=time, newest_first=True, limit=_MAX_POSITIONS
+            )
         except OutsideError as error:
             _log.warning("could not read earlier sightings: %s", error)
             points = ()

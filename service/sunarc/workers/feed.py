@@ -270,7 +270,7 @@ class FeedWorker:
     def _status(self) -> Mapping[str, Any]:
         """Return what the fleet page shows of this imager."""
         board = self._board.snapshot()
-        days = self._camera.days(limit=1)
+        days = self._camera.archive.days.find(self._camera.name, limit=1)
         offset = days[0].pose_offset_deg if days else None
         return {
             "version": board.version,

@@ -52,7 +52,8 @@ class SunPredictor:
         return 0.0 if clear is None else clear.level_per_us(self.apparent_zenith(time))
 
     def _learned(self, time: datetime) -> ClearSun | None:
-        unix_s, levels = self._camera.sun_levels(
+        unix_s, levels = self._camera.archive.sightings.sun_levels(
+            self._camera.name,
             since=time - _BRIGHTNESS_OF,
             until=time,
             largest_clock_error_s=MAX_CLOCK_ERROR_S,
@@ -63,7 +64,7 @@ class SunPredictor:
 
     def calibration_id(self) -> str | None:
         """Return the id of the calibration that is current."""
-        record = self._camera.current_calibration()
+        record = self._camera.archive.calibrations.current(self._camera.name)
         return None if record is None else record.id
 
     def expectation(self, time: datetime) -> Expectation | None:
@@ -71,7 +72,7 @@ class SunPredictor:
 
         None before there is a calibration, or outside its field.
         """
-        calibration = self._camera.current_model()
+        calibration = self._camera.archive.calibrations.current_model(self._camera.name)
         if calibration is None:
             return None
         site = self._camera.site_with_air_at(time)

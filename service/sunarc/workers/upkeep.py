@@ -296,10 +296,10 @@ class HousekeepingWorker:
         age_from = self._age_from()
         try:
             if self._waiting:
-                self._camera.add_housekeeping(self._waiting.values())
+                self._camera.archive.housekeeping.add(self._camera.name, self._waiting.values())
                 self._waiting.clear()
             if age_from is not None:
-                self._camera.expire_housekeeping(now=age_from)
+                self._camera.archive.housekeeping.expire(self._camera.name, now=age_from)
         except OutsideError as error:
             if not self._failed:
                 _log.warning("could not store disk space and temperature, will retry: %s", error)

@@ -115,8 +115,9 @@ class WatchWorker:
         if epoch is None:
             return
         # what an operator has judged is not judged again: the move would be found once more in the same sightings
-        closed = self._camera.events(kind=EPOCH_CLOSED, until=self._latest(), limit=1)
-        points = self._camera.sun_points(
+        closed = self._camera.archive.events.find(self._camera.name, kind=EPOCH_CLOSED, until=self._latest(), limit=1)
+        points = self._camera.archive.sightings.find(
+            self._camera.name,
             since=max([epoch.started_at, *(event.time for event in closed)]),
             until=self._latest(),
             largest_clock_error_s=MAX_CLOCK_ERROR_S,
@@ -151,7 +152,7 @@ class WatchWorker:
         return self._now() + _JITTER
 
     def _present_epoch(self) -> PoseEpoch | None:
-        return self._camera.current_epoch(at=self._latest())
+        return self._camera.archive.epochs.current(self._camera.name, at=self._latest())
 
     def _is_ahead(self) -> bool:
         """Return whether the time went back behind what is remembered."""
@@ -211,7 +212,7 @@ class WatchWorker:
     def _compare_with_site(self, sighting: Sighting) -> None:
         """Set or clear the conditions of a sun that goes otherwise than it does over the stated site."""
         self._first.append(sighting)
-        record = self._camera.record()
+        record = self._camera.archive.cameras.get(self._camera.name)
         if record is None:
             return
         found = site_contradiction(
@@ -235,37 +236,39 @@ class WatchWorker:
         epoch = self._epoch_begun_by(change) if moved else None
         if epoch is not None:
             self._publish(change, epoch.started_at)
-            self._camera.readmit(since=at, until=self._latest())
+            self._camera.archive.sightings.readmit(self._camera.name, since=at, until=self._latest())
             return
         self._report(change, at)
         if moved:
             self._open_epoch(change, at)
         else:
             self._fault, self._agreeing = change, 0
-            self._camera.exclude(change.finding, since=at)
+            self._camera.archive.sightings.exclude(self._camera.name, change.finding, since=at)
 
     def _epoch_begun_by(self, change: Change) -> PoseEpoch | None:
         """Return the present epoch where the move began it and no pose has been found since; None for another move."""
         epoch = self._present_epoch()
         if epoch is None or self._watch.unix_s[0] < change.at_unix_s:
             return None
-        reported = self._camera.events(kind=change.kind, since=epoch.started_at, until=self._latest())
+        reported = self._camera.archive.events.find(
+            self._camera.name, kind=change.kind, since=epoch.started_at, until=self._latest()
+        )
         return epoch if reported else None
 
     def _open_epoch(self, change: Change, at: datetime) -> None:
         """Open a pose epoch at the first sighting after the change, and exclude those that may be of either side."""
         earliest = utc_time(change.earliest_unix_s)
         ambiguous = Finding("sighting_ambiguous", {"earliest": earliest.isoformat()})
-        self._camera.exclude(ambiguous, since=earliest + MICROSECOND, until=at)
+        self._camera.archive.sightings.exclude(self._camera.name, ambiguous, since=earliest + MICROSECOND, until=at)
         try:
             reason = LENS_CHANGED if change.kind in LENS_KINDS else change.kind
-            self._camera.open_epoch(at=at, reason=reason)
+            self._camera.archive.epochs.open(self._camera.name, at=at, reason=reason)
         except InputError as error:  # the whole epoch is of the new pose or lens
             _log.info("%s", error)
-        self._camera.readmit(since=at, until=self._latest())
+        self._camera.archive.sightings.readmit(self._camera.name, since=at, until=self._latest())
         epoch = self._present_epoch()
         self._epoch = None if epoch is None else epoch.id
-        current = self._camera.current_calibration()
+        current = self._camera.archive.calibrations.current(self._camera.name)
         if change.kind in LENS_KINDS:
             if current is not None:
                 self._camera.archive.calibrations.retire(current.id, at=max(at, current.valid_from))
@@ -284,7 +287,7 @@ class WatchWorker:
             self._board.set_condition(fault.finding.code, None)
             return
         time = utc_time(sighting.unix_s)
-        self._camera.exclude(fault.finding, since=time, until=time + MICROSECOND)
+        self._camera.archive.sightings.exclude(self._camera.name, fault.finding, since=time, until=time + MICROSECOND)
 
     def _report(self, change: Change, at: datetime) -> None:
         self._camera.add_event(
@@ -316,7 +319,8 @@ class WatchWorker:
 
     def _current(self) -> Calibration | None:
         """Return what is served, and show how its pose stands where that is another calibration than before."""
-        record, model = self._camera.current_calibration(), self._camera.current_model()
+        record = self._camera.archive.calibrations.current(self._camera.name)
+        model = self._camera.archive.calibrations.current_model(self._camera.name)
         before, self._shown = self._shown, None if record is None else record.id
         if record is None:
             for code in _POSE_CODES:
@@ -330,11 +334,13 @@ class WatchWorker:
         if not len(self._watch):
             return False
         since = utc_time(float(self._watch.unix_s[max(len(self._watch) - 12, 0)]))
-        return any(event.kind == "clock_step" for event in self._camera.events(since=since))
+        events = self._camera.archive.events.find(self._camera.name, since=since)
+        return any(event.kind == "clock_step" for event in events)
 
     def _publish_future_epochs(self) -> None:
         """Set or clear the condition of pose epochs that begin later than now: they block new ones."""
-        later = [epoch for epoch in self._camera.epochs() if epoch.started_at > self._latest()]
+        epochs = self._camera.archive.epochs.find(self._camera.name)
+        later = [epoch for epoch in epochs if epoch.started_at > self._latest()]
         self._has_future_epochs = bool(later)
         self._board.set_condition(_FUTURE_EPOCH, _of_the_future(later[0]) if later else None)
 
@@ -428,8 +434,9 @@ class DayJudge:
         today = solar_date(self._now().timestamp(), longitude=longitude)
         if self._judged_before is not None and self._judged_before > today:
             self._judged_before = None  # the time went back
-        judged = {day.date for day in self._camera.days(since=self._judged_before) if self._stands(day)}
-        observed = self._camera.dates_with_points(longitude=longitude, since=self._judged_before)
+        archive, name, since = self._camera.archive, self._camera.name, self._judged_before
+        judged = {day.date for day in archive.days.find(name, since=since) if self._stands(day)}
+        observed = archive.sightings.dates(name, longitude=longitude, since=since)
         verdicts = [self._measure(day) for day in observed if day < today and day not in judged]
         worth = [day for day in verdicts if day.verdict in _WORTH_A_REFIT]
         if worth:
@@ -447,7 +454,7 @@ class DayJudge:
     def _measure(self, date_: date) -> Day:
         start, end = day_bounds_unix_s(date_, longitude=self._camera.site.longitude)
         since, until = utc_time(start), utc_time(end)
-        columns = self._camera.sun_point_columns(since=since, until=until)
+        columns = self._camera.archive.sightings.columns(self._camera.name, since=since, until=until)
         doubtful = np.nan_to_num(columns.clock_error_s) > MAX_CLOCK_ERROR_S
         share = float(np.mean(doubtful)) if doubtful.size else 0.0
         largest_s = MAX_CLOCK_ERROR_S if share <= DOUBTFUL_CLOCK_SHARE else None
@@ -459,7 +466,9 @@ class DayJudge:
             points_of(columns),
             site=self._camera.site,
             n_possible=int(np.count_nonzero(up)),
-            observed_unix_s=self._camera.observation_times(since=since, until=until, largest_clock_error_s=largest_s),
+            observed_unix_s=self._camera.archive.sightings.observation_times(
+                self._camera.name, since=since, until=until, largest_clock_error_s=largest_s
+            ),
             cadence_s=self._cadence_s,
             doubtful_clock=share,
         )
@@ -486,10 +495,10 @@ class DayJudge:
 
     def _pose_offset(self, columns: SunPointColumns) -> PoseOffset | None:
         """Return how the camera stood turned against the current calibration, where that is of the day's last epoch."""
-        current = self._camera.current_calibration()
+        current = self._camera.archive.calibrations.current(self._camera.name)
         if current is None or not columns.epoch_ids or current.pose_epoch != columns.epoch_ids[-1]:
             return None
-        calibration = self._camera.current_model()
+        calibration = self._camera.archive.calibrations.current_model(self._camera.name)
         if calibration is None:
             return None
         last = columns.select(columns.epoch == len(columns.epoch_ids) - 1)

@@ -129,8 +129,8 @@ class ProvisionalPoseEstimator:
     def improve(self) -> bool:
         """Estimate the pose again where that is due; return whether the result was activated."""
         now = self._now()
-        epoch = self._camera.current_epoch(at=now + _JITTER)
-        current = self._camera.current_calibration()
+        epoch = self._camera.archive.epochs.current(self._camera.name, at=now + _JITTER)
+        current = self._camera.archive.calibrations.current(self._camera.name)
         if epoch is None or epoch.reason == LENS_CHANGED or (current is None and self.first is None):
             return False
         if current is not None and self._is_answered(current, epoch):
@@ -138,8 +138,8 @@ class ProvisionalPoseEstimator:
         lens = None if current is None else self._lens(current)
         if lens is None and self.first is None:
             return False
-        columns = self._camera.sun_point_columns(
-            pose_epoch=epoch.id, until=now + _JITTER, largest_clock_error_s=MAX_CLOCK_ERROR_S
+        columns = self._camera.archive.sightings.columns(
+            self._camera.name, pose_epoch=epoch.id, until=now + _JITTER, largest_clock_error_s=MAX_CLOCK_ERROR_S
         )
         self.count = count = int(columns.unix_s.size)
         done = self._tried.count if self._tried is not None and self._tried.epoch == epoch.id else 0
@@ -191,7 +191,7 @@ class ProvisionalPoseEstimator:
 
     def _is_of_later(self, current: CalibrationRecord, epoch: PoseEpoch) -> bool:
         """Return whether a calibration is of a pose epoch after this one: one that a clock ahead has opened."""
-        started = {each.id: each.started_at for each in self._camera.epochs()}
+        started = {each.id: each.started_at for each in self._camera.archive.epochs.find(self._camera.name)}
         return current.pose_epoch in started and started[current.pose_epoch] > epoch.started_at
 
     def _document(self, posed: Calibration, epoch: PoseEpoch, count: int) -> dict[str, object]:

@@ -83,7 +83,7 @@ class EpochSearch:
 
     def due(self) -> solver_process.SolveProblem | None:
         """Return what is to be searched; None where nothing is new."""
-        columns, record = self._near_new(), self._camera.record()
+        columns, record = self._near_new(), self._camera.archive.cameras.get(self._camera.name)
         if columns is None or record is None or float(np.ptp(columns.unix_s)) < DAY_S:
             return None
         self._last_id = int(columns.ids.max())
@@ -101,13 +101,17 @@ class EpochSearch:
         now = self._now()
         since = since_lens(self._camera, now)
         searched = max((search.last_id for search in self._searches()), default=0)
-        method = None if self._camera.current_calibration() is None else "import"
-        new = self._camera.sun_point_columns(since=since, until=now, method=method, after_id=searched).unix_s
+        method = None if self._camera.archive.calibrations.current(self._camera.name) is None else "import"
+        new = self._camera.archive.sightings.columns(
+            self._camera.name, since=since, until=now, method=method, after_id=searched
+        ).unix_s
         if new.size == 0:
             return None
         first = utc_time(new[0] - _BESIDE_S)
-        columns = self._camera.sun_point_columns(
-            since=first if since is None else max(since, first), until=min(now, utc_time(new[-1] + _BESIDE_S))
+        columns = self._camera.archive.sightings.columns(
+            self._camera.name,
+            since=first if since is None else max(since, first),
+            until=min(now, utc_time(new[-1] + _BESIDE_S)),
         )
         times = columns.unix_s
         index = np.searchsorted(new, times)
@@ -119,7 +123,7 @@ class EpochSearch:
 
     def _lens(self) -> Calibration | None:
         """Return the calibration that is served, where it is a full fit that this version can read."""
-        calibration = self._camera.current_model()
+        calibration = self._camera.archive.calibrations.current_model(self._camera.name)
         return None if calibration is None or is_provisional(calibration) else calibration
 
     def keep(self, steps: tuple[PoseStep, ...]) -> None:
@@ -128,7 +132,7 @@ class EpochSearch:
         for step in steps:
             at = utc_time(step.after_unix_s)
             try:
-                parts = self._camera.split_epoch(at=at, reason="bump")
+                parts = self._camera.archive.epochs.split(self._camera.name, at=at, reason="bump")
             except InputError:  # an epoch begins there already
                 continue
             divided += [part.id for part in parts]
@@ -142,21 +146,23 @@ class EpochSearch:
 
     def unanswered(self, epoch: str) -> bool:
         """Return whether no calibration of a pose epoch answered since it has its present bounds."""
-        served_at = self._camera.last_served(pose_epoch=epoch)
+        served_at = self._camera.archive.calibrations.last_served(self._camera.name, pose_epoch=epoch)
         now = self._now()
         divided = [search.time for search in self._searches() if epoch in search.divided]
         return served_at is None or any(served_at < time <= now for time in divided)
 
     def _searches(self) -> list[_Search]:
         """Return the searches that were made; one whose event is damaged says nothing."""
-        events = self._camera.events(kind=SEARCHED)
+        events = self._camera.archive.events.find(self._camera.name, kind=SEARCHED)
         return [_search(event) for event in events]
 
 
 def since_lens(camera: CameraArchive, now: datetime) -> datetime | None:
     """Return when the lens was last changed before now; None where it never was."""
     changed = [
-        epoch.started_at for epoch in camera.epochs() if epoch.reason == LENS_CHANGED and epoch.started_at <= now
+        epoch.started_at
+        for epoch in camera.archive.epochs.find(camera.name)
+        if epoch.reason == LENS_CHANGED and epoch.started_at <= now
     ]
     return changed[-1] if changed else None
 
@@ -221,11 +227,11 @@ def next_task(
     now: datetime,
 ) -> RefitTask | Finding:
     """Return what the record of a camera up to now asks for; or why there is nothing to solve."""
-    record, since = camera.record(), since_lens(camera, now)
-    read = camera.sun_candidates(since=since, until=now)
+    record, since = camera.archive.cameras.get(camera.name), since_lens(camera, now)
+    read = camera.archive.sightings.candidates(camera.name, since=since, until=now)
     if record is None or read.ids.size == 0:
         return Finding("no_accepted_sightings")
-    left_out = days_left_out({day.date: day.verdict for day in camera.days()})
+    left_out = days_left_out({day.date: day.verdict for day in camera.archive.days.find(camera.name)})
     selection = select_sightings(
         read.candidates,
         site=camera.site,
@@ -241,9 +247,9 @@ def next_task(
         }
         return Finding("no_usable_sightings", counts)
     epochs = [read.epoch_ids[number] for number in np.unique(read.candidates.epoch[selection.index]).tolist()]
-    others = camera.sun_point_columns(since=since, until=now, body=None, no_sun=True)
+    others = camera.archive.sightings.columns(camera.name, since=since, until=now, body=None, no_sun=True)
     stars = _stars(others, epochs, record.image_size)
-    used = camera.sightings_of_ids(np.concatenate([read.ids[selection.index], stars]))
+    used = camera.archive.sightings.of_ids(camera.name, np.concatenate([read.ids[selection.index], stars]))
     if not np.any(used.body == SUN):  # deleted meanwhile
         return Finding("no_accepted_sightings")
     problem = solver_process.SolveProblem(
@@ -333,7 +339,7 @@ class RefitWorker:
         loop = Loop(self._clock, stop, heartbeat)
         for _ in loop.turns():
             self._integrity.follow()
-            waiting = self._camera.refits(unfinished=True)
+            waiting = self._camera.archive.refits.find(self._camera.name, unfinished=True)
             if waiting and self._may_solve():
                 self._set_waiting(0)
                 self.carry_out(waiting[-1], stop, heartbeat)
@@ -409,7 +415,7 @@ class RefitWorker:
 
     def _answer_for_past(self, task: RefitTask, child: Mapping[str, Any]) -> None:
         """Serve each earlier pose epoch that nothing answers for: its own pose, and the lens of all sightings."""
-        epochs = self._camera.epochs()
+        epochs = self._camera.archive.epochs.find(self._camera.name)
         ends = {epoch.id: next_.started_at for epoch, next_ in pairwise(epochs)}
         starts = {epoch.id: epoch.started_at for epoch in epochs}
         waiting = [epoch for epoch in task.used.epoch_ids[:-1] if epoch in ends and self._epochs.unanswered(epoch)]
@@ -427,8 +433,8 @@ class RefitWorker:
                 self._camera.archive.calibrations.answer_between(record.id, since=starts[epoch], until=ends[epoch])
 
     def _judge(self, refit: Refit, task: RefitTask, solved: Calibration) -> None:
-        current = self._camera.current_calibration()
-        epoch = self._camera.current_epoch(at=self._now())
+        current = self._camera.archive.calibrations.current(self._camera.name)
+        epoch = self._camera.archive.epochs.current(self._camera.name, at=self._now())
         solved = with_pose_spread(solved, self._pose_spread(epoch))
         if epoch is not None and task.pose_epoch != epoch.id:
             moved = Finding("moved_since", {"time": epoch.started_at.isoformat()})
@@ -447,7 +453,7 @@ class RefitWorker:
         if epoch is None:
             return pose_spread_deg((), ())
         since = solar_date(epoch.started_at.timestamp(), longitude=self._camera.site.longitude) + timedelta(days=1)
-        days = self._camera.days(since=since, limit=_DAYS_OF_SPREAD)
+        days = self._camera.archive.days.find(self._camera.name, since=since, limit=_DAYS_OF_SPREAD)
         offsets = [(d.pose_offset_deg, d.pose_offset_sigma_deg) for d in days]
         known = [(offset, sigma) for offset, sigma in offsets if offset and sigma]
         return pose_spread_deg([offset for offset, _ in known], [sigma for _, sigma in known])
@@ -462,7 +468,7 @@ class RefitWorker:
             return Verdict(accepted=False, marginal=True, findings=(unreadable,))
         same = current.pose_epoch == task.pose_epoch
         verdict = accept(solved, before, same_pose=same, unseen=unseen_points(task.problem.points, before))
-        if verdict.marginal and self._camera.damaged_calibration() is not None:
+        if verdict.marginal and self._camera.archive.calibrations.damaged(self._camera.name) is not None:
             # what it was compared with only stands in for the damaged current one, and has to be replaced
             return Verdict(accepted=True, findings=(Finding("replaces_damaged"), *verdict.findings))
         return verdict
@@ -490,7 +496,7 @@ class RefitWorker:
     def _answers_from(self, pose_epoch: str, now: datetime) -> datetime:
         if not self._epochs.unanswered(pose_epoch):
             return now
-        started = {epoch.id: epoch.started_at for epoch in self._camera.epochs()}
+        started = {epoch.id: epoch.started_at for epoch in self._camera.archive.epochs.find(self._camera.name)}
         return started.get(pose_epoch, now)
 
     def _finish(
@@ -543,20 +549,20 @@ class CalibrationIntegrityCheck:
         if revision == self._revision:
             return
         self._revision = revision
-        current = self._camera.current_calibration()
+        current = self._camera.archive.calibrations.current(self._camera.name)
         if (None if current is None else current.id) != self._current:
             self.check()
 
     def check(self) -> None:
         """Check, set the condition, and store an event the first time."""
-        current = self._camera.current_calibration()
+        current = self._camera.archive.calibrations.current(self._camera.name)
         self._current = None if current is None else current.id
         self._board.set_one_condition(_CODES, self._reason(current))
         if current is not None:
             self._check_sightings(current)
 
     def _reason(self, current: CalibrationRecord | None) -> Reason | None:
-        damaged = self._camera.damaged_calibration()
+        damaged = self._camera.archive.calibrations.damaged(self._camera.name)
         reason = None
         if current is None:
             reason = condition("no_calibration")

@@ -88,14 +88,14 @@ class KeptImages:
         """Store an image, and remove those of its sort from before `since`; where that fails, the night goes on."""
         row = _star_row(kept) if isinstance(kept, KeptStars) else _moon_row(kept)
         try:
-            self._camera.add_night_image(row, keep_since=since)
+            self._camera.archive.nights.add_image(self._camera.name, row, keep_since=since)
         except OutsideError as error:
             _log.warning("image of the night not stored, a restart would lose it: %s", error)
 
     def read(self) -> tuple[list[KeptStars], list[KeptMoon]]:
         """Return the images of the nights without a verdict, the oldest first, without those that are damaged."""
         stars, moons = list[KeptStars](), list[KeptMoon]()
-        for row in self._camera.night_images():
+        for row in self._camera.archive.nights.images(self._camera.name):
             try:
                 arrays = _unpacked(row.measured)
                 if row.kind == "stars":

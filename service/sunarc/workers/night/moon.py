@@ -103,7 +103,7 @@ class MoonImages:
 
     def _near_prediction(self) -> Callable[[Frame, tuple[Cutout, ...]], tuple[Cutout, ...]]:
         """Return what leaves the moon's cutout alone, where a calibration predicts it: a lamp may be brighter."""
-        calibration = self._camera.current_model()
+        calibration = self._camera.archive.calibrations.current_model(self._camera.name)
 
         def near(frame: Frame, cutouts: tuple[Cutout, ...]) -> tuple[Cutout, ...]:
             if calibration is None:

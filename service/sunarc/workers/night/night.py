@@ -300,7 +300,7 @@ class NightWorker:
             _log.warning("%d images of the night that no good clock dated are left out", len(self._images))
             self._forget()
             if self._kept is not None:
-                self._camera.drop_night_images()
+                self._camera.archive.nights.drop_images(self._camera.name)
         else:
             self.finish()
 
@@ -318,7 +318,7 @@ class NightWorker:
     def _camera_serial(self) -> str:
         """Return the camera's serial number, as it was at the first image: another camera needs a restart."""
         if self._serial is None:
-            record = self._camera.record()
+            record = self._camera.archive.cameras.get(self._camera.name)
             self._serial = "" if record is None else record.serial
         return self._serial
 
@@ -335,7 +335,7 @@ class NightWorker:
     def finish(self, heartbeat: Callable[[], None] = lambda: None) -> Night:
         """Name the stars of the night, store them and the verdict; ask for a refit after one that showed them."""
         self._warm.save()
-        tries = 1 if self._kept is None else self._camera.begin_night_verdict()
+        tries = 1 if self._kept is None else self._camera.archive.nights.begin_verdict(self._camera.name)
         if tries > _MOST_TRIES:
             found = Finding("night_given_up", {"n": len(self._images), "tries": _MOST_TRIES})
             night = self._without_numbers(self._images, (found,), None)
@@ -349,7 +349,7 @@ class NightWorker:
         """Do what `finish` says with the present images; `again` where it was begun before a restart."""
         images, picture = self._images, self._picture
         frozen = (Finding("night_frozen", {"n": self._repeated}),) if self._repeated else ()
-        calibration = self._camera.current_model()
+        calibration = self._camera.archive.calibrations.current_model(self._camera.name)
         if calibration is None or not self._trusted():
             code = "night_without_calibration" if calibration is None else "night_clock_not_trusted"
             return self._without_numbers(images, (Finding(code),), self._keep(picture, None, calibration))
@@ -436,7 +436,8 @@ class NightWorker:
         if self._store_images is None or picture is None:
             return None
         one = None if taken is None else taken.get(picture.time)
-        current, record = self._camera.current_calibration(), self._camera.record()
+        current = self._camera.archive.calibrations.current(self._camera.name)
+        record = self._camera.archive.cameras.get(self._camera.name)
         written = store_picture(
             self._store_images,
             picture,
@@ -480,7 +481,7 @@ class NightWorker:
 
     def _points(self, image: _StarImage, view: StarView, found: MatchedView) -> list[SunPoint]:
         """Return the surest stars of each part of an image as sightings."""
-        record = self._camera.record()
+        record = self._camera.archive.cameras.get(self._camera.name)
         names, stars = surest_named(view, found, (0, 0) if record is None else record.image_size)
         return [
             SunPoint(
@@ -518,7 +519,7 @@ class NightWorker:
 
     def publish_conditions(self) -> None:
         """Set or clear the conditions of the last nights, as the archive has them."""
-        nights = self._camera.nights(limit=NIGHTS_COMPARED)
+        nights = self._camera.archive.nights.find(self._camera.name, limit=NIGHTS_COMPARED)
         for code, reason in night_conditions(nights, self._limits).items():
             self._board.set_condition(code, reason)
 
