@@ -84,6 +84,7 @@ def months(archive: Archive) -> list[str]:
 
 def test_sightings_are_removed_by_whole_months(archive: Archive) -> None:
     now = NOON
+    archive.nightly.remove_sightings(before=now, now=now)  # months of other tests, which a server keeps when empty
     for days in (0, 30, 60, 90, 120, 150, 400):
         store_sun_point(archive, now - timedelta(days=days))
     kept = ["2012-12", "2013-01", "2013-02", "2013-03", "2013-04", "2013-05"]

@@ -198,11 +198,14 @@ def test_sentences_of_sightings_become_findings_where_their_codes_are_sure(fille
     archive.close()
 
 
+ELSEWHERE = "not where it should be: a disc, reduced chi² 1.04"
+
+
 def test_the_sentences_of_sightings_are_the_same_after_a_way_there_and_back(filled: Path) -> None:
     left_out = "a disc, reduced chi² 1.04, 12 saturated pixels left out"
     sentences: list[object] = [
         *("", f"{left_out}; mean of 3 frames (chi² 2.3, 4 degrees of freedom)", "something else"),
-        *("not where it should be: a disc, reduced chi² 1.04", "the camera had moved"),
+        *(ELSEWHERE, "the camera had moved"),
     ]
     assert reasons_at(filled, "0017", sentences) == sentences
 
@@ -216,7 +219,7 @@ def test_findings_of_sightings_are_sentences_again_for_an_older_version(filled: 
     downgrade(filled, "0017")
     with closing(sqlite3.connect(filled)) as connection:
         (reason,) = connection.execute("SELECT reason FROM sun_point ORDER BY time LIMIT 1").fetchone()
-    assert reason == "not where it should be: a disc, reduced chi² 1.04; of_tomorrow {'n': 1}"
+    assert reason == f"{ELSEWHERE}; of_tomorrow {{'n': 1}}"
 
 
 @pytest.mark.parametrize(("code", "sentence"), MIGRATION["_SENTENCES"].items())

@@ -3,10 +3,13 @@
 Usage: python3 -I past.py MIDNIGHT DAYS A_DAY, MIDNIGHT the unix time at which the present solar day began
 """
 
+import os
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
+os.environ["NUMBA_CACHE_DIR"] = "/var/cache/sunarc/numba"  # of versions before 0.4
 sys.path.insert(0, "/usr/lib/sunarc/site")
 
 import numpy as np
@@ -22,8 +25,12 @@ SENSOR_PX = 1748
 
 midnight, days, a_day = float(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
 settings = load_settings(Path("/etc/sunarc/sunarc.toml"))
-archive = open_archive(settings.database)
-binning = SENSOR_PX / archive.cameras.all()[0].width
+archive: Any = open_archive(settings.database)
+if hasattr(archive, "epochs"):
+    cameras, epoch_at, add = archive.cameras.all, archive.epochs.at, archive.sightings.add
+else:  # a version from before an archive had parts
+    cameras, epoch_at, add = archive.cameras, archive.epoch_at, archive.add_sun_points
+binning = SENSOR_PX / cameras()[0].width
 noise = np.random.default_rng(1)
 for day in range(days, 0, -1):
     times = midnight - 86400.0 * day + np.linspace(0.0, 86400.0, 2 * a_day, endpoint=False)
@@ -31,8 +38,8 @@ for day in range(days, 0, -1):
     pixels = (project(true_camera(), sun_directions(times, settings.site)) - (binning - 1.0) / 2.0) / binning
     seen = pixels + noise.normal(0.0, 0.02, pixels.shape)
     begin = datetime.fromtimestamp(times[0], UTC)
-    epoch = archive.epochs.at(settings.name, begin, reason="installed").id
-    archive.sightings.add(
+    epoch = epoch_at(settings.name, begin, reason="installed").id
+    add(
         SunPoint(
             camera=settings.name,
             pose_epoch=epoch,
