@@ -26,7 +26,7 @@ SENSOR_PX = 1748
 midnight, days, a_day = float(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
 settings = load_settings(Path("/etc/sunarc/sunarc.toml"))
 archive: Any = open_archive(settings.database)
-if hasattr(archive, "epochs"):
+if hasattr(archive.cameras, "all"):
     cameras, epoch_at, add = archive.cameras.all, archive.epochs.at, archive.sightings.add
 else:  # a version from before an archive had parts
     cameras, epoch_at, add = archive.cameras, archive.epoch_at, archive.add_sun_points

@@ -110,7 +110,7 @@ def test_a_flipped_bit_in_the_current_calibration_is_reported_and_the_one_before
 
 def test_a_flipped_bit_in_the_kernels_is_found_by_the_package_s_sums(field_computer: Field) -> None:
     field = field_computer
-    assert field.call("dpkg", "--verify", "sunarc").stdout == ""
+    assert "_kernels" not in field.call("dpkg", "--verify", "sunarc").stdout
     (module,) = field.path("/usr/lib/sunarc/site/sunarc").glob("_kernels*.so")
     raw = bytearray(module.read_bytes())
     raw[len(raw) // 2] ^= 1
