@@ -42,14 +42,14 @@ def _innermost(tree: ast.Module, line: int) -> ast.FunctionDef | None:
 def _statement(function: ast.FunctionDef, line: int) -> tuple[int, int]:
     """Return the first and last line of the simple statement that holds a line; of a default, the first statement's."""
     body = [one for one in function.body if not (isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant))]
-    if line < function.body[0].lineno or not body:  # a stub has no statement: nothing that runs
-        first = body[0].lineno if body else function.lineno
-        return first, first
     inside = [
         node
         for node in ast.walk(function)
         if isinstance(node, ast.stmt) and node.lineno <= line <= (node.end_lineno or 0) and node is not function
     ]
+    if line < function.body[0].lineno or not body or not inside:  # a stub has no statement: nothing that runs
+        first = body[0].lineno if body else function.lineno
+        return first, first
     innermost = max(inside, key=lambda node: node.lineno)
     block = getattr(innermost, "body", None)
     return innermost.lineno, block[0].lineno - 1 if block else innermost.end_lineno or line

@@ -14,6 +14,7 @@ from sunarc.errors import InputError
 from sunarc.optics.camera import PARAMETER_NAMES, Camera
 from sunarc.optics.forward import (
     decentering_shift,
+    decentering_slopes,
     distorted_radius,
     project,
     project_fast,
@@ -21,6 +22,7 @@ from sunarc.optics.forward import (
     project_with_rows_fast,
     radius_slope,
 )
+from sunarc.optics.inverse import calibrated
 from sunarc.optics.projections import PROJECTIONS, Projection, angle_limit, ideal_angle, ideal_radius, ideal_slope
 
 FloatArray = NDArray[np.float64]
@@ -197,6 +199,25 @@ def test_the_decentering_along_the_axes_is_three_to_one() -> None:
         np.testing.assert_allclose(found, np.array(expected) * scale, atol=1e-17)
     shift = decentering_shift((0.0, 0.01), np.array(2.0), np.array(math.sqrt(0.5)), np.array(math.sqrt(0.5)))
     np.testing.assert_allclose(shift, (0.04, 0.08), rtol=1e-12)
+
+
+def test_the_slopes_of_the_decentering_are_its_difference_quotients() -> None:
+    coefficients, turn = np.array([2e-3, -3e-3, 0.4, -0.3]), np.linspace(0.0, 6.0, 11)
+    at = np.linspace(0.1, 1.3, 11), np.cos(turn), np.sin(turn)
+    slopes = decentering_slopes(coefficients, *at)
+    for k, change in enumerate(1e-6 * np.eye(4)):
+        ahead, behind = (np.stack(decentering_shift(coefficients + by, *at), axis=-1) for by in (change, -change))
+        np.testing.assert_allclose(slopes[..., k], (ahead - behind) / 2e-6, rtol=1e-6, atol=1e-9)
+
+
+def test_the_calibrated_point_is_what_the_calibration_matrix_brings_to_the_pixel() -> None:
+    for camera in STRANGE:
+        pixels = np.array([[10.0, 20.0], [861.25, 803.5], [1700.0, 50.0]])
+        x_hat, y_hat = calibrated(camera, pixels)
+        x = camera.focal_length_px[0] * x_hat + camera.skew_px * y_hat + camera.principal_point_px[0]
+        y = camera.focal_length_px[1] * y_hat + camera.principal_point_px[1]
+        np.testing.assert_allclose(camera.width - 1.0 - x if camera.mirrored else x, pixels[:, 0], atol=1e-9)
+        np.testing.assert_allclose(y, pixels[:, 1], atol=1e-9)
 
 
 def test_five_coefficients_are_the_longer_series_of_the_paper() -> None:
