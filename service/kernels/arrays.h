@@ -30,9 +30,22 @@ using Matrix = In<double, -1, -1>;
 using Vectors = In<double, -1, 3>;  // directions
 using Places = In<double, -1, 2>;   // pixels
 using Rotation = In<double, 3, 3>;
+using Indices = In<int64_t, -1>;
 
 // The name of an array among the arguments; it is never converted: a copy would hide a wrong type or order.
 inline auto named(const char* name) { return nb::arg(name).noconvert(); }
+
+inline void require(bool holds, const char* problem) {
+    if (!holds) throw nb::value_error(problem);
+}
+
+// The numbers of an array, from 0 to below `end`: a copy, which no other thread changes once it is checked.
+template <typename Given>
+std::vector<size_t> checked(const Given& given, size_t end, const char* problem) {
+    std::vector<size_t> copy(given.data(), given.data() + given.size());
+    for (size_t one : copy) require(one < end, problem);  // one below 0 is beyond all
+    return copy;
+}
 
 // A new array, not initialised.
 template <typename T>

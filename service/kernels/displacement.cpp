@@ -174,7 +174,7 @@ using Coefficients = In<double, 2, -1, -1>;
 template <typename Action>
 void in_batches(In<double, 4> box, Coefficients coefficients, Places pixels, Action action) {
     const int nx = static_cast<int>(coefficients.shape(1)), ny = static_cast<int>(coefficients.shape(2));
-    if (nx == 0 || ny == 0) throw nb::value_error("a displacement has at least one order along x and y");
+    require(nx > 0 && ny > 0, "a displacement has at least one order along x and y");
     const Waves waves{box.data(), coefficients.data(), nx, ny};
     nb::gil_scoped_release unlocked;
     Room room(nx, ny);
@@ -225,12 +225,9 @@ void write_waves(double phase, double scale, std::vector<double>& result) {
 
 Result waves_at(Places pixels, In<double, 4> box, In<int64_t, -1, 2> orders) {
     const size_t n = pixels.shape(0), m = orders.shape(0);
-    const std::vector<int64_t> order(orders.data(), orders.data() + 2 * m);  // nobody changes these between
-    int64_t highest[2] = {0, 0};
-    for (size_t i = 0; i < 2 * m; ++i) {
-        if (order[i] < 0 || order[i] > 1'000'000) throw nb::value_error("an order is out of bounds");
-        highest[i % 2] = std::max(highest[i % 2], order[i]);
-    }
+    const auto order = checked(orders, 1'000'001, "an order is out of bounds");
+    size_t highest[2] = {0, 0};
+    for (size_t i = 0; i < 2 * m; ++i) highest[i % 2] = std::max(highest[i % 2], order[i]);
     Out<double> result({n, m});
     {
         nb::gil_scoped_release unlocked;

@@ -90,7 +90,7 @@ bool solve(double* m, double* v, int size) {
     return true;
 }
 
-void damped_step(const Table& normal, const Table& gradient, const std::vector<int64_t>& moving, double damping,
+void damped_step(const Table& normal, const Table& gradient, const std::vector<size_t>& moving, double damping,
                  Table& work, Table& step) {
     const size_t f = moving.size(), p = gradient.size();
     Table scale(f);
@@ -105,17 +105,6 @@ void damped_step(const Table& normal, const Table& gradient, const std::vector<i
         for (size_t i = 0; i < f; ++i) step[i] *= scale[i];
     else
         std::fill(step.begin(), step.end(), 0.0);
-}
-
-std::vector<int64_t> places_of(const In<int64_t, -1>& places, int64_t size, const char* problem) {
-    std::vector<int64_t> result(places.data(), places.data() + places.shape(0));
-    for (int64_t place : result)
-        if (place < 0 || place >= size) throw nb::value_error(problem);
-    return result;
-}
-
-void require_length(size_t found, size_t wanted, const char* problem) {
-    if (found != wanted) throw nb::value_error(problem);
 }
 
 }  // namespace sunarc

@@ -27,13 +27,8 @@ bool solve(double* matrix, double* vector, int size);
 
 // Write the Levenberg-Marquardt step, scaled by the diagonal; zeros where the equations cannot be solved, so that the
 // cost stays and the steps end as they do at a minimum.
-void damped_step(const Table& normal, const Table& gradient, const std::vector<int64_t>& moving, double damping,
+void damped_step(const Table& normal, const Table& gradient, const std::vector<size_t>& moving, double damping,
                  Table& work, Table& step);
-
-// Copy an array of places and refuse what is beyond `size`: who changes the array meanwhile changes nothing here.
-std::vector<int64_t> places_of(const In<int64_t, -1>& places, int64_t size, const char* problem);
-
-void require_length(size_t found, size_t wanted, const char* problem);
 
 void add_fit(nb::module_& module);
 void add_paper(nb::module_& module);

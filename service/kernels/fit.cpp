@@ -39,7 +39,7 @@ struct Whitened {
 // Sightings: directions (n, 3), pixels (n, 2), information (n,), 1/px².
 struct Seen {
     const double *directions, *pixels, *information;
-    std::vector<int64_t> epoch;
+    std::vector<size_t> epoch;
 
     // How many sightings from one on share its epoch, at most a block.
     int run(size_t begin) const {
@@ -149,7 +149,7 @@ class Equations {
 };
 
 // What a damped step takes from the cost where the residuals are linear.
-double predicted_gain(const Equations& here, const std::vector<int64_t>& moving, double damping, const Table& step) {
+double predicted_gain(const Equations& here, const std::vector<size_t>& moving, double damping, const Table& step) {
     const size_t p = here.gradient.size();
     double total = 0.0;
     for (size_t i = 0; i < moving.size(); ++i) {
@@ -168,7 +168,7 @@ double trust_factor(double gain, double predicted) {
 }
 
 double minimise(Optics optics, const Whitened& lens, const Seen& seen, const Goal& goal,
-                const std::vector<int64_t>& moving, Table& at) {
+                const std::vector<size_t>& moving, Table& at) {
     const size_t p = at.size(), f = moving.size();
     Equations here(optics, lens, seen, goal, p), there(optics, lens, seen, goal, p);
     Table work(f * f), step(f), trial(p);
@@ -206,18 +206,18 @@ double minimise(Optics optics, const Whitened& lens, const Seen& seen, const Goa
 
 nb::tuple most_probable(int code, double mirror, double max_angle, In<double, N_LENS> mean,
                         In<double, N_LENS, N_LENS> basis, Vectors directions, Places pixels, Numbers information,
-                        In<int64_t, -1> epoch, Numbers precision, double sigma, int iterations, double tolerance,
-                        Numbers start, In<int64_t, -1> moving) {
+                        Indices epoch, Numbers precision, double sigma, int iterations, double tolerance,
+                        Numbers start, Indices moving) {
     require_projection(code);
     const size_t n = directions.shape(0), p = start.shape(0);
-    if (p < N_LENS + 3 || (p - N_LENS) % 3 != 0) throw nb::value_error("not the unknowns of a lens and of its poses");
-    require_length(pixels.shape(0), n, "not as many pixels as directions");
-    require_length(information.shape(0), n, "not as many weights as directions");
-    require_length(epoch.shape(0), n, "not as many epochs as directions");
-    require_length(precision.shape(0), p, "not as many precisions as unknowns");
+    require(p >= N_LENS + 3 && (p - N_LENS) % 3 == 0, "not the unknowns of a lens and of its poses");
+    require(pixels.shape(0) == n, "not as many pixels as directions");
+    require(information.shape(0) == n, "not as many weights as directions");
+    require(epoch.shape(0) == n, "not as many epochs as directions");
+    require(precision.shape(0) == p, "not as many precisions as unknowns");
     const Seen seen{directions.data(), pixels.data(), information.data(),
-                    places_of(epoch, static_cast<int64_t>(p - N_LENS) / 3, "an epoch has no pose")};
-    const auto free = places_of(moving, static_cast<int64_t>(p), "an unknown that moves is none");
+                    checked(epoch, (p - N_LENS) / 3, "an epoch has no pose")};
+    const auto free = checked(moving, p, "an unknown that moves is none");
     Out<double> result({p});
     double cost;
     {
@@ -262,14 +262,14 @@ struct InAir {
 };
 
 void require_air(const Matrix& sd, size_t n, size_t k) {
-    if (k > 0 && (sd.shape(0) != n || sd.shape(1) < k)) throw nb::value_error("not a 1-sigma for each of the air's unknowns");
+    require(k == 0 || (sd.shape(0) == n && sd.shape(1) >= k), "not a 1-sigma for each of the air's unknowns");
 }
 
 Result residuals_of(int code, double mirror, double max_angle, In<double, PARAMETERS> vector, Vectors directions,
                     Places pixels, Matrix refraction_sd, Numbers air) {
     require_projection(code);
     const size_t n = directions.shape(0);
-    require_length(pixels.shape(0), n, "not as many pixels as directions");
+    require(pixels.shape(0) == n, "not as many pixels as directions");
     require_air(refraction_sd, n, air.shape(0));
     Out<double> result({n, 2});
     {
@@ -310,17 +310,17 @@ struct Columns {
 
 nb::tuple residuals_and_columns_of(int code, double mirror, double max_angle, In<double, -1, PARAMETERS> vectors,
                                    In<double, N_LENS, N_LENS> basis, Vectors directions, Places pixels,
-                                   Matrix refraction_sd, In<int64_t, -1> epoch, In<double, -1, 2, -1> systematic_px,
+                                   Matrix refraction_sd, Indices epoch, In<double, -1, 2, -1> systematic_px,
                                    Numbers sizes, Numbers air) {
     require_projection(code);
     const size_t n = directions.shape(0), epochs = vectors.shape(0), shared = sizes.shape(0), k = air.shape(0);
-    require_length(pixels.shape(0), n, "not as many pixels as directions");
-    require_length(epoch.shape(0), n, "not as many epochs as directions");
-    require_length(systematic_px.shape(0), n, "not as many systematic errors as directions");
-    require_length(systematic_px.shape(2), shared, "not a size for each systematic error");
+    require(pixels.shape(0) == n, "not as many pixels as directions");
+    require(epoch.shape(0) == n, "not as many epochs as directions");
+    require(systematic_px.shape(0) == n, "not as many systematic errors as directions");
+    require(systematic_px.shape(2) == shared, "not a size for each systematic error");
     require_air(refraction_sd, n, k);
     const Seen seen{directions.data(), pixels.data(), nullptr,
-                    places_of(epoch, static_cast<int64_t>(epochs), "an epoch has no camera")};
+                    checked(epoch, epochs, "an epoch has no camera")};
     const size_t size = N_LENS + 3 * epochs + shared + k;
     Out<double> residual({2, n}), columns({2, size, n});
     {

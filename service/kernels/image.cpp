@@ -9,21 +9,9 @@ namespace sunarc {
 
 namespace {
 
-using Indices = In<int64_t, -1>;
 using Plane = In<float, -1, -1>;
 using Field = In<float, -1, -1, 4>;  // east, north, up of each pixel, and what it sees
 constexpr size_t LONGEST = 1 << 16;  // px: a side
-
-void require(bool holds, const char* problem) {
-    if (!holds) throw nb::value_error(problem);
-}
-
-// Return numbers from 0 to below `end`: a copy, which no other thread changes once it is checked.
-std::vector<size_t> checked(const Indices& given, size_t end, const char* problem) {
-    std::vector<size_t> copy(given.data(), given.data() + given.shape(0));
-    for (size_t one : copy) require(one < end, problem);  // one below 0 is beyond all
-    return copy;
-}
 
 // The disc.
 

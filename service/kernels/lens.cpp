@@ -270,7 +270,7 @@ nb::tuple rotation_and_jacobian(In<double, 3> vector) {
 }  // namespace
 
 void require_projection(int code) {
-    if (code < 0 || code >= PROJECTIONS) throw nb::value_error("no projection has this code");
+    require(code >= 0 && code < PROJECTIONS, "no projection has this code");
 }
 
 DISPATCHED void write_pixels(const double* vector, Optics optics, const double* rotation, const double* directions,

@@ -147,7 +147,7 @@ class Equations {
 };
 
 // Levenberg-Marquardt until a step gains less than a share of the cost; return the sum of squares.
-double minimise(Equations& here, Equations& there, const std::vector<int64_t>& moving, int most_steps, double least_gain,
+double minimise(Equations& here, Equations& there, const std::vector<size_t>& moving, int most_steps, double least_gain,
               double damping, Table& at) {
     const size_t f = moving.size();
     Table work(f * f), step(f), trial;
@@ -176,14 +176,14 @@ nb::tuple paper_fit(int code, double mirror, double max_angle, Vectors direction
                     In<double, RADIALS> orthogonality, double circularity, double edge_radius,
                     In<double, RADIALS> edge_powers, Numbers cosine, Numbers sine, bool with_decentering,
                     double monotony, Numbers ideal_slope, In<double, -1, RADIALS> slope_by_radial,
-                    In<double, PARAMETERS> start, In<int64_t, -1> moving, int most_steps, double least_gain,
+                    In<double, PARAMETERS> start, Indices moving, int most_steps, double least_gain,
                     double first_damping) {
     require_projection(code);
-    require_length(pixels.shape(0), directions.shape(0), "not as many pixels as directions");
-    require_length(information.shape(0), directions.shape(0), "not as many weights as directions");
-    require_length(sine.shape(0), cosine.shape(0), "not as many sines as cosines");
-    require_length(slope_by_radial.shape(0), ideal_slope.shape(0), "not as many rows as slopes");
-    const auto free = places_of(moving, PARAMETERS, "a parameter that moves is none");
+    require(pixels.shape(0) == directions.shape(0), "not as many pixels as directions");
+    require(information.shape(0) == directions.shape(0), "not as many weights as directions");
+    require(sine.shape(0) == cosine.shape(0), "not as many sines as cosines");
+    require(slope_by_radial.shape(0) == ideal_slope.shape(0), "not as many rows as slopes");
+    const auto free = checked(moving, PARAMETERS, "a parameter that moves is none");
     Out<double> result({PARAMETERS});
     double cost;
     {

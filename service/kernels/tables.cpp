@@ -81,7 +81,7 @@ DISPATCHED bool write_from_table(const Constants& c, const double* r, const doub
 
 nb::tuple directions_from_table(ConstantNumbers constants, Rotation rotation, In<double, -1, 8> table, int rounds,
                                 Places pixels) {
-    if (table.shape(0) == 0 || rounds < 0) throw nb::value_error("a table has at least one piece, and no rounds below 0");
+    require(table.shape(0) > 0 && rounds >= 0, "a table has at least one piece, and no rounds below 0");
     Out<double> result({pixels.shape(0), 3});
     bool coarse;
     {
@@ -120,7 +120,7 @@ INLINED void spline_at(const double* grid, size_t columns, const Weights& down, 
 
 nb::tuple pixels_from_grid(In<double, -1, -1, 2> grid, In<double, 2> origin, In<double, 2> step, Places pixels) {
     const size_t rows = grid.shape(0), columns = grid.shape(1), n = pixels.shape(0);
-    if (rows < 4 || columns < 4) throw nb::value_error("a cubic spline has at least four nodes a side");
+    require(rows >= 4 && columns >= 4, "a cubic spline has at least four nodes a side");
     Out<double> result({n, 2});
     bool beyond = false;
     {
@@ -155,7 +155,7 @@ struct Polar {
     Polar(const Grid& of, double rings_per_unit)
         : grid(of.data()), columns(of.shape(1)), rings(of.shape(0) - 2.0), spokes(of.shape(1) - 3.0),
           per_unit(rings_per_unit) {
-        if (of.shape(0) < 4 || of.shape(1) < 4) throw nb::value_error("a cubic spline has at least four nodes a side");
+        require(of.shape(0) >= 4 && of.shape(1) >= 4, "a cubic spline has at least four nodes a side");
     }
 
     // The sums at a ring and a turn in radians.
@@ -202,8 +202,8 @@ Result back_projected(Rotation rotation, Matrix sheet, Numbers slope, double rin
                       double height, Places pixels, Vectors directions) {
     constexpr double DEGREES = 90.0 / RIGHT_ANGLE;
     const size_t n = pixels.shape(0);
-    if (directions.shape(0) != n) throw nb::value_error("not as many directions as pixels");
-    if (slope.shape(0) != sheet.shape(0)) throw nb::value_error("not as many slopes as rings");
+    require(directions.shape(0) == n, "not as many directions as pixels");
+    require(slope.shape(0) == sheet.shape(0), "not as many slopes as rings");
     const Polar polar(sheet, rings_per_radian);
     Out<double> result({n, 7});
     {
@@ -235,7 +235,7 @@ Result back_projected(Rotation rotation, Matrix sheet, Numbers slope, double rin
 Result projected(Rotation rotation, In<double, -1, -1, 3> sheets, double rings_per_radian, double width, double height,
                  Places pixels, Vectors directions) {
     const size_t n = pixels.shape(0);
-    if (directions.shape(0) != n) throw nb::value_error("not as many directions as pixels");
+    require(directions.shape(0) == n, "not as many directions as pixels");
     const Polar polar(sheets, rings_per_radian);
     Out<double> result({n, 7});
     {

@@ -295,7 +295,7 @@ def likelihood_of(
     around : the background's slope in x and y, smear of the columns, glare.
     noise, gain : of the readout, counts; electrons per count.
     binning, clip : each pixel is the mean of binning² of the sensor's, which are clipped at so many counts.
-    by_counts : take the variance that the counts tell, not the model.
+    by_counts : the variance follows from the counts, not from the model.
 
     Returns
     -------

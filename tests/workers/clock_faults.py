@@ -50,6 +50,36 @@ SYNCHRONISED = ClockState(synchronised=True, error_bound_s=0.01)
 UNSYNCHRONISED = ClockState(synchronised=False, error_bound_s=16.0)
 
 
+def hand_on(service: Service, x: float, y: float, *, moment: datetime, sigma_px: float) -> None:
+    """Keep and report a disc that was detected at a pixel, and let the watch for moves look at it."""
+    expected = service.predictor.expectation(moment)
+    near = expected is None or float(np.hypot(x - expected.x_px, y - expected.y_px)) < NEAR_PX
+    detection = Detection(
+        method="disc",
+        accepted=near,
+        verdict="clear" if near else "elsewhere",
+        findings=(),
+        x_px=x,
+        y_px=y,
+        sigma_px=sigma_px,
+    )
+    frame = Frame(
+        image=np.zeros((6, 8), dtype=np.uint16),
+        time=moment,
+        exposure_us=20.0,
+        gain_db=0.0,
+        pixel_format="Mono12",
+        full_scale=4095,
+        frame_id=1,
+    )
+    error_s = service.clock_watch.error_s(moment)
+    point = sun_point_of(detection, camera="roof", pose_epoch="", time=moment, clock_error_s=error_s)
+    service.keeper.keep(point)
+    service.report(frame, detection)
+    while service.watch.process_next():
+        pass
+
+
 @cache
 def good_calibration() -> Calibration:
     """Return a calibration of the true camera from the clear day before."""
@@ -129,32 +159,7 @@ class Imager:
         self.true_times.setdefault(moment, self.true_time)  # of two with one time, the record keeps the first
         pixel = project(self.camera, sun_directions(self.true_time.timestamp(), SGP))
         x, y = (float(v) for v in pixel + self._rng.normal(0.0, SIGMA_PX, 2))
-        expected = self.service.predictor.expectation(moment)
-        near = expected is None or float(np.hypot(x - expected.x_px, y - expected.y_px)) < NEAR_PX
-        detection = Detection(
-            method="disc",
-            accepted=near,
-            verdict="clear" if near else "elsewhere",
-            findings=(),
-            x_px=x,
-            y_px=y,
-            sigma_px=SIGMA_PX,
-        )
-        frame = Frame(
-            image=np.zeros((6, 8), dtype=np.uint16),
-            time=moment,
-            exposure_us=20.0,
-            gain_db=0.0,
-            pixel_format="Mono12",
-            full_scale=4095,
-            frame_id=1,
-        )
-        error_s = self.service.clock_watch.error_s(moment)
-        point = sun_point_of(detection, camera="roof", pose_epoch="", time=moment, clock_error_s=error_s)
-        self.service.keeper.keep(point)
-        self.service.report(frame, detection)
-        while self.service.watch.process_next():
-            pass
+        hand_on(self.service, x, y, moment=moment, sigma_px=SIGMA_PX)
 
     def trusted_wrong(self) -> int:
         """Return how many accepted sightings have a time that is wrong by more than their stated bound."""

@@ -22,20 +22,19 @@ from tests.fixtures.archive import make_empty
 
 from sunarc.app.service import Service
 from sunarc.archive.archive import open_archive
-from sunarc.archive.sightings import sun_point_of
 from sunarc.archive.values import CameraRecord
 from sunarc.calibration.answers.covariance import project_with_covariance, sigma_px
 from sunarc.calibration.model.document import from_document
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
-from sunarc.cameras.frame import Frame, SkyCamera
+from sunarc.cameras.frame import SkyCamera
 from sunarc.cameras.options import AravisOptions
-from sunarc.detection.values import Detection
 from sunarc.runtime.clock import ClockState, VirtualClock
 from sunarc.settings.model import Settings
 from sunarc.sky.site import Site
 from sunarc.workers.calibrating.refit import RefitWorker
 from sunarc.workers.options import CaptureOptions
 
+from .clock_faults import hand_on
 from .long_run import solve_here
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
@@ -157,33 +156,7 @@ class Mast:
         moment = self.note_frame()
         self.true_times.setdefault(moment, self.true_time)
         x, y = (float(v) for v in pixel + self._rng.normal(0.0, SIGMA_PX, 2))
-        expected = self.service.predictor.expectation(moment)
-        near = expected is None or float(np.hypot(x - expected.x_px, y - expected.y_px)) < 20.0
-        detection = Detection(
-            method="disc",
-            accepted=near,
-            verdict="clear" if near else "elsewhere",
-            findings=(),
-            x_px=x,
-            y_px=y,
-            sigma_px=SIGMA_PX,
-        )
-        frame = Frame(
-            image=np.zeros((6, 8), dtype=np.uint16),
-            time=moment,
-            exposure_us=20.0,
-            gain_db=0.0,
-            pixel_format="Mono12",
-            full_scale=4095,
-            frame_id=1,
-        )
-        error_s = self.service.clock_watch.error_s(moment)
-        self.service.keeper.keep(
-            sun_point_of(detection, camera="roof", pose_epoch="", time=moment, clock_error_s=error_s)
-        )
-        self.service.report(frame, detection)
-        while self.service.watch.process_next():
-            pass
+        hand_on(self.service, x, y, moment=moment, sigma_px=SIGMA_PX)
 
     def live(self, day: date, *, reboot_at: datetime, behind_s: float, restart: bool) -> None:
         """Live through a cloudless day with its reboot, and the midnight after it."""

@@ -160,7 +160,7 @@ def _predicted(passes: Passes, store: FolderLedger, mask: PackedMask | None) -> 
     rough = _first_analysis(store, points, camera)
     if not rough.states:
         return rough.findings
-    # of a day that no state explains nobody knows where the camera looked: its sightings stay as they are
+    # where no state explains a day, the camera's pose on it is unknown: its sightings stay as they are
     doubtful = disagreeing_days(points, rough.states, camera)
     looked = store.looked(without_days=doubtful)
     states = [one._replace(clock_offset_s=0.0) if _is_time_zone(one.clock_offset_s) else one for one in rough.states]

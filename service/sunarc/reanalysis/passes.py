@@ -434,7 +434,7 @@ def _two_by_two(rows: list[list[float]]) -> tuple[tuple[float, float], tuple[flo
 def scatter_beyond_px(calibration: Calibration, points: Sightings, *, site: Site) -> float:
     """Return by how much accepted sightings scatter about a camera beyond what they state, px per axis.
 
-    That of the fit where they are too few to tell.
+    That of the fit where they are too few to determine it.
     """
     stated = points.select(np.flatnonzero(np.isfinite(points.sigma_px)))
     if len(stated) < _FEW:

@@ -152,7 +152,7 @@ class NoticeStore(Part):
             if position is not None and _news(connection, position, look)[1] == position:
                 return position.conditions
         with self._database.writing(camera=camera) as connection:
-            # Read again under the lock: another process may have stored what is new since, and it is told once.
+            # Read again under the lock: another process may have stored what is new since; a notice is stored once.
             position, rows = _position(connection, camera), list[dict[str, Any]]()
             if position is None:
                 position = _NoticePosition(

@@ -29,8 +29,8 @@ _NEGLIGIBLE = 1e-13
 class FieldAxes(NamedTuple):
     """The axes for one length and unit amplitude.
 
-    transform (m, r) takes turned coefficients back; information (r,), px⁻², is the sightings' on each. Those of which
-    they tell nothing are left out: products with derivatives and residuals are 0 there.
+    transform (m, r) takes turned coefficients back; information (r,), px⁻², is the sightings' on each. Those that
+    they do not determine are left out: products with derivatives and residuals are 0 there.
     """
 
     transform: FloatArray

@@ -31,7 +31,7 @@ _HALVINGS = 6
 _SAME_PLACE_PX = 0.02
 """A field changes by less than a ten-thousandth of itself over this: its shortest length is hundreds of px."""
 _TELLS_NOTHING = 1e-14
-"""Share of a coefficient's prior variance that sightings take away, below which they tell nothing of it."""
+"""Share of a coefficient's prior variance that sightings take away, below which they do not determine it."""
 _LEAST_GAIN = 1e-3
 """Gain in twice the log posterior below which a solve ends: a thirtieth of a sigma."""
 

@@ -38,7 +38,7 @@ def _counts(
 ) -> FloatArray:
     """Return (k,): the share of the mapped rays in the image that fall on marked cells; 0 where few are in it."""
     n = near.shape[0]
-    # up to where a radius of the projection can still be told
+    # the largest angle at which the radius is computed: the tangent has a pole, the sine falls beyond its maximum
     widest = 1.5 / shape if shape > 0.0 else 0.5 * math.pi / -shape if shape < 0.0 else largest
     found = np.empty(turns.angles.size)
     for begin in range(0, found.size, _CHUNK):
@@ -56,12 +56,12 @@ def _counts(
 
 
 def _rotations(poles: FloatArray, angles: FloatArray) -> FloatArray:
-    """Return the matrices (k, 3, 3) of turns by angles (k,), rad, about unit vectors (k, 3): Rodrigues' formula."""
-    cosine, sine = np.cos(angles)[:, None, None], np.sin(angles)[:, None, None]
-    x, y, z = poles.T
+    """Return matrices (..., 3, 3) of turns by angles (...), rad, about unit vectors (..., 3): Rodrigues' formula."""
+    cosine, sine = np.cos(angles)[..., None, None], np.sin(angles)[..., None, None]
+    x, y, z = np.moveaxis(poles, -1, 0)
     none = np.zeros_like(x)
-    crossed = np.stack([none, -z, y, z, none, -x, -y, x, none], axis=-1).reshape(-1, 3, 3)
-    return np.asarray(cosine * np.eye(3) + sine * crossed + (1.0 - cosine) * poles[:, :, None] * poles[:, None, :])
+    crossed = np.stack([none, -z, y, z, none, -x, -y, x, none], axis=-1).reshape(*poles.shape, 3)
+    return np.asarray(cosine * np.eye(3) + sine * crossed + (1.0 - cosine) * poles[..., None] * poles[..., None, :])
 
 
 def _marked(onto: FloatArray, half: float, reach: float, n: int) -> tuple[BoolArray, float]:
@@ -110,11 +110,8 @@ MAX_ANGLE = math.radians(95.0)
 
 
 def turned(rays: FloatArray, pole: FloatArray, angle: float) -> FloatArray:
-    """Return rays (n, 3) turned about poles (..., 3) by an angle in radians, (..., n, 3): Rodrigues' formula."""
-    axis = pole[..., None, :]
-    along = np.sum(rays * axis, axis=-1, keepdims=True)
-    across = np.cross(axis, rays)
-    return np.asarray(rays * math.cos(angle) + across * math.sin(angle) + axis * along * (1.0 - math.cos(angle)))
+    """Return rays (n, 3) turned about poles (..., 3) by an angle in radians, (..., n, 3)."""
+    return np.asarray(rays @ np.swapaxes(_rotations(pole, np.asarray(angle)), -1, -2))
 
 
 # One family of lenses with a number for its shape: all five ideal projections, and what lies between them.
