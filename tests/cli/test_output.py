@@ -1,12 +1,14 @@
-"""Tables as a narrow terminal shows them."""
+"""Tables as a narrow terminal shows them, and what an option says."""
 
 from __future__ import annotations
 
 from io import StringIO
 
+import pytest
 from rich.console import Console
 
-from sunarc.cli.options import table
+from sunarc.cli.options import parse_image_size, table
+from sunarc.errors import InputError
 
 ID = "20130514T063000Z-ab12cd"
 
@@ -40,3 +42,15 @@ def test_nothing_and_numbers() -> None:
     out = shown(["a", None, 1.23456, 7, True], width=80)
     assert "1.235" in out
     assert "None" not in out
+
+
+@pytest.mark.parametrize(("text", "size"), [("1748,1600", (1748, 1600)), (" 1 , 2 ", (1, 2))])
+def test_an_image_size_is_width_and_height(text: str, size: tuple[int, int]) -> None:
+    assert parse_image_size(text) == size
+
+
+@pytest.mark.parametrize("text", ["", "8", "8,6,3", "0,6", "8,-6", "8.5,6", "8x6", "nan,6"])
+def test_what_is_no_image_size_is_refused(text: str) -> None:
+    with pytest.raises(InputError) as refused:
+        parse_image_size(text)
+    assert refused.value.field == "--image-size"

@@ -64,7 +64,15 @@ print([name for name in {others} if name in sys.modules])
 
 
 def test_a_fit_of_a_file_loads_neither_the_service_nor_the_settings() -> None:
-    service = ("fastapi", "uvicorn", "prometheus_client", "sunarc.api", "sunarc.workers")
+    service = (
+        "fastapi",
+        "uvicorn",
+        "prometheus_client",
+        "sqlalchemy",
+        "sunarc.api",
+        "sunarc.archive.archive",
+        "sunarc.workers",
+    )
     code = f"import sys, sunarc.cli.calibrate; print([name for name in {service} if name in sys.modules])"
     assert _answer(code) == "[]"
 

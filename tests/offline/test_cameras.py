@@ -11,7 +11,7 @@ from tests.fixtures.settings import SGP, new_settings
 
 from sunarc.archive.archive import Archive, open_archive
 from sunarc.errors import InputError
-from sunarc.reanalysis.cameras import known_camera, parse_image_size, register_camera
+from sunarc.reanalysis.cameras import known_camera, register_camera
 
 
 @pytest.fixture
@@ -57,15 +57,3 @@ def test_another_name_is_another_camera(archive: Archive, tmp_path: Path) -> Non
     mast = new_settings(tmp_path, name="mast", site={"latitude": 48.1, "longitude": 11.6})
     register_camera(archive, mast, (4, 4))
     assert {camera.name: camera.width for camera in archive.cameras.all()} == {"roof": 8, "mast": 4}
-
-
-@pytest.mark.parametrize(("text", "size"), [("1748,1600", (1748, 1600)), (" 1 , 2 ", (1, 2))])
-def test_an_image_size_is_width_and_height(text: str, size: tuple[int, int]) -> None:
-    assert parse_image_size(text) == size
-
-
-@pytest.mark.parametrize("text", ["", "8", "8,6,3", "0,6", "8,-6", "8.5,6", "8x6", "nan,6"])
-def test_what_is_no_image_size_is_refused(text: str) -> None:
-    with pytest.raises(InputError) as refused:
-        parse_image_size(text)
-    assert refused.value.field == "--image-size"

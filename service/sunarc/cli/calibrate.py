@@ -12,7 +12,7 @@ from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread
 from sunarc.calibration.messages import MESSAGES
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.stated_prior import PriorTolerances
-from sunarc.cli.options import SITE, Altitude, AsJson, Config, print_json, table
+from sunarc.cli.options import SITE, Altitude, AsJson, Config, parse_image_size, print_json, table
 from sunarc.errors import InputError
 from sunarc.findings import findings_of, significant
 from sunarc.offline.calibrate_files import (
@@ -22,7 +22,6 @@ from sunarc.offline.calibrate_files import (
     image_circle_of,
     write_lens_prior,
 )
-from sunarc.reanalysis.cameras import parse_image_size
 from sunarc.runtime.clock import SystemClock
 from sunarc.sky.site import Site
 

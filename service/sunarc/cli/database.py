@@ -18,11 +18,10 @@ from sunarc.archive.database.connections import server_url
 from sunarc.archive.database.recovery import upgrade_present
 from sunarc.archive.database.schema import check, downgrade, prepare_folder, require_file, upgrade_server
 from sunarc.archive.database.state_folder import lock_holder, lock_state
-from sunarc.cli.options import AsJson, Config, State, print_json, table
+from sunarc.cli.options import AsJson, Config, State, parse_image_size, print_json, table
 from sunarc.errors import InputError
 from sunarc.offline.archive_tables import database_of, export_everything, write_points
 from sunarc.offline.archive_tables import import_points as read_points
-from sunarc.reanalysis.cameras import parse_image_size
 from sunarc.runtime.clock import SystemClock
 from sunarc.settings.load import load_settings
 from sunarc.utc import parse_time

@@ -83,3 +83,16 @@ def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
             bars.update(tasks[stage], completed=done, total=total)
 
         yield update
+
+
+def parse_image_size(text: str) -> tuple[int, int]:
+    """Return width and height in px from "W,H"."""
+    try:
+        width, height = (int(part) for part in text.split(","))
+    except ValueError:
+        width = height = 0
+    if min(width, height) < 1:
+        raise InputError(
+            field="--image-size", problem=f"{text!r} is not W,H", remedy="give two whole numbers, as 1748,1748"
+        )
+    return width, height

@@ -12,10 +12,18 @@ import typer
 from rich.console import Console
 
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.cli.options import SITE, AsJson, DetectionMethod, choice_of, print_json, progress_bars, table
+from sunarc.cli.options import (
+    SITE,
+    AsJson,
+    DetectionMethod,
+    choice_of,
+    parse_image_size,
+    print_json,
+    progress_bars,
+    table,
+)
 from sunarc.errors import InputError
 from sunarc.findings import significant
-from sunarc.reanalysis.cameras import parse_image_size
 from sunarc.reanalysis.cluster import WORKER_BYTES, Cluster, Workers
 from sunarc.reanalysis.detect_files import METHODS
 from sunarc.reanalysis.image_times import TimeRules, utc_offset_of

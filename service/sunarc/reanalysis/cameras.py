@@ -44,16 +44,3 @@ def register_camera(archive: Archive, settings: Settings, size: tuple[int, int])
             remedy="correct it, or give this camera another name",
         )
     return known
-
-
-def parse_image_size(text: str) -> tuple[int, int]:
-    """Return width and height in px from "W,H"."""
-    try:
-        width, height = (int(part) for part in text.split(","))
-    except ValueError:
-        width = height = 0
-    if min(width, height) < 1:
-        raise InputError(
-            field="--image-size", problem=f"{text!r} is not W,H", remedy="give two whole numbers, as 1748,1748"
-        )
-    return width, height
