@@ -126,6 +126,7 @@ CALLS: dict[str, dict[str, Any]] = {
     },
 }
 _GREY = np.random.default_rng(5).uniform(0.0, 1.0, (6, 8, 4)).astype(np.float32)
+_AROUND = np.arange(N) * (2.0 * np.pi / N)
 _CLOUDS = {"layer": np.full((4, 4), 0.5, np.float32), "offset_x": 40.0, "offset_y": 80.0}
 _MERGE = {
     "stack": np.arange(48, dtype=np.uint16).reshape(2, 4, 6) * 90,
@@ -168,8 +169,22 @@ CALLS |= {
     "most_followed": {
         "points": PIXELS,
         "circles": np.array([[300.0, 200.0, 90.0], [320.0, 240.0, 100.0]]),
-        "outside": 25.0,
-        "inside": 40.0,
+        "scale": 10.0,
+    },
+    "fitted_rim": {
+        "points": np.array([320.0, 240.0]) + 12.0 * np.column_stack([np.cos(_AROUND), np.sin(_AROUND)]),
+        "start": np.array([321.0, 239.0, 11.0]),
+        "scale": 1.0,
+        "drawn_out": 0.1,
+        "least_points": 10,
+        "least_scale_px": 0.3,
+        "least_scale": 0.01,
+    },
+    "crossings": {
+        "light": np.tile(np.linspace(1.0, 0.5, 12), (N, 1)),
+        "level": 0.9,
+        "lasting": 3,
+        "radii": np.arange(5.0, 17.0),
     },
     "cloud_transmittance": _CLOUDS | {"directions": SKY.astype(np.float32)},
     "sky_light": _CLOUDS
@@ -192,7 +207,7 @@ CALLS |= {
 }
 # kernels whose results for no pixels, directions or sightings are empty
 _WHOLE = {"rotation_and_jacobian", "most_probable", "paper_fit", "render_disc", "merge_exposures"}
-_WHOLE |= {"most_followed", "sky_light", "night_glow", "count_light", "image_of_points"}
+_WHOLE |= {"most_followed", "fitted_rim", "sky_light", "night_glow", "count_light", "image_of_points"}
 PER_PLACE = [name for name in CALLS if name not in _WHOLE]
 Spoiled = Callable[[np.ndarray], np.ndarray | None]
 

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "arrays.h"
+#include "equations.h"
 
 namespace sunarc {
 
@@ -234,28 +234,149 @@ nb::tuple merge_exposures(In<T, -1, -1, -1> stack, Numbers exposures, double bla
 
 // The rim of a plateau.
 
-// The sum of Tukey's weights of distances from a circle, whose cuts outside and inside of it are given, px.
-DISPATCHED double followed(const double* points, size_t n, const double* circle, double outside, double inside) {
+constexpr double CUT_OUTSIDE = 2.5, CUT_INSIDE = 4.0;  // scales: harder outside, where cloud and streaks are
+constexpr double MAD_TO_SIGMA = 1.4826;                // sunarc.robust_statistics
+
+// Tukey's weight of a distance from the rim, outwards positive, over the scale.
+INLINED double rim_weight(double distance) {
+    const double ratio = std::max(distance / CUT_OUTSIDE, -distance / CUT_INSIDE);
+    const double weight = std::max(0.0, 1.0 - ratio * ratio);  // 0 where it is not a number
+    return weight * weight;
+}
+
+// The sum of the weights of distances from a circle.
+DISPATCHED double followed(const double* points, size_t n, const double* circle, double scale) {
     double total = 0.0;
 #pragma omp simd reduction(+ : total)
     for (size_t i = 0; i < n; ++i) {
         const double dx = points[2 * i] - circle[0], dy = points[2 * i + 1] - circle[1];
-        const double off = std::sqrt(dx * dx + dy * dy) - circle[2], ratio = std::max(off / outside, -off / inside);
-        const double weight = std::max(0.0, 1.0 - ratio * ratio);  // 0 where the circle is not a number
-        total += weight * weight;
+        total += rim_weight((std::sqrt(dx * dx + dy * dy) - circle[2]) / scale);
     }
     return total;
 }
 
-size_t most_followed(Places points, Vectors circles, double outside, double inside) {
+size_t most_followed(Places points, Vectors circles, double scale) {
     nb::gil_scoped_release unlocked;
     size_t best = 0;
     double most = 0.0;
     for (size_t k = 0; k < circles.shape(0); ++k) {
-        const double total = followed(points.data(), points.shape(0), circles.data() + 3 * k, outside, inside);
+        const double total = followed(points.data(), points.shape(0), circles.data() + 3 * k, scale);
         if (total > most) best = k, most = total;
     }
     return best;
+}
+
+constexpr int RIM = 5;      // unknowns: x, y, radius, and the cosine and sine of twice the angle
+constexpr int ROUNDS = 20;  // at most
+constexpr double SETTLED_PX = 1e-3;
+constexpr double HELD = 1e-6;  // of x, y and radius: where few points follow, a step stays finite
+constexpr double LEAST_RADIUS_PX = 1.0;
+
+struct RimRows {
+    size_t n;
+    std::vector<double> residual, weight, design;  // px, (n,), and the derivatives (RIM, n)
+    explicit RimRows(size_t points) : n(points), residual(n), weight(n), design(RIM * n) {}
+};
+
+// Write the points' distances from the rim, outwards positive, their weights, and the derivatives.
+DISPATCHED void write_rim(const double* points, const double* state, double scale, RimRows& rows) {
+    double *residual = rows.residual.data(), *weight = rows.weight.data();
+    double *by_x = rows.design.data(), *by_y = by_x + rows.n, *by_radius = by_y + rows.n;
+    double *by_cosine = by_radius + rows.n, *by_sine = by_cosine + rows.n;
+#pragma omp simd
+    for (size_t i = 0; i < rows.n; ++i) {
+        double dx = points[2 * i] - state[0], dy = points[2 * i + 1] - state[1];
+        const double length = std::max(1e-6, std::sqrt(dx * dx + dy * dy));
+        dx /= length, dy /= length;
+        by_x[i] = dx, by_y[i] = dy, by_radius[i] = 1.0;
+        by_cosine[i] = dx * dx - dy * dy, by_sine[i] = 2.0 * dx * dy;
+        residual[i] = length - state[2] - by_cosine[i] * state[3] - by_sine[i] * state[4];
+        weight[i] = rim_weight(residual[i] / scale);
+    }
+}
+
+// The sum of the weighted products of two rows.
+DISPATCHED double product(const double* a, const double* b, const double* weight, size_t n) {
+    double total = 0.0;
+#pragma omp simd reduction(+ : total)
+    for (size_t i = 0; i < n; ++i) total += a[i] * b[i] * weight[i];
+    return total;
+}
+
+// Replace `step` by the step of Gauss and Newton; false where the equations have no solution.
+bool rim_step(const RimRows& rows, const double* state, double held, double* step) {
+    double normal[RIM * RIM] = {};
+    const double* weight = rows.weight.data();
+    for (int j = 0; j < RIM; ++j) {
+        const double* row = rows.design.data() + j * rows.n;
+        for (int k = 0; k <= j; ++k) normal[j * RIM + k] = product(row, rows.design.data() + k * rows.n, weight, rows.n);
+        normal[j * RIM + j] += j < 3 ? HELD : held;
+        step[j] = product(row, rows.residual.data(), weight, rows.n) - (j < 3 ? 0.0 : held * state[j]);
+    }
+    return solve(normal, step, RIM);
+}
+
+double median_of(std::vector<double>& values) {
+    const auto middle = values.begin() + values.size() / 2;
+    std::nth_element(values.begin(), middle, values.end());
+    return values.size() % 2 ? *middle : 0.5 * (*middle + *std::max_element(values.begin(), middle));
+}
+
+nb::object fitted_rim(Places points, In<double, 3> start, double scale, double drawn_out, size_t least_points,
+                      double least_scale_px, double least_scale) {
+    const size_t n = points.shape(0);
+    Out<double> fitted({RIM}), residual({n});
+    bool found = true;
+    {
+        nb::gil_scoped_release unlocked;
+        RimRows rows(n);
+        std::vector<double> used;
+        double *state = fitted.data, step[RIM];
+        std::copy_n(start.data(), 3, state);
+        state[3] = state[4] = 0.0;
+        double largest = INFINITY;
+        for (int round = 0; round < ROUNDS && found && !(largest < SETTLED_PX); ++round) {
+            write_rim(points.data(), state, scale, rows);
+            used.clear();
+            for (size_t i = 0; i < n; ++i)
+                if (rows.weight[i] > 0.0) used.push_back(std::fabs(rows.residual[i]));
+            const double held = scale / (drawn_out * state[2]), most = 0.5 * state[2];
+            found = !used.empty() && used.size() >= least_points && rim_step(rows, state, held * held, step);
+            if (!found) break;
+            largest = 0.0;
+            for (int k = 0; k < RIM; ++k) {
+                largest = std::max(largest, std::fabs(step[k]));
+                state[k] += std::min(std::max(step[k], -most), most);
+            }
+            found = state[2] >= LEAST_RADIUS_PX;
+            scale = std::max({MAD_TO_SIGMA * median_of(used), least_scale_px, least_scale * state[2]});
+        }
+        std::copy_n(rows.residual.data(), n, residual.data);
+    }
+    if (!found) return nb::none();
+    return nb::make_tuple(fitted.array(), scale, residual.array());
+}
+
+Result crossings(Matrix light, double level, size_t lasting, Numbers radii) {
+    const size_t rays = light.shape(0), samples = light.shape(1);
+    require(lasting > 0 && samples > 1 && radii.shape(0) == samples, "not one radius to each of two samples or more");
+    Out<double> out({rays});
+    {
+        nb::gil_scoped_release unlocked;
+        const double *radius = radii.data(), step = radius[1] - radius[0];
+        for (size_t ray = 0; ray < rays; ++ray) {
+            const double* along = light.data() + ray * samples;
+            size_t k = 0, run = 0;
+            for (; k < samples && run < lasting && !std::isnan(along[k]); ++k) run = along[k] < level ? run + 1 : 0;
+            const size_t first = k - run;  // sample of the fall
+            out.data[ray] = NAN;
+            if (run < lasting || first == 0) continue;
+            const double before = along[first - 1];
+            const double share = (before - level) / std::max(before - along[first], 1e-6);
+            out.data[ray] = radius[first - 1] + std::min(std::max(share, 0.0), 1.0) * step;
+        }
+    }
+    return out.array();
 }
 
 // The simulated sky and sensor.
@@ -447,8 +568,10 @@ void add_image(nb::module_& module) {
                nb::arg("black"), nb::arg("full_scale"), nb::arg("read_variance"), nb::arg("counts_per_electron"));
     module.def("merge_exposures", &merge_exposures<uint16_t, merge_words>, named("stack"), named("exposures"),
                nb::arg("black"), nb::arg("full_scale"), nb::arg("read_variance"), nb::arg("counts_per_electron"));
-    module.def("most_followed", &most_followed, named("points"), named("circles"), nb::arg("outside"),
-               nb::arg("inside"));
+    module.def("most_followed", &most_followed, named("points"), named("circles"), nb::arg("scale"));
+    module.def("fitted_rim", &fitted_rim, named("points"), named("start"), nb::arg("scale"), nb::arg("drawn_out"),
+               nb::arg("least_points"), nb::arg("least_scale_px"), nb::arg("least_scale"));
+    module.def("crossings", &crossings, named("light"), nb::arg("level"), nb::arg("lasting"), named("radii"));
     module.def("cloud_transmittance", &cloud_transmittance, named("layer"), nb::arg("offset_x"),
                nb::arg("offset_y"), named("directions"));
     module.def("sky_light", &sky_light, named("field"), named("sun"), named("levels"), named("layer"),

@@ -320,10 +320,48 @@ def merge_exposures(
     Each is weighted by its noise, of which the photons' is that of the pooled rate.
     """
 
-def most_followed(points: FloatArray, circles: FloatArray, outside: float, inside: float) -> int:
+def most_followed(points: FloatArray, circles: FloatArray, scale: float) -> int:
     """Return which circle (m, 3) has the largest sum of the weights of points (n, 2), the first of equals.
 
-    The weights are Tukey's, with a cut outside of the circle and one inside, px; a circle of NaN has none.
+    The weights are Tukey's, harder outside of the circle than inside; a circle of NaN has none.
+    """
+
+def fitted_rim(
+    points: FloatArray,
+    start: FloatArray,
+    scale: float,
+    drawn_out: float,
+    least_points: int,
+    least_scale_px: float,
+    least_scale: float,
+) -> tuple[FloatArray, float, FloatArray] | None:
+    """Fit a circle whose radius varies with twice the angle, by Gauss and Newton with the weights of `most_followed`.
+
+    Parameters
+    ----------
+    points : (n, 2), px.
+    start : (3,) x, y, radius, px.
+    scale : scatter of the points about that, px.
+    drawn_out : 1-sigma of the variation over the radius, about 0.
+    least_points : points with a weight below which there is no circle.
+    least_scale_px, least_scale : of the scatter, px and of the radius.
+
+    Returns
+    -------
+    State (x, y, radius, cosine and sine of the variation), scatter in px, and the residuals (n,) before the last step;
+    None where there is no circle, or a number is none.
+    """
+
+def crossings(light: FloatArray, level: float, lasting: int, radii: FloatArray) -> FloatArray:
+    """Return the radius on each ray, (rays,), from which the light stays below a level for some samples.
+
+    NaN where the light does not fall, a ray begins below the level, or is not known before it falls.
+
+    Parameters
+    ----------
+    light : (rays, radii), NaN where it is not known.
+    lasting : samples.
+    radii : of the samples, px, equidistant; two at least.
     """
 
 def cloud_transmittance(

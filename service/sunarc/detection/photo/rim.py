@@ -16,73 +16,8 @@ import numpy as np
 from sunarc import _kernels
 from sunarc.array_types import BoolArray, FloatArray, Image
 from sunarc.detection.photo.plateau import Plateau
-from sunarc.robust_statistics import biweights, mad_sigma
 
-_CUT_OUTSIDE, _CUT_INSIDE = 2.5, 4.0  # scales of Tukey's weights: harder outside, where cloud and streaks are
-_MOST_ROUNDS = 20
-_SETTLED_PX = 1e-3
-_HELD = np.array([1e-6, 1e-6, 1e-6, 0.0, 0.0])  # of x, y and radius: where few points follow, a step stays finite
-_VARIES = np.array([0.0, 0.0, 0.0, 1.0, 1.0])  # the cosine and sine of twice the angle, after x, y and radius
 _LEAST_CROSS_PX2 = 1e-6  # three points with less are on a line
-
-
-def _weights(residual: FloatArray, scale: float) -> FloatArray:
-    """Return Tukey's weights of distances from a circle, outwards positive."""
-    return biweights(np.maximum(residual * (1.0 / (_CUT_OUTSIDE * scale)), residual * (-1.0 / (_CUT_INSIDE * scale))))
-
-
-def _residuals(points: FloatArray, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the distances (n,) of points from the rim of a state, outwards positive, and their derivatives (5, n)."""
-    dx, dy = points.T - state[:2, None]
-    length = np.maximum(np.sqrt(dx * dx + dy * dy), 1e-6)
-    dx, dy = dx / length, dy / length
-    design = np.array([dx, dy, np.ones(dx.size), dx * dx - dy * dy, 2.0 * dx * dy])
-    return length - state[2:] @ design[2:], design
-
-
-def fitted_rim(
-    points: FloatArray,
-    start: FloatArray,
-    scale: float,
-    *,
-    drawn_out: float,
-    least_points: int,
-    least_scales: tuple[float, float],
-) -> tuple[FloatArray, float, FloatArray] | None:
-    """Fit a circle whose radius varies with twice the angle, by Gauss and Newton with one-sided weights.
-
-    Parameters
-    ----------
-    points : (n, 2), px. start : x, y, radius, px. scale : scatter of the points about that, px.
-    drawn_out : 1-sigma of the variation over the radius, about 0.
-    least_points : points with a weight below which there is no circle.
-    least_scales : of the scatter, px and of the radius.
-
-    Returns
-    -------
-    State (x, y, radius, cosine and sine of the variation), scatter in px, and the residuals (n,) before the last step;
-    None where there is no circle.
-    """
-    state = np.array([*start, 0.0, 0.0])
-    for _ in range(_MOST_ROUNDS):
-        residual, design = _residuals(points, state)
-        weight = _weights(residual, scale)
-        used = weight > 0.0
-        if np.count_nonzero(used) < least_points:
-            return None
-        held = _VARIES * (scale / (drawn_out * state[2])) ** 2
-        weighted = design * weight
-        normal = weighted @ design.T
-        normal.ravel()[:: state.size + 1] += held + _HELD
-        step = np.linalg.solve(normal, weighted @ residual - held * state)
-        most = 0.5 * state[2]
-        state += np.minimum(np.maximum(step, -most), most)
-        if state[2] < 1.0:
-            return None
-        scale = max(mad_sigma(residual[used]), least_scales[0], least_scales[1] * float(state[2]))
-        if np.max(np.abs(step)) < _SETTLED_PX:
-            break
-    return state, scale, residual
 
 
 def circles_through(points: FloatArray) -> FloatArray:
@@ -100,25 +35,6 @@ def circles_through(points: FloatArray) -> FloatArray:
     b2, c2 = np.sum(b * b, axis=1), np.sum(c * c, axis=1)
     off = np.column_stack([c[:, 1] * b2 - b[:, 1] * c2, b[:, 0] * c2 - c[:, 0] * b2]) / cross[:, None]
     return np.column_stack([a + off, np.hypot(off[:, 0], off[:, 1])])
-
-
-def crossings(light: FloatArray, level: float, lasting: int, radii: FloatArray) -> FloatArray:
-    """Return the radius on each ray from which the light stays below a level for some samples, (rays,).
-
-    Parameters
-    ----------
-    light : (rays, radii), NaN where it is not known. level : of the light. lasting : samples.
-    radii : of the samples, px, equidistant.
-
-    NaN where the light does not fall, a ray begins below the level, or is not known before it falls.
-    """
-    below = (light < level) & ~np.logical_or.accumulate(np.isnan(light), axis=1)
-    lasts = np.logical_and.reduce([below[:, k : k + light.shape[1] - lasting + 1] for k in range(lasting)])
-    first = lasts.argmax(axis=1)
-    ray, last = np.arange(len(light)), np.maximum(first - 1, 0)
-    before = light[ray, last]
-    share = np.clip((before - level) / np.maximum(before - light[ray, first], 1e-6), 0.0, 1.0)
-    return np.where(lasts.any(axis=1) & (first > 0), radii[last] + share * (radii[1] - radii[0]), np.nan)
 
 
 RAYS = 180
@@ -313,7 +229,8 @@ def _flatness(rays: _Rays, radius: float, level: float) -> float:
 def _crossings(rays: _Rays, level: float, radius: float) -> FloatArray:
     """Return the radius on each ray, (rays,), from which the light stays below a level; NaN where it does not fall."""
     step = rays.radii[1] - rays.radii[0]
-    return crossings(rays.light, level, max(_LASTING_STEPS, round(_LASTING * radius / step)), rays.radii)
+    lasting = max(_LASTING_STEPS, round(_LASTING * radius / step))
+    return _kernels.crossings(rays.light, level, lasting, rays.radii)
 
 
 def _circle(crossing: FloatArray, x: float, y: float, edged: bool) -> Circle | None:  # noqa: FBT001 - of the rim
@@ -334,8 +251,7 @@ def _circle(crossing: FloatArray, x: float, y: float, edged: bool) -> Circle | N
 
 def _fitted(points: FloatArray, start: FloatArray, scale: float, drawn_out: float) -> Circle | None:
     """Fit a circle whose radius varies with twice the angle, from a circle; None where the points follow none."""
-    least = (_LEAST_SCALE_PX, _LEAST_SCALE)
-    found = fitted_rim(points, start, scale, drawn_out=drawn_out, least_points=_LEAST_POINTS // 2, least_scales=least)
+    found = _kernels.fitted_rim(points, start, scale, drawn_out, _LEAST_POINTS // 2, _LEAST_SCALE_PX, _LEAST_SCALE)
     if found is None:
         return None
     state, scale, residual = found
@@ -348,7 +264,7 @@ def _consensus(points: FloatArray) -> tuple[FloatArray, float]:
     """Return the circle through three of the points that most of them follow (x, y, radius), and its scale."""
     circles = circles_through(points)
     scale = _FIRST_SCALE * float(np.nanmedian(circles[:, 2])) + _LEAST_SCALE_PX
-    return circles[_kernels.most_followed(points, circles, _CUT_OUTSIDE * scale, _CUT_INSIDE * scale)], scale
+    return circles[_kernels.most_followed(points, circles, scale)], scale
 
 
 def _ellipticity(crossing: FloatArray, radius: float) -> float:
