@@ -103,16 +103,14 @@ CALLS: dict[str, dict[str, Any]] = {
         "start": PROBLEM.unknowns([CAMERA, CAMERA]),
         "moving": np.arange(PROBLEM.size),
     },
-    "residuals_of": _FIT | {"vector": CAMERA.to_vector(), "refraction_sd": np.full((N, 2), 1e-4), "air": np.ones(2)},
+    "residuals_of": _FIT | {"vector": CAMERA.to_vector()},
     "residuals_and_columns_of": _FIT
     | {
         "vectors": np.stack([CAMERA.to_vector()] * 2),
         "basis": np.ascontiguousarray(PROBLEM.prior.basis),
-        "refraction_sd": np.full((N, 2), 1e-4),
         "epoch": EPOCH,
         "systematic_px": np.full((N, 2, 3), 0.1),
         "sizes": np.ones(3),
-        "air": np.ones(2),
     },
     "paper_fit": _FIT
     | penalties_of(CAMERA, CalibrationOptions()).weighed()._asdict()

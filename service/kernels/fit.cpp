@@ -230,57 +230,20 @@ nb::tuple most_probable(int code, double mirror, double max_angle, In<double, N_
     return nb::make_tuple(result.array(), cost);
 }
 
-// Tangent towards the zenith at a direction.
-void write_upward(const double* direction, double* up) {
-    const double across = std::sqrt(direction[0] * direction[0] + direction[1] * direction[1]);
-    const double length = across * std::sqrt(across * across + direction[2] * direction[2]);
-    up[0] = length > 0.0 ? -direction[2] * direction[0] / length : 0.0;
-    up[1] = length > 0.0 ? -direction[2] * direction[1] / length : 0.0;
-    up[2] = length > 0.0 ? across * across / length : 0.0;
-}
-
-// Directions in air that departs from the assumed one: raised by the sum of `sd` (n, k), rad, times `air` (k,).
-struct InAir {
-    Table raised, up;
-    const double* directions;
-
-    InAir(Vectors of, Matrix sd, Numbers air) : directions(of.data()) {
-        const size_t n = of.shape(0), k = air.shape(0);
-        if (k == 0) return;
-        raised.resize(3 * n), up.resize(3 * n);
-        for (size_t i = 0; i < n; ++i) {
-            const double *direction = of.data() + 3 * i;
-            double angle = 0.0;
-            for (size_t a = 0; a < k; ++a) angle += sd.data()[i * sd.shape(1) + a] * air.data()[a];
-            write_upward(direction, &up[3 * i]);
-            const double cosine = std::cos(angle), sine = std::sin(angle);
-            for (int c = 0; c < 3; ++c) raised[3 * i + c] = cosine * direction[c] + sine * up[3 * i + c];
-            write_upward(&raised[3 * i], &up[3 * i]);
-        }
-        directions = raised.data();
-    }
-};
-
-void require_air(const Matrix& sd, size_t n, size_t k) {
-    require(k == 0 || (sd.shape(0) == n && sd.shape(1) >= k), "not a 1-sigma for each of the air's unknowns");
-}
-
 Result residuals_of(int code, double mirror, double max_angle, In<double, PARAMETERS> vector, Vectors directions,
-                    Places pixels, Matrix refraction_sd, Numbers air) {
+                    Places pixels) {
     require_projection(code);
     const size_t n = directions.shape(0);
     require(pixels.shape(0) == n, "not as many pixels as directions");
-    require_air(refraction_sd, n, air.shape(0));
     Out<double> result({n, 2});
     {
         nb::gil_scoped_release unlocked;
         double rotation[9], jacobian[9];
         write_rotation(vector.data() + ROTATION, rotation, jacobian);
-        const InAir seen(directions, refraction_sd, air);
         auto block = std::make_unique<Block>();
         for (size_t begin = 0; begin < n; begin += BLOCK) {
             const size_t size = std::min<size_t>(BLOCK, n - begin);
-            write_pixels(vector.data(), {code, mirror, max_angle}, rotation, seen.directions + 3 * begin, size, *block);
+            write_pixels(vector.data(), {code, mirror, max_angle}, rotation, directions.data() + 3 * begin, size, *block);
             for (size_t i = 0; i < 2 * size; ++i) {
                 const double residual = pixels.data()[2 * begin + i] - block->pixel[i % 2][i / 2];
                 result.data[2 * begin + i] = std::isfinite(residual) ? residual : UNSEEN_PX;
@@ -310,25 +273,22 @@ struct Columns {
 
 nb::tuple residuals_and_columns_of(int code, double mirror, double max_angle, In<double, -1, PARAMETERS> vectors,
                                    In<double, N_LENS, N_LENS> basis, Vectors directions, Places pixels,
-                                   Matrix refraction_sd, Indices epoch, In<double, -1, 2, -1> systematic_px,
-                                   Numbers sizes, Numbers air) {
+                                   Indices epoch, In<double, -1, 2, -1> systematic_px, Numbers sizes) {
     require_projection(code);
-    const size_t n = directions.shape(0), epochs = vectors.shape(0), shared = sizes.shape(0), k = air.shape(0);
+    const size_t n = directions.shape(0), epochs = vectors.shape(0), shared = sizes.shape(0);
     require(pixels.shape(0) == n, "not as many pixels as directions");
     require(epoch.shape(0) == n, "not as many epochs as directions");
     require(systematic_px.shape(0) == n, "not as many systematic errors as directions");
     require(systematic_px.shape(2) == shared, "not a size for each systematic error");
-    require_air(refraction_sd, n, k);
     const Seen seen{directions.data(), pixels.data(), nullptr,
                     checked(epoch, epochs, "an epoch has no camera")};
-    const size_t size = N_LENS + 3 * epochs + shared + k;
+    const size_t size = N_LENS + 3 * epochs + shared;
     Out<double> residual({2, n}), columns({2, size, n});
     {
         nb::gil_scoped_release unlocked;
         std::fill_n(columns.data, 2 * size * n, 0.0);
         const Columns out{residual.data, columns.data, n, size};
         const Whitened lens(nullptr, basis.data());
-        const InAir in_air(directions, refraction_sd, air);
         Table rotations(9 * epochs), jacobians(9 * epochs);
         for (size_t e = 0; e < epochs; ++e)
             write_rotation(vectors.data() + PARAMETERS * e + ROTATION, &rotations[9 * e], &jacobians[9 * e]);
@@ -336,9 +296,8 @@ nb::tuple residuals_and_columns_of(int code, double mirror, double max_angle, In
         for (size_t begin = 0; begin < n;) {
             const size_t e = seen.epoch[begin];
             const int count = seen.run(begin);
-            const double* r = &rotations[9 * e];
-            write_block(vectors.data() + PARAMETERS * e, {code, mirror, max_angle}, r, &jacobians[9 * e],
-                        in_air.directions + 3 * begin, count, *block);
+            write_block(vectors.data() + PARAMETERS * e, {code, mirror, max_angle}, &rotations[9 * e], &jacobians[9 * e],
+                        seen.directions + 3 * begin, count, *block);
             by_lens_unknowns(lens, *block);
             for (int c = 0; c < 2; ++c)
                 for (int j = 0; j < N_NATIVE; ++j)
@@ -352,15 +311,7 @@ nb::tuple residuals_and_columns_of(int code, double mirror, double max_angle, In
                     const bool shown = std::isfinite(block->pixel[0][b]);
                     out.residual[c * n + i] = shown && std::isfinite(difference) ? difference : UNSEEN_PX;
                     if (!shown) continue;
-                    for (size_t s = 0; s < shared; ++s) out.at(c, size - k - shared + s, i) = displaced[s];
-                    if (k == 0) continue;
-                    const double* up = &in_air.up[3 * i];
-                    double by_elevation = 0.0;
-                    for (int a = 0; a < 3; ++a)
-                        by_elevation += block->columns[RESIDUAL + 1 + a][c][b] *
-                                        (r[3 * a] * up[0] + r[3 * a + 1] * up[1] + r[3 * a + 2] * up[2]);
-                    for (size_t a = 0; a < k; ++a)
-                        out.at(c, size - k + a, i) = by_elevation * refraction_sd.data()[i * refraction_sd.shape(1) + a];
+                    for (size_t s = 0; s < shared; ++s) out.at(c, size - shared + s, i) = displaced[s];
                 }
             begin += count;
         }
@@ -376,10 +327,10 @@ void add_fit(nb::module_& module) {
                named("precision"), nb::arg("sigma"), nb::arg("iterations"), nb::arg("tolerance"), named("start"),
                named("moving"));
     module.def("residuals_of", &residuals_of, nb::arg("code"), nb::arg("mirror"), nb::arg("max_angle"), named("vector"),
-               named("directions"), named("pixels"), named("refraction_sd"), named("air"));
+               named("directions"), named("pixels"));
     module.def("residuals_and_columns_of", &residuals_and_columns_of, nb::arg("code"), nb::arg("mirror"),
                nb::arg("max_angle"), named("vectors"), named("basis"), named("directions"), named("pixels"),
-               named("refraction_sd"), named("epoch"), named("systematic_px"), named("sizes"), named("air"));
+               named("epoch"), named("systematic_px"), named("sizes"));
 }
 
 }  // namespace sunarc

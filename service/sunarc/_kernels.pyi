@@ -187,15 +187,12 @@ def residuals_of(
     vector: FloatArray,
     directions: FloatArray,
     pixels: FloatArray,
-    refraction_sd: FloatArray,
-    air: FloatArray,
 ) -> FloatArray:
     """Return observed minus predicted pixels (n, 2), `robust_loss.UNSEEN_PX` where the lens shows nothing.
 
     Parameters
     ----------
     vector : (23,) the camera.
-    refraction_sd, air : (n, k) rad, (k,): directions are raised by their product.
     """
 
 def residuals_and_columns_of(
@@ -206,11 +203,9 @@ def residuals_and_columns_of(
     basis: FloatArray,
     directions: FloatArray,
     pixels: FloatArray,
-    refraction_sd: FloatArray,
     epoch: IntArray,
     systematic_px: FloatArray,
     sizes: FloatArray,
-    air: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Return residuals (2, n) as of `residuals_of`, and derivatives of the prediction by the unknowns (2, size, n).
 

@@ -12,6 +12,7 @@ import numpy as np
 from sunarc.array_types import FloatArray
 from sunarc.calibration.fit.assemble import Job, calibration_from_fit, refused, robust_outcome, tidied
 from sunarc.calibration.fit.cross_validation import contradiction, without_night
+from sunarc.calibration.fit.effects import with_effects
 from sunarc.calibration.fit.marginal_likelihood import HyperparameterGrid, prior_precision
 from sunarc.calibration.fit.robust_fit import RobustFit, fit_robustly, grid_of
 from sunarc.calibration.fit.robust_rounds import robust_camera
@@ -285,6 +286,7 @@ class Batch:
 
     def _robust(self, observed: Sightings, problem: FitProblem) -> Camera:
         plain = self._without_field(observed, problem)
+        problem, observed = with_effects(problem, plain, observed)
         found = robust_camera(problem, observed, plain, groups=self.groups, grid=self.grid, near_minimum=True)
         camera = found.problem.camera(found.unknowns)
         if found.state.field_odds <= 0.0:

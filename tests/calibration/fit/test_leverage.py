@@ -10,7 +10,7 @@ from tests.fixtures.calibration import observed, small_camera, small_problem, sp
 from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit, scale_grid
 from sunarc.calibration.fit.normal_equations import linear_system
 from sunarc.calibration.fit.robust_rounds import leverage_of
-from sunarc.calibration.solve.problem import Bins
+from sunarc.calibration.solve.problem import Bins, Block
 
 COUNT, NIGHT = 60, 40
 SCALES = Scales(amplitude_px=0.3, length_px=120.0, radial_px=2.0, decentering_px=0.7)
@@ -21,7 +21,7 @@ def test_leverage_is_that_of_the_hat_matrix_and_zero_by_day() -> None:
     camera, rng = small_camera(), np.random.default_rng(8)
     columns = rng.normal(0.0, 0.1, (COUNT, 2, 2)) * (np.arange(COUNT) < NIGHT)[:, None, None]
     seen = replace(observed(camera, spread_directions(COUNT), sigma_px=SIGMA_PX), systematic_px=columns)
-    problem = replace(small_problem(camera), n_systematic=2)
+    problem = replace(small_problem(camera), blocks=(Block("night_pose", slice(0, 2)),))
     grid = scale_grid(width=640, height=480, floor_px=0.002, radial_px=2.0, decentering_px=0.7)
     bins = Bins(member=np.arange(COUNT), count=COUNT)
     at = problem.unknowns([camera])

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from tests.fixtures.calibration import numerical_derivative, observed, small_camera, small_problem, sun_arc
 
+from sunarc.calibration.fit.effects import with_effects
 from sunarc.calibration.fit.marginal_likelihood import Scales, log_evidences, marginal_fit, penalty
 from sunarc.calibration.fit.normal_equations import (
     LinearSystem,
@@ -181,12 +182,11 @@ def test_a_start_far_off_is_brought_back(system: LinearSystem, problem: FitProbl
 
 
 def test_unknown_air_is_among_the_equations(problem: FitProblem, seen: Sightings, basis: WaveBasis) -> None:
-    with_air = replace(problem, n_air=1)
-    sd = np.full((60, 1), 1e-3)
+    at = problem.unknowns([small_camera()])
+    with_air, observed = with_effects(problem, at, replace(seen, refraction_sd=np.full((60, 1), 1e-3)))
+    assert [block.name for block in with_air.blocks] == ["air"]
     unknowns = with_air.unknowns([small_camera()])
-    system = linear_system(
-        with_air, replace(seen, refraction_sd=sd), BINS, unknowns, information=np.ones(60), basis=basis
-    )
+    system = linear_system(with_air, observed, BINS, unknowns, information=np.ones(60), basis=basis)
     assert system.n_unit == 1
     assert system.normal().prior_precision(1.0, 1.0)[-1] == 1.0
     assert system.rows.shape == (15, 2, 21)

@@ -1,4 +1,4 @@
-"""Errors that all sightings of a night share: displacements against cameras that are turned, and where none are."""
+"""Errors that many sightings share: displacements against cameras that are turned, and where none are."""
 
 from __future__ import annotations
 
@@ -7,15 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tests.fixtures.calibration import filtered_sightings, observed, small_camera, small_problem, spread_directions
+from tests.fixtures.calibration import observed, small_camera, small_problem, spread_directions
 
-from sunarc.calibration.fit.robust_fit import (
-    DECENTRED_PX,
-    N_OFFSET,
-    OFFSET_PX,
-    POSE_DIFFERENCE_DEG,
-    with_systematic_errors,
-)
+from sunarc.calibration.fit.effects import DECENTRED_PX, OFFSET_PX, POSE_DIFFERENCE_DEG, with_effects
 from sunarc.calibration.model.sightings import Kind, kinds_of
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector
@@ -27,13 +21,13 @@ COUNT = 12
 KIND = np.repeat([Kind.SUN, Kind.STAR, Kind.MOON], [4, 6, 2])
 
 
-def displaced(kind: NDArray[np.int64] = KIND) -> FloatArray:
-    """Return the displacements (n, 2, s) of sightings of some kinds."""
-    seen = observed(CAMERA, spread_directions(COUNT))
-    usable = filtered_sightings(np.arange(COUNT, dtype=np.float64), seen.pixels, seen.directions)
-    usable = replace(usable, kind=kind, night=kind != Kind.SUN)
+def displaced(block: str, kind: NDArray[np.int64] = KIND) -> FloatArray:
+    """Return the displacements (n, 2, s) of sightings of some kinds by one block."""
+    seen = replace(observed(CAMERA, spread_directions(COUNT)), kind=kind, night=kind != Kind.SUN)
     problem = small_problem(CAMERA)
-    return with_systematic_errors(seen, usable, problem, problem.unknowns([CAMERA])).systematic_px
+    found, shared = with_effects(problem, problem.unknowns([CAMERA]), seen)
+    columns = {one.name: one.columns for one in found.blocks}
+    return shared.systematic_px[..., columns.get(block, slice(0, 0))]
 
 
 def test_bodies_have_kinds() -> None:
@@ -48,14 +42,14 @@ def test_turns_are_those_of_a_camera_that_is_turned_about_east_north_and_up(axis
     turned = rotation_vector(rotation_matrix(CAMERA.rotation_cam_enu) @ rotation_matrix(tuple(turn)).T)
     directions = spread_directions(COUNT)
     expected = project(replace(CAMERA, rotation_cam_enu=turned), directions) - project(CAMERA, directions)
-    found = displaced()[..., N_OFFSET + axis]
+    found = displaced("night_pose")[..., axis]
     assert np.abs(expected).max() > 0.01
     np.testing.assert_allclose(found[4:], expected[4:], rtol=2e-3, atol=1e-5)
     np.testing.assert_allclose(found[:4], 0.0)
 
 
 def test_stars_alone_are_displaced_outwards() -> None:
-    found = displaced()[..., :N_OFFSET]
+    found = displaced("night_offset")
     outwards = project(CAMERA, spread_directions(COUNT)) - np.array(CAMERA.principal_point_px)
     along = outwards / np.linalg.norm(outwards, axis=-1, keepdims=True)
     np.testing.assert_allclose(found[:4], 0.0)
@@ -70,4 +64,5 @@ def test_stars_alone_are_displaced_outwards() -> None:
 
 @pytest.mark.parametrize("kind", [Kind.STAR, Kind.SUN])
 def test_a_night_without_a_day_and_a_day_without_a_night_have_none(kind: Kind) -> None:
-    assert displaced(np.full(COUNT, kind)).shape == (COUNT, 2, 0)
+    for block in ("night_offset", "night_pose"):
+        assert displaced(block, np.full(COUNT, kind)).shape == (COUNT, 2, 0)

@@ -20,7 +20,7 @@ from tests.fixtures.calibration import (
 
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.solve.priors import N_LENS
-from sunarc.calibration.solve.problem import by_elevation, observations, problem_for
+from sunarc.calibration.solve.problem import Block, by_elevation, observations, problem_for
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project, project_with_rows_fast
 from sunarc.optics.projections import Projection, angle_limit
@@ -45,11 +45,31 @@ def test_the_unknowns_of_cameras_give_the_cameras_back() -> None:
     assert problem.pose_slice(1) == slice(20, 23)
 
 
-def test_air_adds_unknowns_after_the_poses() -> None:
-    problem = replace(small_problem(small_camera(), n_epochs=2), n_air=3)
+BLOCKS = (Block("first", slice(0, 2)), Block("second", slice(2, 3)))
+
+
+def test_blocks_add_unknowns_after_the_poses() -> None:
+    problem = replace(small_problem(small_camera(), n_epochs=2), blocks=BLOCKS)
     assert problem.size == N_LENS + 6 + 3
+    assert problem.block_slice("first") == slice(N_LENS + 6, N_LENS + 8)
+    assert problem.block_slice("second") == slice(N_LENS + 8, N_LENS + 9)
+    assert problem.block_slice("none").start == problem.block_slice("none").stop
     unknowns = problem.unknowns([small_camera(), small_camera()])
     np.testing.assert_allclose(unknowns[-3:], 0.0)
+
+
+def test_a_problem_of_one_block_alone_takes_its_columns() -> None:
+    camera = small_camera()
+    shared = np.random.default_rng(4).normal(0.0, 0.1, (8, 2, 3))
+    seen = replace(observed(camera, spread_directions(8)), systematic_px=shared)
+    only, places = replace(small_problem(camera), blocks=BLOCKS).only({"second"})
+    assert places.tolist() == [*range(N_LENS + 3), N_LENS + 5]
+    assert only.has("second")
+    assert not only.has("first")
+    at = only.unknowns([camera])
+    at[-1] = 2.0
+    np.testing.assert_allclose(only.residuals(at, seen), -2.0 * shared[:, :, 2], atol=1e-8)
+    np.testing.assert_allclose(only.linearised(at, seen)[1][..., -1], shared[:, :, 2])
 
 
 def test_residuals_are_observed_minus_predicted() -> None:
@@ -100,29 +120,6 @@ def test_derivatives_of_two_poses_belong_to_their_own_sightings() -> None:
     np.testing.assert_allclose(rows, expected, rtol=1e-5, atol=2e-5)
     np.testing.assert_allclose(rows[seen.epoch == 0][..., 20:23], 0.0)
     np.testing.assert_allclose(rows[seen.epoch == 1][..., 17:20], 0.0)
-
-
-def test_derivatives_by_the_air_are_finite_differences() -> None:
-    camera = small_camera()
-    directions = spread_directions(8)
-    sd = np.random.default_rng(2).uniform(1e-4, 1e-3, (8, 2))
-    seen = replace(observed(camera, directions), refraction_sd=sd)
-    problem = replace(small_problem(camera), n_air=2)
-    at = np.concatenate([problem.unknowns([camera])[:-2], [0.4, -0.7]])
-    _, rows = problem.linearised(at, seen)
-    expected = numerical_derivative(lambda x: seen.pixels - problem.residuals(x, seen), at, step=1e-4)
-    np.testing.assert_allclose(rows[..., -2:], expected[..., -2:], rtol=1e-4, atol=1e-5)
-
-
-def test_directions_rise_by_the_sum_over_the_causes() -> None:
-    problem = replace(small_problem(small_camera()), n_air=2)
-    directions = spread_directions(5)
-    sd = np.array([[1e-3, 2e-3]])
-    seen = replace(observed(small_camera(), directions), refraction_sd=np.repeat(sd, 5, axis=0))
-    at = np.zeros(problem.size)
-    at[-2:] = 1.0, -2.0
-    np.testing.assert_allclose(problem.directions(at, seen), raised(directions, np.full(5, 1e-3 - 4e-3)))
-    np.testing.assert_allclose(replace(problem, n_air=0).directions(at, seen), directions)
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
@@ -189,19 +186,15 @@ def test_a_selection_and_new_information_keep_the_rest() -> None:
     assert len(seen.select(slice(0, 0))) == 0
 
 
-def test_systematic_errors_are_unknowns_between_the_poses_and_the_air() -> None:
+def test_shared_errors_displace_the_prediction() -> None:
     camera = small_camera()
-    rng = np.random.default_rng(4)
     seen = replace(
-        observed(camera, spread_directions(8)),
-        refraction_sd=rng.uniform(1e-4, 1e-3, (8, 1)),
-        systematic_px=rng.normal(0.0, 0.1, (8, 2, 3)),
+        observed(camera, spread_directions(8)), systematic_px=np.random.default_rng(4).normal(0.0, 0.1, (8, 2, 3))
     )
-    problem = replace(small_problem(camera), n_systematic=3, n_air=1)
-    assert problem.size == N_LENS + 3 + 3 + 1
-    at = np.concatenate([problem.unknowns([camera])[:-4], [0.4, -0.7, 1.3, 0.2]])
+    problem = replace(small_problem(camera), blocks=BLOCKS)
+    at = np.concatenate([problem.unknowns([camera])[:-3], [0.4, -0.7, 1.3]])
     residual, rows = problem.linearised(at, seen)
     np.testing.assert_allclose(residual, problem.residuals(at, seen), atol=1e-9)
     expected = numerical_derivative(lambda x: seen.pixels - problem.residuals(x, seen), at, step=1e-4)
-    np.testing.assert_allclose(rows[..., -4:], expected[..., -4:], rtol=1e-4, atol=1e-5)
-    np.testing.assert_allclose(rows[..., -4:-1], seen.systematic_px)
+    np.testing.assert_allclose(rows[..., -3:], expected[..., -3:], rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(rows[..., -3:], seen.systematic_px)

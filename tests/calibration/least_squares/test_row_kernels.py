@@ -1,4 +1,4 @@
-"""The compiled residuals and rows beside the same in numpy: rays turned to the zenith, then the chain rule."""
+"""The compiled residuals and rows beside the same in numpy."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ from tests.fixtures.calibration import observed, small_camera, small_problem, sp
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.robust_loss import UNSEEN_PX
 from sunarc.calibration.solve.priors import LENS, N_LENS
-from sunarc.calibration.solve.problem import FitProblem, by_elevation
+from sunarc.calibration.solve.problem import Block, FitProblem
 from sunarc.optics.camera import PARAMETER_NAMES, POSE
 from sunarc.optics.forward import project_with_rows_fast
 from sunarc.optics.projections import PROJECTIONS, Projection
-from sunarc.sky.refraction import raised
 
 FloatArray = NDArray[np.float64]
 
@@ -24,33 +23,30 @@ EPOCHS, CAUSES = 2, 2
 
 
 def _case(projection: Projection, *, mirrored: bool) -> tuple[FitProblem, Sightings, FloatArray]:
-    """Return a problem of two poses in unknown air, sightings of both by turns, and unknowns off the answer."""
+    """Return a problem of two poses and shared errors, sightings of both by turns, and unknowns off the answer."""
     camera = small_camera(projection, mirrored=mirrored)
-    problem = replace(small_problem(camera, n_epochs=EPOCHS), n_air=CAUSES)
+    problem = replace(small_problem(camera, n_epochs=EPOCHS), blocks=(Block("shared", slice(0, CAUSES)),))
     widest = 60.0 if projection in {"perspective", "orthographic"} else 88.0
     seen = observed(camera, spread_directions(80, seed=3, widest_deg=widest), sigma_px=0.2)
-    sd = np.random.default_rng(4).uniform(0.0, 2e-3, (80, CAUSES))
-    seen = replace(seen, refraction_sd=sd, epoch=np.arange(80) % EPOCHS)
+    shared = np.random.default_rng(4).normal(0.0, 0.2, (80, 2, CAUSES))
+    seen = replace(seen, systematic_px=shared, epoch=np.arange(80) % EPOCHS)
     unknowns = problem.unknowns([camera, replace(camera, rotation_cam_enu=(0.05, -0.02, 0.3))])
     return problem, seen, unknowns + 0.03 * np.sin(np.arange(unknowns.size))
 
 
 def _reference(problem: FitProblem, seen: Sightings, unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return residuals (n, 2) and rows (n, 2, size) as numpy makes them."""
-    departure = np.sum(seen.refraction_sd * unknowns[-CAUSES:], axis=-1)
-    directions = raised(seen.directions, departure)
     residual, rows = np.empty((len(seen), 2)), np.zeros((len(seen), 2, problem.size))
     for epoch in range(EPOCHS):
         mine = seen.epoch == epoch
         camera = problem.camera(unknowns, epoch)
-        pixels, by_parameters = project_with_rows_fast(camera, directions[mine])
-        up = by_elevation(camera, directions[mine], by_parameters)
+        pixels, by_parameters = project_with_rows_fast(camera, seen.directions[mine])
         part = np.zeros((int(mine.sum()), 2, problem.size))
         part[..., :N_LENS] = by_parameters[..., LENS] @ problem.prior.basis
         part[..., problem.pose_slice(epoch)] = by_parameters[..., POSE]
-        part[..., -CAUSES:] = up[..., None] * seen.refraction_sd[mine, None]
+        part[..., -CAUSES:] = seen.systematic_px[mine] * np.isfinite(pixels[:, :1, None])
         rows[mine] = part
-        difference = seen.pixels[mine] - pixels
+        difference = seen.pixels[mine] - pixels - seen.systematic_px[mine] @ unknowns[-CAUSES:]
         residual[mine] = np.where(np.isfinite(difference), difference, UNSEEN_PX)
     return residual, rows
 
@@ -66,25 +62,6 @@ def test_they_are_those_of_numpy(projection: Projection, *, mirrored: bool) -> N
     np.testing.assert_allclose(problem.residuals(unknowns, seen), expected, atol=1e-9)
     assert np.max(np.abs(rows[..., -CAUSES:])) > 0.1
     assert len(PARAMETER_NAMES) > N_LENS
-
-
-def test_sightings_without_refraction_stay_where_they_are_in_any_air() -> None:
-    """As the places over the sky at which an uncertainty is judged: their refraction has one column of zeros."""
-    problem, seen, unknowns = _case("equidistant", mirrored=False)
-    bare = replace(seen, refraction_sd=np.zeros((1, 1)))
-    residual, rows = problem.linearised(unknowns, bare)
-    thick = np.concatenate([unknowns[:-CAUSES], np.full(CAUSES, 1e6)])
-    assert np.all(rows[..., -CAUSES:] == 0.0)
-    np.testing.assert_array_equal(problem.linearised(thick, bare)[0], residual)
-    np.testing.assert_array_equal(problem.residuals(thick, bare), residual)
-
-
-def test_the_zenith_rises_nowhere() -> None:
-    problem, seen, unknowns = _case("equidistant", mirrored=False)
-    above = replace(seen.select(slice(0, 1)), directions=np.array([[0.0, 0.0, 1.0]]))
-    _, rows = problem.linearised(unknowns, above)
-    assert np.all(rows[..., -CAUSES:] == 0.0)
-    assert np.all(np.isfinite(rows))
 
 
 def test_where_the_lens_shows_nothing_the_rows_are_0() -> None:

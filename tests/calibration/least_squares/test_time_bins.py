@@ -74,7 +74,7 @@ def seen() -> Sightings:
         pixels=np.array([[0.0, 0.0], [4.0, 8.0], [7.0, 7.0]]),
         information=np.ones(3),
         epoch=np.array([0, 0, 1]),
-        refraction_sd=np.array([[1e-3, 0.0], [5e-3, 4e-3], [2e-3, 2e-3]]),
+        systematic_px=np.array([[[0.1, 0.0]] * 2, [[0.5, 0.4]] * 2, [[0.2, 0.2]] * 2]),
     )
 
 
@@ -87,7 +87,7 @@ def test_means_are_weighted_by_information(seen: Sightings) -> None:
     np.testing.assert_allclose(mean, [[2.0, -1.0], [2.0, 3.0]])
     np.testing.assert_allclose(gathered.pixels, [[1.0, 2.0], [7.0, 7.0]])
     np.testing.assert_allclose(gathered.information, [0.4, 0.2])
-    np.testing.assert_allclose(gathered.refraction_sd, [[2e-3, 1e-3], [2e-3, 2e-3]])
+    np.testing.assert_allclose(gathered.systematic_px, [[[0.2, 0.1]] * 2, [[0.2, 0.2]] * 2])
     direction = np.array([0.15, 0.0, 0.95])
     np.testing.assert_allclose(gathered.directions[0], direction / np.linalg.norm(direction))
     assert gathered.epoch.tolist() == [0, 1]

@@ -13,7 +13,8 @@ import numpy as np
 from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.answers.covariance import pose_error, sky_sigma_deg
 from sunarc.calibration.fit.cross_validation import Doubts, HeldOut, doubts, held_out
-from sunarc.calibration.fit.robust_fit import N_OFFSET, N_RADIAL, OFFSET_PX, POSE_DIFFERENCE_DEG, RobustFit
+from sunarc.calibration.fit.effects import N_RADIAL, OFFSET_PX, POSE_DIFFERENCE_DEG
+from sunarc.calibration.fit.robust_fit import RobustFit
 from sunarc.calibration.model.backward import NO_BACKWARD, fit_backward
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.residual_field import Field, wave_basis
@@ -259,18 +260,17 @@ def robust_outcome(fit: RobustFit, usable: Sightings, options: CalibrationOption
 
 def _night_difference(fit: RobustFit, usable: Sightings) -> NightDifference | None:
     """Return the systematic errors of the night, as found."""
-    if fit.problem.n_systematic == 0:
+    pose, star = (fit.problem.block_slice(name) for name in ("night_pose", "night_offset"))
+    if not fit.problem.has("night_pose"):
         return None
-    part = fit.problem.systematic_slice
-    offset, turn = np.split(fit.unknowns[part], [N_OFFSET])
-    covariance = fit.posterior.covariance[part, part]
-    sigma = np.sqrt(np.diag(covariance)[N_OFFSET:])
+    turn, sigma = fit.unknowns[pose], np.sqrt(np.diag(fit.posterior.covariance)[pose])
+    radial = slice(star.start, min(star.start + N_RADIAL, star.stop))
     return NightDifference(
         n=int(np.sum((fit.weight > 0.0) & usable.night)),
         pose_difference_deg=_three(POSE_DIFFERENCE_DEG * turn),
         pose_sigma_deg=_three(POSE_DIFFERENCE_DEG * sigma),
-        star_offset_px=OFFSET_PX * float(np.sum(offset[:N_RADIAL])),
-        star_offset_sigma_px=OFFSET_PX * math.sqrt(float(np.sum(covariance[:N_RADIAL, :N_RADIAL]))),
+        star_offset_px=OFFSET_PX * float(np.sum(fit.unknowns[radial])),
+        star_offset_sigma_px=OFFSET_PX * math.sqrt(float(np.sum(fit.posterior.covariance[radial, radial]))),
     )
 
 

@@ -12,7 +12,7 @@ from scipy.special import chdtri
 from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.calibration.fit.marginal_likelihood import MarginalFit, field_at, marginal_fit, summed
 from sunarc.calibration.fit.posterior import PosteriorCovariance, joint_covariance, prediction_variance, sky_rows
-from sunarc.calibration.fit.robust_fit import N_OFFSET, RobustFit, stated_posterior
+from sunarc.calibration.fit.robust_fit import RobustFit, stated_posterior
 from sunarc.calibration.fit.robust_rounds import robust_camera
 from sunarc.calibration.model.residual_field import WaveBasis
 from sunarc.calibration.model.sightings import Kind, Sightings
@@ -176,10 +176,10 @@ def _left_out(usable: Sightings) -> list[BoolArray]:
 def _refitted(fit: RobustFit, usable: Sightings, kept: BoolArray) -> _Partial:
     """Return the fit of the sightings that a mask picks, from the fit of all."""
     groups, observed = NoiseGroups.of(usable.select(kept)), fit.observed.select(kept)
-    problem = replace(fit.problem, n_systematic=0, n_air=0)
-    start = fit.unknowns[: problem.size]
+    problem = fit.problem
+    start = fit.unknowns[: problem.size - problem.n_unit]
     found = robust_camera(problem, observed, start, groups=groups, grid=fit.grid, near_minimum=True)
-    problem, unknowns = found.problem, found.unknowns
+    unknowns = found.unknowns
     system = found.system(observed, groups.bins)
     mean = found.field_mean(system.normal())
     posterior = stated_posterior(problem, system, unknowns, grid=found.grid, scales=found.state.scales, mean=mean)
@@ -239,9 +239,9 @@ _SUN_SCATTER = 1.15
 def contradiction(fit: RobustFit, usable: Sightings) -> Finding | None:
     """Return what of the night contradicts the day, with value and limit; None where nothing does."""
     night = usable.night
-    if fit.problem.n_systematic == 0:
+    if not fit.problem.has("night_pose"):
         return None
-    turn, offset = np.split(fit.unknowns[fit.problem.systematic_slice], [N_OFFSET])[::-1]
+    turn, offset = (fit.unknowns[fit.problem.block_slice(name)] for name in ("night_pose", "night_offset"))
     alone = _of_the_day(fit, night)
     measured = (
         ("pose_difference", float(np.linalg.norm(turn)), _PRIOR_SIGMAS),

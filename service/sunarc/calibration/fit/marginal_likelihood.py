@@ -133,7 +133,7 @@ class NormalEquations:
     ff : products of the basis values; both components share them.
     jr, fr, rr : (p,), (2, m), scalar products with the residuals.
     at : (p,) the unknowns that they were made at.
-    n_unit : how many of the last unknowns have unit prior variance: systematic errors and the refraction's.
+    n_unit : how many of the last unknowns have unit prior variance: those of shared errors.
     """
 
     jj: FloatArray
@@ -148,6 +148,21 @@ class NormalEquations:
     def prior_precision(self, radial_px: float, decentering_px: float) -> FloatArray:
         """Return the prior precisions of the unknowns under two scales of the lens, (p,)."""
         return prior_precision(self.at.size, radial_px, decentering_px, n_unit=self.n_unit)
+
+    def only(self, places: IntArray) -> NormalEquations:
+        """Return the sums by some of the unknowns, all of the lens and the poses among them; the others are 0."""
+        others = np.setdiff1d(np.arange(self.at.size), places)
+        gone = self.at[others]
+        return replace(
+            self,
+            jj=self.jj[np.ix_(places, places)],
+            jf=self.jf[:, places],
+            jr=self.jr[places] + self.jj[np.ix_(places, others)] @ gone,
+            fr=self.fr + np.einsum("apm,p->am", self.jf[:, others], gone),
+            rr=self.rr + float(gone @ (2.0 * self.jr[others] + self.jj[np.ix_(others, others)] @ gone)),
+            at=self.at[places],
+            n_unit=self.n_unit - others.size,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -212,7 +227,7 @@ def summed(parts: Sequence[NormalEquations]) -> NormalEquations:
 
 
 def prior_precision(size: int, radial_px: float, decentering_px: float, *, n_unit: int = 0) -> FloatArray:
-    """Return the prior precisions of all unknowns, (size,): lens, poses, and the refraction's."""
+    """Return the prior precisions of all unknowns, (size,): lens, poses, and those of shared errors."""
     poses = np.full(size - N_LENS - n_unit, _POSE_PRECISION)
     return np.concatenate([precisions(radial_px, decentering_px), poses, np.ones(n_unit)])
 

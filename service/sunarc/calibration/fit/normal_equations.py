@@ -47,7 +47,7 @@ class LinearSystem:
     basis_products : products of the basis functions over the bins, the same for every camera.
     basis : the field's basis functions.
     member : (n,) the bin of every sighting.
-    n_unit : how many of the last unknowns have unit prior variance: systematic errors and the refraction's.
+    n_unit : how many of the last unknowns have unit prior variance: those of shared errors.
     """
 
     observed: Sightings
@@ -207,7 +207,7 @@ class _Equations:
 
     Attributes
     ----------
-    optics, sighted, mean, basis, n_air : of the problem and its bins, as the kernels take them.
+    optics, sighted, mean, basis : of the problem and its bins, as the kernels take them.
     root : (b,) of the bins' information, 1/px.
     field : (r, b) the field's basis functions in its axes, each bin times its root, each axis times its spread: what
         such products have, the field takes from the sightings.
@@ -219,7 +219,6 @@ class _Equations:
     sighted: Sighted
     mean: FloatArray
     basis: FloatArray
-    n_air: int
     root: FloatArray
     field: FloatArray
     spread: FloatArray
@@ -234,7 +233,6 @@ class _Equations:
             sighted=problem.sighted(system.observed),
             mean=problem.prior.mean,
             basis=np.ascontiguousarray(problem.prior.basis),
-            n_air=problem.n_air,
             root=root,
             field=np.ascontiguousarray((system.basis_values * root[:, None] * spread).T),
             spread=spread,
@@ -243,10 +241,9 @@ class _Equations:
 
     def about(self, at: FloatArray) -> _Sums:
         """Return the sums about some unknowns (p,)."""
-        sizes, air = at[: at.size - self.n_air], at[at.size - self.n_air :]
-        shared = sizes.size - self.sighted.systematic_px.shape[2]
+        shared = at.size - self.sighted.systematic_px.shape[2]
         vectors = vectors_of(self.mean, self.basis, at, (shared - N_LENS) // 3)
-        left, columns = residuals_and_columns_of(self.optics, vectors, self.sighted, sizes[shared:], air, self.basis)
+        left, columns = residuals_and_columns_of(self.optics, vectors, self.sighted, at[shared:], self.basis)
         left *= self.root
         columns *= self.root
         rows, of_field = self.field @ columns.swapaxes(1, 2), left @ self.field.T

@@ -318,7 +318,7 @@ def sky_rows(problem: FitProblem, unknowns: FloatArray, basis: WaveBasis) -> tup
             pixels=nowhere,
             information=np.ones(PROBES),
             epoch=epoch,
-            systematic_px=np.zeros((1, 2, problem.n_systematic)),
+            systematic_px=np.zeros((1, 2, problem.n_unit)),
         ),
     )
     shown = np.all((minus < 0.5) & (-minus < [problem.template.width - 0.5, problem.template.height - 0.5]), axis=-1)

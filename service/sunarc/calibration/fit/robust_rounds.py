@@ -249,9 +249,9 @@ class RobustCamera:
 
     Attributes
     ----------
-    problem : of the fit, systematic errors and the refraction among its unknowns.
+    problem : of the fit.
     unknowns : (p,) the most probable ones, brought to what least squares reaches.
-    state, noise : as the last round left them, in the air that the fit is made with.
+    state, noise : as the last round left them.
     grid : the scales that were tried.
     information : (n,) of each sighting, px⁻².
     last_round : the bins' equations of the last round.
@@ -288,21 +288,20 @@ def robust_camera(
 
     Parameters
     ----------
-    problem : the camera sought, in the air as it is assumed.
+    problem : the camera sought, with the blocks of what the sightings share.
     observed : sightings, in the order of time within each epoch.
-    plain : (p,) unknowns of the fit without a field.
+    plain : unknowns of the fit without a field, those of the blocks apart.
     groups : of the sightings.
     grid : scales to try.
     near_minimum : whether the fit without a field is known to be at the right minimum: least squares then
         begins there alone.
     """
-    problem = replace(problem, n_systematic=observed.systematic_px.shape[2], n_air=observed.refraction_sd.shape[1])
     plain = np.concatenate([plain, np.zeros(problem.n_unit)])
     state, noise, grid, last_round = _with_field(problem, observed, plain, grid, groups)
     information = noise.information(observed)
-    if problem.n_systematic == 0:
+    if not problem.has("night_pose"):
         # stars on all sides of the sky show the refraction, and beside them the mean over the air is the better camera
-        state = _in_assumed_air(problem, observed.weighted(information), groups.bins, last_round, state, grid)
+        state = _without_unproven(problem, observed.weighted(information), groups.bins, last_round, state, grid)
     weighed = observed.weighted(observed.information * (noise.sigma_px / noise.scale) ** 2)
     unknowns = _as_good_as_least_squares(
         problem, weighed, groups, state, sigma=noise.sigma_px, near_minimum=near_minimum
@@ -377,16 +376,9 @@ def _as_good_as_least_squares(
     sigma: float,
     near_minimum: bool,
 ) -> FloatArray:
-    """Return the unknowns, those of the camera brought to what least squares reaches in the same air.
-
-    And with the same systematic errors.
-    """
-    assumed, unknowns = replace(problem, n_systematic=0, n_air=0), state.unknowns
-    corrected = replace(
-        observed,
-        directions=problem.directions(unknowns, observed),
-        pixels=observed.pixels - problem.displaced(unknowns, observed),
-    )
+    """Return the unknowns, those of the camera brought to what least squares reaches with the same shared errors."""
+    assumed, unknowns = replace(problem, blocks=()), state.unknowns
+    corrected = replace(observed, pixels=observed.pixels - problem.displaced(unknowns, observed))
     camera = at_least_least_squares(
         assumed,
         corrected,
@@ -413,9 +405,9 @@ def _improved(problem: FitProblem, observed: Sightings, system: LinearSystem, gr
     found = most_probable_with_field(problem, system, scales)
     leverage = None
     few = len(observed) < _FEW_PER_UNKNOWN * (problem.size - problem.n_unit)
-    if problem.n_systematic or few:
+    if problem.has("night_pose") or few:
         there = system.moved(problem, found.unknowns)
-        which = few | np.any(there.observed.systematic_px != 0.0, axis=(1, 2))
+        which = few | np.any(there.rows[..., problem.block_slice("night_pose")] != 0.0, axis=(1, 2))
         leverage = leverage_of(there, there.normal(), found.fit, scales, which=which)
     unknowns, smooth = found.unknowns, (system.basis_values @ found.fit.coefficients.T)[system.member]
     return RoundState(
@@ -428,7 +420,7 @@ def _improved(problem: FitProblem, observed: Sightings, system: LinearSystem, gr
     )
 
 
-def _in_assumed_air(  # noqa: PLR0917 - the fit, piece by piece
+def _without_unproven(  # noqa: PLR0917 - the fit, piece by piece
     problem: FitProblem,
     observed: Sightings,
     bins: Bins,
@@ -436,15 +428,37 @@ def _in_assumed_air(  # noqa: PLR0917 - the fit, piece by piece
     state: RoundState,
     grid: HyperparameterGrid,
 ) -> RoundState:
-    """Return the state with the air as it is assumed, unless the sightings, by their information, prove another one."""
-    assumed, system = replace(problem, n_air=0), system_about(problem, observed, bins, last_round, state.unknowns)
-    in_assumed_air = system.moved(assumed, state.unknowns[: assumed.size])
-    other, usual = (log_weights(each.normal(), grid) for each in (system, in_assumed_air))
-    if log_evidence(other) - log_evidence(usual) > STRONG_EVIDENCE:
+    """Return the state without the shared errors that the sightings, by their information, do not prove."""
+    system = system_about(problem, observed, bins, last_round, state.unknowns)
+    proven, log_weight = proven_blocks(problem, system.normal(), grid)
+    if len(proven) == len(problem.blocks):
         return state
-    scales = likely_scales(normalised(usual), grid)
-    unknowns = most_probable_with_field(assumed, in_assumed_air, scales).unknowns
-    return replace(state, unknowns=np.concatenate([unknowns, np.zeros(problem.n_air)]), scales=scales)
+    held, places = problem.only(proven)
+    scales = likely_scales(normalised(log_weight), grid)
+    unknowns = np.zeros(problem.size)
+    unknowns[places] = most_probable_with_field(held, system.moved(held, state.unknowns[places]), scales).unknowns
+    return replace(state, unknowns=unknowns, scales=scales)
+
+
+def proven_blocks(
+    problem: FitProblem, normal: NormalEquations, grid: HyperparameterGrid
+) -> tuple[list[str], FloatArray]:
+    """Return the names of the shared errors without which the sightings are far less probable, and their log weights.
+
+    The weights (i, j, k) are those of the scales with these errors alone. One that proves itself beside all others is
+    taken, the most probable first.
+    """
+    proven: list[str] = []
+    log_weight = log_weights(normal.only(problem.only(())[1]), grid)
+    while len(proven) < len(problem.blocks):
+        others = [block.name for block in problem.blocks if block.name not in proven]
+        tried = [log_weights(normal.only(problem.only([*proven, name])[1]), grid) for name in others]
+        best = int(np.argmax([log_evidence(one) for one in tried]))
+        if log_evidence(tried[best]) - log_evidence(log_weight) <= STRONG_EVIDENCE:
+            break
+        proven.append(others[best])
+        log_weight = tried[best]
+    return proven, log_weight
 
 
 # How much of the noise of each star the fit has taken up: beside a field the residuals of 150 stars are too small.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -17,27 +18,38 @@ from sunarc.optics.camera import POSE, Camera, Param
 from sunarc.optics.forward import Optics, by_direction, kernel_optics
 from sunarc.optics.pose import rotation_matrix
 from sunarc.optics.projections import angle_limit
-from sunarc.sky.refraction import raised, upward
+from sunarc.sky.refraction import upward
 
 _RIGHT_ANGLE = math.pi / 2
+
+
+class Block(NamedTuple):
+    """Unknowns of a shared error, of unit prior variance: its name, and its columns of `Sightings.systematic_px`."""
+
+    name: str
+    columns: slice
+
+    @property
+    def size(self) -> int:
+        """How many unknowns."""
+        return int(self.columns.stop - self.columns.start)
 
 
 class Sighted(NamedTuple):
     """Sightings as the kernels take them, contiguous.
 
-    directions (n, 3), pixels (n, 2), 1-sigma of the refraction (n, k), rad, epoch (n,). systematic_px (n, 2, s):
-    displacements by errors that many share, each at its 1-sigma.
+    directions (n, 3), pixels (n, 2), epoch (n,). systematic_px (n, 2, s): displacements by errors that many share, each
+    at its 1-sigma.
     """
 
     directions: FloatArray
     pixels: FloatArray
-    refraction_sd: FloatArray
     epoch: IntArray
     systematic_px: FloatArray
 
 
-def residuals_and_columns_of(  # noqa: PLR0917 - as the kernel has it
-    optics: Optics, vectors: FloatArray, seen: Sighted, sizes: FloatArray, air: FloatArray, basis: FloatArray
+def residuals_and_columns_of(
+    optics: Optics, vectors: FloatArray, seen: Sighted, sizes: FloatArray, basis: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the residuals (2, n) and the derivatives of the prediction by the unknowns (2, size, n).
 
@@ -45,11 +57,10 @@ def residuals_and_columns_of(  # noqa: PLR0917 - as the kernel has it
     ----------
     vectors : (epochs, 23) cameras.
     sizes : (s,) of the systematic errors.
-    air : (k,) departures of the refraction in units of its 1-sigma; (0,): it is as it is assumed.
     basis : (17, 17) of the prior.
     """
     return _kernels.residuals_and_columns_of(
-        **optics._asdict(), vectors=vectors, basis=basis, **seen._asdict(), sizes=sizes, air=air
+        **optics._asdict(), vectors=vectors, basis=basis, **seen._asdict(), sizes=sizes
     )
 
 
@@ -75,34 +86,44 @@ class FitProblem:
     template : projection, image size and handedness; its parameters do not count.
     prior : what is known of the lens.
     n_epochs : number of poses.
-    n_systematic : how many unknowns after the poses are sizes of `Sightings.systematic_px`, in units of it.
-    n_air : 0 where the air is as it is assumed; else how many of the last unknowns are departures of the refraction,
-        one for each cause, in units of `Sightings.refraction_sd`.
+    blocks : of systematic errors, whose unknowns follow the poses.
     max_angle : rad, how far off the axis the fitted camera will answer; the fit itself has no such limit.
     """
 
     template: Camera
     prior: LensPrior
     n_epochs: int
-    n_systematic: int = 0
-    n_air: int = 0
+    blocks: tuple[Block, ...] = ()
     max_angle: float = math.pi
 
     @property
     def size(self) -> int:
-        """The number of unknowns: the lens's, three for each pose, those of systematic errors and of the refraction."""
+        """The number of unknowns: the lens's, three for each pose, those of systematic errors."""
         return N_LENS + 3 * self.n_epochs + self.n_unit
 
     @property
     def n_unit(self) -> int:
         """The number of unknowns of unit prior variance, the last ones."""
-        return self.n_systematic + self.n_air
+        return sum(block.size for block in self.blocks)
 
-    @property
-    def systematic_slice(self) -> slice:
-        """Where the unknowns hold the sizes of systematic errors."""
+    def block_slice(self, name: str) -> slice:
+        """Return where the unknowns hold a block; an empty slice where there is none of this name."""
         start = N_LENS + 3 * self.n_epochs
-        return slice(start, start + self.n_systematic)
+        for block in self.blocks:
+            if block.name == name:
+                return slice(start, start + block.size)
+            start += block.size
+        return slice(start, start)
+
+    def has(self, name: str) -> bool:
+        """Return whether there is a block of this name."""
+        return any(block.name == name for block in self.blocks)
+
+    def only(self, names: Collection[str]) -> tuple[FitProblem, IntArray]:
+        """Return the problem with some of its blocks alone, and the places of its unknowns among those of this one."""
+        kept = [np.arange(self.size)[self.block_slice(name)] for name in (b.name for b in self.blocks) if name in names]
+        places = np.concatenate([np.arange(N_LENS + 3 * self.n_epochs), *kept])
+        return replace(self, blocks=tuple(block for block in self.blocks if block.name in names)), places
 
     def pose_slice(self, epoch: int) -> slice:
         """Return where the unknowns hold an epoch's rotation."""
@@ -124,32 +145,28 @@ class FitProblem:
         poses = [camera.rotation_cam_enu for camera in cameras]
         return np.concatenate([self.prior.whitened(cameras[0]), *poses, np.zeros(self.n_unit)])
 
-    def directions(self, unknowns: FloatArray, observed: Sightings) -> FloatArray:
-        """Return (n, 3): apparent directions, by the refraction that is sought."""
-        if self.n_air == 0:
-            return observed.directions
-        return raised(observed.directions, np.sum(observed.refraction_sd * unknowns[-self.n_air :], axis=-1))
-
     def residuals(self, unknowns: FloatArray, observed: Sightings) -> FloatArray:
         """Return observed minus predicted pixels, (n, 2)."""
-        vectors, air = self._vectors(unknowns), self.air(unknowns)
+        vectors = self._vectors(unknowns)
         residual = np.empty(observed.pixels.shape)
         for epoch in range(self.n_epochs):
             in_epoch = slice(None) if self.n_epochs == 1 else observed.epoch == epoch
             part = observed if self.n_epochs == 1 else observed.select(in_epoch)
-            directions, pixels, refraction_sd, *_ = self.sighted(part)
             residual[in_epoch] = _kernels.residuals_of(
-                *self.optics(), vectors[epoch], directions, pixels, refraction_sd, air
+                *self.optics(),
+                vectors[epoch],
+                np.ascontiguousarray(part.directions),
+                np.ascontiguousarray(part.pixels),
             )
-        if self.n_systematic == 0:
+        if not self.blocks:
             return residual
         return np.where(residual == UNSEEN_PX, residual, residual - self.displaced(unknowns, observed))
 
     def displaced(self, unknowns: FloatArray, observed: Sightings) -> FloatArray | float:
         """Return by how much systematic errors displace the detections, (n, 2) px; 0 where there are none."""
-        if self.n_systematic == 0:
+        if not self.blocks:
             return 0.0
-        return np.asarray(observed.systematic_px @ unknowns[self.systematic_slice])
+        return np.asarray(self._columns(observed) @ unknowns[N_LENS + 3 * self.n_epochs :])
 
     def beyond(self, unknowns: FloatArray, observed: Sightings) -> BoolArray:
         """Return (n,): which directions lie further off the axis than the fitted camera will answer."""
@@ -166,28 +183,26 @@ class FitProblem:
             self.optics(),
             self._vectors(unknowns),
             self.sighted(observed),
-            np.ascontiguousarray(unknowns[self.systematic_slice], dtype=np.float64),
-            self.air(unknowns),
+            np.ascontiguousarray(unknowns[N_LENS + 3 * self.n_epochs :], dtype=np.float64),
             np.ascontiguousarray(self.prior.basis),
         )
         return np.ascontiguousarray(residual.T), np.ascontiguousarray(np.moveaxis(columns, -1, 0))
 
-    def air(self, unknowns: FloatArray) -> FloatArray:
-        """Return (n_air,): the unknowns of the refraction."""
-        return np.ascontiguousarray(unknowns[self.size - self.n_air :], dtype=np.float64)
-
     def sighted(self, observed: Sightings) -> Sighted:
-        """Return the sightings as the kernels take them, with a 1-sigma of the refraction for each of its unknowns."""
-        refraction_sd = observed.refraction_sd
-        if self.n_air:
-            refraction_sd = np.broadcast_to(refraction_sd, (len(observed), self.n_air))
+        """Return the sightings as the kernels take them."""
         return Sighted(
             directions=np.ascontiguousarray(observed.directions),
             pixels=np.ascontiguousarray(observed.pixels),
-            refraction_sd=np.ascontiguousarray(refraction_sd),
-            systematic_px=np.ascontiguousarray(observed.systematic_px[:, :, : self.n_systematic]),
+            systematic_px=np.ascontiguousarray(self._columns(observed)),
             epoch=np.ascontiguousarray(observed.epoch, dtype=np.int64),
         )
+
+    def _columns(self, observed: Sightings) -> FloatArray:
+        """Return (n, 2, s): the displacements by the errors of the blocks, in their order."""
+        if self.n_unit == observed.systematic_px.shape[2]:
+            return observed.systematic_px
+        of_blocks = [np.arange(block.columns.start, block.columns.stop) for block in self.blocks]
+        return observed.systematic_px[:, :, np.concatenate([np.zeros(0, dtype=np.int64), *of_blocks])]
 
     def optics(self) -> Optics:
         """Return the numbers of the template that the kernels take; its displacement does not count."""
@@ -261,7 +276,6 @@ class Bins:
         norm = np.linalg.norm(direction, axis=-1, keepdims=True)
         pixels = np.stack([self._sums(share * observed.pixels[:, i]) for i in range(2)], axis=-1)
         mean = np.stack([self._sums(share * residual[:, i]) for i in range(2)], axis=-1)
-        refraction = np.stack([self._sums(share * column) for column in observed.refraction_sd.T], axis=-1)
         first = np.searchsorted(self.member, np.arange(self.count))
         # a bin of outliers alone still needs a direction: its weight of 0 keeps it out of the sums
         empty = total <= 0.0
@@ -275,7 +289,6 @@ class Bins:
             pixels=pixels,
             information=total,
             epoch=observed.epoch[first],
-            refraction_sd=refraction,
             systematic_px=self._mean_of(observed.systematic_px, share),
         )
         return gathered, mean

@@ -1,0 +1,130 @@
+"""Errors that many sightings share: blocks of unknowns with a Gaussian prior of unit variance, linear in px.
+
+Each is a row of `EFFECTS`: its name, and a function that gives the displacements of all sightings at 1-sigma of each of
+its unknowns. They are computed about a camera near the one sought. The camera that is sought is that of the day in
+still air with a right clock: in its pose the sun is predicted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from sunarc.array_types import BoolArray, FloatArray
+from sunarc.calibration.model.sightings import Kind, Sightings
+from sunarc.calibration.solve.problem import Block, FitProblem, by_elevation
+from sunarc.optics.forward import by_direction, project_with_rows_fast
+from sunarc.optics.projections import ideal_radius
+
+POSE_DIFFERENCE_DEG = 0.02
+"""1-sigma about each axis of how far the camera of the night is turned against that of the day. A bracket of 10 cm and
+5 cm across of aluminium (23e-6 a kelvin), one side of it 5 K warmer by day, bends by 0.013 degrees."""
+OFFSET_POWERS = (1, 2, 3)
+"""Of the radius. Coma grows with the radius at first, and higher orders of it faster; on the axis it is zero."""
+OFFSET_PX = 0.15
+"""1-sigma of each coefficient, 0.26 px at the edge together. The simulated lens has 0.13 px there."""
+DECENTRED_PX = 0.03
+"""1-sigma at the edge of the part of the offset that grows as the cosine and as the sine of the azimuth: of lenses that
+are not centred, whose coma is not either. It grows as the square of the radius, as decentering distortion does."""
+N_RADIAL = len(OFFSET_POWERS)
+
+
+class _View(NamedTuple):
+    """Sightings as a camera near the one sought shows them.
+
+    by_direction (n, 2, 3), rise (n, 2): px per unit of the direction, and per radian that it rises. outwards (n, 2),
+    radius (n,): unit vectors away from the principal point, and the distance to it over that of the horizon.
+    """
+
+    seen: Sightings
+    by_direction: FloatArray
+    rise: FloatArray
+    outwards: FloatArray
+    radius: FloatArray
+
+    def turned(self, sd_deg: float) -> FloatArray:
+        """Return (n, 2, 3): displacements where the camera is turned about east, north and up by an angle."""
+        # a camera that is turned by d sees the direction u where the one that is not sees u - d x u
+        seen = -np.cross(np.eye(3), self.seen.directions[:, None, :]) * math.radians(sd_deg)
+        return np.asarray(np.einsum("nai,nki->nak", self.by_direction, seen))
+
+
+def _night_offset(view: _View) -> FloatArray:
+    """Return (n, 2, 5): of stars outwards by powers of the radius, and by its square over the azimuth.
+
+    A Gaussian fitted to a star is displaced along the radius where the lens has coma, and lateral colour displaces the
+    star as a whole; the sun's disc, much wider than both, is not: so the offset is zero for the sun and the moon.
+    """
+    radius, along = view.radius[:, None], view.outwards
+    size = np.concatenate([OFFSET_PX * radius ** np.array(OFFSET_POWERS), DECENTRED_PX * radius**2 * along], axis=-1)
+    return np.asarray(along[:, :, None] * (size * _beside_the_day(view, view.seen.kind == Kind.STAR)[:, None])[:, None])
+
+
+def _night_pose(view: _View) -> FloatArray:
+    """Return (n, 2, 3): by the turns of the night's camera: the cold bends what it stands on."""
+    return view.turned(POSE_DIFFERENCE_DEG) * _beside_the_day(view, view.seen.night)[:, None, None]
+
+
+def _beside_the_day(view: _View, which: BoolArray) -> BoolArray:
+    """Return (n,): which sightings of the night; none where nothing of a day stands beside it."""
+    return np.asarray(which & view.seen.night & ~np.all(view.seen.night))
+
+
+def _air(view: _View) -> FloatArray:
+    """Return (n, 2, k): by the refraction's departures of each cause."""
+    return np.asarray(view.rise[:, :, None] * view.seen.refraction_sd[:, None, :])
+
+
+class _Effect(NamedTuple):
+    name: str
+    columns: Callable[[_View], FloatArray]
+
+
+EFFECTS = (
+    _Effect("night_offset", _night_offset),
+    _Effect("night_pose", _night_pose),
+    _Effect("air", _air),
+)
+
+
+def with_effects(problem: FitProblem, unknowns: FloatArray, observed: Sightings) -> tuple[FitProblem, Sightings]:
+    """Return the problem with the blocks that the sightings may have, and the sightings with their displacements.
+
+    Parameters
+    ----------
+    problem, unknowns : a camera near the one sought, without blocks.
+    observed : with times, kinds and nights.
+    """
+    view = _view(problem, unknowns, observed)
+    blocks, columns, start = [], [], 0
+    for effect in EFFECTS:
+        found = effect.columns(view)
+        acts = np.any(found != 0.0, axis=(0, 1))
+        if np.any(acts):
+            columns.append(found[:, :, acts])
+            blocks.append(Block(effect.name, slice(start, start + int(acts.sum()))))
+            start = blocks[-1].columns.stop
+    together = np.concatenate([np.zeros((len(observed), 2, 0)), *columns], axis=-1)
+    return replace(problem, blocks=tuple(blocks)), replace(observed, systematic_px=together)
+
+
+def _view(problem: FitProblem, unknowns: FloatArray, observed: Sightings) -> _View:
+    """Return the sightings as the cameras of their epochs show them; 0 where one shows nothing."""
+    n = len(observed)
+    view = _View(observed, np.zeros((n, 2, 3)), np.zeros((n, 2)), np.zeros((n, 2)), np.zeros(n))
+    for epoch in range(problem.n_epochs):
+        rows = observed.epoch == epoch
+        camera, directions = problem.camera(unknowns, epoch), observed.directions[rows]
+        pixels, by_parameters = project_with_rows_fast(camera, directions)
+        view.by_direction[rows] = by_direction(camera, by_parameters)
+        view.rise[rows] = by_elevation(camera, directions, by_parameters)
+        outwards = np.nan_to_num(pixels - np.array(camera.principal_point_px))
+        far = np.linalg.norm(outwards, axis=-1)
+        edge = camera.focal_length_px[0] * float(ideal_radius(camera.projection, min(camera.max_angle, math.pi / 2)))
+        view.outwards[rows] = outwards / np.maximum(far, 1e-9)[:, None]
+        view.radius[rows] = far / edge
+    return view
