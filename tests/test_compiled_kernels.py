@@ -12,7 +12,7 @@ from scipy.special import ndtr
 from tests.fixtures.calibration import observed, small_camera, small_problem, spread_directions
 
 from sunarc import _kernels
-from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.options import PaperOptions
 from sunarc.calibration.paper import penalties_of, unlimited
 from sunarc.optics.forward import kernel_optics, project
 from sunarc.optics.inverse import unproject
@@ -113,7 +113,7 @@ CALLS: dict[str, dict[str, Any]] = {
         "sizes": np.ones(3),
     },
     "paper_fit": _FIT
-    | penalties_of(CAMERA, CalibrationOptions()).weighed()._asdict()
+    | penalties_of(CAMERA.projection, PaperOptions())._asdict()
     | {
         "information": np.ones(N),
         "start": unlimited(CAMERA).to_vector(),

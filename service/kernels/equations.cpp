@@ -1,7 +1,5 @@
 #include "equations.h"
 
-#include <algorithm>
-
 namespace sunarc {
 
 DISPATCHED double weigh(Block& b, const double* pixels, const double* information, int size, double sigma) {
@@ -67,6 +65,11 @@ DISPATCHED void add_products(const Block& block, double* products, int count) {
     }
 }
 
+void fill_upper(double* matrix, size_t size) {
+    for (size_t i = 0; i < size; ++i)
+        for (size_t j = 0; j < i; ++j) matrix[j * size + i] = matrix[i * size + j];
+}
+
 bool solve(double* m, double* v, int size) {
     for (int j = 0; j < size; ++j) {
         double total = m[j * size + j];
@@ -105,6 +108,24 @@ void damped_step(const Table& normal, const Table& gradient, const std::vector<s
         for (size_t i = 0; i < f; ++i) step[i] *= scale[i];
     else
         std::fill(step.begin(), step.end(), 0.0);
+}
+
+double predicted_gain(const Table& normal, const Table& gradient, const std::vector<size_t>& moving, double damping,
+                      const Table& step) {
+    const size_t p = gradient.size();
+    double total = 0.0;
+    for (size_t i = 0; i < moving.size(); ++i) {
+        const size_t k = moving[i];
+        total += step[i] * (gradient[k] + damping * normal[k * p + k] * step[i]);
+    }
+    return 0.5 * total;
+}
+
+// H. B. Nielsen, "Damping parameter in Marquardt's method", IMM-REP-1999-05 (1999).
+double trust_factor(double gain, double predicted) {
+    if (predicted <= 0.0) return 1.0;
+    const double miss = 2.0 * gain / predicted - 1.0;
+    return std::max(DAMPING_FALLS, std::min(1.0 - miss * miss * miss, 2.0));
 }
 
 }  // namespace sunarc

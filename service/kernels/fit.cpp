@@ -8,9 +8,6 @@ namespace sunarc {
 namespace {
 
 constexpr int SUMS = N_NATIVE + 2;  // columns whose products are added: derivatives, residual, one that is not looked at
-// By what the damping grows after a step that loses, and falls after one that gains all that was predicted: chosen so
-// that a day's fit takes the fewest steps; 10 and 0.1 take a quarter more.
-constexpr double DAMPING_GROWS = 4.0, DAMPING_FALLS = 0.03;
 
 // Lens = mean (17,) + basis (17, 17) · its unknowns; most of the basis is 0: `first` and `last` say where it is not.
 struct Whitened {
@@ -53,14 +50,7 @@ struct Seen {
 struct Goal {
     const double* precision;  // of the prior, of the unknowns
     double sigma;             // px, of the loss; 0 takes plain squares
-    int iterations;
-    double tolerance;
 };
-
-void fill_upper(double* matrix, size_t size) {
-    for (size_t i = 0; i < size; ++i)
-        for (size_t j = 0; j < i; ++j) matrix[j * size + i] = matrix[i * size + j];
-}
 
 class Equations {
   public:
@@ -148,62 +138,6 @@ class Equations {
     }
 };
 
-// What a damped step takes from the cost where the residuals are linear.
-double predicted_gain(const Equations& here, const std::vector<size_t>& moving, double damping, const Table& step) {
-    const size_t p = here.gradient.size();
-    double total = 0.0;
-    for (size_t i = 0; i < moving.size(); ++i) {
-        const size_t k = moving[i];
-        total += step[i] * (here.gradient[k] + damping * here.normal[k * p + k] * step[i]);
-    }
-    return 0.5 * total;
-}
-
-// What the damping is multiplied by after a step: the better the prediction, the more it is trusted.
-// H. B. Nielsen, "Damping parameter in Marquardt's method", IMM-REP-1999-05 (1999).
-double trust_factor(double gain, double predicted) {
-    if (predicted <= 0.0) return 1.0;
-    const double miss = 2.0 * gain / predicted - 1.0;
-    return std::max(DAMPING_FALLS, std::min(1.0 - miss * miss * miss, 2.0));
-}
-
-double minimise(Optics optics, const Whitened& lens, const Seen& seen, const Goal& goal,
-                const std::vector<size_t>& moving, Table& at) {
-    const size_t p = at.size(), f = moving.size();
-    Equations here(optics, lens, seen, goal, p), there(optics, lens, seen, goal, p);
-    Table work(f * f), step(f), trial(p);
-    here.write(at);
-    double cost = here.cost, damping = FIRST_DAMPING;
-    for (int iteration = 0; iteration < goal.iterations; ++iteration) {
-        bool moved = false;
-        double gain = 0.0;
-        const double used = damping;
-        while (damping < LARGEST_DAMPING) {
-            damped_step(here.normal, here.gradient, moving, damping, work, step);
-            trial = at;
-            for (size_t i = 0; i < f; ++i) trial[moving[i]] += step[i];
-            there.write(trial);
-            gain = cost - there.cost;
-            // equal costs are taken: at the minimum rounding decides, and a refusal would only raise the damping
-            if (gain >= 0.0) {
-                moved = true;
-                break;
-            }
-            damping *= DAMPING_GROWS;
-        }
-        if (!moved) break;
-        if (damping == used) {  // one that has just been raised was needed
-            damping *= trust_factor(gain, predicted_gain(here, moving, damping, step));
-            damping = std::max(damping, SMALLEST_DAMPING);
-        }
-        at.swap(trial);
-        here.normal.swap(there.normal), here.gradient.swap(there.gradient);
-        cost -= gain;
-        if (gain <= goal.tolerance * std::max(cost, 1e-12)) break;
-    }
-    return cost;
-}
-
 nb::tuple most_probable(int code, double mirror, double max_angle, In<double, N_LENS> mean,
                         In<double, N_LENS, N_LENS> basis, Vectors directions, Places pixels, Numbers information,
                         Indices epoch, Numbers precision, double sigma, int iterations, double tolerance,
@@ -224,7 +158,9 @@ nb::tuple most_probable(int code, double mirror, double max_angle, In<double, N_
         nb::gil_scoped_release unlocked;
         Table at(start.data(), start.data() + p);
         const Whitened lens(mean.data(), basis.data());
-        cost = minimise({code, mirror, max_angle}, lens, seen, {precision.data(), sigma, iterations, tolerance}, free, at);
+        const Goal goal{precision.data(), sigma};
+        Equations here({code, mirror, max_angle}, lens, seen, goal, p), there({code, mirror, max_angle}, lens, seen, goal, p);
+        cost = minimise(here, there, free, iterations, tolerance, FIRST_DAMPING, at);
         std::copy(at.begin(), at.end(), result.data);
     }
     return nb::make_tuple(result.array(), cost);

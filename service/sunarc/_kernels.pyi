@@ -225,12 +225,8 @@ def paper_fit(
     information: FloatArray,
     orthogonality: FloatArray,
     circularity: float,
-    edge_radius: float,
-    edge_powers: FloatArray,
-    cosine: FloatArray,
-    sine: FloatArray,
+    edge: FloatArray,
     with_decentering: bool,
-    monotony: float,
     ideal_slope: FloatArray,
     slope_by_radial: FloatArray,
     start: FloatArray,
@@ -238,11 +234,14 @@ def paper_fit(
     most_steps: int,
     least_gain: float,
     first_damping: float,
-) -> tuple[FloatArray, float]:
-    """Return the parameters (23,) that minimise Eq. 26, by Levenberg-Marquardt, and the sum of squares there.
+) -> tuple[FloatArray, float, FloatArray]:
+    """Return the parameters (23,) that minimise Eq. 26, half the squares there, and J'J (23, 23).
 
-    Penalties as of `calibration.paper.PenaltyArrays`, limits as of `calibration.paper.Limits`; `moving`: the places of
-    the parameters that may change.
+    Parameters
+    ----------
+    orthogonality, circularity, edge, with_decentering, ideal_slope, slope_by_radial : `calibration.paper.Penalties`.
+    moving : the places of the parameters that may change.
+    most_steps, least_gain : most steps, and the share of the squares below which a gain is the last.
     """
 
 def render_disc(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,169 +16,64 @@ from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.robust_loss import finite
 from sunarc.calibration.solve.problem import Bins, time_bins
 from sunarc.calibration.start.initial_guess import as_far_as_it_rises
-from sunarc.optics.camera import DECENTERING, PARAMETER_NAMES, RADIAL, RADIAL_ORDERS, TRANSLATION, Camera, Param
-from sunarc.optics.forward import (
-    decentering_shift,
-    decentering_slopes,
-    kernel_optics,
-    project_fast,
-    project_with_rows_fast,
-)
+from sunarc.optics.camera import PARAMETER_NAMES, RADIAL_ORDERS, TRANSLATION, Camera, Param
+from sunarc.optics.forward import kernel_optics, project_fast
 from sunarc.optics.inverse import unproject
 from sunarc.optics.pose import rotation_vector
 from sunarc.optics.projections import Projection, angle_limit, ideal_radius, ideal_slope
-
-
-class PenaltyArrays(NamedTuple):
-    """The penalties c1, c2, c3 as numbers, see `Penalties`; the weights are in them, those of c2 and c3 over √n.
-
-    orthogonality (8,); circularity, edge_radius, edge_powers (8,), cosine and sine (24,) of the edge, and whether its
-    shape contains the decentering; monotony, ideal_slope (181,) and slope_by_radial (181, 8).
-    """
-
-    orthogonality: FloatArray
-    circularity: float
-    edge_radius: float
-    edge_powers: FloatArray
-    cosine: FloatArray
-    sine: FloatArray
-    with_decentering: bool
-    monotony: float
-    ideal_slope: FloatArray
-    slope_by_radial: FloatArray
-
-
-class Limits(NamedTuple):
-    """When the steps end: how many at most, the share of the cost that a step must gain; and their first damping."""
-
-    most_steps: int
-    least_gain: float
-    first_damping: float
-
 
 # The paper's penalties (section 4.2): c1 orthogonality, c2 circularity, c3 monotony.
 
 _ANGLES = 181
 _AZIMUTHS = 24
 _RIGHT_ANGLE = math.pi / 2
-_ROUND, _FALLING = slice(1, 1 + _AZIMUTHS), slice(1 + _AZIMUTHS, None)
-_U, _V = (of(np.linspace(0.0, 2.0 * math.pi, _AZIMUTHS, endpoint=False)) for of in (np.cos, np.sin))
+_PERSPECTIVE_EDGE = math.radians(60.0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Penalties:
-    """The penalty vector ε_c of Eq. 26, px, (206,), as a function of the 23 parameters.
+class Penalties(NamedTuple):
+    """The penalties of Eq. 26 as functions of the parameters, px; the weights are in them, those of c2 and c3 over √n.
+
+    orthogonality (8,): c1 by the radial coefficients. circularity, edge (24, 3), with_decentering: weight of c2, the
+    directions whose images' distances from the principal point are compared, and whether the decentering moves them.
+    ideal_slope (181,), slope_by_radial (181, 8): c3, where it is negative.
 
     c2 is taken as the vector of the radius's deviations over √n, whose square is the paper's and which is smooth at 0.
-
-    Attributes
-    ----------
-    options : weights and the scope of c2.
-    edge : θ_max, radians; edge_radius: the ideal radius there.
-    orthogonality (8,): c1 by the radial coefficients.
-    ideal_slope (181,), slope_by_radial (181, 8): the radius's slope over the angles.
     """
 
-    options: PaperOptions
-    edge: float
-    edge_radius: float
     orthogonality: FloatArray
+    circularity: float
+    edge: FloatArray
+    with_decentering: bool
     ideal_slope: FloatArray
     slope_by_radial: FloatArray
 
-    @classmethod
-    def of(cls, projection: Projection, options: PaperOptions, *, largest_angle: float) -> Penalties:
-        """Return the penalties of cameras of a projection, looked at up to an angle in radians."""
-        theta = np.linspace(0.0, largest_angle, _ANGLES)
-        orders = np.array(RADIAL_ORDERS)
-        powers = (theta / _RIGHT_ANGLE)[:, None] ** orders
-        ideal = ideal_radius(projection, theta)
-        return cls(
-            options=options,
-            edge=largest_angle,
-            edge_radius=float(ideal[-1]),
-            orthogonality=np.trapezoid(ideal[:, None] * powers, theta, axis=0),
-            ideal_slope=ideal_slope(projection, theta),
-            slope_by_radial=(theta / _RIGHT_ANGLE)[:, None] ** (orders - 1) * orders / _RIGHT_ANGLE,
-        )
 
-    def weighed(self) -> PenaltyArrays:
-        """Return the penalties as the compiled loop takes them."""
-        return PenaltyArrays(
-            orthogonality=self.options.orthogonality_weight * self.orthogonality,
-            circularity=self.options.circularity_weight / math.sqrt(_AZIMUTHS),
-            edge_radius=self.edge_radius,
-            edge_powers=(self.edge / _RIGHT_ANGLE) ** np.array(RADIAL_ORDERS, dtype=np.float64),
-            cosine=_U,
-            sine=_V,
-            with_decentering=self.options.ellipse_scope == "with_decentering",
-            monotony=self.options.monotony_weight / math.sqrt(_ANGLES),
-            ideal_slope=np.ascontiguousarray(self.ideal_slope),
-            slope_by_radial=np.ascontiguousarray(self.slope_by_radial),
-        )
-
-    def values(self, vector: FloatArray) -> FloatArray:
-        """Return ε_c of parameters (23,)."""
-        return self.values_and_slopes(vector)[0]
-
-    def values_and_slopes(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return ε_c (206,) and its derivatives by the parameters (206, 23)."""
-        radial = vector[RADIAL]
-        slopes = np.zeros((1 + _AZIMUTHS + _ANGLES, len(Param)))
-        slopes[0, RADIAL] = self.options.orthogonality_weight * self.orthogonality
-        distance, by_parameters = self._edge_distance(vector)
-        weight = self.options.circularity_weight / math.sqrt(_AZIMUTHS)
-        slopes[_ROUND] = weight * (by_parameters - by_parameters.mean(axis=0))
-        # c3 is one-sided: a radius that rises costs nothing, however fast
-        slope = self.ideal_slope + self.slope_by_radial @ radial
-        falling = self.options.monotony_weight / math.sqrt(_ANGLES) * (slope < 0.0)
-        slopes[_FALLING, RADIAL] = falling[:, None] * self.slope_by_radial
-        values = [slopes[:1, RADIAL] @ radial, weight * (distance - distance.mean()), falling * slope]
-        return np.concatenate(values), slopes
-
-    def _edge_distance(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return how far the edge's image lies from the principal point, px (24,), and its slopes (24, 23)."""
-        fx, fy, skew = vector[[Param.FOCAL_LENGTH_X_PX, Param.FOCAL_LENGTH_Y_PX, Param.SKEW_PX]]
-        powers = (self.edge / _RIGHT_ANGLE) ** np.array(RADIAL_ORDERS)
-        radius = self.edge_radius + float(powers @ vector[RADIAL])
-        # by columns: the radius, then p1 … p4
-        point, by_shape = np.stack([radius * _U, radius * _V]), np.zeros((2, _AZIMUTHS, 5))
-        by_shape[..., 0] = _U, _V
-        if self.options.ellipse_scope == "with_decentering":
-            shift, by_shift = _decentering(vector[DECENTERING], radius)
-            point, by_shape = point + shift, by_shape + by_shift
-        x, y = fx * point[0] + skew * point[1], fy * point[1]
-        distance = np.hypot(x, y)
-        by_x, by_y = x / distance, y / distance
-        result = np.zeros((_AZIMUTHS, len(Param)))
-        result[:, Param.FOCAL_LENGTH_X_PX] = by_x * point[0]
-        result[:, Param.FOCAL_LENGTH_Y_PX] = by_y * point[1]
-        result[:, Param.SKEW_PX] = by_x * point[1]
-        by_shape_px = by_x[:, None] * (fx * by_shape[0] + skew * by_shape[1]) + by_y[:, None] * fy * by_shape[1]
-        result[:, RADIAL] = by_shape_px[:, :1] * powers
-        result[:, DECENTERING] = by_shape_px[:, 1:]
-        return distance, result
-
-
-def _decentering(coefficients: FloatArray, radius: float) -> tuple[FloatArray, FloatArray]:
-    """Return the shift of Eq. 12 (2, 24) round the axis, and its slopes by the radius and p1 … p4 (2, 24, 5)."""
-    p3, p4 = coefficients[2:]
-    square = radius**2
-    around = np.full(_AZIMUTHS, radius)
-    shift = np.stack(decentering_shift(coefficients, around, _U, _V))
-    profile = square * (1.0 + p3 * square + p4 * square**2)
-    rise = radius * (2.0 + 4.0 * p3 * square + 6.0 * p4 * square**2)
-    by_coefficients = np.moveaxis(decentering_slopes(coefficients, around, _U, _V), -2, 0)
-    return shift, np.concatenate([(rise / profile * shift)[..., None], by_coefficients], axis=-1)
+def penalties_of(projection: Projection, options: PaperOptions) -> Penalties:
+    """Return the penalties of cameras of a projection."""
+    limit = _PERSPECTIVE_EDGE if projection == "perspective" else _RIGHT_ANGLE
+    theta, orders = np.linspace(0.0, limit, _ANGLES), np.array(RADIAL_ORDERS)
+    tau = (theta / _RIGHT_ANGLE)[:, None]
+    azimuth = np.linspace(0.0, 2.0 * math.pi, _AZIMUTHS, endpoint=False)
+    sine, cosine = math.sin(limit), np.full(_AZIMUTHS, math.cos(limit))
+    monotony = options.monotony_weight / math.sqrt(_ANGLES)
+    product = ideal_radius(projection, theta)[:, None] * tau**orders
+    return Penalties(
+        orthogonality=options.orthogonality_weight * np.trapezoid(product, theta, axis=0),
+        circularity=options.circularity_weight / math.sqrt(_AZIMUTHS),
+        edge=np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), cosine], axis=-1),
+        with_decentering=options.ellipse_scope == "with_decentering",
+        ideal_slope=monotony * ideal_slope(projection, theta),
+        slope_by_radial=monotony * tau ** (orders - 1) * orders / _RIGHT_ANGLE,
+    )
 
 
 _NUDGE = 1e-5
 """p1 and p2 start off 0: at 0 the fit cannot feel p3 and p4."""
-_STAGE = Limits(400, 1e-8, 1e-3)
+_LEAST_GAIN = 1e-8
 """Relative gain of the squares below which a stage has converged: as MINPACK's `ftol` by default."""
-_LAST_STEPS = Limits(10, 1e-8, 1e-8)
-"""From the minimum of the means to that of all sightings, some hundredths of a sigma."""
-_PERSPECTIVE_EDGE = math.radians(60.0)
+_STAGE, _LAST_STEPS = (400, 1e-3), (10, 1e-8)
+"""Most steps, and their first damping. The last steps go from the minimum of the means to that of all sightings, some
+hundredths of a sigma."""
 
 
 def fit_as_paper(
@@ -214,20 +109,18 @@ def fit_as_paper(
         if last_moving == Param.P4:
             camera = replace(camera, decentering=(_NUDGE, _NUDGE, 0.0, 0.0))
         sample = one if bins is None else _means(one, bins, camera)
-        camera = _minimised(camera, sample, moving, options, _STAGE)
+        camera, normal = minimised(camera, sample, moving, options.paper, _STAGE)
     if bins is not None:
-        camera = _minimised(camera, one, moving, options, _LAST_STEPS)
-    misfit, jacobian = equations(camera, one, options)
-    residual = np.full((len(observed), 2), np.nan)
-    residual[in_epoch] = -misfit[: 2 * len(one)].reshape(-1, 2)
-    degrees_of_freedom = max(2 * len(one) - moving.size, 1)
-    variance = float(np.sum(misfit[: 2 * len(one)] ** 2)) / degrees_of_freedom
+        camera, normal = minimised(camera, one, moving, options.paper, _LAST_STEPS)
+    residual = np.zeros((len(observed), 2))
+    residual[in_epoch] = finite(one.pixels - project_fast(unlimited(camera), one.directions))
+    variance = float(np.sum(residual**2)) / max(2 * len(one) - moving.size, 1)
     return FitOutcome(
         cameras=[*cameras[:last], camera],
         parameter_names=tuple(PARAMETER_NAMES[i] for i in moving),
-        covariance=variance * normal_inverse(jacobian[:, moving]),
+        covariance=variance * normal_inverse(normal[np.ix_(moving, moving)]),
         field=no_field(camera, size=moving.size),
-        residual=np.nan_to_num(residual),
+        residual=residual,
         used=in_epoch,
         sigma_px=math.sqrt(variance),
         inflation=1.0,
@@ -245,11 +138,10 @@ def _means(observed: Sightings, bins: Bins, camera: Camera) -> Sightings:
     return replace(gathered, pixels=project_fast(camera, gathered.directions) + mean)
 
 
-def normal_inverse(jacobian: FloatArray) -> FloatArray:
-    """Return (J'J)⁻¹ with its columns brought to one size first; what nothing determines comes out large."""
-    size = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
-    scaled = jacobian / size
-    inverse = np.linalg.inv(scaled.T @ scaled + 1e-14 * np.eye(size.size))
+def normal_inverse(normal: FloatArray) -> FloatArray:
+    """Return (J'J)⁻¹ with J's columns brought to one size first; what nothing determines comes out large."""
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    inverse = np.linalg.inv(normal / size[:, None] / size + 1e-14 * np.eye(size.size))
     return np.asarray(inverse / size[:, None] / size, dtype=np.float64)
 
 
@@ -263,51 +155,35 @@ def start_camera(camera: Camera, observed: Sightings, options: CalibrationOption
     return posed if options.paper.fit_translation else replace(posed, translation=(0.0, 0.0, 0.0))
 
 
-class Equations(NamedTuple):
-    """The misfit of Eq. 26 about some parameters: its vector (n,) and derivatives (n, 23)."""
+def minimised(
+    camera: Camera, observed: Sightings, moving: IntArray, options: PaperOptions, limits: tuple[int, float]
+) -> tuple[Camera, FloatArray]:
+    """Return the camera at the minimum of Eq. 26, and the normal equations there by all parameters (23, 23).
 
-    misfit: FloatArray
-    jacobian: FloatArray
-
-
-def _minimised(
-    camera: Camera, observed: Sightings, moving: IntArray, options: CalibrationOptions, limits: Limits
-) -> Camera:
-    """Return the camera at the minimum of Eq. 26.
-
-    Levenberg-Marquardt on the normal equations, their columns brought to one size.
+    Parameters
+    ----------
+    moving : places of the parameters that may change.
+    limits : most steps of Levenberg-Marquardt, and their first damping.
     """
-    vector, _ = _kernels.paper_fit(
+    most_steps, first_damping = limits
+    vector, _, normal = _kernels.paper_fit(
         **kernel_optics(unlimited(camera))._asdict(),
         directions=np.ascontiguousarray(observed.directions),
         pixels=np.ascontiguousarray(observed.pixels),
         information=np.ascontiguousarray(observed.information),
-        **penalties_of(camera, options).weighed()._asdict(),
+        **penalties_of(camera.projection, options)._asdict(),
         start=camera.to_vector(),
         moving=moving,
-        **limits._asdict(),
+        most_steps=most_steps,
+        least_gain=_LEAST_GAIN,
+        first_damping=first_damping,
     )
-    return camera.with_parameters(vector)
+    return camera.with_parameters(vector), normal
 
 
 def unlimited(camera: Camera) -> Camera:
     """Return a camera with the largest angle that its projection allows."""
     return replace(camera, max_angle=angle_limit(camera.projection) * (1.0 - 1e-6))
-
-
-def penalties_of(camera: Camera, options: CalibrationOptions) -> Penalties:
-    """Return the penalties of the paper's constraints on a camera."""
-    edge = _PERSPECTIVE_EDGE if camera.projection == "perspective" else math.pi / 2
-    return Penalties.of(camera.projection, options.paper, largest_angle=edge)
-
-
-def equations(camera: Camera, observed: Sightings, options: CalibrationOptions) -> Equations:
-    """Return the misfit of a camera that answers at any angle, each sighting weighed by its information."""
-    pixels, rows = project_with_rows_fast(unlimited(camera), observed.directions)
-    values, slopes = penalties_of(camera, options).values_and_slopes(camera.to_vector())
-    root = np.sqrt(observed.information)[:, None]
-    misfit = np.concatenate([(root * finite(pixels - observed.pixels)).ravel(), values])
-    return Equations(misfit, np.concatenate([(root[..., None] * rows).reshape(-1, slopes.shape[1]), slopes]))
 
 
 # The pose by the direct linear transform (Eqs. 23 to 25).

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from tests.fixtures.calibration import ideal_camera, numerical_derivative, penalties, small_camera
+from tests.calibration.paper.equations_reference import Penalties, penalties
+from tests.fixtures.calibration import ideal_camera, numerical_derivative, small_camera
 
 from sunarc.calibration.model.options import PaperOptions
-from sunarc.calibration.paper import Penalties
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import distorted_radius
 from sunarc.optics.projections import ideal_radius

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from tests.fixtures.calibration import penalties
+from tests.calibration.paper.equations_reference import penalties
 
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, PaperOptions

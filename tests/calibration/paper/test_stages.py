@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from tests.calibration.paper.equations_reference import penalties
 from tests.fixtures.calibration import (
     numerical_derivative,
     observed,
-    penalties,
     random_covariance,
     small_camera,
     spread_directions,
@@ -107,12 +107,13 @@ def test_only_the_latest_pose_counts(seen: Sightings) -> None:
 
 def test_the_inverse_is_that_of_the_normal_matrix() -> None:
     jacobian = np.random.default_rng(1).standard_normal((30, 5)) * [1.0, 1e4, 1e-4, 1.0, 10.0]
-    found = normal_inverse(jacobian)
+    found = normal_inverse(jacobian.T @ jacobian)
     np.testing.assert_allclose(found @ (jacobian.T @ jacobian), np.eye(5), atol=1e-6)
     undetermined = jacobian.copy()
     undetermined[:, 4] = undetermined[:, 3]
-    assert np.all(np.isfinite(normal_inverse(undetermined)))
-    assert normal_inverse(undetermined)[3, 3] > 1e6
+    found = normal_inverse(undetermined.T @ undetermined)
+    assert np.all(np.isfinite(found))
+    assert found[3, 3] > 1e6
     assert random_covariance(2).shape == (2, 2)
 
 
