@@ -234,7 +234,7 @@ def judged_against(truth: Camera, served: Calibration) -> tuple[float, float, fl
     return error, stated, float(np.mean(square < WITHIN_95))
 
 
-def solve_here(problem: SolveProblem, **_: object) -> Calibration:
+def solve_here(problem: SolveProblem, *_: object) -> Calibration:
     """Solve in this process: a year of nights need not start a process each."""
     return calibrate(
         problem.points,

@@ -80,11 +80,11 @@ def import_record(archive: Archive, times: FloatArray, pixels: FloatArray) -> No
     )
 
 
-def solve_here(problem: SolveProblem, **_: object) -> Calibration:
+def solve_here(problem: SolveProblem, *_: object) -> Calibration:
     return calibrate(problem.points, site=problem.site, image_size=problem.image_size, options=problem.options)
 
 
-def search_here(problem: SolveProblem, **_: object) -> tuple[PoseStep, ...]:
+def search_here(problem: SolveProblem, *_: object) -> tuple[PoseStep, ...]:
     return find_pose_steps(
         problem.points, site=problem.site, image_size=problem.image_size, options=problem.options, lens=problem.lens
     )
@@ -227,13 +227,13 @@ def test_a_search_whose_process_was_killed_is_begun_once_more(
     import_record(archive, times, pixels)
     begun: list[int] = []
 
-    def search_at_the_second_time(problem: SolveProblem, **_: object) -> tuple[PoseStep, ...]:
+    def search_at_the_second_time(problem: SolveProblem, *_: object) -> tuple[PoseStep, ...]:
         begun.append(1)
         if len(begun) == 1:
             raise SolverDiedError(Finding("solver_died", {"end": "signal 9"}))
         return search_here(problem)
 
-    monkeypatch.setattr(worker, "_search", search_at_the_second_time)
+    monkeypatch.setattr(worker, "search", search_at_the_second_time)
     refit("a")
     assert len(begun) == 2
     assert len(archive.epochs.find("roof")) == 2

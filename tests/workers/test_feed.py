@@ -346,7 +346,7 @@ def test_an_answer_that_it_took_too_long_makes_batches_smaller(bench: Bench, tmp
         assert step(worker) == 5.0
         thread.join()
     waiting = bench.imager.outbox.waiting()
-    worker._send = bench.wire
+    worker.send = bench.wire
     step(worker)
     assert bench.imager.outbox.waiting() == waiting - waiting // 2
 

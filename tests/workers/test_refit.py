@@ -28,7 +28,13 @@ from sunarc.runtime.status import StatusRegistry
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.sun import sun_angles, sun_directions
 from sunarc.workers.calibrating.refit import RefitWorker
-from sunarc.workers.calibrating.solver_process import SolveFailedError, SolveProblem, SolverDiedError, solve_in_child
+from sunarc.workers.calibrating.solver_process import (
+    ChildControl,
+    SolveFailedError,
+    SolveProblem,
+    SolverDiedError,
+    solve_in_child,
+)
 from sunarc.workers.messages import text_of
 
 NOW = datetime(2013, 5, 14, 6, 30, tzinfo=UTC)
@@ -87,7 +93,7 @@ def carry_out(worker: RefitWorker, archive: Archive, monkeypatch: pytest.MonkeyP
                 raise answer
             return answer
 
-        monkeypatch.setattr(worker, "_solve", solved)
+        monkeypatch.setattr(worker, "solve", solved)
         refit = archive.refits.add(Refit(id=name * 6, camera="roof", requested_at=NOW, reason="test"))
         worker.carry_out(refit, threading.Event(), lambda: None)
         return archive.refits.get(refit.id)
@@ -182,7 +188,7 @@ def test_a_solve_whose_process_was_killed_is_begun_once_more(
             raise SolverDiedError(Finding("solver_died", {"end": "signal 9"}))
         return good
 
-    monkeypatch.setattr(worker, "_solve", solved)
+    monkeypatch.setattr(worker, "solve", solved)
     refit = archive.refits.add(Refit(id="abcdef", camera="roof", requested_at=NOW, reason="test"))
     worker.carry_out(refit, threading.Event(), lambda: None)
     assert (archive.refits.get(refit.id).state, len(begun)) == (state, tries)
@@ -196,7 +202,7 @@ def solve_and_kill(stop: threading.Event) -> Calibration | None:
             child.terminate()
 
     problem = SolveProblem(points=sightings(every_s=1200.0), site=SGP, image_size=SIZE, options=CalibrationOptions())
-    return solve_in_child(problem, clock=SystemClock(), time_limit_s=60.0, stop=stop, heartbeat=kill)
+    return solve_in_child(problem, ChildControl(SystemClock(), 60.0, stop, kill))
 
 
 def test_a_child_that_was_killed_is_told_from_one_that_failed() -> None:
@@ -217,7 +223,7 @@ def test_a_child_that_dies_before_it_has_read_its_problem_is_one_that_was_killed
     points = sightings(every_s=4.0)  # more than a pipe takes
     problem = SolveProblem(points=points, site=SGP, image_size=SIZE, options=CalibrationOptions())
     with pytest.raises(SolverDiedError):
-        solve_in_child(problem, clock=SystemClock(), time_limit_s=60.0, stop=threading.Event(), heartbeat=lambda: None)
+        solve_in_child(problem, ChildControl(SystemClock(), 60.0, threading.Event(), lambda: None))
 
 
 def test_a_child_that_is_ended_a_moment_before_the_stop_leaves_the_refit_unfinished() -> None:
@@ -230,13 +236,7 @@ def test_a_child_that_is_ended_a_moment_before_the_stop_leaves_the_refit_unfinis
 
 def solve(*, time_limit_s: float = 120.0, stop: threading.Event | None = None) -> Calibration | None:
     problem = SolveProblem(points=sightings(every_s=1200.0), site=SGP, image_size=SIZE, options=CalibrationOptions())
-    return solve_in_child(
-        problem,
-        clock=SystemClock(),
-        time_limit_s=time_limit_s,
-        stop=stop or threading.Event(),
-        heartbeat=lambda: None,
-    )
+    return solve_in_child(problem, ChildControl(SystemClock(), time_limit_s, stop or threading.Event(), lambda: None))
 
 
 @pytest.mark.slow

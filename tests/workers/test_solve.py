@@ -20,7 +20,7 @@ from sunarc.calibration.model.sightings import Sightings
 from sunarc.runtime.child_process import answer_call
 from sunarc.runtime.clock import SystemClock
 from sunarc.sky.site import Site
-from sunarc.workers.calibrating.solver_process import SolveProblem, call_on, solve_in_child
+from sunarc.workers.calibrating.solver_process import ChildControl, SolveProblem, call_on, solve_in_child
 
 
 def refuse(increment: int) -> int:
@@ -71,5 +71,5 @@ def test_the_process_of_a_solve_computes_with_one_thread(monkeypatch: pytest.Mon
         if any(one.startswith(limits) for one in found):
             stop.set()
 
-    solve_in_child(problem, clock=SystemClock(), time_limit_s=60.0, stop=stop, heartbeat=look)
+    solve_in_child(problem, ChildControl(SystemClock(), 60.0, stop, look))
     assert found >= {f"{name}=1" for name in limits}

@@ -39,7 +39,7 @@ def worker_of(state: Path, clock: VirtualClock, board: StatusRegistry) -> DiskWo
 def compose(worker: DiskWorker, board: StatusRegistry) -> None:
     composer = ComposeWorker(
         DropOldestQueue(capacity=1),
-        store=worker._store,
+        store=worker.store,
         options=SensorOptions(),
         describe=lambda *_: {"time_utc": "2013-05-13T18:30:10Z"},
         board=board,
@@ -75,7 +75,7 @@ def test_an_unreadable_folder_is_a_condition_that_ends_with_its_cause(
     worker.check()
     compose(worker, board)
     assert codes(board) == set()
-    assert worker._store.newest(kind="hdr.png") is not None
+    assert worker.store.newest(kind="hdr.png") is not None
 
 
 def test_a_file_system_without_inodes_is_said_to_be_one(

@@ -217,7 +217,7 @@ def test_a_move_for_which_no_pose_is_found_is_one_event_and_one_epoch(
 ) -> None:
     monkeypatch.setattr(detect_change, "REMEMBERED", 12)
     moved = turned(TRUTH, (12.0, 8.0, -20.0))
-    monkeypatch.setattr(imager.watch._reposer, "improve", lambda: False)
+    monkeypatch.setattr(imager.watch.reposer, "improve", lambda: False)
     imager.see_many(TRUTH, range(-10, 0))
     imager.see_many(moved, range(30), verdict="elsewhere")
     (event,) = imager.events()

@@ -135,6 +135,7 @@ _LEAD_S = 2.0  # before a slot the camera is looked at, and until then the slot 
 _LEAD_SHARE = 0.2  # of short cadences
 
 
+@dataclass(kw_only=True, eq=False)
 class CaptureWorker:
     """Drives the camera, and reopens it whenever it is lost.
 
@@ -152,47 +153,36 @@ class CaptureWorker:
     on_frame : called with every frame as soon as it is there, in the thread of capture.
     """
 
-    def __init__(
-        self,
-        *,
-        open_camera: Callable[[], SkyCamera],
-        clock: Clock,
-        frame_time: FrameTime,
-        options: CaptureOptions,
-        name: str,
-        apparent_zenith: Callable[[], float],
-        sun_exposures: SunExposures,
-        cycles: DropOldestQueue[Sequence[Frame]],
-        sun_frames: DropOldestQueue[Frame],
-        board: StatusRegistry,
-        night: NightCapture | None = None,
-        on_frame: Callable[[Frame], None] = lambda _: None,
-    ) -> None:
-        self._open_camera = open_camera
-        self._on_frame = on_frame
-        self._night = night
-        self._clock = clock
-        self._frame_time = frame_time
-        self._options = options
-        self._apparent_zenith = apparent_zenith
-        self._sun_exposures = sun_exposures
-        self._cycles = cycles
-        self._sun_frames = sun_frames
-        self._report = CaptureReport(board, name=name)
-        self._night_gain = NightGain(board)
-        self._consistency = CycleConsistencyFilter(cadence_s=options.cadence_s)
+    open_camera: Callable[[], SkyCamera]
+    clock: Clock
+    frame_time: FrameTime
+    options: CaptureOptions
+    name: str
+    apparent_zenith: Callable[[], float]
+    sun_exposures: SunExposures
+    cycles: DropOldestQueue[Sequence[Frame]]
+    sun_frames: DropOldestQueue[Frame]
+    board: StatusRegistry
+    night: NightCapture | None = None
+    on_frame: Callable[[Frame], None] = lambda _: None
+
+    def __post_init__(self) -> None:
+        """Begin without a slot."""
+        self._report = CaptureReport(self.board, name=self.name)
+        self._night_gain = NightGain(self.board)
+        self._consistency = CycleConsistencyFilter(cadence_s=self.options.cadence_s)
         self._refused_us: frozenset[float] = frozenset()
         self._last_slot_at_s: float | None = None
         self._missed_before = 0
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Capture until stopped; a lost camera is opened again, ever less often."""
-        loop = Loop(self._clock, stop, heartbeat)
-        pauses, failures = Pauses(self._options.reopen_after_s, self._options.reopen_at_most_s), 0
+        loop = Loop(self.clock, stop, heartbeat)
+        pauses, failures = Pauses(self.options.reopen_after_s, self.options.reopen_at_most_s), 0
         for _ in loop.turns():
             failures += 1
             try:
-                with closing(self._open_camera()) as camera:
+                with closing(self.open_camera()) as camera:
                     self._require_exposures(camera)
                     self._night_gain.restore(camera)
                     self._report.opened(camera.info)
@@ -210,18 +200,18 @@ class CaptureWorker:
         """Serve slot after slot, and yield each that succeeded."""
         exposer = self._exposer(camera, deadline_s=math.inf)
         # The camera dates the frames: before its first one there is no time to find a slot by.
-        if not self._frame_time.is_known:
+        if not self.frame_time.is_known:
             self._sign_of_life(exposer, camera.info.exposure_min_us)
         for _ in loop.turns():
-            daylight = self._apparent_zenith() < _DAYLIGHT_ZENITH_DEG
-            every_s = self._options.cadence_s if daylight else self._options.night_cadence_s
-            real_every_s = every_s / self._frame_time.speed
+            daylight = self.apparent_zenith() < _DAYLIGHT_ZENITH_DEG
+            every_s = self.options.cadence_s if daylight else self.options.night_cadence_s
+            real_every_s = every_s / self.frame_time.speed
             slot = self._next_slot(every_s=every_s)
             lead_s = min(_LEAD_S, _LEAD_SHARE * real_every_s)
-            if loop.wait(self._frame_time.real_seconds_until(slot) - lead_s):
+            if loop.wait(self.frame_time.real_seconds_until(slot) - lead_s):
                 return
             self._follow_speed(camera.check())  # a change is noticed before the slot, and costs it nothing
-            remaining_s = self._frame_time.real_seconds_until(slot)
+            remaining_s = self.frame_time.real_seconds_until(slot)
             if not -real_every_s / 2.0 < remaining_s <= 2.0 * lead_s:
                 continue  # the clock was set meanwhile: another slot is the next one
             if loop.wait(remaining_s):
@@ -236,16 +226,16 @@ class CaptureWorker:
 
     def _next_slot(self, *, every_s: float) -> datetime:
         """Return the next slot that was not served."""
-        slot = self._frame_time.next_slot(every_s=every_s)
-        real_every_s = every_s / self._frame_time.speed
-        at_s = self._clock.monotonic() + self._frame_time.real_seconds_until(slot)
+        slot = self.frame_time.next_slot(every_s=every_s)
+        real_every_s = every_s / self.frame_time.speed
+        at_s = self.clock.monotonic() + self.frame_time.real_seconds_until(slot)
         if self._last_slot_at_s is not None and at_s - self._last_slot_at_s < real_every_s / 2.0:
             slot += timedelta(seconds=every_s)  # the clock was set back, or repeats a leap second
         return slot
 
     def _serve(self, *, real_every_s: float) -> None:
         """Note that a slot is served, and count those that passed since the last."""
-        now_s = self._clock.monotonic()
+        now_s = self.clock.monotonic()
         self._missed_before = 0
         if self._last_slot_at_s is not None:
             self._missed_before = max(round((now_s - self._last_slot_at_s) / real_every_s) - 1, 0)
@@ -254,24 +244,24 @@ class CaptureWorker:
 
     def _follow_speed(self, condition: CameraCondition) -> None:
         """Follow the speed of a simulated camera's clock."""
-        if condition.speed is not None and condition.speed != self._frame_time.speed:
-            self._frame_time.set_speed(condition.speed)
+        if condition.speed is not None and condition.speed != self.frame_time.speed:
+            self.frame_time.set_speed(condition.speed)
 
     def cycle(self, camera: SkyCamera, slot: datetime, *, within_s: float) -> None:
         """Take the exposures of one slot and hand them over, once the camera says that nothing of it has changed."""
-        began_at = self._clock.monotonic()
+        began_at = self.clock.monotonic()
         done_at: list[float] = []
         exposer = self._exposer(camera, deadline_s=began_at + within_s)
         normal = exposer.take_agreeing(
-            self._options.hdr_exposures_us,
-            taken=lambda: done_at.append(self._clock.monotonic()),
+            self.options.hdr_exposures_us,
+            taken=lambda: done_at.append(self.clock.monotonic()),
             inconsistency_of=self._consistency.contradiction,
         )
         good = [frame for frame in normal if frame is not None]
         if not good:
             raise CameraLostError(f"no exposure of a whole cycle succeeded; the last time: {self._report.failure}")
         overran = not exposer.has_time()
-        self._report.normal_frames(good, apparent_zenith=self._apparent_zenith())
+        self._report.normal_frames(good, apparent_zenith=self.apparent_zenith())
         taken = Cycle(normal=tuple(normal), sun=tuple(self._sun_frames_beside(good, exposer, camera)))
         self._report.condition(camera.check())
         for accepted in self._consistency.accepted_cycles(taken):
@@ -286,53 +276,53 @@ class CaptureWorker:
     def _hand_over(self, taken: Cycle) -> None:
         # A composite needs every normal exposure; the sun's frames are of use one by one.
         if taken.complete:
-            self._cycles.put(taken.good)
+            self.cycles.put(taken.good)
         for frame in taken.sun:
-            self._sun_frames.put(frame)
+            self.sun_frames.put(frame)
 
     def _sun_frames_beside(self, normal: Sequence[Frame], exposer: ExposureSequence, camera: SkyCamera) -> list[Frame]:
         """Take the sun exposures of a cycle, while there is time."""
-        if self._apparent_zenith() >= self._options.sun_zenith_deg:
+        if self.apparent_zenith() >= self.options.sun_zenith_deg:
             return []
-        selected = self._sun_exposures.choose(camera.info)
+        selected = self.sun_exposures.choose(camera.info)
         taken, self._refused_us = exposer.take_bracket(selected, normal[:1], refused_before_us=self._refused_us)
         self._report.sun_slot(
             observed=bool(taken),
             failed=not taken and exposer.has_time(),
             missed_before=self._missed_before,
-            dropped=self._sun_frames.dropped,
+            dropped=self.sun_frames.dropped,
         )
         return taken
 
     def _at_night(self, exposer: ExposureSequence, camera: SkyCamera) -> None:
         """Take the stars and the moon once it is dark, before that and without `night` a sign of life."""
-        if self._night is None or self._apparent_zenith() < DARK_ZENITH_DEG:
-            self._sign_of_life(exposer, max(self._options.hdr_exposures_us))
+        if self.night is None or self.apparent_zenith() < DARK_ZENITH_DEG:
+            self._sign_of_life(exposer, max(self.options.hdr_exposures_us))
             return
-        exposure_us, raised_db = self._night.exposures.next_us(camera.info.exposure_bounds)
+        exposure_us, raised_db = self.night.exposures.next_us(camera.info.exposure_bounds)
         frame = self._night_gain.take(camera, raised_db, lambda: exposer.take(exposure_us))
         self._report.sign_of_life(succeeded=frame is not None)
         if frame is not None:
-            if self._report.night_level(frame, apparent_zenith=self._apparent_zenith()):
-                self._sign_of_life(exposer, max(self._options.hdr_exposures_us))  # daylight, or stars in a bright sky
-            self._night.frames.put(frame)
-        if self._night.moon is not None:
-            wanted = self._night.moon.exposures.next_us(self._frame_time.now(), camera.info.exposure_bounds)
+            if self._report.night_level(frame, apparent_zenith=self.apparent_zenith()):
+                self._sign_of_life(exposer, max(self.options.hdr_exposures_us))  # daylight, or stars in a bright sky
+            self.night.frames.put(frame)
+        if self.night.moon is not None:
+            wanted = self.night.moon.exposures.next_us(self.frame_time.now(), camera.info.exposure_bounds)
             taken = tuple(one for us in wanted if (one := exposer.take(us)) is not None)
             if taken:
-                self._night.moon.frames.put(taken)
+                self.night.moon.frames.put(taken)
 
     def _sign_of_life(self, exposer: ExposureSequence, exposure_us: float) -> None:
         """Take an exposure that shows only that the camera answers, and its time."""
         frame = exposer.take(exposure_us)
         self._report.sign_of_life(succeeded=frame is not None)
         if frame is not None:
-            self._report.night_level(frame, apparent_zenith=self._apparent_zenith())
+            self._report.night_level(frame, apparent_zenith=self.apparent_zenith())
 
     def _exposer(self, camera: SkyCamera, *, deadline_s: float) -> ExposureSequence:
         return ExposureSequence(
             camera=camera,
-            has_time=lambda: self._clock.monotonic() < deadline_s,
+            has_time=lambda: self.clock.monotonic() < deadline_s,
             report=self._report,
             received=self._received,
         )
@@ -341,10 +331,10 @@ class CaptureWorker:
         """Return the real seconds from a slot to its first frame's beginning; None where the clock was set between."""
         began = first.time - timedelta(microseconds=first.exposure_us / 2.0)
         late_s = (began - slot).total_seconds()
-        return late_s / self._frame_time.speed if abs(late_s) < self._options.cadence_s else None
+        return late_s / self.frame_time.speed if abs(late_s) < self.options.cadence_s else None
 
     def _require_exposures(self, camera: SkyCamera) -> None:
-        beyond = camera.info.unreachable(self._options.hdr_exposures_us)
+        beyond = camera.info.unreachable(self.options.hdr_exposures_us)
         if beyond is not None:
             raise InputError(
                 field="capture.hdr_exposures_us", problem=beyond, remedy="set exposures that the camera can take"
@@ -353,9 +343,9 @@ class CaptureWorker:
     def _received(self, frame: Frame) -> None:
         """Take the time from a frame, whose exposure has just ended."""
         ended_at = frame.time + timedelta(microseconds=frame.exposure_us / 2.0)
-        self._frame_time.note(ended_at, host_offset_s=frame.host_offset_s)
+        self.frame_time.note(ended_at, host_offset_s=frame.host_offset_s)
         self._report.frame(frame)
-        self._on_frame(frame)
+        self.on_frame(frame)
 
 
 # The gain of the night: raised for one exposure, restored after it, and days blocked where that fails.
@@ -420,6 +410,7 @@ _POLL_S = 0.2
 _SUN_EXPOSURE_BELOW_US = 1000.0
 
 
+@dataclass(kw_only=True, eq=False)
 class ReplayWorker:
     """Puts the microsecond images of a folder into the queue, in order, and then waits to be stopped.
 
@@ -432,32 +423,22 @@ class ReplayWorker:
     board : where the replay's state is shown.
     """
 
-    def __init__(
-        self,
-        *,
-        open_camera: Callable[[], SkyCamera],
-        clock: Clock,
-        frame_time: FrameTime,
-        name: str,
-        sun_frames: DropOldestQueue[Frame],
-        board: StatusRegistry,
-    ) -> None:
-        self._open_camera = open_camera
-        self._clock = clock
-        self._frame_time = frame_time
-        self._name = name
-        self._sun_frames = sun_frames
-        self._board = board
+    open_camera: Callable[[], SkyCamera]
+    clock: Clock
+    frame_time: FrameTime
+    name: str
+    sun_frames: DropOldestQueue[Frame]
+    board: StatusRegistry
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Play the folder once; one that does not match the stored camera is refused with a condition."""
-        loop = Loop(self._clock, stop, heartbeat)
+        loop = Loop(self.clock, stop, heartbeat)
         try:
-            with closing(self._open_camera()) as camera:
-                self._board.note(camera=CameraStatus(name=self._name, connected=True, address=camera.info.address))
+            with closing(self.open_camera()) as camera:
+                self.board.note(camera=CameraStatus(name=self.name, connected=True, address=camera.info.address))
                 self._play(camera, loop)
         except (ConfigurationError, InputError) as error:
-            CaptureReport(self._board, name=self._name).refused(error)
+            CaptureReport(self.board, name=self.name).refused(error)
         loop.every(_POLL_S, lambda: None)
 
     def _play(self, camera: SkyCamera, loop: Loop) -> None:
@@ -467,12 +448,12 @@ class ReplayWorker:
             except CameraLostError as end:
                 _log.info("%s", end)
                 return
-            self._frame_time.note(frame.time)
-            self._board.note(last_frame_at=frame.time)
+            self.frame_time.note(frame.time)
+            self.board.note(last_frame_at=frame.time)
             if frame.exposure_us < _SUN_EXPOSURE_BELOW_US:
                 self._hand_on(frame, loop)
 
     def _hand_on(self, frame: Frame, loop: Loop) -> None:
-        while self._sun_frames.full and not loop.wait(_POLL_S):
+        while self.sun_frames.full and not loop.wait(_POLL_S):
             pass
-        self._sun_frames.put(frame)
+        self.sun_frames.put(frame)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 
 import numpy as np
 
@@ -23,6 +23,7 @@ LIT_ZENITH_DEG = 80.0
 _DARK_SLOTS = 10
 
 
+@dataclass(eq=False)
 class RepeatedCondition:
     """A condition of what has happened so often in a row.
 
@@ -34,17 +35,19 @@ class RepeatedCondition:
     severity : of the condition.
     """
 
-    def __init__(
-        self, board: StatusRegistry, code: str, *, key: str = "cycles", least: int = 1, severity: Severity = "degraded"
-    ) -> None:
-        self._board, self._code, self._key, self._least, self._severity = board, code, key, least, severity
-        self.n = 0
+    board: StatusRegistry
+    code: str
+    _: KW_ONLY
+    key: str = "cycles"
+    least: int = 1
+    severity: Severity = "degraded"
+    n: int = field(default=0, init=False)
 
     def note(self, happened: bool, **data: float | str) -> None:  # noqa: FBT001 - what it is about
         """Count that it happened, or begin anew; set or clear the condition."""
         self.n = self.n + 1 if happened else 0
-        reason = condition(self._code, severity=self._severity, **{self._key: self.n, **data})
-        self._board.set_condition(self._code, reason if self.n >= self._least else None)
+        reason = condition(self.code, severity=self.severity, **{self.key: self.n, **data})
+        self.board.set_condition(self.code, reason if self.n >= self.least else None)
 
 
 _log = logging.getLogger(__name__)
@@ -57,6 +60,7 @@ _REDUCED = "packets_too_large"
 _SUN_LASTING = 3
 
 
+@dataclass(eq=False)
 class CaptureReport:
     """Counts for one thread, and writes on the board.
 
@@ -66,17 +70,20 @@ class CaptureReport:
     name : the camera's.
     """
 
-    def __init__(self, board: StatusRegistry, *, name: str) -> None:
-        self._board = board
-        self._name = name
-        self._camera = CameraStatus(name=name, connected=False)
+    board: StatusRegistry
+    _: KW_ONLY
+    name: str
+
+    def __post_init__(self) -> None:
+        """Begin without a camera, with counts of 0."""
+        self._camera = CameraStatus(name=self.name, connected=False)
         self._counts = CaptureStatus()
-        self._missed_slots = MissedSlots(board)
-        self._dark = RepeatedCondition(board, "black_frames", key="slots", least=_DARK_SLOTS, severity="not_ready")
-        self._incomplete = RepeatedCondition(board, "exposures_failing")
-        self._overrun = RepeatedCondition(board, "cycle_too_long", least=_LASTING)
+        self._missed_slots = MissedSlots(self.board)
+        self._dark = RepeatedCondition(self.board, "black_frames", key="slots", least=_DARK_SLOTS, severity="not_ready")
+        self._incomplete = RepeatedCondition(self.board, "exposures_failing")
+        self._overrun = RepeatedCondition(self.board, "cycle_too_long", least=_LASTING)
         self._lit = 0  # exposures of the night in a row that show daylight
-        self._sun_failed = RepeatedCondition(board, "sun_exposures_failing", least=_SUN_LASTING)
+        self._sun_failed = RepeatedCondition(self.board, "sun_exposures_failing", least=_SUN_LASTING)
         self._failure = ""
 
     @property
@@ -90,7 +97,7 @@ class CaptureReport:
 
     def publish(self) -> None:
         """Write the counts on the board."""
-        self._board.note(capture=self._counts)
+        self.board.note(capture=self._counts)
 
     def failed(self, error: CameraError) -> None:
         """Count a failed attempt at an exposure."""
@@ -140,7 +147,7 @@ class CaptureReport:
     def frame(self, frame: Frame) -> None:
         """Record a frame."""
         self.add(frames=1)
-        self._board.note(last_frame_at=frame.time)
+        self.board.note(last_frame_at=frame.time)
 
     def night_level(self, frame: Frame, *, apparent_zenith: float) -> bool:
         """Record how bright an exposure of the night is, and return whether it is full; two of daylight are said."""
@@ -153,7 +160,7 @@ class CaptureReport:
             self._lit = 0
         below_deg = apparent_zenith - 90.0
         reason = condition(_DAYLIGHT, level=level, exposure_us=frame.exposure_us, below_deg=below_deg)
-        self._board.set_condition(_DAYLIGHT, reason if self._lit >= _LIT_FRAMES else None)
+        self.board.set_condition(_DAYLIGHT, reason if self._lit >= _LIT_FRAMES else None)
         return full
 
     def sign_of_life(self, *, succeeded: bool) -> None:
@@ -166,24 +173,24 @@ class CaptureReport:
         """Record that the camera answers."""
         _log.info("camera %s %s (%s) answers at %s", info.vendor, info.model, info.serial, info.address)
         self._set_lost(None)
-        self._board.set_condition("camera_refused", None)
+        self.board.set_condition("camera_refused", None)
         reduced = condition(_REDUCED, lost=info.packet_bytes_lost or 0, used=info.packet_bytes or 0)
-        self._board.set_condition(_REDUCED, None if info.packet_bytes_lost is None else reduced)
+        self.board.set_condition(_REDUCED, None if info.packet_bytes_lost is None else reduced)
         self._camera = CameraStatus(
-            name=self._name,
+            name=self.name,
             connected=True,
             address=info.address,
             model=f"{info.vendor} {info.model}".strip(),
             serial=info.serial,
             pixel_format=info.pixel_format,
         )
-        self._board.note(camera=self._camera)
+        self.board.note(camera=self._camera)
         self.add(openings=1)
         self.publish()
 
     def condition(self, condition: CameraCondition) -> None:
         """Publish the condition that the camera reports."""
-        self._board.note(camera=replace(self._camera, temperature_c=condition.temperature_c))
+        self.board.note(camera=replace(self._camera, temperature_c=condition.temperature_c))
 
     def lost(self, error: CameraError) -> None:
         """Record that the camera is lost."""
@@ -194,26 +201,26 @@ class CaptureReport:
             self._failure = str(error)
             self._incomplete.note(True, error=self._failure)
         self.publish()
-        self._camera = CameraStatus(name=self._name, connected=False)
-        self._board.note(camera=self._camera)
+        self._camera = CameraStatus(name=self.name, connected=False)
+        self.board.note(camera=self._camera)
         doubted = isinstance(error, ExposureMismatchError)
         self._set_lost("exposures_contradicted" if doubted else "camera_lost", str(error))
 
     def _set_lost(self, code: str | None, error: str = "") -> None:
         """Publish why there is no connection, one cause at a time; None: there is one."""
         for one in ("camera_lost", "exposures_contradicted"):
-            self._board.set_condition(one, condition(one, error=error) if one == code else None)
+            self.board.set_condition(one, condition(one, error=error) if one == code else None)
 
     def refused(self, error: ConfigurationError | InputError) -> None:
         """Record that the camera and the settings do not match; nothing is stored until they do."""
         text, remedy = str(error), "run: sunarc check --camera"
         if isinstance(error, InputError):
             text, remedy = f"{error.field}: {error.problem}", error.remedy
-        self._camera = CameraStatus(name=self._name, connected=False)
-        self._board.note(camera=self._camera)
+        self._camera = CameraStatus(name=self.name, connected=False)
+        self.board.note(camera=self._camera)
         self._set_lost(None)
         reason = condition("camera_refused", severity="not_ready", error=text, remedy=remedy)
-        self._board.set_condition("camera_refused", reason)
+        self.board.set_condition("camera_refused", reason)
 
 
 # Whether most slots get a cycle, or the host or the camera is too slow for the cadence.
@@ -267,6 +274,7 @@ _OVERDUE_SLOTS = 10
 """As many as of black frames: 5 min at the default cadence."""
 
 
+@dataclass(kw_only=True, eq=False)
 class OverdueSightings:
     """Sets the condition `no_sightings` after ten slots with the sun up in which none was stored, rejected or not.
 
@@ -281,33 +289,26 @@ class OverdueSightings:
     board : where the condition is set.
     """
 
-    def __init__(
-        self,
-        *,
-        stored: Callable[[], int],
-        apparent_zenith: Callable[[], float],
-        clock: Clock,
-        frame_time: FrameTime,
-        cadence_s: float,
-        board: StatusRegistry,
-    ) -> None:
-        self._stored = stored
-        self._apparent_zenith = apparent_zenith
-        self._clock = clock
-        self._frame_time = frame_time
-        self._cadence_s = cadence_s
-        self._board = board
+    stored: Callable[[], int]
+    apparent_zenith: Callable[[], float]
+    clock: Clock
+    frame_time: FrameTime
+    cadence_s: float
+    board: StatusRegistry
+
+    def __post_init__(self) -> None:
+        """Count from now on."""
         self._n_stored = 0
-        self._since_s = clock.monotonic()
+        self._since_s = self.clock.monotonic()
 
     def check(self) -> None:
         """Compare with the last check, and set or clear the condition."""
-        now_s, n_stored = self._clock.monotonic(), self._stored()
-        sun_is_up = self._frame_time.is_known and self._apparent_zenith() < LIT_ZENITH_DEG
+        now_s, n_stored = self.clock.monotonic(), self.stored()
+        sun_is_up = self.frame_time.is_known and self.apparent_zenith() < LIT_ZENITH_DEG
         if n_stored != self._n_stored or not sun_is_up:
             self._n_stored, self._since_s = n_stored, now_s
-            self._board.set_condition(NO_SIGHTINGS, None)
+            self.board.set_condition(NO_SIGHTINGS, None)
             return
-        slots = int((now_s - self._since_s) * self._frame_time.speed / self._cadence_s)
+        slots = int((now_s - self._since_s) * self.frame_time.speed / self.cadence_s)
         if slots >= _OVERDUE_SLOTS:
-            self._board.set_condition(NO_SIGHTINGS, condition(NO_SIGHTINGS, slots=slots))
+            self.board.set_condition(NO_SIGHTINGS, condition(NO_SIGHTINGS, slots=slots))

@@ -243,6 +243,7 @@ SHOW_STEP_S = 3600.0
 """How long a step stands in /readyz, s: an operator who looks once an hour sees it."""
 
 
+@dataclass(kw_only=True, eq=False)
 class ClockWatch:
     """Compares wall time with monotonic time, and keeps the kernel's word on its clock.
 
@@ -256,26 +257,19 @@ class ClockWatch:
     board : where the clock's state is shown.
     """
 
-    def __init__(
-        self,
-        *,
-        frame_time: FrameTime,
-        camera: CameraArchive,
-        options: ClockOptions,
-        camera_error_s: float | None,
-        finds_steps: bool,
-        board: StatusRegistry,
-    ) -> None:
-        self._clock = frame_time.clock
-        self._frame_time = frame_time
-        self._camera = camera
-        self._options = options
-        self._camera_error_s = camera_error_s
-        self._finds_steps = finds_steps
-        self._board = board
+    frame_time: FrameTime
+    camera: CameraArchive
+    options: ClockOptions
+    camera_error_s: float | None
+    finds_steps: bool
+    board: StatusRegistry
+
+    def __post_init__(self) -> None:
+        """Begin without a reading."""
+        self._clock = self.frame_time.clock
         self._lock = threading.Lock()
         self._last: ClockReading | None = None
-        self._undisturbed_since_s = frame_time.clock.monotonic()
+        self._undisturbed_since_s = self.frame_time.clock.monotonic()
         self._agreement = ClockAgreement()
         self._gradual = GradualSteps()
         self._untrusted = UntrustedTimes()
@@ -316,15 +310,15 @@ class ClockWatch:
 
     def cleaning_time(self) -> datetime | None:
         """Return the time that the age of images is counted from; None while the clock is not to be trusted with it."""
-        if not self._frame_time.is_known or not self.trusted():
+        if not self.frame_time.is_known or not self.trusted():
             return None
         undisturbed_s = self._clock.monotonic() - self._undisturbed_since_s
-        return self._frame_time.now() if undisturbed_s >= _CLEANING_WAIT_S or not self._finds_steps else None
+        return self.frame_time.now() if undisturbed_s >= _CLEANING_WAIT_S or not self.finds_steps else None
 
     def _bound_s(self) -> float:
-        if self._camera_error_s is not None:
+        if self.camera_error_s is not None:
             differing = (self._off_at_most_s(offset) for offset in self._camera_offsets_s())
-            return max(self._camera_error_s, abs(self._camera_off_s), *differing, 0.0)
+            return max(self.camera_error_s, abs(self._camera_off_s), *differing, 0.0)
         if self._agreement.wait_s(self._clock.monotonic()) > 0.0:
             return UNKNOWN_ERROR_S
         return self._kernel_bound_s()
@@ -333,25 +327,25 @@ class ClockWatch:
         state = self._clock.state()
         if state.synchronised:
             return max(state.error_bound_s, LEAST_ERROR_S)
-        return self._options.assumed_error_s or UNKNOWN_ERROR_S
+        return self.options.assumed_error_s or UNKNOWN_ERROR_S
 
     def _camera_offsets_s(self) -> tuple[float, ...]:
         """Return by how much the camera's time differs from the host's, 0 where the host's own error explains it.
 
         TAI less UTC is no host's error, whether its clock is synchronised, assumed to be right, or neither.
         """
-        if not self._finds_steps or self._camera_error_s is None:
+        if not self.finds_steps or self.camera_error_s is None:
             return ()
         host_s = 0.0 if self._clock.state().synchronised else self._kernel_bound_s()
         return tuple(
-            offset if abs(offset) > host_s or is_tai(offset) else 0.0 for offset in self._frame_time.host_offsets_s
+            offset if abs(offset) > host_s or is_tai(offset) else 0.0 for offset in self.frame_time.host_offsets_s
         )
 
     def _off_at_most_s(self, offset_s: float) -> float:
         """Return the bound of the camera's error by its difference from the host: the host's own is added."""
         if offset_s == 0.0:
             return 0.0
-        assumed_s = 0.0 if self._clock.state().synchronised else self._options.assumed_error_s or 0.0
+        assumed_s = 0.0 if self._clock.state().synchronised else self.options.assumed_error_s or 0.0
         return max(abs(offset_s) + assumed_s, TAI_MINUS_UTC_S if is_tai(offset_s) else 0.0)
 
     def _is_camera_far_off(self) -> bool:
@@ -359,7 +353,7 @@ class ClockWatch:
         return abs(smallest_s) > MAX_CLOCK_ERROR_S
 
     def _compare(self) -> None:
-        if not self._finds_steps or not self._frame_time.is_known:
+        if not self.finds_steps or not self.frame_time.is_known:
             return
         with self._lock:
             before, now = self._last, self._read()
@@ -381,18 +375,18 @@ class ClockWatch:
         """Compare a first reading with the record: its newest sighting, and a wait that has not ended."""
         day = timedelta(seconds=IMPLAUSIBLE_SETTLE_S)
         try:
-            newest = self._camera.archive.sightings.newest_time(
-                self._camera.name, largest_clock_error_s=MAX_CLOCK_ERROR_S
+            newest = self.camera.archive.sightings.newest_time(
+                self.camera.name, largest_clock_error_s=MAX_CLOCK_ERROR_S
             )
-            events = self._camera.archive.events.find(
-                self._camera.name, since=now.wall - day, until=now.wall + timedelta(seconds=1)
+            events = self.camera.archive.events.find(
+                self.camera.name, since=now.wall - day, until=now.wall + timedelta(seconds=1)
             )
         except OutsideError as error:
             _log.warning("could not compare the clock with the record: %s", error)
             return
         last = next((event for event in events if event.kind == "clock_step"), None)
         remaining_s = 0.0
-        if last is not None and self._camera_error_s is None:
+        if last is not None and self.camera_error_s is None:
             remaining_s = float(last.details.get("distrusted_s", 0.0)) - (now.wall - last.time).total_seconds()
         self._agreement.begin(now, newest_stored=newest, remaining_s=remaining_s)
         self._is_compared_with_record = True
@@ -406,7 +400,7 @@ class ClockWatch:
         self._undisturbed_since_s = now.monotonic_s
         self._last_step = step
         wait_s = 0.0
-        if self._camera_error_s is not None:
+        if self.camera_error_s is not None:
             self._camera_off_s = self._camera_off(step.step_s)
         elif step.gradual or abs(step.step_s) >= LARGE_STEP_S:
             wait_s = self._agreement.stepped(now)
@@ -417,20 +411,20 @@ class ClockWatch:
 
     @property
     def _least_step_s(self) -> float:
-        return self._options.step_s + (0.0 if self._camera_error_s is None else _TRANSPORT_S)
+        return self.options.step_s + (0.0 if self.camera_error_s is None else _TRANSPORT_S)
 
     def _read(self) -> ClockReading:
         # The two clocks cannot be read at once: the wall's lies between two readings of the other, half of whose
         # distance bounds the error of the pair.
         before_s = self._clock.monotonic()
-        wall = self._frame_time.now()
+        wall = self.frame_time.now()
         after_s = self._clock.monotonic()
         return ClockReading(wall=wall, monotonic_s=(before_s + after_s) / 2.0, within_s=after_s - before_s)
 
     def _camera_off(self, step_s: float) -> float:
         """Return how far the camera's clock may be off: nothing when it stepped back, or agrees with a good host."""
         off_s = self._camera_off_s + step_s
-        difference_s = abs((self._frame_time.now() - self._clock.now()).total_seconds())
+        difference_s = abs((self.frame_time.now() - self._clock.now()).total_seconds())
         agrees = self._kernel_bound_s() <= MAX_CLOCK_ERROR_S and difference_s < _TRANSPORT_S
         return 0.0 if agrees or abs(off_s) <= self._least_step_s else off_s
 
@@ -440,8 +434,8 @@ class ClockWatch:
             step, wait_s = self._unwritten[0]
             try:
                 for since, until in step.doubted:
-                    self._camera.archive.sightings.widen_clock_errors(
-                        self._camera.name, since=since, until=until, error_s=abs(step.step_s)
+                    self.camera.archive.sightings.widen_clock_errors(
+                        self.camera.name, since=since, until=until, error_s=abs(step.step_s)
                     )
                 self._store(step, wait_s)
             except OutsideError as error:
@@ -451,7 +445,7 @@ class ClockWatch:
             self._unwritten.popleft()
 
     def _store(self, step: ClockStep, wait_s: float) -> None:
-        self._camera.add_event(
+        self.camera.add_event(
             stepped("clock_step", self._whose, step),
             MESSAGES,
             time=step.at,
@@ -467,12 +461,12 @@ class ClockWatch:
 
     @property
     def _whose(self) -> str:
-        return "host" if self._camera_error_s is None else "camera"
+        return "host" if self.camera_error_s is None else "camera"
 
     def _publish(self) -> None:
         state = self._clock.state()
         last = self._last_step
-        self._board.note(
+        self.board.note(
             clock=ClockStatus(
                 synchronised=state.synchronised,
                 max_error_s=state.error_bound_s,
@@ -490,7 +484,7 @@ class ClockWatch:
         offset_s = min(self._camera_offsets_s(), key=abs, default=0.0)
         is_off = abs(offset_s) > _CAMERA_OFFSET_S
         without = bool(self._camera_off_s) or (
-            self._camera_error_s is None and self._kernel_bound_s() >= UNKNOWN_ERROR_S
+            self.camera_error_s is None and self._kernel_bound_s() >= UNKNOWN_ERROR_S
         )
         offset = camera_offset(offset_s, limit_s=_CAMERA_OFFSET_S) if is_off else None
         self._put("clock_settling", Finding("clock_settling", {"wait_s": wait_s}) if wait_s > 0.0 else None, log=True)
@@ -504,13 +498,13 @@ class ClockWatch:
     def _write_offset(self, offset: Finding) -> None:
         """Write an event when the camera's time is found not to be the host's."""
         try:
-            self._camera.add_event(offset, MESSAGES, time=self._frame_time.now(), severity="alarm")
+            self.camera.add_event(offset, MESSAGES, time=self.frame_time.now(), severity="alarm")
         except OutsideError as error:
             _log.warning("could not store an event: %s", error)
 
     def _put(self, code: str, finding: Finding | None, *, log: bool = False) -> None:
         """Set or clear a condition; without `log` where an event says the same."""
-        self._board.set_condition(code, None if finding is None else Reason.of(finding, MESSAGES), log=log)
+        self.board.set_condition(code, None if finding is None else Reason.of(finding, MESSAGES), log=log)
 
 
 # Conditions of the clock that dates the frames.

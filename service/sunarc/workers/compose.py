@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass
 from datetime import datetime
 from typing import Any
 
@@ -30,6 +31,7 @@ from sunarc.workers.sun_prediction import SunPredictor
 _CODE = "images_not_written"
 
 
+@dataclass(eq=False)
 class ComposeWorker:
     """Merges the exposures of each cycle and writes the composite and its preview.
 
@@ -42,36 +44,28 @@ class ComposeWorker:
     board : where a disk that refuses is reported.
     """
 
-    def __init__(
-        self,
-        cycles: DropOldestQueue[Sequence[Frame]],
-        *,
-        store: ImageStore,
-        options: SensorOptions,
-        describe: Callable[[Sequence[Frame], HdrImage], Mapping[str, Any]],
-        board: StatusRegistry,
-    ) -> None:
-        self._cycles = cycles
-        self._store = store
-        self._options = options
-        self._describe = describe
-        self._board = board
+    cycles: DropOldestQueue[Sequence[Frame]]
+    _: KW_ONLY
+    store: ImageStore
+    options: SensorOptions
+    describe: Callable[[Sequence[Frame], HdrImage], Mapping[str, Any]]
+    board: StatusRegistry
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Work until stopped, and then until nothing waits."""
-        for frames in entries(self._cycles, stop, heartbeat):
+        for frames in entries(self.cycles, stop, heartbeat):
             if frames is not None:
                 self.compose(frames)
 
     def compose(self, frames: Sequence[Frame]) -> None:
         """Merge the exposures of one cycle and write both files; a disk that refuses costs this composite alone."""
-        sensor = sensor_of(frames[0], self._options)
+        sensor = sensor_of(frames[0], self.options)
         composite = merge_hdr(
             [frame.image for frame in frames],
             [frame.exposure_us for frame in frames],
             sensor=sensor,
         )
-        document = self._describe(frames, composite)
+        document = self.describe(frames, composite)
         png = png_with(
             encode(composite.image, ".png"),
             document,
@@ -81,12 +75,12 @@ class ComposeWorker:
         jpeg = jpeg_with(encode(preview(composite.image, bayer=sensor.bayer), ".jpg"), {**document, "preview": True})
         captured_at = frames[0].time
         try:
-            self._store.write(captured_at, png, kind="hdr.png")
-            self._store.write(captured_at, jpeg, kind="hdr.jpg")
+            self.store.write(captured_at, png, kind="hdr.png")
+            self.store.write(captured_at, jpeg, kind="hdr.jpg")
         except OutsideError as error:
-            self._board.set_condition(_CODE, condition(_CODE, error=str(error)))
+            self.board.set_condition(_CODE, condition(_CODE, error=str(error)))
         else:
-            self._board.set_condition(_CODE, None)
+            self.board.set_condition(_CODE, None)
 
 
 def encode(image: Image, suffix: str) -> bytes:

@@ -7,7 +7,7 @@ import logging
 import threading
 from collections import OrderedDict, deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from datetime import datetime, timedelta
 from typing import NamedTuple
 
@@ -70,6 +70,7 @@ class _Disc:
         return bool(np.array_equal(here[lit], self.image[lit]))
 
 
+@dataclass(eq=False)
 class FrozenFrames:
     """Rejects sightings in images that were delivered before, and reports a camera that repeats its images.
 
@@ -79,9 +80,12 @@ class FrozenFrames:
     board : where a camera that repeats its images is shown.
     """
 
-    def __init__(self, camera: CameraArchive, *, board: StatusRegistry) -> None:
-        self._camera = camera
-        self._board = board
+    camera: CameraArchive
+    _: KW_ONLY
+    board: StatusRegistry
+
+    def __post_init__(self) -> None:
+        """Begin without images."""
         self._lock = threading.Lock()
         self._images: OrderedDict[bytes, datetime] = OrderedDict()
         self._positions: deque[tuple[datetime, float, float]] | None = None
@@ -130,7 +134,7 @@ class FrozenFrames:
         x_px, y_px = detection.x_px, detection.y_px
         for earlier, x, y in self._positions:
             if abs(x - x_px) < _SAME_PX and abs(y - y_px) < _SAME_PX:
-                before, now = sun_directions(np.array([earlier.timestamp(), time.timestamp()]), self._camera.site)
+                before, now = sun_directions(np.array([earlier.timestamp(), time.timestamp()]), self.camera.site)
                 if float(angular_distance(before, now)) > _SUN_MOVED_RAD:
                     return earlier
         self._positions.append((time, x_px, y_px))
@@ -153,8 +157,8 @@ class FrozenFrames:
     def _stored(self, time: datetime) -> deque[tuple[datetime, float, float]]:
         """Return when and where the sun was seen before this process began."""
         try:
-            points = self._camera.archive.sightings.find(
-                self._camera.name, until=time, newest_first=True, limit=_MAX_POSITIONS
+            points = self.camera.archive.sightings.find(
+                self.camera.name, until=time, newest_first=True, limit=_MAX_POSITIONS
             )
         except OutsideError as error:
             _log.warning("could not read earlier sightings: %s", error)
@@ -168,17 +172,17 @@ class FrozenFrames:
         if self._in_a_row < _LASTING:
             return
         finding = Finding(_FROZEN_CODE, {"n": self._in_a_row, "time": earlier.isoformat(timespec="seconds")})
-        self._board.set_condition(_FROZEN_CODE, Reason.of(finding, MESSAGES), log=False)
+        self.board.set_condition(_FROZEN_CODE, Reason.of(finding, MESSAGES), log=False)
         if self._in_a_row == _LASTING:
             self._store(finding, time)
 
     def _clear(self) -> None:
         self._in_a_row = 0
-        self._board.set_condition(_FROZEN_CODE, None)
+        self.board.set_condition(_FROZEN_CODE, None)
 
     def _store(self, finding: Finding, time: datetime) -> None:
         try:
-            self._camera.add_event(finding, MESSAGES, time=time, severity="alarm")
+            self.camera.add_event(finding, MESSAGES, time=time, severity="alarm")
         except OutsideError as error:
             _log.warning("could not store an event: %s", error)
 
@@ -203,6 +207,7 @@ _QUICK_STORES = 10
 """So many in a row end the condition: a device stalls now and then, not every time."""
 
 
+@dataclass(eq=False)
 class SightingWriteBuffer:
     """Stores sightings in the order they come, and those that could not be stored when it is possible again.
 
@@ -213,20 +218,17 @@ class SightingWriteBuffer:
     capacity : how many may wait; then the oldest is dropped.
     """
 
-    def __init__(
-        self,
-        archive: Archive,
-        *,
-        board: StatusRegistry,
-        capacity: int = _CAPACITY,
-    ) -> None:
+    archive: Archive
+    _: KW_ONLY
+    board: StatusRegistry
+    capacity: int = _CAPACITY
+
+    def __post_init__(self) -> None:
+        """Begin with nothing that waits."""
         self._monotonic = SystemClock().monotonic
         self._slowest_s = 0.0
         self._quick = 0
-        self._archive = archive
-        self._board = board
         self._waiting: deque[SunPoint] = deque()
-        self._capacity = capacity
         self._lost = 0
         self._stored = 0
 
@@ -248,7 +250,7 @@ class SightingWriteBuffer:
         point : the sighting.
         store : False leaves it to the next call of `keep` or `store`, so that several share a commit.
         """
-        if len(self._waiting) >= self._capacity:
+        if len(self._waiting) >= self.capacity:
             self._waiting.popleft()
             self._lost += 1
         self._waiting.append(point)
@@ -261,17 +263,17 @@ class SightingWriteBuffer:
         try:
             while self._waiting:
                 some = [self._waiting[number] for number in range(min(len(self._waiting), _AT_A_TIME))]
-                self._archive.sightings.add(some, first_epoch="first frame")
+                self.archive.sightings.add(some, first_epoch="first frame")
                 # Removed after the commit: a row that is stored twice is ignored, one that is dropped early is lost.
                 for _ in some:
                     self._waiting.popleft()
                 self._stored += len(some)
         except OutsideError as error:
             reason = condition(_NOT_STORED, waiting=len(self._waiting), lost=self._lost, error=str(error))
-            self._board.set_condition(_NOT_STORED, reason)
+            self.board.set_condition(_NOT_STORED, reason)
         else:
             self._lost = 0
-            self._board.set_condition(_NOT_STORED, None)
+            self.board.set_condition(_NOT_STORED, None)
             self._note_duration(self._monotonic() - began_s)
 
     def give_up(self) -> None:
@@ -284,10 +286,10 @@ class SightingWriteBuffer:
         self._quick = self._quick + 1 if seconds < _SLOW_S else 0
         if self._quick == 0:
             self._slowest_s = max(self._slowest_s, seconds)
-            self._board.set_condition(_SLOW, condition(_SLOW, seconds=self._slowest_s))
+            self.board.set_condition(_SLOW, condition(_SLOW, seconds=self._slowest_s))
         elif self._quick >= _QUICK_STORES:
             self._slowest_s = 0.0
-            self._board.set_condition(_SLOW, None)
+            self.board.set_condition(_SLOW, None)
 
 
 _PERHAPS_ELSEWHERE = frozenset({"hidden", "reflection", "obstructed"})
@@ -301,6 +303,7 @@ class _FrameResult(NamedTuple):
     expectation: Expectation | None
 
 
+@dataclass(eq=False)
 class DetectWorker:
     """Detects the sun in each frame of the queue, and stores the sighting, accepted or not.
 
@@ -317,69 +320,59 @@ class DetectWorker:
     cadence_s : seconds from cycle to cycle; frames nearer than half of it are one bracket.
     """
 
-    def __init__(
-        self,
-        frames: DropOldestQueue[Frame],
-        *,
-        keeper: SightingWriteBuffer,
-        camera: str,
-        predictor: SunPredictor,
-        options: SensorOptions,
-        disc: DiscOptions,
-        clock_error_s: Callable[[datetime], float],
-        report: Callable[[Frame, Detection], None],
-        board: StatusRegistry,
-        frozen: FrozenFrames,
-        cadence_s: float,
-    ) -> None:
-        self._frames = frames
-        self._keeper = keeper
-        self._camera = camera
-        self._predictor = predictor
-        self._options = options
-        self._disc = disc
-        self._clock_error_s = clock_error_s
-        self._report = report
-        self._board = board
-        self._frozen = frozen
-        self._bracket_of = timedelta(seconds=0.5 * cadence_s)
+    frames: DropOldestQueue[Frame]
+    _: KW_ONLY
+    keeper: SightingWriteBuffer
+    camera: str
+    predictor: SunPredictor
+    options: SensorOptions
+    disc: DiscOptions
+    clock_error_s: Callable[[datetime], float]
+    report: Callable[[Frame, Detection], None]
+    board: StatusRegistry
+    frozen: FrozenFrames
+    cadence_s: float
+
+    def __post_init__(self) -> None:
+        """Begin without a bracket."""
+        self._bracket_of = timedelta(seconds=0.5 * self.cadence_s)
         self._bracket: list[_FrameResult] = []
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Work until stopped, and then until nothing waits."""
-        for frame in entries(self._frames, stop, heartbeat):
+        for frame in entries(self.frames, stop, heartbeat):
             if frame is not None:
                 self.process(frame)
-            elif self._keeper.waiting:
-                self._keeper.store()
-        self._keeper.give_up()
+            elif self.keeper.waiting:
+                self.keeper.store()
+        self.keeper.give_up()
 
     def process(self, frame: Frame) -> Detection:
         """Detect, store and report one frame."""
-        expectation = self._predictor.expectation(frame.time)
+        expectation = self.predictor.expectation(frame.time)
         detection = detect_sun(
             frame.image,
-            sensor=sensor_of(frame, self._options),
+            sensor=sensor_of(frame, self.options),
             expectation=expectation,
             options=self._with_brightness(frame.time),
             exposure_us=frame.exposure_us,
         )
         detection = self._beside_bracket(frame, detection, expectation)
         detection = self._or_elsewhere(frame, detection, expectation)
-        detection = self._frozen.checked(frame, detection)
+        detection = self.frozen.checked(frame, detection)
         point = sun_point_of(
             detection,
-            camera=self._camera,
+            camera=self.camera,
             pose_epoch="",
             time=frame.time,
             exposure_us=frame.exposure_us,
-            clock_error_s=self._clock_error_s(frame.time),
+            clock_error_s=self.clock_error_s(frame.time),
         )
         # While frames wait, their sightings share a commit: on a device that stalls one each would fill the queue.
-        self._keeper.keep(point, store=len(self._frames) == 0)
-        self._report(frame, detection)
+        self.keeper.keep(point, store=len(self.frames) == 0)
+        self.report(frame, detection)
         if detection.accepted:
-            self._board.note(last_sighting_at=frame.time)
+            self.board.note(last_sighting_at=frame.time)
         return detection
 
     def _beside_bracket(self, frame: Frame, detection: Detection, expectation: Expectation | None) -> Detection:
@@ -397,7 +390,7 @@ class DetectWorker:
         """Return what was found, or a clean disc anywhere in a frame that has none where it is due."""
         if found.accepted or expectation is None or found.verdict not in _PERHAPS_ELSEWHERE:
             return found
-        sensor, options = sensor_of(frame, self._options), self._with_brightness(frame.time)
+        sensor, options = sensor_of(frame, self.options), self._with_brightness(frame.time)
         anywhere = detect_sun(frame.image, sensor=sensor, options=options, exposure_us=frame.exposure_us)
         if not anywhere.accepted:
             return found
@@ -406,9 +399,9 @@ class DetectWorker:
 
     def _with_brightness(self, time: datetime) -> DiscOptions:
         """Return the detector's settings with the clear sun's level as it was learned, unless it was set."""
-        if self._disc.clear_level_per_us:
-            return self._disc
-        return replace(self._disc, clear_level_per_us=self._predictor.clear_level_per_us(time))
+        if self.disc.clear_level_per_us:
+            return self.disc
+        return replace(self.disc, clear_level_per_us=self.predictor.clear_level_per_us(time))
 
 
 def _shift(before: Expectation | None, now: Expectation | None) -> tuple[float, float] | None:

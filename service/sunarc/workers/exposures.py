@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -166,6 +166,7 @@ SPOILED_AFTER = 20
 """Cycles in which even the shortest exposure was burnt beyond use, after which it is reported: 10 minutes."""
 
 
+@dataclass(eq=False)
 class SunExposures:
     """Passes detections to the exposure control and its exposures to capture.
 
@@ -177,18 +178,14 @@ class SunExposures:
     board : where a sun too bright for the camera is shown.
     """
 
-    def __init__(
-        self,
-        options: exposure.SunExposureOptions,
-        *,
-        apparent_zenith: Callable[[], float] = lambda: 0.0,
-        clear_level_per_us: Callable[[], float] = lambda: 0.0,
-        board: StatusRegistry | None = None,
-    ) -> None:
-        self._options = options
-        self._apparent_zenith = apparent_zenith
-        self._clear_level_per_us = clear_level_per_us
-        self._board = board
+    options: exposure.SunExposureOptions
+    _: KW_ONLY
+    apparent_zenith: Callable[[], float] = lambda: 0.0
+    clear_level_per_us: Callable[[], float] = lambda: 0.0
+    board: StatusRegistry | None = None
+
+    def __post_init__(self) -> None:
+        """Begin without a detection."""
         self._lock = threading.Lock()
         self._state: exposure.SunExposureState | None = None
         self._shortest_us = 0.0
@@ -202,17 +199,15 @@ class SunExposures:
         A cycle whose frames have not been looked at yet changes nothing.
         """
         bounds = info.exposure_bounds
-        zenith, clear_level = self._apparent_zenith(), self._clear_level_per_us()
+        zenith, clear_level = self.apparent_zenith(), self.clear_level_per_us()
         with self._lock:
             observation = exposure.SunLook(
                 peaks=tuple(self._peaks), apparent_zenith=zenith, clear_level_per_us=clear_level, spoiled=self._spoiled
             )
             if self._state is None:
-                self._state = exposure.first_sun_exposures(self._options, bounds)
+                self._state = exposure.first_sun_exposures(self.options, bounds)
             elif self._reported:
-                self._state = exposure.next_sun_exposures(
-                    self._state, observation, options=self._options, bounds=bounds
-                )
+                self._state = exposure.next_sun_exposures(self._state, observation, options=self.options, bounds=bounds)
                 self._publish(self._state, bounds)
             self._shortest_us = bounds.minimum_us + bounds.step_us
             self._peaks, self._spoiled, self._reported = [], False, 0
@@ -232,12 +227,12 @@ class SunExposures:
             self._spoiled |= burnt and frame.exposure_us <= self._shortest_us
 
     def _publish(self, state: exposure.SunExposureState, bounds: exposure.ExposureBounds) -> None:
-        if self._board is None:
+        if self.board is None:
             return
         if state.cycles_spoiled >= SPOILED_AFTER:
-            self._board.set_condition(_CODE, condition(_CODE, exposure_us=bounds.minimum_us))
+            self.board.set_condition(_CODE, condition(_CODE, exposure_us=bounds.minimum_us))
         elif state.cycles_spoiled == 0:
-            self._board.set_condition(_CODE, None)
+            self.board.set_condition(_CODE, None)
 
 
 def _is_burnt(frame: Frame) -> bool:

@@ -12,7 +12,7 @@ import threading
 import urllib.parse
 import urllib.request
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from http import HTTPStatus
 from pathlib import Path
@@ -162,6 +162,7 @@ SILENT_S = 900.0
 _UNREACHABLE, _REFUSED = "hub_unreachable", "hub_refuses"
 
 
+@dataclass(kw_only=True, eq=False)
 class FeedWorker:
     """Sends what the outbox holds, and forgets it when the hub has it.
 
@@ -174,19 +175,19 @@ class FeedWorker:
     every_s : seconds between two looks at the outbox.
     """
 
-    def __init__(
-        self, *, camera: CameraArchive, send: Send, clock: Clock, board: StatusRegistry, every_s: float = 5.0
-    ) -> None:
-        self._camera = camera
-        self._archive = camera.archive
-        self._send = send
-        self._clock = clock
-        self._board = board
+    camera: CameraArchive
+    send: Send
+    clock: Clock
+    board: StatusRegistry
+    every_s: float = 5.0
+
+    def __post_init__(self) -> None:
+        """Begin with as many rows as are ever sent at once."""
         self._most_rows = _MOST_ROWS
         self._attempts = Attempts(
-            clock,
-            Pauses(every_s, LONGEST_WAIT_S),
-            board=board,
+            self.clock,
+            Pauses(self.every_s, LONGEST_WAIT_S),
+            board=self.board,
             code=_UNREACHABLE,
             reason=lambda error, hours: condition(_UNREACHABLE, hours=round(hours, 1), error=error),
             after_s=SILENT_S,
@@ -196,7 +197,7 @@ class FeedWorker:
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Send until stopped."""
-        Loop(self._clock, stop, heartbeat).repeat(partial(self.step, heartbeat))
+        Loop(self.clock, stop, heartbeat).repeat(partial(self.step, heartbeat))
 
     def step(self, heartbeat: Callable[[], None]) -> float:
         """Send once, and return the seconds until the next time."""
@@ -204,29 +205,29 @@ class FeedWorker:
             return self._attempts.attempt(partial(self._send_some, heartbeat))
         except HubRefusal as refusal:  # the hub answers, and an operator has to do something; it is tried all the same
             self._attempts.answered()
-            self._board.set_condition(_REFUSED, condition(_REFUSED, status=refusal.status, error=str(refusal)))
+            self.board.set_condition(_REFUSED, condition(_REFUSED, status=refusal.status, error=str(refusal)))
             return self._attempts.failed(str(refusal))
 
     def _send_some(self, heartbeat: Callable[[], None]) -> float | None:
         more = self._send_next(heartbeat)
-        self._board.set_condition(_REFUSED, None)
+        self.board.set_condition(_REFUSED, None)
         return 0.0 if more else None
 
     def _send_next(self, heartbeat: Callable[[], None]) -> bool:
         """Send the next rows, if there are any, and return whether there may be more."""
         if not self._enabled:
-            if self._archive.outbox.enable():
+            if self.camera.archive.outbox.enable():
                 _log.info("all rows of the archive are queued for the hub")
             self._enabled = True
-        if self._clock.monotonic() - self._status_s >= _STATUS_EVERY_S:
-            self._archive.outbox.queue_status(self._status())
-            self._status_s = self._clock.monotonic()
-        position = self._archive.outbox.position()
-        rows = self._archive.outbox.rows(most=self._most_rows, most_bytes=_MOST_BYTES)
+        if self.clock.monotonic() - self._status_s >= _STATUS_EVERY_S:
+            self.camera.archive.outbox.queue_status(self._status())
+            self._status_s = self.clock.monotonic()
+        position = self.camera.archive.outbox.position()
+        rows = self.camera.archive.outbox.rows(most=self._most_rows, most_bytes=_MOST_BYTES)
         if not rows:
             return False
         # Before they are sent: a database that is put back to before this knows less than the hub, and finds it out.
-        self._archive.outbox.mark_sent(rows[-1].seq)
+        self.camera.archive.outbox.mark_sent(rows[-1].seq)
         self._follow(position, rows, self._sent(position, rows, heartbeat))
         return True
 
@@ -235,9 +236,9 @@ class FeedWorker:
 
         One that is too large for the hub goes as its number alone, and the hub sets that apart.
         """
-        begun_s = self._clock.monotonic()
+        begun_s = self.clock.monotonic()
         try:
-            committed = self._send(position, rows, heartbeat)
+            committed = self.send(position, rows, heartbeat)
         except HubUnfinishedError:
             self._most_rows = max(len(rows) // 2, 1)
             raise
@@ -247,8 +248,8 @@ class FeedWorker:
             if len(rows) > 1:
                 self._most_rows = max(len(rows) // 2, 1)
                 return self._sent(position, rows[: self._most_rows], heartbeat)
-            committed = self._send(position, [replace(rows[0], data=None)], heartbeat)
-        if self._clock.monotonic() - begun_s <= _QUICK_S:
+            committed = self.send(position, [replace(rows[0], data=None)], heartbeat)
+        if self.clock.monotonic() - begun_s <= _QUICK_S:
             self._most_rows = min(2 * self._most_rows, _MOST_ROWS)
         return committed
 
@@ -258,19 +259,19 @@ class FeedWorker:
             _log.warning(
                 "the hub has rows up to %d, and had them up to %d: all go again", committed, position.committed
             )
-            self._archive.outbox.send_again(committed=committed)
+            self.camera.archive.outbox.send_again(committed=committed)
         elif committed > max(rows[-1].seq, position.sent):
-            former, new = position.installation, self._archive.outbox.begin_installation()
+            former, new = position.installation, self.camera.archive.outbox.begin_installation()
             _log.warning("the hub has later rows of installation %s than were sent: going on as %s", former, new)
         elif committed == position.committed:
             raise OutsideError(f"the hub took nothing of {len(rows)} rows")
         else:
-            self._archive.outbox.acknowledge(committed)
+            self.camera.archive.outbox.acknowledge(committed)
 
     def _status(self) -> Mapping[str, Any]:
         """Return what the fleet page shows of this imager."""
-        board = self._board.snapshot()
-        days = self._camera.archive.days.find(self._camera.name, limit=1)
+        board = self.board.snapshot()
+        days = self.camera.archive.days.find(self.camera.name, limit=1)
         offset = days[0].pose_offset_deg if days else None
         return {
             "version": board.version,

@@ -7,7 +7,7 @@ import ssl
 import urllib.parse
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 
 import h11
 
@@ -40,6 +40,7 @@ class UnfinishedError(Exception):
     """An exchange began, and did not end: it was cut off, or took longer than it may."""
 
 
+@dataclass(eq=False)
 class Limit:
     """The time that an exchange may take, and the heartbeat meanwhile.
 
@@ -50,18 +51,21 @@ class Limit:
     heartbeat : called about every second while something is waited for.
     """
 
-    def __init__(self, within_s: float, *, monotonic: Callable[[], float], heartbeat: Callable[[], None]) -> None:
-        self._within_s = within_s
-        self._monotonic = monotonic
-        self._heartbeat = heartbeat
-        self._until_s = monotonic() + within_s
+    within_s: float
+    _: KW_ONLY
+    monotonic: Callable[[], float]
+    heartbeat: Callable[[], None]
+
+    def __post_init__(self) -> None:
+        """Count from now on."""
+        self._until_s = self.monotonic() + self.within_s
 
     def left_s(self) -> float:
         """Beat, and return the seconds that are left; TimeoutError where there are none."""
-        self._heartbeat()
-        left_s = self._until_s - self._monotonic()
+        self.heartbeat()
+        left_s = self._until_s - self.monotonic()
         if left_s <= 0.0:
-            raise TimeoutError(f"not finished within {self._within_s:g} s")
+            raise TimeoutError(f"not finished within {self.within_s:g} s")
         return left_s
 
     def read(self, channel: socket.socket) -> bytes:

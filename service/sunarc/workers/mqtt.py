@@ -9,6 +9,7 @@ import ssl
 import urllib.parse
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import KW_ONLY, dataclass
 from typing import TYPE_CHECKING, Any
 
 from sunarc.archive.fleet.notices import CameraState, Notice
@@ -37,6 +38,7 @@ _KEEP_ALIVE_S = 30
 _ONLINE, _OFFLINE = "online", "offline"
 
 
+@dataclass(eq=False)
 class MqttBroker:
     """A broker that gets notices, at least once each, and keeps every camera's state.
 
@@ -53,17 +55,21 @@ class MqttBroker:
 
     name = "mqtt"
 
-    def __init__(
-        self, options: PushOptions, *, states: Callable[[], Mapping[str, CameraState]], clock: Clock, client: str
-    ) -> None:
+    options: PushOptions
+    _: KW_ONLY
+    states: Callable[[], Mapping[str, CameraState]]
+    clock: Clock
+    client: str
+
+    def __post_init__(self) -> None:
+        """Read the address; nothing is connected yet."""
         self._mqtt: Any = None
-        url = urllib.parse.urlsplit(options.mqtt or "")
+        url = urllib.parse.urlsplit(self.options.mqtt or "")
         tls = url.scheme == "mqtts"
         self._host, self._port = url.hostname or "", url.port or (8883 if tls else 1883)
         self._context = ssl.create_default_context() if tls else None
-        self._login_file = options.mqtt_login_file
-        self._availability = f"{_ROOT}/{topic_name(client)}/availability"
-        self._states, self._clock = states, clock
+        self._login_file = self.options.mqtt_login_file
+        self._availability = f"{_ROOT}/{topic_name(self.client)}/availability"
         self._connection: Client | None = None
         self._accepted: list[str | None] = []
         self._kept: dict[str, str] = {}
@@ -75,12 +81,12 @@ class MqttBroker:
         self._heartbeat = heartbeat
         client = self._connected()
         self._turn(client, 0.0)
-        until_s = self._clock.monotonic() + _REFRESH_S
+        until_s = self.clock.monotonic() + _REFRESH_S
         under_way: deque[MQTTMessageInfo] = deque()
-        for camera, state in self._states().items():
+        for camera, state in self.states().items():
             if self._shown.get(camera) == state:
                 continue
-            if self._clock.monotonic() > until_s:
+            if self.clock.monotonic() > until_s:
                 break
             for topic, payload in retained(camera, state, availability=self._availability):
                 if self._kept.get(topic) != payload:
@@ -173,11 +179,11 @@ class MqttBroker:
         self._until(client, info.is_published, "confirmed no receipt", until_s=until_s)
 
     def _until(self, client: Client, done: Callable[[], bool], problem: str, *, until_s: float = math.inf) -> None:
-        begun_s = self._clock.monotonic()
+        begun_s = self.clock.monotonic()
         while not done():
             self._heartbeat()
-            if self._clock.monotonic() > min(begun_s + _WITHIN_S, until_s):
-                waited_s = self._clock.monotonic() - begun_s
+            if self.clock.monotonic() > min(begun_s + _WITHIN_S, until_s):
+                waited_s = self.clock.monotonic() - begun_s
                 raise OutsideError(f"broker {self._host} {problem} within {waited_s:.1f} s")
             self._turn(client, _TURN_S)
 

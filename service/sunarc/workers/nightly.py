@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from datetime import datetime, timedelta
 from functools import cache
 from typing import Any
@@ -75,6 +75,7 @@ def _east_north_m(origin: CameraRecord, camera: CameraRecord) -> FloatArray:
     return _M_PER_DEG * np.array([east * level, camera.latitude - origin.latitude])
 
 
+@dataclass(eq=False)
 class _Reading:
     """Reads a camera's days, once each.
 
@@ -84,24 +85,27 @@ class _Reading:
     now : the end of what is read.
     """
 
-    def __init__(self, archive: Archive, now: datetime) -> None:
-        self._archive, self._now = archive, now
+    archive: Archive
+    now: datetime
+
+    def __post_init__(self) -> None:
+        """Read nothing twice."""
         self.rotations = cache(self._rotations)
         self.series = cache(self._series)
         self.lags = cache(self._lags)
 
     def stated_sites(self, camera: CameraRecord, unix_s: FloatArray) -> list[Site]:
         """Return the site as it was stated at each time: by the calibrations until the newest, then by the camera."""
-        made = sorted(self._archive.calibrations.find(camera.name), key=lambda record: record.created_at)
+        made = sorted(self.archive.calibrations.find(camera.name), key=lambda record: record.created_at)
         sites = [*(_site_of(record, camera.site) for record in made), camera.site]
         since = [record.created_at.timestamp() for record in (*made[1:], *made[-1:])]
         return [sites[index] for index in np.searchsorted(since, unix_s, side="right").tolist()]
 
     def _rotations(self, camera: CameraRecord) -> DailyRotations:
         """Return how a camera stood turned on each day against its current calibration."""
-        model = self._archive.calibrations.current_model(camera.name)
-        columns = self._archive.sightings.columns(
-            camera.name, since=self._now - _DAYS, until=self._now, largest_clock_error_s=MAX_CLOCK_ERROR_S
+        model = self.archive.calibrations.current_model(camera.name)
+        columns = self.archive.sightings.columns(
+            camera.name, since=self.now - _DAYS, until=self.now, largest_clock_error_s=MAX_CLOCK_ERROR_S
         )
         day = solar_days(columns.unix_s, longitude=camera.longitude)
         expected = np.full((len(day), 3), np.nan)
@@ -117,10 +121,10 @@ class _Reading:
 
     def _series(self, camera: CameraRecord) -> tuple[IntArray, SunSeries]:
         """Return when a camera looked for the sun, and whether a cycle showed it, with the days."""
-        since = self._now - timedelta(days=_CLOUD_DAYS)
-        times = self._archive.sightings.observation_times(camera.name, since=since, until=self._now)
+        since = self.now - timedelta(days=_CLOUD_DAYS)
+        times = self.archive.sightings.observation_times(camera.name, since=since, until=self.now)
         times = np.sort(np.zeros(0) if times is None else times)
-        accepted = self._archive.sightings.columns(camera.name, since=since, until=self._now).unix_s
+        accepted = self.archive.sightings.columns(camera.name, since=since, until=self.now).unix_s
         begins = np.flatnonzero(np.diff(times, prepend=-np.inf) > _CYCLE_S)
         seen = np.isin(times, accepted)
         cycle_s = times[begins]
@@ -228,6 +232,7 @@ def nightly_jobs(archive: Archive, options: NightlyOptions) -> dict[str, Job]:
     }
 
 
+@dataclass(kw_only=True, eq=False)
 class NightlyWork:
     """Runs the jobs of a night when they are due, and remembers in the archive how they went.
 
@@ -243,15 +248,17 @@ class NightlyWork:
     board : where a failure is shown.
     """
 
-    def __init__(self, *, archive: Archive, jobs: Mapping[str, Job], clock: Clock, board: StatusRegistry) -> None:
-        self._archive, self._jobs, self._clock, self._board = archive, jobs, clock, board
+    archive: Archive
+    jobs: Mapping[str, Job]
+    clock: Clock
+    board: StatusRegistry
 
     def run_due(self) -> None:
         """Run what is due; to be called every minute."""
-        now = self._clock.now()
+        now = self.clock.now()
         unix_s = (now - _AFTER_MIDNIGHT).timestamp()
-        night = solar_date(unix_s, longitude=self._archive.nightly.mean_longitude())
-        last = next(iter(self._archive.nightly.runs(limit=1, until=night)), None)
+        night = solar_date(unix_s, longitude=self.archive.nightly.mean_longitude())
+        last = next(iter(self.archive.nightly.runs(limit=1, until=night)), None)
         if last is not None and last.night == night:
             done = last.finished_at is not None and not last.failed
             if done or timedelta(0) <= now - last.started_at < _TRY_AGAIN:
@@ -259,17 +266,17 @@ class NightlyWork:
                 return
         succeeded = {} if last is None or last.night != night else last.results
         run = NightlyRun(night=night, started_at=now, results=_without_errors(succeeded))
-        self._archive.nightly.save(run)
-        for name, job in self._jobs.items():
+        self.archive.nightly.save(run)
+        for name, job in self.jobs.items():
             if name not in run.results:
                 run = replace(run, results={**run.results, name: self._result(name, job)})
-        run = replace(run, finished_at=self._clock.now())
-        self._archive.nightly.save(run)
+        run = replace(run, finished_at=self.clock.now())
+        self.archive.nightly.save(run)
         self._show(run)
 
     def _result(self, name: str, job: Job) -> Mapping[str, Any]:
         try:
-            result = job(self._clock.now())
+            result = job(self.clock.now())
         except Exception as error:  # noqa: BLE001 - one job that fails must not keep the others from their work
             _log.exception("the nightly job %s failed", name)
             return {"error": f"{type(error).__name__}: {error}"}
@@ -281,7 +288,7 @@ class NightlyWork:
         if run.failed:
             jobs, error = ", ".join(run.failed), next(iter(run.failed.values()))
             reason = condition(_FAILED, night=run.night.isoformat(), jobs=jobs, error=error)
-        self._board.set_condition(_FAILED, reason)
+        self.board.set_condition(_FAILED, reason)
 
 
 def _without_errors(results: Mapping[str, Any]) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import ssl
 import threading
 import urllib.parse
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import replace
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
 from http import HTTPStatus
 from pathlib import Path
@@ -74,6 +74,7 @@ class Sink(Protocol):
         """
 
 
+@dataclass(kw_only=True, eq=False)
 class PushWorker:
     """Sends notices to a receiver.
 
@@ -85,21 +86,26 @@ class PushWorker:
     board : where a receiver that is not reached, or refuses, is shown.
     """
 
-    def __init__(self, *, archive: Archive, sink: Sink, clock: Clock, board: StatusRegistry) -> None:
-        self._archive, self.sink, self._clock, self._board = archive, sink, clock, board
+    archive: Archive
+    sink: Sink
+    clock: Clock
+    board: StatusRegistry
+
+    def __post_init__(self) -> None:
+        """Begin without a failure."""
         self._attempts = Attempts(
-            clock,
+            self.clock,
             Pauses(_POLL_S, _LONGEST_WAIT_S),
-            board=board,
-            code=worker_code(_FAILING, sink.name),
-            reason=lambda error, hours: condition_of(_FAILING, sink.name, hours=round(hours, 2), error=error),
+            board=self.board,
+            code=worker_code(_FAILING, self.sink.name),
+            reason=lambda error, hours: condition_of(_FAILING, self.sink.name, hours=round(hours, 2), error=error),
             after_s=_FAILING_S,
         )
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Send until stopped."""
         try:
-            Loop(self._clock, stop, heartbeat).repeat(partial(self.step, stop, heartbeat))
+            Loop(self.clock, stop, heartbeat).repeat(partial(self.step, stop, heartbeat))
         finally:
             self.sink.close(graceful=stop.is_set())
 
@@ -114,7 +120,7 @@ class PushWorker:
     def _send_some(self, stop: threading.Event, heartbeat: Callable[[], None]) -> float | None:
         try:
             self.sink.publish_states(heartbeat)
-            notices = self._archive.notices.after(self.sink.name, limit=_MOST_AT_ONCE)
+            notices = self.archive.notices.after(self.sink.name, limit=_MOST_AT_ONCE)
             for notice in notices:
                 heartbeat()
                 if stop.is_set():
@@ -130,18 +136,18 @@ class PushWorker:
         try:
             self.sink.deliver(notice, heartbeat)
         except NoticeRefusedError as refusal:
-            self._archive.notices.done(self.sink.name, notice.seq, refused=True)
-            n = self._archive.notices.sink_states()[self.sink.name].refused
+            self.archive.notices.done(self.sink.name, notice.seq, refused=True)
+            n = self.archive.notices.sink_states()[self.sink.name].refused
             reason = condition_of(_REFUSED, self.sink.name, n=n, kind=notice.kind, error=str(refusal))
             self._show(_REFUSED, reason)
             _log.warning("%s refused message %s (%s): %s", self.sink.name, notice.id, notice.kind, refusal)
         else:
-            self._archive.notices.done(self.sink.name, notice.seq)
+            self.archive.notices.done(self.sink.name, notice.seq)
             self._show(_REFUSED, None)
         self._attempts.succeeded()
 
     def _show(self, code: str, reason: Reason | None) -> None:
-        self._board.set_condition(worker_code(code, self.sink.name), reason)
+        self.board.set_condition(worker_code(code, self.sink.name), reason)
 
 
 _SETTLED_S = 60.0
@@ -154,6 +160,7 @@ _OWN = "push_"
 OVERFLOW = "push_overflow"
 
 
+@dataclass(kw_only=True, eq=False)
 class NoticeWorker:
     """Looks at every camera, writes notices of what changed, and keeps their states for receivers that show them.
 
@@ -167,47 +174,44 @@ class NoticeWorker:
     every_s : seconds between two looks.
     """
 
-    def __init__(
-        self,
-        *,
-        archive: Archive,
-        states: Callable[[], Mapping[str, CameraState]],
-        sinks: Collection[str],
-        clock: Clock,
-        board: StatusRegistry,
-        every_s: float,
-    ) -> None:
-        self._archive, self._states, self._sinks = archive, states, sinks
-        self._clock, self._board, self._every_s = clock, board, every_s
-        self._started_s = self._dropped_s = clock.monotonic()
+    archive: Archive
+    states: Callable[[], Mapping[str, CameraState]]
+    sinks: Collection[str]
+    clock: Clock
+    board: StatusRegistry
+    every_s: float
+
+    def __post_init__(self) -> None:
+        """Count from now on."""
+        self._started_s = self._dropped_s = self.clock.monotonic()
         self._named = False
         self.latest: Mapping[str, CameraState] = {}
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Look until stopped."""
-        Loop(self._clock, stop, heartbeat).every(self._every_s, self.step)
+        Loop(self.clock, stop, heartbeat).every(self.every_s, self.step)
 
     def step(self) -> None:
         """Look once."""
         if not self._named:
-            self._archive.notices.name_sinks(self._sinks)
+            self.archive.notices.name_sinks(self.sinks)
             self._named = True
-        clears = self._clock.monotonic() - self._started_s >= _SETTLED_S
+        clears = self.clock.monotonic() - self._started_s >= _SETTLED_S
         latest: dict[str, CameraState] = {}
-        for camera, state in self._states().items():
+        for camera, state in self.states().items():
             reported = {code: data for code, data in state.conditions.items() if not code.startswith(_OWN)}
-            held = self._archive.notices.record(camera, reported, now=self._clock.now(), clears=clears)
+            held = self.archive.notices.record(camera, reported, now=self.clock.now(), clears=clears)
             latest[camera] = replace(state, conditions=held)
         self.latest = latest
-        if self._clock.monotonic() - self._dropped_s >= _DROP_EVERY_S:
-            self._dropped_s = self._clock.monotonic()
+        if self.clock.monotonic() - self._dropped_s >= _DROP_EVERY_S:
+            self._dropped_s = self.clock.monotonic()
             self._drop()
 
     def _drop(self) -> None:
-        lost = self._archive.notices.drop(most=_MOST_WAITING)
+        lost = self.archive.notices.drop(most=_MOST_WAITING)
         if lost:
             _log.error("removed %d messages that a receiver did not take for too long", lost)
-            self._board.set_condition(OVERFLOW, condition(OVERFLOW, lost=lost, most=_MOST_WAITING))
+            self.board.set_condition(OVERFLOW, condition(OVERFLOW, lost=lost, most=_MOST_WAITING))
 
 
 _WITHIN_S = 15.0
@@ -215,6 +219,7 @@ _WITHIN_S = 15.0
 _RETRIED = {HTTPStatus.REQUEST_TIMEOUT, HTTPStatus.TOO_EARLY, HTTPStatus.TOO_MANY_REQUESTS}
 
 
+@dataclass(eq=False)
 class Webhook:
     """A receiver of signed POSTs.
 
@@ -227,13 +232,17 @@ class Webhook:
     clock : real time.
     """
 
-    def __init__(self, url: str, *, secret_file: Path | None, clock: Clock) -> None:
-        self.name = webhook_name(url)
-        self._url = urllib.parse.urlsplit(url)
-        self._secret_file = secret_file
+    url: str
+    _: KW_ONLY
+    secret_file: Path | None
+    clock: Clock
+
+    def __post_init__(self) -> None:
+        """Read the address."""
+        self.name = webhook_name(self.url)
+        self._url = urllib.parse.urlsplit(self.url)
         self._key = b""
         self._context = ssl.create_default_context() if self._url.scheme == "https" else None
-        self._clock = clock
 
     def publish_states(self, heartbeat: Callable[[], None]) -> None:
         """Read the key, if it is not there yet: a webhook keeps no state of the cameras."""
@@ -256,7 +265,7 @@ class Webhook:
         """Post a notice, and wait for the status of the answer."""
         self._read_key()
         body = json.dumps(message_of(notice), separators=(",", ":")).encode()
-        timestamp = str(int(self._clock.now().timestamp()))
+        timestamp = str(int(self.clock.now().timestamp()))
         headers = {
             "content-type": "application/json",
             "user-agent": "sunarc",
@@ -276,10 +285,10 @@ class Webhook:
         raise NoticeRefusedError(f"{self._url.hostname} answers {status}")
 
     def _read_key(self) -> None:
-        self._key = self._key or read_secret(self._secret_file)
+        self._key = self._key or read_secret(self.secret_file)
 
     def _limit(self, heartbeat: Callable[[], None]) -> Limit:
-        return Limit(_WITHIN_S, monotonic=self._clock.monotonic, heartbeat=heartbeat)
+        return Limit(_WITHIN_S, monotonic=self.clock.monotonic, heartbeat=heartbeat)
 
 
 def webhook_name(url: str) -> str:

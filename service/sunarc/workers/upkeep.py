@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
 from sunarc.archive.archive import Archive, CameraArchive
@@ -26,6 +27,7 @@ _UNREADABLE = "images_unreadable"
 _DISK_CODES = ("disk_low", "disk_full", "disk_no_inodes")
 
 
+@dataclass(kw_only=True, eq=False)
 class DiskWorker:
     """Checks the disk periodically, removes images by age and by free space, and publishes the disk's state.
 
@@ -39,34 +41,27 @@ class DiskWorker:
     board : where the disk's state is shown.
     """
 
-    def __init__(
-        self,
-        *,
-        store: ImageStore,
-        reserve: Reserve,
-        options: DiskOptions,
-        clock: Clock,
-        age_from: Callable[[], datetime | None],
-        board: StatusRegistry,
-    ) -> None:
-        self._store = store
-        self._reserve = reserve
-        self._options = options
-        self._clock = clock
-        self._age_from = age_from
-        self._board = board
+    store: ImageStore
+    reserve: Reserve
+    options: DiskOptions
+    clock: Clock
+    age_from: Callable[[], datetime | None]
+    board: StatusRegistry
+
+    def __post_init__(self) -> None:
+        """Look every few seconds, whether that fails or not."""
         self._attempts = Attempts(
-            clock,
+            self.clock,
             Pauses(_DISK_EVERY_S, _DISK_EVERY_S),
-            board=board,
+            board=self.board,
             code=_UNREADABLE,
             reason=lambda error, _: condition(_UNREADABLE, error=error),
         )
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Check until stopped."""
-        self._attempts.attempt(self._store.clear_up)
-        Loop(self._clock, stop, heartbeat).repeat(self.check)
+        self._attempts.attempt(self.store.clear_up)
+        Loop(self.clock, stop, heartbeat).repeat(self.check)
 
     def check(self) -> float:
         """Check once, and return the seconds until the next time; a folder that cannot be read becomes a condition."""
@@ -79,26 +74,26 @@ class DiskWorker:
             raise OutsideError(str(error)) from error
 
     def _clean(self) -> None:
-        now = self._age_from()
+        now = self.age_from()
         if now is not None:
-            keep = self._options.keep_days
-            removed = self._store.expire(now - timedelta(days=keep), keep_newest_days=int(keep))
+            keep = self.options.keep_days
+            removed = self.store.expire(now - timedelta(days=keep), keep_newest_days=int(keep))
             if removed:
-                _log.info("%d images older than %g days were removed", removed, self._options.keep_days)
-        has_space = self._store.make_room()
-        usage = self._store.usage()
-        self._reserve.balance(usage.free_bytes)
+                _log.info("%d images older than %g days were removed", removed, self.options.keep_days)
+        has_space = self.store.make_room()
+        usage = self.store.usage()
+        self.reserve.balance(usage.free_bytes)
         self._publish(usage, has_space=has_space)
 
     def _publish(self, usage: DiskUsage, *, has_space: bool) -> None:
-        self._board.note(
+        self.board.note(
             disk=DiskStatus(
                 free_bytes=usage.free_bytes,
                 images_bytes=usage.images_bytes,
                 oldest_image_at=usage.oldest_image_at,
             )
         )
-        self._board.set_one_condition(_DISK_CODES, self._reason(usage, has_space=has_space))
+        self.board.set_one_condition(_DISK_CODES, self._reason(usage, has_space=has_space))
 
     def _reason(self, usage: DiskUsage, *, has_space: bool) -> Reason | None:
         if usage.out_of_files:
@@ -106,9 +101,9 @@ class DiskWorker:
         elif has_space:
             return None
         else:
-            code = "disk_low" if self._reserve.held() else "disk_full"
+            code = "disk_low" if self.reserve.held() else "disk_full"
         free_mb, images_mb = usage.free_bytes / 1e6, usage.images_bytes / 1e6
-        return condition(code, folder=str(self._store.folder), free_mb=free_mb, images_mb=images_mb)
+        return condition(code, folder=str(self.store.folder), free_mb=free_mb, images_mb=images_mb)
 
 
 _DATABASE_EVERY_S = 2.0
@@ -116,6 +111,7 @@ _MISSING = "database_missing"
 _STORE_FULL = "store_full"
 
 
+@dataclass(kw_only=True, eq=False)
 class DatabaseWorker:
     """Checks periodically that the database's file is the one that was opened, and restores it where it is not.
 
@@ -128,56 +124,50 @@ class DatabaseWorker:
     recovered : what was done about a lost database at the start; None when it was in place.
     """
 
-    def __init__(
-        self,
-        *,
-        archive: Archive,
-        clock: Clock,
-        now: Callable[[], datetime],
-        board: StatusRegistry,
-        recovered: Recovery | None = None,
-    ) -> None:
-        self._archive = archive
-        self._clock = clock
-        self._now = now
-        self._board = board
-        self._unreported = recovered
+    archive: Archive
+    clock: Clock
+    now: Callable[[], datetime]
+    board: StatusRegistry
+    recovered: Recovery | None = None
+
+    def __post_init__(self) -> None:
+        """Look every few seconds, and show what was done before."""
         self._attempts = Attempts(
-            clock,
+            self.clock,
             Pauses(_DATABASE_EVERY_S, _DATABASE_EVERY_S),
-            board=board,
+            board=self.board,
             code=_MISSING,
             reason=lambda error, _: condition(_MISSING, error=error),
         )
-        if recovered is not None:
-            _publish(board, recovered)
+        if self.recovered is not None:
+            _publish(self.board, self.recovered)
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Check until stopped."""
-        Loop(self._clock, stop, heartbeat).repeat(self.check)
+        Loop(self.clock, stop, heartbeat).repeat(self.check)
 
     def check(self) -> float:
         """Check once, and return the seconds until the next time."""
         return self._attempts.attempt(self._check)
 
     def _check(self) -> None:
-        done = self._archive.recover(now=self._clock.now())
+        done = self.archive.recover(now=self.clock.now())
         if done is not None:
-            self._unreported = done
-            _publish(self._board, done)
+            self.recovered = done
+            _publish(self.board, done)
         self._report()
 
     def _report(self) -> None:
         """Write the event of a recovery, as soon as it can be written."""
-        if self._unreported is None:
+        if self.recovered is None:
             return
-        event = Event.of(_finding(self._unreported), MESSAGES, time=self._now(), severity="alarm")
+        event = Event.of(_finding(self.recovered), MESSAGES, time=self.now(), severity="alarm")
         try:
-            self._archive.events.add(event)
+            self.archive.events.add(event)
         except OutsideError as error:
             _log.error("could not store the event %s: %s", event.kind, error)
         else:
-            self._unreported = None
+            self.recovered = None
 
 
 def _finding(done: Recovery) -> Finding:
@@ -189,6 +179,7 @@ def _publish(board: StatusRegistry, done: Recovery) -> None:
     board.set_condition(reason.code, reason, log=False)
 
 
+@dataclass(kw_only=True, eq=False)
 class StoreRoomWorker:
     """Checks whether a hub's database can store a row, and shows where its disk is full.
 
@@ -199,25 +190,24 @@ class StoreRoomWorker:
     board : where a full disk is shown.
     """
 
-    def __init__(self, *, archive: Archive, clock: Clock, board: StatusRegistry) -> None:
-        self._archive = archive
-        self._clock = clock
-        self._board = board
+    archive: Archive
+    clock: Clock
+    board: StatusRegistry
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Check until stopped."""
-        Loop(self._clock, stop, heartbeat).every(_DATABASE_EVERY_S, self.check)
+        Loop(self.clock, stop, heartbeat).every(_DATABASE_EVERY_S, self.check)
 
     def check(self) -> None:
         """Check once; where the database does not answer, nothing is known of its disk."""
         try:
-            self._archive.require_room(now=self._clock.now())
+            self.archive.require_room(now=self.clock.now())
         except StoreFullError as error:
-            self._board.set_condition(_STORE_FULL, condition(_STORE_FULL, severity="not_ready", error=str(error)))
+            self.board.set_condition(_STORE_FULL, condition(_STORE_FULL, severity="not_ready", error=str(error)))
         except OutsideError as error:
             _log.debug("not known whether there is room: %s", error)
         else:
-            self._board.set_condition(_STORE_FULL, None)
+            self.board.set_condition(_STORE_FULL, None)
 
 
 _SAMPLE_EVERY_S = 10.0
@@ -227,6 +217,7 @@ _MOST_WAITING = 1000
 """Hours that are held in memory while the disk is full; of more the oldest are dropped."""
 
 
+@dataclass(kw_only=True, eq=False)
 class HousekeepingWorker:
     """Reads disk space and temperature off the status, and stores them by hour and by day.
 
@@ -239,32 +230,29 @@ class HousekeepingWorker:
     board : where disk and camera stand.
     """
 
-    def __init__(
-        self,
-        *,
-        camera: CameraArchive,
-        clock: Clock,
-        now: Callable[[], datetime | None],
-        age_from: Callable[[], datetime | None],
-        board: StatusRegistry,
-    ) -> None:
-        self._camera, self._clock, self._board = camera, clock, board
-        self._now, self._age_from = now, age_from
+    camera: CameraArchive
+    clock: Clock
+    now: Callable[[], datetime | None]
+    age_from: Callable[[], datetime | None]
+    board: StatusRegistry
+
+    def __post_init__(self) -> None:
+        """Begin without samples."""
         self._waiting: dict[datetime, Housekeeping] = {}
-        self._stored_s = clock.monotonic()
+        self._stored_s = self.clock.monotonic()
         self._failed = False
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Sample until stopped, and store what is left."""
-        Loop(self._clock, stop, heartbeat).every(_SAMPLE_EVERY_S, self.step)
+        Loop(self.clock, stop, heartbeat).every(_SAMPLE_EVERY_S, self.step)
         self.store()
 
     def step(self) -> None:
         """Sample once, and store when it is time."""
-        now = self._now()
+        now = self.now()
         if now is not None:
             self._sample(now)
-        if self._clock.monotonic() - self._stored_s >= _STORE_EVERY_S or self._has_ended_hour():
+        if self.clock.monotonic() - self._stored_s >= _STORE_EVERY_S or self._has_ended_hour():
             self.store()
 
     def _has_ended_hour(self) -> bool:
@@ -272,7 +260,7 @@ class HousekeepingWorker:
         return len(self._waiting) > 1 and not self._failed
 
     def _sample(self, now: datetime) -> None:
-        snapshot = self._board.snapshot()
+        snapshot = self.board.snapshot()
         disk, degrees = snapshot.disk, None if snapshot.camera is None else snapshot.camera.temperature_c
         if disk is None and degrees is None:
             return
@@ -292,14 +280,14 @@ class HousekeepingWorker:
 
     def store(self) -> None:
         """Store what waits; where that fails it waits on."""
-        self._stored_s = self._clock.monotonic()
-        age_from = self._age_from()
+        self._stored_s = self.clock.monotonic()
+        age_from = self.age_from()
         try:
             if self._waiting:
-                self._camera.archive.housekeeping.add(self._camera.name, self._waiting.values())
+                self.camera.archive.housekeeping.add(self.camera.name, self._waiting.values())
                 self._waiting.clear()
             if age_from is not None:
-                self._camera.archive.housekeeping.expire(self._camera.name, now=age_from)
+                self.camera.archive.housekeeping.expire(self.camera.name, now=age_from)
         except OutsideError as error:
             if not self._failed:
                 _log.warning("could not store disk space and temperature, will retry: %s", error)
@@ -315,6 +303,7 @@ SETTLED_S = 900.0
 """For so long after the start a stored condition that is not set may come back: some need ten slots to be found."""
 
 
+@dataclass(kw_only=True, eq=False)
 class ConditionTimesWorker:
     """Stores since when conditions hold, and hands the status what the store has at the start.
 
@@ -327,19 +316,22 @@ class ConditionTimesWorker:
     passing : codes that say something of this run of the service alone.
     """
 
-    def __init__(
-        self, *, archive: Archive, camera: str, board: StatusRegistry, clock: Clock, passing: Collection[str] = ()
-    ) -> None:
-        self._archive, self._camera, self._passing = archive, camera, frozenset(passing)
-        self._board, self._clock = board, clock
-        self._settled_s = clock.monotonic() + SETTLED_S
+    archive: Archive
+    camera: str
+    board: StatusRegistry
+    clock: Clock
+    passing: Collection[str] = ()
+
+    def __post_init__(self) -> None:
+        """Hand the status what is stored."""
+        self._settled_s = self.clock.monotonic() + SETTLED_S
         self._failed = False
         self._stored: Mapping[str, datetime] | None = None
         self._resume()
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Look until stopped."""
-        Loop(self._clock, stop, heartbeat).every(_LOOK_EVERY_S, self.step)
+        Loop(self.clock, stop, heartbeat).every(_LOOK_EVERY_S, self.step)
 
     def step(self) -> None:
         """Look once, and store what changed; where that fails it is tried again at the next look."""
@@ -351,7 +343,7 @@ class ConditionTimesWorker:
         if held == self._stored:
             return
         try:
-            self._archive.conditions.save(self._camera, held)
+            self.archive.conditions.save(self.camera, held)
         except OutsideError as error:
             self._complain("could not store since when conditions hold, will retry: %s", error)
         else:
@@ -359,11 +351,11 @@ class ConditionTimesWorker:
 
     def _resume(self) -> None:
         try:
-            self._stored = self._archive.conditions.times(self._camera)
+            self._stored = self.archive.conditions.times(self.camera)
         except OutsideError as error:
             self._complain("could not read since when conditions hold, will retry: %s", error)
         else:
-            self._board.resume(self._stored, within_s=self._settled_s - self._clock.monotonic())
+            self.board.resume(self._stored, within_s=self._settled_s - self.clock.monotonic())
 
     def _complain(self, text: str, error: OutsideError) -> None:
         if not self._failed:
@@ -371,11 +363,11 @@ class ConditionTimesWorker:
         self._failed = True
 
     def _held(self, stored: Mapping[str, datetime]) -> dict[str, datetime]:
-        now = self._clock.now()
-        present = {reason.code: reason.since for reason in self._board.snapshot().reasons if reason.since is not None}
+        now = self.clock.now()
+        present = {reason.code: reason.since for reason in self.board.snapshot().reasons if reason.since is not None}
         lasting = {
             code: since
             for code, since in present.items()
-            if code not in self._passing and (code in stored or now - since >= _LEAST_HELD)
+            if code not in self.passing and (code in stored or now - since >= _LEAST_HELD)
         }
-        return {**self._board.awaited(), **lasting}
+        return {**self.board.awaited(), **lasting}

@@ -7,7 +7,7 @@ import math
 import threading
 from collections import deque
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import KW_ONLY, asdict, dataclass, field, replace
 from datetime import date, datetime, timedelta
 
 import numpy as np
@@ -52,6 +52,7 @@ _RECOVERED_AFTER = 4
 """Consecutive sightings that agree again before a fault of the clock, the image or the site is cleared."""
 
 
+@dataclass(eq=False)
 class WatchWorker:
     """Compares sightings with the active calibration, and acts on detected changes.
 
@@ -64,20 +65,15 @@ class WatchWorker:
     board : where a change degrades the service.
     """
 
-    def __init__(
-        self,
-        camera: CameraArchive,
-        *,
-        options: WatchOptions,
-        reposer: ProvisionalPoseEstimator,
-        now: Callable[[], datetime],
-        board: StatusRegistry,
-    ) -> None:
-        self._camera = camera
-        self._options = options
-        self._reposer = reposer
-        self._now = now
-        self._board = board
+    camera: CameraArchive
+    _: KW_ONLY
+    options: WatchOptions
+    reposer: ProvisionalPoseEstimator
+    now: Callable[[], datetime]
+    board: StatusRegistry
+
+    def __post_init__(self) -> None:
+        """Begin with an empty window."""
         self._sightings: DropOldestQueue[Sighting] = DropOldestQueue(capacity=_WAITING)
         self._watch = SightingWindow()
         self._epoch: str | None = None
@@ -115,9 +111,9 @@ class WatchWorker:
         if epoch is None:
             return
         # what an operator has judged is not judged again: the move would be found once more in the same sightings
-        closed = self._camera.archive.events.find(self._camera.name, kind=EPOCH_CLOSED, until=self._latest(), limit=1)
-        points = self._camera.archive.sightings.find(
-            self._camera.name,
+        closed = self.camera.archive.events.find(self.camera.name, kind=EPOCH_CLOSED, until=self._latest(), limit=1)
+        points = self.camera.archive.sightings.find(
+            self.camera.name,
             since=max([epoch.started_at, *(event.time for event in closed)]),
             until=self._latest(),
             largest_clock_error_s=MAX_CLOCK_ERROR_S,
@@ -149,10 +145,10 @@ class WatchWorker:
             _log.warning("could not compare the pose epochs with the time: %s", error)
 
     def _latest(self) -> datetime:
-        return self._now() + _JITTER
+        return self.now() + _JITTER
 
     def _present_epoch(self) -> PoseEpoch | None:
-        return self._camera.archive.epochs.current(self._camera.name, at=self._latest())
+        return self.camera.archive.epochs.current(self.camera.name, at=self._latest())
 
     def _is_ahead(self) -> bool:
         """Return whether the time went back behind what is remembered."""
@@ -178,15 +174,15 @@ class WatchWorker:
             return
         if len(self._watch) and sighting.unix_s <= self._watch.unix_s[-1]:
             return
-        site = self._camera.site_with_air_at(utc_time(sighting.unix_s))
-        if site != self._camera.site:  # not in `notice`, which must not wait for the database
+        site = self.camera.site_with_air_at(utc_time(sighting.unix_s))
+        if site != self.camera.site:  # not in `notice`, which must not wait for the database
             sighting = replace(sighting, direction=_sun(sighting.unix_s, site))
         self._watch, change = update_window(
             self._watch,
             sighting,
             calibration=current,
             site=site,
-            options=self._options,
+            options=self.options,
             clock_stepped=self._clock_stepped(),
             posed_from_few=is_provisional(current),
         )
@@ -194,40 +190,40 @@ class WatchWorker:
             self._wait_for_recovery(sighting)
         elif change is not None:
             self._act(change)
-        if self._reposer.improve():
+        if self.reposer.improve():
             self._publish_pose()
 
     def _begin(self, sighting: Sighting) -> None:
         """Estimate the first pose of a camera whose type of lens is known, and publish how far that is."""
         self._compare_with_site(sighting)
-        if self._reposer.first is None:
+        if self.reposer.first is None:
             return
-        if self._reposer.improve():
+        if self.reposer.improve():
             self._publish_pose()
             return
-        n, refusal = self._reposer.count, self._reposer.refusal
-        self._board.set_condition("first_sun", waiting_condition(n, sighting.pixel) if n < FEWEST else None)
-        self._board.set_condition("first_pose_refused", None if refusal is None else refused_condition(refusal))
+        n, refusal = self.reposer.count, self.reposer.refusal
+        self.board.set_condition("first_sun", waiting_condition(n, sighting.pixel) if n < FEWEST else None)
+        self.board.set_condition("first_pose_refused", None if refusal is None else refused_condition(refusal))
 
     def _compare_with_site(self, sighting: Sighting) -> None:
         """Set or clear the conditions of a sun that goes otherwise than it does over the stated site."""
         self._first.append(sighting)
-        record = self._camera.archive.cameras.get(self._camera.name)
+        record = self.camera.archive.cameras.get(self.camera.name)
         if record is None:
             return
         found = site_contradiction(
             np.array([one.unix_s for one in self._first]),
             np.array([one.pixel for one in self._first]),
-            site=self._camera.site,
+            site=self.camera.site,
             image_size=record.image_size,
-            mirrored=self._reposer.mirrored,
+            mirrored=self.reposer.mirrored,
         )
         self._show_contradiction(found)
 
     def _show_contradiction(self, found: Finding | None) -> None:
         for code in _SITE_CODES:
             of_code = found is not None and found.code == code
-            self._board.set_condition(code, Reason.of(found, MESSAGES) if of_code and found is not None else None)
+            self.board.set_condition(code, Reason.of(found, MESSAGES) if of_code and found is not None else None)
 
     def _act(self, change: Change) -> None:
         """Report a change, and act on it by its kind."""
@@ -236,22 +232,22 @@ class WatchWorker:
         epoch = self._epoch_begun_by(change) if moved else None
         if epoch is not None:
             self._publish(change, epoch.started_at)
-            self._camera.archive.sightings.readmit(self._camera.name, since=at, until=self._latest())
+            self.camera.archive.sightings.readmit(self.camera.name, since=at, until=self._latest())
             return
         self._report(change, at)
         if moved:
             self._open_epoch(change, at)
         else:
             self._fault, self._agreeing = change, 0
-            self._camera.archive.sightings.exclude(self._camera.name, change.finding, since=at)
+            self.camera.archive.sightings.exclude(self.camera.name, change.finding, since=at)
 
     def _epoch_begun_by(self, change: Change) -> PoseEpoch | None:
         """Return the present epoch where the move began it and no pose has been found since; None for another move."""
         epoch = self._present_epoch()
         if epoch is None or self._watch.unix_s[0] < change.at_unix_s:
             return None
-        reported = self._camera.archive.events.find(
-            self._camera.name, kind=change.kind, since=epoch.started_at, until=self._latest()
+        reported = self.camera.archive.events.find(
+            self.camera.name, kind=change.kind, since=epoch.started_at, until=self._latest()
         )
         return epoch if reported else None
 
@@ -259,19 +255,19 @@ class WatchWorker:
         """Open a pose epoch at the first sighting after the change, and exclude those that may be of either side."""
         earliest = utc_time(change.earliest_unix_s)
         ambiguous = Finding("sighting_ambiguous", {"earliest": earliest.isoformat()})
-        self._camera.archive.sightings.exclude(self._camera.name, ambiguous, since=earliest + MICROSECOND, until=at)
+        self.camera.archive.sightings.exclude(self.camera.name, ambiguous, since=earliest + MICROSECOND, until=at)
         try:
             reason = LENS_CHANGED if change.kind in LENS_KINDS else change.kind
-            self._camera.archive.epochs.open(self._camera.name, at=at, reason=reason)
+            self.camera.archive.epochs.open(self.camera.name, at=at, reason=reason)
         except InputError as error:  # the whole epoch is of the new pose or lens
             _log.info("%s", error)
-        self._camera.archive.sightings.readmit(self._camera.name, since=at, until=self._latest())
+        self.camera.archive.sightings.readmit(self.camera.name, since=at, until=self._latest())
         epoch = self._present_epoch()
         self._epoch = None if epoch is None else epoch.id
-        current = self._camera.archive.calibrations.current(self._camera.name)
+        current = self.camera.archive.calibrations.current(self.camera.name)
         if change.kind in LENS_KINDS:
             if current is not None:
-                self._camera.archive.calibrations.retire(current.id, at=max(at, current.valid_from))
+                self.camera.archive.calibrations.retire(current.id, at=max(at, current.valid_from))
             self._watch = SightingWindow()
         else:
             self._watch = self._watch.since(change.at_unix_s)
@@ -284,13 +280,13 @@ class WatchWorker:
         self._agreeing = self._agreeing + 1 if self._watch.trusted[-1] else 0
         if self._agreeing >= _RECOVERED_AFTER:
             self._fault = None
-            self._board.set_condition(fault.finding.code, None)
+            self.board.set_condition(fault.finding.code, None)
             return
         time = utc_time(sighting.unix_s)
-        self._camera.archive.sightings.exclude(self._camera.name, fault.finding, since=time, until=time + MICROSECOND)
+        self.camera.archive.sightings.exclude(self.camera.name, fault.finding, since=time, until=time + MICROSECOND)
 
     def _report(self, change: Change, at: datetime) -> None:
-        self._camera.add_event(
+        self.camera.add_event(
             change.finding, CHANGES, time=at, severity="alarm", kind=change.kind, details=change.as_details()
         )
         self._publish(change, at)
@@ -298,11 +294,11 @@ class WatchWorker:
     def _publish(self, change: Change, at: datetime) -> None:
         text = f"since {at.isoformat(timespec='seconds')}: {change.text}"
         reason = Reason.of(change.finding, CHANGES)
-        self._board.set_condition(reason.code, replace(reason, text=text, data=change.as_details()), log=False)
+        self.board.set_condition(reason.code, replace(reason, text=text, data=change.as_details()), log=False)
 
     def _clear_move(self) -> None:
         for kind in ("bump", *LENS_KINDS):
-            self._board.set_condition(f"changed_{kind}", None)
+            self.board.set_condition(f"changed_{kind}", None)
 
     def _publish_pose(self) -> None:
         """Set or clear the conditions of a provisional pose; a full fit of the epoch clears them."""
@@ -315,16 +311,16 @@ class WatchWorker:
             self._show_contradiction(None)
         reason = pose_condition(current)
         for code in (*_POSE_CODES, "first_sun", "first_pose_refused"):
-            self._board.set_condition(code, reason if reason is not None and reason.code == code else None)
+            self.board.set_condition(code, reason if reason is not None and reason.code == code else None)
 
     def _current(self) -> Calibration | None:
         """Return what is served, and show how its pose stands where that is another calibration than before."""
-        record = self._camera.archive.calibrations.current(self._camera.name)
-        model = self._camera.archive.calibrations.current_model(self._camera.name)
+        record = self.camera.archive.calibrations.current(self.camera.name)
+        model = self.camera.archive.calibrations.current_model(self.camera.name)
         before, self._shown = self._shown, None if record is None else record.id
         if record is None:
             for code in _POSE_CODES:
-                self._board.set_condition(code, None)
+                self.board.set_condition(code, None)
         elif model is not None and before != record.id:
             self._publish_pose()
         return model
@@ -334,21 +330,21 @@ class WatchWorker:
         if not len(self._watch):
             return False
         since = utc_time(float(self._watch.unix_s[max(len(self._watch) - 12, 0)]))
-        events = self._camera.archive.events.find(self._camera.name, since=since)
+        events = self.camera.archive.events.find(self.camera.name, since=since)
         return any(event.kind == "clock_step" for event in events)
 
     def _publish_future_epochs(self) -> None:
         """Set or clear the condition of pose epochs that begin later than now: they block new ones."""
-        epochs = self._camera.archive.epochs.find(self._camera.name)
+        epochs = self.camera.archive.epochs.find(self.camera.name)
         later = [epoch for epoch in epochs if epoch.started_at > self._latest()]
         self._has_future_epochs = bool(later)
-        self._board.set_condition(_FUTURE_EPOCH, _of_the_future(later[0]) if later else None)
+        self.board.set_condition(_FUTURE_EPOCH, _of_the_future(later[0]) if later else None)
 
     def _observed(self, time: datetime, x_px: float, y_px: float, sigma_px: float | None) -> Sighting:
         return Sighting(
             unix_s=time.timestamp(),
             pixel=(x_px, y_px),
-            direction=_sun(time.timestamp(), self._camera.site),
+            direction=_sun(time.timestamp(), self.camera.site),
             sigma_px=np.nan if sigma_px is None else sigma_px,
         )
 
@@ -401,6 +397,7 @@ def refused_condition(verdict: Verdict) -> Reason:
 _WORTH_A_REFIT = frozenset({"clear", "partly"})
 
 
+@dataclass(eq=False)
 class DayJudge:
     """Evaluates each completed day, and requests a refit after one that shows the sun.
 
@@ -412,35 +409,27 @@ class DayJudge:
     request_refit : asks for a refit, with the reason.
     """
 
-    def __init__(
-        self,
-        camera: CameraArchive,
-        *,
-        cadence_s: float,
-        sun_zenith_deg: float,
-        now: Callable[[], datetime],
-        request_refit: Callable[[str], Refit],
-    ) -> None:
-        self._camera = camera
-        self._cadence_s = cadence_s
-        self._sun_zenith_deg = sun_zenith_deg
-        self._now = now
-        self._request_refit = request_refit
-        self._judged_before: date | None = None
+    camera: CameraArchive
+    _: KW_ONLY
+    cadence_s: float
+    sun_zenith_deg: float
+    now: Callable[[], datetime]
+    request_refit: Callable[[str], Refit]
+    _judged_before: date | None = field(default=None, init=False)
 
     def judge_ended_days(self) -> list[Day]:
         """Judge what is due and return the verdicts; one refit is asked for, however many days were clear."""
-        longitude = self._camera.site.longitude
-        today = solar_date(self._now().timestamp(), longitude=longitude)
+        longitude = self.camera.site.longitude
+        today = solar_date(self.now().timestamp(), longitude=longitude)
         if self._judged_before is not None and self._judged_before > today:
             self._judged_before = None  # the time went back
-        archive, name, since = self._camera.archive, self._camera.name, self._judged_before
+        archive, name, since = self.camera.archive, self.camera.name, self._judged_before
         judged = {day.date for day in archive.days.find(name, since=since) if self._stands(day)}
         observed = archive.sightings.dates(name, longitude=longitude, since=since)
         verdicts = [self._measure(day) for day in observed if day < today and day not in judged]
         worth = [day for day in verdicts if day.verdict in _WORTH_A_REFIT]
         if worth:
-            self._request_refit("after " + ", ".join(f"{day.date} ({day.verdict})" for day in worth))
+            self.request_refit("after " + ", ".join(f"{day.date} ({day.verdict})" for day in worth))
         for day in verdicts:
             self._remember(day)
         self._judged_before = today
@@ -448,34 +437,34 @@ class DayJudge:
 
     def _stands(self, day: Day) -> bool:
         """Return whether a verdict was given after its day had ended and before now: else a wrong clock gave it."""
-        end = utc_time(day_bounds_unix_s(day.date, longitude=self._camera.site.longitude)[1])
-        return end <= day.decided_at <= self._now()
+        end = utc_time(day_bounds_unix_s(day.date, longitude=self.camera.site.longitude)[1])
+        return end <= day.decided_at <= self.now()
 
     def _measure(self, date_: date) -> Day:
-        start, end = day_bounds_unix_s(date_, longitude=self._camera.site.longitude)
+        start, end = day_bounds_unix_s(date_, longitude=self.camera.site.longitude)
         since, until = utc_time(start), utc_time(end)
-        columns = self._camera.archive.sightings.columns(self._camera.name, since=since, until=until)
+        columns = self.camera.archive.sightings.columns(self.camera.name, since=since, until=until)
         doubtful = np.nan_to_num(columns.clock_error_s) > MAX_CLOCK_ERROR_S
         share = float(np.mean(doubtful)) if doubtful.size else 0.0
         largest_s = MAX_CLOCK_ERROR_S if share <= DOUBTFUL_CLOCK_SHARE else None
         if largest_s is not None:  # else the day is judged by its clock
             columns = columns.select(~doubtful)
-        frames = np.arange(start, end, self._cadence_s)
-        up = sun_angles(frames, self._camera.site).apparent_zenith < self._sun_zenith_deg
+        frames = np.arange(start, end, self.cadence_s)
+        up = sun_angles(frames, self.camera.site).apparent_zenith < self.sun_zenith_deg
         measure = measure_day(
             points_of(columns),
-            site=self._camera.site,
+            site=self.camera.site,
             n_possible=int(np.count_nonzero(up)),
-            observed_unix_s=self._camera.archive.sightings.observation_times(
-                self._camera.name, since=since, until=until, largest_clock_error_s=largest_s
+            observed_unix_s=self.camera.archive.sightings.observation_times(
+                self.camera.name, since=since, until=until, largest_clock_error_s=largest_s
             ),
-            cadence_s=self._cadence_s,
+            cadence_s=self.cadence_s,
             doubtful_clock=share,
         )
         decided = decide_day(measure)
         offset = self._pose_offset(columns) if decided.kind in _WORTH_A_REFIT else None
         return Day(
-            camera=self._camera.name,
+            camera=self.camera.name,
             date=date_,
             verdict=decided.kind,
             findings=decided.findings,
@@ -483,7 +472,7 @@ class DayJudge:
             n_cycles=measure.n_cycles,
             n_possible=measure.n_possible,
             n_observed=measure.n_observed,
-            decided_at=self._now(),
+            decided_at=self.now(),
             arc_deg=measure.arc_deg,
             solid_angle_sr=measure.solid_angle_sr,
             doubtful_clock=_finite(measure.doubtful_clock),
@@ -495,22 +484,22 @@ class DayJudge:
 
     def _pose_offset(self, columns: SunPointColumns) -> PoseOffset | None:
         """Return how the camera stood turned against the current calibration, where that is of the day's last epoch."""
-        current = self._camera.archive.calibrations.current(self._camera.name)
+        current = self.camera.archive.calibrations.current(self.camera.name)
         if current is None or not columns.epoch_ids or current.pose_epoch != columns.epoch_ids[-1]:
             return None
-        calibration = self._camera.archive.calibrations.current_model(self._camera.name)
+        calibration = self.camera.archive.calibrations.current_model(self.camera.name)
         if calibration is None:
             return None
         last = columns.select(columns.epoch == len(columns.epoch_ids) - 1)
-        return daily_pose_offset(points_of(last), calibration=calibration, site=self._camera.site)
+        return daily_pose_offset(points_of(last), calibration=calibration, site=self.camera.site)
 
     def _remember(self, day: Day) -> None:
-        self._camera.archive.days.save(day)
+        self.camera.archive.days.save(day)
         offsets = {"pose_offset_deg": day.pose_offset_deg, "pose_offset_sigma_deg": day.pose_offset_sigma_deg}
         numbers = {key: value for key, value in asdict(day).items() if isinstance(value, int | float)}
         why = {"date": f"{day.date}", "verdict": day.verdict, "reasons": "; ".join(day.reasons)}
         found, details = Finding("day", {**numbers, **why}), {key: value for key, value in offsets.items() if value}
-        self._camera.add_event(found, MESSAGES, time=day.decided_at, severity="info", details=details)
+        self.camera.add_event(found, MESSAGES, time=day.decided_at, severity="info", details=details)
 
 
 def _finite(value: float) -> float | None:

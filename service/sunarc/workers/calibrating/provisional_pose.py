@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import NamedTuple
@@ -83,6 +83,7 @@ class _Tried:
     count: int
 
 
+@dataclass(eq=False)
 class ProvisionalPoseEstimator:
     """Estimates the pose of an epoch that has no full fit.
 
@@ -101,21 +102,16 @@ class ProvisionalPoseEstimator:
     refusal : the verdict of the last estimate where it was refused; None where it was not.
     """
 
-    def __init__(
-        self,
-        camera: CameraArchive,
-        *,
-        options: CalibrationOptions,
-        wander_deg: float,
-        now: Callable[[], datetime],
-        first: FirstPose | None = None,
-    ) -> None:
-        self._camera = camera
-        self._options = options
-        self._wander_deg = wander_deg
-        self._now = now
+    camera: CameraArchive
+    _: KW_ONLY
+    options: CalibrationOptions
+    wander_deg: float
+    now: Callable[[], datetime]
+    first: FirstPose | None = None
+
+    def __post_init__(self) -> None:
+        """Begin without a pose."""
         self._tried: _Tried | None = None
-        self.first = first
         self.count = 0
         self.refusal: Verdict | None = None
 
@@ -123,14 +119,14 @@ class ProvisionalPoseEstimator:
     def mirrored(self) -> Mirrored:
         """The handedness of the images, as the settings or the type of lens say it."""
         if self.first is None:
-            return self._options.mirrored
+            return self.options.mirrored
         return "yes" if self.first.lens.camera.mirrored else "no"
 
     def improve(self) -> bool:
         """Estimate the pose again where that is due; return whether the result was activated."""
-        now = self._now()
-        epoch = self._camera.archive.epochs.current(self._camera.name, at=now + _JITTER)
-        current = self._camera.archive.calibrations.current(self._camera.name)
+        now = self.now()
+        epoch = self.camera.archive.epochs.current(self.camera.name, at=now + _JITTER)
+        current = self.camera.archive.calibrations.current(self.camera.name)
         if epoch is None or epoch.reason == LENS_CHANGED or (current is None and self.first is None):
             return False
         if current is not None and self._is_answered(current, epoch):
@@ -138,8 +134,8 @@ class ProvisionalPoseEstimator:
         lens = None if current is None else self._lens(current)
         if lens is None and self.first is None:
             return False
-        columns = self._camera.archive.sightings.columns(
-            self._camera.name, pose_epoch=epoch.id, until=now + _JITTER, largest_clock_error_s=MAX_CLOCK_ERROR_S
+        columns = self.camera.archive.sightings.columns(
+            self.camera.name, pose_epoch=epoch.id, until=now + _JITTER, largest_clock_error_s=MAX_CLOCK_ERROR_S
         )
         self.count = count = int(columns.unix_s.size)
         done = self._tried.count if self._tried is not None and self._tried.epoch == epoch.id else 0
@@ -153,12 +149,12 @@ class ProvisionalPoseEstimator:
             _log.info("pose estimation failed: %s", "; ".join(posed.verdict.reasons))
             return False
         document = self._document(posed, epoch, count)
-        record = self._camera.archive.calibrations.add(document, parent=None if lens is None else lens.id, used=columns)
-        return self._camera.archive.calibrations.activate(record.id, at=epoch.started_at).state == "current"
+        record = self.camera.archive.calibrations.add(document, parent=None if lens is None else lens.id, used=columns)
+        return self.camera.archive.calibrations.activate(record.id, at=epoch.started_at).state == "current"
 
     def _is_answered(self, current: CalibrationRecord, epoch: PoseEpoch) -> bool:
         """Return whether a full fit knows the pose of an epoch, or a calibration is of a later one."""
-        if current.pose_epoch == epoch.id and not is_provisional(self._camera.archive.calibrations.model(current.id)):
+        if current.pose_epoch == epoch.id and not is_provisional(self.camera.archive.calibrations.model(current.id)):
             return True
         return self._is_of_later(current, epoch)
 
@@ -167,39 +163,39 @@ class ProvisionalPoseEstimator:
         if self.first is None:
             raise InputError(field="first_pose.lens_prior", problem="unset", remedy="name a lens prior file")
         lens, pose = self.first
-        return first_pose(points, lens=lens, site=self._camera.site, options=self._options, pose=pose)
+        return first_pose(points, lens=lens, site=self.camera.site, options=self.options, pose=pose)
 
     def _of_lens(self, points: Sightings, lens: CalibrationRecord) -> Calibration:
         """Return a new pose of a lens that was calibrated."""
         return estimate_pose(
             points,
-            start=self._camera.archive.calibrations.model(lens.id),
-            site=self._camera.site,
-            options=self._options,
-            wander_deg=self._wander_deg,
+            start=self.camera.archive.calibrations.model(lens.id),
+            site=self.camera.site,
+            options=self.options,
+            wander_deg=self.wander_deg,
         )
 
     def _lens(self, current: CalibrationRecord) -> CalibrationRecord | None:
         """Return the full fit whose lens is kept."""
         record = current
         try:
-            while record.parent is not None and is_provisional(self._camera.archive.calibrations.model(record.id)):
-                record = self._camera.archive.calibrations.get(record.parent)
-            return None if is_provisional(self._camera.archive.calibrations.model(record.id)) else record
+            while record.parent is not None and is_provisional(self.camera.archive.calibrations.model(record.id)):
+                record = self.camera.archive.calibrations.get(record.parent)
+            return None if is_provisional(self.camera.archive.calibrations.model(record.id)) else record
         except InputError:  # gone, damaged, or of another version
             return None
 
     def _is_of_later(self, current: CalibrationRecord, epoch: PoseEpoch) -> bool:
         """Return whether a calibration is of a pose epoch after this one: one that a clock ahead has opened."""
-        started = {each.id: each.started_at for each in self._camera.archive.epochs.find(self._camera.name)}
+        started = {each.id: each.started_at for each in self.camera.archive.epochs.find(self.camera.name)}
         return current.pose_epoch in started and started[current.pose_epoch] > epoch.started_at
 
     def _document(self, posed: Calibration, epoch: PoseEpoch, count: int) -> dict[str, object]:
-        now = self._now()
+        now = self.now()
         return to_document(
             posed,
             id=f"{now.astimezone(UTC):%Y%m%dT%H%M%SZ}-pose{count}",
-            camera=self._camera.name,
+            camera=self.camera.name,
             state="candidate",
             created_at=now,
             valid_from=epoch.started_at,

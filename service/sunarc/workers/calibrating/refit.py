@@ -5,11 +5,11 @@ from __future__ import annotations
 import logging
 import threading
 import uuid
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import KW_ONLY, asdict, dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -54,6 +54,7 @@ class _Search:
     divided: tuple[str, ...]
 
 
+@dataclass(eq=False)
 class EpochSearch:
     """Selects the sightings to search, and stores the result.
 
@@ -67,49 +68,42 @@ class EpochSearch:
     now : frame time, which dates events.
     """
 
-    def __init__(
-        self,
-        camera: CameraArchive,
-        *,
-        options: CalibrationOptions,
-        circle: ImageCircle | None,
-        now: Callable[[], datetime],
-    ) -> None:
-        self._camera = camera
-        self._options = options
-        self._circle = circle
-        self._now = now
-        self._last_id = 0
+    camera: CameraArchive
+    _: KW_ONLY
+    options: CalibrationOptions
+    circle: ImageCircle | None
+    now: Callable[[], datetime]
+    _last_id: int = field(default=0, init=False)
 
     def due(self) -> solver_process.SolveProblem | None:
         """Return what is to be searched; None where nothing is new."""
-        columns, record = self._near_new(), self._camera.archive.cameras.get(self._camera.name)
+        columns, record = self._near_new(), self.camera.archive.cameras.get(self.camera.name)
         if columns is None or record is None or float(np.ptp(columns.unix_s)) < DAY_S:
             return None
         self._last_id = int(columns.ids.max())
         return solver_process.SolveProblem(
             points=solver_process.points_of(columns),
-            site=self._camera.site,
+            site=self.camera.site,
             image_size=record.image_size,
-            options=self._options,
-            circle=self._circle,
+            options=self.options,
+            circle=self.circle,
             lens=self._lens(),
         )
 
     def _near_new(self) -> SunPointColumns | None:
         """Return the sightings that are new to the search, or lie within days of such; None where none are."""
-        now = self._now()
-        since = since_lens(self._camera, now)
+        now = self.now()
+        since = since_lens(self.camera, now)
         searched = max((search.last_id for search in self._searches()), default=0)
-        method = None if self._camera.archive.calibrations.current(self._camera.name) is None else "import"
-        new = self._camera.archive.sightings.columns(
-            self._camera.name, since=since, until=now, method=method, after_id=searched
+        method = None if self.camera.archive.calibrations.current(self.camera.name) is None else "import"
+        new = self.camera.archive.sightings.columns(
+            self.camera.name, since=since, until=now, method=method, after_id=searched
         ).unix_s
         if new.size == 0:
             return None
         first = utc_time(new[0] - _BESIDE_S)
-        columns = self._camera.archive.sightings.columns(
-            self._camera.name,
+        columns = self.camera.archive.sightings.columns(
+            self.camera.name,
             since=first if since is None else max(since, first),
             until=min(now, utc_time(new[-1] + _BESIDE_S)),
         )
@@ -123,7 +117,7 @@ class EpochSearch:
 
     def _lens(self) -> Calibration | None:
         """Return the calibration that is served, where it is a full fit that this version can read."""
-        calibration = self._camera.archive.calibrations.current_model(self._camera.name)
+        calibration = self.camera.archive.calibrations.current_model(self.camera.name)
         return None if calibration is None or is_provisional(calibration) else calibration
 
     def keep(self, steps: tuple[PoseStep, ...]) -> None:
@@ -132,28 +126,28 @@ class EpochSearch:
         for step in steps:
             at = utc_time(step.after_unix_s)
             try:
-                parts = self._camera.archive.epochs.split(self._camera.name, at=at, reason="bump")
+                parts = self.camera.archive.epochs.split(self.camera.name, at=at, reason="bump")
             except InputError:  # an epoch begins there already
                 continue
             divided += [part.id for part in parts]
-            self._camera.add_event(
+            self.camera.add_event(
                 _found(step, at), CHANGES, time=at, severity="warning", kind="bump", details={"searched": True}
             )
         found = Finding(SEARCHED, {"steps": len(steps), "last_id": self._last_id})
-        self._camera.add_event(
-            found, MESSAGES, time=self._now(), severity="info", details={"divided": sorted(set(divided))}
+        self.camera.add_event(
+            found, MESSAGES, time=self.now(), severity="info", details={"divided": sorted(set(divided))}
         )
 
     def unanswered(self, epoch: str) -> bool:
         """Return whether no calibration of a pose epoch answered since it has its present bounds."""
-        served_at = self._camera.archive.calibrations.last_served(self._camera.name, pose_epoch=epoch)
-        now = self._now()
+        served_at = self.camera.archive.calibrations.last_served(self.camera.name, pose_epoch=epoch)
+        now = self.now()
         divided = [search.time for search in self._searches() if epoch in search.divided]
         return served_at is None or any(served_at < time <= now for time in divided)
 
     def _searches(self) -> list[_Search]:
         """Return the searches that were made; one whose event is damaged says nothing."""
-        events = self._camera.archive.events.find(self._camera.name, kind=SEARCHED)
+        events = self.camera.archive.events.find(self.camera.name, kind=SEARCHED)
         return [_search(event) for event in events]
 
 
@@ -285,6 +279,7 @@ _MOST_PAST = 8
 """Earlier pose epochs that one refit solves for; each costs as long as the fit itself."""
 
 
+@dataclass(eq=False)
 class RefitWorker:
     """Takes refits from the archive, one at a time, and carries them out.
 
@@ -300,47 +295,37 @@ class RefitWorker:
     solve, search : how a problem is solved, and searched for pose epochs; see `solve_in_child`, `search_in_child`.
     """
 
-    def __init__(
-        self,
-        camera: CameraArchive,
-        *,
-        options: RefitOptions,
-        calibration: CalibrationOptions,
-        cadence_s: float,
-        clock: Clock,
-        now: Callable[[], datetime],
-        board: StatusRegistry,
-        may_solve: Callable[[], bool] = lambda: True,
-        solve: Callable[..., Calibration | None] = solver_process.solve_in_child,
-        search: Callable[..., tuple[PoseStep, ...] | None] = solver_process.search_in_child,
-    ) -> None:
-        self._camera = camera
-        self._options = options
-        self._calibration = calibration
-        self._cadence_s = cadence_s
-        self._clock = clock
-        self._now = now
-        self._integrity = CalibrationIntegrityCheck(camera, now=now, board=board)
-        self._board = board
-        self._may_solve = may_solve
+    camera: CameraArchive
+    _: KW_ONLY
+    options: RefitOptions
+    calibration: CalibrationOptions
+    cadence_s: float
+    clock: Clock
+    now: Callable[[], datetime]
+    board: StatusRegistry
+    may_solve: Callable[[], bool] = lambda: True
+    solve: Callable[..., Calibration | None] = solver_process.solve_in_child
+    search: Callable[..., tuple[PoseStep, ...] | None] = solver_process.search_in_child
+
+    def __post_init__(self) -> None:
+        """Begin without a refit that waits."""
+        self._integrity = CalibrationIntegrityCheck(self.camera, now=self.now, board=self.board)
         self._waits_since_s: float | None = None
-        self._solve = solve
-        self._search = search
         self._epochs = EpochSearch(
-            camera,
-            options=calibration,
+            self.camera,
+            options=self.calibration,
             circle=self._circle(),
-            now=now,
+            now=self.now,
         )
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Work until stopped; a refit that was cut short is begun again at the next start."""
         self._integrity.check()
-        loop = Loop(self._clock, stop, heartbeat)
+        loop = Loop(self.clock, stop, heartbeat)
         for _ in loop.turns():
             self._integrity.follow()
-            waiting = self._camera.archive.refits.find(self._camera.name, unfinished=True)
-            if waiting and self._may_solve():
+            waiting = self.camera.archive.refits.find(self.camera.name, unfinished=True)
+            if waiting and self.may_solve():
                 self._set_waiting(0)
                 self.carry_out(waiting[-1], stop, heartbeat)
             else:
@@ -350,7 +335,7 @@ class RefitWorker:
     def let_wait(self, waiting: Sequence[Refit]) -> None:
         """Publish why refits wait, where there are some; those that waited for a day have failed."""
         self._set_waiting(len(waiting))
-        if self._waits_since_s is not None and self._clock.monotonic() - self._waits_since_s > _LONGEST_WAIT_S:
+        if self._waits_since_s is not None and self.clock.monotonic() - self._waits_since_s > _LONGEST_WAIT_S:
             for refit in waiting:
                 self._finish(refit, "failed", (Finding("refit_not_begun", {"limit_h": _LONGEST_WAIT_S / 3600.0}),))
             self._set_waiting(0)
@@ -359,35 +344,30 @@ class RefitWorker:
         if n == 0:
             self._waits_since_s = None
         elif self._waits_since_s is None:
-            self._waits_since_s = self._clock.monotonic()
+            self._waits_since_s = self.clock.monotonic()
         reason = condition("refit_waiting", n=n, limit_h=_LONGEST_WAIT_S / 3600.0)
-        self._board.set_condition("refit_waiting", reason if n else None)
+        self.board.set_condition("refit_waiting", reason if n else None)
 
     def carry_out(self, refit: Refit, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Solve, judge, keep, and serve what is better; leaves the refit unfinished when stopped half-way."""
-        self._camera.archive.refits.start(refit.id, started_at=self._now())
-        child: dict[str, Any] = {
-            "clock": self._clock,
-            "time_limit_s": self._options.time_limit_s,
-            "stop": stop,
-            "heartbeat": heartbeat,
-        }
+        self.camera.archive.refits.start(refit.id, started_at=self.now())
+        child = solver_process.ChildControl(self.clock, self.options.time_limit_s, stop, heartbeat)
         self._search_epochs(child)
         # Left unfinished in the archive: the next start begins it again.
         if stop.is_set():
             return
         task = next_task(
-            self._camera,
-            cadence_s=self._cadence_s,
-            options=self._calibration,
+            self.camera,
+            cadence_s=self.cadence_s,
+            options=self.calibration,
             circle=self._circle(),
-            now=self._now(),
+            now=self.now(),
         )
         if isinstance(task, Finding):
             self._finish(refit, "failed", (task,))
             return
         try:
-            solved = _in_child(self._solve, task.problem, child)
+            solved = _in_child(self.solve, task.problem, child)
         except solver_process.SolveFailedError as error:
             self._finish(refit, "failed", (error.finding,))
             return
@@ -397,31 +377,31 @@ class RefitWorker:
             self._answer_for_past(task, child)
 
     def _circle(self) -> ImageCircle | None:
-        numbers = self._options.image_circle_px
+        numbers = self.options.image_circle_px
         return None if numbers is None else ImageCircle(x=numbers[0], y=numbers[1], radius=numbers[2])
 
-    def _search_epochs(self, child: Mapping[str, Any]) -> None:
+    def _search_epochs(self, child: solver_process.ChildControl) -> None:
         """Open the pose epochs of sightings that no monitoring looked at."""
         problem = self._epochs.due()
         if problem is None:
             return
         try:
-            steps = _in_child(self._search, problem, child)
+            steps = _in_child(self.search, problem, child)
         except solver_process.SolveFailedError as error:  # the fit says itself when it cannot do with one pose
             _log.warning("pose epochs were not searched for: %s", error)
             return
         if steps is not None:
             self._epochs.keep(steps)
 
-    def _answer_for_past(self, task: RefitTask, child: Mapping[str, Any]) -> None:
+    def _answer_for_past(self, task: RefitTask, child: solver_process.ChildControl) -> None:
         """Serve each earlier pose epoch that nothing answers for: its own pose, and the lens of all sightings."""
-        epochs = self._camera.archive.epochs.find(self._camera.name)
+        epochs = self.camera.archive.epochs.find(self.camera.name)
         ends = {epoch.id: next_.started_at for epoch, next_ in pairwise(epochs)}
         starts = {epoch.id: epoch.started_at for epoch in epochs}
         waiting = [epoch for epoch in task.used.epoch_ids[:-1] if epoch in ends and self._epochs.unanswered(epoch)]
         for epoch in reversed(waiting[-_MOST_PAST:]):
             try:
-                solved = _in_child(self._solve, task.of_epoch(epoch), child)
+                solved = _in_child(self.solve, task.of_epoch(epoch), child)
             except solver_process.SolveFailedError as error:
                 _log.warning("no calibration of pose epoch %s: %s", epoch, error)
                 continue
@@ -430,11 +410,11 @@ class RefitWorker:
             solved = task.with_selection(solved)
             record = self._keep(task, replace(solved, verdict=accept(solved)), None, pose_epoch=epoch)
             if record.accepted:
-                self._camera.archive.calibrations.answer_between(record.id, since=starts[epoch], until=ends[epoch])
+                self.camera.archive.calibrations.answer_between(record.id, since=starts[epoch], until=ends[epoch])
 
     def _judge(self, refit: Refit, task: RefitTask, solved: Calibration) -> None:
-        current = self._camera.archive.calibrations.current(self._camera.name)
-        epoch = self._camera.archive.epochs.current(self._camera.name, at=self._now())
+        current = self.camera.archive.calibrations.current(self.camera.name)
+        epoch = self.camera.archive.epochs.current(self.camera.name, at=self.now())
         solved = with_pose_spread(solved, self._pose_spread(epoch))
         if epoch is not None and task.pose_epoch != epoch.id:
             moved = Finding("moved_since", {"time": epoch.started_at.isoformat()})
@@ -443,7 +423,7 @@ class RefitWorker:
             solved = replace(solved, verdict=self._verdict(task, solved, current))
         record = self._keep(task, solved, current)
         state: RefitState = "accepted" if record.accepted else "marginal" if solved.verdict.marginal else "refused"
-        is_active = record.accepted and self._camera.archive.calibrations.activate(record.id).state == "current"
+        is_active = record.accepted and self.camera.archive.calibrations.activate(record.id).state == "current"
         pinned = (Finding("active_is_pinned"),) if record.accepted and not is_active else ()
         self._finish(refit, state, (*record.findings, *pinned), calibration=record.id)
         self._integrity.check()
@@ -452,8 +432,8 @@ class RefitWorker:
         """Return how the pose wandered on the last days of the epoch that goes on."""
         if epoch is None:
             return pose_spread_deg((), ())
-        since = solar_date(epoch.started_at.timestamp(), longitude=self._camera.site.longitude) + timedelta(days=1)
-        days = self._camera.archive.days.find(self._camera.name, since=since, limit=_DAYS_OF_SPREAD)
+        since = solar_date(epoch.started_at.timestamp(), longitude=self.camera.site.longitude) + timedelta(days=1)
+        days = self.camera.archive.days.find(self.camera.name, since=since, limit=_DAYS_OF_SPREAD)
         offsets = [(d.pose_offset_deg, d.pose_offset_sigma_deg) for d in days]
         known = [(offset, sigma) for offset, sigma in offsets if offset and sigma]
         return pose_spread_deg([offset for offset, _ in known], [sigma for _, sigma in known])
@@ -462,13 +442,13 @@ class RefitWorker:
         if current is None:
             return accept(solved)
         try:
-            before = self._camera.archive.calibrations.model(current.id)
+            before = self.camera.archive.calibrations.model(current.id)
         except InputError as error:
             unreadable = Finding("active_unreadable", {"calibration": current.id, "error": str(error)})
             return Verdict(accepted=False, marginal=True, findings=(unreadable,))
         same = current.pose_epoch == task.pose_epoch
         verdict = accept(solved, before, same_pose=same, unseen=unseen_points(task.problem.points, before))
-        if verdict.marginal and self._camera.archive.calibrations.damaged(self._camera.name) is not None:
+        if verdict.marginal and self.camera.archive.calibrations.damaged(self.camera.name) is not None:
             # what it was compared with only stands in for the damaged current one, and has to be replaced
             return Verdict(accepted=True, findings=(Finding("replaces_damaged"), *verdict.findings))
         return verdict
@@ -477,11 +457,11 @@ class RefitWorker:
         self, task: RefitTask, solved: Calibration, current: CalibrationRecord | None, *, pose_epoch: str | None = None
     ) -> CalibrationRecord:
         """Store the calibration; the first one of a pose epoch answers from the epoch's beginning."""
-        now, epoch = self._now(), pose_epoch or task.pose_epoch
+        now, epoch = self.now(), pose_epoch or task.pose_epoch
         document = to_document(
             solved,
             id=f"{now.astimezone(UTC):%Y%m%dT%H%M%SZ}-{uuid.uuid4().hex[:6]}",
-            camera=self._camera.name,
+            camera=self.camera.name,
             state="candidate" if solved.verdict.accepted or solved.verdict.marginal else "refused",
             created_at=now,
             valid_from=self._answers_from(epoch, now),
@@ -489,35 +469,37 @@ class RefitWorker:
             pose_epoch=epoch,
             software_version=sunarc.__version__,
         )
-        return self._camera.archive.calibrations.add(
+        return self.camera.archive.calibrations.add(
             document, parent=None if current is None else current.id, used=task.used
         )
 
     def _answers_from(self, pose_epoch: str, now: datetime) -> datetime:
         if not self._epochs.unanswered(pose_epoch):
             return now
-        started = {epoch.id: epoch.started_at for epoch in self._camera.archive.epochs.find(self._camera.name)}
+        started = {epoch.id: epoch.started_at for epoch in self.camera.archive.epochs.find(self.camera.name)}
         return started.get(pose_epoch, now)
 
     def _finish(
         self, refit: Refit, state: RefitState, findings: tuple[Finding, ...], *, calibration: str | None = None
     ) -> None:
-        now, message = self._now(), "; ".join(map(text_of, findings))
-        self._camera.archive.refits.finish(
+        now, message = self.now(), "; ".join(map(text_of, findings))
+        self.camera.archive.refits.finish(
             refit.id, state=state, finished_at=now, calibration=calibration, message=message, findings=findings
         )
         found = Finding(f"refit_{state}", {"refit": refit.id, "message": message})
         severity: EventSeverity = "info" if state == "accepted" else "warning"
-        self._camera.add_event(found, MESSAGES, time=now, severity=severity, details={"calibration": calibration})
+        self.camera.add_event(found, MESSAGES, time=now, severity=severity, details={"calibration": calibration})
 
 
-def _in_child(run: Callable[..., _Answer], problem: solver_process.SolveProblem, child: Mapping[str, Any]) -> _Answer:
+def _in_child(
+    run: Callable[..., _Answer], problem: solver_process.SolveProblem, child: solver_process.ChildControl
+) -> _Answer:
     """Solve or search, and once more where the process died: it may have been killed for another's need of memory."""
     try:
-        return run(problem, **child)
+        return run(problem, child)
     except solver_process.SolverDiedError as error:
         _log.warning("%s; starting it once more", error)
-        return run(problem, **child)
+        return run(problem, child)
 
 
 # Integrity of stored calibrations: changes by hand or by other versions are reported once.
@@ -525,6 +507,7 @@ def _in_child(run: Callable[..., _Answer], problem: solver_process.SolveProblem,
 _CODES = ("no_calibration", "calibration_unreadable", "calibration_damaged")
 
 
+@dataclass(eq=False)
 class CalibrationIntegrityCheck:
     """Looks whether the current calibration can be read, and the sightings that it rests on are still there.
 
@@ -535,34 +518,37 @@ class CalibrationIntegrityCheck:
     board : where the lack of a calibration that can be used is shown.
     """
 
-    def __init__(self, camera: CameraArchive, *, now: Callable[[], datetime], board: StatusRegistry) -> None:
-        self._camera = camera
-        self._now = now
-        self._board = board
+    camera: CameraArchive
+    _: KW_ONLY
+    now: Callable[[], datetime]
+    board: StatusRegistry
+
+    def __post_init__(self) -> None:
+        """Begin without a check."""
         self._reported: set[tuple[str, str]] = set()
         self._revision: int | None = None
         self._current: str | None = None
 
     def follow(self) -> None:
         """Check again where another calibration is current than at the last check."""
-        revision = self._camera.archive.revision()
+        revision = self.camera.archive.revision()
         if revision == self._revision:
             return
         self._revision = revision
-        current = self._camera.archive.calibrations.current(self._camera.name)
+        current = self.camera.archive.calibrations.current(self.camera.name)
         if (None if current is None else current.id) != self._current:
             self.check()
 
     def check(self) -> None:
         """Check, set the condition, and store an event the first time."""
-        current = self._camera.archive.calibrations.current(self._camera.name)
+        current = self.camera.archive.calibrations.current(self.camera.name)
         self._current = None if current is None else current.id
-        self._board.set_one_condition(_CODES, self._reason(current))
+        self.board.set_one_condition(_CODES, self._reason(current))
         if current is not None:
             self._check_sightings(current)
 
     def _reason(self, current: CalibrationRecord | None) -> Reason | None:
-        damaged = self._camera.archive.calibrations.damaged(self._camera.name)
+        damaged = self.camera.archive.calibrations.damaged(self.camera.name)
         reason = None
         if current is None:
             reason = condition("no_calibration")
@@ -571,14 +557,14 @@ class CalibrationIntegrityCheck:
             reason = self._report("calibration_damaged", calibration=damaged, served=active)
         if current is not None:
             try:
-                self._camera.archive.calibrations.model(current.id)
+                self.camera.archive.calibrations.model(current.id)
             except InputError as error:
                 reason = self._report("calibration_unreadable", calibration=current.id, error=str(error))
         return reason
 
     def _check_sightings(self, current: CalibrationRecord) -> None:
         try:
-            self._camera.archive.calibrations.sightings_of(current.id)
+            self.camera.archive.calibrations.sightings_of(current.id)
         except NotFoundError:
             return  # imported, or made before evidence was kept
         except InputError as error:
@@ -589,5 +575,5 @@ class CalibrationIntegrityCheck:
         finding = Finding(code, {"calibration": calibration, **data})
         if (code, calibration) not in self._reported:
             self._reported.add((code, calibration))
-            self._camera.add_event(finding, MESSAGES, time=self._now(), severity="alarm")
+            self.camera.add_event(finding, MESSAGES, time=self.now(), severity="alarm")
         return Reason.of(finding, MESSAGES)

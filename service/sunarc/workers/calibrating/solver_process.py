@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -61,48 +61,36 @@ class SolveProblem:
     lens: Calibration | None = None
 
 
-def solve_in_child(
-    problem: SolveProblem,
-    *,
-    clock: Clock,
-    time_limit_s: float,
-    stop: threading.Event,
-    heartbeat: Callable[[], None],
-) -> Calibration | None:
+class ChildControl(NamedTuple):
+    """How a child process is waited for: real time, seconds at most, the stop that ends it, the caller's heartbeat."""
+
+    clock: Clock
+    time_limit_s: float
+    stop: threading.Event
+    heartbeat: Callable[[], None]
+
+
+def solve_in_child(problem: SolveProblem, control: ChildControl) -> Calibration | None:
     """Solve in a fresh process (spawned, never forked: the camera library has threads).
 
     Returns
     -------
-    The calibration; None when `stop` was set before it was there.
+    The calibration; None when the stop was set before it was there.
 
     Raises
     ------
     SolverDiedError : when the process died.
-    SolveFailedError : when it failed, or took longer than `time_limit_s`.
+    SolveFailedError : when it failed, or took too long.
     """
-    call = call_on(problem, calibrate)
-    answer = in_child(call, clock=clock, time_limit_s=time_limit_s, stop=stop, heartbeat=heartbeat)
+    answer = in_child(call_on(problem, calibrate), control)
     if answer is not None and not isinstance(answer, Calibration):
         raise SolveFailedError(Finding("solve_failed", {"error": str(answer)}))
     return answer
 
 
-def search_in_child(
-    problem: SolveProblem,
-    *,
-    clock: Clock,
-    time_limit_s: float,
-    stop: threading.Event,
-    heartbeat: Callable[[], None],
-) -> tuple[PoseStep, ...] | None:
-    """Search a record for steps of the pose, as `solve_in_child` solves.
-
-    Raises
-    ------
-    SolveFailedError : when the process died or took longer than `time_limit_s`.
-    """
-    call = partial(call_on(problem, find_pose_steps), lens=problem.lens)
-    answer = in_child(call, clock=clock, time_limit_s=time_limit_s, stop=stop, heartbeat=heartbeat)
+def search_in_child(problem: SolveProblem, control: ChildControl) -> tuple[PoseStep, ...] | None:
+    """Search a record for steps of the pose, as `solve_in_child` solves, with the same errors."""
+    answer = in_child(partial(call_on(problem, find_pose_steps), lens=problem.lens), control)
     if answer is not None and not isinstance(answer, tuple):
         raise SolveFailedError(Finding("search_failed", {"error": str(answer)}))
     return answer
@@ -120,15 +108,8 @@ def call_on(problem: SolveProblem, function: Callable[..., _Answer]) -> partial[
     )
 
 
-def in_child(
-    call: Callable[[], object],
-    *,
-    clock: Clock,
-    time_limit_s: float,
-    stop: threading.Event,
-    heartbeat: Callable[[], None],
-) -> object:
-    """Return what a call returns in a fresh process; None when `stop` was set before."""
+def in_child(call: Callable[[], object], control: ChildControl) -> object:
+    """Return what a call returns in a fresh process; None when the stop was set before."""
     one_thread_each()  # read by the processes that are started
     context = multiprocessing.get_context("spawn")
     receiving, sending = context.Pipe()
@@ -140,10 +121,12 @@ def in_child(
         # pipe takes would block it for ever where the child has died. The child reads before it imports: no heartbeat
         # is due while it does.
         receiving.send(call)
-        return _answer(receiving, clock.monotonic, time_limit_s=time_limit_s, stop=stop, heartbeat=heartbeat)
+        return _answer(receiving, control)
     except (EOFError, ConnectionError):  # it died before it answered, or before it had read its problem
         exit_code = _exit_code(process)
-        if clock.wait(stop, _STOP_FOLLOWS_S):  # one stop ends both, and the child a moment before this is reached
+        if control.clock.wait(
+            control.stop, _STOP_FOLLOWS_S
+        ):  # one stop ends both, and the child a moment before this is reached
             return None
         raise SolverDiedError(Finding("solver_died", {"end": _end(exit_code)})) from None
     finally:
@@ -153,21 +136,14 @@ def in_child(
             process.join()
 
 
-def _answer(
-    receiving: Connection[object, object],
-    monotonic: Callable[[], float],
-    *,
-    time_limit_s: float,
-    stop: threading.Event,
-    heartbeat: Callable[[], None],
-) -> object:
-    end = monotonic() + time_limit_s
-    while not stop.is_set():
-        heartbeat()
+def _answer(receiving: Connection[object, object], control: ChildControl) -> object:
+    end = control.clock.monotonic() + control.time_limit_s
+    while not control.stop.is_set():
+        control.heartbeat()
         if receiving.poll(_POLL_S):
             return receiving.recv()
-        if monotonic() > end:
-            raise SolveFailedError(Finding("solve_too_long", {"limit_s": time_limit_s}))
+        if control.clock.monotonic() > end:
+            raise SolveFailedError(Finding("solve_too_long", {"limit_s": control.time_limit_s}))
     return None
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass, field
 from datetime import datetime
 from typing import NamedTuple
 
@@ -62,6 +62,7 @@ class _Measured(NamedTuple):
     off: tuple[float, float]
 
 
+@dataclass(eq=False)
 class MoonImages:
     """Keeps the brightest places of the night's images of the moon, and measures them with a calibration.
 
@@ -72,19 +73,19 @@ class MoonImages:
     exposures : learns how bright the moon was.
     """
 
-    def __init__(self, camera: CameraArchive, *, options: SensorOptions, exposures: MoonExposures | None) -> None:
-        self._camera = camera
-        self._options = options
-        self._exposures = exposures
-        self._images: list[_MoonImage] = []
+    camera: CameraArchive
+    _: KW_ONLY
+    options: SensorOptions
+    exposures: MoonExposures | None
+    _images: list[_MoonImage] = field(default_factory=list, init=False)
 
     def add(self, frames: Sequence[Frame]) -> tuple[Frame, tuple[Cutout, ...]]:
         """Keep what is bright in the longest exposure of a slot that is not clipped, and return both."""
         looked = [(frame, brightest_cutouts(frame.image, full_scale=frame.full_scale)) for frame in frames]
         near = self._near_prediction()
         levels = [(frame, cutouts, brightest_level(frame, near(frame, cutouts))) for frame, cutouts in looked]
-        if self._exposures is not None and frames:
-            self._exposures.report(frames[0].time, tuple((frame.exposure_us, level) for frame, _, level in levels))
+        if self.exposures is not None and frames:
+            self.exposures.report(frames[0].time, tuple((frame.exposure_us, level) for frame, _, level in levels))
         good = [one for one in levels if 0.0 < one[2] < MOST_LEVEL]
         frame, cutouts, _ = max(good, key=lambda one: one[0].exposure_us) if good else levels[0]
         self.resume(frame, cutouts)
@@ -95,7 +96,7 @@ class MoonImages:
         image = _MoonImage(
             time=frame.time,
             exposure_us=frame.exposure_us,
-            sensor=sensor_of(frame, self._options),
+            sensor=sensor_of(frame, self.options),
             cutouts=cutouts,
             clock_error_s=clock_error_s,
         )
@@ -103,12 +104,12 @@ class MoonImages:
 
     def _near_prediction(self) -> Callable[[Frame, tuple[Cutout, ...]], tuple[Cutout, ...]]:
         """Return what leaves the moon's cutout alone, where a calibration predicts it: a lamp may be brighter."""
-        calibration = self._camera.archive.calibrations.current_model(self._camera.name)
+        calibration = self.camera.archive.calibrations.current_model(self.camera.name)
 
         def near(frame: Frame, cutouts: tuple[Cutout, ...]) -> tuple[Cutout, ...]:
             if calibration is None:
                 return cutouts
-            disc = moon_disc(frame.time.timestamp(), self._camera.site_with_air_at(frame.time))
+            disc = moon_disc(frame.time.timestamp(), self.camera.site_with_air_at(frame.time))
             expected = predicted_moon(calibration, disc, within_px=1.0)
             if expected is None:
                 return ()
@@ -151,7 +152,7 @@ class MoonImages:
         return MoonNight(points, len(images), tuple(refused))
 
     def _measured(self, image: _MoonImage, calibration: Calibration, within_px: float) -> _Measured | Finding:
-        disc = moon_disc(image.time.timestamp(), self._camera.site_with_air_at(image.time))
+        disc = moon_disc(image.time.timestamp(), self.camera.site_with_air_at(image.time))
         expected = predicted_moon(calibration, disc, within_px=within_px)
         if (
             expected is None
@@ -179,7 +180,7 @@ class MoonImages:
     def _point(self, measured: _Measured, clock_error_s: Callable[[datetime], float]) -> SunPoint:
         image, found = measured.image, measured.found
         return SunPoint(
-            camera=self._camera.name,
+            camera=self.camera.name,
             pose_epoch="",
             time=image.time,
             body="moon",

@@ -7,7 +7,7 @@ import math
 import threading
 import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import KW_ONLY, asdict, dataclass, field, fields, replace
 from datetime import date, datetime, timedelta
 from pathlib import Path
 
@@ -153,6 +153,7 @@ class _StarImage:
     clock_error_s: float
 
 
+@dataclass(eq=False)
 class NightWorker:
     """Detects the stars in each image of the night; when the sun is back, names them and stores the verdict.
 
@@ -177,55 +178,43 @@ class NightWorker:
     resumes : whether a restart goes on with the night's images.
     """
 
-    def __init__(
-        self,
-        capture: NightCapture,
-        *,
-        camera: CameraArchive,
-        options: SensorOptions,
-        apparent_zenith: Callable[[], float],
-        clock_error_s: Callable[[datetime], float],
-        trusted: Callable[[], bool],
-        now: Callable[[], datetime],
-        request_refit: Callable[[str], Refit],
-        board: StatusRegistry,
-        limits: NightLimits | None = None,
-        store: ImageStore | None = None,
-        warm_pixels: Path | None = None,
-        replaces: bool = False,
-        resumes: bool = False,
-    ) -> None:
-        self._frames, self._exposures = capture.frames, capture.exposures
-        self._camera = camera
-        self._options = options
-        self._apparent_zenith = apparent_zenith
-        self._clock_error_s = clock_error_s
-        self._trusted = trusted
-        self._now = now
-        self._request_refit = request_refit
-        self._board = board
-        self._limits = limits or NightLimits()
-        self._store_images = store
-        self._replaces = replaces
-        self._kept = KeptImages(camera) if resumes else None
+    capture: NightCapture
+    _: KW_ONLY
+    camera: CameraArchive
+    options: SensorOptions
+    apparent_zenith: Callable[[], float]
+    clock_error_s: Callable[[datetime], float]
+    trusted: Callable[[], bool]
+    now: Callable[[], datetime]
+    request_refit: Callable[[str], Refit]
+    board: StatusRegistry
+    limits: NightLimits = field(default_factory=NightLimits)
+    store: ImageStore | None = None
+    warm_pixels: Path | None = None
+    replaces: bool = False
+    resumes: bool = False
+
+    def __post_init__(self) -> None:
+        """Begin without images."""
+        self._kept = KeptImages(self.camera) if self.resumes else None
         self._daylight_since: datetime | None = None
         self._images: list[_StarImage] = []
         self._picture: NightPicture | None = None
-        self._warm = WarmPixelMap(None if warm_pixels is None else WarmPixelFile(warm_pixels, self._report))
+        self._warm = WarmPixelMap(None if self.warm_pixels is None else WarmPixelFile(self.warm_pixels, self._report))
         self._serial: str | None = None
         self._digest: int | None = None
         self._repeated = 0
-        self._moon_frames = None if capture.moon is None else capture.moon.frames
-        exposures = None if capture.moon is None else capture.moon.exposures
-        self._moon = MoonImages(camera, options=options, exposures=exposures)
+        exposures = None if self.capture.moon is None else self.capture.moon.exposures
+        self._moon = MoonImages(self.camera, options=self.options, exposures=exposures)
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Work until stopped."""
         self.resume()
         self.publish_conditions()
         for _ in turns(stop, heartbeat):
-            frame = self._frames.get(timeout_s=_POLL_S)
-            if self._moon_frames is not None and (moon := self._moon_frames.get(timeout_s=0.0)) is not None:
+            frame = self.capture.frames.get(timeout_s=_POLL_S)
+            moon = None if self.capture.moon is None else self.capture.moon.frames.get(timeout_s=0.0)
+            if moon is not None:
                 self.add_moon_exposures(moon)
             if frame is not None:
                 self.look_at(frame)
@@ -252,24 +241,24 @@ class NightWorker:
 
     def _is_over(self) -> bool:
         """Return whether the sun is back, and has been so for longer than a clock that was set for a moment shows."""
-        if self._apparent_zenith() >= DARK_ZENITH_DEG:
+        if self.apparent_zenith() >= DARK_ZENITH_DEG:
             self._daylight_since = None
             return False
-        now = self._now()
+        now = self.now()
         if self._daylight_since is None or now < self._daylight_since:
             self._daylight_since = now
-        return now - self._daylight_since >= (_DAYLIGHT if self._trusted() else _DAYLIGHT_DISTRUSTED)
+        return now - self._daylight_since >= (_DAYLIGHT if self.trusted() else _DAYLIGHT_DISTRUSTED)
 
     def look_at(self, frame: Frame) -> None:
         """Detect the stars of a frame, and remember them; not of one that a clock dates that was just set."""
         if self._is_repeated(frame):
             return
-        clock_error_s = self._clock_error_s(frame.time)
+        clock_error_s = self.clock_error_s(frame.time)
         if self._images and self._night_of(frame.time) != self._night_of(self._images[-1].time):
             if clock_error_s > MAX_CLOCK_ERROR_S:
                 return
             self._begin_another()
-        sensor = sensor_of(frame, self._options)
+        sensor = sensor_of(frame, self.options)
         stars = detect_stars(
             self._warm.repair(frame, sensor.bayer, serial=self._camera_serial()),
             full_scale=frame.full_scale,
@@ -277,7 +266,7 @@ class NightWorker:
             gain_e_per_count=sensor.gain_e_per_count,
         )
         level = float(np.median(frame.image[::8, ::8])) - sensor.black_level
-        self._exposures.report(stars, sky_fraction=level / frame.full_scale)
+        self.capture.exposures.report(stars, sky_fraction=level / frame.full_scale)
         halo = star_halo(frame.image, stars, full_scale=frame.full_scale, bayer=sensor.bayer)
         shown = None
         if better(self._picture, n_stars=len(stars)):
@@ -300,7 +289,7 @@ class NightWorker:
             _log.warning("%d images of the night that no good clock dated are left out", len(self._images))
             self._forget()
             if self._kept is not None:
-                self._camera.archive.nights.drop_images(self._camera.name)
+                self.camera.archive.nights.drop_images(self.camera.name)
         else:
             self.finish()
 
@@ -318,24 +307,24 @@ class NightWorker:
     def _camera_serial(self) -> str:
         """Return the camera's serial number, as it was at the first image: another camera needs a restart."""
         if self._serial is None:
-            record = self._camera.archive.cameras.get(self._camera.name)
+            record = self.camera.archive.cameras.get(self.camera.name)
             self._serial = "" if record is None else record.serial
         return self._serial
 
     def _report(self, found: Finding) -> None:
-        self._camera.add_event(found, MESSAGES, time=self._now(), severity="warning")
+        self.camera.add_event(found, MESSAGES, time=self.now(), severity="warning")
 
     def add_moon_exposures(self, frames: Sequence[Frame]) -> None:
         """Keep the brightest cutouts of a slot's short exposures, in which the moon may be, until the night is over."""
         frame, cutouts = self._moon.add(frames)
         if self._kept is not None:
-            note = FrameNote(frame, self._clock_error_s(frame.time))
+            note = FrameNote(frame, self.clock_error_s(frame.time))
             self._kept.keep(KeptMoon(note, cutouts), since=frame.time - timedelta(days=1))
 
     def finish(self, heartbeat: Callable[[], None] = lambda: None) -> Night:
         """Name the stars of the night, store them and the verdict; ask for a refit after one that showed them."""
         self._warm.save()
-        tries = 1 if self._kept is None else self._camera.archive.nights.begin_verdict(self._camera.name)
+        tries = 1 if self._kept is None else self.camera.archive.nights.begin_verdict(self.camera.name)
         if tries > _MOST_TRIES:
             found = Finding("night_given_up", {"n": len(self._images), "tries": _MOST_TRIES})
             night = self._without_numbers(self._images, (found,), None)
@@ -349,8 +338,8 @@ class NightWorker:
         """Do what `finish` says with the present images; `again` where it was begun before a restart."""
         images, picture = self._images, self._picture
         frozen = (Finding("night_frozen", {"n": self._repeated}),) if self._repeated else ()
-        calibration = self._camera.archive.calibrations.current_model(self._camera.name)
-        if calibration is None or not self._trusted():
+        calibration = self.camera.archive.calibrations.current_model(self.camera.name)
+        if calibration is None or not self.trusted():
             code = "night_without_calibration" if calibration is None else "night_clock_not_trusted"
             return self._without_numbers(images, (Finding(code),), self._keep(picture, None, calibration))
         taken = self._named(images, calibration, heartbeat)
@@ -360,21 +349,21 @@ class NightWorker:
         picture_time = self._keep(picture, dict(zip([image.time for image in images], taken, strict=True)), calibration)
         offset = offset_of(views, matched, calibration)
         stored = self._store(images, views, matched, again=again)
-        moon = self._moon.finish(calibration, within_px=BENT_PX, clock_error_s=self._clock_error_s)
+        moon = self._moon.finish(calibration, within_px=BENT_PX, clock_error_s=self.clock_error_s)
         heartbeat()
-        stored_moon = max(self._camera.archive.sightings.add(moon.points), len(moon.points) if again else 0)
+        stored_moon = max(self.camera.archive.sightings.add(moon.points), len(moon.points) if again else 0)
         verdict, findings = decide_night(summary, moonlit_share=self._moonlit_share(images))
         refused = [found.matches.findings[0] for found in matched if not found.matches.accepted]
         evening = self._night_of(images[0].time)
         if verdict in _WORTH_A_REFIT and stored >= _ENOUGH_STARS:
-            self._request_refit(f"after the night of {evening} ({verdict})")
+            self.request_refit(f"after the night of {evening} ({verdict})")
         air, trend = measured.air, measured.trend
         return Night(
-            camera=self._camera.name,
+            camera=self.camera.name,
             date=evening,
             verdict=verdict,
             findings=(*findings, *refused[:1], *moon.refused[:1], *frozen),
-            decided_at=self._now(),
+            decided_at=self.now(),
             n_images=summary.n_images,
             n_accepted=summary.n_accepted,
             n_stored=stored,
@@ -420,8 +409,8 @@ class NightWorker:
         self, images: Sequence[_StarImage], findings: tuple[Finding, ...], picture_time: datetime | None
     ) -> Night:
         """Return the verdict on a night whose images say nothing of the sky."""
-        evening, now = self._night_of(images[0].time), self._now()
-        night = unusable_night(self._camera.name, evening, findings=findings, decided_at=now, n_images=len(images))
+        evening, now = self._night_of(images[0].time), self.now()
+        night = unusable_night(self.camera.name, evening, findings=findings, decided_at=now, n_images=len(images))
         return replace(night, picture_time=picture_time)
 
     def _keep(
@@ -433,15 +422,15 @@ class NightWorker:
         -------
         When it was taken; None where there is none.
         """
-        if self._store_images is None or picture is None:
+        if self.store is None or picture is None:
             return None
         one = None if taken is None else taken.get(picture.time)
-        current = self._camera.archive.calibrations.current(self._camera.name)
-        record = self._camera.archive.cameras.get(self._camera.name)
+        current = self.camera.archive.calibrations.current(self.camera.name)
+        record = self.camera.archive.cameras.get(self.camera.name)
         written = store_picture(
-            self._store_images,
+            self.store,
             picture,
-            [] if one is None or calibration is None else named_bodies(one, calibration, self._camera),
+            [] if one is None or calibration is None else named_bodies(one, calibration, self.camera),
             calibration=None if current is None else current.id,
             image_size=None if record is None else record.image_size,
         )
@@ -449,10 +438,10 @@ class NightWorker:
 
     def _night_of(self, time: datetime) -> date:
         """Return the solar date of the evening that a night began with."""
-        return solar_date(time.timestamp() - 0.5 * DAY_S, longitude=self._camera.site.longitude)
+        return solar_date(time.timestamp() - 0.5 * DAY_S, longitude=self.camera.site.longitude)
 
     def _view(self, image: _StarImage, calibration: Calibration) -> StarView:
-        stars, site = self._warm.without_warm(image.stars), self._camera.site_with_air_at(image.time)
+        stars, site = self._warm.without_warm(image.stars), self.camera.site_with_air_at(image.time)
         return star_view(stars, image.time.timestamp(), site=site, calibration=calibration)
 
     def _store(
@@ -474,18 +463,18 @@ class NightWorker:
             if found.matches.accepted
             for point in self._points(image, view, found)
         ]
-        if self._replaces or again:
-            new = self._camera.archive.sightings.replace_stars(self._camera.name, points)
+        if self.replaces or again:
+            new = self.camera.archive.sightings.replace_stars(self.camera.name, points)
             return len(points) if again else new
-        return self._camera.archive.sightings.add(points)
+        return self.camera.archive.sightings.add(points)
 
     def _points(self, image: _StarImage, view: StarView, found: MatchedView) -> list[SunPoint]:
         """Return the surest stars of each part of an image as sightings."""
-        record = self._camera.archive.cameras.get(self._camera.name)
+        record = self.camera.archive.cameras.get(self.camera.name)
         names, stars = surest_named(view, found, (0, 0) if record is None else record.image_size)
         return [
             SunPoint(
-                camera=self._camera.name,
+                camera=self.camera.name,
                 pose_epoch="",
                 time=image.time,
                 body=str(names[row]),
@@ -501,27 +490,27 @@ class NightWorker:
                 ellipticity=float(stars.ellipticity[row]),
                 snr=float(stars.snr[row]),
                 saturated_px=0,
-                clock_error_s=max(self._clock_error_s(image.time), image.clock_error_s),
+                clock_error_s=max(self.clock_error_s(image.time), image.clock_error_s),
             )
             for row in range(len(stars))
         ]
 
     def _moonlit_share(self, images: Sequence[_StarImage]) -> float:
-        moons = [body_position("moon", image.time.timestamp(), self._camera.site) for image in images]
+        moons = [body_position("moon", image.time.timestamp(), self.camera.site) for image in images]
         return sum(moon.direction[2] > 0.0 and moon.illuminated_fraction > _HALF_LIT for moon in moons) / len(moons)
 
     def _remember(self, night: Night) -> None:
         """Store the verdict, and set the conditions that the last nights give rise to."""
         event = event_of_night(night)
-        self._camera.archive.nights.save(night, event=event, drops_images=self._kept is not None)
+        self.camera.archive.nights.save(night, event=event, drops_images=self._kept is not None)
         _log.info("%s", event.text)
         self.publish_conditions()
 
     def publish_conditions(self) -> None:
         """Set or clear the conditions of the last nights, as the archive has them."""
-        nights = self._camera.archive.nights.find(self._camera.name, limit=NIGHTS_COMPARED)
-        for code, reason in night_conditions(nights, self._limits).items():
-            self._board.set_condition(code, reason)
+        nights = self.camera.archive.nights.find(self.camera.name, limit=NIGHTS_COMPARED)
+        for code, reason in night_conditions(nights, self.limits).items():
+            self.board.set_condition(code, reason)
 
 
 def event_of_night(night: Night) -> Event:

@@ -6,6 +6,7 @@ import json
 import logging
 from collections import deque
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -39,6 +40,7 @@ class SensorFormat(NamedTuple):
     serial: str
 
 
+@dataclass(eq=False)
 class WarmPixelFile:
     """The file of a camera's warm pixels; a file that cannot be read or written is reported, and the night goes on.
 
@@ -48,25 +50,24 @@ class WarmPixelFile:
     report : stores a finding as an event.
     """
 
-    def __init__(self, path: Path, report: Callable[[Finding], object]) -> None:
-        self._path = path
-        self._report = report
+    path: Path
+    report: Callable[[Finding], object]
 
     def read(self, sensor: SensorFormat) -> IntArray:
         """Return the flat indices, ascending; none without a file, or where it is damaged or of another sensor."""
         try:
-            with self._path.open("rb") as file:
+            with self.path.open("rb") as file:
                 content = file.read(_MOST_BYTES + 1)
             stored, pixels = _parsed(content)
         except FileNotFoundError:
             return np.zeros(0, dtype=np.int64)
         except (OSError, ValueError, OverflowError, RecursionError) as error:
             why = error.strerror if isinstance(error, OSError) else None
-            self._report(Finding("warm_pixels_unread", {"file": self._path.name, "error": why or str(error)}))
+            self.report(Finding("warm_pixels_unread", {"file": self.path.name, "error": why or str(error)}))
             return np.zeros(0, dtype=np.int64)
         if stored != sensor:
-            data = {"file": self._path.name, "stored": _said(stored), "present": _said(sensor)}
-            self._report(Finding("warm_pixels_other_sensor", data))
+            data = {"file": self.path.name, "stored": _said(stored), "present": _said(sensor)}
+            self.report(Finding("warm_pixels_other_sensor", data))
             return np.zeros(0, dtype=np.int64)
         return pixels
 
@@ -74,9 +75,9 @@ class WarmPixelFile:
         """Write a list in place of the former one: the whole of it, or nothing."""
         document = {"version": _VERSION, "sensor": sensor._asdict(), "pixels": pixels[:_MOST].tolist()}
         try:
-            write_atomically(self._path, json.dumps(document).encode())
+            write_atomically(self.path, json.dumps(document).encode())
         except OSError as error:
-            found = Finding("warm_pixels_unwritten", {"file": self._path.name, "error": error.strerror or str(error)})
+            found = Finding("warm_pixels_unwritten", {"file": self.path.name, "error": error.strerror or str(error)})
             # no event: a disk that is full has no room for one
             _log.warning("%s: %s", found.code, text_of(found), extra={"event_kind": found.code})
 
