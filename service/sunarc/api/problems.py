@@ -10,7 +10,7 @@ import threading
 import traceback
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from http import HTTPStatus
 from typing import Any
 
@@ -211,6 +211,7 @@ def add_problem_handlers(app: FastAPI, faults: FaultLog) -> None:
     app.add_exception_handler(SunarcError, ours)
 
 
+@dataclass(eq=False)
 class FaultGuard:
     """Answers with a problem what nothing behind it has answered; the stack goes to the log once.
 
@@ -222,9 +223,9 @@ class FaultGuard:
     faults : the log.
     """
 
-    def __init__(self, app: ASGIApp, *, faults: FaultLog) -> None:
-        self._app = app
-        self._faults = faults
+    app: ASGIApp
+    _: KW_ONLY
+    faults: FaultLog
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on; an answer that has begun is cut off."""
@@ -236,9 +237,9 @@ class FaultGuard:
             await send(message)
 
         try:
-            await self._app(scope, receive, sending)
+            await self.app(scope, receive, sending)
         except Exception as error:  # noqa: BLE001 - that is its purpose
-            name = _recorded(self._faults, error, scope)
+            name = _recorded(self.faults, error, scope)
             if not started and scope["type"] == "http":
                 await internal_problem(scope["path"], name)(scope, receive, send)
 

@@ -10,6 +10,7 @@ import re
 import socket
 from collections import OrderedDict
 from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
 from functools import partial
 from http import HTTPStatus
 from ipaddress import ip_address
@@ -21,9 +22,10 @@ from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from sunarc.api.middleware.http_only import HttpMiddleware
 from sunarc.api.middleware.shared_quota import ClientAddressError, SharedQuota, answer_held, client_network
 from sunarc.api.options import ApiOptions
-from sunarc.api.problems import Fault, RefusedError, problem_response
+from sunarc.api.problems import Fault, RefusedError, problem_response, refusal_response
 from sunarc.errors import ConfigurationError
 
 _SHORTEST_TOKEN = 16
@@ -69,36 +71,28 @@ def require_write_token(token: bytes | None) -> Callable[..., Awaitable[None]]:
     return with_token
 
 
-class ReadTokenMiddleware:
+@dataclass(kw_only=True, eq=False)
+class ReadTokenMiddleware(HttpMiddleware):
     """Refuses reads without one of the tokens; the empty page and the probes stay open.
 
     Parameters
     ----------
-    app : what is behind it.
     tokens : the digests of those that open it.
     """
 
-    def __init__(self, app: ASGIApp, *, tokens: tuple[bytes, ...]) -> None:
-        self._app = app
-        self._tokens = tokens
+    tokens: tuple[bytes, ...]
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it."""
-        if scope["type"] != "http" or _is_open(scope["path"]) or self._borne(scope):
-            await self._app(scope, receive, send)
+        if _is_open(scope["path"]) or self._borne(scope):
+            await self.app(scope, receive, send)
             return
-        refusal = problem_response(
-            HTTPStatus.UNAUTHORIZED,
-            path=scope["path"],
-            detail=f"{_NO_TOKEN.field}: {_NO_TOKEN.problem}; {_NO_TOKEN.remedy}",
-            errors=[_NO_TOKEN],
-            headers=_CHALLENGE,
-        )
-        await refusal(scope, receive, send)
+        error = RefusedError(HTTPStatus.UNAUTHORIZED, _NO_TOKEN, headers=_CHALLENGE)
+        await refusal_response(scope["path"], error)(scope, receive, send)
 
     def _borne(self, scope: Scope) -> bool:
         given = _bearer_token(scope)
-        return given is not None and _is_one_of(given, self._tokens)
+        return given is not None and _is_one_of(given, self.tokens)
 
 
 def bears_wrong_token(scope: Scope, tokens: tuple[bytes, ...]) -> bool:
@@ -178,27 +172,30 @@ class TokenBuckets:
         return min(self._burst, tokens + (now_s - at_s) * self._per_s)
 
 
-class RateLimit:
+@dataclass(kw_only=True, eq=False)
+class RateLimit(HttpMiddleware):
     """Refuses what one client asks too often (429), and clients whose address a proxy garbles (400).
 
     A client on loopback is not counted: it is the host itself, or a proxy that does not state for whom it asks.
 
     Parameters
     ----------
-    app : what is behind it.
     per_s, burst : see `TokenBuckets`; no limit where `per_s` is 0.
     tokens : digests of those that are right; a request that bears another one and is refused costs 20.
     """
 
-    def __init__(self, app: ASGIApp, *, per_s: float, burst: int, tokens: tuple[bytes, ...]) -> None:
-        self._app = app
-        self._allowances = TokenBuckets(per_s=per_s, burst=burst) if per_s > 0.0 else None
-        self._tokens = tokens
+    per_s: float
+    burst: int
+    tokens: tuple[bytes, ...]
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+    def __post_init__(self) -> None:
+        """Begin without a client."""
+        self._allowances = TokenBuckets(per_s=self.per_s, burst=self.burst) if self.per_s > 0.0 else None
+
+    async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it."""
-        if scope["type"] != "http" or is_always_answered(scope):
-            await self._app(scope, receive, send)
+        if is_always_answered(scope):
+            await self.app(scope, receive, send)
             return
         try:
             client = client_network(scope)
@@ -206,15 +203,15 @@ class RateLimit:
             await _garbled(scope, error)(scope, receive, send)
             return
         if self._allowances is None or client is None:
-            await self._app(scope, receive, send)
+            await self.app(scope, receive, send)
             return
-        price = _PRICE_OF_A_WRONG_TOKEN if bears_wrong_token(scope, self._tokens) else 1.0
+        price = _PRICE_OF_A_WRONG_TOKEN if bears_wrong_token(scope, self.tokens) else 1.0
         wait_s = self._allowances.take(client, price, now_s=asyncio.get_running_loop().time())
         if wait_s > 0.0:
             await too_many("too many requests from this address", scope, wait_s=wait_s)(scope, receive, send)
         else:
             priced = send if price == 1.0 else self._refunding(self._allowances, client, price - 1.0, send)
-            await self._app(scope, receive, priced)
+            await self.app(scope, receive, priced)
 
     @staticmethod
     def _refunding(allowances: TokenBuckets, client: str, price: float, send: Send) -> Send:
@@ -228,7 +225,8 @@ class RateLimit:
         return sending
 
 
-class ConcurrencyLimit:
+@dataclass(kw_only=True, eq=False)
+class ConcurrencyLimit(HttpMiddleware):
     """Refuses what is too much at once (503), or ends the oldest request of an address that has more under way.
 
     A request is counted from when its body is there to when its answer is written; streams of events, which have no
@@ -236,20 +234,22 @@ class ConcurrencyLimit:
 
     Parameters
     ----------
-    app : what is behind it.
     at_once : requests that are answered at the same time.
     streams : streams of events that are open at the same time.
     """
 
-    def __init__(self, app: ASGIApp, *, at_once: int, streams: int = 64) -> None:
-        self._app = app
-        self._under_way = SharedQuota(at_once)
-        self._streams = SharedQuota(streams)
+    at_once: int
+    streams: int = 64
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+    def __post_init__(self) -> None:
+        """Begin without a request."""
+        self._under_way = SharedQuota(self.at_once)
+        self._streams = SharedQuota(self.streams)
+
+    async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it."""
-        if scope["type"] != "http" or is_always_answered(scope):
-            await self._app(scope, receive, send)
+        if is_always_answered(scope):
+            await self.app(scope, receive, send)
             return
         counted = self._streams if scope["path"].endswith(_STREAM) else self._under_way
         with counted.open(client_network(scope)) as request:
@@ -259,7 +259,7 @@ class ConcurrencyLimit:
                 refusal = too_many("too many requests at once", scope, HTTPStatus.SERVICE_UNAVAILABLE)
                 await refusal(scope, receive, send)
             else:
-                answer = partial(self._app, scope, receive)
+                answer = partial(self.app, scope, receive)
                 await answer_held(request, answer, scope=scope, receive=receive, send=send)
 
 
@@ -282,8 +282,7 @@ def too_many(
 def _garbled(scope: Scope, error: ClientAddressError) -> ASGIApp:
     remedy = "let the proxy set X-Forwarded-For to the client's address alone"
     fault = Fault(field="x-forwarded-for", problem=str(error), remedy=remedy)
-    detail = f"{fault.field}: {fault.problem}; {fault.remedy}"
-    return problem_response(HTTPStatus.BAD_REQUEST, path=scope["path"], detail=detail, errors=[fault])
+    return refusal_response(scope["path"], RefusedError(HTTPStatus.BAD_REQUEST, fault))
 
 
 _HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[^:\[\]]+)(?::[0-9]{1,5})?")
@@ -296,7 +295,8 @@ def host_names(options: ApiOptions) -> frozenset[str]:
     return frozenset(name.lower().rstrip(".") for name in names if name)
 
 
-class AllowedHosts:
+@dataclass(kw_only=True, eq=False)
+class AllowedHosts(HttpMiddleware):
     """Refuses requests (421) whose Host header has a name that is not this service's.
 
     In a DNS rebinding attack the browser sends the attacker's name. Addresses are always answered: an address cannot
@@ -305,29 +305,26 @@ class AllowedHosts:
 
     Parameters
     ----------
-    app : what is behind it.
     names : those that are answered, in lower case.
     """
 
-    def __init__(self, app: ASGIApp, *, names: frozenset[str]) -> None:
-        self._app = app
-        self._names = names
+    names: frozenset[str]
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it."""
         if scope["type"] == "http" and not is_always_answered(scope):
             host = Headers(scope=scope).get("host", "")
             if host and not self._is_allowed(host):
                 await _refusal(scope["path"], host)(scope, receive, send)
                 return
-        await self._app(scope, receive, send)
+        await self.app(scope, receive, send)
 
     def _is_allowed(self, host: str) -> bool:
         found = _HOST.fullmatch(host)
         if found is None:
             return False
         name = found[1].lower().rstrip(".")
-        return name in self._names or name.endswith(".localhost") or _is_address(name.strip("[]"))
+        return name in self.names or name.endswith(".localhost") or _is_address(name.strip("[]"))
 
 
 def _is_address(name: str) -> bool:
@@ -344,5 +341,4 @@ def _refusal(path: str, host: str) -> ASGIApp:
         problem=f"{host[:64]!r} is not a name of this service",
         remedy="ask by its address, or add the name to api.allowed_hosts",
     )
-    status = HTTPStatus.MISDIRECTED_REQUEST
-    return problem_response(status, path=path, detail=f"{fault.field}: {fault.problem}; {fault.remedy}", errors=[fault])
+    return refusal_response(path, RefusedError(HTTPStatus.MISDIRECTED_REQUEST, fault))

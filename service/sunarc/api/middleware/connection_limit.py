@@ -18,8 +18,9 @@ from typing import Any, cast
 
 import uvicorn
 from starlette.datastructures import Headers
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.types import Message, Receive, Scope, Send
 
+from sunarc.api.middleware.http_only import HttpMiddleware
 from sunarc.api.options import MIN_RATE_BYTES_PER_S, ApiOptions
 from sunarc.api.problems import problem_response
 
@@ -166,22 +167,11 @@ class BoundedConnection(asyncio.Protocol):
 _connection: ContextVar[BoundedConnection] = ContextVar("connection")
 
 
-class RequestFollower:
-    """Notifies a connection when a request begins and when its answer is written.
+class RequestFollower(HttpMiddleware):
+    """Notifies a connection when a request begins and when its answer is written."""
 
-    Parameters
-    ----------
-    app : what is behind it.
-    """
-
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on."""
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
         connection, headers = _connection.get(), Headers(scope=scope)
         unread = "transfer-encoding" in headers or headers.get("content-length", "0") != "0"
         connection.begin()
@@ -200,7 +190,7 @@ class RequestFollower:
             if ends:
                 connection.end(unread=unread)
 
-        await self._app(scope, receiving, sending)
+        await self.app(scope, receiving, sending)
 
 
 async def _receive_arrived(receive: Receive) -> None:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import dataclass
 from functools import partial
 from http import HTTPStatus
 
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.types import Message, Receive, Scope, Send
 
+from sunarc.api.middleware.http_only import HttpMiddleware
 from sunarc.api.middleware.shared_quota import QuotaUse, SharedQuota, answer_held, client_network
 from sunarc.api.options import MIN_RATE_BYTES_PER_S
 from sunarc.api.problems import Fault, RefusedError, UnreadError, refusal_response
@@ -16,38 +18,34 @@ from sunarc.api.problems import Fault, RefusedError, UnreadError, refusal_respon
 _WITHOUT_BODY = frozenset({"GET", "HEAD", "OPTIONS"})
 
 
-class BodyReader:
+@dataclass(kw_only=True, eq=False)
+class BodyReader(HttpMiddleware):
     """Reads the body of a request, and hands the request on when it is there; nothing is occupied by one that is not.
 
     Parameters
     ----------
-    app : what is behind it.
     max_body_bytes, max_array_bytes : a larger body, or one of .npy, is refused (413).
     within_s : a body that is not there after so many seconds, and of which in so many seconds hardly any more came, is
         refused (408).
     quota : bounds the memory of all bodies.
     """
 
-    def __init__(
-        self, app: ASGIApp, *, max_body_bytes: int, max_array_bytes: int, within_s: float, quota: SharedQuota
-    ) -> None:
-        self._app = app
-        self._max_body_bytes = max_body_bytes
-        self._max_array_bytes = max_array_bytes
-        self._within_s = within_s
-        self._quota = quota
+    max_body_bytes: int
+    max_array_bytes: int
+    within_s: float
+    quota: SharedQuota
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on when its body is complete, or refuse it; end it when its memory is claimed by others."""
-        if scope["type"] != "http" or scope["method"] in _WITHOUT_BODY:
-            await self._app(scope, receive, send)
+        if scope["method"] in _WITHOUT_BODY:
+            await self.app(scope, receive, send)
             return
-        with self._quota.open(client_network(scope)) as use:
+        with self.quota.open(client_network(scope)) as use:
             answer = partial(self._pass, scope, receive, use)
             await answer_held(use, answer, scope=scope, receive=receive, send=send)
 
     async def _pass(self, scope: Scope, receive: Receive, use: QuotaUse, send: Send) -> None:
-        most = self._max_array_bytes if is_array(scope) else self._max_body_bytes
+        most = self.max_array_bytes if is_array(scope) else self.max_body_bytes
         try:
             body = await self._read(receive, use, most)
         except UnreadError as error:
@@ -57,12 +55,12 @@ class BodyReader:
         else:
             if body is not None:
                 scope["state"] = {**scope.get("state", {}), "use": use}
-                await self._app(scope, _replayed(body, receive), send)
+                await self.app(scope, _replayed(body, receive), send)
 
     async def _read(self, receive: Receive, use: QuotaUse, most: int) -> bytes | None:
         """Return the body; None where the client went away."""
         parts: list[bytes] = []
-        read, progress = 0, _Progress(self._within_s)
+        read, progress = 0, _Progress(self.within_s)
         while True:
             try:
                 async with asyncio.timeout_at(progress.end_s):
@@ -71,7 +69,7 @@ class BodyReader:
                 # Two deadlines end in the same error: this one is another client's claim to the memory.
                 if use.ended:
                     raise
-                problem = f"too little of it came within {self._within_s:g} s"
+                problem = f"too little of it came within {self.within_s:g} s"
                 raise _refused(HTTPStatus.REQUEST_TIMEOUT, problem) from None
             if message["type"] != "http.request":
                 return None
@@ -148,32 +146,27 @@ _HEADERS = {
 }
 
 
-class Boundary:
+@dataclass(kw_only=True, eq=False)
+class Boundary(HttpMiddleware):
     """Refuses bodies that announce themselves as too large, and adds the headers that keep browsers strict.
 
     Parameters
     ----------
-    app : what is behind it.
     max_body_bytes : a larger body is refused (413), before it is read.
     max_array_bytes : likewise, of .npy.
     """
 
-    def __init__(self, app: ASGIApp, *, max_body_bytes: int, max_array_bytes: int) -> None:
-        self._app = app
-        self._max_body_bytes = max_body_bytes
-        self._max_array_bytes = max_array_bytes
+    max_body_bytes: int
+    max_array_bytes: int
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it."""
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
         guarded = _with_headers(send)
-        most = self._max_array_bytes if is_array(scope) else self._max_body_bytes
+        most = self.max_array_bytes if is_array(scope) else self.max_body_bytes
         if _announced_bytes(scope) > most:
             await too_large(most).response(scope["path"])(scope, receive, guarded)
             return
-        await self._app(scope, receive, guarded)
+        await self.app(scope, receive, guarded)
 
 
 def _announced_bytes(scope: Scope) -> int:
@@ -200,24 +193,16 @@ def asked_by_head(scope: Scope) -> bool:
     return bool(scope.get(_BY_HEAD))
 
 
-class HeadRequests:
-    """Answers HEAD with the status and the headers of GET, and no body (RFC 9110, section 9.3.2).
+class HeadRequests(HttpMiddleware):
+    """Answers HEAD with the status and the headers of GET, and no body (RFC 9110, section 9.3.2)."""
 
-    Parameters
-    ----------
-    app : what is behind it.
-    """
-
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, HEAD as GET."""
-        if scope["type"] != "http" or scope["method"] != "HEAD":
-            await self._app(scope, receive, send)
+        if scope["method"] != "HEAD":
+            await self.app(scope, receive, send)
             return
 
         async def without_body(message: Message) -> None:
             await send({**message, "body": b""} if message["type"] == "http.response.body" else message)
 
-        await self._app({**scope, "method": "GET", _BY_HEAD: True}, receive, without_body)
+        await self.app({**scope, "method": "GET", _BY_HEAD: True}, receive, without_body)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections import Counter
 from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
 from http import HTTPStatus
 from ipaddress import IPv6Address, ip_address
 from types import TracebackType
@@ -62,6 +63,7 @@ class SharedQuota:
         self._of_client[use.client] += amount
 
 
+@dataclass(eq=False)
 class QuotaUse:
     """What one request holds.
 
@@ -71,26 +73,28 @@ class QuotaUse:
     client : whose it is.
     """
 
-    def __init__(self, quota: SharedQuota, client: str | None) -> None:
-        self._quota = quota
+    quota: SharedQuota
+    client: str | None
+
+    def __post_init__(self) -> None:
+        """Begin with nothing."""
         self._until: asyncio.Timeout | None = None
-        self.client = client
         self.amount = 0
         self.ended = False
 
     def __enter__(self) -> Self:
-        self._quota.enter(self)
+        self.quota.enter(self)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, stack: TracebackType | None
     ) -> None:
-        self._quota.leave(self)
+        self.quota.leave(self)
 
     def grow(self, amount: int) -> None:
         """Hold more; see `SharedQuota.grow`."""
         if not self.ended:
-            self._quota.grow(self, amount)
+            self.quota.grow(self, amount)
 
     def ends(self, until: asyncio.Timeout) -> None:
         """Set the timeout that ends the request when its memory is claimed."""

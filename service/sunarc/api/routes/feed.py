@@ -9,6 +9,7 @@ import re
 import zlib
 from collections.abc import Callable
 from contextlib import nullcontext
+from dataclasses import dataclass
 from datetime import datetime
 from http import HTTPStatus
 from typing import Annotated
@@ -17,9 +18,10 @@ from fastapi import APIRouter, Header, Path, Query, Request
 from fastapi.security.utils import get_authorization_scheme_param
 from pydantic import BaseModel
 from starlette.concurrency import run_in_threadpool
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.types import Message, Receive, Scope, Send
 
 from sunarc.api.middleware.admission import FEED_PATH
+from sunarc.api.middleware.http_only import HttpMiddleware
 from sunarc.api.problems import Fault, RefusedError, answers
 from sunarc.archive.archive import Archive
 from sunarc.archive.database.schema import head_revision
@@ -63,6 +65,7 @@ Installation = Annotated[str, Header(alias="Sunarc-Installation", description="I
 Revision = Annotated[str, Header(alias="Sunarc-Revision", description="Revision of the imager's database.")]
 
 
+@dataclass(eq=False)
 class FeedReceiver:
     """Stores what imagers send, and writes into quarantine what is refused.
 
@@ -72,9 +75,8 @@ class FeedReceiver:
     now : real time.
     """
 
-    def __init__(self, archive: Archive, now: Callable[[], datetime]) -> None:
-        self._archive = archive
-        self._now = now
+    archive: Archive
+    now: Callable[[], datetime]
 
     def take(self, *, camera: str, token: str, installation: str, revision: str, after: int, body: bytes) -> int:
         """Return the number up to which the hub has an imager's rows; RefusedError where it takes none of them."""
@@ -91,13 +93,13 @@ class FeedReceiver:
         except _TooLargeError as error:
             raise _error(Refusal(reason="body_too_large", text=str(error))) from None  # see FeedSizes
         batch = FeedBatch(camera=camera, installation=installation, after=after, rows=rows)
-        committed = self._archive.feeds.take(batch, now=self._now())
+        committed = self.archive.feeds.take(batch, now=self.now())
         if isinstance(committed, Refusal):
             raise _error(committed)
         return committed
 
     def _require_token(self, camera: str, token: str) -> None:
-        digests = self._archive.feeds.tokens(camera, now=self._now())
+        digests = self.archive.feeds.tokens(camera, now=self.now())
         if digests is None:
             refusal = Refusal(reason="unknown_camera", text=f"nobody registered a camera {camera}")
             raise self._refused(camera, "", refusal)
@@ -109,12 +111,12 @@ class FeedReceiver:
 
     def note_too_large(self, camera: str) -> None:
         """Write into quarantine that a body was too large."""
-        if self._archive.feeds.tokens(camera, now=self._now()) is not None:
+        if self.archive.feeds.tokens(camera, now=self.now()) is not None:
             refusal = Refusal(reason="body_too_large", text="a body was too large; the imager sends it in parts")
-            self._archive.feeds.refuse(camera=camera, installation="", refusal=refusal, now=self._now())
+            self.archive.feeds.refuse(camera=camera, installation="", refusal=refusal, now=self.now())
 
     def _refused(self, camera: str, installation: str, refusal: Refusal) -> RefusedError:
-        self._archive.feeds.refuse(camera=camera, installation=installation, refusal=refusal, now=self._now())
+        self.archive.feeds.refuse(camera=camera, installation=installation, refusal=refusal, now=self.now())
         return _error(refusal)
 
 
@@ -154,24 +156,22 @@ def feed_routes(receiver: FeedReceiver) -> APIRouter:
     return routes
 
 
-class FeedSizes:
+@dataclass(kw_only=True, eq=False)
+class FeedSizes(HttpMiddleware):
     """Writes into quarantine that a feed's body was too large, whoever refused it: mostly it was not even read.
 
     Parameters
     ----------
-    app : what is behind it.
     receiver : writes it down.
     """
 
-    def __init__(self, app: ASGIApp, *, receiver: FeedReceiver) -> None:
-        self._app = app
-        self._receiver = receiver
+    receiver: FeedReceiver
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, and look at the answer's status."""
         found = FEED_PATH.fullmatch(scope["path"]) if scope["type"] == "http" else None
         if found is None:
-            await self._app(scope, receive, send)
+            await self.app(scope, receive, send)
             return
         statuses: list[int] = []
 
@@ -180,13 +180,13 @@ class FeedSizes:
                 statuses.append(message["status"])
             await send(message)
 
-        await self._app(scope, receive, sending)
+        await self.app(scope, receive, sending)
         if statuses == [HTTPStatus.REQUEST_ENTITY_TOO_LARGE]:
             await run_in_threadpool(self._note, found.group(1))
 
     def _note(self, camera: str) -> None:
         try:
-            self._receiver.note_too_large(camera)
+            self.receiver.note_too_large(camera)
         except OutsideError:
             return  # the database does not answer, which the imager hears next time
 

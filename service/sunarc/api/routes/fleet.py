@@ -12,7 +12,7 @@ import numpy as np
 from fastapi import APIRouter, Path, Query, Request
 from fastapi.responses import FileResponse, JSONResponse, Response
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
-from prometheus_client.core import GaugeMetricFamily, Metric
+from prometheus_client.core import Metric
 from prometheus_client.registry import Collector
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -20,7 +20,7 @@ from sunarc.api.context import ApiContext
 from sunarc.api.parameters import Body, Number, Pixel, row_limit
 from sunarc.api.problems import answers
 from sunarc.api.routes.health import readiness
-from sunarc.api.routes.metrics import push_metrics, service_metrics
+from sunarc.api.routes.metrics import labelled, push_metrics, service_metrics
 from sunarc.api.schemas import Alive, Readiness
 from sunarc.archive.archive import Archive
 from sunarc.archive.fleet.feed_rows import FleetCamera, Quarantined
@@ -176,31 +176,19 @@ class FleetCollector(Collector):
             of_fleet = list(self._of_fleet())
         except OutsideError:
             of_fleet = []
-        up = GaugeMetricFamily("sunarc_store_up", "1 while the hub's database answers.")
-        up.add_metric([], float(bool(of_fleet)))
-        yield up
+        yield labelled("sunarc_store_up", "1 while the hub's database answers.", (), {(): float(bool(of_fleet))})
         yield from of_fleet
 
     def _of_fleet(self) -> Iterator[Metric]:
         cameras, now = self._archive.feeds.fleet(), self._now()
         for name, meaning, value_of in _NUMBERS:
-            family = GaugeMetricFamily(f"sunarc_fleet_{name}", meaning, labels=["camera"])
-            for camera in cameras:
-                value = value_of(camera)
-                if value is not None:
-                    family.add_metric([camera.camera], value)
-            yield family
-        states = GaugeMetricFamily("sunarc_fleet_state", "1 for the camera's state.", labels=["camera", "state"])
-        for camera in cameras:
-            states.add_metric([camera.camera, state_of(camera, now)], 1.0)
-        yield states
-        crossed = GaugeMetricFamily(
-            "sunarc_fleet_cross_check", "1 for what neighbours show of it.", labels=["camera", "found"]
-        )
-        for check in self._archive.nightly.cross_checks().checks:
-            for found in check.found:
-                crossed.add_metric([check.camera, found], 1.0)
-        yield crossed
+            known = {(one.camera,): value for one in cameras if (value := value_of(one)) is not None}
+            yield labelled(f"sunarc_fleet_{name}", meaning, ("camera",), known)
+        states = {(one.camera, state_of(one, now)): 1.0 for one in cameras}
+        yield labelled("sunarc_fleet_state", "1 for the camera's state.", ("camera", "state"), states)
+        checks = self._archive.nightly.cross_checks().checks
+        crossed = {(check.camera, found): 1.0 for check in checks for found in check.found}
+        yield labelled("sunarc_fleet_cross_check", "1 for what neighbours show of it.", ("camera", "found"), crossed)
         yield from push_metrics(self._archive)
 
 

@@ -7,16 +7,17 @@ import math
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from datetime import UTC, datetime, time, timedelta
 from itertools import accumulate
 from typing import get_args
 
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
 from prometheus_client.registry import Collector
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.types import Message, Receive, Scope, Send
 
 from sunarc.api.context import ApiContext
+from sunarc.api.middleware.http_only import HttpMiddleware
 from sunarc.api.routes.calibrations import summary
 from sunarc.archive.archive import Archive
 from sunarc.archive.values import Day, DayVerdict, Night, RefitState
@@ -90,14 +91,14 @@ class StatusCollector(Collector):
 
 def service_metrics(snapshot: StatusSnapshot) -> Iterator[Metric]:
     """Yield version, health, conditions and the time of the start: of an imager and of a hub."""
-    yield _labelled("sunarc_build_info", "The version that runs.", ("version",), {(snapshot.version,): 1.0})
-    yield _labelled(
+    yield labelled("sunarc_build_info", "The version that runs.", ("version",), {(snapshot.version,): 1.0})
+    yield labelled(
         "sunarc_health",
         "1 for the state that holds.",
         ("state",),
         {(state,): float(state == snapshot.health) for state in get_args(Health)},
     )
-    yield _labelled(
+    yield labelled(
         "sunarc_reason",
         "1 for each reason why the service is not wholly ready.",
         ("code", "severity"),
@@ -110,7 +111,7 @@ def push_metrics(archive: Archive) -> Iterator[Metric]:
     """Yield how receivers of messages stand; nothing without any."""
     states = archive.notices.sink_states()
     waiting: dict[tuple[str, ...], float] = {(name,): float(state.waiting) for name, state in states.items()}
-    yield _labelled("sunarc_push_waiting", "Messages that a receiver has not had yet.", ("receiver",), waiting)
+    yield labelled("sunarc_push_waiting", "Messages that a receiver has not had yet.", ("receiver",), waiting)
     refused = CounterMetricFamily("sunarc_push_refused", "Messages that a receiver refused.", labels=("receiver",))
     for name, state in states.items():
         refused.add_metric((name,), float(state.refused))
@@ -119,19 +120,19 @@ def push_metrics(archive: Archive) -> Iterator[Metric]:
 
 def _workers(snapshot: StatusSnapshot) -> Iterator[Metric]:
     workers = snapshot.workers
-    yield _labelled(
+    yield labelled(
         "sunarc_worker_state",
         "1 for the state that each worker is in.",
         ("worker", "state"),
         {(w.name, state): float(state == w.state) for w in workers for state in get_args(WorkerState)},
     )
-    yield _labelled(
+    yield labelled(
         "sunarc_worker_heartbeat_age_seconds",
         "Seconds since each worker's last sign of life.",
         ("worker",),
         {(w.name,): w.heartbeat_age_s for w in workers if w.heartbeat_age_s is not None},
     )
-    yield _labelled(
+    yield labelled(
         "sunarc_worker_restarts",
         "How often each worker was made anew.",
         ("worker",),
@@ -170,10 +171,15 @@ def _unix_s(time: datetime | None) -> float | None:
 
 
 def _single(name: str, text: str, value: float | None) -> Metric:
-    return _labelled(name, text, (), {} if value is None else {(): value})
+    return labelled(name, text, (), {} if value is None else {(): value})
 
 
-def _labelled(name: str, text: str, labels: tuple[str, ...], values: dict[tuple[str, ...], float]) -> Metric:
+def _counted(name: str, text: str, label: str, counts: Mapping[str, int]) -> Metric:
+    return labelled(name, text, (label,), {(value,): float(n) for value, n in sorted(counts.items())})
+
+
+def labelled(name: str, text: str, labels: tuple[str, ...], values: Mapping[tuple[str, ...], float]) -> Metric:
+    """Return a gauge with a value for each combination of its labels; without labels, with one or none."""
     family = GaugeMetricFamily(name, text, labels=labels)
     for label_values, value in values.items():
         family.add_metric(label_values, value)
@@ -195,11 +201,11 @@ def record_metrics(archive: Archive, camera: str, *, now: datetime) -> Iterator[
     """
     sightings = archive.sightings.count(camera, since=now - _A_DAY, until=now + _A_DAY)
     text = "Sightings of the last 24 h by verdict, also those of a clock that was ahead."
-    yield _counts_of_record_metrics("sunarc_sightings_last_day", text, "verdict", sightings)
+    yield _counted("sunarc_sightings_last_day", text, "verdict", sightings)
     days = dict.fromkeys(get_args(DayVerdict), 0) | dict(archive.days.count(camera))
-    yield _counts_of_record_metrics("sunarc_days", "Days that were judged, by verdict.", "verdict", days)
+    yield _counted("sunarc_days", "Days that were judged, by verdict.", "verdict", days)
     refits = dict.fromkeys(get_args(RefitState), 0) | dict(archive.refits.count(camera))
-    yield _counts_of_record_metrics("sunarc_refits", "Refits by state.", "state", refits)
+    yield _counted("sunarc_refits", "Refits by state.", "state", refits)
     yield from _of_last_day(next(iter(archive.days.find(camera, limit=1)), None))
     yield from _of_last_night(next(iter(archive.nights.find(camera, limit=1)), None))
 
@@ -220,7 +226,7 @@ def _of_last_day(day: Day | None) -> Iterator[Metric]:
         ),
     }
     for name, (text, value) in values.items():
-        yield _gauge(f"sunarc_last_day_{name}", text, value)
+        yield _single(f"sunarc_last_day_{name}", text, value)
 
 
 _OF_NIGHT = {
@@ -245,23 +251,9 @@ _OF_NIGHT = {
 def _of_last_night(night: Night | None) -> Iterator[Metric]:
     """Yield the numbers of the last night that was judged; none where no night was, or where one is not known."""
     evening = None if night is None else datetime.combine(night.date, time(), UTC).timestamp()
-    yield _gauge("sunarc_night_seconds", "Date of the last night that was judged (its evening) as Unix time.", evening)
+    yield _single("sunarc_night_seconds", "Date of the last night that was judged (its evening) as Unix time.", evening)
     for name, text in _OF_NIGHT.items():
-        yield _gauge(f"sunarc_night_{name}", f"Last night: {text}", None if night is None else getattr(night, name))
-
-
-def _gauge(name: str, text: str, value: float | None) -> Metric:
-    family = GaugeMetricFamily(name, text)
-    if value is not None:
-        family.add_metric((), value)
-    return family
-
-
-def _counts_of_record_metrics(name: str, text: str, label: str, counts: Mapping[str, int]) -> Metric:
-    family = GaugeMetricFamily(name, text, labels=(label,))
-    for value, n in sorted(counts.items()):
-        family.add_metric((value,), float(n))
-    return family
+        yield _single(f"sunarc_night_{name}", f"Last night: {text}", None if night is None else getattr(night, name))
 
 
 _BOUNDS_S = (0.005, 0.02, 0.1, 0.5, 2.0, 10.0)
@@ -296,29 +288,25 @@ class RequestCounts(Collector):
         )
 
 
-class CountRequests:
+@dataclass(kw_only=True, eq=False)
+class CountRequests(HttpMiddleware):
     """Counts every request and how long it took until the status of the answer was known.
 
     Parameters
     ----------
-    app : what is behind it.
     counts : where they are counted.
     """
 
-    def __init__(self, app: ASGIApp, *, counts: RequestCounts) -> None:
-        self._app, self._counts = app, counts
+    counts: RequestCounts
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on."""
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
         clock = asyncio.get_running_loop()
         begun_s = clock.time()
 
         async def counted(message: Message) -> None:
             if message["type"] == "http.response.start":
-                self._counts.add(message["status"], clock.time() - begun_s)
+                self.counts.add(message["status"], clock.time() - begun_s)
             await send(message)
 
-        await self._app(scope, receive, counted)
+        await self.app(scope, receive, counted)

@@ -1,0 +1,28 @@
+"""What all middlewares have in common: they look at HTTP requests alone."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+
+@dataclass(eq=False)
+class HttpMiddleware(ABC):
+    """Stands before an application.
+
+    Parameters
+    ----------
+    app : what is behind it.
+    """
+
+    app: ASGIApp
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer an HTTP request; what is none (the server's start and end) is the application's."""
+        await (self.answer if scope["type"] == "http" else self.app)(scope, receive, send)
+
+    @abstractmethod
+    async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on, or refuse it."""
