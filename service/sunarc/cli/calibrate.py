@@ -6,13 +6,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar
 
 import typer
-from rich.console import Console
 
 from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread
 from sunarc.calibration.messages import MESSAGES
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.stated_prior import PriorTolerances
-from sunarc.cli.options import SITE, Altitude, AsJson, Config, parse_image_size, print_json, table
+from sunarc.cli.options import (
+    SITE,
+    Altitude,
+    AsJson,
+    Config,
+    parse_image_size,
+    print_json,
+    print_rows,
+    print_table,
+)
 from sunarc.errors import InputError
 from sunarc.findings import findings_of, significant
 from sunarc.offline.calibrate_files import (
@@ -120,20 +128,17 @@ def print_joint(spec: Path, folder: Path | None, *, as_json: bool) -> None:
     if folder is None:
         raise InputError(field="--output", problem="missing beside --joint", remedy="name a folder")
     documents = calibrate_joint(spec, folder=folder, clock=SystemClock())
-    if as_json:
-        print_json(documents)
-    else:
-        rows = [
-            [
-                document["camera"],
-                document["pose_epoch"],
-                "accepted" if document["verdict"]["accepted"] else "refused",
-                f"{document['uncertainty']['sky_rms_deg']:.4f}°",
-                document["verdict"]["reasons"][-1 if document["verdict"]["accepted"] else 0],
-            ]
-            for document in documents
+    rows = [
+        [
+            document["camera"],
+            document["pose_epoch"],
+            "accepted" if document["verdict"]["accepted"] else "refused",
+            f"{document['uncertainty']['sky_rms_deg']:.4f}°",
+            document["verdict"]["reasons"][-1 if document["verdict"]["accepted"] else 0],
         ]
-        Console(soft_wrap=True).print(table(("camera", "epoch", "verdict", "1-sigma over the sky", ""), rows))
+        for document in documents
+    ]
+    print_rows(documents, ("camera", "epoch", "verdict", "1-sigma over the sky", ""), rows, as_json=as_json)
     if not all(document["verdict"]["accepted"] for document in documents):
         raise typer.Exit(1)
 
@@ -220,20 +225,8 @@ def calibrate(
         to_write.write([])
         return
     if points is None and config is not None:
-        _require_settings_only(
-            latitude,
-            longitude,
-            image_size,
-            image_circle,
-            pressure,
-            start,
-            plots,
-            pose_only or None,
-            lens_within,
-            pose_within,
-            focal_within,
-            lens_prior,
-        )
+        of_points = (latitude, longitude, image_size, image_circle, pressure, start, plots, pose_only or None)
+        _require_settings_only(*of_points, lens_within, pose_within, focal_within, lens_prior)
         from sunarc.settings.load import load_settings
 
         calibrate_stored(load_settings(config), as_json=as_json)
@@ -373,7 +366,7 @@ def _print_calibration(document: dict[str, Any]) -> None:
         *(["", reason] for reason in verdict["reasons"]),
         *(["remedy", remedy] for remedy in _remedies(verdict)),
     ]
-    Console(soft_wrap=True).print(table(("", ""), rows))
+    print_table(("", ""), rows)
 
 
 def _remedies(verdict: dict[str, Any]) -> list[str]:

@@ -6,11 +6,10 @@ from datetime import datetime
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
 from sunarc.archive.archive import open_archive
 from sunarc.archive.values import CalibrationRecord, PoseEpoch
-from sunarc.cli.options import AsJson, Config, print_json, table
+from sunarc.cli.options import AsJson, Config, print_rows, print_text
 from sunarc.runtime.clock import SystemClock
 from sunarc.settings.load import load_settings
 from sunarc.utc import parse_time
@@ -42,11 +41,7 @@ def list_calibrations(
     settings = load_settings(config)
     with open_archive(settings.archive) as archive:
         rows = [_row(record) for record in archive.calibrations.find(settings.name, limit=limit)]
-    if as_json:
-        print_json(rows)
-        return
-    columns = ("id", "state", "from", "until", "1-sigma")
-    Console(soft_wrap=True).print(table(columns, [_cells(row) for row in rows]))
+    print_rows(rows, ("id", "state", "from", "until", "1-sigma"), map(_cells, rows), as_json=as_json)
 
 
 @calibrations_cli.command()
@@ -59,7 +54,7 @@ def activate(
     """
     with open_archive(load_settings(config).archive) as archive:
         row = _row(archive.calibrations.reinstate(calibration, at=_time_or_now(start), reason=reason))
-    _print_result(row, f"{row['id']} is current from {row['valid_from']}", as_json=as_json)
+    print_text(row, f"{row['id']} is current from {row['valid_from']}", as_json=as_json)
 
 
 @calibrations_cli.command()
@@ -70,7 +65,7 @@ def pin(calibration: Id, *, config: Config = None, reason: Reason = "by hand", a
     """
     with open_archive(load_settings(config).archive) as archive:
         row = _row(archive.calibrations.pin(calibration, at=_time_or_now(None), reason=reason))
-    _print_result(row, f"{row['id']} stays current until it is unpinned", as_json=as_json)
+    print_text(row, f"{row['id']} stays current until it is unpinned", as_json=as_json)
 
 
 @calibrations_cli.command()
@@ -81,7 +76,7 @@ def unpin(calibration: Id, *, config: Config = None, reason: Reason = "by hand",
     """
     with open_archive(load_settings(config).archive) as archive:
         row = _row(archive.calibrations.unpin(calibration, at=_time_or_now(None), reason=reason))
-    _print_result(row, f"{row['id']} may be replaced again", as_json=as_json)
+    print_text(row, f"{row['id']} may be replaced again", as_json=as_json)
 
 
 @epochs_cli.command("list")
@@ -93,14 +88,11 @@ def list_epochs(config: Config = None, *, as_json: AsJson = False) -> None:
     settings = load_settings(config)
     with open_archive(settings.archive) as archive:
         rows = [_epoch_row(epoch) for epoch in archive.epochs.find(settings.name, include_closed=True)]
-    if as_json:
-        print_json(rows)
-        return
     cells = [
         [row["id"], row["started_at"], "closed as wrong" if row["closed"] else row["ended_at"] or "", row["reason"]]
         for row in rows
     ]
-    Console(soft_wrap=True).print(table(("id", "from", "until", "reason"), cells))
+    print_rows(rows, ("id", "from", "until", "reason"), cells, as_json=as_json)
 
 
 @epochs_cli.command("close")
@@ -119,14 +111,7 @@ def close_epoch(
         current = archive.calibrations.close_epoch(epoch, at=_time_or_now(None), reason=reason)
     row = {"id": epoch, "closed": True, "calibration": current}
     said = "no calibration was served before it" if current is None else f"calibration {current} is current"
-    _print_result(row, f"pose epoch {epoch} is closed; {said}", as_json=as_json)
-
-
-def _print_result(row: dict[str, Any], text: str, *, as_json: bool) -> None:
-    if as_json:
-        print_json(row)
-    else:
-        print(text)
+    print_text(row, f"pose epoch {epoch} is closed; {said}", as_json=as_json)
 
 
 def _row(record: CalibrationRecord) -> dict[str, Any]:

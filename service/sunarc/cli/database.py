@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from sqlalchemy import URL
 
 from sunarc.archive.database.backup import backup, backup_into, newest_sound_copy, restore
@@ -18,7 +17,7 @@ from sunarc.archive.database.connections import server_url
 from sunarc.archive.database.recovery import upgrade_present
 from sunarc.archive.database.schema import check, downgrade, prepare_folder, require_file, upgrade_server
 from sunarc.archive.database.state_folder import lock_holder, lock_state
-from sunarc.cli.options import AsJson, Config, State, parse_image_size, print_json, table
+from sunarc.cli.options import AsJson, Config, State, parse_image_size, print_rows
 from sunarc.errors import InputError
 from sunarc.offline.archive_tables import database_of, export_everything, write_points
 from sunarc.offline.archive_tables import import_points as read_points
@@ -112,10 +111,7 @@ def check_database(state: OptionalState = None, store: Store = None, *, as_json:
         "damaged_calibrations": list(result.damaged),
         "rows": dict(result.rows),
     }
-    if as_json:
-        print_json(found)
-    else:
-        Console(soft_wrap=True).print(table(("what", "value"), [[key, str(value)] for key, value in found.items()]))
+    print_rows(found, ("what", "value"), [[key, str(value)] for key, value in found.items()], as_json=as_json)
     if not found["sound"]:
         raise typer.Exit(1)
 
@@ -183,10 +179,7 @@ def export_all(
     Example: sunarc db export everything/ --state /var/lib/sunarc
     """
     written = export_everything(state, folder)
-    if as_json:
-        print_json(written)
-    else:
-        Console(soft_wrap=True).print(table(("file", "rows"), [[name, str(n)] for name, n in written.items()]))
+    print_rows(written, ("file", "rows"), [[name, str(n)] for name, n in written.items()], as_json=as_json)
 
 
 def _place(state: Path | None, store: str | None) -> Path | URL:

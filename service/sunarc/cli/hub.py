@@ -7,12 +7,11 @@ from datetime import timedelta
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from sunarc.api.routes.feed import token_digest
 from sunarc.archive.archive import open_archive
 from sunarc.archive.fleet.nightly import CrossCheck
-from sunarc.cli.options import AsJson, Config, print_json, table
+from sunarc.cli.options import AsJson, Config, print_rows, print_text
 from sunarc.runtime.clock import SystemClock
 from sunarc.settings.load import load_hub_settings
 from sunarc.utc import rfc3339
@@ -87,11 +86,8 @@ def quarantine(config: Config = None, *, as_json: AsJson = False) -> None:
         found = archive.feeds.quarantine()
     names = ("camera", "installation", "reason", "seq", "kind", "n", "text")
     rows = [{name: getattr(one, name) for name in names} | {"last_at": rfc3339(one.last_at)} for one in found]
-    if as_json:
-        print_json(rows)
-    else:
-        cells = [[str(cell) for cell in row.values()] for row in rows]
-        Console(soft_wrap=True).print(table((*names, "last"), cells))
+    cells = [[str(cell) for cell in row.values()] for row in rows]
+    print_rows(rows, (*names, "last"), cells, as_json=as_json)
     if rows:
         raise typer.Exit(1)
 
@@ -107,10 +103,7 @@ def cross_checks(config: Config = None, *, as_json: AsJson = False) -> None:
     """
     with open_archive(load_hub_settings(config).archive) as archive:
         checks = cross_check_fleet(archive, now=SystemClock().now())
-    if as_json:
-        print_json([one.as_json() for one in checks])
-    else:
-        print("\n".join(map(_line, checks)))
+    print_text([one.as_json() for one in checks], "\n".join(map(_line, checks)), as_json=as_json)
     if any(one.alarms for one in checks):
         raise typer.Exit(1)
 

@@ -6,11 +6,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from sunarc.cli.calibrate import calibrate_stored
 from sunarc.cli.database import note_running_service
-from sunarc.cli.options import AsJson, Config, DetectionMethod, choice_of, print_json, progress_bars, table
+from sunarc.cli.options import AsJson, Config, DetectionMethod, choice_of, print_json, print_table, progress_bars
 from sunarc.errors import InputError
 from sunarc.reanalysis.detect_files import METHODS
 from sunarc.reanalysis.image_times import TimeRules, utc_offset_of
@@ -96,7 +95,7 @@ def _print_summary(summary: IngestSummary) -> None:
         print(f"… and {len(record['files_skipped']) - _LISTED} more (--json lists them)")
     rows = [[verdict, str(n)] for verdict, n in summary.by_verdict.items()]
     rows += [[f"skipped: {code}", str(n)] for code, n in summary.by_reason.items()]
-    Console(soft_wrap=True).print(table(("verdict", "images"), rows))
+    print_table(("verdict", "images"), rows)
     stacked = f"{summary.stacked} in stacks, " if summary.stacked else ""
     print(
         f"{summary.accepted} accepted, {summary.rejected} rejected, {stacked}{summary.known} known already, "

@@ -26,80 +26,42 @@ class _Command(NamedTuple):
     help: str
 
 
-COMMANDS = {
-    "calibrate": _Command(
-        "calibrate",
-        "calibrate",
-        "Fit the camera to sightings; exit 1 when the fit is refused, or --again leads to another camera.",
-    ),
-    "ingest": _Command(
-        "ingest",
-        "ingest",
-        "Find the sun in a folder of archived images and fill the archive; images that are in it are skipped.",
-    ),
-    "export": _Command(
-        "documents",
-        "export_calibration",
-        "Write a calibration in another format; its approximation error goes to standard error.",
-    ),
-    "compare": _Command(
-        "documents", "compare", "Compare two cameras: differences of B from A over the sky, in px and degrees."
-    ),
-    "rectify": _Command(
-        "documents",
-        "rectify",
-        "Map images to a grid of the sky, or of the ground for clouds at a height; north at the top, "
-        "east at the right.",
-    ),
-    "stars": _Command(
-        "stars", "stars", "Detect and identify stars in images of the night; exit 1 when no image has matched stars."
-    ),
-    "reanalyse": _Command(
-        "reanalyse",
-        "reanalyse_archive",
-        "Find the sun in an archive of images, the pose epochs of its cameras, and a calibration for each.",
-    ),
-    "serve": _Command("service", "serve", "Run the service until SIGTERM or SIGINT."),
-    "compile": _Command(
-        "service",
-        "compile_kernels",
-        "Do nothing: the kernels are compiled where the package is built. Kept for scripts of versions before 0.4.",
-    ),
-    "simulate": _Command(
-        "service",
-        "simulate",
-        "Run a simulated imager that speaks GigE Vision on loopback; SIGUSR1 halves the speed of its clock.",
-    ),
-    "detect": _Command(
-        "pixels", "detect", "Find the sun in images; exit 1 when none shows it, 2 when none is an image."
-    ),
-    "project": _Command("pixels", "project", "Read zenith_deg,azimuth_deg from standard input and write their pixels."),
-    "unproject": _Command("pixels", "unproject", "Read x_px,y_px from standard input and write their directions."),
-    "codes": _Command(
-        "codes", "codes", "Print every code of findings with its meaning and action, as the page docs/codes.md."
-    ),
-    "settings": _Command(
-        "service",
-        "settings",
-        "Print every setting with its default, its bounds and its meaning, as the page docs/settings.md.",
-    ),
-    "check": _Command(
-        "service",
-        "check",
-        "Check what the service needs: disk, database, port, clock, camera, files, receivers; exit 1 when a check "
-        "fails.",
-    ),
-    "points": _Command("database", "points_cli", "Import and export sightings as CSV."),
-    "db": _Command("database", "db_cli", "The archive's database."),
-    "calibrations": _Command("calibrations", "calibrations_cli", "The history of calibrations: list, roll back, pin."),
-    "epochs": _Command(
-        "calibrations",
-        "epochs_cli",
-        "The pose epochs (intervals in which the camera does not move): list, close a wrong one.",
-    ),
-    "hub": _Command("hub", "hub_cli", "The cameras of a fleet: register, list what was refused."),
-    "study": _Command("study", "study_cli", "Reproduce the paper's tables and figures; errors of cloud shadows."),
-}
+COMMANDS = {name: _Command(*rest) for name, *rest in (
+    ("calibrate", "calibrate", "calibrate",
+     "Fit the camera to sightings; exit 1 when the fit is refused, or --again leads to another camera."),
+    ("ingest", "ingest", "ingest",
+     "Find the sun in a folder of archived images and fill the archive; images that are in it are skipped."),
+    ("export", "documents", "export_calibration",
+     "Write a calibration in another format; its approximation error goes to standard error."),
+    ("compare", "documents", "compare",
+     "Compare two cameras: differences of B from A over the sky, in px and degrees."),
+    ("rectify", "documents", "rectify",
+     "Map images to a grid of the sky, or of the ground for clouds at a height; north at the top, east at the right."),
+    ("stars", "stars", "stars",
+     "Detect and identify stars in images of the night; exit 1 when no image has matched stars."),
+    ("reanalyse", "reanalyse", "reanalyse_archive",
+     "Find the sun in an archive of images, the pose epochs of its cameras, and a calibration for each."),
+    ("serve", "service", "serve", "Run the service until SIGTERM or SIGINT."),
+    ("compile", "service", "compile_kernels",
+     "Do nothing: the kernels are compiled where the package is built. Kept for scripts of versions before 0.4."),
+    ("simulate", "service", "simulate",
+     "Run a simulated imager that speaks GigE Vision on loopback; SIGUSR1 halves the speed of its clock."),
+    ("detect", "pixels", "detect", "Find the sun in images; exit 1 when none shows it, 2 when none is an image."),
+    ("project", "pixels", "project", "Read zenith_deg,azimuth_deg from standard input and write their pixels."),
+    ("unproject", "pixels", "unproject", "Read x_px,y_px from standard input and write their directions."),
+    ("codes", "codes", "codes", "Print every code of findings with its meaning and action, as the page docs/codes.md."),
+    ("settings", "service", "settings",
+     "Print every setting with its default, its bounds and its meaning, as the page docs/settings.md."),
+    ("check", "service", "check",
+     "Check what the service needs: disk, database, port, clock, camera, files, receivers; exit 1 when a check fails."),
+    ("points", "database", "points_cli", "Import and export sightings as CSV."),
+    ("db", "database", "db_cli", "The archive's database."),
+    ("calibrations", "calibrations", "calibrations_cli", "The history of calibrations: list, roll back, pin."),
+    ("epochs", "calibrations", "epochs_cli",
+     "The pose epochs (intervals in which the camera does not move): list, close a wrong one."),
+    ("hub", "hub", "hub_cli", "The cameras of a fleet: register, list what was refused."),
+    ("study", "study", "study_cli", "Reproduce the paper's tables and figures; errors of cloud shadows."),
+)}  # fmt: skip
 
 
 class _Commands(TyperGroup):

@@ -69,6 +69,27 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
     return made
 
 
+def print_rows(value: Any, columns: Sequence[str], rows: Iterable[Sequence[Any]], *, as_json: bool) -> None:  # noqa: ANN401 - whatever JSON holds
+    """Print a value as JSON, or what a table shows of it."""
+    if as_json:
+        print_json(value)
+    else:
+        print_table(columns, rows)
+
+
+def print_text(value: Any, text: str, *, as_json: bool) -> None:  # noqa: ANN401 - whatever JSON holds
+    """Print a value as JSON, or the text that says it."""
+    if as_json:
+        print_json(value)
+    else:
+        print(text)
+
+
+def print_table(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    """Print a table; see `table`."""
+    Console(soft_wrap=True).print(table(columns, rows))
+
+
 @contextmanager
 def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
     """Give the function that draws a bar for each stage; it draws none where standard error is no terminal."""

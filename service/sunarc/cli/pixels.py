@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
-from sunarc.cli.options import AsJson, CalibrationFile, DetectionMethod, choice_of, print_json, table
+from sunarc.cli.options import AsJson, CalibrationFile, DetectionMethod, choice_of, print_rows
 from sunarc.detection.values import BAYERS
 from sunarc.errors import InputError
 from sunarc.offline.calibration_files import project_csv, unproject_csv
@@ -33,11 +32,8 @@ def detect(
         raise InputError(field="--overlay", problem=f"{len(images)} images", remedy="give one image with it")
     mosaic = None if bayer is None else choice_of("--bayer", bayer, BAYERS)
     found = detect_in_files(images, method=choice_of("--method", method, METHODS), full_scale=full_scale, bayer=mosaic)
-    if as_json:
-        print_json(found)
-    else:
-        columns = ("file", "x_px", "y_px", "sigma_px", "method", "verdict", "reason")
-        Console(soft_wrap=True).print(table(columns, [[row[column] for column in columns] for row in found]))
+    columns = ("file", "x_px", "y_px", "sigma_px", "method", "verdict", "reason")
+    print_rows(found, columns, [[row[column] for column in columns] for row in found], as_json=as_json)
     unread = [row for row in found if row["verdict"] == "no_frame"]
     for row in unread:
         print(f"sunarc: {row['reason']}", file=sys.stderr)

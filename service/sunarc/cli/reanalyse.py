@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.cli.options import (
@@ -19,8 +18,8 @@ from sunarc.cli.options import (
     choice_of,
     parse_image_size,
     print_json,
+    print_table,
     progress_bars,
-    table,
 )
 from sunarc.errors import InputError
 from sunarc.findings import significant
@@ -187,7 +186,7 @@ def _print(summary: Summary, target: Path) -> None:
             for epoch in one["epochs"]
         ]
     header = ("camera", "epoch", "cause", "from, to", "clock, s", "suns", "RMSE, px", "sky, °", "ok")
-    Console(soft_wrap=True).print(table(header, rows))
+    print_table(header, rows)
     images, suns = (sum(one[key] for one in summary.report["cameras"]) for key in ("images", "accepted"))
     left_out = sum(summary.report["failures"].values())
     print(f"{images} images, {suns} suns, {left_out} files left out, {summary.report['seconds']:.0f} s")

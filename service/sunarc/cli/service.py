@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.markup import escape
 
-from sunarc.cli.options import Altitude, AsJson, Config, Latitude, Longitude, choice_of, print_json, table
+from sunarc.cli.options import Altitude, AsJson, Config, Latitude, Longitude, choice_of, print_json, print_rows
 from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.log_to_journal import start_log
 from sunarc.settings.load import load_hub_settings, load_settings
@@ -104,12 +103,8 @@ def check(
 
     run = run_camera_checks if camera else run_checks
     results = list(run(load_settings(config), clock=SystemClock()))
-    if as_json:
-        print_json([result._asdict() for result in results])
-    else:
-        Console(soft_wrap=True).print(
-            table(("", "", ""), [[result.outcome, result.what, escape(result.text)] for result in results])
-        )
+    rows = [[result.outcome, result.what, escape(result.text)] for result in results]
+    print_rows([result._asdict() for result in results], ("", "", ""), rows, as_json=as_json)
     if any(result.outcome == "fail" for result in results):
         raise typer.Exit(1)
 

@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from sunarc.archive.csv_files import read_sightings
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.selection import MOST_STARS
 from sunarc.calibration.start.blind_start import BlindOptions
-from sunarc.cli.options import SITE, Altitude, AsJson, choice_of, print_json, table
+from sunarc.cli.options import SITE, Altitude, AsJson, choice_of, print_json, print_table
 from sunarc.detection.values import BAYERS
 from sunarc.errors import InputError, OutsideError
 from sunarc.extras import extra_module
@@ -138,7 +137,7 @@ def _found_blind(
 def _print(found: list[StarImage]) -> None:
     columns = ("file", "time_utc", "n_detected", "n_stars", "scatter_px", "reason")
     rows = [image.as_json() for image in found]
-    Console(soft_wrap=True).print(table(columns, [[row[column] for column in columns] for row in rows]))
+    print_table(columns, [[row[column] for column in columns] for row in rows])
 
 
 def _write(output: Path, found: list[StarImage], sun: Sightings | None, most: int) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import sys
+import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -11,11 +11,10 @@ from typing import Annotated, Literal, get_args
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from sunarc.calibration.model.options import Method
-from sunarc.cli.options import AsJson, print_json
+from sunarc.cli.options import AsJson, print_json, progress_bars
 from sunarc.errors import InputError
 from sunarc.extras import extra_module
 from sunarc.offline.calibration_files import read_calibration
@@ -145,11 +144,11 @@ def _methods(text: str) -> tuple[Method, ...]:
 
 @contextmanager
 def _progress(what: str, total: int) -> Iterator[Callable[[], None]]:
-    """Show a bar on standard error where that is a terminal; give the function that moves it on."""
-    parts = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*parts, console=Console(stderr=True), disable=not sys.stderr.isatty()) as bar:
-        task = bar.add_task(what, total=total)
-        yield lambda: bar.advance(task)
+    """Show a bar; give the function that moves it on by one."""
+    done = itertools.count(1)
+    with progress_bars() as bars:
+        bars(what, 0, total)
+        yield lambda: bars(what, next(done), total)
 
 
 def _print_tables(
