@@ -17,6 +17,7 @@ LARGEST_FACE = 20
 APART = {
     "sunarc.app.hub": "the parts of the hub, which `sunarc serve --role hub` alone loads",
     "sunarc.app.simulating": "app alone may choose the simulator",
+    "sunarc.cli.main": "what the console script calls; `python -m sunarc` calls it too",
     "sunarc.cross_checks.clocks": "of the core, which computes; its reader is a worker",
     "sunarc.cross_checks.cloud_edges": "of the core, which computes; its reader is a worker",
     "sunarc.imaging.hdr": "of the core, which computes; its reader is a worker",

@@ -21,7 +21,7 @@ from sunarc.imaging.hdr import HdrImage
 from sunarc.imaging.metadata import document_of
 from sunarc.runtime.loop import DropOldestQueue
 from sunarc.sky.site import Site
-from sunarc.workers.compose import ComposeWorker, image_document
+from sunarc.workers.capture import ComposeWorker, image_document
 from sunarc.workers.options import SensorOptions
 from sunarc.workers.sun_prediction import SunPredictor
 

@@ -24,7 +24,7 @@ from sunarc.errors import OutsideError
 from sunarc.runtime.host import prepare_state
 from sunarc.runtime.loop import DropOldestQueue
 from sunarc.sky.site import Site
-from sunarc.workers.compose import ComposeWorker
+from sunarc.workers.capture import ComposeWorker
 from sunarc.workers.detect import DetectWorker, FrozenFrames, SightingWriteBuffer
 from sunarc.workers.options import SensorOptions
 from sunarc.workers.sun_prediction import SunPredictor

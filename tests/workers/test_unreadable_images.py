@@ -14,7 +14,7 @@ from sunarc.cameras.frame import Frame
 from sunarc.errors import OutsideError
 from sunarc.runtime.host import prepare_state
 from sunarc.runtime.loop import DropOldestQueue
-from sunarc.workers.compose import ComposeWorker
+from sunarc.workers.capture import ComposeWorker
 from sunarc.workers.options import SensorOptions
 from sunarc.workers.upkeep import DiskWorker
 

@@ -35,10 +35,9 @@ from sunarc.utc import MICROSECOND
 from sunarc.workers.calibrating.monitor import DayJudge, WatchWorker
 from sunarc.workers.calibrating.provisional_pose import FirstPose, ProvisionalPoseEstimator
 from sunarc.workers.calibrating.refit import RefitWorker
-from sunarc.workers.capture import CaptureWorker, ReplayWorker
+from sunarc.workers.capture import CaptureWorker, ComposeWorker, ReplayWorker, image_document
 from sunarc.workers.capture_status import OverdueSightings
 from sunarc.workers.clock_watch import ClockWatch, FrameTime
-from sunarc.workers.compose import ComposeWorker, image_document
 from sunarc.workers.detect import DetectWorker, FrozenFrames, SightingWriteBuffer
 from sunarc.workers.exposures import SunExposures
 from sunarc.workers.feed import FeedWorker, HubConnection

@@ -20,7 +20,7 @@ from sunarc.api.context import ApiContext
 from sunarc.api.parameters import Body, Number, Pixel, row_limit
 from sunarc.api.problems import answers
 from sunarc.api.routes.health import readiness
-from sunarc.api.routes.metrics import labelled, push_metrics, service_metrics
+from sunarc.api.routes.metrics import Labelled, labelled, push_metrics, service_metrics
 from sunarc.api.schemas import Alive, Readiness
 from sunarc.archive.archive import Archive
 from sunarc.archive.fleet.feed_rows import FleetCamera, Quarantined
@@ -182,12 +182,12 @@ class FleetCollector(Collector):
     def _of_fleet(self) -> Iterator[Metric]:
         cameras, now = self._archive.feeds.fleet(), self._now()
         for name, meaning, value_of in _NUMBERS:
-            known = {(one.camera,): value for one in cameras if (value := value_of(one)) is not None}
+            known: Labelled = {(one.camera,): value for one in cameras if (value := value_of(one)) is not None}
             yield labelled(f"sunarc_fleet_{name}", meaning, ("camera",), known)
-        states = {(one.camera, state_of(one, now)): 1.0 for one in cameras}
+        states: Labelled = {(one.camera, state_of(one, now)): 1.0 for one in cameras}
         yield labelled("sunarc_fleet_state", "1 for the camera's state.", ("camera", "state"), states)
         checks = self._archive.nightly.cross_checks().checks
-        crossed = {(check.camera, found): 1.0 for check in checks for found in check.found}
+        crossed: Labelled = {(check.camera, found): 1.0 for check in checks for found in check.found}
         yield labelled("sunarc_fleet_cross_check", "1 for what neighbours show of it.", ("camera", "found"), crossed)
         yield from push_metrics(self._archive)
 

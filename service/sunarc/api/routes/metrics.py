@@ -46,6 +46,8 @@ _GAUGES = (
 )
 """Metrics of a part of the status: name, part, and its field, which has the description too."""
 _PARTS = {CameraStatus: "camera", ClockStatus: "clock", DiskStatus: "disk", CaptureStatus: "capture"}
+Labelled = Mapping[tuple[str, ...], float]
+"""Values of a metric by those of its labels."""
 _COUNTS = tuple(field.name for field in fields(CaptureStatus) if isinstance(field.default, int))
 
 
@@ -110,7 +112,7 @@ def service_metrics(snapshot: StatusSnapshot) -> Iterator[Metric]:
 def push_metrics(archive: Archive) -> Iterator[Metric]:
     """Yield how receivers of messages stand; nothing without any."""
     states = archive.notices.sink_states()
-    waiting: dict[tuple[str, ...], float] = {(name,): float(state.waiting) for name, state in states.items()}
+    waiting: Labelled = {(name,): float(state.waiting) for name, state in states.items()}
     yield labelled("sunarc_push_waiting", "Messages that a receiver has not had yet.", ("receiver",), waiting)
     refused = CounterMetricFamily("sunarc_push_refused", "Messages that a receiver refused.", labels=("receiver",))
     for name, state in states.items():
@@ -178,7 +180,7 @@ def _counted(name: str, text: str, label: str, counts: Mapping[str, int]) -> Met
     return labelled(name, text, (label,), {(value,): float(n) for value, n in sorted(counts.items())})
 
 
-def labelled(name: str, text: str, labels: tuple[str, ...], values: Mapping[tuple[str, ...], float]) -> Metric:
+def labelled(name: str, text: str, labels: tuple[str, ...], values: Labelled) -> Metric:
     """Return a gauge with a value for each combination of its labels; without labels, with one or none."""
     family = GaugeMetricFamily(name, text, labels=labels)
     for label_values, value in values.items():
