@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from sunarc.array_types import stacked
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.fit.marginal_likelihood import DECENTERING_LOG_SIGMA, RADIAL_LOG_SIGMA
 from sunarc.calibration.fit.effects import DECENTRED_PX, OFFSET_PX, POSE_DIFFERENCE_DEG
+from sunarc.calibration.fit.marginal_likelihood import DECENTERING_LOG_SIGMA, RADIAL_LOG_SIGMA
 from sunarc.calibration.messages import text_of
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from held_out import turned
 from numpy.typing import NDArray
 from real_like_fits import compared, sky_error_px
 from real_like_tracks import Draw, drawn_aside, real_like_track
@@ -71,21 +72,30 @@ def test_a_fit_that_parts_of_its_sightings_contradict_is_refused() -> None:
     assert not unasked.evidence.held_out
 
 
-def test_where_every_second_sighting_states_far_more_that_is_stated() -> None:
-    track = real_like_track(391)
+def test_where_parts_are_predicted_worse_than_stated_more_is_stated() -> None:
+    track = real_like_track(613)
     one, other = (
         calibrate(track.points, site=track.site, image_size=track.image_size, options=track.options, parts=parts)
         for parts in (False, True)
     )
     factor = other.evidence.held_out["widening"]
-    assert factor > 4.0
+    assert 1.1 < factor < 2.0
     assert other.sky_rms_deg == pytest.approx(factor * one.sky_rms_deg, rel=1e-3)
     sky = hemisphere(50)
     narrow, wide = (project_with_covariance(fit, sky)[1] for fit in (one, other))
     np.testing.assert_allclose(wide, factor**2 * narrow, rtol=1e-3, atol=1e-3)
     assert other.camera == one.camera
-    (finding,) = (each for each in other.verdict.findings if each.code == "sigma_of_thinned_set")
+    (finding,) = (each for each in other.verdict.findings if each.code == "sigma_of_parts")
     assert finding.data["factor"] == factor
+
+
+def test_a_camera_that_is_turned_between_two_days_is_named() -> None:
+    track = turned(1).track
+    fit = calibrate(track.points, site=track.site, image_size=track.image_size, options=track.options)
+    assert not fit.verdict.accepted
+    (finding,) = (one for one in fit.verdict.findings if one.code == "camera_turned")
+    assert float(finding.data["turn_deg"]) == pytest.approx(0.1, abs=0.05)
+    assert float(finding.data["chi_square"]) > float(finding.data["limit"])
 
 
 def _problem(track_seed: int) -> tuple[FitProblem, Sightings, NoiseGroups, NDArray[np.float64]]:

@@ -70,10 +70,15 @@ MESSAGES = Messages(
         "sun's track over that of its own fit; sky: change over the sky in 1-sigma of the day's fit.",
         "check the mount and the clock of the night",
     ),
+    sigma_of_parts=Message(
+        "fits without a part of the sightings are off by {factor:.2g} times what they state; the larger one is stated",
+        "The fit is used, its covariance widened.",
+        _MORE_DAYS,
+    ),
     sigma_of_thinned_set=Message(
         "every second sighting alone gives {factor:.2g} times the uncertainty that its number explains; the larger one "
         "is stated",
-        "The fit is used, its covariance widened.",
+        "The fit is used, its covariance widened. Of calibrations before version 0.4.",
         _MORE_DAYS,
     ),
     static_positions=Message(
@@ -142,12 +147,18 @@ MESSAGES = Messages(
         _REFUSED,
         _MORE_DAYS,
     ),
+    camera_turned=Message(
+        "the sightings of one part are those of a camera turned by {turn_deg:.3f}° against the others; chi-square is "
+        "{chi_square:.0f} (at most {limit:.0f})",
+        "The fit is refused. Parts are thirds of a day, or whole days in five groups at most.",
+        "check the mount; fit the sightings before and after a move as two epochs",
+    ),
     held_out_contradicts=Message(
         "held-out check: the worst predicted part, {n} sightings, is missed by {rmse_px:.2f} px RMS where "
         "{stated_px:.2f} px are stated; the test statistic over all parts is {excess:.2f} (at most {limit:.2f})",
         "The fit is refused. Thirds of a day, or whole days, were predicted by fits of the other sightings. The "
-        "statistic is the larger of two: the furthest bin over 7 sigma, and the root of chi-square over its 1e-4 "
-        "quantile.",
+        "statistic is the largest of three: the largest independent error over 5 sigma, the root of chi-square over "
+        "its 1e-4 quantile, and that of the turn of one part over 25.",
         "collect sightings of whole clear days; check the clock, the mount and the projection",
     ),
     hours_missing=Message(

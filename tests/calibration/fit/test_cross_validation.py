@@ -108,7 +108,8 @@ def test_two_days_are_each_predicted_by_a_fit_of_the_other() -> None:
         rows = np.flatnonzero(usable.day == day)
         shift = fit.system.rows[fit.system.member[rows]] @ (without.unknowns - fit.system.at)
         squares += float(np.sum((fit.residual[rows] - shift) ** 2))
-    assert found.rmse_px == pytest.approx(np.sqrt(squares / (2 * PER_DAY)), rel=1e-6)
+    # a field of 0.002 px is left out
+    assert found.rmse_px == pytest.approx(np.sqrt(squares / (2 * PER_DAY)), rel=1e-4)
 
 
 def test_sightings_without_weight_do_not_count() -> None:
@@ -154,24 +155,35 @@ def test_the_field_of_the_other_days_is_part_of_the_prediction() -> None:
     assert with_field.rmse_px / with_field.expected_px == pytest.approx(1.0, abs=0.15)
 
 
-def _apart(usable: Sightings) -> Sightings:
-    """Return sightings ten minutes apart: each has a bin of its own."""
-    return replace(usable, unix_s=600.0 * np.arange(len(usable), dtype=np.float64))
-
-
 def test_parts_are_predicted_within_chance_and_a_part_from_elsewhere_is_not() -> None:
     fit, usable = _fit(4)
-    found = doubts(fit, _apart(usable))
+    found = doubts(fit, usable)
     assert found.n == PER_DAY
     assert found.excess < 1.0
-    assert found.widening == 1.0
-    moved = fit.observed.pixels + np.where(usable.day == 3, 5.0, 0.0)[:, None]
-    elsewhere = replace(fit, observed=replace(fit.observed, pixels=moved))
-    assert doubts(elsewhere, _apart(usable)).excess > 1.0
+    assert found.widening < 1.2
+    assert found.rmse_px == pytest.approx(found.stated_px, rel=0.3)
+    last = usable.day == 3
+    moved = fit.system.residual + np.where(np.bincount(fit.system.member[last], minlength=80) > 0, 5.0, 0.0)[:, None]
+    elsewhere = doubts(replace(fit, system=replace(fit.system, residual=moved)), usable)
+    assert elsewhere.excess > 3.0
+    assert elsewhere.rmse_px > 5.0
+
+
+def test_a_day_whose_camera_is_turned_shows_by_how_much() -> None:
+    fit, usable = _fit(4)
+    pose, last = fit.problem.pose_slice(0), usable.day == 3
+    of_turn = fit.system.rows[..., pose] @ np.radians([0.3, 0.0, 0.0])
+    moved = np.where((np.bincount(fit.system.member[last], minlength=80) > 0)[:, None], of_turn, 0.0)
+    turned = doubts(replace(fit, system=replace(fit.system, residual=fit.system.residual + moved)), usable)
+    assert turned.turned > 30.0
+    assert turned.excess > 1.0
+    plain = doubts(fit, usable)
+    assert plain.turned < 15.0
+    assert plain.turn_deg < 0.1 < turned.turn_deg < 0.6
 
 
 def test_one_day_is_left_out_in_thirds_and_a_pose_of_its_own_is_not_left_out() -> None:
     fit, usable = _fit(1)
-    assert doubts(fit, _apart(usable)).n == pytest.approx(PER_DAY / 3, abs=1)
+    assert doubts(fit, usable).n == pytest.approx(PER_DAY / 3, abs=1)
     fit, usable = _fit(3)
-    assert doubts(fit, _apart(replace(usable, epoch=usable.day))).n == 0
+    assert doubts(fit, replace(usable, epoch=usable.day)).n == 0

@@ -9,7 +9,7 @@ from tests.fixtures.calibration import observed, small_camera, small_problem, sp
 
 from sunarc.calibration.fit.marginal_likelihood import Scales, field_at, marginal_fit
 from sunarc.calibration.fit.normal_equations import LinearSystem, linear_system
-from sunarc.calibration.fit.posterior import joint_covariance, prediction_variance, seen_field
+from sunarc.calibration.fit.posterior import prediction_variance, seen_field
 from sunarc.calibration.model.residual_field import Field, wave_basis
 from sunarc.calibration.solve.problem import Bins, FitProblem
 
@@ -115,22 +115,6 @@ def test_the_covariance_of_a_prediction_is_that_of_the_joint_posterior(
         found = np.sqrt(0.5 * np.trace(stated, axis1=1, axis2=2))
         assert np.all(found > 0.97 * root)
         assert np.median(found / root) < 1.1
-
-
-def test_predictions_have_together_the_covariance_of_the_joint_posterior(
-    system: LinearSystem, problem: FitProblem, joint: Joint, field: Field
-) -> None:
-    fit = marginal_fit(system.normal(), system.basis, SCALES)
-    seen = observed(small_camera(), spread_directions(20, seed=8), sigma_px=0.0)
-    residual, rows = problem.linearised(system.at, seen)
-    values = system.basis.values(seen.pixels - residual)
-    design = np.zeros((20, 2, joint.mean.size))
-    design[..., : joint.size] = rows
-    design[:, 0, joint.size : joint.size + values.shape[1]] = values
-    design[:, 1, joint.size + values.shape[1] :] = values
-    flat = design.reshape(40, -1)
-    stated = joint_covariance(fit.covariance, field, rows, values)
-    np.testing.assert_allclose(stated, flat @ joint.covariance @ flat.T, atol=0.01 * SCALES.amplitude_px**2)
 
 
 def test_the_variance_of_a_prediction_is_the_trace_of_its_covariance(

@@ -24,7 +24,6 @@ from sunarc.calibration.fit.marginal_likelihood import (
     normal_sums,
     penalty,
     prior_precision,
-    summed,
 )
 from sunarc.calibration.model.residual_field import WaveBasis, wave_basis
 
@@ -116,16 +115,6 @@ def test_sums_over_sightings_by_hand() -> None:
     np.testing.assert_allclose(found.jr, [1.0 + 4.0 * 13.0, 4.0 + 16.0])
     np.testing.assert_allclose(found.fr, [[25.0], [34.0]])
     assert found.rr == pytest.approx(5.0 + 4.0 * 25.0)
-
-
-def test_sums_of_parts_are_those_of_the_whole(basis: WaveBasis) -> None:
-    case = _Case(basis)
-    columns = case.rows, case.basis_values, case.residual, case.information
-    parts = [normal_sums(*(one[part] for one in columns), at=case.at) for part in (slice(9), slice(9, None))]
-    found, whole = summed(parts), case.normal()
-    for name in ("jj", "jf", "jr", "fr", "rr", "at"):
-        np.testing.assert_allclose(getattr(found, name), getattr(whole, name))
-    np.testing.assert_allclose(found.ff.matrix, whole.ff.matrix)
 
 
 def test_given_wave_products_are_taken_as_they_are(basis: WaveBasis) -> None:

@@ -1,8 +1,9 @@
-"""Whether parts of the sightings agree with the rest: days left out, thinned sets, the night against the day."""
+"""Whether parts of the sightings agree with the rest: days or thirds left out, the night against the day."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -10,31 +11,69 @@ import numpy as np
 from scipy.special import chdtri
 
 from sunarc.array_types import BoolArray, FloatArray, IntArray
-from sunarc.calibration.fit.marginal_likelihood import MarginalFit, field_at, marginal_fit, summed
-from sunarc.calibration.fit.posterior import PosteriorCovariance, joint_covariance, prediction_variance, sky_rows
-from sunarc.calibration.fit.robust_fit import RobustFit, stated_posterior
-from sunarc.calibration.fit.robust_rounds import robust_camera
-from sunarc.calibration.model.residual_field import WaveBasis
+from sunarc.calibration.fit.marginal_likelihood import MarginalFit, field_at, inverses, marginal_fit, prior_precision
+from sunarc.calibration.fit.posterior import prediction_variance, sky_rows
+from sunarc.calibration.fit.robust_fit import RobustFit
 from sunarc.calibration.model.sightings import Kind, Sightings
-from sunarc.calibration.noise import NoiseGroups
 from sunarc.calibration.robust_loss import robust_sigma
-from sunarc.calibration.solve.problem import FitProblem
 from sunarc.findings import Finding
+from sunarc.optics.pose import right_jacobian
 
 _FOLDS = 5
-
-
 _THIRDS = 3
-_FURTHEST = 7.0
-"""Distance of a bin of sightings from its prediction, in stated sigmas, that is no chance."""
 _CHANCE = 1e-4
-_NOISE_KNOWN = 1.1
-"""By how much the noise of the parts may be larger than that of all, as a variance."""
-_FEWEST_THINNED = 40
-"""Sightings of a thinned set, at least: the scales of a smaller one are a matter of chance."""
-_OTHER_SIGMA = 4.0
-"""Ratio of the sigmas of a thinned set and of all from which on it is no chance. The three limits are chosen by
-docs/studies/held_out.py: beyond them lie 3 in 100 of the fits that are right."""
+"""Of the chi-square of all errors together."""
+_FURTHEST = 5.0
+"""A single error, in stated sigmas, that is no chance."""
+_TURNED = 25.0
+"""Chi-square of the three turns of one part's camera that is no chance."""
+_OPEN = 2.0
+"""Variance of a predicted number, in that of the part's noise, beyond which the other parts leave much of it open."""
+_AS_STATED = 4.0
+"""A few errors say little of their size: as if so many more were as stated."""
+_TOLD = 0.1
+"""Variance of a coefficient of the field, in that of the noise, below which the field does not matter there."""
+_ROUNDING = 1e-10
+
+
+class _Without(NamedTuple):
+    """The fit without a part of the sightings: one linear step from the fit of all, with its scales and weights.
+
+    out (n,), bins (b,): masks of what it is without. step (d,), covariance (d, d): of the unknowns and of what of the
+    field's coefficients, in units of their prior's 1-sigma, the sightings tell. rows (b', 2, d), px: of the bins.
+    """
+
+    out: BoolArray
+    bins: BoolArray
+    step: FloatArray
+    covariance: FloatArray
+    rows: FloatArray
+
+
+def _without_parts(fit: RobustFit, usable: Sightings, part: IntArray) -> Iterator[_Without]:
+    """Yield the fits without each part (n,) of the sightings; a pose that no other part has cannot be predicted."""
+    system, scales, size = fit.system, fit.scales, fit.system.at.size
+    part_of_bin = np.zeros(system.rows.shape[0], dtype=np.int64)
+    part_of_bin[system.member] = part  # bins are of one day; one of two thirds goes to the later one
+    axes = system.basis_products.axes(system.basis, scales.length_px)
+    told = scales.amplitude_px**2 * axes.information > _TOLD
+    waves = scales.amplitude_px * (system.basis_values @ axes.transform[:, told])
+    rows = np.concatenate([system.rows, np.einsum("bw,ac->bacw", waves, np.eye(2)).reshape(len(waves), 2, -1)], axis=-1)
+    prior = prior_precision(size, scales.radial_px, scales.decentering_px, n_unit=system.n_unit)
+    precision = np.concatenate([prior, np.ones(rows.shape[-1] - size)])
+    at = np.concatenate([system.at, np.zeros(rows.shape[-1] - size)])
+
+    def sums(bins: BoolArray) -> tuple[FloatArray, FloatArray]:
+        weighed = (rows[bins] * system.observed.information[bins, None, None]).reshape(-1, at.size)
+        return weighed.T @ rows[bins].reshape(-1, at.size), weighed.T @ system.residual[bins].ravel()
+
+    parts = [(part == one, part_of_bin == one) for one in range(int(part.max(initial=-1)) + 1)]
+    of_parts = [sums(bins) for _, bins in parts]
+    whole = [sum(column) for column in zip(*of_parts, strict=True)]
+    for (out, bins), mine in zip(parts, of_parts, strict=True):
+        if not np.setdiff1d(usable.epoch[out], usable.epoch[~out]).size:
+            covariance = inverses(whole[0] - mine[0] + np.diag(precision))
+            yield _Without(out, bins, covariance @ (whole[1] - mine[1] - precision * at), covariance, rows[bins])
 
 
 class HeldOut(NamedTuple):
@@ -45,43 +84,24 @@ class HeldOut(NamedTuple):
 
 
 def held_out(fit: RobustFit, usable: Sightings) -> HeldOut | None:
-    """Return the cross-validation over whole days; None with fewer than two days a pose.
-
-    Each fold is solved by one linear step from the whole fit, with the same scales and weights.
-    """
-    fold = _folds_of_days(usable)
+    """Return the cross-validation over whole days; None with fewer than two days a pose."""
+    fold, size = _folds_of_days(usable), fit.system.at.size
     if fold is None:
         return None
-    system = fit.system
-    fold_of_bin = np.zeros(system.rows.shape[0], dtype=np.int64)
-    fold_of_bin[system.member] = fold  # bins are of one day
-    sums = [system.normal_of(fold_of_bin == one) for one in range(int(fold.max()) + 1)]
     found, expected, count = 0.0, 0.0, 0
-    for one_fold in range(len(sums)):
-        in_fold = fold == one_fold
-        if np.setdiff1d(usable.epoch[in_fold], usable.epoch[~in_fold]).size:
-            continue  # a pose that no other day has cannot be predicted
-        normal = summed([part for number, part in enumerate(sums) if number != one_fold])
-        without = marginal_fit(normal, fit.grid.basis, fit.scales)
-        counted = in_fold & (fit.weight > 0.0)
-        bins = np.flatnonzero(fold_of_bin == one_fold)
-        rows, basis_values, bin_of = system.rows[bins], system.basis_values[bins], system.member[counted]
-        bin_of = np.searchsorted(bins, bin_of)
-        predicted = rows @ (without.unknowns - system.at)
-        if fit.field_mean is not None:
-            predicted = predicted + basis_values @ without.coefficients.T
-        prediction_error = fit.residual[counted] - predicted[bin_of]
-        found += float(np.sum(prediction_error**2))
+    for without in _without_parts(fit, usable, fold):
+        rows, covariance, step = without.rows, without.covariance, without.step
+        variance = np.einsum("nap,pq,naq->n", rows, covariance, rows, optimize=True)
+        if fit.field_mean is None:  # the prediction is the camera's, and the whole field is unknown
+            variance = np.einsum("nap,pq,naq->n", rows, covariance[:, :size], rows[..., :size], optimize=True)
+            variance += np.einsum("nap,pq,naq->n", rows[..., :size], covariance[:size, size:], rows[..., size:])
+            variance += 2.0 * fit.scales.amplitude_px**2
+            rows, step = rows[..., :size], step[:size]
+        counted = without.out & (fit.weight > 0.0)
+        bin_of = np.searchsorted(np.flatnonzero(without.bins), fit.system.member[counted])
+        found += float(np.sum((fit.residual[counted] - (rows @ step)[bin_of]) ** 2))
         # two axes
         noise = 2.0 * (fit.noise_px * usable.sigma_px)[counted] ** 2
-        variance = prediction_variance(
-            without,
-            fit.scales,
-            fit.grid.basis,
-            rows=rows,
-            basis_values=basis_values,
-            normal=None if fit.field_mean is None else normal,
-        )
         expected += float(np.sum(variance[bin_of] + noise))
         count += int(counted.sum())
     return HeldOut(math.sqrt(found / count), math.sqrt(expected / count)) if count else None
@@ -101,7 +121,9 @@ class Doubts(NamedTuple):
     n, rmse_px, stated_px : sightings of the part that was predicted worst, by what root mean square distance they were
         missed, and by what the fit without them states.
     excess : errors of all parts over what chance allows.
-    widening : by how much a thinned set's sigma over the sky is larger than this fit's, 1 or more.
+    widening : by how much larger than stated the errors are where the other parts leave much open, 1 or more.
+    turned, turn_deg : chi-square of the turn by which the camera of one part would differ from that of the others, and
+        its size: of the part that is turned most surely.
     """
 
     n: int
@@ -109,119 +131,87 @@ class Doubts(NamedTuple):
     stated_px: float
     excess: float
     widening: float
+    turned: float
+    turn_deg: float
 
 
 class _Part(NamedTuple):
-    """How a part was predicted: see `Doubts`; bins, chi-square of all errors together, the furthest bin in sigmas."""
+    """How a part was predicted: see `Doubts`.
+
+    errors : (k,) independent ones, by what is stated; open: (k,) whether the other parts leave much of a number open.
+    """
 
     n: int
     rmse_px: float
     stated_px: float
-    bins: int
-    together: float
-    furthest: float
-
-
-class _Partial(NamedTuple):
-    """A fit of some of the sightings: its unknowns and the field's mean (2, m) or None, and how far it may be off."""
-
-    problem: FitProblem
-    unknowns: FloatArray
-    mean: FloatArray | None
-    posterior: PosteriorCovariance
-
-    def sky_px(self, basis: WaveBasis) -> float:
-        """Return the stated error over the sky, root mean square distance, px; NaN where the image shows none."""
-        rows, values = sky_rows(self.problem, self.unknowns, basis)
-        if rows.shape[0] == 0:
-            return math.nan
-        by_unknowns = np.einsum("nap,pq,naq->n", rows, self.posterior.covariance, rows, optimize=True)
-        by_field = np.trace(self.posterior.field.covariance(rows, values), axis1=1, axis2=2)
-        return math.sqrt(float(np.mean(np.maximum(by_unknowns + by_field, 0.0))))
+    errors: FloatArray
+    open: BoolArray
+    turned: float
+    turn_deg: float
 
 
 def doubts(fit: RobustFit, usable: Sightings) -> Doubts:
-    """Return how well fits without a part of the sightings predict it, and what a thinned set states.
+    """Return how well fits without a part of the sightings predict it.
 
-    Parts are thirds of a day, or of several days whole ones, in five groups at most. Each is fitted anew without, from
-    the fit of all: other scales, another noise. The errors of the predictions are looked at together, by the whole
-    covariance of each part, and one by one.
+    Parts are thirds of a day, or of several days whole ones, in five groups at most. All that a part says of lens, pose
+    and field are few numbers; where what is stated holds, their errors are independent and of unit variance.
     """
-    groups = NoiseGroups.of(usable)
-    # the sun's track is judged: whether stars agree with it is a question of its own (`night_check`)
-    judged = (usable.kind == Kind.SUN) & (fit.weight > 0.0)
-    parts = [
-        _met(_refitted(fit, usable, ~out), fit, groups, out & judged)
-        for out in _left_out(usable)
-        # a pose that no other day has cannot be predicted
-        if not np.setdiff1d(usable.epoch[out], usable.epoch[~out]).size and np.any(out & judged)
-    ]
-    widening = _widening(fit, usable)
-    if not parts:
-        return Doubts(0, 0.0, 0.0, 0.0, widening)
-    worst = max(parts, key=lambda part: part.furthest)
-    allowed = _NOISE_KNOWN * float(chdtri(2 * sum(part.bins for part in parts), _CHANCE))
-    excess = max(worst.furthest / _FURTHEST, math.sqrt(sum(part.together for part in parts) / allowed))
-    return Doubts(worst.n, worst.rmse_px, worst.stated_px, excess, widening)
-
-
-def _left_out(usable: Sightings) -> list[BoolArray]:
-    """Return masks (n,) of what is left out in turn: of several days, days; of one, thirds of each pose's sightings."""
     fold = _folds_of_days(usable)
     if fold is None:
         fold = np.concatenate([np.arange(n) * _THIRDS // max(n, 1) for n in np.bincount(usable.epoch)])
-    return [fold == one for one in range(int(fold.max(initial=-1)) + 1)]
+    # the sun's track is judged: whether stars agree with it is a question of its own (`night_check`)
+    judged = (usable.kind == Kind.SUN) & (fit.weight > 0.0)
+    parts = [_met(one, fit, usable, judged) for one in _without_parts(fit, usable, fold) if np.any(one.out & judged)]
+    if not parts:
+        return Doubts(0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0)
+    worst = max(parts, key=lambda part: float(np.max(np.abs(part.errors))))
+    turned = max(parts, key=lambda part: part.turned)
+    square, opened = np.concatenate([part.errors for part in parts]) ** 2, np.concatenate([part.open for part in parts])
+    together = float(np.sum(square)) / float(chdtri(square.size, _CHANCE))
+    excess = math.sqrt(max(float(np.max(square)) / _FURTHEST**2, together, turned.turned / _TURNED))
+    larger = (float(np.sum(square[opened])) + _AS_STATED) / (np.count_nonzero(opened) + _AS_STATED)
+    widening = math.sqrt(max(larger, 1.0))
+    return Doubts(worst.n, worst.rmse_px, worst.stated_px, excess, widening, turned.turned, turned.turn_deg)
 
 
-def _refitted(fit: RobustFit, usable: Sightings, kept: BoolArray) -> _Partial:
-    """Return the fit of the sightings that a mask picks, from the fit of all."""
-    groups, observed = NoiseGroups.of(usable.select(kept)), fit.observed.select(kept)
-    problem = fit.problem
-    start = fit.unknowns[: problem.size - problem.n_unit]
-    found = robust_camera(problem, observed, start, groups=groups, grid=fit.grid, near_minimum=True)
-    unknowns = found.unknowns
-    system = found.system(observed, groups.bins)
-    mean = found.field_mean(system.normal())
-    posterior = stated_posterior(problem, system, unknowns, grid=found.grid, scales=found.state.scales, mean=mean)
-    return _Partial(problem, unknowns, mean, posterior)
-
-
-def _met(partial: _Partial, fit: RobustFit, groups: NoiseGroups, out: BoolArray) -> _Part:
-    """Return how a fit predicts the sightings that a mask picks, in bins with the noise that the fit of all has."""
-    problem, unknowns, mean, posterior = partial
-    observed, bins = fit.observed.select(out), groups.bins.select(out)
-    seen, off = bins.gathered(observed, problem.residuals(unknowns, observed), fit.information[out])
-    off, seen = off[seen.information > 0.0], seen.select(seen.information > 0.0)
-    minus, rows = problem.linearised(unknowns, seen)
-    values = fit.grid.basis.values(seen.pixels - minus)
-    if mean is not None:
-        off = off - values @ mean.T
-    n = len(seen)
-    stated = joint_covariance(posterior.covariance, posterior.field, rows, values)
-    stated += np.diag(np.repeat(1.0 / seen.information, 2))
-    each = np.einsum("iaib->iab", stated.reshape(n, 2, n, 2))
+def _met(without: _Without, fit: RobustFit, usable: Sightings, judged: BoolArray) -> _Part:
+    """Return how a fit predicts the judged (n,) sightings of the part that it is without."""
+    sun = np.bincount(fit.system.member[judged], minlength=without.bins.size)[without.bins] > 0
+    rows, information = without.rows[sun], fit.system.observed.information[without.bins][sun]
+    off = fit.system.residual[without.bins][sun] - rows @ without.step
+    variance = np.einsum("nap,pq,naq->n", rows, without.covariance, rows, optimize=True) + 2.0 / information
+    flat = (rows * np.sqrt(information)[:, None, None]).reshape(-1, rows.shape[-1])
+    # with B B' the part's information, B' times the unknowns is what it says, with noise of unit variance
+    own = flat.T @ flat
+    scale = np.sqrt(np.maximum(np.diag(own), np.finfo(np.float64).tiny))
+    values, vectors = np.linalg.eigh(own / np.outer(scale, scale))
+    told = values > _ROUNDING * values[-1]
+    roots, vectors = np.sqrt(values[told]), vectors[:, told]
+    factor = scale[:, None] * vectors * roots
+    said = vectors.T @ (flat.T @ (off * np.sqrt(information)[:, None]).ravel() / scale) / roots
+    joint = factor.T @ without.covariance @ factor + np.eye(said.size)
+    stated, axes = np.linalg.eigh(joint)
+    poses = np.unique(usable.epoch[without.out & judged]).tolist()
+    turned, turn_deg = max(_turn(factor, joint, said, fit, pose) for pose in poses)
     return _Part(
-        n=int(np.count_nonzero(fit.weight[out] > 0.0)),
-        rmse_px=math.sqrt(float(np.sum(off**2)) / n),
-        stated_px=math.sqrt(float(np.trace(stated)) / n),
-        bins=n,
-        together=float(off.ravel() @ np.linalg.solve(stated, off.ravel())),
-        furthest=math.sqrt(float(np.max(np.sum(off * np.linalg.solve(each, off[..., None])[..., 0], axis=-1)))),
+        n=int(np.count_nonzero(without.out & judged)),
+        rmse_px=math.sqrt(float(np.sum(off**2)) / len(off)),
+        stated_px=math.sqrt(float(np.mean(variance))),
+        errors=(axes.T @ said) / np.sqrt(stated),
+        open=stated > _OPEN,
+        turned=turned,
+        turn_deg=turn_deg,
     )
 
 
-def _widening(fit: RobustFit, usable: Sightings) -> float:
-    """Return the sigma over the sky of every second sighting, brought to the count of all, over that of all; or 1."""
-    kept = np.arange(len(usable)) % 2 == 0
-    if np.count_nonzero(fit.weight[kept]) < _FEWEST_THINNED:
-        return 1.0
-    # by the noise that the fit of all states: of every second sighting neighbours correlate by the square
-    square = ((fit.inflation - 1.0) / (fit.inflation + 1.0))[kept] ** 2
-    count = float(np.sum(fit.weight[kept] * (1.0 - square) / (1.0 + square)))
-    whole = _Partial(fit.problem, fit.unknowns, fit.field_mean, fit.posterior).sky_px(fit.grid.basis)
-    ratio = _refitted(fit, usable, kept).sky_px(fit.grid.basis) / whole
-    ratio *= math.sqrt(count / float(np.sum(fit.weight / fit.inflation)))
-    return ratio if ratio > _OTHER_SIGMA else 1.0
+def _turn(factor: FloatArray, joint: FloatArray, said: FloatArray, fit: RobustFit, pose: int) -> tuple[float, float]:
+    """Return how surely errors (k,) of covariance (k, k) speak for a turn of a pose, and the turn in degrees."""
+    columns = factor[fit.problem.pose_slice(pose)]
+    weighed = np.linalg.solve(joint, np.column_stack([columns.T, said]))
+    pull = columns @ weighed[:, -1]
+    vector = np.linalg.solve(columns @ weighed[:, :-1], pull)
+    angle = right_jacobian(fit.problem.camera(fit.unknowns, pose).rotation_cam_enu) @ vector
+    return float(pull @ vector), math.degrees(float(np.linalg.norm(angle)))
 
 
 # Whether the sightings of the night contradict those of the day: a fit of both would then be worse than the day's.

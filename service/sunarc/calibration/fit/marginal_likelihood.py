@@ -9,7 +9,6 @@ factorisation each (generalised least squares, Laplace's approximation of the ma
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -218,12 +217,6 @@ def normal_sums(
         at=at,
         n_unit=n_unit,
     )
-
-
-def summed(parts: Sequence[NormalEquations]) -> NormalEquations:
-    """Return the sums over the sightings of several parts together, at least one, made at the same unknowns."""
-    total = {name: sum(getattr(part, name) for part in parts) for name in ("jj", "jf", "jr", "fr", "rr")}
-    return replace(parts[0], ff=BasisProducts(matrix=np.sum([part.ff.matrix for part in parts], axis=0)), **total)
 
 
 def prior_precision(size: int, radial_px: float, decentering_px: float, *, n_unit: int = 0) -> FloatArray:

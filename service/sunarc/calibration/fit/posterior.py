@@ -81,26 +81,6 @@ def prediction_variance(
     return np.asarray(np.maximum(by_parameters + by_field, 0.0))
 
 
-def joint_covariance(covariance: FloatArray, field: Field, rows: FloatArray, values: FloatArray) -> FloatArray:
-    """Return (2 n, 2 n), px²: of the errors of n predicted pixels together, x and y of each by turns.
-
-    Parameters
-    ----------
-    covariance, field : of the unknowns, (p, p), and of the field about its mean.
-    rows, values : slopes of the pixels to the unknowns, (n, 2, p), and of the field there, (n, m).
-    """
-    n = rows.shape[0]
-    flat = rows.reshape(2 * n, -1)
-    crossed, coupled = (
-        np.stack([values @ one.T for one in part], axis=1).reshape(2 * n, -1) for part in (field.cross, field.coupling)
-    )
-    mixed = flat @ crossed.T
-    variances = field.amplitude_px**2 * field.basis.variances(length_px=field.length_px)
-    known = values @ field.known.T
-    own = (values * variances) @ values.T - known @ known.T
-    return np.asarray(flat @ covariance @ flat.T + mixed + mixed.T + coupled @ coupled.T + np.kron(own, np.eye(2)))
-
-
 def _known(field: Field, normal: NormalEquations) -> FloatArray:
     """Return K, (r, m): with the unknowns given, an axis measured to t has 1 / (1 + t) of its variance left."""
     axes = normal.ff.axes(field.basis, field.length_px)
