@@ -7,7 +7,11 @@ import pytest
 from sunarc import errors
 from sunarc.errors import InputError, NotFoundError, SunarcError
 
-CLASSES = {name: thing for name, thing in vars(errors).items() if isinstance(thing, type)}
+CLASSES = {
+    name: thing
+    for name, thing in vars(errors).items()
+    if getattr(thing, "__module__", "") == errors.__name__ and isinstance(thing, type)
+}
 
 
 def test_an_input_error_says_where_what_and_the_remedy_in_one_line() -> None:

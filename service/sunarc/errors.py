@@ -19,6 +19,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
 
 class SunarcError(Exception):
     """Root of the errors that are reported in one line."""
@@ -59,6 +63,15 @@ class SchemaError(ConfigurationError):
 
 class OutsideError(SunarcError):
     """A disk, a port or a peer failed."""
+
+
+@contextmanager
+def disk_errors(path: Path) -> Iterator[None]:
+    """Raise `OutsideError` where the disk refuses what is written to a file or into a folder."""
+    try:
+        yield
+    except OSError as error:
+        raise OutsideError(f"cannot write {error.filename or path}: {error.strerror or error}") from error
 
 
 class StoreFullError(OutsideError):

@@ -15,6 +15,7 @@ import json
 import multiprocessing
 import os
 import random
+import resource
 import shutil
 import subprocess
 import sys
@@ -41,8 +42,10 @@ _TESTS_AT_LEAST = 25
 _SECONDS_OF_TESTS = 20.0
 """Tests that are asked for one mutant: of those that reach it the file's own first, then the fastest; as many as take
 this long together, but never fewer than 25."""
-_SECONDS_AT_MOST = 120.0
-"""For one mutant; one that hangs is detected."""
+_SECONDS_AT_MOST = 120
+"""Of processor for one mutant; one that computes without end is detected."""
+_WAITED_AT_MOST_S = 3600.0
+"""One that waits without end is detected, too; a loaded host alone makes none of them late."""
 _NOTHING_RAN = (pytest.ExitCode.USAGE_ERROR, pytest.ExitCode.NO_TESTS_COLLECTED)
 _WARM = multiprocessing.get_context("forkserver")
 _WARM.set_forkserver_preload(
@@ -180,7 +183,7 @@ def _exit_code(copy: Path, tests: list[str]) -> int | None:
     """Return pytest's exit code of tests on the package in a folder; negative where it took too long."""
     process = _WARM.Process(target=_run_tests, args=(str(copy), tests))
     process.start()
-    process.join(_SECONDS_AT_MOST)
+    process.join(_WAITED_AT_MOST_S)
     if process.exitcode is None:
         process.kill()
         process.join()
@@ -189,6 +192,7 @@ def _exit_code(copy: Path, tests: list[str]) -> int | None:
 
 def _run_tests(copy: str, tests: list[str]) -> None:
     """Run tests on the package in a folder, silently, and exit with their result; called in a process of its own."""
+    resource.setrlimit(resource.RLIMIT_CPU, (_SECONDS_AT_MOST, _SECONDS_AT_MOST))
     os.chdir(ROOT)
     sys.path[:0] = [copy, str(ROOT)]
     sys.dont_write_bytecode = True

@@ -15,10 +15,10 @@ from sqlalchemy import URL
 from sunarc.archive.database.backup import backup, backup_into, newest_sound_copy, restore
 from sunarc.archive.database.connections import server_url
 from sunarc.archive.database.recovery import upgrade_present
-from sunarc.archive.database.schema import check, downgrade, prepare_folder, require_file, upgrade_server
+from sunarc.archive.database.schema import check, downgrade, require_file, upgrade_server
 from sunarc.archive.database.state_folder import lock_holder, lock_state
 from sunarc.cli.options import AsJson, Config, State, parse_image_size, print_rows
-from sunarc.errors import InputError
+from sunarc.errors import InputError, disk_errors
 from sunarc.offline.archive_tables import database_of, export_everything, write_points
 from sunarc.offline.archive_tables import import_points as read_points
 from sunarc.runtime.clock import SystemClock
@@ -200,7 +200,8 @@ def _existing(state: Path) -> Path:
 @contextmanager
 def _locked(state: Path) -> Iterator[None]:
     """Keep the service from running while its database is replaced or migrated."""
-    prepare_folder(state)
+    with disk_errors(state):
+        state.mkdir(parents=True, exist_ok=True)
     with lock_state(state):
         yield
 

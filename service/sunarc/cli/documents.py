@@ -12,7 +12,7 @@ from rich.console import Console
 
 from sunarc.calibration.model.document import from_document
 from sunarc.cli.options import AsJson, CalibrationFile, print_json, table
-from sunarc.errors import InputError, OutsideError
+from sunarc.errors import InputError, disk_errors
 from sunarc.exports.asi_core import asi_core_set
 from sunarc.exports.exported import Exported
 from sunarc.exports.formats import FORMATS, export_draws, format_of
@@ -62,10 +62,8 @@ def export_calibration(
 
 def _write_set(made: list[Exported], folder: Path) -> None:
     """Write a set of files into a folder; what is there of the same name is replaced."""
-    try:
+    with disk_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutsideError(f"cannot make the folder {folder}: {error.strerror}") from error
     for one in made:
         for name, content in one.files.items():
             _write(folder / name, content)
@@ -103,10 +101,8 @@ def _document(path: Path) -> dict[str, object]:
 
 
 def _write(path: Path, content: bytes) -> None:
-    try:
+    with disk_errors(path):
         path.write_bytes(content)
-    except OSError as error:
-        raise OutsideError(f"cannot write {path}: {error.strerror}") from error
 
 
 def compare(

@@ -14,7 +14,7 @@ from sunarc.calibration.selection import MOST_STARS
 from sunarc.calibration.start.blind_start import BlindOptions
 from sunarc.cli.options import SITE, Altitude, AsJson, choice_of, print_json, print_table
 from sunarc.detection.values import BAYERS
-from sunarc.errors import InputError, OutsideError
+from sunarc.errors import InputError, disk_errors
 from sunarc.extras import extra_module
 from sunarc.offline.calibrate_files import image_circle_of
 from sunarc.offline.calibration_files import read_calibration
@@ -127,10 +127,8 @@ def _found_blind(
         print(result.as_json()["reason"])
     if result.accepted and target is not None:
         text = json.dumps(result.document(camera=target.stem, clock=SystemClock()), indent=2)
-        try:
+        with disk_errors(target):
             target.write_text(text + "\n", encoding="utf-8")
-        except OSError as error:
-            raise OutsideError(f"{target} could not be written: {error.strerror}") from None
     return result.images
 
 
@@ -141,8 +139,5 @@ def _print(found: list[StarImage]) -> None:
 
 
 def _write(output: Path, found: list[StarImage], sun: Sightings | None, most: int) -> int:
-    try:
-        with output.open("w", encoding="utf-8", newline="") as target:
-            return write_star_sightings(target, found, beside=sun, most=most)
-    except OSError as error:
-        raise OutsideError(f"{output} could not be written: {error.strerror}") from None
+    with disk_errors(output), output.open("w", encoding="utf-8", newline="") as target:
+        return write_star_sightings(target, found, beside=sun, most=most)

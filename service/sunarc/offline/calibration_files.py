@@ -20,7 +20,7 @@ from sunarc.calibration.model.backward import camera_sees
 from sunarc.calibration.model.document import from_document
 from sunarc.calibration.model.result import Calibration
 from sunarc.detection.values import Bayer
-from sunarc.errors import InputError, OutsideError
+from sunarc.errors import InputError, OutsideError, disk_errors
 from sunarc.exports.exported import Table, Variable
 from sunarc.exports.formats import read_view
 from sunarc.exports.remap import Grid, grid_directions, reach_m, remap_tables, remapped
@@ -143,10 +143,8 @@ def _write(path: Path, found: Comparison, *, title: str) -> None:
         "off_y": column(found.off_px[:, 1], "1", "difference of the pixels' y in px"),
         "off_angle": column(found.off_deg, "degree", "angle between the directions of a pixel"),
     }
-    try:
+    with disk_errors(path):
         path.write_bytes(_WRITERS[path.suffix](Table(variables=variables, attributes={"title": title})))
-    except OSError as error:
-        raise OutsideError(f"cannot write {path}: {error.strerror}") from error
 
 
 def rectify_files(
@@ -185,13 +183,15 @@ def rectify_files(
     half_width = half_width_m or reach_m(height)
     directions = grid_directions(grid, size, half_width_m=half_width, height_m=height)
     tables = remap_tables(solved.camera, directions)
-    _make(folder)
+    with disk_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
     written = []
     for path in images:
         found = _remapped(path, solved, tables)
         target = folder / f"{path.stem}_{grid}.{'png' if grid == 'sky' else 'tif'}"
         if grid == "sky":
-            _write_png(target, found)
+            with disk_errors(target):
+                target.write_bytes(cv2.imencode(".png", found)[1].tobytes())
         else:
             _write_geotiff(target, found, solved, pixel_m=2.0 * half_width / (size - 1))
         written.append({"file": str(path), "written": str(target), "seen": float(np.mean(tables[0] >= -0.5))})
@@ -212,20 +212,6 @@ def _in_colour(path: Path, image: Image) -> Image:
     said = (document_of(read_file(path)) or {}).get("bayer")
     bayer: Bayer | None = next((known for known in get_args(Bayer) if known == said), None)
     return image if bayer is None or image.ndim != 2 else demosaiced(image, bayer)
-
-
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutsideError(f"cannot make the folder {folder}: {error.strerror}") from error
-
-
-def _write_png(path: Path, image: NDArray[Any]) -> None:
-    try:
-        path.write_bytes(cv2.imencode(".png", image)[1].tobytes())
-    except OSError as error:
-        raise OutsideError(f"cannot write {path}: {error.strerror}") from error
 
 
 def _write_geotiff(path: Path, image: NDArray[Any], solved: Calibration, *, pixel_m: float) -> None:

@@ -13,7 +13,7 @@ from sunarc.array_types import BoolArray, Image
 from sunarc.detection.disc.detect import detect_sun
 from sunarc.detection.photo.ordinary_image import Photo, detect_sun_in_photo
 from sunarc.detection.values import Bayer, Detection, Expectation, Sensor
-from sunarc.errors import InputError, OutsideError
+from sunarc.errors import InputError, disk_errors
 from sunarc.findings import Finding
 from sunarc.imaging.preview import preview
 from sunarc.reanalysis.files import read_image
@@ -90,12 +90,8 @@ def draw_overlay(path: Path, found: dict[str, Any], target: Path) -> None:
         cv2.drawMarker(canvas, at, colour, markerType=cv2.MARKER_CROSS, markerSize=_CROSS_PX, thickness=2)
         if found["radius_px"]:
             cv2.circle(canvas, at, max(round(2.0 * found["radius_px"]), 8), colour, 2)
-    done, encoded = cv2.imencode(".png", canvas)
-    try:
-        if done:
-            target.write_bytes(encoded.tobytes())
-    except OSError as error:
-        raise OutsideError(f"{target} could not be written: {error.strerror}") from None
+    with disk_errors(target):
+        target.write_bytes(cv2.imencode(".png", canvas)[1].tobytes())
 
 
 def _row(path: Path, *, method: Method, full_scale: int | None, bayer: Bayer | None) -> dict[str, Any]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from sunarc.archive.sightings import FileSighting
 from sunarc.array_types import Image
-from sunarc.errors import OutsideError
+from sunarc.errors import disk_errors
 from sunarc.findings import Finding
 from sunarc.imaging.preview import preview
 from sunarc.reanalysis.image_files import image_of
@@ -105,11 +105,9 @@ def write_contact_sheet(found: Mapping[ArchiveImage, FileSighting], target: Path
         _row(verdict, images, found) for verdict, images in sorted(by_verdict.items(), key=lambda one: -len(one[1]))
     ]
     encoded = cv2.imencode(".png", np.vstack(rows))[1]
-    try:
+    with disk_errors(target):
         target.parent.mkdir(parents=True, exist_ok=True)
         target.write_bytes(encoded.tobytes())
-    except OSError as error:
-        raise OutsideError(f"{target} could not be written: {error.strerror}") from None
 
 
 def _row(verdict: str, images: Sequence[ArchiveImage], found: Mapping[ArchiveImage, FileSighting]) -> _Picture:

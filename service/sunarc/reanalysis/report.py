@@ -14,7 +14,7 @@ import numpy as np
 
 import sunarc
 from sunarc.array_types import FloatArray
-from sunarc.errors import OutsideError
+from sunarc.errors import disk_errors
 from sunarc.findings import Finding
 from sunarc.optics.forward import project
 from sunarc.reanalysis.image_files import images_in
@@ -44,11 +44,9 @@ def write_report(target: Path, summary: Summary, results: Sequence[CameraResult]
     OutsideError : they cannot be written.
     """
     page = report_page(summary, results)
-    try:
+    with disk_errors(target):
         (target / "report.html").write_text(page, encoding="utf-8")
         (target / "report.json").write_text(json.dumps(summary.report, indent=1, allow_nan=False) + "\n")
-    except OSError as error:
-        raise OutsideError(f"{error.filename or target} could not be written: {error.strerror}") from error
 
 
 def report_page(summary: Summary, results: Sequence[CameraResult]) -> str:

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from sunarc.detection.values import Expectation
-from sunarc.errors import InputError, OutsideError
+from sunarc.errors import InputError, disk_errors
 from sunarc.exports.formats import FORMATS, export
 from sunarc.findings import Finding
 from sunarc.optics.forward import project
@@ -159,7 +159,7 @@ def write_results(
     OutsideError : something cannot be written.
     """
     documents = {(one.name, epoch_name(n)): _document(one, n) for one in results for n in range(len(one.epochs))}
-    try:
+    with disk_errors(target):
         for folder in ("calibrations", "exports"):
             shutil.rmtree(target / folder, ignore_errors=True)  # of a former run, perhaps with other epochs
         _write(target / "sightings.csv", _csv(_HEADER, [row for one in results for row in _sightings(one)]))
@@ -173,8 +173,6 @@ def write_results(
             if one.horizon is not None:
                 _write(target / f"horizon_{one.name}.png", one.horizon.png)
         missing = {} if each is None else _write_exports(target / "exports", documents, each)
-    except OSError as error:
-        raise OutsideError(f"{error.filename or target} could not be written: {error.strerror}") from error
     report = {
         "cameras": [_camera(one, documents) for one in results],
         "refused": [_refusal(one) for one in indexed.refused],

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from sunarc.archive.database.state_folder import lock_state
-from sunarc.errors import InputError, OutsideError
+from sunarc.errors import InputError, disk_errors
 from sunarc.findings import Finding
 from sunarc.reanalysis.cluster import DEATHS, Cluster, Workers, open_cluster
 from sunarc.reanalysis.fit import (
@@ -80,10 +80,8 @@ def reanalyse(
         seen = [f"{one.file}: {MESSAGES.text_of(one.finding)}" for one in (*indexed.refused, *indexed.failures)][:5]
         raise InputError(field="SOURCE", problem=f"has no image to look at ({'; '.join(seen)})", remedy="see above")
     began = clock.monotonic()
-    try:
+    with disk_errors(options.target):
         options.target.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutsideError(f"{options.target} cannot be made: {error.strerror}") from error
     store = options.store or f"sqlite:///{options.target / 'ledger.sqlite'}"
     with (
         lock_state(options.target, remedy=_ANOTHER),

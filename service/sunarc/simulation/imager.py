@@ -29,7 +29,7 @@ from sunarc.calibration.model.result import Calibration, Metrics, Provenance, Ve
 from sunarc.cameras.frame import full_scale_of
 from sunarc.cameras.packed import pack, packing_of
 from sunarc.detection.values import bayer_of
-from sunarc.errors import InputError, OutsideError
+from sunarc.errors import InputError, disk_errors
 from sunarc.findings import Finding
 from sunarc.optics.camera import Camera
 from sunarc.optics.pose import pose_angles
@@ -414,11 +414,9 @@ def write_truth(path: Path, scene: Scene, *, name: str, created_at: datetime) ->
     """Write the document of the simulated camera's true parameters."""
     document = truth_document(scene.camera, scene.site, name=name, created_at=created_at)
     partial = path.with_name(path.name + ".part")
-    try:
+    with disk_errors(path):
         partial.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
         partial.replace(path)
-    except OSError as error:
-        raise OutsideError(f"{path} cannot be written: {error.strerror}") from None
 
 
 # Simulated time: faster than real, with the nights left out.

@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from sunarc.archive.database.state_folder import PRIVATE, give_to_owner_of
-from sunarc.errors import InputError, OutsideError
+from sunarc.errors import InputError, OutsideError, disk_errors
 
 _NAME = re.compile(r"sunarc-\d{8}T\d{6}Z\.sqlite")
 _ASIDE = re.compile(r"\.(before|at|found)-[\w.-]+")
@@ -75,10 +75,8 @@ def backup_into(path: Path, folder: Path, *, keep: int, now: datetime) -> Path:
     """Copy a database into a folder under the time's name, and remove all but the `keep` newest of such copies."""
     if keep < 1:
         raise InputError(field="--keep", problem="below 1", remedy="keep one copy or more")
-    try:
+    with disk_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutsideError(f"cannot create the folder {folder}: {error.strerror}") from None
     copy = backup(path, folder / f"sunarc-{now.astimezone(UTC):%Y%m%dT%H%M%SZ}.sqlite", replace=True)
     for old in sorted(file for file in folder.iterdir() if _NAME.fullmatch(file.name))[:-keep]:
         old.unlink(missing_ok=True)

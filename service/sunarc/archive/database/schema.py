@@ -21,7 +21,7 @@ from sunarc.archive.database.connections import (
 )
 from sunarc.archive.database.state_folder import give_to_owner_of
 from sunarc.archive.database.tables import metadata
-from sunarc.errors import InputError, OutsideError, SchemaError
+from sunarc.errors import InputError, SchemaError, disk_errors
 
 UPGRADE_SERVER = "sunarc db upgrade --store ADDRESS, as the database's owner"
 """The command that brings a PostgreSQL database to the head revision."""
@@ -66,7 +66,8 @@ def upgrade(path: Path) -> Path | None:
     The copy that was made before a migration; None when there was nothing to migrate.
     """
     existed = path.exists()
-    prepare_folder(path.parent)
+    with disk_errors(path.parent):
+        path.parent.mkdir(parents=True, exist_ok=True)
     engine = create_archive_engine(path, foreign_keys=False, create=True)
     try:
         with reading(engine) as connection:
@@ -222,11 +223,3 @@ def _migrations() -> Path:
     package = Path(sunarc.__file__).parent
     places = (package / "migrations", package.parents[1] / "migrations")  # an installed wheel, a checkout
     return next((folder for folder in places if folder.is_dir()), places[0])
-
-
-def prepare_folder(folder: Path) -> None:
-    """Make the folder of a database."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutsideError(f"cannot create the folder {folder}: {error.strerror}") from error
