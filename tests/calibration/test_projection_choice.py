@@ -10,9 +10,10 @@ import population as pop
 import pytest
 from numpy.typing import NDArray
 
+from sunarc.calibration.fit.assemble import Job
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.projection_choice import ProjectionChoice, calibrate_unknown_lens, choose_projection
+from sunarc.calibration.model.sightings import Sightings, filter_sightings
+from sunarc.calibration.projection_choice import ProjectionChoice, calibrate_unknown_lens, compare_projections
 from sunarc.optics.camera import Camera
 from sunarc.optics.projections import PROJECTIONS, Projection, ideal_radius
 
@@ -35,10 +36,16 @@ def _day(camera: Camera, *, cadence_s: float = 360.0, sigma_px: float = 0.4) -> 
     return points.select(np.all(np.isfinite(points.pixels) & (np.abs(points.pixels - 873.5) < 873.0), axis=-1))
 
 
+def _choice(points: Sightings, projection: Projection = "equisolid") -> ProjectionChoice:
+    usable, options = filter_sightings(points, site=pop.SGP, image_size=SIZE), CalibrationOptions(projection=projection)
+    job = Job(points=points, usable=usable, site=pop.SGP, image_size=SIZE, options=options, circle=None)
+    return compare_projections(job)[0]
+
+
 @pytest.mark.parametrize("projection", PROJECTIONS)
 def test_the_true_projection_is_found(projection: Projection) -> None:
     points = _day(_lens(projection, 11))
-    choice = choose_projection(points, site=pop.SGP, image_size=SIZE, options=CalibrationOptions())
+    choice = _choice(points)
     assert choice.projection == projection
     assert choice.log_evidence[projection] == 0.0
     assert choice.finding.code == "projection_chosen"
@@ -80,7 +87,7 @@ def test_of_a_morning_the_hours_are_named_that_are_missing() -> None:
 
 def test_without_sightings_no_projection_is_called_probable() -> None:
     nothing = _day(_lens("equidistant", 4)).select(np.zeros(0, dtype=np.int64))
-    choice = choose_projection(nothing, site=pop.SGP, image_size=SIZE, options=CalibrationOptions())
+    choice = _choice(nothing)
     assert not choice.compared
     found = calibrate_unknown_lens(nothing, site=pop.SGP, image_size=SIZE, options=CalibrationOptions()).calibration
     assert [one.code for one in found.verdict.findings] == ["too_few_sightings"]
@@ -89,7 +96,7 @@ def test_without_sightings_no_projection_is_called_probable() -> None:
 def test_too_few_sightings_leave_the_named_one_and_say_so() -> None:
     points = _day(_lens("equidistant", 4), cadence_s=7200.0)
     options = CalibrationOptions(projection="orthographic")
-    choice = choose_projection(points, site=pop.SGP, image_size=SIZE, options=options)
+    choice = _choice(points, "orthographic")
     assert (choice.projection, choice.finding.code) == ("orthographic", "projection_ambiguous")
     found = calibrate_unknown_lens(points, site=pop.SGP, image_size=SIZE, options=options).calibration
     assert found.verdict.findings[0].code == "too_few_sightings"
