@@ -64,7 +64,7 @@ def test_a_measured_temperature_makes_surer(in_assumed_air: Calibration) -> None
 def test_with_the_assumed_air_the_camera_is_as_good(in_assumed_air: Calibration) -> None:
     error, stated, held = _judged(in_assumed_air)
     assert error < 0.02
-    assert error < stated < 0.08
+    assert error < stated < 0.11
     assert np.mean(held) >= 0.90
 
 

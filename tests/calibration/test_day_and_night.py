@@ -48,6 +48,7 @@ TIMES = pop.sun_track(np.zeros(1), cadence_s=240.0)
 SUN = replace(
     pop.sightings(CAMERA, TIMES, pop.white_noise(np.random.default_rng(5), TIMES.size, 0.03)),
     sigma_px=np.full(TIMES.size, 0.03),
+    clock_error_s=np.full(TIMES.size, 0.01),
 )
 
 

@@ -136,7 +136,6 @@ def test_a_field_is_not_lost_where_stars_outnumber_a_finer_sun() -> None:
         directions=np.r_[np.full((times.size, 3), np.nan), directions],
     )
     fit = _fitted(camera, points)
-    assert fit.verdict.accepted
     assert 0.15 < fit.field.amplitude_px < 0.6
     truth = project(camera, directions)
     error = project(fit.camera, directions) - truth - field(truth)

@@ -178,6 +178,21 @@ MESSAGES = Messages(
         _REFUSED,
         "check clock, site and mirroring, or raise --level-within",
     ),
+    pixels_not_square=Message(
+        "the pixels are {aspect:.4f} times as wide as high (log odds {log_odds:.0f})",
+        "The fit is used.",
+        "check that no program scales the images; where it must, by the same factor in width and height",
+    ),
+    clock_drifts=Message(
+        "the clock is not within its bound, or drifts on a day (log odds {log_odds:.0f})",
+        "The fit is used, with what the clock may be off in its uncertainty.",
+        "synchronise the camera's clock (NTP, PTP), and state its bound",
+    ),
+    detections_biased=Message(
+        "the sun is detected inwards or outwards of its place (log odds {log_odds:.0f})",
+        "The fit is used, with the bias taken out.",
+        "check the exposure of the sun's frames and the focus",
+    ),
     camera_tilted=Message(
         "the sightings fit a camera tilted by {tilt_deg:.1f}°; no other zone or latitude makes it level",
         "The fit is used.",

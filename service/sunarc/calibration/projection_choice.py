@@ -19,7 +19,6 @@ from sunarc.calibration.calibrate import Start, calibration_of, most_plausible_s
 from sunarc.calibration.changes.change_points import Moved, calibrate_moved
 from sunarc.calibration.fit.assemble import Job
 from sunarc.calibration.fit.marginal_likelihood import (
-    STRONG_EVIDENCE,
     HyperparameterGrid,
     log_evidence,
     log_weights,
@@ -27,7 +26,7 @@ from sunarc.calibration.fit.marginal_likelihood import (
 from sunarc.calibration.fit.normal_equations import linear_system
 from sunarc.calibration.fit.robust_fit import RobustFit, grid_of
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
-from sunarc.calibration.model.result import Verdict
+from sunarc.calibration.model.result import STRONG_EVIDENCE, Verdict
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.noise import NoiseGroups, measured_noise
 from sunarc.calibration.quality.fit_checks import before_fit, missing_hours

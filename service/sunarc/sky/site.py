@@ -20,6 +20,9 @@ PRESSURE_BOUNDS_PA = (30_000.0, 110_000.0)
 PA_PER_HPA = 100.0
 PRESSURE_BOUNDS_HPA = (PRESSURE_BOUNDS_PA[0] / PA_PER_HPA, PRESSURE_BOUNDS_PA[1] / PA_PER_HPA)
 
+EARTH_RATE = 7.292e-5
+"""Of the earth's rotation against the stars, radians a second."""
+
 PressurePa = Annotated[float, Ge(PRESSURE_BOUNDS_PA[0]), Le(PRESSURE_BOUNDS_PA[1])]
 TemperatureC = Annotated[float, Ge(TEMPERATURE_BOUNDS_C[0]), Le(TEMPERATURE_BOUNDS_C[1])]
 

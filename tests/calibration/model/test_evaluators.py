@@ -82,12 +82,13 @@ def own_documents() -> Own:
     day, beside = (Sightings.of(unix_s=times, pixels=one) for one in (pixels, bent))
     size = (truth.width, truth.height)
     seen = np.all(np.isfinite(project(truth, SKY)), axis=-1) & (SKY[:, 2] > 0.2)
+    towards = np.tile(SKY[seen], (4, 1))
     stars = Sightings.of(
-        unix_s=times[-1] + 36_000.0 + 60.0 * np.arange(seen.sum(), dtype=np.float64),
-        pixels=project(truth, SKY[seen]) + np.random.default_rng(4).normal(0.0, 0.05, (seen.sum(), 2)),
-        sigma_px=np.full(seen.sum(), 0.05),
-        directions=SKY[seen],
-        kind=np.full(seen.sum(), Kind.STAR),
+        unix_s=times[-1] + 36_000.0 + 60.0 * np.arange(len(towards), dtype=np.float64),
+        pixels=project(truth, towards) + np.random.default_rng(4).normal(0.0, 0.05, (len(towards), 2)),
+        sigma_px=np.full(len(towards), 0.05),
+        directions=towards,
+        kind=np.full(len(towards), Kind.STAR),
     )
     with_night = stacked([replace(day, sigma_px=np.full(times.size, 0.05)), stars])
     given = (day, beside, day.select(slice(0, 0)), with_night)

@@ -91,7 +91,7 @@ def test_the_answer_grows_surer_with_every_sighting(
         for count in (3, 20, 120)
     ]
     assert stated_sigma[0] > 3.0 * stated_sigma[1] > 3.0 * stated_sigma[2]
-    assert stated_sigma[2] < 0.01
+    assert stated_sigma[2] < 0.02
 
 
 def test_a_third_of_the_sightings_may_be_false(camera: Camera, simulator: Simulator, calibrated: Calibration) -> None:
@@ -155,7 +155,7 @@ def test_a_day_tells_how_the_camera_stood_turned(camera: Camera, simulator: Simu
     off = np.array(offset.turn_deg) - turn_deg
     assert np.all(np.abs(off) < 4.0 * np.array(offset.sigma_deg))
     assert np.all(np.abs(off) < 0.003)
-    assert max(offset.sigma_deg) < 0.003
+    assert max(offset.sigma_deg) < 0.006  # 1 s of an unknown clock is 0.004 degrees
     assert offset.n == len(seen.points)
 
 

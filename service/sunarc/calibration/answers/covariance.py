@@ -22,12 +22,10 @@ from sunarc.optics.camera import PARAMETER_NAMES, Camera
 from sunarc.optics.forward import by_direction, project, project_with_rows_fast, tangent_basis
 from sunarc.optics.inverse import unproject
 from sunarc.sky.refraction import ASSUMED_AIR_SD, DAILY_AIR_SD, MEASURED_AIR_SD, raised, refraction_rad
-from sunarc.sky.site import Site
+from sunarc.sky.site import EARTH_RATE, Site, pole_enu
 
 _CHUNK = 4096
 _EARTH_RADIUS_M = 6_371_000.0
-_EARTH_RATE = 7.292e-5
-"""Radians a second."""
 _HEMISPHERE = 1500
 _FURTHEST_DEG = 180.0
 _POLAR = 1.55
@@ -225,9 +223,8 @@ def pose_error(camera: Camera, site: Site, *, clock_error_s: float, site_error_m
     clock_error_s : 1-sigma of the clock, s.
     site_error_m : 1-sigma of the position along each axis, m.
     """
-    latitude = math.radians(site.latitude)
-    pole = np.array([0.0, math.cos(latitude), math.sin(latitude)])
-    enu_covariance = (_EARTH_RATE * clock_error_s) ** 2 * np.outer(pole, pole)
+    latitude, pole = math.radians(site.latitude), pole_enu(site)
+    enu_covariance = (EARTH_RATE * clock_error_s) ** 2 * np.outer(pole, pole)
     # an eastward error turns about the pole: up by tan(latitude) of what it turns about north
     eastward = np.array([0.0, 1.0, math.tan(latitude) if abs(latitude) < _POLAR else 0.0])
     enu_covariance += (site_error_m / _EARTH_RADIUS_M) ** 2 * (np.diag([1.0, 0.0, 0.0]) + np.outer(eastward, eastward))

@@ -15,7 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray
+from sunarc.calibration.model.result import STRONG_EVIDENCE
 from sunarc.calibration.model.sightings import Kind, Sightings
+from sunarc.calibration.solve.priors import LENS, Whitened, with_wide_pixels
 from sunarc.calibration.solve.problem import Block, FitProblem, by_elevation
 from sunarc.optics.forward import by_direction, project_with_rows_fast
 from sunarc.optics.projections import ideal_radius
@@ -31,20 +33,47 @@ DECENTRED_PX = 0.03
 """1-sigma at the edge of the part of the offset that grows as the cosine and as the sine of the azimuth: of lenses that
 are not centred, whose coma is not either. It grows as the square of the radius, as decentering distortion does."""
 N_RADIAL = len(OFFSET_POWERS)
+OUTWARDS_PX = 0.07
+"""1-sigma of how far the sun is detected from its place along the radius, whatever the radius: by the blur of the lens,
+by a threshold on its aureole. A bias that grows with the radius is the lens's own distortion."""
+CLOCK_OFFSET_S, CLOCK_DRIFT_S_PER_H = 1.0, 0.25
+"""1-sigma of a clock of which nothing is stated: how far it is off on a day, and its drift. A quartz that nothing
+corrects drifts by 0.1 s an hour, and by several times that in the cold and the heat."""
+_HOURS = 6.0
+"""Of a clear day's half: a clock whose bound is stated drifts within it at most."""
+_NEGLIGIBLE_PX = 1e-4
+_PROOF = 10.0
+"""Log odds that prove an error which is not there in most cameras: what a lens's eight coefficients cannot say of its
+radius, for one, looks like a bias along it with log odds of 4."""
+STRETCH = [Whitened.ASPECT, Whitened.SKEW]
+"""Places of the unknowns that pixels which are not square take."""
+PIXELS = "pixels"
+_RUNS = 6
+"""Parts of the days with a clock of their own, at most."""
 
 
 class _View(NamedTuple):
     """Sightings as a camera near the one sought shows them.
 
-    by_direction (n, 2, 3), rise (n, 2): px per unit of the direction, and per radian that it rises. outwards (n, 2),
-    radius (n,): unit vectors away from the principal point, and the distance to it over that of the horizon.
+    stretch (n, 2, 2): px by the wide prior's aspect and skew. by_direction (n, 2, 3), rise (n, 2): px per unit of the
+    direction, and per radian that it rises. outwards (n, 2),
+    radius (n,): unit vectors away from the principal point, and the distance to it over that of the horizon. hours (n,)
+    from the middle of each day's sightings.
     """
 
     seen: Sightings
+    stretch: FloatArray
     by_direction: FloatArray
     rise: FloatArray
     outwards: FloatArray
     radius: FloatArray
+    hours: FloatArray
+
+    @property
+    def by_time(self) -> FloatArray:
+        """(n, 2): px per second by which the clock of the day is off; that of a night is in the night's turn."""
+        moved = np.einsum("nai,ni->na", self.by_direction, self.seen.motion)
+        return np.asarray(moved * ~self.seen.night[:, None])
 
     def turned(self, sd_deg: float) -> FloatArray:
         """Return (n, 2, 3): displacements where the camera is turned about east, north and up by an angle."""
@@ -79,16 +108,70 @@ def _air(view: _View) -> FloatArray:
     return np.asarray(view.rise[:, :, None] * view.seen.refraction_sd[:, None, :])
 
 
+def _outwards(view: _View) -> FloatArray:
+    """Return (n, 2, 1): of the sun along the radius."""
+    return np.asarray(OUTWARDS_PX * (view.outwards * (view.seen.kind == Kind.SUN)[:, None])[..., None])
+
+
+def _pixels(view: _View) -> FloatArray:
+    """Return (n, 2, 2): by pixels that are not square; 0 where the lens's prior has them."""
+    return view.stretch
+
+
+def _clock(view: _View) -> FloatArray:
+    """Return (n, 2, 2): by a clock that is off, and that drifts on every day alike, where its bound allows it.
+
+    That a clock is off within its stated bound turns the pose, see `answers.covariance.pose_error`. No sighting tells
+    one from a lens that is another, nor a drift that is the same on every day.
+    """
+    bound = view.seen.clock_error_s
+    unknown = np.isnan(bound)
+    drift = np.where(unknown, CLOCK_DRIFT_S_PER_H, np.nan_to_num(bound) / _HOURS)
+    seconds = np.stack([CLOCK_OFFSET_S * unknown, drift * view.hours], axis=-1)
+    return np.asarray(view.by_time[:, :, None] * seconds[:, None])
+
+
+def _daily_clock(view: _View) -> FloatArray:
+    """Return (n, 2, 2 k): by a clock that is off and drifts otherwise on each of k runs of days, whatever its bound."""
+    days, day = np.unique(view.seen.day, return_inverse=True)
+    count = min(days.size, _RUNS)
+    if count < 2:
+        return np.zeros((len(view.seen), 2, 0))
+    in_run = (day * count // days.size)[:, None] == np.arange(count)
+    apart = in_run - 1.0 / count  # from what all have in common
+    seconds = np.concatenate([CLOCK_OFFSET_S * apart, CLOCK_DRIFT_S_PER_H * view.hours[:, None] * apart], axis=-1)
+    return np.asarray(view.by_time[:, :, None] * seconds[:, None])
+
+
 class _Effect(NamedTuple):
+    """A shared error: its displacements; whether it is possible though unproven; log odds that prove it."""
+
     name: str
     columns: Callable[[_View], FloatArray]
+    possible: bool = True
+    proof: float = _PROOF
 
 
 EFFECTS = (
     _Effect("night_offset", _night_offset),
     _Effect("night_pose", _night_pose),
-    _Effect("air", _air),
+    _Effect("air", _air, proof=STRONG_EVIDENCE),
+    _Effect("outwards", _outwards),
+    _Effect("clock", _clock),
+    _Effect("daily_clock", _daily_clock, possible=False),
+    _Effect(PIXELS, _pixels, possible=False),
 )
+POSSIBLE = frozenset(effect.name for effect in EFFECTS if effect.possible)
+"""The shared errors that are in the covariance though the sightings do not prove them."""
+
+
+SHOWN_BY_STARS = frozenset({"night_offset", "night_pose", "air"})
+"""Those that stars on all sides of the sky show: beside them their means make the better camera."""
+
+
+def proves(name: str, log_odds: float) -> bool:
+    """Return whether log odds prove the shared error of a name."""
+    return any(effect.name == name and log_odds > effect.proof for effect in EFFECTS)
 
 
 def with_effects(problem: FitProblem, unknowns: FloatArray, observed: Sightings) -> tuple[FitProblem, Sightings]:
@@ -103,7 +186,7 @@ def with_effects(problem: FitProblem, unknowns: FloatArray, observed: Sightings)
     blocks, columns, start = [], [], 0
     for effect in EFFECTS:
         found = effect.columns(view)
-        acts = np.any(found != 0.0, axis=(0, 1))
+        acts = np.any(np.abs(found) > _NEGLIGIBLE_PX, axis=(0, 1))
         if np.any(acts):
             columns.append(found[:, :, acts])
             blocks.append(Block(effect.name, slice(start, start + int(acts.sum()))))
@@ -115,11 +198,22 @@ def with_effects(problem: FitProblem, unknowns: FloatArray, observed: Sightings)
 def _view(problem: FitProblem, unknowns: FloatArray, observed: Sightings) -> _View:
     """Return the sightings as the cameras of their epochs show them; 0 where one shows nothing."""
     n = len(observed)
-    view = _View(observed, np.zeros((n, 2, 3)), np.zeros((n, 2)), np.zeros((n, 2)), np.zeros(n))
+    wide = with_wide_pixels(problem.prior).basis[:, STRETCH]
+    stretched = wide * np.any(wide != problem.prior.basis[:, STRETCH])
+    view = _View(
+        observed,
+        np.zeros((n, 2, 2)),
+        np.zeros((n, 2, 3)),
+        np.zeros((n, 2)),
+        np.zeros((n, 2)),
+        np.zeros(n),
+        _hours(observed),
+    )
     for epoch in range(problem.n_epochs):
         rows = observed.epoch == epoch
         camera, directions = problem.camera(unknowns, epoch), observed.directions[rows]
         pixels, by_parameters = project_with_rows_fast(camera, directions)
+        view.stretch[rows] = by_parameters[..., LENS] @ stretched
         view.by_direction[rows] = by_direction(camera, by_parameters)
         view.rise[rows] = by_elevation(camera, directions, by_parameters)
         outwards = np.nan_to_num(pixels - np.array(camera.principal_point_px))
@@ -128,3 +222,10 @@ def _view(problem: FitProblem, unknowns: FloatArray, observed: Sightings) -> _Vi
         view.outwards[rows] = outwards / np.maximum(far, 1e-9)[:, None]
         view.radius[rows] = far / edge
     return view
+
+
+def _hours(observed: Sightings) -> FloatArray:
+    """Return (n,): hours from the mean time of each day's sightings."""
+    _, day = np.unique(observed.day, return_inverse=True)
+    times = np.nan_to_num(observed.unix_s)
+    return np.asarray((times - (np.bincount(day, times) / np.bincount(day))[day]) / 3600.0)

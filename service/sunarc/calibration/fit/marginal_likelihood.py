@@ -106,8 +106,6 @@ _POSE_PRECISION = 1e-8
 RIDGE = 1e-13
 ROUNDING = 1e-13
 """Share of the sightings' whole information that is lost to rounding where the field takes nearly all of it."""
-STRONG_EVIDENCE = math.log(20.0)
-"""Log odds from which on sightings prove something: 20 to 1, the usual "strong" evidence."""
 _VARIED = np.r_[RADIAL, DECENTERING]
 """Places of the unknowns whose prior precisions are sought: the radial distortion, p1 and p2."""
 _N_RADIAL = RADIAL.stop - RADIAL.start

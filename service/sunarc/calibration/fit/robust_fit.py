@@ -7,12 +7,12 @@ is the one that fits without it: what it may change is then in the covariance al
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sunarc.array_types import FloatArray, IntArray
-from sunarc.calibration.fit.effects import with_effects
+from sunarc.calibration.fit.effects import PIXELS, STRETCH, with_effects
 from sunarc.calibration.fit.marginal_likelihood import (
     HyperparameterGrid,
     MarginalFit,
@@ -31,7 +31,7 @@ from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.noise import NoiseGroups
 from sunarc.calibration.robust_loss import robust_sigma, surely_well_behaved
 from sunarc.calibration.solve.levenberg_marquardt import information as information_of
-from sunarc.calibration.solve.priors import DECENTERING, RADIAL, Whitened
+from sunarc.calibration.solve.priors import DECENTERING, RADIAL, Whitened, with_wide_pixels
 from sunarc.calibration.solve.problem import Bins, FitProblem
 from sunarc.calibration.start.multistart import SMALLEST_SIGMA_PX, best_of_starts, best_start, distance_sigmas, lowest
 from sunarc.optics.camera import Camera
@@ -90,16 +90,30 @@ def fit_robustly(
     ----------
     problem : the camera sought.
     observed : sightings, in the order of time within each epoch.
-    usable : their times, days and epochs.
+    usable : the same, for their groups.
     start : (p,) unknowns of the coarse search; other starts are tried beside it.
     options : floor of the field, and tolerances of the lens.
     """
     grid = grid_of(problem.template, options)
     groups = NoiseGroups.of(usable)
+    fit = _fitted(problem, observed, start, groups, grid)
+    if not fit.problem.has(PIXELS):
+        return fit
+    wide = replace(problem, prior=with_wide_pixels(problem.prior))
+    start = wide.unknowns([fit.problem.camera(fit.unknowns, epoch) for epoch in range(problem.n_epochs)])
+    start[STRETCH] += fit.unknowns[fit.problem.block_slice(PIXELS)]
+    again = _fitted(wide, observed, start, groups, grid)
+    return replace(again, log_odds={**again.log_odds, PIXELS: fit.log_odds[PIXELS]})
+
+
+def _fitted(
+    problem: FitProblem, observed: Sightings, start: FloatArray, groups: NoiseGroups, grid: HyperparameterGrid
+) -> RobustFit:
+    """Return the fit with the lens's prior as it is."""
     plain = _without_field(problem, observed, start, groups.bins)
     problem, observed = with_effects(problem, plain, observed)
     found = robust_camera(problem, observed, plain, groups=groups, grid=grid)
-    unknowns, grid, state = found.unknowns, found.grid, found.state
+    problem, unknowns, grid, state = found.problem, found.unknowns, found.grid, found.state
     system = found.system(observed, groups.bins)
     normal = system.normal()
     mean = found.field_mean(normal)
@@ -119,7 +133,7 @@ def fit_robustly(
         noise_px=found.noise.scale,
         inflation=found.noise.inflation,
         information=found.information,
-        log_odds={**log_odds_of_parts(normal, grid.basis, state.scales), "field": state.field_odds},
+        log_odds={**log_odds_of_parts(normal, grid.basis, state.scales), "field": state.field_odds, **state.block_odds},
     )
 
 

@@ -8,14 +8,14 @@ no smooth error explains.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray
+from sunarc.calibration.fit.effects import POSSIBLE, SHOWN_BY_STARS, proves
 from sunarc.calibration.fit.marginal_likelihood import (
-    STRONG_EVIDENCE,
     HyperparameterGrid,
     MarginalFit,
     NormalEquations,
@@ -30,6 +30,7 @@ from sunarc.calibration.fit.marginal_likelihood import (
 )
 from sunarc.calibration.fit.normal_equations import LinearSystem, linear_system, most_probable_with_field, system_about
 from sunarc.calibration.fit.posterior import prediction_variance
+from sunarc.calibration.model.result import STRONG_EVIDENCE
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.noise import Noise, NoiseGroups, autocorrelation_inflation, measured_noise
 from sunarc.calibration.robust_loss import CUT, robust_sigma, surely_well_behaved, tukey_loss, tukey_weights
@@ -227,7 +228,7 @@ _FIELD_BOUNDS = 4
 class RoundState:
     """Where the rounds stand, the log odds of a field, and what the last round gained in twice the log posterior.
 
-    leverage : (n,) see `leverage_of`.
+    leverage : (n,) see `leverage_of`. block_odds: log odds of each shared error.
     """
 
     unknowns: FloatArray
@@ -236,6 +237,7 @@ class RoundState:
     field_odds: float = -math.inf
     gain: float = math.inf
     leverage: FloatArray | None = None
+    block_odds: dict[str, float] = field(default_factory=dict)
 
     @property
     def proven_field_px(self) -> float:
@@ -299,9 +301,7 @@ def robust_camera(
     plain = np.concatenate([plain, np.zeros(problem.n_unit)])
     state, noise, grid, last_round = _with_field(problem, observed, plain, grid, groups)
     information = noise.information(observed)
-    if not problem.has("night_pose"):
-        # stars on all sides of the sky show the refraction, and beside them the mean over the air is the better camera
-        state = _without_unproven(problem, observed.weighted(information), groups.bins, last_round, state, grid)
+    problem, state = _with_proven(problem, observed.weighted(information), groups.bins, last_round, state, grid)
     weighed = observed.weighted(observed.information * (noise.sigma_px / noise.scale) ** 2)
     unknowns = _as_good_as_least_squares(
         problem, weighed, groups, state, sigma=noise.sigma_px, near_minimum=near_minimum
@@ -420,45 +420,55 @@ def _improved(problem: FitProblem, observed: Sightings, system: LinearSystem, gr
     )
 
 
-def _without_unproven(  # noqa: PLR0917 - the fit, piece by piece
+def _with_proven(  # noqa: PLR0917 - the fit, piece by piece
     problem: FitProblem,
     observed: Sightings,
     bins: Bins,
     last_round: LinearSystem,
     state: RoundState,
     grid: HyperparameterGrid,
-) -> RoundState:
-    """Return the state without the shared errors that the sightings, by their information, do not prove."""
+) -> tuple[FitProblem, RoundState]:
+    """Return the problem with the shared errors that are possible or that the sightings, by their information, prove.
+
+    And the state with those that are not proven at 0.
+    """
     system = system_about(problem, observed, bins, last_round, state.unknowns)
-    proven, log_weight = proven_blocks(problem, system.normal(), grid)
-    if len(proven) == len(problem.blocks):
-        return state
-    held, places = problem.only(proven)
+    proven, log_weight, odds = proven_blocks(problem, system.normal(), grid)
+    kept, places = problem.only(POSSIBLE | proven)
+    state = replace(state, unknowns=state.unknowns[places], block_odds=odds)
+    estimated, places = kept.only(proven)
+    if len(estimated.blocks) == len(problem.blocks):
+        return kept, state
     scales = likely_scales(normalised(log_weight), grid)
-    unknowns = np.zeros(problem.size)
-    unknowns[places] = most_probable_with_field(held, system.moved(held, state.unknowns[places]), scales).unknowns
-    return replace(state, unknowns=unknowns, scales=scales)
+    unknowns = np.zeros(kept.size)
+    unknowns[places] = most_probable_with_field(
+        estimated, system.moved(estimated, state.unknowns[places]), scales
+    ).unknowns
+    return kept, replace(state, unknowns=unknowns, scales=scales)
 
 
 def proven_blocks(
     problem: FitProblem, normal: NormalEquations, grid: HyperparameterGrid
-) -> tuple[list[str], FloatArray]:
-    """Return the names of the shared errors without which the sightings are far less probable, and their log weights.
+) -> tuple[set[str], FloatArray, dict[str, float]]:
+    """Return the names of the shared errors without which the sightings are far less probable.
 
-    The weights (i, j, k) are those of the scales with these errors alone. One that proves itself beside all others is
-    taken, the most probable first.
+    Beside the stars of a night, those that stars show count as proven. One is added at a time, the most probable first.
+
+    Returns
+    -------
+    The names, the log weights (i, j, k) of the scales with these errors alone, and the log odds of each block.
     """
-    proven: list[str] = []
-    log_weight = log_weights(normal.only(problem.only(())[1]), grid)
-    while len(proven) < len(problem.blocks):
-        others = [block.name for block in problem.blocks if block.name not in proven]
-        tried = [log_weights(normal.only(problem.only([*proven, name])[1]), grid) for name in others]
-        best = int(np.argmax([log_evidence(one) for one in tried]))
-        if log_evidence(tried[best]) - log_evidence(log_weight) <= STRONG_EVIDENCE:
+    proven = set(SHOWN_BY_STARS & problem.names) if problem.has("night_pose") else set[str]()
+    log_weight, odds = log_weights(normal.only(problem.only(proven)[1]), grid), dict[str, float]()
+    while others := sorted(problem.names - proven):
+        tried = {name: log_weights(normal.only(problem.only({*proven, name})[1]), grid) for name in others}
+        odds |= {name: log_evidence(one) - log_evidence(log_weight) for name, one in tried.items()}
+        best = max(others, key=lambda name: (proves(name, odds[name]), odds[name]))
+        if not proves(best, odds[best]):
             break
-        proven.append(others[best])
+        proven.add(best)
         log_weight = tried[best]
-    return proven, log_weight
+    return proven, log_weight, odds
 
 
 # How much of the noise of each star the fit has taken up: beside a field the residuals of 150 stars are too small.

@@ -20,6 +20,9 @@ from sunarc.optics.pose import PoseAngles
 from sunarc.sky.directions import angular_distance
 from sunarc.sky.site import Site
 
+STRONG_EVIDENCE = math.log(20.0)
+"""Log odds from which on sightings prove something: 20 to 1, the usual "strong" evidence."""
+
 # How well a fit meets the sightings (Eq. 27), and both readings of SD.
 
 
@@ -158,7 +161,8 @@ class Provenance:
     pose_spread_deg : the spread of daily poses that the uncertainty allows for, about east, north and up; None: none.
     moves : moves of the camera that were found among the sightings, in the order of time.
     log_odds : natural log odds of each part of the lens model against its being zero (`skew`, `radial`, `decentering`)
-        and of a field, and how many `radial_terms` are needed; empty where the method does not compare them.
+        and of a field, how many `radial_terms` are needed, and of the errors that sightings share,
+        see `fit.effects`; empty where the method does not compare them.
     held_out : what parts of the sightings say of the fit, by name, see `Doubts`; the covariance is widened by the
         square of its `widening`. Empty where no part was held against the fit.
     """

@@ -18,7 +18,7 @@ from sunarc.findings import Finding
 from sunarc.sky.days import solar_days
 from sunarc.sky.night import SOLAR_SYSTEM_BODIES, STAR, SUN
 from sunarc.sky.refraction import ASSUMED_AIR_SD, DAILY_AIR_SD, MEASURED_AIR_SD, refraction_rad
-from sunarc.sky.site import Site
+from sunarc.sky.site import EARTH_RATE, Site, pole_enu
 from sunarc.sky.sun import sun_angles, sun_directions
 
 # What sightings are of, as far as their noise and their systematic errors differ.
@@ -218,6 +218,7 @@ class Sightings:
     information : (n,) inverse variance of each axis, px⁻²; relative where the scale is still sought.
     refraction_sd : (n, k) 1-sigma of the refraction, rad, by k independent causes: the measured air, the assumed one,
         and the assumed one of each day (or of so many runs of days); 0 where a cause does not act.
+    motion : (n, 3) by what the sky turns a direction, per second.
     false_density : (n,) logarithm of how likely a false sighting is to be just there, px⁻²; 0 where none is sought.
     systematic_px : (n, 2, s) displacements by s errors that many sightings share, each at its 1-sigma, px.
     filtering : what was left out of them.
@@ -230,7 +231,7 @@ class Sightings:
     epoch: IntArray = field(default_factory=_first)
     body: NameArray = field(default_factory=lambda: np.array([SUN]))
     kind: IntArray = field(default_factory=_sun)
-    clock_error_s: FloatArray = field(default_factory=_zero)
+    clock_error_s: FloatArray = field(default_factory=_unknown)
     temperature: FloatArray = field(default_factory=_unknown)
     pressure: FloatArray = field(default_factory=_unknown)
     index: IntArray = field(default_factory=_first)
@@ -239,6 +240,7 @@ class Sightings:
     night: BoolArray = field(default_factory=_no)
     information: FloatArray = field(default_factory=_one)
     refraction_sd: FloatArray = field(default_factory=lambda: np.zeros((1, 1)))
+    motion: FloatArray = field(default_factory=lambda: np.zeros((1, 3)))
     false_density: FloatArray = field(default_factory=_zero)
     systematic_px: FloatArray = field(default_factory=lambda: np.zeros((1, 2, 0)))
     filtering: Filtering = field(default_factory=Filtering)
@@ -401,6 +403,8 @@ def filter_sightings(points: Sightings, *, site: Site, image_size: tuple[int, in
         epoch=points.epoch[retained],
         day=day,
         refraction_sd=_refraction_sd(np.isfinite(points.temperature[retained]), directions[retained], day, site),
+        motion=np.cross(directions[retained], EARTH_RATE * pole_enu(site)),
+        clock_error_s=points.clock_error_s[retained],
         filtering=Filtering(
             dropped=tuple(Finding(code, {"n": int(n)}) for code, n in counts.items() if n),
             static=static,

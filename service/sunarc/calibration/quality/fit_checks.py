@@ -50,6 +50,16 @@ _TURNED = 20.0
 """Chi-square of the turn of one part's camera from which on it is named: three numbers reach it once in 6,000."""
 
 
+_PROVEN = {
+    "pixels": "pixels_not_square",
+    "outwards": "detections_biased",
+    "daily_clock": "clock_drifts",
+}
+"""Codes of the shared errors that a fit may prove, by the names that their log odds have."""
+_PROOF = 10.0
+"""Log odds that prove them, as of `fit.effects`."""
+
+
 class Handedness(NamedTuple):
     """Whether the camera is mirrored, and whether the other handedness fits as well."""
 
@@ -119,12 +129,20 @@ def fit_verdict(
         found.append(Finding("provisional"))
     if options.mirrored == "auto":
         found.append(Finding("mirrored" if handedness.mirrored else "not_mirrored"))
-    found += _off_center(calibration)
+    found += [*_off_center(calibration), *_proven_effects(calibration)]
     if question is None or options.level_within_deg is not None:
         return Verdict(accepted=True, findings=tuple(found))
     # a camera that was bumped has been level before, by the same clock and at the same place
     doubtful = float(question.data["odds"]) > 1.0 and calibration.evidence.options.get("free") != "pose"
     return Verdict(accepted=not doubtful, marginal=doubtful, findings=(question, *found))
+
+
+def _proven_effects(calibration: Calibration) -> Iterator[Finding]:
+    """Yield what the sightings prove of errors that they share."""
+    log_odds, (fx, fy) = calibration.evidence.log_odds, calibration.camera.focal_length_px
+    for name, code in _PROVEN.items():
+        if log_odds.get(name, 0.0) > _PROOF:
+            yield Finding(code, {"log_odds": log_odds[name], "aspect": fx / fy})
 
 
 def _off_center(calibration: Calibration) -> Iterator[Finding]:

@@ -9,7 +9,7 @@ explains is taken out, which is the paper's c1 as a gauge.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -87,6 +87,19 @@ class LensPrior:
     def whitened(self, camera: Camera) -> FloatArray:
         """Return the whitened coordinates of a camera's lens."""
         return np.asarray(np.linalg.lstsq(self.basis, camera.to_vector()[LENS] - self.mean)[0])
+
+
+WIDE_ASPECT, WIDE_SKEW = 0.02, 0.003
+"""1-sigma of the aspect ratio and of the skew, in focal lengths, of images whose pixels are not square: stretched by
+who scaled them, or by a sensor's clock."""
+
+
+def with_wide_pixels(prior: LensPrior) -> LensPrior:
+    """Return the prior of a lens behind pixels that need not be square."""
+    basis, focal = prior.basis.copy(), float(np.mean(prior.mean[FOCAL_LENGTH]))
+    basis[FOCAL_LENGTH, Whitened.ASPECT] = 0.5 * WIDE_ASPECT * focal, -0.5 * WIDE_ASPECT * focal
+    basis[Whitened.SKEW, Whitened.SKEW] = WIDE_SKEW * focal
+    return replace(prior, basis=basis)
 
 
 def precisions(radial_px: float, decentering_px: float) -> FloatArray:

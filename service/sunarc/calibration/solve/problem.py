@@ -115,9 +115,14 @@ class FitProblem:
             start += block.size
         return slice(start, start)
 
+    @property
+    def names(self) -> frozenset[str]:
+        """The names of the blocks."""
+        return frozenset(block.name for block in self.blocks)
+
     def has(self, name: str) -> bool:
         """Return whether there is a block of this name."""
-        return any(block.name == name for block in self.blocks)
+        return name in self.names
 
     def only(self, names: Collection[str]) -> tuple[FitProblem, IntArray]:
         """Return the problem with some of its blocks alone, and the places of its unknowns among those of this one."""

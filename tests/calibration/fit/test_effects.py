@@ -1,0 +1,245 @@
+"""Errors that many sightings share: displacements against cameras that are turned, and where none are."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from tests.calibration.conftest import SGP, SIZE, TRUTH, rms, times_of
+from tests.fixtures.calibration import observed, small_camera, small_problem, spread_directions
+
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.fit.effects import (
+    CLOCK_DRIFT_S_PER_H,
+    CLOCK_OFFSET_S,
+    DECENTRED_PX,
+    OFFSET_PX,
+    OUTWARDS_PX,
+    POSE_DIFFERENCE_DEG,
+    proves,
+    with_effects,
+)
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import Kind, Sightings, kinds_of
+from sunarc.calibration.solve.priors import WIDE_ASPECT
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.pose import rotation_matrix, rotation_vector
+from sunarc.sky.refraction import raised
+from sunarc.sky.site import EARTH_RATE, Site, pole_enu
+from sunarc.sky.sun import sun_directions
+
+FloatArray = NDArray[np.float64]
+
+CAMERA = small_camera()
+COUNT = 12
+KIND = np.repeat([Kind.SUN, Kind.STAR, Kind.MOON], [4, 6, 2])
+
+
+def displaced(block: str, kind: NDArray[np.int64] = KIND) -> FloatArray:
+    """Return the displacements (n, 2, s) of sightings of some kinds by one block."""
+    seen = replace(observed(CAMERA, spread_directions(COUNT)), kind=kind, night=kind != Kind.SUN)
+    problem = small_problem(CAMERA)
+    found, shared = with_effects(problem, problem.unknowns([CAMERA]), seen)
+    columns = {one.name: one.columns for one in found.blocks}
+    return shared.systematic_px[..., columns.get(block, slice(0, 0))]
+
+
+def test_bodies_have_kinds() -> None:
+    names = np.array(["sun", "moon", "venus", "saturn", "star:HIP32349", "stated"])
+    assert kinds_of(names).tolist() == [Kind.SUN, Kind.MOON, Kind.STAR, Kind.STAR, Kind.STAR, Kind.SUN]
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_turns_are_those_of_a_camera_that_is_turned_about_east_north_and_up(axis: int) -> None:
+    turn = np.radians(POSE_DIFFERENCE_DEG) * np.eye(3)[axis]
+    # a camera turned by R(d) has the rotation from world to camera R_cam R(d)'
+    turned = rotation_vector(rotation_matrix(CAMERA.rotation_cam_enu) @ rotation_matrix(tuple(turn)).T)
+    directions = spread_directions(COUNT)
+    expected = project(replace(CAMERA, rotation_cam_enu=turned), directions) - project(CAMERA, directions)
+    found = displaced("night_pose")[..., axis]
+    assert np.abs(expected).max() > 0.01
+    np.testing.assert_allclose(found[4:], expected[4:], rtol=2e-3, atol=1e-5)
+    np.testing.assert_allclose(found[:4], 0.0)
+
+
+def test_stars_alone_are_displaced_outwards() -> None:
+    found = displaced("night_offset")
+    outwards = project(CAMERA, spread_directions(COUNT)) - np.array(CAMERA.principal_point_px)
+    along = outwards / np.linalg.norm(outwards, axis=-1, keepdims=True)
+    np.testing.assert_allclose(found[:4], 0.0)
+    np.testing.assert_allclose(found[10:], 0.0)
+    size = np.einsum("nak,na->nk", found[4:10], along[4:10])
+    np.testing.assert_allclose(size[..., None] * along[4:10, None], np.moveaxis(found[4:10], 1, -1), atol=1e-12)
+    radius = size[:, 0] / OFFSET_PX
+    assert np.all((radius > 0.0) & (radius < 1.0))
+    np.testing.assert_allclose(size[:, 1:3], OFFSET_PX * radius[:, None] ** [2, 3], rtol=1e-9)
+    np.testing.assert_allclose(size[:, 3:], DECENTRED_PX * radius[:, None] ** 2 * along[4:10], rtol=1e-9)
+
+
+@pytest.mark.parametrize("kind", [Kind.STAR, Kind.SUN])
+def test_a_night_without_a_day_and_a_day_without_a_night_have_none(kind: Kind) -> None:
+    for block in ("night_offset", "night_pose"):
+        assert displaced(block, np.full(COUNT, kind)).shape == (COUNT, 2, 0)
+
+
+SITE = Site(latitude=-33.0, longitude=20.0)
+DAY, SECONDS = 86_400.0, np.linspace(-4.0, 4.0, COUNT) * 3600.0
+
+
+def of_days(clock_error_s: float) -> tuple[Sightings, dict[str, FloatArray]]:
+    """Return sightings of two days, at the same places, and the displacements by their blocks."""
+    towards = np.tile(spread_directions(COUNT), (2, 1))
+    seen = replace(
+        observed(CAMERA, towards),
+        unix_s=np.concatenate([SECONDS, SECONDS + DAY]),
+        day=np.repeat([3, 4], COUNT),
+        clock_error_s=np.full(2 * COUNT, clock_error_s),
+        refraction_sd=np.full((2 * COUNT, 1), 2e-4),
+        motion=np.cross(towards, EARTH_RATE * pole_enu(SITE)),
+    )
+    problem = small_problem(CAMERA)
+    found, shared = with_effects(problem, problem.unknowns([CAMERA]), seen)
+    return seen, {one.name: shared.systematic_px[..., one.columns] for one in found.blocks}
+
+
+def moved_by(change: Callable[[FloatArray], tuple[Camera, FloatArray]], towards: FloatArray) -> FloatArray:
+    """Return by how much a changed camera sees changed directions elsewhere, (n, 2) px."""
+    camera, directions = change(towards)
+    return project(camera, directions) - project(CAMERA, towards)
+
+
+def in_thicker_air(towards: FloatArray) -> tuple[Camera, FloatArray]:
+    return CAMERA, raised(towards, np.full(len(towards), 2e-4))
+
+
+def by_a_late_clock(towards: FloatArray) -> tuple[Camera, FloatArray]:
+    turn = rotation_matrix(tuple(-EARTH_RATE * CLOCK_OFFSET_S * pole_enu(SITE)))
+    return CAMERA, towards @ turn.T
+
+
+def by_wide_pixels(towards: FloatArray) -> tuple[Camera, FloatArray]:
+    fx, fy = CAMERA.focal_length_px
+    stretch = 0.5 * WIDE_ASPECT * 0.5 * (fx + fy)
+    return replace(CAMERA, focal_length_px=(fx + stretch, fy - stretch)), towards
+
+
+@pytest.mark.parametrize(
+    ("block", "column", "change"),
+    [("air", 0, in_thicker_air), ("clock", 0, by_a_late_clock), ("pixels", 0, by_wide_pixels)],
+)
+def test_displacements_are_those_of_the_changed_world(
+    block: str, column: int, change: Callable[[FloatArray], tuple[Camera, FloatArray]]
+) -> None:
+    seen, found = of_days(math.nan)
+    expected = moved_by(change, seen.directions)
+    assert np.max(np.abs(expected)) > 0.005
+    tolerance = 0.01 * float(np.max(np.abs(expected)))  # they are linear
+    np.testing.assert_allclose(found[block][:COUNT, :, column], expected[:COUNT], atol=tolerance)
+
+
+def test_a_clock_of_which_nothing_is_stated_is_off_and_drifts_on_every_day_alike() -> None:
+    _, found = of_days(math.nan)
+    offset, drift = np.moveaxis(found["clock"], -1, 0)
+    np.testing.assert_allclose(offset[:COUNT], offset[COUNT:], atol=1e-12)
+    hours = np.tile(SECONDS, 2) / 3600.0
+    np.testing.assert_allclose(drift, offset * (CLOCK_DRIFT_S_PER_H / CLOCK_OFFSET_S * hours)[:, None], atol=1e-12)
+
+
+def test_a_stated_clock_drifts_within_its_bound() -> None:
+    _, unknown = of_days(math.nan)
+    _, stated = of_days(0.6)
+    # 0.6 s within six hours
+    np.testing.assert_allclose(stated["clock"], unknown["clock"][..., 1:] * 0.1 / CLOCK_DRIFT_S_PER_H, atol=1e-12)
+    assert "clock" not in of_days(0.0)[1]
+
+
+def test_what_the_clocks_of_days_have_in_common_is_no_difference_of_theirs() -> None:
+    _, found = of_days(math.nan)
+    np.testing.assert_allclose(np.sum(found["daily_clock"][..., :2], axis=-1), 0.0, atol=1e-12)
+    np.testing.assert_allclose(found["daily_clock"][:COUNT, :, 0], 0.5 * found["clock"][:COUNT, :, 0], atol=1e-12)
+    np.testing.assert_allclose(found["daily_clock"][:COUNT, :, 2], 0.5 * found["clock"][:COUNT, :, 1], atol=1e-12)
+
+
+def test_detections_are_biased_along_the_radius_by_the_same_everywhere() -> None:
+    seen, found = of_days(math.nan)
+    outwards = seen.pixels - np.array(CAMERA.principal_point_px)
+    along = outwards / np.linalg.norm(outwards, axis=-1, keepdims=True)
+    np.testing.assert_allclose(found["outwards"][..., 0], OUTWARDS_PX * along, atol=1e-9)
+
+
+@pytest.mark.parametrize(("name", "least"), [("air", 3.0), ("pixels", 10.0), ("outwards", 10.0)])
+def test_proof_takes_log_odds(name: str, least: float) -> None:
+    assert proves(name, least + 0.1)
+    assert not proves(name, least - 0.1)
+    assert not proves("none", 1e9)
+
+
+# Whole fits of what is not as assumed.
+
+
+def fitted(
+    camera: Camera, days: tuple[float, ...], *, drift_s_per_h: float | FloatArray = 0.0, clock_error_s: float
+) -> Calibration:
+    """Return the fit of clear days of a camera whose clock drifts about noon of each."""
+    times = times_of(days, cadence_s=300.0)
+    day, second = np.divmod(times + SGP.longitude * 240.0, DAY)
+    drift = np.resize(drift_s_per_h, len(days))[np.unique(day, return_inverse=True)[1]]
+    pixels = project(camera, sun_directions(times - drift * (second - 0.5 * DAY) / 3600.0, SGP))
+    pixels += np.random.default_rng(7).normal(0.0, 0.05, pixels.shape)
+    points = Sightings.of(unix_s=times, pixels=pixels, clock_error_s=clock_error_s)
+    return calibrate(points, site=SGP, image_size=SIZE)
+
+
+def error_px(found: Calibration, camera: Camera) -> tuple[float, float]:
+    """Return the root mean squares over the sky of the true and of the stated error, px."""
+    predicted, covariance = project_with_covariance(found, hemisphere(400))
+    off = rms(predicted - project(camera, hemisphere(400)))
+    return off, float(np.sqrt(np.mean(np.trace(covariance, axis1=1, axis2=2))))
+
+
+def codes(found: Calibration) -> set[str]:
+    return {finding.code for finding in found.verdict.findings}
+
+
+FOUR_DAYS = (0.0, 1.0, 20.0, 29.0)
+STRETCHED = replace(TRUTH, focal_length_px=(1.015 * TRUTH.focal_length_px[0], 0.985 * TRUTH.focal_length_px[1]))
+
+
+def test_pixels_that_are_not_square_are_proven_and_taken_out() -> None:
+    found = fitted(STRETCHED, FOUR_DAYS, clock_error_s=0.01)
+    assert "pixels_not_square" in codes(found)
+    error, stated = error_px(found, STRETCHED)
+    assert 0.001 < error < 1.6 * stated < 0.3
+
+
+def test_one_day_of_pixels_that_are_not_square_states_what_it_does_not_know() -> None:
+    found = fitted(STRETCHED, (0.0,), clock_error_s=0.01)
+    error, stated = error_px(found, STRETCHED)
+    assert 0.05 < error < 1.6 * stated < 6.0
+
+
+def test_a_drift_that_no_sighting_shows_is_within_what_is_stated() -> None:
+    drifting = fitted(TRUTH, FOUR_DAYS, drift_s_per_h=0.4, clock_error_s=math.nan)
+    assert "clock_drifts" not in codes(drifting)
+    error, stated = error_px(drifting, TRUTH)
+    assert 0.03 < error < 1.6 * stated < 0.4
+
+
+def test_a_clock_that_differs_from_day_to_day_is_proven() -> None:
+    found = fitted(TRUTH, FOUR_DAYS, drift_s_per_h=np.array([0.0, 1.0, -1.0, 0.5]), clock_error_s=0.0)
+    assert "clock_drifts" in codes(found)
+    error, stated = error_px(found, TRUTH)
+    assert 0.001 < error < 1.6 * stated < 0.6
+
+
+def test_where_nothing_is_wrong_nothing_is_proven() -> None:
+    found = fitted(TRUTH, FOUR_DAYS, clock_error_s=0.01)
+    assert not codes(found) & {"pixels_not_square", "clock_drifts", "detections_biased"}
+    error, stated = error_px(found, TRUTH)
+    assert 0.001 < error < 1.6 * stated < 0.3
