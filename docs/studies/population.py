@@ -179,7 +179,7 @@ def sightings_of(
     camera: Camera, times: FloatArray, directions: FloatArray, noise: FloatArray, *, field: Field | None = None
 ) -> Sightings:
     """Return what a detector would have seen of the sun in directions that are known."""
-    return Sightings.of(unix_s=times, pixels=seen_at(camera, directions, field) + noise)
+    return Sightings.of(unix_s=times, pixels=seen_at(camera, directions, field) + noise, clock_error_s=0.0)
 
 
 def seen_at(camera: Camera, directions: FloatArray, field: Field | None) -> FloatArray:

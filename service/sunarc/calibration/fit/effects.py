@@ -36,7 +36,7 @@ N_RADIAL = len(OFFSET_POWERS)
 OUTWARDS_PX = 0.07
 """1-sigma of how far the sun is detected from its place along the radius, whatever the radius: by the blur of the lens,
 by a threshold on its aureole. A bias that grows with the radius is the lens's own distortion."""
-CLOCK_OFFSET_S, CLOCK_DRIFT_S_PER_H = 1.0, 0.25
+CLOCK_OFFSET_S, CLOCK_DRIFT_S_PER_H = 2.0, 0.35
 """1-sigma of a clock of which nothing is stated: how far it is off on a day, and its drift. A quartz that nothing
 corrects drifts by 0.1 s an hour, and by several times that in the cold and the heat."""
 _HOURS = 6.0
