@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 from tests.fixtures.calibration import filtered_sightings, small_camera, stated_calibration, sun_arc
 
 from sunarc.calibration.answers.error_model import rotated
@@ -29,13 +28,6 @@ def _usable(unix_s: FloatArray, *, day: NDArray[np.int64] | None = None) -> Sigh
 
 def _noise(n: int, *, sigma: float = 0.05, seed: int = 1) -> FloatArray:
     return np.random.default_rng(seed).normal(0.0, sigma, (n, 2))
-
-
-def test_the_angle_between_two_poses() -> None:
-    one = (0.3, -0.2, 1.0)
-    other = (Rotation.from_rotvec([0.0, 0.0, math.radians(5.0)]) * Rotation.from_rotvec(one)).as_rotvec()
-    assert module.rotation_between_deg(one, tuple(other)) == pytest.approx(5.0)
-    assert module.rotation_between_deg(one, one) == pytest.approx(0.0, abs=1e-5)
 
 
 def test_lines_of_one_slope_miss_one_another_by_the_jump() -> None:

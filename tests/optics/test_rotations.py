@@ -14,6 +14,7 @@ from sunarc.optics.pose import (
     PoseAngles,
     pose_angles,
     right_jacobian,
+    rotation_between,
     rotation_from_pose_angles,
     rotation_matrix,
     rotation_vector,
@@ -45,6 +46,13 @@ def test_vector_and_matrix_undo_one_another_up_to_half_a_turn() -> None:
         np.testing.assert_allclose(rotation_vector(rotation_matrix(vector)), vector, atol=1e-9)
     beyond = np.array([0.0, 0.0, 1.5 * math.pi])
     np.testing.assert_allclose(rotation_vector(rotation_matrix(beyond)), [0.0, 0.0, -0.5 * math.pi], atol=1e-14)
+
+
+def test_the_angle_between_two_poses() -> None:
+    one = (0.3, -0.2, 1.0)
+    other = (Rotation.from_rotvec([0.0, 0.0, math.radians(5.0)]) * Rotation.from_rotvec(one)).as_rotvec()
+    assert rotation_between(one, other) == pytest.approx(math.radians(5.0))
+    assert rotation_between(one, one) == pytest.approx(0.0, abs=1e-12)
 
 
 def skew_matrix(v: FloatArray) -> FloatArray:

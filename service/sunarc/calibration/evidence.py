@@ -205,9 +205,7 @@ class MixtureFit:
     @property
     def surprise(self) -> FloatArray:
         """Return (n,): squared leave-one-out residual in its own sigmas; 2 on average for true sightings."""
-        return np.asarray(
-            np.einsum("ni,nij,nj->n", self.loo_residual, np.linalg.inv(self.loo_covariance), self.loo_residual)
-        )
+        return squared_sigmas(self.loo_residual, self.loo_covariance)
 
 
 def fit_inlier_mixture(covariance: FloatArray, sightings: PixelResiduals, inlier: BoolArray) -> MixtureFit:
@@ -261,8 +259,13 @@ def _leave_one_out(
 
 def _log_density(loo_residual: FloatArray, spread: FloatArray) -> FloatArray:
     determinant = np.maximum(np.linalg.det(spread), 1e-20)
-    square = np.einsum("ni,nij,nj->n", loo_residual, np.linalg.inv(spread), loo_residual)
+    square = squared_sigmas(loo_residual, spread)
     return np.asarray(-0.5 * square - 0.5 * np.log(determinant) - math.log(2.0 * math.pi))
+
+
+def squared_sigmas(residual: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Return (n,): squared Mahalanobis distances of residuals (n, 2) of covariances (n, 2, 2)."""
+    return np.asarray(np.einsum("ni,nij,nj->n", residual, np.linalg.inv(covariance), residual))
 
 
 def log_normal(covariance: FloatArray, sightings: PixelResiduals, inlier: BoolArray) -> float:

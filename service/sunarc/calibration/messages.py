@@ -223,6 +223,12 @@ MESSAGES = Messages(
     principal_point_outside=Message(
         "the principal point ({x_px:.0f}, {y_px:.0f}) px is outside the image", _REFUSED, _MORE_DAYS
     ),
+    sightings_of_one_radius=Message(
+        "all sightings are {lowest_deg:.1f} to {highest_deg:.1f}° from the optical axis (a range of at least "
+        "{least_deg:.0f}° is needed): they show the lens at one radius alone",
+        "The fit is refused. Any projection fits a ring: of the sun at a pole, or of a camera that is pointed at one.",
+        "collect sightings of further months, or of the night; or state the lens (--start, --lens-prior)",
+    ),
     radius_not_rising=Message(
         "the radius stops rising at {angle_deg:.0f}° from the axis (at least {least_deg:.0f}° are needed)",
         _REFUSED,

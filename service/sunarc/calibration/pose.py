@@ -33,9 +33,11 @@ from sunarc.calibration.evidence import (
     false_density,
     fit_inlier_mixture,
     log_normal,
+    squared_sigmas,
 )
 from sunarc.calibration.fit.assemble import FitOutcome, Job, calibration_from_fit, refused
 from sunarc.calibration.model.options import CalibrationOptions, Mirrored
+from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.quality.fit_checks import Handedness
@@ -45,7 +47,7 @@ from sunarc.calibration.start.initial_guess import ransac_rotation
 from sunarc.findings import Finding
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project_fast
-from sunarc.optics.pose import right_jacobian
+from sunarc.optics.pose import pose_angles, right_jacobian
 from sunarc.sky.site import Site
 
 # Sightings as a posing takes them: their noise, and neighbours taken together so that there are not too many.
@@ -143,17 +145,35 @@ def estimate_pose(
     options : what makes the answer acceptable.
     wander_deg : 1-sigma per axis by which the pose wanders about its mean (mast, heat); it widens the uncertainty.
     """
-    mirrored: Mirrored = "yes" if start.camera.mirrored else "no"
-    effective = CalibrationOptions() if options is None else options
-    effective = replace(effective, method="robust", projection=start.camera.projection, mirrored=mirrored)
+    effective = options_about(start.camera, CalibrationOptions() if options is None else options)
     size = (start.camera.width, start.camera.height)
     usable = filter_sightings(points, site=site, image_size=size)
-    job = Job(points=points, usable=usable, site=site, image_size=size, options=effective, circle=None, free="pose")
+    job = Job(points=points, usable=usable, site=site, image_size=size, options=effective, free="pose")
     if len(usable) < FEWEST:
         return refused(job, (Finding("too_few_sightings", {"n": len(usable), "least": FEWEST}),))
     fit = fit_pose(start, with_noise(usable, points, start))
     fitted = outcome_of(fit, start, usable, wander_rad=math.radians(wander_deg))
     return calibration_from_fit(fitted, job, Handedness(mirrored=start.camera.mirrored, ambiguous=False))
+
+
+def options_about(camera: Camera, options: CalibrationOptions) -> CalibrationOptions:
+    """Return the options of a robust fit about a known camera: projection and handedness are its own."""
+    mirrored: Mirrored = "yes" if camera.mirrored else "no"
+    return replace(options, method="robust", projection=camera.projection, mirrored=mirrored)
+
+
+def stated_calibration(job: Job, camera: Camera, *, covariance: FloatArray, field: Field) -> Calibration:
+    """Return the calibration that a camera is of which these errors are stated, and of its sightings their noise."""
+    without_fit = refused(job, ())
+    return replace(
+        without_fit,
+        evidence=replace(without_fit.evidence, sigma_px=job.usable.filtering.stated_sigma_px),
+        camera=camera,
+        poses=(camera.rotation_cam_enu,),
+        pose=pose_angles(camera.rotation_cam_enu),
+        covariance=covariance,
+        field=field,
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -258,17 +278,21 @@ def settled(
     """Return the error model conditioned on sightings with outliers, linearised anew in every round."""
     after = replace(error_model, mean=0.0 * error_model.mean)
     for _ in range(_ROUNDS):
-        at = predicted(error_model, moved(base, error_model, after.mean), sightings.directions)
-        about = PixelResiduals(
-            residual=finite(sightings.pixels - at.pixels) + at.rows @ (after.mean - error_model.mean),
-            variance=sightings.variance,
-            false_density=sightings.false_density,
-        )
+        at, unchanged, about = _linearised(error_model, base, sightings, after.mean)
         mixture = fit_inlier_mixture(joint_covariance(error_model, at), about, inlier)
         inlier = mixture.inlier
-        unchanged = replace(about, residual=about.residual + at.rows @ error_model.mean).select(inlier)
-        after = conditioned(error_model, at.select(inlier), unchanged)
+        after = conditioned(error_model, at.select(inlier), unchanged.select(inlier))
     return after, mixture
+
+
+def _linearised(
+    error_model: CameraErrorModel, base: Camera, sightings: Sightings, mean: FloatArray
+) -> tuple[Predicted, PixelResiduals, PixelResiduals]:
+    """Return the equations of sightings at some parameters; residuals about `base`, and about the model's mean."""
+    at = predicted(error_model, moved(base, error_model, mean), sightings.directions)
+    residual = finite(sightings.pixels - at.pixels) + at.rows @ mean
+    unchanged = PixelResiduals(residual=residual, variance=sightings.variance, false_density=sightings.false_density)
+    return at, unchanged, replace(unchanged, residual=residual - at.rows @ error_model.mean)
 
 
 def _excess_noise(mixture: MixtureFit) -> float:
@@ -287,21 +311,17 @@ def _inliers(after: CameraErrorModel, camera: Camera, sightings: Sightings) -> B
         row = np.arange(part.size)
         spread = blocks[row, :, row] + variance[part, None, None] * np.eye(2)
         gap = finite(sightings.pixels[part] - at.pixels[part])
-        square[part] = np.einsum("ni,nij,nj->n", gap, np.linalg.inv(spread), gap)
+        square[part] = squared_sigmas(gap, spread)
     return np.asarray(square < 25.0)
 
 
 def _given_inliers(error_model: CameraErrorModel, base: Camera, sightings: Sightings) -> tuple[CameraErrorModel, float]:
     """Return the error model conditioned on inliers, and their log evidence."""
     after = replace(error_model, mean=0.0 * error_model.mean)
-    everyone = np.ones(len(sightings), dtype=bool)
     for _ in range(_ROUNDS):
-        at = predicted(error_model, moved(base, error_model, after.mean), sightings.directions)
-        residual = finite(sightings.pixels - at.pixels) + at.rows @ after.mean
-        about = PixelResiduals(residual=residual, variance=sightings.variance, false_density=sightings.false_density)
-        after = conditioned(error_model, at, about)
-    shifted = replace(about, residual=residual - at.rows @ error_model.mean)
-    return after, log_normal(joint_covariance(error_model, at), shifted, everyone)
+        at, unchanged, about = _linearised(error_model, base, sightings, after.mean)
+        after = conditioned(error_model, at, unchanged)
+    return after, log_normal(joint_covariance(error_model, at), about, np.ones(len(sightings), dtype=bool))
 
 
 def _mixed(fits: list[CameraErrorModel], log_weight: FloatArray) -> CameraErrorModel:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Annotated
 
 import numpy as np
@@ -13,17 +13,26 @@ from sunarc.array_types import FloatArray
 from sunarc.bounds import require_bounds
 from sunarc.calibration.answers.error_model import at_every_angle, error_model_of
 from sunarc.calibration.fit.assemble import Job, calibration_from_fit, no_field, refused
-from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances, Mirrored
-from sunarc.calibration.model.result import Calibration, Verdict
+from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances
+from sunarc.calibration.model.result import Calibration, refused_for, with_options
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
-from sunarc.calibration.pose import FEWEST, fit_pose, outcome_of, thinned, tolerance_px, with_noise
+from sunarc.calibration.pose import (
+    FEWEST,
+    fit_pose,
+    options_about,
+    outcome_of,
+    stated_calibration,
+    thinned,
+    tolerance_px,
+    with_noise,
+)
 from sunarc.calibration.quality.fit_checks import Handedness
 from sunarc.calibration.robust_loss import finite
-from sunarc.calibration.solve.priors import FREE, FREE_NAMES, LENS, N_LENS, lens_prior, precisions
+from sunarc.calibration.solve.priors import FREE, LENS, N_LENS, lens_prior, precisions
 from sunarc.findings import Finding
 from sunarc.optics.camera import POSE, Camera
 from sunarc.optics.forward import project_fast
-from sunarc.optics.pose import pose_angles, rotation_matrix, rotation_vector
+from sunarc.optics.pose import rotation_matrix, rotation_vector
 from sunarc.optics.projections import ideal_radius
 from sunarc.sky.site import Site
 
@@ -74,24 +83,16 @@ def calibrate_with_prior(
     options : what makes the answer acceptable; its projection and handedness are the prior's.
     """
     prior = prior.lens_alone()
-    mirrored: Mirrored = "yes" if prior.mirrored else "no"
-    options = replace(options, method="robust", projection=prior.projection, mirrored=mirrored)
+    options = options_about(prior, options)
     size = (prior.width, prior.height)
     usable = filter_sightings(points, site=site, image_size=size)
-    job = Job(
-        points=points,
-        usable=usable,
-        site=site,
-        image_size=size,
-        options=options,
-        circle=None,
-        start=prior,
-        free="prior",
-    )
+    job = Job(points=points, usable=usable, site=site, image_size=size, options=options, start=prior, free="prior")
     if len(usable) < FEWEST:
         return refused(job, (Finding("too_few_sightings", {"n": len(usable), "least": FEWEST}),))
     basis = whitened_basis(prior, tolerances)
-    start = _stated(prior, basis, job)
+    # its pose is free of error: `fit_pose` adds what is not known of it
+    field = no_field(prior, size=FREE.size)
+    start = stated_calibration(job, prior, covariance=basis @ basis.T, field=field)
     sightings = with_noise(usable, points, start)
     turned_rad = None if tolerances.pose_deg is None else math.radians(tolerances.pose_deg)
     distance = _distance(start, sightings, turned_rad)
@@ -100,13 +101,9 @@ def calibrate_with_prior(
     fit = fit_pose(start, sightings, turned_rad=turned_rad)
     fitted = outcome_of(fit, start, usable, wander_rad=0.0)
     result = calibration_from_fit(fitted, job, Handedness(mirrored=prior.mirrored, ambiguous=False))
-    options_of = {**result.evidence.options, "prior": asdict(tolerances)}
-    result = replace(result, evidence=replace(result.evidence, options=options_of))
+    result = with_options(result, prior=asdict(tolerances))
     departure = _departure(prior, basis, turned_rad, fit.camera, fit.error_model.covariance)
-    if departure <= _LARGEST_DEPARTURE:
-        return result
-    others = () if result.verdict.accepted else result.verdict.findings
-    return replace(result, verdict=Verdict(accepted=False, findings=(_contradicted(departure), *others)))
+    return result if departure <= _LARGEST_DEPARTURE else refused_for(result, _contradicted(departure))
 
 
 def _contradicted(departure: float) -> Finding:
@@ -126,24 +123,6 @@ def whitened_basis(prior: Camera, tolerances: PriorTolerances) -> FloatArray:
     result = np.zeros((FREE.size, N_LENS))
     result[np.isin(FREE, LENS)] = scaled
     return result
-
-
-def _stated(prior: Camera, basis: FloatArray, job: Job) -> Calibration:
-    """Return the calibration that a camera within its tolerances is; its pose is free of error, see `fit_pose`.
-
-    Its noise is what the sightings state of themselves.
-    """
-    stated, without_fit = job.usable.filtering.stated_sigma_px, refused(job, ())
-    return replace(
-        without_fit,
-        evidence=replace(without_fit.evidence, sigma_px=stated),
-        camera=prior,
-        poses=(prior.rotation_cam_enu,),
-        pose=pose_angles(prior.rotation_cam_enu),
-        covariance=basis @ basis.T,
-        field=no_field(prior, size=FREE.size),
-        parameter_names=FREE_NAMES,
-    )
 
 
 def _distance(start: Calibration, sightings: Sightings, turned_rad: float | None) -> float:

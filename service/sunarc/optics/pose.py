@@ -45,6 +45,12 @@ def rotation_vector(matrix_cam_enu: ArrayLike) -> tuple[float, float, float]:
     return float(x), float(y), float(z)
 
 
+def rotation_between(first: ArrayLike, second: ArrayLike) -> float:
+    """Return the angle in radians of the rotation from one pose to another, both as rotation vectors."""
+    turn = rotation_matrix(first) @ rotation_matrix(second).T
+    return float(np.linalg.norm(rotation_vector(turn)))
+
+
 def pose_angles(rotation_cam_enu: ArrayLike) -> PoseAngles:
     """Return the Table 2 angles of a pose.
 

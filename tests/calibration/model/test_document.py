@@ -62,6 +62,15 @@ def test_a_document_of_the_first_schema_is_read_as_before() -> None:
         np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-9)
 
 
+def test_a_parameter_of_a_newer_version_is_refused_by_its_name() -> None:
+    document = current_document(distinctive_calibration())
+    document["uncertainty"]["parameters"][-1] = "clock_drift_s"
+    with pytest.raises(InputError) as refused:
+        from_document(document)
+    assert refused.value.field == "uncertainty.parameters"
+    assert "clock_drift_s" in refused.value.problem
+
+
 def test_the_document_says_what_the_calibration_does() -> None:
     made, sky = distinctive_calibration(), hemisphere(30)
     read = from_document(current_document(made))

@@ -12,6 +12,7 @@ from tests.fixtures.calibration import SGP, filtered_sightings, small_camera, st
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Filtering, Sightings, filter_sightings
 from sunarc.calibration.quality.fit_checks import Handedness, fit_verdict
+from sunarc.optics.pose import rotation_matrix
 
 HAND = Handedness(mirrored=False, ambiguous=False)
 NOON = 1_368_469_800.0  # 2013-05-13T18:30:00Z
@@ -67,3 +68,30 @@ def test_a_sigma_that_cannot_be_computed_is_said_to_be_unknown() -> None:
     assert not verdict.accepted
     assert "direction_sigma_unknown" in codes(verdict.findings)
     assert "direction_sigma_too_large" not in codes(verdict.findings)
+
+
+@pytest.mark.parametrize(
+    ("range_deg", "around_deg", "free", "refused"),
+    [
+        (2.0, 359.0, "all", True),
+        (2.0, 100.0, "all", True),
+        (2.0, 80.0, "all", False),
+        (4.0, 359.0, "all", False),
+        (2.0, 359.0, "pose", False),  # the lens is known
+    ],
+)
+def test_sightings_of_one_radius_are_refused_where_the_lens_is_sought(
+    range_deg: float, around_deg: float, free: str, *, refused: bool
+) -> None:
+    camera = small_camera()
+    theta = np.radians(40.0 + range_deg * (np.arange(50) % 7) / 6.0)
+    azimuth = np.radians(np.linspace(10.0, 10.0 + around_deg, 50))
+    rays = np.stack([np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)], axis=-1)
+    seen = filtered_sightings(
+        NOON + 60.0 * np.arange(50.0), np.zeros((50, 2)), rays @ rotation_matrix(camera.rotation_cam_enu)
+    )
+    calibration = stated_calibration(camera)
+    evidence = replace(calibration.evidence, n_used=50, options={"free": free})
+    verdict = fit_verdict(replace(calibration, evidence=evidence), seen, HAND, CalibrationOptions())
+    assert ("sightings_of_one_radius" in codes(verdict.findings)) is refused
+    assert not (refused and verdict.accepted)

@@ -28,7 +28,7 @@ from sunarc.calibration.solve.priors import LENS, N_LENS, lens_prior, precisions
 from sunarc.findings import Finding
 from sunarc.optics.camera import POSE, Camera, Param
 from sunarc.optics.forward import project_fast, project_with_rows_fast
-from sunarc.optics.pose import rotation_matrix
+from sunarc.optics.pose import rotation_between
 from sunarc.sky.site import Site
 from sunarc.utc import DAY_S, rfc3339, utc_time
 
@@ -406,7 +406,7 @@ def _with_one_more(points: Sightings, usable: Sightings, solved: Calibration, fi
             continue
         numbered = replace(usable, epoch=found.points.epoch[usable.index])
         ended = int(usable.epoch[suggested.row])
-        turn_deg = rotation_between_deg(*found.calibration.poses[ended : ended + 2])
+        turn_deg = math.degrees(rotation_between(*found.calibration.poses[ended : ended + 2]))
         gain = robust_gain(residual, _residuals(found.calibration, numbered), usable, found.calibration)
         if gain > _GAIN and turn_deg > suggested.smallest_deg:
             tried.append((gain, found))
@@ -427,7 +427,7 @@ def _log_bayes_factor(solved: Calibration, found: Moved, usable: Sightings) -> f
         usable,
         one=(_lens_in(solved, solved.poses[ended]), _residuals(solved, usable)),
         two=(_lens_in(found.calibration, after), _residuals(found.calibration, numbered)),
-        turn_rad=math.radians(rotation_between_deg(found.calibration.poses[ended], after)),
+        turn_rad=rotation_between(found.calibration.poses[ended], after),
     )
 
 
@@ -570,12 +570,6 @@ def same_hours_difference(residual: FloatArray, usable: Sightings, early: IntArr
     return float(np.sqrt(np.mean(np.sum(np.square(medians), axis=-1))))
 
 
-def rotation_between_deg(one: tuple[float, float, float], other: tuple[float, float, float]) -> float:
-    """Return the angle of the rotation between two poses, degrees."""
-    cosine = 0.5 * (np.trace(rotation_matrix(one).T @ rotation_matrix(other)) - 1.0)
-    return math.degrees(math.acos(min(max(float(cosine), -1.0), 1.0)))
-
-
 def _with_moves(solved: Calibration, usable: Sightings) -> Calibration:
     """Return the calibration with its moves in its evidence, and in words."""
     moves = []
@@ -585,7 +579,7 @@ def _with_moves(solved: Calibration, usable: Sightings) -> Calibration:
             Move(
                 before_unix_s=float(usable.unix_s[row]),
                 after_unix_s=float(usable.unix_s[row + 1]),
-                turn_deg=rotation_between_deg(solved.poses[epoch], solved.poses[epoch + 1]),
+                turn_deg=math.degrees(rotation_between(solved.poses[epoch], solved.poses[epoch + 1])),
                 pose_before=solved.poses[epoch],
             )
         )

@@ -252,22 +252,15 @@ def _weigh(window: ResidualModel, explanation: Hypothesis) -> ScoredHypothesis:
     residual = np.concatenate([window.sightings.residual[before], finite(explanation.sightings.pixels - after.pixels)])
     residual[explanation.first :] -= after.rows @ explanation.mean
     # free numbers are integrated out by adding their covariance to that of the sightings after the change
-    free = np.concatenate(
-        [np.zeros((2 * before.size, explanation.free.shape[1])), _flat(after.rows @ explanation.free)]
-    )
-    covariance = errors_at(window, at) + free @ free.T
-    sightings = PixelResiduals(
-        residual=residual, variance=window.sightings.variance, false_density=window.sightings.false_density
-    )
+    free = (after.rows @ explanation.free).reshape(2 * len(explanation.sightings), -1)
+    covariance = errors_at(window, at)
+    covariance[2 * before.size :, 2 * before.size :] += free @ free.T
+    sightings = replace(window.sightings, residual=residual)
     off = np.linalg.norm(residual[explanation.first :] + after.rows @ explanation.mean, axis=-1)
     rough = _FAR_PX if explanation.kind in _OF_LENS else _CLOSE_PX
     close = off < _CLOSE * np.sqrt(sightings.variance[explanation.first :]) + rough
     inlier = np.concatenate([window.watch.trusted[before], close])
     return ScoredHypothesis(of=explanation, mixture=fit_inlier_mixture(covariance, sightings, inlier))
-
-
-def _flat(rows: FloatArray) -> FloatArray:
-    return rows.reshape(-1, rows.shape[-1])
 
 
 def rotation_from(window: ResidualModel, first: int, *, least: int) -> ScoredHypothesis | None:
@@ -482,7 +475,6 @@ def drift_covariance(window: ResidualModel, drift: Drift) -> FloatArray:
 # A change as a finding, with its size.
 
 _SECOND_RAD = 7.292e-5
-_FOCAL, _CENTER_REPORT = Param.FOCAL_LENGTH_X_PX, (Param.PRINCIPAL_POINT_X_PX, Param.PRINCIPAL_POINT_Y_PX)
 _UNITS: dict[ChangeKind, str] = {"clock": "s", "refocus": "%", "shift": "px"}
 _PERHAPS: dict[ChangeKind, str] = {
     "lens": "another lens",
@@ -539,7 +531,9 @@ def _alternatives(perhaps: tuple[ChangeKind, ...]) -> str:
 def _size(window: ResidualModel, explanation: Hypothesis, mixture: MixtureFit) -> tuple[float, float]:
     """Return how large a change is, in its unit, with its 1-sigma; 0 where that has no meaning."""
     names, rotation = list(window.error_model.selected), window.error_model.rotation
-    if explanation.kind not in ("bump", "clock", "refocus", "shift") or not {_FOCAL, *_CENTER_REPORT} <= set(names):
+    if explanation.kind not in ("bump", "clock", "refocus", "shift") or not {Param.FOCAL_LENGTH_X_PX, *_CENTER} <= set(
+        names
+    ):
         return 0.0, 0.0
     after = _after(window, explanation, mixture)
     change = after.mean.copy()
@@ -548,9 +542,9 @@ def _size(window: ResidualModel, explanation: Hypothesis, mixture: MixtureFit) -
     if explanation.kind == "clock":
         axis, unit = explanation.free[:, 0] / np.linalg.norm(explanation.free[:, 0]), -1.0 / _SECOND_RAD
     elif explanation.kind == "refocus":
-        axis[names.index(_FOCAL)], unit = 1.0, 100.0 / window.camera.focal_length_px[0]
+        axis[names.index(Param.FOCAL_LENGTH_X_PX)], unit = 1.0, 100.0 / window.camera.focal_length_px[0]
     else:
-        of = rotation if explanation.kind == "bump" else [names.index(i) for i in _CENTER_REPORT]
+        of = rotation if explanation.kind == "bump" else [names.index(i) for i in _CENTER]
         axis[of] = change[of] / max(float(np.linalg.norm(change[of])), 1e-12)
         unit = math.degrees(1.0) if explanation.kind == "bump" else 1.0
     sigma = math.sqrt(max(float(axis @ after.covariance @ axis), 0.0))
@@ -602,24 +596,18 @@ def update_window(
     clock_stepped : whether the host says that its clock was set while these sightings were made.
     posed_from_few : whether the calibration was posed from these very sightings: then its lens is in question too.
     """
-    grown = watch.last(REMEMBERED - 1).with_one(sighting, trusted=True, surprise=np.zeros(2))
-    window = window_of(grown, calibration, options)
+    before = watch.last(REMEMBERED - 1)
+    window = window_of(before.with_one(sighting, trusted=True, surprise=np.zeros(2)), calibration, options)
     surprise = _surprise(window)
     trusted = bool(surprise @ surprise < _TRUSTED_SQUARE)
-    grown = watch.last(REMEMBERED - 1).with_one(
-        sighting, trusted=trusted, surprise=surprise if trusted else np.zeros(2)
-    )
+    grown = before.with_one(sighting, trusted=trusted, surprise=surprise if trusted else np.zeros(2))
     one_sided = biased(grown)
     if not (one_sided or distrusted(grown)):
         return grown, None
-    change = best_hypothesis(
-        window_of(grown, calibration, options),
-        site=site,
-        small=one_sided,
-        clock_stepped=clock_stepped,
-        posed_from_few=posed_from_few,
+    window = replace(window, watch=grown)
+    return grown, best_hypothesis(
+        window, site=site, small=one_sided, clock_stepped=clock_stepped, posed_from_few=posed_from_few
     )
-    return grown, change
 
 
 def biased(watch: SightingWindow) -> bool:

@@ -51,7 +51,7 @@ class Job(NamedTuple):
     site: Site
     image_size: tuple[int, int]
     options: CalibrationOptions
-    circle: ImageCircle | None
+    circle: ImageCircle | None = None
     start: Camera | None = None
     free: Literal["all", "pose", "prior"] = "all"
     parts: bool = True

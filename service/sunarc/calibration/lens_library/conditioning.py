@@ -30,7 +30,14 @@ from sunarc.calibration.lens_library.lens_type import (
 )
 from sunarc.calibration.model.backward import fit_backward
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.calibration.model.result import Calibration, Verdict, fit_metrics, residual_angles
+from sunarc.calibration.model.result import (
+    Calibration,
+    fit_metrics,
+    refused_for,
+    residual_angles,
+    with_finding,
+    with_options,
+)
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.quality.fit_checks import Handedness, fit_verdict
 from sunarc.calibration.robust_loss import finite
@@ -266,14 +273,9 @@ def _assessed(
     residual = finite(seen.pixels - project_fast(changed.camera, seen.directions))[latest]
     angle = residual_angles(changed.camera, seen.pixels[latest], seen.directions[latest])
     rms, most = sky_sigma_deg(changed)
-    evidence = replace(changed.evidence, options={**changed.evidence.options, "lens_prior": lens.as_evidence()})
-    result = replace(
-        changed,
-        metrics=fit_metrics(residual, used[latest], angle),
-        sky_rms_deg=rms,
-        sky_max_deg=most,
-        evidence=evidence,
-    )
+    metrics = fit_metrics(residual, used[latest], angle)
+    result = replace(changed, metrics=metrics, sky_rms_deg=rms, sky_max_deg=most)
+    result = with_options(result, lens_prior=lens.as_evidence())
     verdict = fit_verdict(result, seen, Handedness(mirrored=result.camera.mirrored, ambiguous=False), options)
     return with_finding(replace(result, verdict=verdict), lens_finding("lens_prior_used", lens))
 
@@ -283,13 +285,7 @@ def lens_finding(code: str, lens: LensType) -> Finding:
     return Finding(code, {"n": len(lens.cameras), "cameras": ", ".join(lens.cameras)})
 
 
-def with_finding(solved: Calibration, finding: Finding) -> Calibration:
-    """Return a calibration whose verdict names one thing more."""
-    return replace(solved, verdict=replace(solved.verdict, findings=(*solved.verdict.findings, finding)))
-
-
 def contradicted(solved: Calibration, found: Departure) -> Calibration:
     """Return a fit refused because its sightings contradict its type of lens."""
     finding = Finding("lens_prior_contradicted", {"part": found.part, "departure": found.rms, "limit": found.limit})
-    others = () if solved.verdict.accepted else solved.verdict.findings
-    return replace(solved, verdict=Verdict(accepted=False, findings=(finding, *others)))
+    return refused_for(solved, finding)

@@ -33,31 +33,32 @@ from sunarc.calibration.lens_library.conditioning import (
     contradicted,
     largest_departure,
     lens_finding,
-    with_finding,
     with_lens,
 )
 from sunarc.calibration.lens_library.lens_type import IN_FREE, PARTS, LensType
-from sunarc.calibration.model.options import CalibrationOptions, FirstPoseOptions, ImageCircle, Mirrored
+from sunarc.calibration.model.options import CalibrationOptions, FirstPoseOptions, ImageCircle
 from sunarc.calibration.model.residual_field import Field, wave_basis
-from sunarc.calibration.model.result import Calibration, Verdict
+from sunarc.calibration.model.result import Calibration, refused_for, with_finding, with_options
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.pose import (
     PoseFit,
     conditioned_pose,
+    options_about,
     outcome_of,
     settled,
+    stated_calibration,
     thinned,
     with_noise,
 )
 from sunarc.calibration.quality.fit_checks import Handedness
 from sunarc.calibration.robust_loss import finite
-from sunarc.calibration.solve.priors import FREE, FREE_NAMES, N_LENS
+from sunarc.calibration.solve.priors import FREE, N_LENS
 from sunarc.calibration.start.initial_guess import ransac_rotation
 from sunarc.findings import Finding
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project_fast
 from sunarc.optics.inverse import unproject
-from sunarc.optics.pose import rotation_matrix, rotation_vector
+from sunarc.optics.pose import rotation_between, rotation_matrix, rotation_vector
 from sunarc.sky.directions import wrapped_deg
 from sunarc.sky.site import Site
 
@@ -78,12 +79,6 @@ def levelling(camera: Camera) -> FloatArray:
     axis = np.cross(zenith, [0.0, 0.0, 1.0])
     sine = float(np.linalg.norm(axis))
     return np.asarray(axis * (math.atan2(sine, float(zenith[2])) / max(sine, 1e-12)))
-
-
-def apart_rad(first: Camera, second: Camera) -> float:
-    """Return the angle between two poses, radians."""
-    turn = rotation_matrix(first.rotation_cam_enu) @ rotation_matrix(second.rotation_cam_enu).T
-    return float(np.linalg.norm(rotation_vector(turn)))
 
 
 def top_azimuth_deg(camera: Camera) -> float:
@@ -153,7 +148,7 @@ def calibrate_with_lens(
     lens : its type.
     pose : what is known of the pose, where the sightings alone are not enough for a fit.
     """
-    options = options_for(lens, options)
+    options = options_about(lens.camera, options)
     size = (lens.camera.width, lens.camera.height)
     moved_ = calibrate_moved(points, site=site, image_size=size, options=options, circle=circle)
     solved, points = moved_.calibration, moved_.points
@@ -169,12 +164,6 @@ def _usual_pose(options: CalibrationOptions) -> FirstPoseOptions:
     if options.level_within_deg is None:
         return FirstPoseOptions()
     return FirstPoseOptions(tilt_deg=min(options.level_within_deg / 2.0, 15.0))
-
-
-def options_for(lens: LensType, options: CalibrationOptions) -> CalibrationOptions:
-    """Return the options of a robust fit of a lens of this type."""
-    mirrored: Mirrored = "yes" if lens.camera.mirrored else "no"
-    return replace(options, method="robust", projection=lens.camera.projection, mirrored=mirrored)
 
 
 def first_pose(
@@ -194,21 +183,18 @@ def first_pose(
     """
     known = FirstPoseOptions() if pose is None else pose
     level_within = max(options.level_within_deg or 0.0, 3.0 * known.tilt_deg)
-    options = replace(options_for(lens, options), level_within_deg=level_within, max_sky_deg=_LARGEST_SIGMA_DEG)
-    usable = filter_sightings(replace(points, epoch=np.zeros(len(points), dtype=np.int64)), site=site)
-    job = Job(
-        points=points,
-        usable=usable,
-        site=site,
-        image_size=(lens.camera.width, lens.camera.height),
-        options=options,
-        circle=None,
-        start=lens.camera,
-        free="pose",
+    options = replace(
+        options_about(lens.camera, options), level_within_deg=level_within, max_sky_deg=_LARGEST_SIGMA_DEG
     )
+    usable = filter_sightings(replace(points, epoch=np.zeros(len(points), dtype=np.int64)), site=site)
+    size = (lens.camera.width, lens.camera.height)
+    job = Job(points=points, usable=usable, site=site, image_size=size, options=options, start=lens.camera, free="pose")
     if len(usable) < FEWEST_SIGHTINGS:
         return refused(job, (Finding("too_few_sightings", {"n": len(usable), "least": FEWEST_SIGHTINGS}),))
-    start = _stated(lens, job)
+    covariance = np.zeros((FREE.size, FREE.size))
+    covariance[np.ix_(IN_FREE, IN_FREE)] = lens.covariance
+    # its pose is free of error here: what is not known of it is added where it is sought
+    start = stated_calibration(job, lens.camera, covariance=covariance, field=_field(lens))
     both = start, _mirrored(start)
     # a false one may be anywhere in the image
     area_px2 = float(lens.camera.width * lens.camera.height)
@@ -224,26 +210,7 @@ def first_pose(
         return refused(job, (Finding("no_camera_fits"),))
     fitted = outcome_of(found.fit, start, usable, wander_rad=0.0)
     result = calibration_from_fit(fitted, job, Handedness(mirrored=lens.camera.mirrored, ambiguous=False))
-    evidence = replace(result.evidence, options={**result.evidence.options, "lens_prior": lens.as_evidence()})
-    result = replace(result, evidence=evidence)
-    return _judged(result, found, other, lens, known)
-
-
-def _stated(lens: LensType, job: Job) -> Calibration:
-    """Return the calibration that a type of lens is; its pose is free of error here, and added where it is sought."""
-    camera = lens.camera
-    covariance = np.zeros((FREE.size, FREE.size))
-    covariance[np.ix_(IN_FREE, IN_FREE)] = lens.covariance
-    without_fit = refused(job, ())
-    return replace(
-        without_fit,
-        evidence=replace(without_fit.evidence, sigma_px=job.usable.filtering.stated_sigma_px),
-        camera=camera,
-        poses=(camera.rotation_cam_enu,),
-        covariance=covariance,
-        field=_field(lens),
-        parameter_names=FREE_NAMES,
-    )
+    return _judged(with_options(result, lens_prior=lens.as_evidence()), found, other, lens, known)
 
 
 def _field(lens: LensType) -> Field:
@@ -279,9 +246,10 @@ def _most_probable(start: Calibration, sightings: Sightings, close: BoolArray, t
     order = np.argsort([-_rough_evidence(cell, base, coarse) for base in bases])
     tried = sorted((_refined(cell, bases[k], coarse) for k in order[:_REFINED]), key=lambda one: -one[0])
     evidence, best = tried[0]
-    rivals = [other for other, one in tried if apart_rad(one, best) > _SAME_POSE_RAD]
+    pose = best.rotation_cam_enu
+    rivals = [other for other, one in tried if rotation_between(one.rotation_cam_enu, pose) > _SAME_POSE_RAD]
     # about the best pose: the prior is level at its own azimuth, which is as good as unknown
-    base = replace(camera, rotation_cam_enu=best.rotation_cam_enu)
+    base = replace(camera, rotation_cam_enu=pose)
     spread[2] = _AZIMUTH_RAD
     prior = error_model.with_free_rotation(levelling(base), sigma_rad=spread)
     fit = conditioned_pose([prior], np.zeros(1), base, sightings, close, inflation=1.0)
@@ -319,8 +287,7 @@ def _judged(
     if departure.contradicts and not against:
         return contradicted(result, departure)
     if against:
-        others = () if result.verdict.accepted else result.verdict.findings
-        return replace(result, verdict=Verdict(accepted=False, findings=(*against, *others)))
+        return refused_for(result, *against)
     described = with_finding(result, Finding("first_pose", {"n": result.evidence.n_used, **north}))
     return with_finding(described, lens_finding("lens_prior_used", lens))
 

@@ -148,20 +148,32 @@ def further_unit(known: Sequence[Information], scales: FloatArray, *, radial_px:
     scales : (17,) 1-sigma between units.
     radial_px : scale of the residual radial distortion of the type's mean, of which nothing else is known.
     """
-    precision, vector = _of_mean(known, scales, usual_precision(radial_px))
-    covariance = np.linalg.inv(precision)
-    return Gaussian(covariance @ vector, np.asarray(covariance + np.diag(scales**2)))
+    precision, vector, _ = _of_mean(known, scales[None], usual_precision(radial_px))
+    covariance = np.linalg.inv(0.5 * (precision[0] + precision[0].T))
+    return Gaussian(covariance @ vector[0], np.asarray(covariance + np.diag(scales**2)))
 
 
-def _of_mean(known: Sequence[Information], scales: FloatArray, usual: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the precision (17, 17) of the type's mean, and its product with the mean."""
-    precision, vector = np.diag(usual + _TINY), np.zeros(N_LENS)
+def _of_mean(
+    known: Sequence[Information], scales: FloatArray, usual: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the precision of the type's mean, its product with the mean, and the log evidence given a mean of 0.
+
+    Parameters
+    ----------
+    scales : (k, 17) 1-sigma between units, tried each: (k, 17, 17), (k, 17) and (k,), the last but for a constant.
+    """
+    precision = np.broadcast_to(np.diag(usual + _TINY), (len(scales), N_LENS, N_LENS)).copy()
+    vector, value = np.zeros((len(scales), N_LENS)), np.zeros(len(scales))
     for one in known:
         # the unit's own lens is integrated out
-        passed = np.eye(N_LENS) - one.matrix @ np.linalg.inv(one.matrix + np.diag(scales**-2.0))
-        precision = precision + passed @ one.matrix
-        vector = vector + passed @ one.vector
-    return 0.5 * (precision + precision.T), vector
+        inner = np.linalg.inv(one.matrix + scales[:, :, None] ** -2.0 * np.eye(N_LENS))
+        passed = np.eye(N_LENS) - one.matrix @ inner
+        precision += passed @ one.matrix
+        vector += passed @ one.vector
+        value += 0.5 * np.einsum("p,kpq,q->k", one.vector, inner, one.vector)
+        both = np.eye(N_LENS) + scales[:, :, None] * one.matrix * scales[:, None, :]
+        value -= 0.5 * np.linalg.slogdet(both)[1]
+    return precision, vector, value
 
 
 def estimated_spread(known: Sequence[Information], stated: UnitSpread, *, focal_px: float) -> UnitSpread:
@@ -186,17 +198,7 @@ def estimated_spread(known: Sequence[Information], stated: UnitSpread, *, focal_
 
 def log_evidences(known: Sequence[Information], spreads: FloatArray, usual: FloatArray) -> FloatArray:
     """Return (k,): the log evidence of spreads (k, 4), but for a constant."""
-    scales = np.stack([spread_scales(*one) for one in spreads.tolist()])
-    precision = np.broadcast_to(np.diag(usual + _TINY), (len(scales), N_LENS, N_LENS)).copy()
-    vector, value = np.zeros((len(scales), N_LENS)), np.zeros(len(scales))
-    for one in known:
-        inner = np.linalg.inv(one.matrix + scales[:, :, None] ** -2.0 * np.eye(N_LENS))
-        passed = np.eye(N_LENS) - one.matrix @ inner
-        precision += passed @ one.matrix
-        vector += passed @ one.vector
-        value += 0.5 * np.einsum("p,kpq,q->k", one.vector, inner, one.vector)
-        both = np.eye(N_LENS) + scales[:, :, None] * one.matrix * scales[:, None, :]
-        value -= 0.5 * np.linalg.slogdet(both)[1]
+    precision, vector, value = _of_mean(known, np.stack([spread_scales(*one) for one in spreads.tolist()]), usual)
     mean = np.linalg.solve(precision, vector[..., None])[..., 0]
     return np.asarray(value + 0.5 * np.sum(vector * mean, axis=1) - 0.5 * np.linalg.slogdet(precision)[1])
 

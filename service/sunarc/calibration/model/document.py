@@ -247,8 +247,10 @@ def from_document(document: object) -> Calibration:
     earlier = read.value("schema") == _EARLIER
     camera = _read_camera(read)
     names = tuple(str(n) for n in read.items("uncertainty.parameters"))
-    if any(n not in PARAMETER_NAMES for n in names):
-        raise InputError(field="uncertainty.parameters", problem="an unknown name", remedy="use the model's parameters")
+    unknown = [name for name in names if name not in PARAMETER_NAMES]
+    if unknown:
+        remedy = "use the version of sunarc that wrote this document"
+        raise InputError(field="uncertainty.parameters", problem=f"{unknown[0]!r} is unknown", remedy=remedy)
     method = read.value("method")
     if method not in ("robust", "paper"):
         raise InputError(field="method", problem=f"{method!r} is unknown", remedy="use robust or paper")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -238,3 +238,21 @@ class Calibration:
     site: Site
     used: BoolArray | None = None
     night: NightDifference | None = None
+
+
+def with_finding(calibration: Calibration, finding: Finding) -> Calibration:
+    """Return a calibration whose verdict names one thing more."""
+    verdict = calibration.verdict
+    return replace(calibration, verdict=replace(verdict, findings=(*verdict.findings, finding)))
+
+
+def refused_for(calibration: Calibration, *findings: Finding) -> Calibration:
+    """Return a calibration that is refused for findings, and for those that refused it before."""
+    others = () if calibration.verdict.accepted else calibration.verdict.findings
+    return replace(calibration, verdict=Verdict(accepted=False, findings=(*findings, *others)))
+
+
+def with_options(calibration: Calibration, **more: object) -> Calibration:
+    """Return a calibration whose evidence states further options."""
+    evidence = calibration.evidence
+    return replace(calibration, evidence=replace(evidence, options={**evidence.options, **more}))

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import date
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,6 +18,7 @@ from sunarc.calibration.answers.covariance import (
     rotation_covariance,
     sky_sigma_deg,
 )
+from sunarc.calibration.evidence import squared_sigmas
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import Sightings, apparent_directions
 from sunarc.findings import Finding
@@ -128,18 +130,15 @@ def accept(
     """
     if not candidate.verdict.accepted:
         return candidate.verdict
-    refusals, warnings = _held_out_problems(candidate)
     found = (Finding("first_calibration"), *candidate.verdict.findings)
+    against = [*_held_out_problems(candidate)]
     if current is not None:
         found = (Finding("direction_sigma_compared", _sigmas(candidate, current)),)
-        for refused, warned in _compared(candidate, current, same_pose=same_pose, unseen=unseen):
-            refusals += refused
-            warnings += warned
-    if refusals:
-        return Verdict(accepted=False, findings=tuple(refusals + warnings))
-    if warnings:
-        return Verdict(accepted=False, marginal=True, findings=tuple(warnings))
-    return Verdict(accepted=True, findings=found)
+        against += _compared(candidate, current, same_pose=same_pose, unseen=unseen)
+    if not against:
+        return Verdict(accepted=True, findings=found)
+    against.sort(key=lambda one: not one.refuses)
+    return Verdict(accepted=False, marginal=not against[0].refuses, findings=tuple(one.finding for one in against))
 
 
 def unseen_points(points: Sightings, current: Calibration) -> Sightings:
@@ -149,42 +148,39 @@ def unseen_points(points: Sightings, current: Calibration) -> Sightings:
     return points.select((points.epoch == points.epoch.max(initial=0)) & ~np.isin(day, known_days))
 
 
-_Found = tuple[list[Finding], list[Finding]]
+class _Against(NamedTuple):
+    """What speaks against a candidate, and whether it refuses it; else it is marginal."""
+
+    finding: Finding
+    refuses: bool = False
 
 
-def _held_out_problems(candidate: Calibration) -> _Found:
-    """Return refusals and warnings from the cross-validation."""
+def _held_out_problems(candidate: Calibration) -> Iterator[_Against]:
     found, expected = candidate.metrics.held_out_rmse_px, candidate.metrics.held_out_expected_px
-    if found is None or expected is None or found <= _HELD_OUT_RATIOS[0] * expected:
-        return [], []
-    worse = [Finding("cross_validation_rmse", {"rmse_px": found, "expected_px": expected})]
-    return (worse, []) if found > _HELD_OUT_RATIOS[1] * expected else ([], worse)
+    if found is not None and expected is not None and found > _HELD_OUT_RATIOS[0] * expected:
+        finding = Finding("cross_validation_rmse", {"rmse_px": found, "expected_px": expected})
+        yield _Against(finding, found > _HELD_OUT_RATIOS[1] * expected)
 
 
 def _compared(
     candidate: Calibration, current: Calibration, *, same_pose: bool, unseen: Sightings | None
-) -> list[_Found]:
-    """Return the findings against the candidate in comparison with the current one."""
+) -> Iterator[_Against]:
+    """Yield what speaks against the candidate in comparison with the current one."""
     if candidate.camera.mirrored != current.camera.mirrored:
-        return [([Finding("handedness_differs")], [])]
-    if not same_pose:
-        return []
-    if says_the_same(candidate, current):
-        return [([], [Finding("no_change", {"limit": _NEW})])]
-    refusals, warnings = _change(candidate, current)
-    if warnings and _met_better(candidate, current, unseen):
-        warnings = []
-    return [(refusals, warnings), _sureness(candidate, current)]
-
-
-def _sureness(candidate: Calibration, current: Calibration) -> _Found:
-    sigmas = _sigmas(candidate, current)
-    before, now = sigmas["before_deg"], sigmas["now_deg"]
-    allowed = _FOUND_OUT if _knows_more(candidate, current) else _WORSE
-    if now <= allowed * before:
-        return [], []
-    worse = [Finding("direction_sigma_increased", sigmas)]
-    return (worse, []) if not now <= _MUCH_WORSE * allowed * before else ([], worse)
+        yield _Against(Finding("handedness_differs"), refuses=True)
+    elif same_pose and says_the_same(candidate, current):
+        yield _Against(Finding("no_change", {"limit": _NEW}))
+    elif same_pose:
+        change = _change(candidate, current)
+        if change is not None and (change.refuses or not _met_better(candidate, current, unseen)):
+            yield change
+        sigmas = _sigmas(candidate, current)
+        before, now = sigmas["before_deg"], sigmas["now_deg"]
+        allowed = _FOUND_OUT if _knows_more(candidate, current) else _WORSE
+        if not now <= allowed * before:
+            yield _Against(
+                Finding("direction_sigma_increased", sigmas), refuses=not now <= _MUCH_WORSE * allowed * before
+            )
 
 
 def _sigmas(candidate: Calibration, current: Calibration) -> dict[str, float]:
@@ -207,16 +203,16 @@ def says_the_same(candidate: Calibration, current: Calibration) -> bool:
     return moved and math.isclose(candidate.sky_rms_deg, current.sky_rms_deg, rel_tol=_NEW)
 
 
-def _change(candidate: Calibration, current: Calibration) -> _Found:
+def _change(candidate: Calibration, current: Calibration) -> _Against | None:
     share, worst_px = disagreement(candidate, current)
     if share > _SHOWN:
-        return [Finding("contradicts_active", {"share": share, "distance_px": worst_px})], []
+        return _Against(Finding("contradicts_active", {"share": share, "distance_px": worst_px}), refuses=True)
     difference, first, second = _over_the_sky(candidate, current)
     uncertainty = max(float(np.sqrt(np.mean(np.trace(part, axis1=1, axis2=2)))) for part in (first, second))
     change = float(np.sqrt(np.mean(np.sum(difference**2, axis=-1))))
-    if change > _CHANGED * uncertainty:
-        return [], [Finding("change_not_confirmed", {"change_px": change, "stated_px": uncertainty})]
-    return [], []
+    if change <= _CHANGED * uncertainty:
+        return None
+    return _Against(Finding("change_not_confirmed", {"change_px": change, "stated_px": uncertainty}))
 
 
 def _met_better(candidate: Calibration, current: Calibration, unseen: Sightings | None) -> bool:
@@ -251,8 +247,7 @@ def disagreement(first: Calibration, second: Calibration) -> tuple[float, float]
     difference, a_covariance, b_covariance = _over_the_sky(first, second)
     if difference.size == 0:
         return 1.0, math.inf
-    joint = a_covariance + b_covariance + 1e-12 * np.eye(2)
-    square = np.einsum("ni,ni->n", difference, np.linalg.solve(joint, difference[..., None])[..., 0])
+    square = squared_sigmas(difference, a_covariance + b_covariance + 1e-12 * np.eye(2))
     return float(np.mean(square > _FAR_SIGMAS**2)), float(np.max(np.linalg.norm(difference, axis=-1)))
 
 

@@ -129,17 +129,17 @@ class DayMeasure:
     doubtful_clock : share of the sightings whose clock may be wrong by more than allowed.
     """
 
-    date: str
+    date: str = ""
     n: int
-    n_on_arc: int
-    n_cycles: int
+    n_on_arc: int = 0
+    n_cycles: int = 0
     n_possible: int
     n_observed: int
-    lowest_share: float
-    sd_px: float
-    rmsd_px: float
-    arc_deg: float
-    solid_angle_sr: float
+    lowest_share: float = 0.0
+    sd_px: float = math.nan
+    rmsd_px: float = math.nan
+    arc_deg: float = 0.0
+    solid_angle_sr: float = 0.0
     doubtful_clock: float
 
 
@@ -175,9 +175,14 @@ def measure_day(
     """
     usable = filter_sightings(points, site=site)
     possible = _possible(points, site, cadence_s) if n_possible is None else n_possible
-    sampling = _sampling(points, observed_unix_s, possible, cadence_s)
-    if len(usable) < 2:
-        return _nothing(len(usable), possible, sampling.n_observed, doubtful_clock or 0.0)
+    if observed_unix_s is None:
+        sampling = fully_observed(possible)
+    else:  # those of every sun exposure, and of every sighting
+        observed = np.concatenate([observed_unix_s, points.unix_s])
+        sampling = sampling_of(observed, cadence_s=cadence_s, n_possible=possible)
+    n, n_observed = len(usable), sampling.n_observed
+    if n < 2:
+        return DayMeasure(n=n, n_possible=possible, n_observed=n_observed, doubtful_clock=doubtful_clock or 0.0)
     if doubtful_clock is None:
         doubtful_clock = float(np.mean(np.abs(np.nan_to_num(points.clock_error_s)) > MAX_CLOCK_ERROR_S))
     residual, weight = _about_arcs(usable, site)
@@ -187,11 +192,11 @@ def measure_day(
     n_cycles = int(np.unique(np.floor(times / cadence_s)).size)
     return DayMeasure(
         date=date_of_day(int(usable.day[0])).isoformat(),
-        n=len(usable),
+        n=n,
         n_on_arc=int(on_arc.sum()),
         n_cycles=n_cycles,
         n_possible=possible,
-        n_observed=sampling.n_observed,
+        n_observed=n_observed,
         lowest_share=sampling.lowest_share(n_cycles),
         sd_px=sd,
         rmsd_px=rmsd,
@@ -288,30 +293,6 @@ def _possible(points: Sightings, site: Site, cadence_s: float) -> int:
     begin, end = day_bounds_unix_s(day, longitude=site.longitude)
     frames = np.arange(begin, end, cadence_s)
     return int(np.sum(sun_angles(frames, site).apparent_zenith < _HORIZON_DEG))
-
-
-def _sampling(points: Sightings, observed_unix_s: FloatArray | None, n_possible: int, cadence_s: float) -> DaySampling:
-    """Return which slots were observed: those of every sun exposure, and of every sighting."""
-    if observed_unix_s is None:
-        return fully_observed(n_possible)
-    return sampling_of(np.concatenate([observed_unix_s, points.unix_s]), cadence_s=cadence_s, n_possible=n_possible)
-
-
-def _nothing(n: int, possible: int, observed: int, doubtful_clock: float) -> DayMeasure:
-    return DayMeasure(
-        date="",
-        n=n,
-        n_on_arc=0,
-        n_cycles=0,
-        n_possible=possible,
-        n_observed=observed,
-        lowest_share=0.0,
-        sd_px=math.nan,
-        rmsd_px=math.nan,
-        arc_deg=0.0,
-        solid_angle_sr=0.0,
-        doubtful_clock=doubtful_clock,
-    )
 
 
 def arc_length_deg(directions: FloatArray) -> float:

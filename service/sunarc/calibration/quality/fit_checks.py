@@ -14,6 +14,7 @@ from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.calibration.quality.day_quality import arc_length_deg, unexplained_days
 from sunarc.calibration.quality.site_checks import tilt_question
 from sunarc.findings import Finding
+from sunarc.optics.pose import rotation_matrix
 from sunarc.sky.days import date_of_day, day_bounds_unix_s
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles
@@ -37,6 +38,9 @@ _LOW_SUN_DEG = 85.0
 """Zenith angle, degrees, up to which a sun is expected to be seen."""
 _OFF_CENTER = 0.04
 """Share of the image's shorter side by which lenses lie off their sensor's middle at most."""
+_NARROW_DEG, _RING_DEG = 3.0, 90.0
+"""Range of angles from the axis (5 to 95 %) that shows the radius at one place alone, and part of the circle about the
+axis from which on the sightings are a ring. A shorter arc is short: its fit states a large uncertainty."""
 _LEAST_ANGLE_DEG = 20.0
 """Angle from the axis up to which the radius of any fisheye rises."""
 
@@ -109,6 +113,7 @@ def fit_verdict(
     below = below_horizon(usable, options)
     question = tilt_question(calibration.camera, calibration.site)
     against = [*below, *_against_scatter(calibration, usable, options), *_against_camera(calibration, options)]
+    against += _against_ring(calibration, usable)
     if below and question is not None:
         against.insert(1, question)  # what it names would bring the sun above the horizon, too
     if handedness.ambiguous:
@@ -210,6 +215,20 @@ def _largest_rmse_px(usable: Sightings, options: CalibrationOptions) -> float:
     """Return the largest RMSE that is no fault: that of the options, or what the sightings state of themselves."""
     stated = _OVER_STATED * math.sqrt(2.0) * usable.filtering.stated_sigma_px  # an RMSE is of the 2-D distance
     return max(options.max_rmse_px, stated) if math.isfinite(stated) else options.max_rmse_px
+
+
+def _against_ring(calibration: Calibration, usable: Sightings) -> Iterator[Finding]:
+    """Yield that the sightings show the lens at one radius alone, as those of a camera at a pole or pointed at it."""
+    if len(usable) == 0 or calibration.evidence.options.get("free", "all") != "all":
+        return
+    poses = np.array([rotation_matrix(pose) for pose in calibration.poses])
+    x, y, z = np.einsum("nij,nj->in", poses[np.minimum(usable.epoch, len(poses) - 1)], usable.directions)
+    lowest, highest = np.quantile(np.degrees(np.arctan2(np.hypot(x, y), z)), (0.05, 0.95)).tolist()
+    azimuth = np.sort(np.degrees(np.arctan2(y, x)))
+    around = 360.0 - float(np.max(np.diff(azimuth, append=azimuth[0] + 360.0)))
+    if highest - lowest < _NARROW_DEG and around > _RING_DEG:
+        data = {"lowest_deg": lowest, "highest_deg": highest, "least_deg": _NARROW_DEG}
+        yield Finding("sightings_of_one_radius", data)
 
 
 def _against_camera(calibration: Calibration, options: CalibrationOptions) -> Iterator[Finding]:
