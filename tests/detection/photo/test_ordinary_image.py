@@ -200,3 +200,11 @@ def test_the_background_of_a_window_is_the_whole_images(bayer: Any) -> None:  # 
     near, whole = (found_in(image, bayer=bayer, expectation=one) for one in (expectation, None))
     assert near.background_fraction == whole.background_fraction
     assert (near.accepted, near.x_px, near.sigma_px) == pytest.approx((True, whole.x_px, whole.sigma_px))
+
+
+def test_the_background_of_a_mosaic_is_that_of_its_faintest_colour() -> None:
+    grey = glare_image(300.0, 200.0, radius=11.0, size=900)
+    reddish = grey.copy()
+    reddish[::2, ::2] = np.minimum(2 * reddish[::2, ::2].astype(np.int64), 4095)
+    seen, plain = (found_in(image, bayer="RGGB").background_fraction for image in (reddish, grey))
+    assert seen == pytest.approx(plain, rel=0.03)  # of three noisy pixels of a cell, not of four
