@@ -57,7 +57,7 @@ def best_start(problem: FitProblem, observed: Sightings, start: FloatArray, *, p
     precision : (p,) prior precisions of the unknowns.
     """
     few = observed.select(slice(None, None, max(len(observed) // _FEW, 1)))
-    starts = [ransac_start(problem, observed, start, precision=precision), *_plain_starts(problem, few, start)]
+    starts = [*_ransac_starts(problem, observed, start, precision), *_plain_starts(problem, few, start)]
     for _ in range(_SETTLING):
         # those that have come to one place go on as one
         distinct = distinct_starts(problem, few, starts)
@@ -187,59 +187,47 @@ def _widest_scatter(problem: FitProblem, at: FloatArray, observed: Sightings) ->
 _TRIALS = 240
 _SAMPLE = 7
 _MAX_SIGHTINGS = 420
-_ROUNDS = 12
 _FEW_STEP = 4
 """Every fourth sighting of the thinned ones shows which trials are good."""
 _GOOD = 24
 """So many of these are judged by all of them."""
+_TAKEN = 3
+_JUDGED = 40
+"""Trials that give the scale of a close agreement."""
 _SEED = 20160830
 _TRUST_PX = 0.7
 _RIDGE = 1e-12
 """Share of the diagonal that is added to it: a camera far from the sightings has derivatives of any size, and rounding
 makes a matrix singular."""
-CUTS = np.repeat([3.0, 1.5], [4, _ROUNDS - 4])
-"""Distances, in the scale found, at which a sighting counts a quarter in each round: fewer and fewer count."""
-FLOOR_PX = 1e-3
 
 
 @np.errstate(over="ignore", invalid="ignore")  # far from the sightings residuals have any size
-def ransac_start(problem: FitProblem, observed: Sightings, start: FloatArray, *, precision: FloatArray) -> FloatArray:
-    """Return the unknowns that most sightings agree on closely, or the start where nothing is better.
-
-    Parameters
-    ----------
-    problem : the camera sought.
-    observed : sightings, in the order of time within each epoch.
-    start : unknowns within some tens of px of the truth.
-    precision : prior precisions of the unknowns.
-    """
+def _ransac_starts(
+    problem: FitProblem, observed: Sightings, start: FloatArray, precision: FloatArray
+) -> list[FloatArray]:
+    """Return the start, within some tens of px of the truth, and the unknowns near it that most sightings agree on."""
     thin = observed.select(np.unique(np.linspace(0, len(observed) - 1, _MAX_SIGHTINGS).astype(int)))
     residual, rows = problem.linearised(start, thin)
     steps = sampled_steps(residual, rows, start, precision)
-    steps = np.concatenate([np.zeros((1, start.size)), steps])
-    share = surely_well_behaved(len(thin), problem.size)
-    close = max(
-        min(robust_sigma(d, share=share) for d in _distances(residual, rows, steps[:40], thin.information)), 0.02
-    )
-    weight = thin.information / close**2
+    share, root = surely_well_behaved(len(thin), problem.size), np.sqrt(thin.information)
+    close = min(robust_sigma(d, share=share) for d in _distances(residual, rows, steps[:_JUDGED], root))
+    weight = root / max(close, 0.02)
     # most trials are poor, and a part of the sightings shows it
     few = slice(None, None, _FEW_STEP)
-    good = np.argsort(_disagreements(_after(residual[few], rows[few], steps), weight[few]))[:_GOOD]
-    steps = steps[np.sort(good)]
-    agreed = _disagreements(_after(residual, rows, steps), weight)
-    best = [tightened_step(steps[k], residual, rows, start, precision, share) for k in np.argsort(agreed)[:3]]
-    return min([start, *(start + step for step in best)], key=lambda at: disagreement(problem, thin, at, close))
+    good = np.argsort(_disagreements(_distances(residual[few], rows[few], steps, weight[few])))[:_GOOD]
+    agreed = _disagreements(_distances(residual, rows, steps[good], weight))
+    return [start, *(start + steps[good[k]] for k in np.argsort(agreed)[:_TAKEN])]
 
 
-def _after(residual: FloatArray, rows: FloatArray, steps: FloatArray) -> FloatArray:
-    """Return (k, 2 n): the residuals after steps (k, p), x and y by turns."""
-    return np.asarray(residual.ravel() - steps @ rows.reshape(-1, steps.shape[-1]).T)
+def _distances(residual: FloatArray, rows: FloatArray, steps: FloatArray, weight: FloatArray) -> FloatArray:
+    """Return (k, n): distances after steps (k, p), each by its weight (n,)."""
+    after = residual.ravel() - steps @ rows.reshape(-1, steps.shape[-1]).T
+    return np.asarray(np.hypot(after[:, ::2], after[:, 1::2]) * weight)
 
 
-def _distances(residual: FloatArray, rows: FloatArray, steps: FloatArray, information: FloatArray) -> FloatArray:
-    """Return (k, n): distances after steps (k, p), in relative sigmas."""
-    after = _after(residual, rows, steps)
-    return np.asarray(np.hypot(after[:, ::2], after[:, 1::2]) * np.sqrt(information))
+def _disagreements(distances: FloatArray) -> FloatArray:
+    """Return (k,): Cauchy's loss of distances (k, n), in which it hardly counts how far off one is."""
+    return np.asarray(np.sum(np.log1p(distances**2), axis=1))
 
 
 def sampled_steps(residual: FloatArray, rows: FloatArray, start: FloatArray, precision: FloatArray) -> FloatArray:
@@ -260,41 +248,6 @@ def _solved(normal: FloatArray, gradient: FloatArray) -> FloatArray:
     scaled = normal * scale[..., :, None] * scale[..., None, :] + _RIDGE * np.eye(scale.shape[-1])
     step = scale * np.linalg.solve(scaled, (scale * gradient)[..., None])[..., 0]
     return np.where(np.isfinite(step), step, 0.0)
-
-
-def tightened_step(  # noqa: PLR0917 - the equations, piece by piece
-    step: FloatArray, residual: FloatArray, rows: FloatArray, start: FloatArray, precision: FloatArray, share: float
-) -> FloatArray:
-    """Return the step refined on all sightings, those far off counting less and less.
-
-    Parameters
-    ----------
-    step, start, precision : (p,) where it begins, what it is a step from, and the prior's precisions.
-    residual, rows : (n, 2), (n, 2, p) about the start.
-    share : of the sightings that is surely well-behaved.
-    """
-    columns = np.ascontiguousarray(rows.transpose(2, 1, 0)).reshape(start.size, -1)
-    right = residual.T.ravel()
-    for cut in CUTS:
-        after = (right - step @ columns).reshape(2, -1)
-        distance = np.hypot(*after)
-        sigma = robust_sigma(distance, share=share, floor=FLOOR_PX)
-        root = np.tile(1.0 / ((1.0 + (distance / (sigma * cut)) ** 2) * sigma), 2)
-        weighted = columns * root
-        step = _solved(weighted @ weighted.T + np.diag(precision), weighted @ (right * root) - precision * start)
-    return step
-
-
-def _disagreements(after: FloatArray, information: FloatArray) -> FloatArray:
-    """Return (k,): Cauchy's loss of residuals (k, 2 n), in which it hardly counts how far off one is."""
-    squares = (after[:, ::2] ** 2 + after[:, 1::2] ** 2) * information
-    return np.asarray(np.sum(np.log(1.0 + squares), axis=1))
-
-
-def disagreement(problem: FitProblem, observed: Sightings, at: FloatArray, close: float) -> float:
-    """Return how far steps disagree with the sightings."""
-    distance = np.linalg.norm(problem.residuals(at, observed), axis=-1) * np.sqrt(observed.information)
-    return float(np.sum(np.log1p((distance / close) ** 2)))
 
 
 # The local minima of the decentering: (p1, p2) × (1, p3, p4) is a product, and one sign of it hides the other.
