@@ -147,11 +147,11 @@ def at_least_least_squares(
     near_minimum : whether least squares from the unknowns alone is enough.
     """
     means = groups.bins.observations(observed, problem, unknowns, information=observed.information)
-    plain = [multistart.least_squares(problem, means, unknowns, tolerance=_GAIN)]
+    plain = [multistart.least_squares(problem, means, unknowns, tolerance=_GAIN, sigma=sigma)]
     if not near_minimum:
         plain += [
-            multistart.least_squares(problem, means, multistart.undistorted(unknowns), tolerance=_GAIN),
-            multistart.staged_least_squares(problem, means, unknowns, tolerance=_GAIN),
+            multistart.least_squares(problem, means, multistart.undistorted(unknowns), tolerance=_GAIN, sigma=sigma),
+            multistart.staged_least_squares(problem, means, unknowns, tolerance=_GAIN, sigma=sigma),
         ]
     met = [multistart.distance_sigmas(problem, observed, at) for at in plain]
     best = int(np.argmin([_costs(distance, np.array([sigma]))[0] for distance in met]))
@@ -167,7 +167,7 @@ def at_least_least_squares(
     )
     if level.reached_by(multistart.distance_sigmas(problem, observed, unknowns)):
         return unknowns
-    precision = multistart.loosened(problem)
+    precision = multistart.loosened(problem, sigma=1.0)
     # the loose robust fit may end in another local minimum: each start is tried until one reaches the level
     for begin in (unknowns, *plain):
         end = most_probable(problem, observed, begin, precision=precision, sigma=sigma, iterations=30).unknowns

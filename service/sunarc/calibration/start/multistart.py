@@ -42,6 +42,8 @@ _SETTLED = 1e-5
 _CENTRAL_SHARE = 0.5
 _LOOSENED = 1e-4
 """Prior precisions of plain least squares: the paper's method has no prior."""
+_LARGE_DECENTERING_PX = 3.0
+"""1-sigma of p1 and p2 there, px at the horizon: of published lenses none has more than 2.7 per 1,000 px of radius."""
 _FIXED = 1e8
 """Prior precision of what a stage leaves out: 1e-4 of the prior's sigma."""
 
@@ -66,14 +68,14 @@ def best_start(problem: FitProblem, observed: Sightings, start: FloatArray, *, p
 
 
 def least_squares(
-    problem: FitProblem, observed: Sightings, start: FloatArray, *, tolerance: float = 1e-6
+    problem: FitProblem, observed: Sightings, start: FloatArray, *, tolerance: float = 1e-6, sigma: float = 0.0
 ) -> FloatArray:
     """Return the unknowns (p,) of least squares over all sightings, none weighted down, hardly any prior."""
-    return _loose_fit(problem, observed, start, loosened(problem), tolerance)
+    return _loose_fit(problem, observed, start, loosened(problem, sigma=sigma), tolerance)
 
 
 def staged_least_squares(
-    problem: FitProblem, observed: Sightings, start: FloatArray, *, tolerance: float = 1e-6
+    problem: FitProblem, observed: Sightings, start: FloatArray, *, tolerance: float = 1e-6, sigma: float = 0.0
 ) -> FloatArray:
     """Return the unknowns (p,) of `least_squares` in the paper's three stages (section 4.2), from an ideal lens.
 
@@ -81,12 +83,12 @@ def staged_least_squares(
     beside a wrong tilt is a local minimum on a tilted camera's short arc.
     """
     unknowns = undistorted(start)
-    precision = loosened(problem)
+    precision = loosened(problem, sigma=sigma)
     precision[RADIAL] = precision[DECENTERING] = _FIXED
     for freed in (RADIAL, DECENTERING):
         unknowns = _loose_fit(problem, observed, unknowns, precision, tolerance)
         precision[freed] = _LOOSENED
-    return least_squares(problem, observed, unknowns, tolerance=tolerance)
+    return least_squares(problem, observed, unknowns, tolerance=tolerance, sigma=sigma)
 
 
 def _loose_fit(
@@ -95,11 +97,17 @@ def _loose_fit(
     return most_probable(problem, observed, start, precision=precision, iterations=25, tolerance=tolerance).unknowns
 
 
-def loosened(problem: FitProblem) -> FloatArray:
-    """Return precisions (p,) that hardly hold anything but skew and aspect, which the paper's penalties hold, too."""
+def loosened(problem: FitProblem, *, sigma: float = 0.0) -> FloatArray:
+    """Return precisions (p,) that hardly hold anything but skew and aspect, which the paper's penalties hold, too.
+
+    What a day does not show of p1 … p4 follows the noise without a limit, and a fit that is brought to least squares
+    would follow it: beside sightings of that noise, in units of their sigma, they stay within those of real lenses.
+    """
     precision = np.full(problem.size, 1e-9)
     precision[:N_LENS] = _LOOSENED
     precision[[Whitened.ASPECT, Whitened.SKEW]] = 1.0
+    precision[DECENTERING] = max((sigma / _LARGE_DECENTERING_PX) ** 2, _LOOSENED)
+    precision[HIGHER] = max(sigma**2, _LOOSENED)
     return precision
 
 
