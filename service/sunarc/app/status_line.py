@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass
 
 from sunarc.findings import Finding, Message, Messages
 from sunarc.runtime.host import Notifier
@@ -49,6 +50,7 @@ class FirstFrame:
             self._board.set_condition(NO_FRAME_YET, None, log=False)
 
 
+@dataclass(eq=False)
 class StatusLine:
     """Keeps systemd's status text current; sends it when it has changed, at most every 10 s.
 
@@ -60,41 +62,37 @@ class StatusLine:
     monotonic : seconds that never jump.
     """
 
-    def __init__(
-        self,
-        notifier: Notifier,
-        *,
-        snapshot: Callable[[], StatusSnapshot],
-        address: str,
-        monotonic: Callable[[], float],
-    ) -> None:
-        self._notifier = notifier
-        self._snapshot = snapshot
-        self._address = address
-        self._monotonic = monotonic
+    notifier: Notifier
+    _: KW_ONLY
+    snapshot: Callable[[], StatusSnapshot]
+    address: str
+    monotonic: Callable[[], float]
+
+    def __post_init__(self) -> None:
+        """Begin with nothing sent."""
         self._sent = ""
         self._sent_at_s: float | None = None
 
     def ready(self) -> None:
         """Report that the service is up."""
         self._note(self.text())
-        self._notifier.ready(self._sent)
+        self.notifier.ready(self._sent)
 
     def update(self) -> None:
         """Send the line again where it has changed; before `ready`, nothing."""
-        if self._sent_at_s is None or self._monotonic() - self._sent_at_s < _LEAST_INTERVAL_S:
+        if self._sent_at_s is None or self.monotonic() - self._sent_at_s < _LEAST_INTERVAL_S:
             return
         text = self.text()
         if text != self._sent:
             self._note(text)
-            self._notifier.status(text)
+            self.notifier.status(text)
 
     def text(self) -> str:
         """Return the line as it is now."""
-        snapshot = self._snapshot()
+        snapshot = self.snapshot()
         last = snapshot.last_sighting_at
         parts = [
-            f"serving at {self._address}",
+            f"serving at {self.address}",
             snapshot.health.replace("_", " "),
             "no sighting yet" if last is None else f"last sighting {last:%Y-%m-%d %H:%M:%S} UTC",
         ]
@@ -105,4 +103,4 @@ class StatusLine:
         return "; ".join(parts)
 
     def _note(self, text: str) -> None:
-        self._sent, self._sent_at_s = text, self._monotonic()
+        self._sent, self._sent_at_s = text, self.monotonic()

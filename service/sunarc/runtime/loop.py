@@ -6,6 +6,7 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
+from dataclasses import KW_ONLY, dataclass
 from typing import Generic, NamedTuple, TypeVar
 
 from sunarc.errors import OutsideError
@@ -26,6 +27,7 @@ def turns(stop: threading.Event, heartbeat: Callable[[], None]) -> Iterator[None
         yield
 
 
+@dataclass(eq=False)
 class Loop:
     """The loop of a worker's thread, which ends when it is stopped and beats at least every second while it waits.
 
@@ -36,23 +38,22 @@ class Loop:
     heartbeat : called at every turn.
     """
 
-    def __init__(self, clock: Clock, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
-        self._clock = clock
-        self._stop = stop
-        self._heartbeat = heartbeat
+    clock: Clock
+    stop: threading.Event
+    heartbeat: Callable[[], None]
 
     def turns(self) -> Iterator[None]:
         """Yield at every turn, until stopped."""
-        return turns(self._stop, self._heartbeat)
+        return turns(self.stop, self.heartbeat)
 
     def wait(self, seconds: float) -> bool:
         """Wait with heartbeats, and return whether the loop was stopped; nothing is waited for then."""
-        end_s = self._clock.monotonic() + seconds
+        end_s = self.clock.monotonic() + seconds
         for _ in self.turns():
-            remaining_s = end_s - self._clock.monotonic()
+            remaining_s = end_s - self.clock.monotonic()
             if remaining_s <= 0.0:
                 return False
-            self._clock.wait(self._stop, min(remaining_s, _HEARTBEAT_S))
+            self.clock.wait(self.stop, min(remaining_s, _HEARTBEAT_S))
         return True
 
     def repeat(self, work: Callable[[], float]) -> None:
@@ -88,6 +89,7 @@ class Pauses(NamedTuple):
         return float(min(self.every_s * 2.0 ** min(max(failures - 1, 0), 30), self.longest_s))
 
 
+@dataclass(eq=False)
 class Attempts:
     """Work that fails for a cause outside: done again after growing pauses, with a condition while it fails.
 
@@ -100,20 +102,18 @@ class Attempts:
     after_s : for how long the work must have failed before that is a condition.
     """
 
-    def __init__(
-        self,
-        clock: Clock,
-        pauses: Pauses,
-        *,
-        board: StatusRegistry,
-        code: str,
-        reason: Callable[[str, float], Reason],
-        after_s: float = 0.0,
-    ) -> None:
-        self._clock, self._pauses, self._board = clock, pauses, board
-        self._code, self._reason, self._after_s = code, reason, after_s
+    clock: Clock
+    pauses: Pauses
+    _: KW_ONLY
+    board: StatusRegistry
+    code: str
+    reason: Callable[[str, float], Reason]
+    after_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Count from now on."""
         self._failures = 0
-        self._succeeded_s = clock.monotonic()
+        self._succeeded_s = self.clock.monotonic()
 
     def attempt(self, work: Callable[[], float | None]) -> float:
         """Do the work, and return the seconds until the next time: what it returns, or else the usual pause.
@@ -125,26 +125,26 @@ class Attempts:
         except OutsideError as error:
             return self.failed(str(error))
         self.succeeded()
-        return self._pauses.every_s if pause_s is None else pause_s
+        return self.pauses.every_s if pause_s is None else pause_s
 
     def failed(self, error: str) -> float:
         """Count a failure, set the condition where it has lasted, and return the pause after it."""
-        _log.debug("%s: %s", self._code, error)
+        _log.debug("%s: %s", self.code, error)
         self._failures += 1
-        failing_s = self._clock.monotonic() - self._succeeded_s
-        if failing_s >= self._after_s:
-            self._board.set_condition(self._code, self._reason(error, failing_s / 3600.0))
-        return self._pauses.after(self._failures)
+        failing_s = self.clock.monotonic() - self._succeeded_s
+        if failing_s >= self.after_s:
+            self.board.set_condition(self.code, self.reason(error, failing_s / 3600.0))
+        return self.pauses.after(self._failures)
 
     def answered(self) -> None:
         """Count time from now: there was an answer, though perhaps no success."""
-        self._succeeded_s = self._clock.monotonic()
+        self._succeeded_s = self.clock.monotonic()
 
     def succeeded(self) -> None:
         """Begin anew with the shortest pause, and clear the condition."""
         self._failures = 0
         self.answered()
-        self._board.set_condition(self._code, None)
+        self.board.set_condition(self.code, None)
 
 
 class DropOldestQueue(Generic[T]):
