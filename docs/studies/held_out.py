@@ -10,7 +10,7 @@ them. With --nasty the same is done with cameras and clocks that the fit has no 
 radius has a kink, a camera on its side, detections that wander, a clock that drifts within the day, a camera turned by
 0.1 degrees between two days, pixels that are 1.03 wide.
 
-Printed for every case, before (the fit alone) and after (with parts held against the fit, and a thinned set): parts,
+Printed for every case, before (the fit alone) and after (with parts held against the fit): parts,
 how many are accepted, the share of their held-out sightings within the stated 95 %, how many accepted fits have one
 beyond 5 sigma; and how many of those accepted before were right (error at most twice what they state, root mean squares
 over the sky that the image shows, and no held-out sighting beyond 5 sigma), and how many of these are refused. With
