@@ -30,7 +30,7 @@ _FEWEST_FOR_STEPS = 150
 """Sightings of a pose in which small steps are searched for: a step that few show is as large as a state of its own."""
 
 
-class Fitted(NamedTuple):
+class FittedPose(NamedTuple):
     """A calibration of a pose, the rows of the suns that it was given, and the stars beside them."""
 
     calibration: Calibration
@@ -73,7 +73,7 @@ def fit_poses(
     camera: ArchiveCamera,
     *,
     stars: Sightings | None = None,
-) -> dict[int, Fitted]:
+) -> dict[int, FittedPose]:
     """Return the calibration of each pose that has sightings, by its number.
 
     Parameters
@@ -100,7 +100,7 @@ def fit_poses(
         given = selected if beside is None else _merged(selected, beside)
         solved = calibrate(given, site=camera.site, image_size=camera.size, options=camera.options)
         evidence = replace(solved.evidence, selection=selection.counts())
-        fitted[int(pose)] = Fitted(replace(solved, evidence=evidence), rows[selection.index], beside)
+        fitted[int(pose)] = FittedPose(replace(solved, evidence=evidence), rows[selection.index], beside)
     return fitted
 
 
@@ -125,7 +125,7 @@ def _merged(suns: Sightings, stars: Sightings) -> Sightings:
     return merged.select(np.argsort(merged.unix_s, kind="stable"))
 
 
-def better_of(fitted: Mapping[int, Fitted], both: Mapping[int, Fitted]) -> dict[int, Fitted]:
+def better_of(fitted: Mapping[int, FittedPose], both: Mapping[int, FittedPose]) -> dict[int, FittedPose]:
     """Return the calibrations by suns and stars, that by suns alone of a pose where the other is refused or not there.
 
     Parameters
@@ -138,12 +138,12 @@ def better_of(fitted: Mapping[int, Fitted], both: Mapping[int, Fitted]) -> dict[
     }
 
 
-def _is_worse(both: Fitted, one: Fitted) -> bool:
+def _is_worse(both: FittedPose, one: FittedPose) -> bool:
     return one.calibration.verdict.accepted and not both.calibration.verdict.accepted
 
 
 def document_of(
-    fitted: Fitted, points: Sightings, epoch: Epoch, *, camera: str, name: str, evidence: Mapping[str, object]
+    fitted: FittedPose, points: Sightings, epoch: Epoch, *, camera: str, name: str, evidence: Mapping[str, object]
 ) -> dict[str, Any]:
     """Return the calibration document of an epoch, valid from its first to its last sighting.
 
@@ -204,7 +204,7 @@ class Final(NamedTuple):
     states: tuple[State, ...]
     epochs: tuple[Epoch, ...]
     path: IntArray
-    fitted: dict[int, Fitted]
+    fitted: dict[int, FittedPose]
 
 
 def first_analysis(given: CameraSightings) -> Rough:
@@ -248,7 +248,7 @@ def starry_analysis(of: Starry) -> Final:
     return final._replace(fitted=better_of(final.fitted, both))
 
 
-def _refined(state: State, fitted: dict[int, Fitted], points: Sightings, camera: ArchiveCamera) -> State:
+def _refined(state: State, fitted: dict[int, FittedPose], points: Sightings, camera: ArchiveCamera) -> State:
     """Return a state with the calibration that was fitted to all of its sightings."""
     found = fitted.get(state.pose)
     if found is None or found.calibration.evidence.n_used == 0 or len(points) == 0:

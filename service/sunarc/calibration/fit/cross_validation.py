@@ -31,7 +31,7 @@ _OPEN = 2.0
 """Variance of a predicted number, in that of the part's noise, beyond which the other parts leave much of it open."""
 _AS_STATED = 4.0
 """A few errors say little of their size: as if so many more were as stated."""
-_TOLD = 0.1
+_MATTERS = 0.1
 """Variance of a coefficient of the field, in that of the noise, below which the field does not matter there."""
 _ROUNDING = 1e-10
 
@@ -56,8 +56,8 @@ def _without_parts(fit: RobustFit, usable: Sightings, part: IntArray) -> Iterato
     part_of_bin = np.zeros(system.rows.shape[0], dtype=np.int64)
     part_of_bin[system.member] = part  # bins are of one day; one of two thirds goes to the later one
     axes = system.basis_products.axes(system.basis, scales.length_px)
-    told = scales.amplitude_px**2 * axes.information > _TOLD
-    waves = scales.amplitude_px * (system.basis_values @ axes.transform[:, told])
+    matters = scales.amplitude_px**2 * axes.information > _MATTERS
+    waves = scales.amplitude_px * (system.basis_values @ axes.transform[:, matters])
     rows = np.concatenate([system.rows, np.einsum("bw,ac->bacw", waves, np.eye(2)).reshape(len(waves), 2, -1)], axis=-1)
     prior = prior_precision(size, scales.radial_px, scales.decentering_px, n_unit=system.n_unit)
     precision = np.concatenate([prior, np.ones(rows.shape[-1] - size)])
@@ -185,8 +185,8 @@ def _met(without: _Without, fit: RobustFit, usable: Sightings, judged: BoolArray
     own = flat.T @ flat
     scale = np.sqrt(np.maximum(np.diag(own), np.finfo(np.float64).tiny))
     values, vectors = np.linalg.eigh(own / np.outer(scale, scale))
-    told = values > _ROUNDING * values[-1]
-    roots, vectors = np.sqrt(values[told]), vectors[:, told]
+    known = values > _ROUNDING * values[-1]
+    roots, vectors = np.sqrt(values[known]), vectors[:, known]
     factor = scale[:, None] * vectors * roots
     said = vectors.T @ (flat.T @ (off * np.sqrt(information)[:, None]).ravel() / scale) / roots
     joint = factor.T @ without.covariance @ factor + np.eye(said.size)
