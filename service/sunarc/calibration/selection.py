@@ -267,8 +267,7 @@ def _before(count: IntArray, group: IntArray) -> IntArray:
     """Return (k,): how many sightings of the same group come before each pass."""
     order = np.argsort(group, kind="stable")
     running = np.cumsum(count[order]) - count[order]
-    fresh = np.r_[True, np.diff(group[order]) != 0][: group.size]
-    running -= np.repeat(running[fresh], np.diff(np.append(np.flatnonzero(fresh), group.size)))
+    running -= running[np.searchsorted(group[order], group[order])]
     result = np.empty_like(count)
     result[order] = running
     return result

@@ -21,7 +21,7 @@ from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.evidence import RECORD_GAIN, log_marginal, matern_3_2
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances
-from sunarc.calibration.model.result import Calibration, Move
+from sunarc.calibration.model.result import Calibration, Move, residuals_by_pose
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.robust_loss import finite, robust_sigma, tukey_loss
 from sunarc.calibration.solve.priors import LENS, N_LENS, lens_prior, precisions
@@ -399,36 +399,26 @@ def calibrate_moved(
 def _with_one_more(points: Sightings, usable: Sightings, solved: Calibration, fit: _Fit) -> Moved | None:
     """Return the fit with one move more, or None where none makes it clearly better."""
     residual = _residuals(solved, usable)
-    tried: list[tuple[float, Moved]] = []
+    tried = []
     for suggested in (*jumps_within_days(residual, usable), *night_changes(residual, usable)):
         found = _parted_at(suggested.row, points, usable, solved.camera, fit)
         if found is None:
             continue
         numbered = replace(usable, epoch=found.points.epoch[usable.index])
-        ended = int(usable.epoch[suggested.row])
-        turn_deg = math.degrees(rotation_between(*found.calibration.poses[ended : ended + 2]))
-        gain = robust_gain(residual, _residuals(found.calibration, numbered), usable, found.calibration)
-        if gain > _GAIN and turn_deg > suggested.smallest_deg:
-            tried.append((gain, found))
-    for _, found in sorted(tried, key=lambda item: -item[0]):
-        if _log_bayes_factor(solved, found, usable) > RECORD_GAIN:
+        there = _residuals(found.calibration, numbered)
+        row = int(np.flatnonzero(numbered.epoch != usable.epoch)[0])
+        ended = int(usable.epoch[row])
+        turn_rad = rotation_between(*found.calibration.poses[ended : ended + 2])
+        gain = robust_gain(residual, there, usable, found.calibration)
+        if gain > _GAIN and math.degrees(turn_rad) > suggested.smallest_deg:
+            tried.append((gain, row, turn_rad, there, found))
+    for _, row, turn_rad, there, found in sorted(tried, key=lambda item: -item[0]):
+        ended = int(usable.epoch[row])
+        one = _lens_in(solved, solved.poses[ended]), residual
+        two = _lens_in(found.calibration, found.calibration.poses[ended + 1]), there
+        if log_bayes_factor(row, usable, one=one, two=two, turn_rad=turn_rad) > RECORD_GAIN:
             return found
     return None
-
-
-def _log_bayes_factor(solved: Calibration, found: Moved, usable: Sightings) -> float:
-    """Return by how many powers of e the added move explains the sightings better than episodes of cloud do."""
-    numbered = replace(usable, epoch=found.points.epoch[usable.index])
-    row = int(np.flatnonzero(numbered.epoch != usable.epoch)[0])
-    ended = int(usable.epoch[row])
-    after = found.calibration.poses[ended + 1]
-    return log_bayes_factor(
-        row,
-        usable,
-        one=(_lens_in(solved, solved.poses[ended]), _residuals(solved, usable)),
-        two=(_lens_in(found.calibration, after), _residuals(found.calibration, numbered)),
-        turn_rad=rotation_between(found.calibration.poses[ended], after),
-    )
 
 
 def _parted_at(row: int, points: Sightings, usable: Sightings, begin: Camera, fit: _Fit) -> Moved | None:
@@ -479,11 +469,7 @@ def _lens_in(solved: Calibration, pose: tuple[float, float, float]) -> Camera:
 
 def _residuals(solved: Calibration, usable: Sightings) -> FloatArray:
     """Return observed minus predicted by the lens alone, (n, 2) px; what the camera cannot see is far off."""
-    predicted = np.full(usable.pixels.shape, np.nan)
-    for epoch, pose in enumerate(solved.poses):
-        in_epoch = usable.epoch == epoch
-        predicted[in_epoch] = project_fast(_lens_in(solved, pose), usable.directions[in_epoch])
-    return finite(usable.pixels - predicted)
+    return finite(residuals_by_pose(replace(solved.camera, displacement=None), solved.poses, usable))
 
 
 def robust_gain(before: FloatArray, after: FloatArray, usable: Sightings, solved: Calibration) -> float:
@@ -540,7 +526,7 @@ def night_changes(residual: FloatArray, usable: Sightings) -> list[_Parted]:
     comparable = [
         (int(row), difference)
         for row, difference in nights
-        if math.isfinite(difference) and _one_pose(usable, int(row))
+        if math.isfinite(difference) and usable.epoch[row] == usable.epoch[row - 1]
     ]
     if not comparable:
         return []
@@ -548,10 +534,6 @@ def night_changes(residual: FloatArray, usable: Sightings) -> list[_Parted]:
     usual = float(np.median([difference for _, difference in comparable])) if len(comparable) > 2 else 0.0
     stands_out = greatest > max(_NIGHT_RATIO * usual, _FLOOR_PX)
     return [_Parted(row, _SMALLEST_NIGHT_DEG)] if stands_out else []
-
-
-def _one_pose(usable: Sightings, row: int) -> bool:
-    return bool(usable.epoch[row] == usable.epoch[row - 1])
 
 
 def same_hours_difference(residual: FloatArray, usable: Sightings, early: IntArray, late: IntArray) -> float:

@@ -424,13 +424,12 @@ def drift_evidence(window: ResidualModel, first: int) -> float:
     begins = {max(first - back, 0) for back in _ONSETS_BACK}
     # the episode need not begin with the change: the change may count sightings before it as false
     begins |= begins_of_runs(untrusted) | begins_of_runs(untrusted[untrusted <= first])
-    reached, best, likeliest = [], -math.inf, Drift(first, 0.0, 1.0)
-    for drift in _drifts(begins):
-        reached.append(
-            log_evidence(drift_covariance(window, drift), window.sightings, inliers_from(window, drift.begin))
-        )
-        if reached[-1] > best:
-            best, likeliest = reached[-1], drift
+    drifts = tuple(_drifts(begins))
+    reached = [
+        log_evidence(drift_covariance(window, drift), window.sightings, inliers_from(window, drift.begin))
+        for drift in drifts
+    ]
+    best, likeliest = max(zip(reached, drifts, strict=True), key=lambda item: item[0])
     # the likeliest one once more, with false sightings among the episode's
     inliers = inliers_from(window, likeliest.begin)
     among_false = fit_inlier_mixture(drift_covariance(window, likeliest), window.sightings, inliers).log_evidence

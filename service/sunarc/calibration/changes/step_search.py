@@ -98,14 +98,7 @@ class StepSearch(NamedTuple):
         fits = []
         for begin in np.unique(np.linspace(0, days.size - _LENS_DAYS, _LENS_TRIALS).astype(int)):
             some = thin.select(np.isin(day, days[begin : begin + _LENS_DAYS]))
-            solved = calibrate(
-                some,
-                site=self.site,
-                image_size=self.image_size,
-                options=self.options,
-                circle=self.circle,
-                parts=False,
-            )
+            solved = calibrate(some, **self._asdict(), parts=False)
             if solved.verdict.accepted:
                 fits.append((solved.metrics.rmse_px, solved.evidence.n_rejected, solved))
         return min(fits, key=lambda item: item[:2])[2] if fits else None
@@ -124,9 +117,7 @@ class StepSearch(NamedTuple):
 
     def _verified(self, points: Sightings, some: Sightings) -> list[PoseStep]:
         """Return the steps that a fit of a few days finds, dated among all sightings."""
-        solved, _ = calibrate_moved(
-            some, site=self.site, image_size=self.image_size, options=self.options, circle=self.circle, parts=False
-        )
+        solved, _ = calibrate_moved(some, **self._asdict(), parts=False)
         moves = solved.evidence.moves
         poses = [*(move.pose_before for move in moves), solved.camera.rotation_cam_enu]
         return [

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -27,7 +27,7 @@ from sunarc.calibration.solve.priors import (
     precisions,
 )
 from sunarc.errors import InputError
-from sunarc.optics.camera import PARAMETER_NAMES, Camera
+from sunarc.optics.camera import PARAMETER_NAMES, Camera, Param
 
 # Coordinates of a lens in which what differs between units, and what sightings say, is of the order of 1.
 #
@@ -233,19 +233,9 @@ class LensType:
 
 def type_camera(frame: LensPrior, mean: FloatArray, like: Camera, *, max_angle: float) -> Camera:
     """Return the level camera of a lens in a frame, of the projection and the image of another one."""
-    ideal = Camera(
-        width=like.width,
-        height=like.height,
-        projection=like.projection,
-        focal_length_px=like.focal_length_px,
-        principal_point_px=like.principal_point_px,
-        rotation_cam_enu=(0.0, 0.0, 0.0),
-        mirrored=like.mirrored,
-        max_angle=max_angle,
-    )
-    vector = ideal.to_vector()
+    vector = np.zeros(len(Param))
     vector[LENS] = frame.lens(mean)
-    return ideal.with_parameters(vector)
+    return replace(like.lens_alone(), max_angle=max_angle).with_parameters(vector)
 
 
 def _center(camera: Camera) -> tuple[float, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,8 +13,10 @@ from sunarc.calibration.messages import text_of
 from sunarc.calibration.model.backward import BackwardModel
 from sunarc.calibration.model.options import Method
 from sunarc.calibration.model.residual_field import Field
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.findings import Finding
 from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project_fast
 from sunarc.optics.inverse import unproject
 from sunarc.optics.pose import PoseAngles
 from sunarc.sky.directions import angular_distance
@@ -238,6 +240,15 @@ class Calibration:
     site: Site
     used: BoolArray | None = None
     night: NightDifference | None = None
+
+
+def residuals_by_pose(camera: Camera, poses: Sequence[tuple[float, float, float]], usable: Sightings) -> FloatArray:
+    """Return (n, 2) px: observed minus predicted by a camera in the pose of each epoch (the last one beyond)."""
+    predicted, epoch = np.empty(usable.pixels.shape), np.minimum(usable.epoch, len(poses) - 1)
+    for number, pose in enumerate(poses):
+        of_pose = epoch == number
+        predicted[of_pose] = project_fast(replace(camera, rotation_cam_enu=pose), usable.directions[of_pose])
+    return usable.pixels - predicted
 
 
 def with_finding(calibration: Calibration, finding: Finding) -> Calibration:

@@ -12,12 +12,11 @@ import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.calibration.answers.covariance import project_with_covariance
-from sunarc.calibration.model.result import Calibration, measures
+from sunarc.calibration.model.result import Calibration, measures, residuals_by_pose
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, Kind, Sightings, filter_sightings
 from sunarc.calibration.robust_loss import robust_sigma, tukey_weights
 from sunarc.calibration.selection import solid_angle_sr
 from sunarc.findings import Finding
-from sunarc.optics.forward import project
 from sunarc.robust_statistics import cauchy_weights
 from sunarc.sky.days import date_of_day, day_bounds_unix_s, day_of_date, solar_date
 from sunarc.sky.directions import angular_distance
@@ -352,7 +351,9 @@ def unexplained_days(calibration: Calibration, usable: Sightings, limit: float) 
     if calibration.used is None:
         return None
     track = (usable.kind == Kind.SUN) & ~usable.alone
-    residual = _residuals(calibration, usable)
+    # as far as the lens is defined
+    camera = replace(calibration.camera, max_angle=np.pi)
+    residual = np.nan_to_num(residuals_by_pose(camera, calibration.poses, usable))
     used = calibration.used[usable.index]
     clear, halves = track.copy(), list[_HalfDay]()
     for rows in _days(usable, track):
@@ -384,18 +385,6 @@ def unexplained_days(calibration: Calibration, usable: Sightings, limit: float) 
             "day": date_of_day(worst.day).isoformat(),
         },
     )
-
-
-def _residuals(calibration: Calibration, usable: Sightings) -> FloatArray:
-    """Return (n, 2): observed minus predicted by the pose of each sighting's epoch, as far as the lens is defined."""
-    residual = np.zeros(usable.pixels.shape)
-    last = len(calibration.poses) - 1
-    for epoch in np.unique(usable.epoch).tolist():
-        rows = usable.epoch == epoch
-        pose = calibration.poses[min(epoch, last)]
-        camera = replace(calibration.camera, rotation_cam_enu=pose, max_angle=np.pi)
-        residual[rows] = usable.pixels[rows] - project(camera, usable.directions[rows])
-    return np.nan_to_num(residual)
 
 
 def _days(usable: Sightings, track: BoolArray) -> Iterator[IntArray]:

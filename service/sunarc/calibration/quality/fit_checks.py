@@ -163,7 +163,9 @@ def _off_center(calibration: Calibration) -> Iterator[Finding]:
 
 def _against_scatter(calibration: Calibration, usable: Sightings, options: CalibrationOptions) -> Iterator[Finding]:
     rmse, sigma = calibration.metrics.rmse_px, calibration.sky_rms_deg
-    limit = _largest_rmse_px(usable, options)
+    # the largest that is no fault: that of the options, or 2-D distances by what the sightings state of themselves
+    stated = _OVER_STATED * math.sqrt(2.0) * usable.filtering.stated_sigma_px
+    limit = max(options.max_rmse_px, stated) if math.isfinite(stated) else options.max_rmse_px
     if not rmse <= limit:
         yield Finding("rmse_too_large", {"rmse_px": rmse, "limit_px": limit})
     rejected = 1.0 - calibration.evidence.n_used / max(len(usable), 1)
@@ -209,12 +211,6 @@ def missing_hours(usable: Sightings, site: Site) -> Iterator[Finding]:
     text = ", ".join(f"{int(run[0]) % 24:02d}:00 to {(int(run[-1]) + 1) % 24:02d}:00" for run in runs)
     covered = float(up.size - missing.size)
     yield Finding("hours_missing", {"date": str(day), "covered_h": covered, "up_h": float(up.size), "missing": text})
-
-
-def _largest_rmse_px(usable: Sightings, options: CalibrationOptions) -> float:
-    """Return the largest RMSE that is no fault: that of the options, or what the sightings state of themselves."""
-    stated = _OVER_STATED * math.sqrt(2.0) * usable.filtering.stated_sigma_px  # an RMSE is of the 2-D distance
-    return max(options.max_rmse_px, stated) if math.isfinite(stated) else options.max_rmse_px
 
 
 def _against_ring(calibration: Calibration, usable: Sightings) -> Iterator[Finding]:
