@@ -113,10 +113,11 @@ def _fitted(
     plain = _without_field(problem, observed, start, groups.bins)
     problem, observed = with_effects(problem, plain, observed)
     found = robust_camera(problem, observed, plain, groups=groups, grid=grid)
-    problem, unknowns, grid, state = found.problem, found.unknowns, found.grid, found.state
+    problem, unknowns, state = found.problem, found.unknowns, found.state
     system = found.system(observed, groups.bins)
     normal = system.normal()
     mean = found.field_mean(normal)
+    # a field that was bounded for the camera's sake is possible all the same
     posterior = stated_posterior(problem, system, unknowns, grid=grid, scales=state.scales, mean=mean)
     return RobustFit(
         problem=problem,
