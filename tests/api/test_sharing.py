@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 from collections.abc import Coroutine
+from functools import partial
 from typing import Any
 
+import numpy as np
 import pytest
+from starlette.types import Message
 
+from sunarc.api.arrays import Rows, rows_response
 from sunarc.api.bulk import ComputeSlots
 from sunarc.api.middleware.shared_quota import QuotaUse, SharedQuota
 from sunarc.api.problems import RefusedError
@@ -39,6 +44,38 @@ def test_no_more_are_computed_at_once_than_there_are_places() -> None:
         assert (most, running) == (3, 0)
 
     run(scenario())
+
+
+@pytest.mark.parametrize(("places", "at_once"), [(1, 1), (2, 2), (8, 3)])
+def test_a_large_request_is_computed_on_as_many_cores_as_there_are_places_and_three_at_most(
+    places: int, at_once: int
+) -> None:
+    together, lock, running, sent, threads = threading.Barrier(at_once), threading.Lock(), [0, 0], [], set()
+
+    def answer(rows: Rows) -> Rows:
+        with lock:
+            running[0] += 1
+            running[1] = max(running)
+            threads.add(threading.get_ident())
+        together.wait(5.0)  # goes on when so many compute
+        with lock:
+            running[0] -= 1
+        return rows + 1.0
+
+    async def send(message: Message) -> None:
+        sent.append(message.get("body", b""))
+
+    async def receive() -> Message:
+        raise AssertionError
+
+    async def scenario() -> None:
+        rows, slots = np.arange(6.0 * 65_536 * 2).reshape(-1, 2), ComputeSlots(places)
+        response = rows_response(rows, [answer], draws=0, width=2, headers={}, slot=partial(slots.slot, "client"))
+        await response({"type": "http"}, receive, send)
+        np.testing.assert_array_equal(np.frombuffer(b"".join(sent)[128:]).reshape(-1, 2), rows + 1.0)
+
+    run(scenario())
+    assert (running[1], len(threads) >= at_once) == (at_once, True)
 
 
 def test_addresses_that_wait_take_turns() -> None:
