@@ -252,11 +252,9 @@ def blind_start(
             accepted=False, findings=(Finding("blind_no_turning", {"share": share, "limit": _LEAST_SHARE}),)
         )
     found = _hypotheses(turns, moving, images, site, image_size)
-    return _decided(found, site, known) if found else _unnamed(turns[0])
-
-
-def _unnamed(best: Turning) -> BlindStart:
-    return BlindStart(accepted=False, findings=(Finding("blind_no_stars", {"share": best.share}),))
+    if not found:
+        return BlindStart(accepted=False, findings=(Finding("blind_no_stars", {"share": turns[0].share}),))
+    return _decided(found, site, known)
 
 
 def _without_still(image: NightDetections, every: Sequence[NightDetections]) -> NightDetections:
@@ -319,16 +317,13 @@ def _judged(one: Refined, images: Sequence[NightDetections]) -> _Hypothesis:
     for image in images:
         pixels = project(camera, image.sky.directions)
         predicted = stars_in_image(camera, image.sky, pixels, np.full(len(image.sky), sigma))
-        above = _above(camera, image.stars.pixels)
+        above = (
+            unproject(camera, image.stars.pixels)[:, 2] > 0.0
+        )  # text beside the image circle does not look at the sky
         views.append(StarView(unix_s=image.unix_s, sky=image.sky, stars=image.stars.select(above), predicted=predicted))
     matched = match_views(views)
     stars = sum(found.matches.star.size for found in matched if found.matches.accepted)
     return _Hypothesis(camera, tuple(views), tuple(matched), stars)
-
-
-def _above(camera: Camera, pixels: FloatArray) -> BoolArray:
-    """Return (n,): which pixels look at the sky; text beside the image circle does not."""
-    return np.asarray(unproject(camera, pixels)[:, 2] > 0.0)
 
 
 def _same(first: Camera, second: Camera) -> bool:
