@@ -136,7 +136,7 @@ def test_where_a_solve_ends_its_fit_is_the_linear_one(
     lost = penalty(system.normal(), system.basis, scales) - penalty(there, system.basis, scales)
     assert found.gain == pytest.approx(lost, rel=1e-7, abs=1e-9)
     fit = marginal_fit(there, system.basis, scales)
-    assert fit.gain < 1e-3
+    assert fit.gain < 1e-2  # of twice the log posterior; the solve stops at a thousandth of the cost
     sigma = np.sqrt(np.diag(fit.covariance))
     assert np.max(np.abs(found.fit.covariance - fit.covariance) / np.outer(sigma, sigma)) < 1e-6
     assert np.max(np.abs(found.fit.unknowns - fit.unknowns) / sigma) < 1e-6
