@@ -5,8 +5,9 @@
 Fits begin at the true camera, which halves their time; with `--search` they begin with the search for a start. Where a
 case names no field, a lens has one or none as the fit's prior has it (`ranks.py`). Printed for every case, over the sky
 that the image holds: the median over lenses of the true error (px), the share of directions whose error lies within the
-stated 95 % ellipse, its 95 % interval by bootstrap over lenses, the same within 20 degrees of the sun's track and
-beyond 40 degrees, and how many of the fits their own verdict accepts.
+stated 95 % ellipse, its 95 % interval by bootstrap over lenses, the shares within the ellipses for 50, 68, 95 and 99 %,
+for 50 and 95 % within 20 degrees of the sun's track and beyond 40 degrees, and by zenith angle (below 30 degrees, below
+60, beyond), and how many of the fits their own verdict accepts.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from functools import partial
 
 import numpy as np
 import population as pop
-from coverage_statistics import CHI_SQUARE_95, bootstrap_interval, degrees_from_track, every_so_many, squared_sigmas
+from coverage_statistics import bootstrap_interval, degrees_from_track, every_so_many, within_stated
 from numpy.typing import NDArray
 from ranks import FIELD_LENGTHS
 from ranks import amplitude_px as drawn_amplitude_px
@@ -32,6 +33,7 @@ from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.optics.camera import Camera
 from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles
 from sunarc.optics.projections import Projection, ideal_radius
+from sunarc.sky.refraction import ASSUMED_AIR_SD, DAILY_AIR_SD, raised, refraction_rad
 from sunarc.sky.site import Site
 
 FloatArray = NDArray[np.float64]
@@ -70,8 +72,8 @@ class Case:
 
     days: offsets from 13 May 2013, a sighting every `cadence_s`. field_px: None draws it from the fit's prior, with its
     length. rounded: to whole pixels. tilt_deg: None draws it (2.5 degrees). size: of the image, px. edge_deg: the angle
-    off the axis that the image's shorter side ends at; NaN: 90, or 60 with a perspective lens. any_scale: the scales of
-    radial distortion and decentering are drawn from the fit's prior, too, in place of 1.5 and 0.6 px.
+    off the axis that the image's shorter side ends at; NaN: 90, or 60 with a perspective lens. as_prior: the scales of
+    radial distortion and decentering are drawn from the fit's prior, too, in place of 1.5 and 0.6 px, and the air is.
     """
 
     days: tuple[int, ...] = (0,)
@@ -86,7 +88,7 @@ class Case:
     size: tuple[int, int] = (pop.SIZE, pop.SIZE)
     edge_deg: float = math.nan
     site: Site = pop.SGP
-    any_scale: bool = False
+    as_prior: bool = False
 
 
 def at(latitude: float) -> Site:
@@ -111,7 +113,15 @@ CASES = {
     "latitude -41°": Case(site=at(-41.0)),
     "latitude +79°": Case(site=at(79.0)),
     "the pole": Case(site=at(90.0)),
-    "the pole, lenses of any scale": Case(site=at(90.0), any_scale=True),
+    "the pole, lenses of any scale": Case(site=at(90.0), as_prior=True),
+    "as the prior, 1 day": Case(as_prior=True),
+    "as the prior, 1 day, no field": Case(as_prior=True, field_px=0.0),
+    "as the prior, 4 days": Case(as_prior=True, days=(0, 1, 20, 29)),
+    "as the prior, 4 days, no field": Case(as_prior=True, days=(0, 1, 20, 29), field_px=0.0),
+    "as the prior, 4 days, 0.1 px": Case(as_prior=True, days=(0, 1, 20, 29), sigma_px=0.1),
+    "as the prior, 7 days in a row": Case(as_prior=True, days=tuple(range(7))),
+    "as the prior, tilt 15°": Case(as_prior=True, tilt_deg=15.0),
+    "as the prior, latitude -41°": Case(as_prior=True, site=at(-41.0)),
     "AR(1) 0.9": Case(noise=correlated),
     "noise × 6 to the horizon": Case(noise=growing, sigma_px=0.25),
     "t3 noise": Case(noise=heavy_tailed, sigma_px=0.3),
@@ -142,7 +152,7 @@ def lens_of(case: Case, rng: np.random.Generator) -> Camera:
         pop.CASE_3, width=case.size[0], height=case.size[1], projection=case.projection, focal_length_px=(focal, focal)
     )
     radial_px, decentering_px = 1.5, 0.6
-    if case.any_scale:
+    if case.as_prior:
         radial_px, decentering_px = (px * factor ** rng.normal() for px, factor in _SCALES)
     lenses = pop.Lenses(radial_px=radial_px * share, decentering_px=decentering_px * share, center_px=5.0 * share)
     camera = pop.random_camera(rng, lenses, base=base)
@@ -166,12 +176,24 @@ def field_of(scales: tuple[float, float], rng: np.random.Generator) -> pop.Field
     return pop.smooth_field(rng, amplitude_px=amplitude, length_px=length) if amplitude > 0.0 else None
 
 
-def one_lens(seed: int, case: Case, *, search: bool = False) -> tuple[float, float, float, float, bool]:
-    """Return the RMS error over the sky, px, the share covered there, near the track and far, and the verdict."""
+def in_other_air(directions: FloatArray, unix_s: FloatArray, site: Site, rng: np.random.Generator) -> FloatArray:
+    """Return apparent directions (n, 3) in air that is not the assumed one, as the fit's prior has it."""
+    day = np.unique(np.floor(unix_s / 86_400.0 + site.longitude / 360.0), return_inverse=True)[1]
+    share = ASSUMED_AIR_SD * rng.normal() + DAILY_AIR_SD * rng.normal(size=int(day.max()) + 1)[day]
+    return raised(directions, share * refraction_rad(directions, site))
+
+
+def one_lens(seed: int, case: Case, *, search: bool = False) -> FloatArray:
+    """Return (16,): the RMS error over the sky, px, the verdict, and the shares within what is stated.
+
+    For 50, 68, 95 and 99 % over the sky; for 50 and 95 % near the track, far from it, and in three zones of the zenith.
+    """
     rng = np.random.default_rng([seed, 20])
     truth = lens_of(case, rng)
     field = field_of(field_scales(case, rng), rng)
     sun = pop.track(case.days, site=case.site, cadence_s=case.cadence_s).shown_by(truth)
+    if case.as_prior:
+        sun = replace(sun, directions=in_other_air(sun.directions, sun.unix_s, case.site, rng))
     noise = case.noise(rng, sun.zenith_deg, case.sigma_px)
     points = pop.sightings_of(truth, sun.unix_s, sun.directions, noise, field=field)
     if case.rounded:
@@ -182,13 +204,14 @@ def one_lens(seed: int, case: Case, *, search: bool = False) -> tuple[float, flo
     expected = pop.seen_at(truth, _SKY, field)
     found, covariance = project_with_covariance(fit, _SKY)
     shown = camera_sees(truth, expected) & np.all(np.isfinite(found), axis=-1)
-    error, covariance = (found - expected)[shown], covariance[shown]
-    covered = squared_sigmas(error, covariance) < CHI_SQUARE_95
+    error = (found - expected)[shown]
+    covered = within_stated(fit, found[shown], error, covariance[shown])
     away = degrees_from_track(_SKY[shown], every_so_many(sun.directions))
+    zenith = np.degrees(np.arccos(_SKY[shown, 2]))
+    zones = away < 20.0, away > 40.0, zenith < 30.0, (zenith >= 30.0) & (zenith < 60.0), zenith >= 60.0
+    shares = [covered[where][:, [0, 2]].mean(axis=0) if np.any(where) else np.full(2, math.nan) for where in zones]
     rms = math.sqrt(float(np.mean(np.sum(error**2, axis=-1))))
-    near, far = away < 20.0, away > 40.0
-    shares = [float(covered[where].mean()) if np.any(where) else math.nan for where in (near, far)]
-    return rms, float(covered.mean()), shares[0], shares[1], fit.verdict.accepted
+    return np.concatenate([[rms, fit.verdict.accepted], covered.mean(axis=0), *shares])
 
 
 def main() -> None:
@@ -200,17 +223,29 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--search", action="store_true")
     chosen = parser.parse_args()
-    print("| case | lenses | sky, px | coverage (interval) | near, far | accepted |\n|---|---|---|---|---|---|")
+    columns = (
+        "case",
+        "lenses",
+        "sky, px",
+        "95 % (interval)",
+        "50, 68, 99 %",
+        "near, far",
+        "zenith 0, 30, 60°",
+        "accepted",
+    )
+    print(f"| {' | '.join(columns)} |\n|{'---|' * len(columns)}")
     seeds = range(chosen.first, chosen.first + chosen.lenses)
     for name in chosen.case or CASES:
         of_lens = partial(one_lens, case=CASES[name], search=chosen.search)
         with ProcessPoolExecutor(chosen.jobs) as pool:
             rows = np.array(list(pool.map(of_lens, seeds)), dtype=float)
-        low, high = bootstrap_interval(rows[:, 1])
-        near, far = np.nanmean(rows[:, 2]), np.nanmean(rows[:, 3])
+        low, high = bootstrap_interval(rows[:, 4])
+        mean = np.nanmean(rows, axis=0)
+        zones = [f"{half:.2f}/{most:.3f}" for half, most in zip(mean[6::2], mean[7::2], strict=True)]
         print(
-            f"| {name} | {len(rows)} | {np.median(rows[:, 0]):.3f} | {rows[:, 1].mean():.3f} ({low:.3f} to {high:.3f}) "
-            f"| {near:.3f}, {far:.3f} | {int(rows[:, 4].sum())} |",
+            f"| {name} | {len(rows)} | {np.median(rows[:, 0]):.3f} | {mean[4]:.3f} ({low:.3f} to {high:.3f}) "
+            f"| {mean[2]:.3f}, {mean[3]:.3f}, {mean[5]:.3f} | {', '.join(zones[:2])} | {', '.join(zones[2:])} "
+            f"| {int(rows[:, 1].sum())} |",
             flush=True,
         )
 

@@ -21,7 +21,7 @@ from sunarc.calibration.answers.error_model import (
     joint_covariance,
     predicted,
 )
-from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.result import Calibration, ErrorMixture
 from sunarc.errors import InputError
 from sunarc.optics.camera import PARAMETER_NAMES
 from sunarc.optics.forward import project, project_with_rows_fast
@@ -178,3 +178,22 @@ def test_a_calibration_without_its_pose_cannot_be_drawn(calibration: Calibration
     with pytest.raises(InputError) as caught:
         draw_ensemble(lens, draws=1, seed=0, calibration_id="a")
     assert caught.value.field == "uncertainty.parameters"
+
+
+def test_draws_of_a_mixture_are_small_or_large_all_over_the_image(calibration: Calibration) -> None:
+    """Each draw is that of the Gaussian, times its class's scale; classes come as often as their shares say."""
+    places = np.array([[100.0, 100.0], [500.0, 400.0]])
+    mixture = ErrorMixture(shares=np.array([0.7, 0.3]), pixels_px=places, scales=np.array([[0.5, 2.0], [0.5, 2.0]]))
+    pixels = project(calibration.camera, SKY)
+    plain, mixed = (
+        draw_ensemble(one, draws=300, seed=3, calibration_id="a")
+        for one in (calibration, replace(calibration, mixture=mixture))
+    )
+    found = np.array([[one.displacement(k, pixels) for k in range(300)] for one in (plain, mixed)])
+    ratio = np.linalg.norm(found[1], axis=(1, 2)) / np.linalg.norm(found[0], axis=(1, 2))
+    np.testing.assert_allclose(found[1], ratio[:, None, None] * found[0], atol=1e-9)
+    large = np.abs(ratio - 2.0) < 1e-9
+    np.testing.assert_allclose(ratio[~large], 0.5)
+    assert large.mean() == pytest.approx(0.3, abs=0.08)
+    again = draw_ensemble(replace(calibration, mixture=mixture), draws=5, seed=3, calibration_id="a")
+    np.testing.assert_allclose(again.sheets_px, mixed.sheets_px[:5], atol=1e-11)

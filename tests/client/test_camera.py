@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from tests.fixtures.calibration import current_document, distinctive_calibration
 
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance, unproject_with_sigma
+from sunarc.calibration.model.result import ErrorMixture
 from sunarc.client import CameraModel
 from sunarc.optics.projections import PROJECTIONS
 
@@ -36,6 +38,25 @@ def test_it_is_what_the_service_says(projection: str, *, mirrored: bool) -> None
     np.testing.assert_allclose(back.zenith_deg, zenith, atol=1e-6)
     assert back.inside.all()
     assert (found.calibration, back.calibration) == (model.id, model.id)
+
+
+def test_the_distances_that_hold_a_share_are_those_of_the_mixture() -> None:
+    made = distinctive_calibration()
+    mixture = ErrorMixture(
+        shares=np.array([0.7, 0.3]),
+        pixels_px=np.array([[100.0, 100.0], [900.0, 500.0]]),
+        scales=np.array([[0.5, 1.5], [0.8, 1.2]]),
+    )
+    pixels = np.array([[[100.0, 100.0], [400.0, 300.0]]])
+    gaussian = np.sqrt(-2.0 * np.log(0.05))
+    plain = current_document(made)
+    np.testing.assert_allclose(CameraModel(plain).distances(pixels, 0.95), gaussian)
+    del plain["uncertainty"]["mixture"]
+    np.testing.assert_allclose(CameraModel(plain).distances(pixels, 0.95), gaussian)
+    for share in (0.5, 0.99):
+        found = CameraModel(current_document(replace(made, mixture=mixture))).distances(pixels, share)
+        expected = mixture.sigma_factors(pixels.reshape(-1, 2), share) * np.sqrt(-2.0 * np.log(1.0 - share))
+        np.testing.assert_allclose(found, expected[None], rtol=1e-6)
 
 
 def test_without_a_field_and_outside_the_field_of_view() -> None:

@@ -3,6 +3,7 @@
 python evaluate_calibration.py calibration.json project EAST NORTH UP      prints x y, px
 python evaluate_calibration.py calibration.json back-project X Y           prints east north up
 python evaluate_calibration.py calibration.json covariance EAST NORTH UP   prints xx xy yx yy of the pixel, px squared
+python evaluate_calibration.py calibration.json holding X Y SHARE          prints the sigmas within which a share lies
 """
 
 import json
@@ -104,6 +105,19 @@ def covariance(document, direction):
         unknown = max(a**2 - reduction, (0.02 * a) ** 2)
         result += mixed + mixed.T + coupled @ coupled.T + unknown * np.eye(2)
     return result.ravel()
+
+
+def holding(document, given):
+    """Distance, in stated sigmas, within which a share (the third number) of the errors at a pixel lies."""
+    mixture, t = document["uncertainty"].get("mixture"), 0.0
+    w, s = np.ones(1), np.ones(1)
+    if mixture:
+        near = (1 + np.sum((np.array(mixture["pixels_px"]) - given[:2]) ** 2, axis=1)) ** -2.0
+        w, s = np.array(mixture["shares"]), near @ mixture["scales"] / near.sum()
+    for _ in range(60):  # Newton's method; what is outside falls with t and is convex
+        outside = w * np.exp(-t / (2 * s**2))
+        t += outside.sum() * np.log(outside.sum() / (1 - given[2])) / np.sum(outside / (2 * s**2))
+    return np.sqrt([t])
 
 
 if __name__ == "__main__":

@@ -37,6 +37,7 @@ _LEAST_UNKNOWN = 0.02
 _ROUNDS = 6
 """Newton steps from the closed form, which is 0.01 px off: two leave rounding."""
 _SAME_PX = 1e-6
+_MIXTURE_ROUNDS = 60
 _STEP = 1e-6
 """Of a difference quotient: radians on the sphere, or shares of a parameter's sigma times 100."""
 _MANY = 4096
@@ -78,6 +79,7 @@ class CameraModel:
         self._fitted = [_NAMES.index(name) for name in uncertainty["parameters"]]
         self._covariance = np.asarray(uncertainty["covariance"], dtype=np.float64)
         self._field = _Field(uncertainty["field"], parameters=len(self._fitted))
+        self._mixture = uncertainty.get("mixture")
         self._sheets: FloatArray | None = None
 
     def project(self, direction: ArrayLike) -> Projection:
@@ -123,6 +125,25 @@ class CameraModel:
             inside=(self._inside(flat) & np.isfinite(east)).reshape(shape),
             calibration=self.id,
         )
+
+    def distances(self, pixels: ArrayLike, share: float) -> FloatArray:
+        """Return (...): in how many 1-sigmas of pixels (..., 2) a share, below 1, of the errors lies.
+
+        With e the error and S the stated covariance of a pixel, √(eᵀ S⁻¹ e) is smaller than that with this probability.
+        """
+        given = np.asarray(pixels, dtype=np.float64)
+        shares, scales = np.ones(1), np.ones((given.reshape(-1, 2).shape[0], 1))
+        if self._mixture is not None:
+            places, known = (np.asarray(self._mixture[key], dtype=np.float64) for key in ("pixels_px", "scales"))
+            square = np.sum((given.reshape(-1, 1, 2) - places) ** 2, axis=-1)
+            weight = (1.0 + square) ** -2.0
+            shares, scales = np.asarray(self._mixture["shares"]), weight @ known / weight.sum(axis=1, keepdims=True)
+        square, rates = np.zeros(len(scales)), 0.5 / scales**2
+        for _ in range(_MIXTURE_ROUNDS):  # Newton's method on a function that is convex and falls
+            outside = shares * np.exp(-rates * square[:, None])
+            total = outside.sum(axis=1)
+            square = square + total * (np.log(total) - np.log1p(-share)) / np.sum(rates * outside, axis=1)
+        return np.asarray(np.sqrt(square).reshape(given.shape[:-1]))
 
     def _inside(self, pixels: FloatArray) -> NDArray[np.bool_]:
         with np.errstate(invalid="ignore"):

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tests.fixtures.calibration import observed, random_covariance, small_camera, small_problem, sun_arc
+from tests.fixtures.calibration import observed, small_camera, small_problem, sun_arc
 
 from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.fit import posterior as module
@@ -22,12 +22,13 @@ from sunarc.calibration.fit.marginal_likelihood import (
     scale_grid,
 )
 from sunarc.calibration.fit.normal_equations import LinearSystem, linear_system
-from sunarc.calibration.fit.posterior import PosteriorCovariance, marginalised_covariance
+from sunarc.calibration.fit.posterior import PosteriorCovariance, stated_posterior
 from sunarc.calibration.solve.problem import Bins, FitProblem
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 
 FloatArray = NDArray[np.float64]
+SCALES = Scales(0.01, 120.0, 2.0, 0.7)
 
 
 @pytest.fixture(scope="module")
@@ -55,10 +56,20 @@ def system(problem: FitProblem, at: FloatArray, grid: HyperparameterGrid) -> Lin
 
 
 @pytest.fixture(scope="module")
-def posterior(
-    system: LinearSystem, grid: HyperparameterGrid, problem: FitProblem, at: FloatArray
+def posterior(system: LinearSystem, grid: HyperparameterGrid, problem: FitProblem) -> PosteriorCovariance:
+    return _posterior(system, grid, problem)
+
+
+def _posterior(
+    system: LinearSystem, grid: HyperparameterGrid, problem: FitProblem, unknowns: FloatArray | None = None
 ) -> PosteriorCovariance:
-    return marginalised_covariance(system.normal(), grid, problem, at)
+    about = system.at if unknowns is None else unknowns
+    return stated_posterior(problem, system, about, grid=grid, scales=SCALES, mean=None)
+
+
+def _factor(found: PosteriorCovariance, grid: HyperparameterGrid) -> float:
+    """Return by what the mean over fields of one amplitude was enlarged."""
+    return found.field.amplitude_px / float(grid.amplitudes[0])
 
 
 def _one_amplitude(grid: HyperparameterGrid) -> HyperparameterGrid:
@@ -81,12 +92,14 @@ def test_with_one_amplitude_it_is_the_mixture_s_covariance(
     system: LinearSystem, grid: HyperparameterGrid, problem: FitProblem, at: FloatArray
 ) -> None:
     one = _one_amplitude(grid)
-    found = marginalised_covariance(system.normal(), one, problem, at)
-    expected = _mixture(system.normal(), one, at)
+    found = _posterior(system, one, problem)
+    expected = _mixture(system.normal(), one, at) + module.of_products(problem, system, SCALES)
+    factor = _factor(found, one)
+    assert factor == pytest.approx(1.0, abs=0.1)
     # 1.5 % of the probability is left out
     scale = np.sqrt(np.diag(expected))
-    np.testing.assert_allclose(found.covariance / np.outer(scale, scale), expected / np.outer(scale, scale), atol=0.06)
-    assert found.field.amplitude_px == pytest.approx(float(grid.amplitudes[5]))
+    scaled = found.covariance / np.outer(scale, scale) / factor**2
+    np.testing.assert_allclose(scaled, expected / np.outer(scale, scale), atol=0.06)
     assert grid.lengths[0] <= found.field.length_px <= grid.lengths[-1]
 
 
@@ -102,9 +115,13 @@ def test_with_one_choice_it_is_that_fit_s_own(
     )
     scales = Scales(float(grid.amplitudes[5]), float(grid.lengths[1]), *map(float, grid.lens_scales[1]))
     fit = marginal_fit(system.normal(), grid.basis, scales)
-    found = marginalised_covariance(system.normal(), single, problem, fit.unknowns)
-    np.testing.assert_allclose(found.covariance, fit.covariance, rtol=1e-9, atol=1e-15)
-    np.testing.assert_allclose(found.field.cross, fit.cross, rtol=1e-9, atol=1e-13)
+    found = _posterior(system, single, problem, fit.unknowns)
+    beside = module.of_products(problem, system, SCALES)
+    factor = _factor(found, single)
+    assert factor == pytest.approx(1.0, abs=1e-6)
+    np.testing.assert_allclose(found.covariance / factor**2, fit.covariance + beside, rtol=1e-6, atol=1e-12)
+    assert found.mixture is not None
+    np.testing.assert_allclose(found.mixture.scales, 1.0, atol=1e-6)
     assert found.field.length_px == pytest.approx(scales.length_px)
 
 
@@ -114,9 +131,9 @@ def test_a_fit_that_is_off_is_charged_with_its_distance(
     one = _one_amplitude(grid)
     off = np.zeros(at.size)
     off[17] = 0.5
-    near = marginalised_covariance(system.normal(), one, problem, at).covariance
-    far = marginalised_covariance(system.normal(), one, problem, at + off).covariance
-    assert far[17, 17] - near[17, 17] == pytest.approx(0.25, rel=0.1)
+    near, far = (_posterior(system, one, problem, unknowns) for unknowns in (at, at + off))
+    near_variance, far_variance = (found.covariance[17, 17] / _factor(found, one) ** 2 for found in (near, far))
+    assert far_variance - near_variance == pytest.approx(0.25, rel=0.1)
 
 
 def test_the_covariance_is_positive_and_of_every_unknown(posterior: PosteriorCovariance, at: FloatArray) -> None:
@@ -127,51 +144,27 @@ def test_the_covariance_is_positive_and_of_every_unknown(posterior: PosteriorCov
     assert posterior.field.cross.shape[:2] == (2, at.size)
 
 
-def test_the_share_within_an_ellipse_is_that_of_draws() -> None:
-    moments = np.stack([random_covariance(2, seed=s) for s in range(3)])[:, None]
-    stated = random_covariance(2, seed=9)[None]
-    rng = np.random.default_rng(4)
-    found = module.coverage(_triples(moments), _triples(stated))
-    for k in range(3):
-        draws = rng.multivariate_normal(np.zeros(2), moments[k, 0], 40_000)
-        inside = np.einsum("ni,ij,nj->n", draws, np.linalg.inv(stated[0]), draws) < -2.0 * math.log(0.05)
-        assert found[k] == pytest.approx(inside.mean(), abs=0.006)
-
-
-def _triples(matrices: FloatArray) -> FloatArray:
-    """Return xx, xy, yy (..., 3, n) of symmetric matrices (..., n, 2, 2)."""
-    return np.stack([matrices[..., 0, 0], matrices[..., 0, 1], matrices[..., 1, 1]], axis=-2)
-
-
-def test_a_gaussian_holds_its_own_95_percent() -> None:
-    one = _triples(random_covariance(2, seed=3)[None])
-    assert module.coverage(one[None], one)[0] == pytest.approx(0.95, abs=1e-9)
-    assert module.coverage(4.0 * one[None], one)[0] == pytest.approx(1.0 - 0.05**0.25, abs=1e-9)
-
-
-def test_the_coverage_is_that_of_numpy_for_all_shapes_and_sizes() -> None:
-    rng = np.random.default_rng(5)
-    moments = np.stack([[random_covariance(2, seed=9 * k + n) for n in range(7)] for k in range(6)])
-    moments = moments * np.geomspace(1e-9, 1e9, 6)[:, None, None, None]
-    moments[0] = 0.0
-    stated = np.stack([random_covariance(2, seed=100 + n) for n in range(7)]) * rng.uniform(0.5, 2.0, (7, 1, 1))
-    values = np.linalg.eigvals(np.linalg.solve(stated, moments)).real
-    half, gap = values.mean(axis=-1), 0.5 * np.abs(values[..., 0] - values[..., 1])
-    square = half[..., None] + gap[..., None] * module.COS_DOUBLED
-    outside = np.exp(-0.5 * module.ELLIPSE / np.maximum(square, 1e-12)).mean(axis=(1, 2))
-    np.testing.assert_allclose(module.coverage(_triples(moments), _triples(stated)), 1.0 - outside, atol=1e-9)
-
-
 def test_the_stated_95_percent_hold_95_percent_of_the_mixture(
-    system: LinearSystem, grid: HyperparameterGrid, problem: FitProblem, at: FloatArray
+    system: LinearSystem, grid: HyperparameterGrid, problem: FitProblem, posterior: PosteriorCovariance
 ) -> None:
-    choices = module.plausible(system.normal(), grid, at)
-    moments = module.at_probes(choices, grid.basis, problem, at)
-    tilt = module.honest_tilt(choices, moments)
-    assert -3.0 < tilt < 1.5
-    stated = np.tensordot(choices.tilted(tilt), moments, 1)
-    held = float(choices.share @ module.coverage(moments, stated))
-    assert held == pytest.approx(0.95, abs=0.005)
+    """Against draws from every choice, at places over the sky; and 50, 68 and 99 % by the mixture's own factors."""
+    choices = module.plausible(system.normal(), grid, system.at, None, module.of_products(problem, system, SCALES))
+    rows, values = module.sky_rows(problem, system.at, grid.basis)
+    moments = module.at_probes(choices, rows, values)
+    stated = rows @ posterior.covariance @ rows.swapaxes(1, 2) + posterior.field.covariance(rows, values)
+    rng, mixture = np.random.default_rng(3), posterior.mixture
+    assert mixture is not None
+    square = np.empty((len(rows), 4000))
+    for n, inverse in enumerate(np.linalg.inv(stated)):
+        xx, xy, yy = moments[rng.choice(choices.share.size, 4000, p=choices.share), :, n].T
+        x, y = rng.standard_normal((2, 4000))
+        drawn = np.stack([np.sqrt(xx) * x, (xy * x + np.sqrt(np.maximum(xx * yy - xy**2, 0.0)) * y) / np.sqrt(xx)])
+        square[n] = np.sum(drawn * (inverse @ drawn), axis=0)
+    assert np.mean(square < -2.0 * math.log(0.05)) == pytest.approx(0.95, abs=0.008)
+    for share in (0.5, 0.68, 0.95, 0.99):
+        factors = mixture.sigma_factors(mixture.pixels_px, share)
+        inside = square < -2.0 * math.log(1.0 - share) * factors[:, None] ** 2
+        assert inside.mean() == pytest.approx(share, abs=0.015)
 
 
 def test_moments_and_mean_are_those_of_each_choice_s_covariance(
@@ -189,17 +182,11 @@ def test_moments_and_mean_are_those_of_each_choice_s_covariance(
     np.testing.assert_allclose(field.mean_covariance(weight), np.tensordot(weight, covariances, 1), rtol=1e-9)
 
 
-def test_a_tilt_is_a_power_of_the_amplitude(system: LinearSystem, grid: HyperparameterGrid, at: FloatArray) -> None:
-    choices = module.plausible(system.normal(), grid, at)
-    np.testing.assert_allclose(choices.tilted(0.0), choices.share)
-    expected = choices.share * choices.amplitude**1.5
-    np.testing.assert_allclose(choices.tilted(1.5), expected / expected.sum())
-    assert choices.share.sum() == pytest.approx(1.0)
-
-
-def test_without_a_probe_there_is_no_tilt(system: LinearSystem, grid: HyperparameterGrid, at: FloatArray) -> None:
-    choices = module.plausible(system.normal(), grid, at)
-    assert module.honest_tilt(choices, np.zeros((len(choices.shift), 3, 0))) == 0.0
+def test_without_a_place_that_is_shown_there_is_no_mixture(
+    system: LinearSystem, grid: HyperparameterGrid, problem: FitProblem
+) -> None:
+    nowhere = replace(problem, template=replace(problem.template, width=1, height=1))
+    assert _posterior(system, grid, nowhere).mixture is None
 
 
 def test_the_plausible_choices_hold_nearly_all_probability(
@@ -248,21 +235,3 @@ def test_probes_are_the_directions_within_the_image_to_its_edges(
 def _within(camera: Camera, pixels: FloatArray, *, axis: int) -> NDArray[np.bool_]:
     size = [camera.width, camera.height][axis]
     return np.asarray((pixels[:, axis] > -0.5) & (pixels[:, axis] < size - 0.5))
-
-
-@pytest.mark.parametrize("shift", [-2.9, -0.3, 0.0, 1.4])
-def test_the_root_of_a_rising_function(shift: float) -> None:
-    count = 0
-
-    def rising(at: float) -> float:
-        nonlocal count
-        count += 1
-        return math.tanh(3.0 * (at - shift)) + 0.01 * (at - shift)
-
-    assert module.root_of_rising(rising, -3.0, 1.5, close=1e-6) == pytest.approx(shift, abs=1e-6)
-    assert count <= 16
-
-
-def test_where_a_rising_function_has_no_root_it_is_the_nearer_end() -> None:
-    assert module.root_of_rising(lambda at: at + 9.0, -3.0, 1.5, close=1e-6) == -3.0
-    assert module.root_of_rising(lambda at: at - 9.0, -3.0, 1.5, close=1e-6) == 1.5

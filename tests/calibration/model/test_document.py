@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from tests.fixtures.calibration import current_document, distinctive_calibration
 
-from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance, with_covariance
 from sunarc.calibration.model.document import field_document, from_document
 from sunarc.calibration.model.residual_field import Field, wave_basis
+from sunarc.calibration.model.result import ErrorMixture, distances_holding
 from sunarc.errors import InputError
 
 
@@ -95,3 +97,73 @@ def test_a_field_of_other_shapes_is_refused(key: str, value: object) -> None:
     with pytest.raises(InputError) as refused:
         from_document(document)
     assert refused.value.field.startswith("uncertainty.field")
+
+
+MIXTURE = ErrorMixture(
+    shares=np.array([0.7, 0.3]),
+    pixels_px=np.array([[600.0, 400.0], [800.0, 500.0]]),
+    scales=np.array([[0.5, 1.5], [0.8, 1.2]]),
+)
+
+
+def test_the_mixture_is_read_as_it_was_written_and_none_where_there_is_none() -> None:
+    made = replace(distinctive_calibration(), mixture=MIXTURE)
+    document = current_document(made)
+    found = from_document(document).mixture
+    assert found is not None
+    for name in ("shares", "pixels_px", "scales"):
+        np.testing.assert_allclose(getattr(found, name), getattr(MIXTURE, name))
+    del document["uncertainty"]["mixture"]
+    assert from_document(document).mixture is None
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("shares", [0.7, 0.7]),
+        ("shares", [1.2, -0.2]),
+        ("shares", []),
+        ("shares", None),
+        ("pixels_px", []),
+        ("pixels_px", [[1.0, 2.0]]),
+        ("scales", [[1.0, 0.0], [1.0, 1.0]]),
+        ("scales", [[1.0], [1.0]]),
+    ],
+)
+def test_a_mixture_that_is_none_is_refused(key: str, value: object) -> None:
+    document = current_document(replace(distinctive_calibration(), mixture=MIXTURE))
+    document["uncertainty"]["mixture"][key] = value
+    with pytest.raises(InputError) as refused:
+        from_document(document)
+    assert refused.value.field.startswith("uncertainty.mixture")
+
+
+def test_a_mixture_holds_the_shares_that_draws_of_it_have() -> None:
+    places = np.array([[600.0, 400.0], [800.0, 500.0], [500.0, 300.0]])
+    rng = np.random.default_rng(1)
+    drawn = MIXTURE.at(places)[:, rng.choice(2, 40_000, p=MIXTURE.shares)]
+    distance = drawn * np.hypot(*rng.standard_normal((2, 3, 40_000)))
+    np.testing.assert_allclose(MIXTURE.at(places[:2]), MIXTURE.scales, rtol=1e-6)
+    for share in (0.5, 0.68, 0.95, 0.99):
+        limits = MIXTURE.sigma_factors(places, share) * math.sqrt(-2.0 * math.log(1.0 - share))
+        np.testing.assert_allclose(np.mean(distance < limits[:, None], axis=1), share, atol=0.01)
+        held = distances_holding(np.ones(1), np.full((3, 1), 2.0), share)
+        np.testing.assert_allclose(held**2, -8.0 * math.log(1.0 - share))
+
+
+def test_errors_beside_a_gaussian_are_less_of_a_mixture() -> None:
+    """Of a class of 1-sigma s, half of whose stated variance is another Gaussian's, (s² + 1) / 2 is left."""
+    np.testing.assert_allclose(MIXTURE.beside(np.array([1.0, 1.0])).scales, MIXTURE.scales)
+    np.testing.assert_allclose(MIXTURE.beside(np.array([0.5, 0.5])).scales ** 2, 0.5 * (MIXTURE.scales**2 + 1.0))
+    np.testing.assert_allclose(MIXTURE.about(2.0).scales, 0.5 * MIXTURE.scales)
+
+
+def test_a_covariance_with_further_errors_has_a_mixture_that_is_nearer_to_a_gaussian() -> None:
+    made = replace(distinctive_calibration(), mixture=MIXTURE)
+    covariance = made.covariance.copy()
+    pose = slice(5, 8)
+    covariance[pose, pose] += 100.0 * np.max(np.abs(covariance)) * np.eye(3)
+    found = with_covariance(made, covariance)
+    assert found.mixture is not None
+    assert np.all(np.abs(found.mixture.scales - 1.0) < np.abs(MIXTURE.scales - 1.0))
+    assert with_covariance(replace(made, mixture=None), covariance).mixture is None

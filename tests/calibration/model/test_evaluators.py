@@ -116,6 +116,10 @@ def test_the_python_evaluator_reads_what_fits_write(own_documents: Own) -> None:
         expected = project_with_covariance(fit, directions)[1].reshape(3, 4)
         np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-6)
         directions, pixels = questions(fit)
+        gaussian = math.sqrt(-2.0 * math.log(0.5))
+        factors = np.ones(len(pixels)) if fit.mixture is None else fit.mixture.sigma_factors(pixels, 0.5)
+        holding = [evaluator["holding"](read, [*one, 0.5]) for one in pixels]
+        np.testing.assert_allclose(np.ravel(holding), gaussian * factors, rtol=1e-3)
         compared(
             fit,
             np.array([evaluator["project"](read, one) for one in directions]),

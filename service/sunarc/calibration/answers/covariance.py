@@ -9,6 +9,7 @@ estimate's error is uncorrelated with the data, so only the field's own block st
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -17,6 +18,7 @@ from numpy.typing import ArrayLike
 from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.model.backward import camera_sees
 from sunarc.calibration.model.residual_field import Field
+from sunarc.calibration.model.result import Calibration
 from sunarc.optics import pose
 from sunarc.optics.camera import PARAMETER_NAMES, Camera
 from sunarc.optics.forward import by_direction, project, project_with_rows_fast, tangent_basis
@@ -208,6 +210,20 @@ def sky_sigma_deg(calibration: Uncertain) -> tuple[float, float]:
         return math.nan, math.nan
     sigma = np.minimum(sigma, _FURTHEST_DEG)
     return float(np.sqrt(np.mean(sigma**2))), float(np.max(sigma))
+
+
+def with_covariance(calibration: Calibration, covariance: FloatArray) -> Calibration:
+    """Return a calibration whose parameters have another covariance (p, p), by errors independent of the others."""
+    changed = replace(calibration, covariance=covariance)
+    if calibration.mixture is None:
+        return changed
+    directions = unproject(calibration.camera, calibration.mixture.pixels_px)
+    before, after = (
+        np.trace(project_with_covariance(one, directions)[1], axis1=1, axis2=2) for one in (calibration, changed)
+    )
+    with np.errstate(invalid="ignore"):
+        ratio = np.where(before < after, before / after, 1.0)
+    return replace(changed, mixture=calibration.mixture.beside(ratio))
 
 
 def pose_error(camera: Camera, site: Site, *, clock_error_s: float, site_error_m: float) -> FloatArray:

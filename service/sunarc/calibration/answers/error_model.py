@@ -292,6 +292,8 @@ def draw_ensemble(calibration: Calibration, *, draws: int, seed: int, calibratio
     -----
     The parameters' errors e and those of the field's coefficients are jointly Gaussian (`field_and_parameters`). The
     displacement is J e + f, with J the derivatives of the projection by the parameters and f the field of the errors.
+    Where the errors are a mixture, a class is drawn for the whole image, and the displacement is scaled as its 1-sigma
+    is.
     """
     table = inverse_table(calibration.camera)
     radius = np.linspace(0.0, table.constants.limit, _RINGS)
@@ -301,8 +303,9 @@ def draw_ensemble(calibration: Calibration, *, draws: int, seed: int, calibratio
     sheets = np.empty((draws, _RINGS + 2, _SPOKES + 3, 2))
     normal = _normals(calibration_id, seed, draws, errors.mean.size + 2 * errors.variances.size + 1)
     parameters, coefficients = draw_errors(errors, normal[:, :-1])
+    scales = _drawn_scales(calibration, np.nan_to_num(at.pixels), _generator(calibration_id, seed, 1), draws)
     for k in range(draws):
-        moved = at.rows @ parameters[k] + at.basis_values @ coefficients[k].T
+        moved = scales[k, :, None] * (at.rows @ parameters[k] + at.basis_values @ coefficients[k].T)
         moved = np.nan_to_num(moved).reshape(_RINGS, _SPOKES, 2)
         sheets[k] = np.stack([polar_spline(moved[..., axis]) for axis in (0, 1)], axis=-1)
     return Ensemble(table=table, sheets_px=sheets, rings_per_radius=float(1.0 / radius[1]), common=normal[:, -1].copy())
@@ -325,8 +328,22 @@ def _polar_directions(table: InverseTable, radius: FloatArray, azimuth: FloatArr
 
 def _normals(calibration_id: str, seed: int, draws: int, size: int) -> FloatArray:
     """Return (draws, size) standard normal numbers; more draws begin with the same ones."""
+    return _generator(calibration_id, seed).standard_normal((draws, size))
+
+
+def _drawn_scales(
+    calibration: Calibration, pixels: FloatArray, generator: np.random.Generator, draws: int
+) -> FloatArray:
+    """Return (draws, n): the 1-sigma of errors at pixels (n, 2) in stated ones, of a class for each draw."""
+    if calibration.mixture is None:
+        return np.ones((draws, pixels.shape[0]))
+    upto = np.cumsum(calibration.mixture.shares[:-1])
+    return calibration.mixture.at(pixels).T[np.searchsorted(upto, generator.uniform(size=draws))]
+
+
+def _generator(calibration_id: str, *numbers: int) -> np.random.Generator:
     of_id = int.from_bytes(hashlib.sha256(calibration_id.encode()).digest()[:8], "big")
-    return np.random.Generator(np.random.PCG64([of_id, seed])).standard_normal((draws, size))
+    return np.random.Generator(np.random.PCG64([of_id, *numbers]))
 
 
 def draw_errors(errors: CameraErrorModel, normal: FloatArray) -> tuple[FloatArray, FloatArray]:

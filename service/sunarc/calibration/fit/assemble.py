@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray
-from sunarc.calibration.answers.covariance import pose_error, sky_sigma_deg
+from sunarc.calibration.answers.covariance import pose_error, sky_sigma_deg, with_covariance
 from sunarc.calibration.fit.cross_validation import Doubts, HeldOut, doubts, held_out
 from sunarc.calibration.fit.effects import N_RADIAL, OFFSET_PX, POSE_DIFFERENCE_DEG
 from sunarc.calibration.fit.robust_fit import RobustFit
@@ -21,6 +21,7 @@ from sunarc.calibration.model.residual_field import Field, wave_basis
 from sunarc.calibration.model.result import (
     NO_METRICS,
     Calibration,
+    ErrorMixture,
     Metrics,
     NightDifference,
     Provenance,
@@ -61,8 +62,8 @@ class FitOutcome(NamedTuple):
     """What every method hands over.
 
     cameras: one an epoch. parameter_names, covariance (p, p), cross (2, p, m): of the last one, errors that no residual
-    shows not yet folded in. residual (n, 2) px; used (n,): whether a sighting counted. doubts: what parts of the
-    sightings say of the fit; None where that is not asked.
+    shows not yet folded in. residual (n, 2) px; used (n,): whether a sighting counted. mixture: None for a Gaussian.
+    doubts: what parts of the sightings say of the fit; None where that is not asked.
     """
 
     cameras: list[Camera]
@@ -77,6 +78,7 @@ class FitOutcome(NamedTuple):
     held_out: HeldOut | None
     log_odds: Mapping[str, float] = MappingProxyType({})
     night: NightDifference | None = None
+    mixture: ErrorMixture | None = None
     doubts: Doubts | None = None
 
 
@@ -93,7 +95,7 @@ def calibration_from_fit(fitted: FitOutcome, job: Job, handedness: Handedness) -
         camera=camera,
         poses=tuple(c.rotation_cam_enu for c in cameras),
         parameter_names=fitted.parameter_names,
-        covariance=0.5 * (covariance + covariance.T),
+        covariance=fitted.covariance,
         field=fitted.field,
         sky_rms_deg=math.nan,
         sky_max_deg=math.nan,
@@ -104,9 +106,11 @@ def calibration_from_fit(fitted: FitOutcome, job: Job, handedness: Handedness) -
         verdict=Verdict(accepted=False, findings=(Finding("not_evaluated"),)),
         method=options.method,
         site=job.site,
+        mixture=fitted.mixture,
         used=_used(fitted, job),
         night=fitted.night,
     )
+    calibration = with_covariance(calibration, 0.5 * (covariance + covariance.T))
     rms, most = sky_sigma_deg(calibration)
     calibration = replace(calibration, sky_rms_deg=rms, sky_max_deg=most)
     return replace(calibration, verdict=fit_verdict(calibration, usable, handedness, options))
@@ -254,6 +258,7 @@ def robust_outcome(fit: RobustFit, usable: Sightings, options: CalibrationOption
         held_out=held_out(fit, usable),
         log_odds=fit.log_odds,
         night=_night_difference(fit, usable),
+        mixture=fit.posterior.mixture,
         doubts=found,
     )
 

@@ -23,7 +23,7 @@ from sunarc.calibration.fit.marginal_likelihood import (
     scale_grid,
 )
 from sunarc.calibration.fit.normal_equations import LinearSystem
-from sunarc.calibration.fit.posterior import PosteriorCovariance, marginalised_covariance, mixed_over_decentering
+from sunarc.calibration.fit.posterior import PosteriorCovariance, stated_posterior
 from sunarc.calibration.fit.robust_rounds import LOOSE_DECENTERING_PX, LOOSE_RADIAL_PX, robust_camera
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.residual_field import WaveBasis
@@ -136,23 +136,6 @@ def _fitted(
         information=found.information,
         log_odds={**log_odds_of_parts(normal, grid.basis, state.scales), "field": state.field_odds, **state.block_odds},
     )
-
-
-def stated_posterior(
-    problem: FitProblem,
-    system: LinearSystem,
-    unknowns: FloatArray,
-    *,
-    grid: HyperparameterGrid,
-    scales: Scales,
-    mean: FloatArray | None,
-) -> PosteriorCovariance:
-    """Return how far a fit may be off, over all plausible scales; the system is about its unknowns.
-
-    `mean` (2, m) is that of the field in the prediction; None: it has no part in it.
-    """
-    posterior = marginalised_covariance(system.normal(), grid, problem, unknowns, mean)
-    return mixed_over_decentering(posterior, problem, system, unknowns, scales, mean)
 
 
 def grid_of(template: Camera, options: CalibrationOptions) -> HyperparameterGrid:

@@ -202,6 +202,7 @@ def moved_to_lens(solved: Calibration, lens: LensType, to: Gaussian, options: Ca
         solved,
         covariance=0.5 * (covariance + covariance.T),
         field=replace(solved.field, cross=from_frame @ (cross - by_lens @ taken @ of_field)),
+        mixture=None,
     )
     camera = tidied(solved.camera.with_parameters(vector), options)
     if camera.displacement is not None:

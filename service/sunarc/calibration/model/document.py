@@ -13,7 +13,15 @@ import numpy as np
 from sunarc.array_types import FloatArray
 from sunarc.calibration.model.backward import BackwardModel
 from sunarc.calibration.model.residual_field import Field, WaveBasis
-from sunarc.calibration.model.result import Calibration, Metrics, Move, NightDifference, Provenance, Verdict
+from sunarc.calibration.model.result import (
+    Calibration,
+    ErrorMixture,
+    Metrics,
+    Move,
+    NightDifference,
+    Provenance,
+    Verdict,
+)
 from sunarc.errors import InputError
 from sunarc.findings import Finding, from_json
 from sunarc.optics.camera import PARAMETER_NAMES, Camera
@@ -98,6 +106,7 @@ SCHEMA = "sunarc.calibration/2"
 _EARLIER = "sunarc.calibration/1"
 """Without the field's mean: the prediction is the lens alone."""
 READ_SCHEMAS = (SCHEMA, _EARLIER)
+_ROUNDED_SHARES = 1e-3
 
 Document = dict[str, Any]
 
@@ -166,8 +175,17 @@ def _uncertainty(calibration: Calibration) -> Document:
         "parameters": list(calibration.parameter_names),
         "covariance": calibration.covariance.tolist(),
         "field": field_document(calibration.field, calibration.camera.displacement),
+        "mixture": None if calibration.mixture is None else _mixture_document(calibration.mixture),
         "sky_rms_deg": _number(calibration.sky_rms_deg),
         "sky_max_deg": _number(calibration.sky_max_deg),
+    }
+
+
+def _mixture_document(mixture: ErrorMixture) -> Document:
+    return {
+        "shares": mixture.shares.tolist(),
+        "pixels_px": np.round(mixture.pixels_px, 1).tolist(),
+        "scales": _rounded(mixture.scales, digits=4),
     }
 
 
@@ -280,6 +298,7 @@ def from_document(document: object) -> Calibration:
         ),
         method=method,
         site=Site(**read.numbers_of("site", Site)),
+        mixture=_read_mixture(read),
         night=_read_night(read),
     )
 
@@ -339,6 +358,25 @@ def _read_field(read: DocumentReader, size: int, *, earlier: bool) -> Field:
         known=read.array(f"{key}.known", (len(read.items(f"{key}.known")), orders.shape[0])),
         coupling=read.array(f"{key}.coupling", (2, max(rows, default=0), orders.shape[0])),
     )
+
+
+def _read_mixture(read: DocumentReader) -> ErrorMixture | None:
+    """Return how the errors are spread; None where they are as a Gaussian's, as in documents before version 0.4."""
+    key = "uncertainty.mixture"
+    if read.value(key, needed=False) is None:
+        return None
+    shares = read.array(f"{key}.shares", (len(read.items(f"{key}.shares")),))
+    pixels = read.array(f"{key}.pixels_px", (len(read.items(f"{key}.pixels_px")), 2))
+    scales = read.array(f"{key}.scales", (pixels.shape[0], shares.size))
+    for name, right in (
+        ("shares", shares.size and np.all(shares > 0.0) and abs(shares.sum() - 1.0) < _ROUNDED_SHARES),
+        ("pixels_px", pixels.shape[0] > 0),
+        ("scales", np.all(scales > 0.0)),
+    ):
+        if not right:
+            remedy = "give shares that sum to 1, and at least one place with a positive scale for each"
+            raise InputError(field=f"{key}.{name}", problem="a number is out of bounds", remedy=remedy)
+    return ErrorMixture(shares=shares, pixels_px=pixels, scales=scales)
 
 
 def _read_mean(read: DocumentReader, basis: WaveBasis) -> Displacement | None:

@@ -207,6 +207,75 @@ class NightDifference:
     star_offset_sigma_px: float
 
 
+_NEWTON_STEPS = 100
+_SAME = 1e-12
+_NOMINAL = 0.95
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ErrorMixture:
+    """How errors are spread about the Gaussian that is stated: a mixture of c Gaussians, at n places over the image.
+
+    Attributes
+    ----------
+    shares : (c,) probabilities of the classes, from small errors to large ones; they sum to 1.
+    pixels_px : (n, 2) the places.
+    scales : (n, c) 1-sigma of each class there, in units of the one that is stated.
+    """
+
+    shares: FloatArray
+    pixels_px: FloatArray
+    scales: FloatArray
+
+    def at(self, pixels: FloatArray) -> FloatArray:
+        """Return the classes' scales (k, c) at pixels (k, 2): their mean over all places, by 1 / (1 + distance²)²."""
+        square = np.sum((pixels[:, None] - self.pixels_px) ** 2, axis=-1)
+        weight = (1.0 + square) ** -2.0
+        return np.asarray((weight / weight.sum(axis=1, keepdims=True)) @ self.scales)
+
+    def sigma_factors(self, pixels: FloatArray, share: float) -> FloatArray:
+        """Return (k,): by what the stated 1-sigma at pixels (k, 2) is to be multiplied for a share's ellipse.
+
+        The ellipse of a share q of a Gaussian is that of its 1-sigma, times √(-2 log(1 - q)).
+        """
+        held = distances_holding(self.shares, self.at(pixels), share)
+        return np.asarray(held / math.sqrt(-2.0 * math.log1p(-share)))
+
+    def sigma_factor(self) -> float:
+        """Return by what all stated 1-sigmas are to be multiplied, that 95 % lie in their ellipses over all places."""
+        count = self.scales.shape[0]
+        held = distances_holding(np.tile(self.shares / count, count), self.scales.reshape(1, -1), _NOMINAL)
+        return float(held[0]) / math.sqrt(-2.0 * math.log1p(-_NOMINAL))
+
+    def about(self, factor: float) -> ErrorMixture:
+        """Return the same errors where a 1-sigma is stated that is larger by a factor."""
+        return replace(self, scales=self.scales / factor)
+
+    def beside(self, ratio: FloatArray) -> ErrorMixture:
+        """Return the mixture beside a Gaussian error of its own: it has had a ratio (n,) of the variance of both."""
+        return replace(self, scales=np.sqrt(1.0 + ratio[:, None] * (self.scales**2 - 1.0)))
+
+
+def distances_holding(shares: FloatArray, scales: FloatArray, share: float) -> FloatArray:
+    """Return (n,): the distances within which a share of mixtures of round Gaussians in the plane lies.
+
+    Parameters
+    ----------
+    shares, scales : of the Gaussians, (c,), and their 1-sigmas, (n, c).
+    share : below 1.
+    """
+    square, rates = np.zeros(scales.shape[0]), 0.5 / np.maximum(scales, _SAME) ** 2
+    # Newton's method on the log of what is outside: it is convex and falls, so that the steps never go too far
+    for _ in range(_NEWTON_STEPS):
+        outside = shares * np.exp(-rates * square[:, None])
+        total = outside.sum(axis=1)
+        step = total * (np.log(total) - math.log1p(-share)) / np.sum(rates * outside, axis=1)
+        square = square + step
+        if np.all(step <= _SAME * square):
+            break
+    return np.asarray(np.sqrt(square))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Calibration:
     """A fitted camera with its uncertainty and its evidence.
@@ -220,6 +289,7 @@ class Calibration:
     field : what no lens model says: its mean is in `camera.displacement`, what is not known of it in the uncertainty.
     sky_rms_deg, sky_max_deg : 1-sigma per axis over the upper hemisphere that the camera sees.
     pose : the Table 2 angles.
+    mixture : how the errors are spread about covariance and field; None: as a Gaussian's.
     used : (n,) which of the sightings supplied counted; None where they are not at hand (a calibration that was read).
     night : how the night differs from the day, of which the calibration is; None without sightings of a night.
     """
@@ -238,6 +308,7 @@ class Calibration:
     verdict: Verdict
     method: Method
     site: Site
+    mixture: ErrorMixture | None = None
     used: BoolArray | None = None
     night: NightDifference | None = None
 

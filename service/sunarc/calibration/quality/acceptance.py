@@ -17,6 +17,7 @@ from sunarc.calibration.answers.covariance import (
     project_with_covariance,
     rotation_covariance,
     sky_sigma_deg,
+    with_covariance,
 )
 from sunarc.calibration.evidence import squared_sigmas
 from sunarc.calibration.model.result import Calibration, Verdict
@@ -83,7 +84,7 @@ def _widened(calibration: Calibration, sign: float, spread_deg: Sequence[float] 
     enu_covariance = np.diag(np.radians(np.asarray(spread_deg, dtype=np.float64)) ** 2)
     covariance = calibration.covariance.copy()
     covariance[POSE, POSE] += sign * rotation_covariance(calibration.camera, enu_covariance)
-    widened = replace(calibration, covariance=covariance)
+    widened = with_covariance(calibration, covariance)
     rms, most = sky_sigma_deg(widened)
     return replace(widened, sky_rms_deg=rms, sky_max_deg=most)
 
