@@ -28,6 +28,7 @@ from ranks import amplitude_px as drawn_amplitude_px
 
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.fit.effects import OUTWARDS_PX
 from sunarc.calibration.model.backward import camera_sees
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.optics.camera import Camera
@@ -73,7 +74,8 @@ class Case:
     days: offsets from 13 May 2013, a sighting every `cadence_s`. field_px: None draws it from the fit's prior, with its
     length. rounded: to whole pixels. tilt_deg: None draws it (2.5 degrees). size: of the image, px. edge_deg: the angle
     off the axis that the image's shorter side ends at; NaN: 90, or 60 with a perspective lens. as_prior: the scales of
-    radial distortion and decentering are drawn from the fit's prior, too, in place of 1.5 and 0.6 px, and the air is.
+    radial distortion and decentering are drawn from the fit's prior, too, in place of 1.5 and 0.6 px, and the air and the
+    bias of detections along the radius are.
     """
 
     days: tuple[int, ...] = (0,)
@@ -196,6 +198,10 @@ def one_lens(seed: int, case: Case, *, search: bool = False) -> FloatArray:
         sun = replace(sun, directions=in_other_air(sun.directions, sun.unix_s, case.site, rng))
     noise = case.noise(rng, sun.zenith_deg, case.sigma_px)
     points = pop.sightings_of(truth, sun.unix_s, sun.directions, noise, field=field)
+    if case.as_prior:
+        off = points.pixels - np.array(truth.principal_point_px)
+        along = off / np.linalg.norm(off, axis=-1, keepdims=True)
+        points = replace(points, pixels=points.pixels + rng.normal(0.0, OUTWARDS_PX) * along)
     if case.rounded:
         points = replace(points, pixels=np.rint(points.pixels))
     options = CalibrationOptions(projection=case.projection)

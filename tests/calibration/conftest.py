@@ -84,7 +84,7 @@ def simulate(
     pixels = project(camera, sun_directions(times, site))
     inside = np.all((pixels > 0.0) & (pixels < camera.width), axis=-1)
     noise = np.random.default_rng(seed).normal(0.0, sigma_px, pixels.shape)
-    points = Sightings.of(unix_s=times[inside], pixels=(pixels + noise)[inside])
+    points = Sightings.of(unix_s=times[inside], pixels=(pixels + noise)[inside], clock_error_s=0.01)
     return Simulated(camera=camera, site=site, points=points)
 
 

@@ -66,3 +66,10 @@ def test_gross_errors_among_few_sightings_are_not_served() -> None:
     fit = calibrate(Sightings.of(unix_s=points.unix_s, pixels=pixels), site=SGP, image_size=(truth.width, truth.height))
     error = np.linalg.norm(project(fit.camera, hemisphere(200)) - project(truth, hemisphere(200)), axis=-1)
     assert not fit.verdict.accepted or np.nanmedian(error) < 10.0
+
+
+def test_a_day_of_one_sighting_does_not_tell_how_the_camera_is_turned() -> None:
+    # of the four days one has a single sighting, in the pixel of which two angles show, exactly
+    truth, points = _drawn(37, 4, 0.05)
+    fit = calibrate(points, site=SGP, image_size=(truth.width, truth.height))
+    assert 0.0 < fit.evidence.held_out["excess"] < 1.0
