@@ -74,7 +74,7 @@ class Case:
     days: offsets from 13 May 2013, a sighting every `cadence_s`. field_px: None draws it from the fit's prior, with its
     length. rounded: to whole pixels. tilt_deg: None draws it (2.5 degrees). size: of the image, px. edge_deg: the angle
     off the axis that the image's shorter side ends at; NaN: 90, or 60 with a perspective lens. as_prior: the scales of
-    radial distortion and decentering are drawn from the fit's prior, too, in place of 1.5 and 0.6 px, and so are the air
+    radial distortion and decentering are drawn from the fit's prior, too, in place of 1.5 and 0.6 px, and so are air
     and the bias of detections along the radius.
     """
 
