@@ -2,7 +2,7 @@
 
 Each is a row of `EFFECTS`: its name, and a function that gives the displacements of all sightings at 1-sigma of each of
 its unknowns. They are computed about a camera near the one sought. The camera that is sought is that of the day in
-still air with a right clock: in its pose the sun is predicted.
+the assumed air with a right clock: in its pose the sun is predicted.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray
-from sunarc.calibration.model.result import STRONG_EVIDENCE
+from sunarc.calibration.model.result import STRONG_EVIDENCE, SURE_EVIDENCE
 from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.calibration.solve.priors import LENS, Whitened, with_wide_pixels
 from sunarc.calibration.solve.problem import Block, FitProblem, by_elevation
@@ -42,9 +42,6 @@ corrects drifts by 0.1 s an hour, and by several times that in the cold and the 
 _HOURS = 6.0
 """Of a clear day's half: a clock whose bound is stated drifts within it at most."""
 _NEGLIGIBLE_PX = 1e-4
-_PROOF = 10.0
-"""Log odds that prove an error which is not there in most cameras: what a lens's eight coefficients cannot say of its
-radius, for one, looks like a bias along it with log odds of 4."""
 STRETCH = [Whitened.ASPECT, Whitened.SKEW]
 """Places of the unknowns that pixels which are not square take."""
 PIXELS = "pixels"
@@ -56,9 +53,8 @@ class _View(NamedTuple):
     """Sightings as a camera near the one sought shows them.
 
     stretch (n, 2, 2): px by the wide prior's aspect and skew. by_direction (n, 2, 3), rise (n, 2): px per unit of the
-    direction, and per radian that it rises. outwards (n, 2),
-    radius (n,): unit vectors away from the principal point, and the distance to it over that of the horizon. hours (n,)
-    from the middle of each day's sightings.
+    direction, and per radian that it rises. outwards (n, 2), radius (n,): unit vectors away from the principal point,
+    and the distance to it over that of the horizon. hours (n,): from the mean time of each day's sightings.
     """
 
     seen: Sightings
@@ -149,7 +145,7 @@ class _Effect(NamedTuple):
     name: str
     columns: Callable[[_View], FloatArray]
     possible: bool = True
-    proof: float = _PROOF
+    proof: float = SURE_EVIDENCE
 
 
 EFFECTS = (

@@ -24,6 +24,9 @@ from sunarc.sky.site import Site
 
 STRONG_EVIDENCE = math.log(20.0)
 """Log odds from which on sightings prove something: 20 to 1, the usual "strong" evidence."""
+SURE_EVIDENCE = 10.0
+"""The same of an error that is not there in most cameras: what a lens's eight coefficients do not say of its radius
+looks like a bias along it with log odds of 4."""
 
 # How well a fit meets the sightings (Eq. 27), and both readings of SD.
 
