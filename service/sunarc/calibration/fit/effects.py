@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray
-from sunarc.calibration.model.result import STRONG_EVIDENCE, SURE_EVIDENCE
 from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.calibration.solve.priors import LENS, Whitened, with_wide_pixels
 from sunarc.calibration.solve.problem import Block, FitProblem, by_elevation
@@ -140,18 +139,17 @@ def _daily_clock(view: _View) -> FloatArray:
 
 
 class _Effect(NamedTuple):
-    """A shared error: its displacements; whether it is possible though unproven; log odds that prove it."""
+    """A shared error: its displacements, and whether it is possible though unproven."""
 
     name: str
     columns: Callable[[_View], FloatArray]
     possible: bool = True
-    proof: float = SURE_EVIDENCE
 
 
 EFFECTS = (
     _Effect("night_offset", _night_offset),
     _Effect("night_pose", _night_pose),
-    _Effect("air", _air, proof=STRONG_EVIDENCE),
+    _Effect("air", _air),
     _Effect("outwards", _outwards),
     _Effect("clock", _clock),
     _Effect("daily_clock", _daily_clock, possible=False),
@@ -163,11 +161,6 @@ POSSIBLE = frozenset(effect.name for effect in EFFECTS if effect.possible)
 
 SHOWN_BY_STARS = frozenset({"night_offset", "night_pose", "air"})
 """Those that stars on all sides of the sky show: beside them their means make the better camera."""
-
-
-def proves(name: str, log_odds: float) -> bool:
-    """Return whether log odds prove the shared error of a name."""
-    return any(effect.name == name and log_odds > effect.proof for effect in EFFECTS)
 
 
 def with_effects(problem: FitProblem, unknowns: FloatArray, observed: Sightings) -> tuple[FitProblem, Sightings]:

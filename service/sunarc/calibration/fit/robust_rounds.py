@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray
-from sunarc.calibration.fit.effects import POSSIBLE, SHOWN_BY_STARS, proves
+from sunarc.calibration.fit.effects import POSSIBLE, SHOWN_BY_STARS
 from sunarc.calibration.fit.marginal_likelihood import (
     HyperparameterGrid,
     MarginalFit,
@@ -30,7 +30,7 @@ from sunarc.calibration.fit.marginal_likelihood import (
 )
 from sunarc.calibration.fit.normal_equations import LinearSystem, linear_system, most_probable_with_field, system_about
 from sunarc.calibration.fit.posterior import prediction_variance
-from sunarc.calibration.model.result import STRONG_EVIDENCE
+from sunarc.calibration.model.result import STRONG_EVIDENCE, proves
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.noise import Noise, NoiseGroups, autocorrelation_inflation, measured_noise
 from sunarc.calibration.robust_loss import CUT, robust_sigma, surely_well_behaved, tukey_loss, tukey_weights

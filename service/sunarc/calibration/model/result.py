@@ -24,9 +24,19 @@ from sunarc.sky.site import Site
 
 STRONG_EVIDENCE = math.log(20.0)
 """Log odds from which on sightings prove something: 20 to 1, the usual "strong" evidence."""
-SURE_EVIDENCE = 10.0
-"""The same of an error that is not there in most cameras: what a lens's eight coefficients do not say of its radius
-looks like a bias along it with log odds of 4."""
+_PROOFS = {"air": STRONG_EVIDENCE, "pixels": math.log(100.0)}
+_RARE = 10.0
+
+
+def proves(error: str, log_odds: float) -> bool:
+    """Return whether log odds prove an error that sightings share, by its name, see `fit.effects`.
+
+    Other air is usual. Pixels that are not square are those of one camera in a hundred, and one that is taken for such
+    in error states what it then does not know. Others are rarer: what a lens's eight coefficients do not say of its
+    radius looks like a bias along it with log odds of 4.
+    """
+    return log_odds > _PROOFS.get(error, _RARE)
+
 
 # How well a fit meets the sightings (Eq. 27), and both readings of SD.
 

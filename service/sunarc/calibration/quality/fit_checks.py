@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.calibration.model.result import SURE_EVIDENCE, Calibration, Verdict
+from sunarc.calibration.model.result import Calibration, Verdict, proves
 from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.calibration.quality.day_quality import arc_length_deg, unexplained_days
 from sunarc.calibration.quality.site_checks import tilt_question
@@ -144,7 +144,7 @@ def _proven_effects(calibration: Calibration) -> Iterator[Finding]:
     """Yield what the sightings prove of errors that they share."""
     log_odds, (fx, fy) = calibration.evidence.log_odds, calibration.camera.focal_length_px
     for name, code in _PROVEN.items():
-        if log_odds.get(name, 0.0) > SURE_EVIDENCE:
+        if proves(name, log_odds.get(name, 0.0)):
             yield Finding(code, {"log_odds": log_odds[name], "aspect": fx / fy})
 
 
