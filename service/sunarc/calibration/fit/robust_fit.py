@@ -27,6 +27,7 @@ from sunarc.calibration.fit.posterior import PosteriorCovariance, stated_posteri
 from sunarc.calibration.fit.robust_rounds import LOOSE_DECENTERING_PX, LOOSE_RADIAL_PX, robust_camera
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.residual_field import WaveBasis
+from sunarc.calibration.model.result import proves
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.noise import NoiseGroups
 from sunarc.calibration.robust_loss import robust_sigma, surely_well_behaved
@@ -97,7 +98,7 @@ def fit_robustly(
     grid = grid_of(problem.template, options)
     groups = NoiseGroups.of(usable)
     fit = _fitted(problem, observed, start, groups, grid)
-    if not fit.problem.has(PIXELS):
+    if not proves(PIXELS, fit.log_odds.get(PIXELS, 0.0)):
         return fit
     wide = replace(problem, prior=with_wide_pixels(problem.prior))
     start = wide.unknowns([fit.problem.camera(fit.unknowns, epoch) for epoch in range(problem.n_epochs)])

@@ -30,7 +30,7 @@ from sunarc.calibration.fit.marginal_likelihood import (
 )
 from sunarc.calibration.fit.normal_equations import LinearSystem, linear_system, most_probable_with_field, system_about
 from sunarc.calibration.fit.posterior import prediction_variance
-from sunarc.calibration.model.result import STRONG_EVIDENCE, proves
+from sunarc.calibration.model.result import STRONG_EVIDENCE, proves, suspects
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.noise import Noise, NoiseGroups, autocorrelation_inflation, measured_noise
 from sunarc.calibration.robust_loss import CUT, robust_sigma, surely_well_behaved, tukey_loss, tukey_weights
@@ -428,13 +428,13 @@ def _with_proven(  # noqa: PLR0917 - the fit, piece by piece
     state: RoundState,
     grid: HyperparameterGrid,
 ) -> tuple[FitProblem, RoundState]:
-    """Return the problem with the shared errors that are possible or that the sightings, by their information, prove.
+    """Return the problem with the shared errors that are possible, or that the sightings make so by their information.
 
     And the state with those that are not proven at 0.
     """
     system = system_about(problem, observed, bins, last_round, state.unknowns)
     proven, log_weight, odds = proven_blocks(problem, system.normal(), grid)
-    kept, places = problem.only(POSSIBLE | proven)
+    kept, places = problem.only(POSSIBLE | proven | {name for name, one in odds.items() if suspects(one)})
     state = replace(state, unknowns=state.unknowns[places], block_odds=odds)
     estimated, places = kept.only(proven)
     if len(estimated.blocks) == len(problem.blocks):

@@ -24,18 +24,20 @@ from sunarc.sky.site import Site
 
 STRONG_EVIDENCE = math.log(20.0)
 """Log odds from which on sightings prove something: 20 to 1, the usual "strong" evidence."""
-_PROOFS = {"air": STRONG_EVIDENCE, "pixels": math.log(100.0)}
-_RARE = 10.0
+_SUSPICION, _PROOF = math.log(100.0), 10.0
+"""Log odds of an error that sightings share and that is there in one camera of a hundred: as probable as not, and
+proven. What a lens's eight coefficients do not say of its radius looks like a bias along it with log odds of 4, and
+on one day a decentering of 5 px like pixels that are not square with 8."""
+
+
+def suspects(log_odds: float) -> bool:
+    """Return whether such an error must be allowed for, see `proves`."""
+    return log_odds > _SUSPICION
 
 
 def proves(error: str, log_odds: float) -> bool:
-    """Return whether log odds prove an error that sightings share, by its name, see `fit.effects`.
-
-    Other air is usual. Pixels that are not square are those of one camera in a hundred, and one that is taken for such
-    in error states what it then does not know. Others are rarer: what a lens's eight coefficients do not say of its
-    radius looks like a bias along it with log odds of 4.
-    """
-    return log_odds > _PROOFS.get(error, _RARE)
+    """Return whether log odds prove an error that sightings share, see `fit.effects`; other air is usual."""
+    return log_odds > (STRONG_EVIDENCE if error == "air" else _PROOF)
 
 
 # How well a fit meets the sightings (Eq. 27), and both readings of SD.
