@@ -21,6 +21,7 @@ What such models do not show is a displacement field: they are smooth functions 
 
 from __future__ import annotations
 
+import argparse
 import csv
 import math
 from dataclasses import replace
@@ -260,6 +261,7 @@ def drawn_radial(rng: np.random.Generator, count: int) -> FloatArray:
 
 def main() -> None:
     """Print the tables."""
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     lenses = published()
     shapes = [shape_of(lens) for lens in lenses]
     print(f"{'':26s}{'edge':>5s} {'projection':14s}" + "".join(f"{name:>12s}" for name in Shape._fields[2:]))

@@ -46,6 +46,10 @@ def literals(path: Path) -> set[str]:
     }
 
 
+FORMER = {"sigma_of_thinned_set"}
+"""Codes that stored documents of former versions have."""
+
+
 @cache
 def words() -> set[str]:
     """Return the strings of all sources but the tables of messages."""
@@ -160,6 +164,8 @@ def test_a_stored_move_that_a_search_found_has_the_code_of_the_search() -> None:
 
 @pytest.mark.parametrize("code", sorted({one.code for one in all_codes()}))
 def test_every_declared_code_is_used(code: str) -> None:
+    if code in FORMER:
+        return
     assert any(code == word or (word.endswith("_") and code.startswith(word)) for word in words())
 
 

@@ -39,6 +39,8 @@ from sunarc.calibration.solve.problem import FitProblem
 _LEAST_KNOWN = 0.01
 """Share of a coefficient's variance that sightings take away, below which it counts as unknown."""
 _RIDGE = 1e-12
+_NEGLIGIBLE_WAVE = 1e-9
+"""Share of the largest variance of a wave below which it has no part in the unknowns' errors."""
 _LEAST_COUPLED = 1e-6
 """Share of the largest variance below which what the parameters leave open in the field is left out."""
 
@@ -218,6 +220,13 @@ def stated_posterior(
     amplitude = math.sqrt(float(power.sum()))
     length = math.exp(float(power @ np.log(choices.length) / power.sum()))
     covariance, cross = choices.mean_covariances()
+    if mean is None:
+        # the field has one length, and short waves less variance than in the mean over several: in the same proportion
+        # as their roots its terms with the unknowns leave the covariance of both together positive
+        variances = {one: grid.basis.variances(length_px=one) for one in np.unique(choices.length).tolist()}
+        meant = np.sum([power[choices.length == one].sum() * each for one, each in variances.items()], axis=0)
+        stated_waves = amplitude**2 * grid.basis.variances(length_px=length)
+        cross = _possible(covariance, cross * np.sqrt(stated_waves / meant), stated_waves)
     field = Field(amplitude_px=amplitude, length_px=length, basis=grid.basis, cross=cross)
     if mean is not None:
         field = seen_field(field, normal, covariance)
@@ -229,6 +238,14 @@ def stated_posterior(
     mixture = _mixture(choices.share, at_probes(choices, rows, values), stated, pixels)
     factor = mixture.sigma_factor()
     return PosteriorCovariance(factor**2 * covariance, field.widened(factor), mixture.about(factor))
+
+
+def _possible(covariance: FloatArray, cross: FloatArray, variances: FloatArray) -> FloatArray:
+    """Return terms (2, p, m) of unknowns and waves of some variances (m,) that a covariance of both can have."""
+    scale, counts = np.sqrt(np.diag(covariance)), variances > _NEGLIGIBLE_WAVE * variances.max()
+    root = np.linalg.cholesky(covariance / np.outer(scale, scale) + _RIDGE * np.eye(scale.size))
+    both = np.concatenate(list(cross[:, :, counts] / np.sqrt(variances[counts])), axis=-1) / scale[:, None]
+    return np.asarray(cross * counts / max(float(np.linalg.norm(np.linalg.solve(root, both), 2)), 1.0))
 
 
 def plausible(

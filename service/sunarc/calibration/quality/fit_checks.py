@@ -54,14 +54,6 @@ _TURNED = 20.0
 """Chi-square of the turn of one part's camera from which on it is named: three numbers reach it once in 6,000."""
 
 
-_PROVEN = {
-    "pixels": "pixels_not_square",
-    "outwards": "detections_biased",
-    "daily_clock": "clock_drifts",
-}
-"""Codes of the shared errors that a fit may prove, by the names that their log odds have."""
-
-
 class Handedness(NamedTuple):
     """Whether the camera is mirrored, and whether the other handedness fits as well."""
 
@@ -143,9 +135,13 @@ def fit_verdict(
 def _proven_effects(calibration: Calibration) -> Iterator[Finding]:
     """Yield what the sightings prove of errors that they share."""
     log_odds, (fx, fy) = calibration.evidence.log_odds, calibration.camera.focal_length_px
-    for name, code in _PROVEN.items():
-        if proves(name, log_odds.get(name, 0.0)):
-            yield Finding(code, {"log_odds": log_odds[name], "aspect": fx / fy})
+    proven = {name: odds for name, odds in log_odds.items() if proves(name, odds)}
+    if "pixels" in proven:
+        yield Finding("pixels_not_square", {"log_odds": proven["pixels"], "aspect": fx / fy})
+    if "daily_clock" in proven:
+        yield Finding("clock_drifts", {"log_odds": proven["daily_clock"]})
+    if "outwards" in proven:
+        yield Finding("detections_biased", {"log_odds": proven["outwards"]})
 
 
 def _off_center(calibration: Calibration) -> Iterator[Finding]:
