@@ -197,7 +197,7 @@ ROWS: dict[str, tuple[Drawn, int]] = {
     "ghost in half the day": (row(1, ghost), 6),
     "200 easy days": (row(1, sigma_px=0.3), 200),
 }
-"""What draws a world, and of how many lenses unless told."""
+"""What draws a world, and of how many lenses by default."""
 
 
 class Outcome(NamedTuple):
@@ -271,7 +271,7 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rows", action="append", help="rows whose names begin so; all")
-    parser.add_argument("--lenses", type=int, help="of every row; its own number unless told")
+    parser.add_argument("--lenses", type=int, help="of every row; by default its own number")
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--list", action="store_true", help="print a line a lens, too")

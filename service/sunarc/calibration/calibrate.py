@@ -139,7 +139,7 @@ def calibration_of(fit: RobustFit, job: Job, picked: Start) -> Calibration:
 def robust_fit(observed: Sightings, job: Job, cameras: list[Camera]) -> RobustFit:
     """Return the robust fit of a job from first cameras, one an epoch."""
     problem = single_problem(observed, cameras[0], job.options, job.circle, n_epochs=len(cameras))
-    return fit_robustly(problem, observed, job.usable, problem.unknowns(cameras), options=job.options)
+    return fit_robustly(problem, observed, problem.unknowns(cameras), options=job.options)
 
 
 def most_plausible_start(observed: Sightings, job: Job) -> Start | None:

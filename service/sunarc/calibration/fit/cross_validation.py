@@ -209,7 +209,7 @@ def _turn(factor: FloatArray, joint: FloatArray, said: FloatArray, fit: RobustFi
     columns = factor[fit.problem.pose_slice(pose)]
     weighed = np.linalg.solve(joint, np.column_stack([columns.T, said]))
     pull = columns @ weighed[:, -1]
-    vector = np.linalg.lstsq(columns @ weighed[:, :-1], pull)[0]  # one sighting does not tell all three angles
+    vector = np.linalg.lstsq(columns @ weighed[:, :-1], pull)[0]  # one sighting does not determine all three angles
     angle = right_jacobian(fit.problem.camera(fit.unknowns, pose).rotation_cam_enu) @ vector
     return float(pull @ vector), math.degrees(float(np.linalg.norm(angle)))
 

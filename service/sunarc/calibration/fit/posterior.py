@@ -93,11 +93,16 @@ def _known(field: Field, normal: NormalEquations) -> FloatArray:
     )
 
 
-def _coupling(covariance: FloatArray, cross: FloatArray) -> FloatArray:
-    """Return B, (2, q, m), with Bᵀ B = Xᵀ C⁻¹ X."""
+def _whitened(covariance: FloatArray, cross: FloatArray) -> FloatArray:
+    """Return L⁻¹ X, (p, 2 m), of terms X (2, p, m), with L Lᵀ = C the covariance of the unknowns."""
     scale = np.sqrt(np.diag(covariance))
     root = np.linalg.cholesky(covariance / np.outer(scale, scale) + _RIDGE * np.eye(scale.size))
-    both = np.linalg.solve(root, np.concatenate(list(cross / scale[:, None]), axis=-1))
+    return np.asarray(np.linalg.solve(root, np.concatenate(list(cross / scale[:, None]), axis=-1)))
+
+
+def _coupling(covariance: FloatArray, cross: FloatArray) -> FloatArray:
+    """Return B, (2, q, m), with Bᵀ B = Xᵀ C⁻¹ X."""
+    both = _whitened(covariance, cross)
     values, vectors = np.linalg.eigh(both @ both.T)
     turned = vectors[:, values > _LEAST_COUPLED * values[-1]].T @ both
     return np.stack(np.split(turned, 2, axis=-1))
@@ -242,10 +247,9 @@ def stated_posterior(
 
 def _possible(covariance: FloatArray, cross: FloatArray, variances: FloatArray) -> FloatArray:
     """Return terms (2, p, m) of unknowns and waves of some variances (m,) that a covariance of both can have."""
-    scale, counts = np.sqrt(np.diag(covariance)), variances > _NEGLIGIBLE_WAVE * variances.max()
-    root = np.linalg.cholesky(covariance / np.outer(scale, scale) + _RIDGE * np.eye(scale.size))
-    both = np.concatenate(list(cross[:, :, counts] / np.sqrt(variances[counts])), axis=-1) / scale[:, None]
-    return np.asarray(cross * counts / max(float(np.linalg.norm(np.linalg.solve(root, both), 2)), 1.0))
+    counts = variances > _NEGLIGIBLE_WAVE * variances.max()
+    both = _whitened(covariance, cross[:, :, counts] / np.sqrt(variances[counts]))
+    return np.asarray(cross * counts / max(float(np.linalg.norm(both, 2)), 1.0))
 
 
 def plausible(

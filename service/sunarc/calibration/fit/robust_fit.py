@@ -80,7 +80,6 @@ class RobustFit:
 def fit_robustly(
     problem: FitProblem,
     observed: Sightings,
-    usable: Sightings,
     start: FloatArray,
     *,
     options: CalibrationOptions,
@@ -91,12 +90,11 @@ def fit_robustly(
     ----------
     problem : the camera sought.
     observed : sightings, in the order of time within each epoch.
-    usable : the same, for their groups.
     start : (p,) unknowns of the coarse search; other starts are tried beside it.
     options : floor of the field, and tolerances of the lens.
     """
     grid = grid_of(problem.template, options)
-    groups = NoiseGroups.of(usable)
+    groups = NoiseGroups.of(observed)
     fit = _fitted(problem, observed, start, groups, grid)
     if not proves(PIXELS, fit.log_odds.get(PIXELS, 0.0)):
         return fit
