@@ -142,10 +142,11 @@ def test_a_real_track_drawn_aside_by_cloud_for_16_minutes_fits_as_before() -> No
     site = Site(latitude=54.495866, longitude=11.237683, altitude=9.0)
     options = CalibrationOptions(projection="equidistant")
     points = Sightings.of(unix_s=times, pixels=pixels + aside)
+    clear = calibrate(replace(points, pixels=pixels), site=site, image_size=(1920, 1920), options=options)
     found = calibrate(points, site=site, image_size=(1920, 1920), options=options)
     paper = calibrate(points, site=site, image_size=(1920, 1920), options=replace(options, method="paper"))
     assert found.verdict.accepted, found.verdict.reasons
-    assert found.metrics.rmse_px <= 0.40
+    assert found.metrics.rmse_px <= min(0.43, 1.05 * clear.metrics.rmse_px)
     left = [
         np.linalg.norm(points.pixels - project(one.camera, sun_directions(times, site)), axis=-1)
         for one in (found, paper)
