@@ -11,7 +11,7 @@ from tests.fixtures.calibration import SGP, filtered_sightings, small_camera, st
 
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Filtering, Sightings, filter_sightings
-from sunarc.calibration.quality.fit_checks import Handedness, fit_verdict
+from sunarc.calibration.quality.fit_checks import Handedness, before_fit, fit_verdict
 from sunarc.optics.pose import rotation_matrix
 
 HAND = Handedness(mirrored=False, ambiguous=False)
@@ -95,3 +95,21 @@ def test_sightings_of_one_radius_are_refused_where_the_lens_is_sought(
     verdict = fit_verdict(replace(calibration, evidence=evidence), seen, HAND, CalibrationOptions())
     assert ("sightings_of_one_radius" in codes(verdict.findings)) is refused
     assert not (refused and verdict.accepted)
+
+
+@pytest.mark.parametrize(
+    ("arc_deg", "days", "refused"), [(9.8, 1, True), (10.2, 1, False), (4.9, 2, True), (5.1, 2, False)]
+)
+def test_arcs_of_several_days_count_together_and_gaps_between_them_do_not(
+    arc_deg: float, days: int, *, refused: bool
+) -> None:
+    angle = np.radians(np.linspace(0.0, arc_deg, 21))
+    arc = np.stack([np.sin(angle), np.zeros(21), np.cos(angle)], axis=-1)
+    rays = np.concatenate([arc, -arc[:, [1, 0, 2]]])[: 21 * days]  # the second day's far from the first one's
+    day = np.repeat(np.arange(days), 21)
+    times = NOON + 60.0 * np.arange(21.0 * days) + 86400.0 * day
+    seen = filtered_sightings(times, np.arange(42.0 * days).reshape(-1, 2) * 20.0, rays, day=day)
+    found = before_fit(seen, CalibrationOptions())
+    assert ("arc_too_short" in codes(found)) is refused
+    if refused:
+        assert {one.code: one for one in found}["arc_too_short"].data["arc_deg"] == pytest.approx(arc_deg * days)

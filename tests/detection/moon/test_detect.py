@@ -129,3 +129,9 @@ def test_the_brightest_places_are_cut_out_and_found_again() -> None:
     assert np.allclose([(detection.x_px or 0) + found.x, (detection.y_px or 0) + found.y], [274.4, 124.7], atol=0.15)
     assert cutout_around(cutouts, 60.0, 290.0, within_px=4.0) is None
     assert brightest_cutouts(np.full((50, 50), 7, dtype=np.uint16), full_scale=4095) == ()
+
+
+@pytest.mark.parametrize("radius_px", [6.0, 9.0])
+def test_the_seas_that_no_law_of_brightness_has_are_in_the_sigma(radius_px: float) -> None:
+    found = look(Moon(phase_deg=30.0, radius_px=radius_px, side=64, x=31.7, y=32.2, peak=0.6))
+    assert 0.008 * radius_px < (found.sigma_px or 0.0) < 0.014 * radius_px

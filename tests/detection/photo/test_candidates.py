@@ -9,8 +9,17 @@ import pytest
 from tests.detection.photo.suns import glare_image
 
 from sunarc.array_types import Image
-from sunarc.detection.photo.candidates import Candidate, candidates_near, part_near, plane_of, whole_part, window_step
+from sunarc.detection.photo.candidates import (
+    Candidate,
+    ImagePart,
+    candidates_near,
+    part_near,
+    plane_of,
+    whole_part,
+    window_step,
+)
 from sunarc.detection.photo.candidates import candidates_in as candidates_in_part
+from sunarc.detection.photo.rim import reach_of
 from sunarc.detection.values import Bayer, Expectation
 
 
@@ -95,3 +104,18 @@ def test_a_plateau_without_room_in_the_window_is_left_to_the_whole_image() -> No
     assert candidates_near(part_near(image, expectation, step=step, static=None, bayer=None), full_scale=4095) is None
     complete = part_near(image, expectation, step=step, static=None, bayer=None, complete=True)
     assert len(candidates_near(complete, full_scale=4095) or []) == 1
+
+
+@pytest.mark.parametrize("cell", [1, 2])
+@pytest.mark.parametrize(("column", "row"), [(-1, 0), (1, 0), (0, -1), (0, 1)])
+@pytest.mark.parametrize("beyond", [-0.01, 0.01])
+def test_a_part_holds_a_plateau_whose_rays_end_within_it(cell: int, column: int, row: int, beyond: float) -> None:
+    radius, left, top, shape = 3.0, 70, 50, (101, 121)
+    part = ImagePart(np.zeros(shape, dtype=np.uint16), None, left, top, (400, 500), cell)
+    room = [(shape[1] - 1) / 2.0 - reach_of(radius), (shape[0] - 1) / 2.0 - reach_of(radius)]
+    middle = np.array([left + (shape[1] - 1) / 2.0, top + (shape[0] - 1) / 2.0])
+    cells = middle + np.array([column * (room[0] + beyond), row * (room[1] + beyond)])
+    x, y = cell * cells + (cell - 1) / 2.0  # a cell's middle lies between its pixels
+    assert part.holds(x, y, cell * radius) == (beyond < 0.0)
+    at_edge = part._replace(left=0, top=0, whole=shape)  # nothing is hidden beyond the edge of the image
+    assert at_edge.holds(x - cell * left, y - cell * top, cell * radius)

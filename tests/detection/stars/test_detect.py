@@ -17,7 +17,7 @@ from tests.detection.stars.rendering import (
     spread_places,
 )
 
-from sunarc.detection.stars.detect import detect_stars
+from sunarc.detection.stars.detect import axes_of, clipped_cores, detect_stars
 from sunarc.detection.values import Stars
 from sunarc.errors import InputError
 
@@ -195,3 +195,34 @@ def test_the_shape_of_one_or_two_lights(lights: list[tuple[float, float]], found
     assert len(stars) == found
     if found:
         assert nearest(stars, places)[0].max() < 0.5
+
+
+def test_the_axes_of_a_covariance_are_the_roots_of_its_eigenvalues() -> None:
+    factors = np.random.default_rng(4).normal(size=(50, 2, 2))
+    covariances = factors @ factors.swapaxes(-1, -2)
+    expected_axes = np.sqrt(np.linalg.eigvalsh(covariances))
+    minor, major = axes_of(np.stack([covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1]], axis=-1))
+    np.testing.assert_allclose(np.stack([minor, major], axis=-1), expected_axes, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("columns", "rows", "kept", "like_star"),
+    [(4, 3, False, False), (7, 2, True, False), (5, 3, True, True), (10, 20, True, True), (10, 21, True, False),
+     (30, 30, True, True), (30, 31, True, False)],
+)  # fmt: skip
+def test_a_clipped_core_is_a_star_s_unless_it_is_too_large_or_long(
+    columns: int,
+    rows: int,
+    kept: bool,  # noqa: FBT001
+    like_star: bool,  # noqa: FBT001
+) -> None:
+    clipped = np.zeros((80, 90), dtype=bool)
+    clipped[12 : 12 + rows, 40 : 40 + columns] = True
+    light = np.random.default_rng(5).uniform(1.0, 2.0, clipped.shape).astype(np.float32)
+    cores = clipped_cores(light, clipped, usable=np.ones_like(clipped))
+    assert len(cores.pixels) == kept
+    if kept:
+        np.testing.assert_allclose(cores.pixels[0], [40 + (columns - 1) / 2, 12 + (rows - 1) / 2])
+        assert cores.radius[0] == pytest.approx(np.sqrt(rows * columns / np.pi))
+        assert cores.flux[0] == pytest.approx(light[clipped].sum())
+        assert cores.like_star[0] == like_star
