@@ -8,9 +8,9 @@ import os
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple, Self, TypeVar, cast
 
 from sunarc.errors import OutsideError
 from sunarc.extras import extra_module
@@ -168,6 +168,48 @@ class Cluster:
                 self.clock.wait(threading.Event(), _RETRY_S)
             else:
                 return
+
+
+class ClusterWhenNeeded:
+    """A cluster that is opened for the first work; see `Cluster`.
+
+    Parameters
+    ----------
+    opening : gives the cluster, as `open_cluster` does.
+    opened : called with it once it is there.
+    """
+
+    def __init__(
+        self, opening: Callable[[], AbstractContextManager[Cluster]], opened: Callable[[Cluster], None]
+    ) -> None:
+        self._opening, self._opened = opening, opened
+        self._stack = ExitStack()
+        self._cluster: Cluster | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._stack.close()
+
+    def compute_static_masks(self, chunks: Sequence[Chunk]) -> list[PackedMask | None]:
+        """Return the mask of what stands still in the images of each chunk."""
+        return self._there().compute_static_masks(chunks) if chunks else []
+
+    def each(self, run: Callable[[Given], Result], given: Sequence[Given]) -> list[Result | None]:
+        """Return the result of a function for each of some values."""
+        return self._there().each(run, given) if given else []
+
+    def look(self, chunks: Sequence[Chunk], done: Done, *, run: Callable[[Chunk], list[Answer]] = look_at) -> None:
+        """Have all chunks looked at; `done` is called with each and its answers."""
+        if chunks:
+            self._there().look(chunks, done, run=run)
+
+    def _there(self) -> Cluster:
+        if self._cluster is None:
+            self._cluster = self._stack.enter_context(self._opening())
+            self._opened(self._cluster)
+        return self._cluster
 
 
 @contextmanager

@@ -1,16 +1,24 @@
 """What was found already: an answer for each image and pass, so that a run goes on where it was.
 
 A database of its own, in the output folder or at an address of SQLAlchemy: it is a cache of what workers answered.
-Another version of the software looks at the images again, so that nothing has to be migrated.
+Another version of the software looks at the images again, so that nothing has to be migrated. Results that rest on many
+images (states, fits, exports) are kept by a hash of what they were made of.
 """
 
 from __future__ import annotations
 
+import hashlib
+import io
 import json
-from collections.abc import Iterable, Iterator, Mapping
+import pickle
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from datetime import date, timedelta
+from importlib import import_module
 from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, Protocol, Self, TypeVar, cast
 
+import numpy as np
 from sqlalchemy import (
     Column,
     Engine,
@@ -28,6 +36,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.exc import SQLAlchemyError
 
+import sunarc
 from sunarc.detection.values import Detection
 from sunarc.errors import OutsideError
 from sunarc.findings import Finding, from_json
@@ -64,6 +73,13 @@ _MASK = Table(
     Column("rows", Integer),
     Column("columns", Integer),
     Column("compressed", LargeBinary),
+)
+_RESULT = Table(
+    "result",
+    _METADATA,
+    Column("name", String(300), primary_key=True),
+    Column("key", String(24), nullable=False),
+    Column("content", LargeBinary, nullable=False),
 )
 _AT_ONCE = 1000
 """Rows that are held at once while a camera's answers are read."""
@@ -103,6 +119,17 @@ class KeptMask(NamedTuple):
     """What stands still in a camera's images, as it was seen once; None where nothing does."""
 
     mask: PackedMask | None
+
+
+Given = TypeVar("Given")
+Made = TypeVar("Made")
+
+
+class ParallelMap(Protocol):
+    """Has a function called with each of some values, somewhere; None for those that it could not be done with."""
+
+    def __call__(self, run: Callable[[Given], Made], given: Sequence[Given], /) -> list[Made | None]:
+        """Return the results."""
 
 
 class Ledger:
@@ -184,6 +211,41 @@ class Ledger:
             connection.execute(delete(_MASK).where(_MASK.c.camera == camera))
             connection.execute(insert(_MASK), [row])
 
+    def result(self, name: str, key: str) -> Any:  # noqa: ANN401 - of any type
+        """Return what was kept under a name; None where nothing was, or it was made of something else."""
+        rows = select(_RESULT.c.content).where(_RESULT.c.name == name, _RESULT.c.key == key)
+        with self._engine.connect() as connection:
+            content = connection.scalar(rows)
+        return None if content is None else _unpacked(bytes(content))
+
+    def keep_result(self, name: str, key: str, value: object) -> None:
+        """Keep a result under a name in place of the former one, with the hash of what it was made of."""
+        row = {"name": name, "key": key, "content": pickle.dumps(value, protocol=5)}
+        with self._engine.begin() as connection:
+            connection.execute(delete(_RESULT).where(_RESULT.c.name == name))
+            connection.execute(insert(_RESULT), [row])
+
+    def each(
+        self, make: ParallelMap, run: Callable[[Given], Made], given: Sequence[Given], *, names: Sequence[str]
+    ) -> list[Made | None]:
+        """Return the result of a function for each of some values; what was made of the same values is not made again.
+
+        Parameters
+        ----------
+        make : has the function called where there is no result.
+        run, given : the function, and the values.
+        names : of the values: a result takes the place of the former one of its name.
+        """
+        function = getattr(run, "__name__", "")
+        keys = [content_key((sunarc.__version__, function, one)) for one in given]
+        found = [self.result(f"{function} {name}", key) for name, key in zip(names, keys, strict=True)]
+        missing = [number for number, one in enumerate(found) if one is None]
+        for number, made in zip(missing, make(run, [given[n] for n in missing]) if missing else [], strict=True):
+            found[number] = made
+            if made is not None:
+                self.keep_result(f"{function} {names[number]}", keys[number], made)
+        return cast("list[Made | None]", found)
+
     def chunks(self) -> int:
         """Return how many chunks were ever finished."""
         with self._engine.connect() as connection:
@@ -211,3 +273,63 @@ def _read(stored: Mapping[str, Any]) -> Detection | NamedStars | Finding:
 def _plain(value: Any) -> Any:  # noqa: ANN401 - a field of any type
     """Return a value as JSON has it: numpy's numbers are Python's."""
     return value.item() if hasattr(value, "item") else value
+
+
+def content_key(value: object) -> str:
+    """Return a hash of a value's content, the same in every process: of numbers, texts, arrays, and records of them.
+
+    Raises
+    ------
+    TypeError : something in it is none of these.
+    """
+    hashed = hashlib.blake2b(digest_size=12)
+    for part in _parts(value):
+        hashed.update(len(part).to_bytes(8, "little") + part)
+    return hashed.hexdigest()
+
+
+def _parts(value: Any) -> Iterator[bytes]:  # noqa: ANN401 - of any type
+    if isinstance(value, np.ndarray):
+        yield f"array {value.dtype.str} {value.shape}".encode()
+        yield value.tobytes()
+    elif is_dataclass(value):
+        yield type(value).__name__.encode()
+        for one in fields(value):
+            yield from _parts(getattr(value, one.name))
+    elif isinstance(value, Mapping):
+        yield f"mapping {len(value)}".encode()
+        for key, one in sorted(value.items(), key=lambda item: repr(item[0])):
+            yield repr(key).encode()
+            yield from _parts(one)
+    elif isinstance(value, tuple | list):
+        yield f"{type(value).__name__} {len(value)}".encode()
+        for one in value:
+            yield from _parts(one)
+    elif value is None or isinstance(value, str | bytes | int | float | date | timedelta | np.generic):
+        yield repr(value.item() if isinstance(value, np.generic) else value).encode()
+    else:
+        raise TypeError(f"{type(value).__name__} has no hash of its content")
+
+
+_NUMPY = {"_reconstruct", "_frombuffer", "ndarray", "dtype", "scalar"}
+
+
+class _Unpickler(pickle.Unpickler):
+    """Reads values of numpy and of this package: a ledger that others wrote runs nothing of theirs."""
+
+    def find_class(self, module: str, name: str) -> Any:  # noqa: ANN401 - a class
+        found = getattr(import_module(module), name) if module.partition(".")[0] in {"numpy", "sunarc"} else None
+        if module.startswith("numpy.") or module == "numpy":
+            if name in _NUMPY:
+                return found
+        elif isinstance(found, type) and (is_dataclass(found) or hasattr(found, "_fields")):
+            return found
+        raise pickle.UnpicklingError(f"{module}.{name} is no value")
+
+
+def _unpacked(content: bytes) -> Any:  # noqa: ANN401 - of any type
+    """Return a kept value; None where this software has no such values, so that it is made again."""
+    try:
+        return _Unpickler(io.BytesIO(content)).load()
+    except (pickle.UnpicklingError, AttributeError, ImportError, TypeError, ValueError, EOFError, IndexError):
+        return None

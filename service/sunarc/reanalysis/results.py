@@ -3,26 +3,28 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
 import json
 import shutil
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
+import sunarc
 from sunarc.detection.values import Expectation
 from sunarc.errors import InputError, disk_errors
-from sunarc.exports.formats import FORMATS, export
 from sunarc.findings import Finding
 from sunarc.optics.forward import project
 from sunarc.reanalysis.fit import Final, Rough, document_of
 from sunarc.reanalysis.index import CameraImages, Failure, Indexed
 from sunarc.reanalysis.learned_sigma import sigma_factor
+from sunarc.reanalysis.ledger import Ledger, ParallelMap, content_key
 from sunarc.reanalysis.messages import MESSAGES, sentence_of
 from sunarc.reanalysis.nights import NightsLooked
 from sunarc.reanalysis.passes import FoundSun, Looked
@@ -86,16 +88,7 @@ def _is_seen(looked: Looked, row: int) -> bool:
 
 
 _HEADER = ("camera", "time_utc", "file", "x_px", "y_px", "sigma_px", "body", "verdict", "epoch")
-Given = TypeVar("Given")
-Made = TypeVar("Made")
 Document = dict[str, Any]
-
-
-class ParallelMap(Protocol):
-    """Has a function called with each of some values, somewhere; None for those that it could not be done with."""
-
-    def __call__(self, run: Callable[[Given], Made], given: Sequence[Given], /) -> list[Made | None]:
-        """Return the results."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,7 +136,7 @@ class Summary:
 
 
 def write_results(
-    target: Path, results: Sequence[CameraResult], indexed: Indexed, *, each: ParallelMap | None
+    target: Path, results: Sequence[CameraResult], indexed: Indexed, *, each: ParallelMap | None, ledger: Ledger
 ) -> Summary:
     """Write the tables, calibrations, masks and exports of a run into its folder.
 
@@ -153,6 +146,7 @@ def write_results(
     results : of all cameras.
     indexed : what the archive has, and what could not be used.
     each : has the exports made; None for none.
+    ledger : knows which exports stand in the folder already.
 
     Raises
     ------
@@ -160,8 +154,7 @@ def write_results(
     """
     documents = {(one.name, epoch_name(n)): _document(one, n) for one in results for n in range(len(one.epochs))}
     with disk_errors(target):
-        for folder in ("calibrations", "exports"):
-            shutil.rmtree(target / folder, ignore_errors=True)  # of a former run, perhaps with other epochs
+        shutil.rmtree(target / "calibrations", ignore_errors=True)  # of a former run, perhaps with other epochs
         _write(target / "sightings.csv", _csv(_HEADER, [row for one in results for row in _sightings(one)]))
         stars = [row for one in results for row in _stars(one)]
         _write(target / "stars.csv", _csv(_HEADER, stars))
@@ -172,7 +165,7 @@ def write_results(
         for one in results:
             if one.horizon is not None:
                 _write(target / f"horizon_{one.name}.png", one.horizon.png)
-        missing = {} if each is None else _write_exports(target / "exports", documents, each)
+        missing = _write_exports(target / "exports", documents if each is not None else {}, each, ledger)
     report = {
         "cameras": [_camera(one, documents) for one in results],
         "refused": [_refusal(one) for one in indexed.refused],
@@ -333,22 +326,44 @@ def _refusal(failure: Failure) -> Document:
 
 
 def _write_exports(
-    folder: Path, documents: Mapping[tuple[str, str], Document], each: ParallelMap
+    folder: Path, documents: Mapping[tuple[str, str], Document], each: ParallelMap | None, ledger: Ledger
 ) -> dict[str, dict[str, str]]:
-    """Write accepted calibrations in all formats; return why some are missing, by calibration and format."""
-    accepted = {key: one for key, one in documents.items() if one["verdict"]["accepted"]}
-    missing: dict[str, dict[str, str]] = {}
-    for (camera, epoch), made in zip(accepted, each(exports_of, list(accepted.values())), strict=True):
-        files, refused = made or ({}, {"all": "the workers that made them died"})
-        for name, content in files.items():
-            _write(folder / camera / epoch / name, content)
-        if refused:
-            missing[f"{camera}/{epoch}"] = refused
-    return missing
+    """Write accepted calibrations in all formats; return why some are missing, by calibration and format.
+
+    Files that were made of the same calibration stay as they are; those of a former run's others are removed.
+    """
+    accepted = {f"{camera}/{epoch}": one for (camera, epoch), one in documents.items() if one["verdict"]["accepted"]}
+    for former in folder.glob("*/*"):
+        if former.relative_to(folder).as_posix() not in accepted:
+            shutil.rmtree(former)
+    keys = {name: content_key((sunarc.__version__, json.dumps(one))) for name, one in accepted.items()}
+    kept = {name: ledger.result(f"exports {folder.absolute()} {name}", key) for name, key in keys.items()}
+    new = [name for name, one in kept.items() if one is None or not _is_there(folder / name, one["files"])]
+    made = each(exports_of, [accepted[name] for name in new]) if each is not None else []
+    for name, one in zip(new, made, strict=True):
+        files, refused = one or ({}, {"all": "the workers that made them died"})
+        shutil.rmtree(folder / name, ignore_errors=True)
+        for file, content in files.items():
+            _write(folder / name / file, content)
+        kept[name] = {"files": {file: _hash(content) for file, content in files.items()}, "refused": refused}
+        if one is not None:
+            ledger.keep_result(f"exports {folder.absolute()} {name}", keys[name], kept[name])
+    return {name: kept[name]["refused"] for name in accepted if kept[name]["refused"]}
+
+
+def _is_there(folder: Path, files: Mapping[str, str]) -> bool:
+    """Return whether a folder's files have the content that they were written with."""
+    return all((path := folder / name).is_file() and _hash(path.read_bytes()) == one for name, one in files.items())
+
+
+def _hash(content: bytes) -> str:
+    return hashlib.blake2b(content, digest_size=16).hexdigest()
 
 
 def exports_of(document: Document) -> tuple[dict[str, bytes], dict[str, str]]:
     """Return the files of a calibration in all formats, and why some have none."""
+    from sunarc.exports.formats import FORMATS, export  # noqa: PLC0415 - a run that makes none does without
+
     files: dict[str, bytes] = {}
     refused: dict[str, str] = {}
     for form in FORMATS.values():

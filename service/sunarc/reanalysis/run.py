@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 from sunarc.archive.database.state_folder import lock_state
 from sunarc.errors import InputError, disk_errors
 from sunarc.findings import Finding
-from sunarc.reanalysis.cluster import DEATHS, Cluster, Workers, open_cluster
+from sunarc.reanalysis.cluster import DEATHS, Cluster, ClusterWhenNeeded, Workers, open_cluster
 from sunarc.reanalysis.fit import (
     CameraSightings,
     Final,
@@ -68,7 +69,7 @@ def reanalyse(
     indexed : the cameras and their images.
     options : how.
     clock : for waits, and for the time that it took.
-    opened : called with the cluster once it is there.
+    opened : called with the cluster once it is there; without new work there is none.
     progress : called after every chunk.
 
     Raises
@@ -86,22 +87,24 @@ def reanalyse(
     with (
         lock_state(options.target, remedy=_ANOTHER),
         Ledger(store) as ledger,
-        open_cluster(options.workers, clock=clock) as cluster,
+        ClusterWhenNeeded(partial(open_cluster, options.workers, clock=clock), opened) as cluster,
     ):
-        opened(cluster)
-        results = _results(indexed.cameras, Passes(ledger, cluster, progress))
-        summary = write_results(options.target, results, indexed, each=cluster.each if options.exports else None)
+        results = _results(indexed.cameras, Passes(ledger, cluster, progress), ledger)
+        summary = write_results(
+            options.target, results, indexed, each=cluster.each if options.exports else None, ledger=ledger
+        )
     summary = summary.timed(clock.monotonic() - began)
     write_report(options.target, summary, results)
     return summary
 
 
-def _results(cameras: Sequence[CameraImages], passes: Passes) -> list[CameraResult]:
+def _results(cameras: Sequence[CameraImages], passes: Passes, ledger: Ledger) -> list[CameraResult]:
+    names, each = [one.plan.name for one in cameras], passes.cluster.each
     masks = passes.masks(cameras)
     searched = passes.search(cameras, masks)
     given = [CameraSightings(looked.points()[0], _known(one)) for one, looked in zip(cameras, searched, strict=True)]
     passes.progress("epochs", 0, len(cameras))
-    rough = [one or Rough(findings=(_DIED,)) for one in passes.cluster.each(first_analysis, given)]
+    rough = [one or Rough(findings=(_DIED,)) for one in ledger.each(each, first_analysis, given, names=names)]
     passes.progress("epochs", len(cameras), len(cameras))
     found = [n for n, one in enumerate(rough) if one.states]
     expected = (predictions(cameras[n], rough[n].states, rough[n].epochs) for n in found)
@@ -109,10 +112,11 @@ def _results(cameras: Sequence[CameraImages], passes: Passes) -> list[CameraResu
     looked = dict(zip(found, passes.predict(waiting, expected, [masks[n] for n in found]), strict=True))
     again = [CameraSightings(looked[n].points()[0], given[n].camera, rough[n].states) for n in found]
     passes.progress("calibrations", 0, len(found))
-    final = dict(zip(found, passes.cluster.each(final_analysis, again), strict=True))
+    fitted = ledger.each(each, final_analysis, again, names=[names[n] for n in found])
+    final = dict(zip(found, fitted, strict=True))
     passes.progress("calibrations", len(found), len(found))
     nights = _nights(cameras, final, passes)
-    final |= _with_stars(nights, final, dict(zip(found, again, strict=True)), passes)
+    final |= _with_stars(nights, final, dict(zip(found, again, strict=True)), passes, ledger)
     return [
         CameraResult(
             camera=camera,
@@ -142,6 +146,7 @@ def _with_stars(
     final: Mapping[int, Final | None],
     suns: Mapping[int, CameraSightings],
     passes: Passes,
+    ledger: Ledger,
 ) -> dict[int, Final]:
     """Return what came of the cameras that have stars, by number; what the stars' workers died of changes nothing."""
     starry: dict[int, Starry] = {}
@@ -149,7 +154,8 @@ def _with_stars(
         stars = None if one is None else star_points(nights[number], one.states, one.epochs)
         if one is not None and stars is not None:
             starry[number] = Starry(suns[number], one, stars)
-    fitted = passes.cluster.each(starry_analysis, list(starry.values())) if starry else []
+    names = [nights[number].nights.camera.plan.name for number in starry]
+    fitted = ledger.each(passes.cluster.each, starry_analysis, list(starry.values()), names=names)
     return {number: one for number, one in zip(starry, fitted, strict=True) if one is not None}
 
 

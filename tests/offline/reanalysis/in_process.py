@@ -13,19 +13,21 @@ from sunarc.reanalysis.look import Answer, Chunk, Done, look_at, static_mask_of
 
 
 class InProcess:
-    """Chunks are looked at one after the other; counts them, and ends the run after some."""
+    """Chunks are looked at one after the other; counts them and what else is called, and ends the run after some."""
 
     dashboard = ""
 
     def __init__(self, *, most: int | None = None) -> None:
         self.workers = Workers()
         self.chunks: list[Chunk] = []
+        self.calls: list[str] = []
         self._most = most
 
     def compute_static_masks(self, chunks: Sequence[Chunk]) -> list[Any]:
         return [static_mask_of(chunk) for chunk in chunks]
 
     def each(self, run: Callable[[Any], Any], given: Sequence[Any]) -> list[Any]:
+        self.calls += [run.__name__] * len(given)
         return [run(one) for one in given]
 
     def look(self, chunks: Sequence[Chunk], done: Done, *, run: Callable[[Chunk], list[Answer]] = look_at) -> None:

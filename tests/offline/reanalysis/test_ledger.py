@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import pickle
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from tests.fixtures.postgresql import Server, postgresql
 
+from sunarc.array_types import FloatArray
 from sunarc.detection.values import Detection
 from sunarc.errors import OutsideError
 from sunarc.findings import Finding
-from sunarc.reanalysis.ledger import ImageId, KeptMask, Known, Ledger
+from sunarc.reanalysis.ledger import ImageId, KeptMask, Known, Ledger, content_key
 from sunarc.reanalysis.look import pack_mask
+from sunarc.sky.site import Site
 
 __all__ = ["postgresql"]
 
@@ -118,3 +123,53 @@ def test_a_file_that_is_no_ledger_is_refused(tmp_path: Path) -> None:
     (tmp_path / "ledger.sqlite").write_bytes(b"no database at all, but long enough to be one" * 50)
     with pytest.raises(OutsideError):
         ledger_in(tmp_path)
+
+
+def test_a_result_holds_while_it_is_made_of_the_same(tmp_path: Path) -> None:
+    site = Site(latitude=1.0, longitude=2.0, altitude=3.0)
+
+    def doubled(given: tuple[Site, FloatArray]) -> FloatArray:
+        return 2.0 * given[1]
+
+    def at_once(run: Any, given: Any) -> list[Any]:  # noqa: ANN401 - as `ParallelMap`
+        made.append(len(given))
+        return [run(one) for one in given]
+
+    made: list[int] = []
+    for x, n in ((1.0, [1]), (1.0, []), (2.0, [1]), (1.0, [1])):
+        made.clear()
+        with ledger_in(tmp_path) as ledger:
+            given = [(site, np.full(3, x))]
+            (found,) = ledger.each(at_once, doubled, given, names=["roof"])
+        assert made == n
+        assert found is not None
+        assert found.tolist() == [2.0 * x] * 3
+
+
+def test_a_hash_of_content_differs_with_each_part_and_not_with_the_process() -> None:
+    values = [
+        (1.0,), (1,), [1.0], ((1.0,),), (1.0, None), ("1.0",), {"a": 1.0}, {"a": 2.0}, np.array([1.0]),
+        np.array([[1.0]]), np.array([1], np.int64), SUN, replace(SUN, x_px=0.5), ("a", "b"), ("ab",),
+    ]  # fmt: skip
+    assert len({content_key(one) for one in values}) == len(values)
+    assert content_key({"a": 1, "b": 2}) == content_key({"b": 2, "a": 1})
+    assert content_key((np.float64(0.1),)) == content_key((0.1,))
+    assert content_key(SUN) == content_key(pickle.loads(pickle.dumps(SUN)))  # noqa: S301 - its own
+    with pytest.raises(TypeError):
+        content_key(object())
+
+
+class _Runs:
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (Path.touch, (Path("ran"),))
+
+
+def test_a_ledger_that_others_wrote_runs_nothing_of_theirs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with ledger_in(tmp_path) as ledger:
+        ledger.keep_result("fits roof", "k", _Runs())
+        assert ledger.result("fits roof", "k") is None
+        ledger.keep_result("fits roof", "k", {"sun": SUN, "at": np.arange(3.0)})
+        assert ledger.result("fits roof", "k")["sun"] == SUN
+        assert ledger.result("fits roof", "other") is None
+    assert not (tmp_path / "ran").exists()

@@ -9,6 +9,7 @@ import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from tests.fixtures.postgresql import Server, postgresql
@@ -135,8 +136,42 @@ def test_a_second_run_looks_at_nothing_and_writes_the_same(
     del summary
     before = tables_in(target)
     _, cluster = analysed(indexed_in(folder), target, monkeypatch)
-    assert cluster.chunks == []
+    assert (cluster.chunks, cluster.calls) == ([], [])
     assert tables_in(target) == before
+
+
+def test_only_what_rests_on_something_else_is_made_again(
+    summary: Summary, folder: Path, target: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    del summary
+    out = tmp_path / "out"
+    shutil.copytree(target, out)
+
+    def exports_of(document: dict[str, Any]) -> tuple[dict[str, bytes], dict[str, str]]:
+        return {"id.txt": document["id"].encode(), "part/map.nc": document["camera"].encode()}, {"colmap": "no"}
+
+    monkeypatch.setattr("sunarc.reanalysis.results.exports_of", exports_of)
+    first, cluster = analysed(indexed_in(folder), out, monkeypatch, exports=True)
+    assert set(cluster.calls) == {"exports_of"}
+    files = {path: path.stat().st_mtime_ns for path in out.glob("exports/**/*.*")}
+    second, cluster = analysed(indexed_in(folder), out, monkeypatch, exports=True)
+    assert (cluster.chunks, cluster.calls) == ([], [])
+    assert first is not None
+    assert second is not None
+    assert second.report["exports_missing"] == first.report["exports_missing"] != {}
+    assert {path: path.stat().st_mtime_ns for path in out.glob("exports/**/*.*")} == files
+    broken = next(iter(out.glob("exports/mast/*/part/map.nc")))
+    broken.write_bytes(b"mask")
+    _, cluster = analysed(indexed_in(folder), out, monkeypatch, exports=True)
+    assert cluster.calls == ["exports_of"]
+    assert broken.read_bytes() == b"mast"
+    indexed = indexed_in(folder)
+    fewer = replace(indexed.cameras[1], images=indexed.cameras[1].images[:-10])
+    _, cluster = analysed(indexed._replace(cameras=[indexed.cameras[0], fewer]), out, monkeypatch, exports=True)
+    assert cluster.calls.count("first_analysis") == cluster.calls.count("final_analysis") == 1  # of one camera
+    analysed(indexed._replace(cameras=[indexed.cameras[0]]), out, monkeypatch, exports=True)
+    assert list(out.glob("exports/roof/*"))
+    assert not list(out.glob("exports/mast/*"))
 
 
 def first_looks(cluster: InProcess) -> list[str]:
