@@ -17,7 +17,8 @@ from tests.fixtures.fleet import NOON, new_imager, sighting
 
 from sunarc.archive.archive import Archive, open_archive
 from sunarc.archive.database.tables import metadata
-from sunarc.archive.fleet.feed_rows import FED, STATUS, FeedRow, columns_of, feed_lines, problem_of, read_feed_lines
+from sunarc.archive.fleet.feed_rows import FED, STATUS, FeedRow, columns_of, feed_lines, read_feed_lines
+from sunarc.archive.fleet.feed_schema import problem_of
 from sunarc.archive.fleet.outbox import outbox_triggers
 from sunarc.archive.values import Day, DayAir, Event, Housekeeping, Refit
 from sunarc.errors import InputError

@@ -13,12 +13,16 @@ from tests.fixtures.fleet import NOW
 
 from sunarc.api.routes.feed import token_digest
 from sunarc.archive.archive import open_archive
+from sunarc.archive.database.schema import head_revision
 from sunarc.archive.fleet.feed_rows import Refusal
+from sunarc.archive.fleet.feed_schema import feed_schema
 from sunarc.archive.fleet.nightly import CrossCheck
 from sunarc.settings.load import load_hub_settings
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc
+
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture
@@ -87,3 +91,15 @@ def test_a_hub_takes_its_own_settings_and_refuses_unknown_ones(sunarc: Sunarc, c
     config.write_text("stoer = 1\n")
     assert sunarc("hub", "quarantine", "--config", str(config)).code == 2
     assert sunarc("serve", "--role", "satellite").code == 2
+
+
+def test_the_schema_that_is_published_is_the_one_that_is_checked_by(sunarc: Sunarc) -> None:
+    published = json.loads((ROOT / "docs" / "feed.schema.json").read_text())
+    assert published == feed_schema(head_revision()), "run: sunarc hub schema > docs/feed.schema.json"
+    assert json.loads(sunarc("hub", "schema").out) == published
+    for page in ("docs/feed.md", "deploy/hub/sender.py"):
+        assert head_revision() in (ROOT / page).read_text()
+
+
+def test_a_name_that_no_address_can_have_gets_no_token(sunarc: Sunarc, config: Path) -> None:
+    assert sunarc("hub", "token", "a/b", "--config", str(config)).code == 2

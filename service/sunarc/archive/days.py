@@ -310,6 +310,7 @@ def night_of_event(camera: str, time: datetime, details: Mapping[str, Any]) -> N
     """
     if not {"date", "verdict"} <= details.keys():
         return None
+    listed = details.get("findings")
     try:
         evening = date.fromisoformat(str(details["date"]))
     except ValueError:
@@ -321,7 +322,7 @@ def night_of_event(camera: str, time: datetime, details: Mapping[str, Any]) -> N
         | {name: value for name, value in details.items() if name in blank}
         | {"n_images": details.get("n_images")}
     )
-    why = tuple(from_json(one) for one in details.get("findings", ()))
+    why = tuple(from_json(one) for one in listed) if isinstance(listed, list) else ()
     try:
         return _NIGHT.validate_python(values | {"findings": why})
     except ValidationError as error:

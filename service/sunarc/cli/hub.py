@@ -10,8 +10,10 @@ import typer
 
 from sunarc.api.routes.feed import token_digest
 from sunarc.archive.archive import open_archive
+from sunarc.archive.database.schema import head_revision
+from sunarc.archive.fleet.feed_schema import feed_schema
 from sunarc.archive.fleet.nightly import CrossCheck
-from sunarc.cli.options import AsJson, Config, print_rows, print_text
+from sunarc.cli.options import AsJson, Config, print_json, print_rows, print_text
 from sunarc.runtime.clock import SystemClock
 from sunarc.settings.load import load_hub_settings
 from sunarc.utc import rfc3339
@@ -90,6 +92,15 @@ def quarantine(config: Config = None, *, as_json: AsJson = False) -> None:
     print_rows(rows, (*names, "last"), cells, as_json=as_json)
     if rows:
         raise typer.Exit(1)
+
+
+@hub_cli.command()
+def schema() -> None:
+    """Print the JSON Schema of a line that an imager sends, as docs/feed.schema.json.
+
+    Example: sunarc hub schema > feed.schema.json
+    """
+    print_json(feed_schema(head_revision()))
 
 
 @hub_cli.command("cross-checks")

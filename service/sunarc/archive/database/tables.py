@@ -213,6 +213,10 @@ class JsonOf(TypeDecorator[Any]):
         """Return the value of JSON; pydantic's `ValidationError`, which is a `ValueError`, where it is none."""
         return self._adapter.validate_python(value)
 
+    def schema(self) -> dict[str, Any]:
+        """Return the JSON Schema of what is read."""
+        return self._adapter.json_schema()
+
 
 class JsonObject(TypeDecorator[dict[str, Any]]):
     """A JSON object; empty where it cannot be read."""

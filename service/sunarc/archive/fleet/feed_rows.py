@@ -7,30 +7,18 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import date
 from functools import cache
 from typing import Annotated, Any, Literal
 
-from sqlalchemy import JSON, Boolean, Column, Date, Float, Integer, Table, Text, TypeDecorator
+from sqlalchemy import JSON, Boolean, Column, Float, Table, TypeDecorator
 from sqlalchemy.types import TypeEngine
 
 from sunarc.archive.database import tables
 from sunarc.archive.database.connections import parsed_json
-from sunarc.archive.database.tables import (
-    CalendarDate,
-    FindingText,
-    FindingTuple,
-    JsonOf,
-    NumberTuple,
-    UtcTime,
-    findings_of_text,
-)
 from sunarc.errors import InputError
-from sunarc.findings import from_json
 from sunarc.json_fields import EXAMPLE_TIME, Returned, Time, described
-from sunarc.utc import from_microseconds
 
 FED: Mapping[str, tuple[Table, tuple[str, ...]]] = {
     "camera": (tables.camera, ("name",)),
@@ -88,93 +76,6 @@ def _number(text: str) -> float | None:
     except ValueError:
         return None
     return value if math.isfinite(value) else None
-
-
-def _is_integer(value: object) -> bool:
-    return type(value) is int and -(2**63) < value < 2**63
-
-
-def _is_unicode(text: str) -> bool:
-    """Whether both engines can store a text: PostgreSQL stores no NUL, and half of a surrogate pair is no character."""
-    return "\0" not in text and (text.isascii() or not any("\ud800" <= character <= "\udfff" for character in text))
-
-
-_FITS: tuple[tuple[type[TypeEngine[Any]], Callable[[Any], bool]], ...] = (
-    (Float, lambda value: math.isfinite(value) if type(value) is float else _is_integer(value)),
-    (Boolean, lambda value: type(value) is bool),
-    (Integer, _is_integer),
-    (Text, lambda value: type(value) is str and _is_unicode(value)),
-    (Date, lambda value: type(value) is str and _is_unicode(value)),
-    (JSON, lambda value: type(value) is dict or type(value) is list),
-)
-"""Whether a value that was read from JSON fits a column. Thousands of rows pass in a second, each with 23 of them."""
-
-
-@cache
-def _checks(kind: str, only_key: bool) -> tuple[tuple[str, bool, Callable[[Any], bool]], ...]:  # noqa: FBT001
-    """Return each column's name, whether a row must have it, and what its value must fit."""
-    columns = columns_of(kind)
-    names = FED[kind][1] if only_key else tuple(columns)
-    return tuple(
-        (
-            name,
-            # an event without a camera concerns all that an imager has: at the hub it is the camera's
-            not columns[name].nullable and (only_key or columns[name].server_default is None),
-            next(fits for base, fits in _FITS if isinstance(plain_type(columns[name]), base)),
-        )
-        for name in names
-    )
-
-
-def problem_of(kind: str, data: Mapping[str, Any], *, only_key: bool = False) -> str | None:
-    """Return what is wrong with the form of a row that was sent; None where nothing is."""
-    checks = _checks(kind, only_key)
-    unknown = data.keys() - {name for name, _, _ in checks}
-    if unknown:
-        return f"column {min(unknown)} is unknown"
-    for name, required, fits in checks:
-        value = data.get(name)
-        if value is None:
-            if required:
-                return f"{name} is missing"
-        elif not fits(value):
-            return f"{name} is no {type(plain_type(columns_of(kind)[name])).__name__}"
-    return None
-
-
-def typed(kind: str, data: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of a row that has no problem, by the keys of its columns, as the table takes them.
-
-    Raises
-    ------
-    ValueError, OverflowError : a date or a time that there is not.
-    """
-    values = dict(data)
-    for name, key, convert in _conversions(kind):
-        if name in values:
-            value = values.pop(name)
-            values[key] = None if value is None else convert(value)
-    return values
-
-
-@cache
-def _conversions(kind: str) -> tuple[tuple[str, str, Callable[[Any], Any]], ...]:
-    """Return the columns whose values are not what JSON has: name, key and conversion."""
-    found = ((name, column, _conversion(column)) for name, column in columns_of(kind).items())
-    return tuple((name, column.key, convert) for name, column, convert in found if convert is not None)
-
-
-def _conversion(column: Column[Any]) -> Callable[[Any], Any] | None:
-    return column.type.read if isinstance(column.type, JsonOf) else _CONVERSIONS.get(type(column.type))
-
-
-_CONVERSIONS: Mapping[type, Callable[[Any], Any]] = {
-    UtcTime: from_microseconds,
-    CalendarDate: date.fromisoformat,
-    FindingText: findings_of_text,
-    FindingTuple: lambda value: tuple(from_json(one) for one in value) if isinstance(value, list) else (),
-    NumberTuple: lambda value: tuple(value) if isinstance(value, list) else None,
-}
 
 
 Reason = Literal[

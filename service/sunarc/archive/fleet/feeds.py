@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 from itertools import groupby
 from typing import Any
 
@@ -35,12 +36,11 @@ from sunarc.archive.fleet.feed_rows import (
     FleetCamera,
     Quarantined,
     Refusal,
-    problem_of,
-    typed,
 )
+from sunarc.archive.fleet.feed_schema import LATEST_US, problem_of, typed
 from sunarc.calibration.model.document import READ_SCHEMAS
-from sunarc.errors import NotFoundError
-from sunarc.utc import from_microseconds, to_microseconds
+from sunarc.errors import InputError, NotFoundError
+from sunarc.utc import from_microseconds
 
 FUTURE = timedelta(minutes=10)
 """A row dated later than now by more than this is set apart: clocks differ by seconds, time zones by hours."""
@@ -66,7 +66,9 @@ _REFERENCES: Mapping[str, Mapping[str, Table]] = {
 _MOST_UNKNOWN = 100
 _OTHERS = "(others)"
 """Stands for cameras that nobody registered, beyond the first so many: names cost a stranger nothing."""
-_LATEST_US = to_microseconds(datetime(2200, 1, 1, tzinfo=UTC))
+_NAME = re.compile(r"(?! )[^/]{1,100}(?<! )")
+"""Of a camera: it is a part of addresses."""
+_KINDS = frozenset({*FED, *(kind + REMOVED for kind in FED)})
 WHOLE = 0
 """The `seq` of what was refused as a whole."""
 
@@ -140,7 +142,18 @@ class FeedStore(Part):
             return tuple(FleetCamera(**row) for row in connection.execute(statement).mappings())
 
     def add_token(self, camera: str, digest: str, *, now: datetime, former_until: datetime) -> None:
-        """Register a camera by the digest of its token; tokens that it has end at `former_until`."""
+        """Register a camera by the digest of its token; tokens that it has end at `former_until`.
+
+        Raises
+        ------
+        InputError : no address of the hub could have that name.
+        """
+        if not _NAME.fullmatch(camera) or not camera.isprintable() or camera in {".", "..", _OTHERS}:
+            raise InputError(
+                field="camera",
+                problem=f"{camera[:100]!r} cannot be a camera's name",
+                remedy="use 1 to 100 printable characters, no slash, and no space at either end",
+            )
         c = feed_token.c
         former = update(feed_token).where(c.camera == camera, or_(c.expires_at.is_(None), c.expires_at > former_until))
         with self._database.writing() as connection:
@@ -212,7 +225,7 @@ def _position(connection: Connection, batch: FeedBatch, now: datetime) -> int | 
 def _sighting_time(row: FeedRow) -> datetime | None:
     """Return the time of a sighting; None of another row, and where there is none in its place."""
     time = row.data.get("time") if row.kind == "sun_point" and row.data is not None else None
-    return from_microseconds(time) if type(time) is int and 0 <= time < _LATEST_US else None
+    return from_microseconds(time) if type(time) is int and 0 <= time < LATEST_US else None
 
 
 def _store_batch(connection: Connection, batch: FeedBatch, now: datetime) -> None:
@@ -237,13 +250,13 @@ def _refusal(camera: str, row: FeedRow, now: datetime) -> Refusal | None:
     kind = row.kind.removesuffix(REMOVED)
     if row.data is None:
         return Refusal(reason="body_too_large", text=f"a row of kind {row.kind} was too large to be sent")
-    if row.kind == STATUS:
-        return None
-    if kind not in FED:
+    if row.kind not in {STATUS, *_KINDS}:
         return Refusal(reason="malformed", text=f"kind {row.kind} is unknown")
     problem = problem_of(kind, row.data, only_key=row.kind != kind)
     if problem is not None:
         return Refusal(reason="malformed", text=problem)
+    if kind == STATUS:
+        return None
     named = row.data.get("name" if kind == "camera" else "camera", camera)
     if named != camera and not (kind == "event" and named is None):
         return Refusal(reason="other_camera", text=f"the row is of camera {named}")
