@@ -216,7 +216,7 @@ def first_analysis(given: CameraSightings) -> Rough:
     if found.finding is not None:
         return Rough(findings=(found.finding,))
     epochs, path = find_epochs(given.points, found.states, given.camera)
-    states = list(found.states) if given.states else with_true_clock(found.states, path)
+    states = list(found.states) if given.states else with_true_clock(found.states, path, given.camera.site)
     largest = states[max(range(len(states)), key=lambda number: int((path == number).sum()))]
     return Rough(tuple(states), tuple(epochs), doubts(largest.calibration, given.camera))
 
@@ -228,7 +228,9 @@ def final_analysis(given: CameraSightings) -> Final:
     states = with_small_steps(points, path, given.states, camera)
     _, path = find_epochs(points, states, camera)
     fitted = fit_poses(points, path, states, camera)
-    refined = [_refined(state, fitted, points.select(path == number), camera) for number, state in enumerate(states)]
+    # a state that no sighting is left to has no calibration that a later one could be given
+    held = [(state, points.select(path == number)) for number, state in enumerate(states) if np.any(path == number)]
+    refined = [_refined(state, fitted, of_state, camera) for state, of_state in held]
     epochs, path = find_epochs(points, refined, camera)
     return Final(tuple(refined), tuple(epochs), path, fitted)
 

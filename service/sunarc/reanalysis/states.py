@@ -22,11 +22,13 @@ from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Mi
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.pose import estimate_pose
+from sunarc.calibration.quality.site_checks import mount_density
 from sunarc.calibration.robust_loss import finite, robust_sigma
 from sunarc.findings import Finding
 from sunarc.optics.forward import project_fast
+from sunarc.optics.pose import rotation_matrix, rotation_vector
 from sunarc.sky.days import solar_days
-from sunarc.sky.site import Site
+from sunarc.sky.site import Site, pole_enu
 from sunarc.sky.sun import sun_directions
 
 _PER_DAY = 40
@@ -350,19 +352,60 @@ def cause_of(former: State, state: State) -> Cause:
     return "moved" if state.pose != former.pose else "clock"
 
 
-def with_true_clock(states: Sequence[State], path: IntArray) -> list[State]:
-    """Return states whose offsets are against the clock that most sightings of their lens and pose have.
+_RARE_CLOCK = 0.02
+"""Share of the sightings of a pose that are taken to be by a clock which only other poses are known to have had."""
 
-    Which of two clocks is right cannot be seen; a clock is right most of the time.
+
+def with_true_clock(states: Sequence[State], path: IntArray, site: Site) -> list[State]:
+    """Return states whose offsets are against the clock that is right, each camera turned with the sky.
+
+    The sightings of a pose do not tell a wrong clock from a camera that is turned about the pole. A clock is right most
+    of the time, and a camera is mounted level (see `mount_density`): the more probable of both is taken.
+
+    Parameters
+    ----------
+    states : as they were found; their offsets are against that of the first one.
+    path : (n,) the state of each sighting.
+    site : where the camera stands.
     """
+    known = {0.0, *(a.clock_offset_s - b.clock_offset_s for a in states for b in states if a.pose == b.pose)}
     offsets: dict[int, float] = {}
     for pose in {state.pose for state in states}:
+        of_pose = [(number, state) for number, state in enumerate(states) if state.pose == pose]
         counted = Counter[float]()
-        for number, state in enumerate(states):
-            if state.pose == pose:
-                counted[state.clock_offset_s] += int(np.count_nonzero(path == number))
-        offsets[pose] = counted.most_common(1)[0][0]
-    return [state._replace(clock_offset_s=state.clock_offset_s - offsets[state.pose]) for state in states]
+        for number, state in of_pose:
+            counted[state.clock_offset_s] += int(np.count_nonzero(path == number))
+        total = max(counted.total(), 1)
+        tried = [*counted, *(one + other for one in sorted(counted) for other in sorted(known))]
+        offsets[pose] = max(
+            tried,
+            key=lambda one: (
+                math.log(max(counted[one] / total, _RARE_CLOCK))
+                + math.log(float(mount_density(rotation_matrix(_turned_about_pole(of_pose[0][1], one, site))[2])))
+            ),
+        )
+    return [
+        state._replace(
+            clock_offset_s=state.clock_offset_s - offsets[state.pose],
+            calibration=_in_pose(state.calibration, _turned_about_pole(state, offsets[state.pose], site)),
+        )
+        for state in states
+    ]
+
+
+def _turned_about_pole(state: State, offset_s: float, site: Site) -> tuple[float, float, float]:
+    """Return the pose in which a state's camera sees the same where its clock is ahead by less, by an offset."""
+    rotation = state.calibration.camera.rotation_cam_enu
+    if offset_s == 0.0:
+        return rotation
+    # the sun stands farther west at the later time: the sky has turned about the pole, clockwise
+    back = rotation_matrix(_SUN_RAD_PER_S * offset_s * pole_enu(site))
+    return rotation_vector(rotation_matrix(rotation) @ back)
+
+
+def _in_pose(calibration: Calibration, rotation: tuple[float, float, float]) -> Calibration:
+    camera = replace(calibration.camera, rotation_cam_enu=rotation)
+    return replace(calibration, camera=camera, poses=(*calibration.poses[:-1], rotation))
 
 
 def joined(points: Sightings, path: IntArray, states: Sequence[State]) -> Sightings:

@@ -3,18 +3,40 @@
 from __future__ import annotations
 
 import itertools
+import math
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from sunarc.calibration.evidence import likeliest_path
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.start.initial_guess import camera_from_size
+from sunarc.optics.camera import Camera
+from sunarc.optics.pose import pose_angles, rotation_vector
 from sunarc.reanalysis.states import State, cause_of, with_true_clock
+from sunarc.sky.site import Site, pole_enu
+
+SITE = Site(latitude=47.0, longitude=8.0, altitude=500.0)
 
 
-def state(*, lens: int = 0, pose: int = 0, clock: float = 0.0) -> State:
-    nothing: Any = None
-    return State(nothing, lens, pose, clock, 1.0)
+def level() -> Camera:
+    return camera_from_size(image_size=(600, 600), options=CalibrationOptions())
+
+
+@dataclass(frozen=True)
+class Known:
+    """As much of a calibration as is asked for."""
+
+    camera: Camera
+    poses: tuple[tuple[float, float, float], ...] = ((0.0, 0.0, 0.0),)
+
+
+def state(*, lens: int = 0, pose: int = 0, clock: float = 0.0, camera: Camera | None = None) -> State:
+    known: Any = Known(camera or level())
+    return State(known, lens, pose, clock, 1.0)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -51,7 +73,23 @@ def test_a_cause_is_the_lens_before_the_pose_before_the_clock() -> None:
     assert cause_of(state(), state(clock=3600.0)) == "clock"
 
 
-def test_the_right_clock_is_the_one_that_most_sightings_of_a_pose_have() -> None:
-    states = [state(clock=0.0), state(clock=3600.0), state(pose=1, clock=3600.0)]
-    path = np.array([0] * 3 + [1] * 7 + [2] * 5)
-    assert [one.clock_offset_s for one in with_true_clock(states, path)] == [-3600.0, 0.0, 0.0]
+@pytest.mark.parametrize(("counts", "expected"), [((3, 7), [-240.0, 0.0]), ((7, 3), [0.0, 240.0])])
+def test_of_two_clocks_minutes_apart_that_is_right_which_most_sightings_have(
+    counts: tuple[int, int], expected: list[float]
+) -> None:
+    states = [state(camera=level(), clock=0.0), state(camera=level(), clock=240.0)]
+    path = np.repeat([0, 1], counts)
+    assert [one.clock_offset_s for one in with_true_clock(states, path, SITE)] == expected
+
+
+@pytest.mark.parametrize("hours", [-2.0, 1.0])
+def test_of_two_clocks_hours_apart_that_is_right_by_which_the_camera_stands_level(hours: float) -> None:
+    """It was fitted by the wrong clock of the first days, as a camera that leans; one sighting in ten has the other."""
+    turn = Rotation.from_rotvec(math.radians(15.0 * hours) * pole_enu(SITE))
+    leaning = replace(level(), rotation_cam_enu=rotation_vector(turn.as_matrix()))
+    states = [state(camera=leaning, clock=0.0), state(camera=leaning, clock=-3600.0 * hours)]
+    path = np.repeat([0, 1], (9, 1))
+    found = with_true_clock(states, path, SITE)
+    assert [one.clock_offset_s for one in found] == [3600.0 * hours, 0.0]
+    for one in found:
+        assert pose_angles(one.calibration.camera.rotation_cam_enu).theta_zz_deg < 0.1

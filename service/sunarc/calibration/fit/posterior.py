@@ -96,8 +96,13 @@ def _known(field: Field, normal: NormalEquations) -> FloatArray:
 def _whitened(covariance: FloatArray, cross: FloatArray) -> FloatArray:
     """Return L⁻¹ X, (p, 2 m), of terms X (2, p, m), with L Lᵀ = C the covariance of the unknowns."""
     scale = np.sqrt(np.diag(covariance))
-    root = np.linalg.cholesky(covariance / np.outer(scale, scale) + _RIDGE * np.eye(scale.size))
-    return np.asarray(np.linalg.solve(root, np.concatenate(list(cross / scale[:, None]), axis=-1)))
+    correlation, terms = covariance / np.outer(scale, scale), np.concatenate(list(cross / scale[:, None]), axis=-1)
+    try:
+        root = np.linalg.cholesky(correlation + _RIDGE * np.eye(scale.size))
+    except np.linalg.LinAlgError:  # sightings of no camera leave unknowns that only rounding tells apart
+        values, vectors = np.linalg.eigh(correlation)
+        return np.asarray((vectors.T @ terms) / np.sqrt(np.maximum(values, _RIDGE * values[-1]))[:, None])
+    return np.asarray(np.linalg.solve(root, terms))
 
 
 def _coupling(covariance: FloatArray, cross: FloatArray) -> FloatArray:
