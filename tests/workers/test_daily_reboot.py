@@ -1,4 +1,4 @@
-"""A host, or a camera, that is rebooted once a day at a time that wanders through solar noon over weeks.
+"""A host, or a camera, that is rebooted once a day at a time that wanders through solar noon over days.
 
 The sun is pvlib's, the lens a formula of this file, so that nothing but the service is judged.
 """
@@ -43,7 +43,7 @@ FloatArray = NDArray[np.float64]
 
 SITE = Site(latitude=47.0, longitude=11.0, altitude=600.0)
 FIRST_DAY = date(2021, 6, 14)
-DAYS = 15
+DAYS = 9
 SIZE = 1200
 SIGMA_PX = 0.03
 LOWEST_DEG = 85.0
@@ -205,13 +205,13 @@ def solar_noon(day: date) -> datetime:
 
 @pytest.fixture(scope="module", params=["host", "camera"])
 def mast(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Mast:
-    """Return a mast after 15 days: reboots 70 minutes before noon to 70 after it, and a refit every fourth night."""
+    """Return a mast after 9 days: reboots 68 minutes before noon to 68 after it, and a refit every fourth night."""
     made = Mast(tmp_path_factory.mktemp(request.param), request.param)
     rng = np.random.default_rng(21)
     for number in range(DAYS):
         day = FIRST_DAY + timedelta(days=number)
         reboot_at = solar_noon(day) + timedelta(
-            minutes=10.0 * (number - DAYS // 2), seconds=float(rng.uniform(0.0, 60.0))
+            minutes=17.0 * (number - DAYS // 2), seconds=float(rng.uniform(0.0, 60.0))
         )
         restart = made.rebooted == "host" or number % 2 == 0
         made.live(day, reboot_at=reboot_at, behind_s=float(rng.uniform(90.0, 3600.0)), restart=restart)
