@@ -15,6 +15,7 @@ from sunarc.exports.messages import MESSAGES as OF_EXPORTS
 from sunarc.findings import Messages
 from sunarc.reanalysis.messages import MESSAGES as OF_REANALYSIS
 from sunarc.runtime.supervisor import MESSAGES as OF_RUNTIME
+from sunarc.studies.benchmark_scores import MESSAGES as OF_STUDIES
 from sunarc.workers.messages import MESSAGES as OF_WORKERS
 
 _TABLES: dict[str, Messages] = {
@@ -26,6 +27,7 @@ _TABLES: dict[str, Messages] = {
     "app": OF_APP,
     "exports": OF_EXPORTS,
     "reanalysis": OF_REANALYSIS,
+    "studies": OF_STUDIES,
 }
 _HEAD = """# Codes of findings
 

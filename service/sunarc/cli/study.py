@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import secrets
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar, get_args
 
 import typer
 from rich.console import Console
 from rich.table import Table
 
 from sunarc.calibration.model.options import Method
-from sunarc.cli.options import AsJson, print_json, progress_bars
-from sunarc.errors import InputError
+from sunarc.cli.options import AsJson, choice_of, print_json, progress_bars
+from sunarc.errors import InputError, disk_errors
 from sunarc.extras import extra_module
+from sunarc.findings import Finding
 from sunarc.offline.calibration_files import read_calibration
 from sunarc.studies.published import CASES
 from sunarc.studies.reports import make_folder, write_shadow, write_tables, write_uncertainty
@@ -24,7 +27,16 @@ from sunarc.studies.shadow import SIGMAS_DEG, WIND_M_S, study_shadow, study_shad
 from sunarc.studies.tables import study_tables
 from sunarc.studies.uncertainty import distribution_rows, study_uncertainty
 
+if TYPE_CHECKING:
+    from sunarc.studies.benchmark_cases import BenchmarkCase
+    from sunarc.studies.benchmark_scores import Answered
+
+AnyValue = TypeVar("AnyValue")
+
+benchmark_cli = typer.Typer(no_args_is_help=True, help="An open benchmark of calibrations: docs/benchmark/README.md.")
 study_cli = typer.Typer(no_args_is_help=True, help="Reproduce the paper's tables and figures; errors of cloud shadows.")
+
+study_cli.add_typer(benchmark_cli, name="benchmark")
 
 AnyRow = Mapping[str, str | int | float]
 
@@ -128,6 +140,110 @@ def shadow(
     shown = [row for row in table if row["baseline_m"] == 1000.0 and row["height_m"] in {1000.0, 2000.0}]
     sheets = {f"cloud at {WIND_M_S:g} m/s, cameras 1000 m apart; all rows in shadow.csv": (_SHADOW, shown)}
     _print_tables(table, sheets, files=write_shadow(rows, folder=out), as_json=as_json)
+
+
+@benchmark_cli.command()
+def make(
+    *,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for `cases/` and `truth/`.")],
+    part: Annotated[str, typer.Option(help="simulated, or night: with stars.")] = "simulated",
+    cases: Annotated[int, typer.Option(help="How many.", min=1, max=1000)] = 60,
+    first: Annotated[int, typer.Option(help="Number of the first.", min=0)] = 0,
+    seed: Annotated[
+        str, typer.Option(help="A whole number; new: one that nobody can guess, for a ranked round.")
+    ] = "1",
+    as_json: AsJson = False,
+) -> None:
+    """Make a round: cases for entrants, and the truth, whose hash stands among the cases.
+
+    Example: sunarc study benchmark make --cases 12 --seed 7 -o round
+    """
+    from sunarc.studies.benchmark_cases import benchmark_cases
+    from sunarc.studies.benchmark_files import write_round
+
+    night = choice_of("--part", part, ("simulated", "night")) == "night"
+    if seed != "new" and not seed.isdecimal():
+        raise InputError(field="--seed", problem=f"{seed!r} is no whole number", remedy="give one, or new")
+    number = secrets.randbits(128) if seed == "new" else int(seed)
+    with _progress("cases", cases) as advance:
+        drawn = _each(benchmark_cases(cases, seed=number, night=night, first=first), advance)
+        count, digest = write_round(drawn, folder=out, part=part, seed=number)
+    facts = {"cases": count, "truth_sha256": digest, "folder": str(out)}
+    if as_json:
+        print_json(facts)
+    else:
+        print(f"{count} cases in {out / 'cases'}, their truth in {out / 'truth'}, SHA-256 {digest}")
+
+
+@benchmark_cli.command()
+def run(
+    cases: Annotated[Path, typer.Argument(help="The folder `cases/` of a round.")],
+    *,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the entry.")],
+    method: Annotated[str, typer.Option("--method", help="paper or robust.")] = "robust",
+    as_json: AsJson = False,
+) -> None:
+    """Enter sunarc itself: calibrate every case as `sunarc calibrate` would.
+
+    Example: sunarc study benchmark run round/cases -o entries/sunarc
+    """
+    from sunarc.studies.benchmark_files import read_case, read_round, write_entry
+    from sunarc.studies.benchmark_scores import answers_of, calibrate_case
+
+    chosen, names = choice_of("--method", method, get_args(Method)), read_round(cases)[0]
+
+    def answered(name: str) -> tuple[BenchmarkCase, Answered]:
+        case, begin = read_case(cases / name), time.process_time()
+        given = answers_of(calibrate_case(case, chosen), case.queries)
+        return case, replace(given, processor_s=time.process_time() - begin)
+
+    with _progress("cases", len(names)) as advance:
+        count = write_entry(_each(map(answered, names), advance), folder=out)
+    if as_json:
+        print_json({"cases": count, "folder": str(out)})
+    else:
+        print(f"{count} cases in {out}")
+
+
+@benchmark_cli.command(name="score")
+def score_entries(
+    cases: Annotated[Path, typer.Argument(help="The folder `cases/` of a round.")],
+    entries: Annotated[list[Path], typer.Argument(help="Folders of entries; an entrant is called as its folder.")],
+    *,
+    truth: Annotated[Path, typer.Option("--truth", help="The folder `truth/` of the round.")],
+    out: Annotated[Path | None, typer.Option("--out", help="File for the tables, in Markdown.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Score entries against the truth; a wrong entry is scored as what it is, with a finding.
+
+    Example: sunarc study benchmark score round/cases entries/sunarc --truth round/truth
+    """
+    from sunarc.studies.benchmark_files import read_entry, read_round, read_truth, truth_hash
+    from sunarc.studies.benchmark_scores import MESSAGES, as_object, score, tables_of
+
+    truths, published = read_truth(truth), read_round(cases)[1]
+    scores = [score(entry.resolve().name, truths, read_entry(entry, truths)) for entry in entries]
+    if truth_hash(truth) != published:
+        differs = Finding("benchmark_truth_differs")
+        scores = [replace(one, findings=(differs, *one.findings)) for one in scores]
+    text = tables_of(scores)
+    if out is not None:
+        with disk_errors(out):
+            out.write_text(text, encoding="utf-8")
+    if as_json:
+        print_json({"entrants": [as_object(one) for one in scores]})
+        return
+    print(text)
+    for one in scores:
+        for finding in one.findings:
+            print(f"{one.entrant}: {MESSAGES.text_of(finding)} [{finding.code}]")
+
+
+def _each(values: Iterable[AnyValue], advance: Callable[[], None]) -> Iterator[AnyValue]:
+    """Yield values, and say when each is done with."""
+    for value in values:
+        yield value
+        advance()
 
 
 def _methods(text: str) -> tuple[Method, ...]:

@@ -1,4 +1,4 @@
-"""What the studies write: tables as CSV, figures as PNG; the only place where they touch files."""
+"""What the studies write: tables as CSV, figures as PNG. They and `benchmark_files` alone touch the disk."""
 
 from __future__ import annotations
 
