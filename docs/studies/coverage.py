@@ -43,7 +43,7 @@ Noise = Callable[[np.random.Generator, FloatArray, float], FloatArray]
 
 _SKY = hemisphere(600)
 _CORRELATION = 0.9
-_SCALES = (2.0, 2.5), (0.7, 1.6)
+_SCALES = (7.0, 2.6), (1.2, 2.0)
 """Of radial distortion and decentering as the fit's prior has them: the median, px, and the factor of 1 sigma."""
 
 

@@ -53,8 +53,8 @@ def test_the_grid_reaches_from_the_floor_to_eight_pixels(grid: HyperparameterGri
     ratio = grid.amplitudes[1:] / grid.amplitudes[:-1]
     np.testing.assert_allclose(ratio, (8.0 / 0.002) ** (1.0 / 15.0))
     np.testing.assert_allclose(grid.lengths, [128.0, 192.0, 288.0])  # shares of the shorter side
-    assert grid.log_prior.shape == (16, 3, 50)
-    assert grid.lens_scales.shape == (50, 2)
+    assert grid.log_prior.shape == (16, 3, 60)
+    assert grid.lens_scales.shape == (60, 2)
 
 
 def test_a_floor_of_nothing_is_a_tenth_of_a_micrometre() -> None:
@@ -63,8 +63,8 @@ def test_a_floor_of_nothing_is_a_tenth_of_a_micrometre() -> None:
 
 def test_the_lens_scales_are_the_usual_ones_times_factors(grid: HyperparameterGrid) -> None:
     radial, decentering = np.unique(grid.lens_scales[:, 0]), np.unique(grid.lens_scales[:, 1])
-    np.testing.assert_allclose(radial, [0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 8.0, 16.0, 32.0, 64.0])
-    np.testing.assert_allclose(decentering, 0.7 * np.array([0.5, 1.0, 2.0, 4.0, 10.0]))
+    np.testing.assert_allclose(radial, 2.0 * np.array([0.1, 0.15, 0.22, 0.33, 0.5, 0.75, 1.2, 2.0, 4.0, 8.0]))
+    np.testing.assert_allclose(decentering, 0.7 * np.array([0.25, 0.5, 1.0, 2.0, 4.0, 8.0]))
 
 
 def test_the_most_plausible_lens_before_the_sightings_is_the_usual_one(grid: HyperparameterGrid) -> None:
@@ -74,9 +74,10 @@ def test_the_most_plausible_lens_before_the_sightings_is_the_usual_one(grid: Hyp
     assert 0.35 <= decentering <= 1.4
     # the prior of the logarithm is Gaussian: its weight over the cell, twice the scale against the scale
     cell = np.log(np.gradient(np.log(np.unique(grid.lens_scales[:, 0]))))
-    table = of_lens.reshape(10, 5)[:, 1] - cell
-    at_two, at_four = table[3], table[5]
-    assert at_two - at_four == pytest.approx(0.5 * (math.log(2.0) / math.log(2.5)) ** 2)
+    table = of_lens.reshape(10, 6)[:, 2] - cell
+    at_a_half, at_two, at_four = table[4], table[7], table[8]
+    assert at_a_half == pytest.approx(at_two)
+    assert at_two - at_four == pytest.approx(1.5 * (math.log(2.0) / math.log(2.6)) ** 2)
 
 
 def test_no_field_has_the_odds_of_three_to_two(grid: HyperparameterGrid) -> None:

@@ -64,7 +64,7 @@ def test_it_comes_to_where_the_numpy_form_does(
     expected = most_probable_reference(problem, seen, start, **goal)  # type: ignore[arg-type]
     assert found.cost == pytest.approx(expected.cost, rel=1e-9)
     moved = problem.residuals(found.unknowns, seen) - problem.residuals(expected.unknowns, seen)
-    assert np.max(np.abs(moved)) < 3e-6  # px: what rounding of the cost leaves open
+    assert np.max(np.abs(moved)) < 1e-5  # px: what rounding of the cost leaves open
     assert np.max(np.abs(problem.residuals(start, seen) - problem.residuals(found.unknowns, seen))) > 0.05
 
 

@@ -75,7 +75,7 @@ def test_the_variances_are_those_of_the_tolerances() -> None:
     difference = covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1]
     assert math.sqrt(difference) == pytest.approx(aspect, rel=1e-3)  # of alpha_x - alpha_y
     assert sigma[2] == pytest.approx(0.01)
-    np.testing.assert_allclose(sigma[3:5], 0.07 * 480.0)
+    np.testing.assert_allclose(sigma[3:5], 0.03 * 480.0)
     np.testing.assert_allclose(sigma[15:17], 0.3)
 
 
@@ -155,7 +155,7 @@ def test_prior_knowledge_holds_the_lens_as_its_prior_does_and_the_pose_not_at_al
     np.testing.assert_allclose(basis[np.ix_(LENS, np.arange(17))], prior.basis)
     np.testing.assert_allclose(basis[POSE, 17:], np.eye(3))
     np.testing.assert_allclose(basis[8:11], 0.0)
-    np.testing.assert_allclose(precision, [*precisions(2.0, 0.7), 0.0, 0.0, 0.0])
+    np.testing.assert_allclose(precision, [*precisions(7.0, 1.2), 0.0, 0.0, 0.0])
 
 
 def test_the_radius_of_a_drawn_lens_rises() -> None:

@@ -87,13 +87,13 @@ def test_the_defaults_are_those_of_the_documents() -> None:
     assert (options.max_unexplained, options.max_below_horizon) == (0.25, 0.03)
     assert (options.site_error_m, options.field_floor_px) == (30.0, 0.002)
     assert (lens.radial_px, lens.radial_length_deg, lens.decentering_px, lens.decentering_higher) == (
-        2.0,
+        7.0,
         34.0,
-        0.7,
+        1.2,
         0.3,
     )
     assert (lens.skew_px, lens.aspect_px) == (0.01, 0.02)
     assert (lens.circle_center_px, lens.circle_focal_length_px) == (5.0, 12.0)
-    assert (lens.center_fraction, lens.focal_length_fraction) == (0.07, 0.3)
+    assert (lens.center_fraction, lens.focal_length_fraction) == (0.03, 0.3)
     assert (paper.orthogonality_weight, paper.circularity_weight, paper.monotony_weight) == (1e3, 750.0, 1e3)
     assert ImageCircle(x=0.0, y=0.0, radius=1.0).angle_deg == 90.0

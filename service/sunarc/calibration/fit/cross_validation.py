@@ -197,7 +197,7 @@ def _met(without: _Without, fit: RobustFit, usable: Sightings, judged: BoolArray
         n=int(np.count_nonzero(without.out & judged)),
         rmse_px=math.sqrt(float(np.sum(off**2)) / len(off)),
         stated_px=math.sqrt(float(np.mean(variance))),
-        errors=(axes.T @ said) / np.sqrt(stated),
+        errors=(axes.T @ said) / np.sqrt(np.maximum(stated, 1.0)),  # below the noise's own is rounding
         open=stated > _OPEN,
         turned=turned,
         turn_deg=turn_deg,

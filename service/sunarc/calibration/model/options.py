@@ -31,15 +31,15 @@ class LensTolerances:
         side and of the focal length found.
     """
 
-    radial_px: Positive = 2.0
+    radial_px: Positive = 7.0
     radial_length_deg: Positive = 34.0
-    decentering_px: Positive = 0.7
+    decentering_px: Positive = 1.2
     decentering_higher: Positive = 0.3
     skew_px: Positive = 0.01
     aspect_px: Positive = 0.02
     circle_center_px: Positive = 5.0
     circle_focal_length_px: Positive = 12.0
-    center_fraction: Positive = 0.07
+    center_fraction: Positive = 0.03
     focal_length_fraction: Positive = 0.3
 
     def __post_init__(self) -> None:
