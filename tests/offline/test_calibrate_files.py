@@ -15,12 +15,16 @@ import pytest
 from tests.exports.conftest import LENS, document_of
 from tests.fixtures.settings import SGP
 
+from sunarc.calibration.model.document import from_document
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.stated_prior import PriorTolerances
 from sunarc.errors import InputError
 from sunarc.exports.formats import export
 from sunarc.offline.calibrate_files import calibrate_file, image_circle_of, start_camera
+from sunarc.optics.forward import project
 from sunarc.runtime.clock import VirtualClock
+from sunarc.sky.sun import sun_angles, sun_directions
+from sunarc.utc import rfc3339, utc_time
 
 NOW = datetime(2013, 5, 14, tzinfo=UTC)
 
@@ -95,6 +99,46 @@ def test_a_file_without_a_pose_is_no_prior_of_the_pose(tmp_path: Path) -> None:
     assert refused.value.field == "--pose-within"
     document = calibrated(path, start=start, within=PriorTolerances(lens_px=1.0))
     assert document["state"] == "refused"  # of one sighting
+
+
+def a_day_of(folder: Path, *, clock_s: float = 0.0, flip: bool = False) -> Path:
+    """Return sightings of a day by `LENS`, their columns in reverse order or their clock ahead."""
+    times = 1_371_700_000.0 + np.arange(0.0, 90_000.0, 900.0)
+    pixels = project(LENS, sun_directions(times, SGP))
+    rows = np.isfinite(pixels).all(axis=1) & (sun_angles(times, SGP).apparent_zenith < 80.0)
+    pixels = pixels + np.random.default_rng(2).normal(0.0, 0.1, pixels.shape)
+    pixels[:, 0] = LENS.width - 1.0 - pixels[:, 0] if flip else pixels[:, 0]
+    shown = [
+        f"{rfc3339(utc_time(t + clock_s))},{x:.3f},{y:.3f}" for t, (x, y) in zip(times[rows], pixels[rows], strict=True)
+    ]
+    return points_file(folder, *shown)
+
+
+@pytest.mark.parametrize("form", ["opencv", "matlab", "netcdf", "ocamcalib"])
+def test_a_lens_of_any_format_is_kept_within_a_pixel_and_posed(tmp_path: Path, form: str) -> None:
+    made = export(document_of(LENS), form)
+    for name, content in made.files.items():
+        (tmp_path / (name or made.name or "lens.nc")).write_bytes(content)
+    start = next(path for path in sorted(tmp_path.iterdir()) if path.suffix != ".csv")
+    document = calibrated(a_day_of(tmp_path), start=start, pose_only=True)
+    assert document["verdict"]["accepted"], document["verdict"]
+    found = from_document(document)
+    directions = sun_directions(1_371_700_000.0 + np.array([45e3, 55e3, 65e3]), SGP)
+    assert project(found.camera, directions) == pytest.approx(project(LENS, directions), abs=0.5)
+    assert 0.01 < found.sky_rms_deg < 0.3  # a lens that states no uncertainty is not taken as exact
+
+
+@pytest.mark.parametrize(("clock_s", "flip", "said"), [(0.0, True, True), (7200.0, False, False)])
+@pytest.mark.parametrize("known", [{"pose_only": True}, {}, {"within": PriorTolerances(lens_px=1.0, pose_deg=1.0)}])
+def test_the_other_handedness_is_tried_where_a_known_lens_is_refused(
+    tmp_path: Path, known: dict[str, Any], *, clock_s: float, flip: bool, said: bool
+) -> None:
+    start = tmp_path / "start.yml"  # not one of this camera's: its pose is another
+    start.write_bytes(export(document_of(LENS), "opencv").content)
+    document = calibrated(a_day_of(tmp_path, clock_s=clock_s, flip=flip), start=start, **known)
+    codes = [one["code"] for one in document["verdict"]["findings"]]
+    assert ("other_handedness_fits" in codes) == said
+    assert not (document["verdict"]["accepted"] and flip)
 
 
 def test_a_circle_is_read_from_three_numbers() -> None:

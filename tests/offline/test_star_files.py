@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from io import StringIO
 from pathlib import Path
@@ -71,6 +72,32 @@ def night_image(rng: np.random.Generator, name: str, hot: NDArray[np.float64]) -
     places = np.concatenate([project(CAMERA, sky.directions), hot])
     electrons = np.r_[light, np.full(hot.shape[0], 25_000.0)]
     return counted(rng, expected(places, electrons, size=SIZE, width=1.0))
+
+
+@pytest.mark.parametrize(
+    ("flip", "said"),
+    [
+        (lambda image: image[::-1], "its rows in reverse order"),
+        (lambda image: image[:, ::-1], "its columns in reverse order"),
+        (lambda image: image.T, "x and y swapped"),
+        (lambda image: np.random.default_rng(3).permutation(image.ravel()).reshape(image.shape), None),
+    ],
+)
+def test_images_that_are_stored_otherwise_are_named_as_such(
+    images: list[Path],
+    calibration: Calibration,
+    tmp_path: Path,
+    flip: Callable[[NDArray[np.uint16]], NDArray[np.uint16]],
+    said: str | None,
+) -> None:
+    for path in images:
+        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        assert image is not None
+        cv2.imwrite(str(tmp_path / path.name), np.ascontiguousarray(flip(image.astype(np.uint16))))
+    found = find_stars(sorted(tmp_path.iterdir()), calibration, StarOptions(full_scale=4095, gain_e_per_count=5.0))
+    assert not any(one.as_json()["accepted"] for one in found)
+    flips = {one.data["flip"] for image in found for one in image.findings if one.code == "stars_flipped"}
+    assert flips == (set() if said is None else {said})
 
 
 def unix_s(name: str) -> float:

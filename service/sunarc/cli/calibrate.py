@@ -178,7 +178,11 @@ def calibrate(
         Path | None, typer.Option(help="Begin at the camera of this file: a calibration document or another format.")
     ] = None,
     pose_only: Annotated[
-        bool, typer.Option("--pose-only", help="Keep that camera's lens; fit the pose alone.")
+        bool,
+        typer.Option(
+            "--pose-only",
+            help="Keep that camera's lens (of a format that states no uncertainty: to 1 px); fit the pose alone.",
+        ),
     ] = False,
     lens_within: Annotated[
         float | None,

@@ -133,6 +133,12 @@ MESSAGES = Messages(
     stars_scattered=Message(
         "the stars scatter by {scatter_px:.2f} px within a search of {radius_px:.1f} px", _NO_STARS, _BETTER_START
     ),
+    stars_flipped=Message(
+        "with {flip} {n} stars match: the image is stored otherwise than those of the calibration",
+        "In addition to the reason for which the image is refused.",
+        "store the images of night and day alike (FITS files begin with the lowest row or with the highest one); or "
+        "give a calibration of such images",
+    ),
     moon_found=Message("the moon, reduced chi² {chi2:.2f}, sigma {sigma_px:.3f} px", _ACCEPTED),
     moon_hazy=Message("the sky beside the moon has {haze:.3f} of its light: haze", "Accepted with a larger sigma."),
     moon_thin=Message("{lit:.3f} of the moon's disc is lit, {limit} needed", _NO_MOON),

@@ -14,12 +14,14 @@ from typing import Any, NamedTuple
 
 import sunarc
 from sunarc.archive.csv_files import read_sightings
+from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.changes.change_points import calibrate_moved
 from sunarc.calibration.lens_library.first_pose import calibrate_with_lens
 from sunarc.calibration.lens_library.joint import Entry, Unit, calibrate_jointly, lens_type_of
 from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread
 from sunarc.calibration.model.document import from_document, to_document
-from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
+from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Mirrored
+from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.pose import estimate_pose
 from sunarc.calibration.projection_choice import calibrate_unknown_lens
@@ -28,6 +30,7 @@ from sunarc.calibration.stated_prior import PriorTolerances, calibrate_with_prio
 from sunarc.errors import InputError
 from sunarc.exports.view import closest_camera
 from sunarc.extras import extra_module
+from sunarc.findings import Finding
 from sunarc.offline.calibration_files import read_calibration, read_view_file
 from sunarc.optics.camera import Camera
 from sunarc.reanalysis.files import read_file, read_image, read_lines, require_inside
@@ -125,9 +128,9 @@ def calibrate_file(
 ) -> dict[str, Any]:
     """Fit a file of sightings, draw the result into a folder where one is named, and return the document.
 
-    `start` is of any format that is read; `pose_only` keeps the lens of the calibration document `start` and fits its
-    pose alone; `within` makes `start` a prior of these tolerances; `lens` is the camera's type of lens, in place of
-    `start`. A projection that is not known comes from `start`, or is chosen by the sightings.
+    `start` is of any format that is read; `pose_only` keeps its lens, see `_posed`; `within` makes it a prior of these
+    tolerances; `lens` is the camera's type of lens, in place of `start`. A projection that is not known comes from
+    `start`, or is chosen by the sightings.
     """
     if plots is not None:
         extra_module("matplotlib", extra="studies")  # before the fit, which takes minutes
@@ -136,9 +139,7 @@ def calibrate_file(
         require_lens(lens, image_size=image_size, options=options, known=projection_known)
         solved, points = calibrate_with_lens(points, lens=lens, site=site, options=options, circle=circle)
     elif start is not None and pose_only:
-        known = read_calibration(start)
-        _require_size(known.camera, image_size)
-        solved = estimate_pose(points, start=known, site=site, options=options)
+        solved = _posed(points, start, image_size=image_size, site=site, options=options)
     elif start is not None and within is not None:
         prior = start_camera(start, image_size, options, posed=within.pose_deg is not None)
         solved = calibrate_with_prior(points, prior=prior, tolerances=within, site=site, options=options)
@@ -151,6 +152,8 @@ def calibrate_file(
         solved, points = calibrate_moved(
             points, site=site, image_size=image_size, options=options, circle=circle, start=begin
         )
+    if start is not None or lens is not None:
+        solved = _explained(solved, points, options=options, circle=circle)
     if plots is not None:
         from sunarc.studies.reports import write_calibration_plots  # noqa: PLC0415 - the plot library is slow to load
 
@@ -168,6 +171,55 @@ def calibrate_file(
         valid_until=None,
         pose_epoch="",
         software_version=sunarc.__version__,
+    )
+
+
+def _explained(
+    solved: Calibration, points: Sightings, *, options: CalibrationOptions, circle: ImageCircle | None
+) -> Calibration:
+    """Return a calibration by a known lens; its verdict says where the sightings alone fit the other handedness."""
+    if solved.verdict.accepted or any(one.code == "other_handedness_fits" for one in solved.verdict.findings):
+        return solved
+    stated: Mirrored = "yes" if solved.camera.mirrored else "no"
+    size = (solved.camera.width, solved.camera.height)
+    free = replace(options, mirrored="auto", projection=solved.camera.projection)
+    alone = calibrate(points, site=solved.site, image_size=size, options=free, circle=circle)
+    if not alone.verdict.accepted or alone.camera.mirrored == solved.camera.mirrored:
+        return solved
+    other: Mirrored = "no" if stated == "yes" else "yes"
+    found = Finding("other_handedness_fits", {"mirrored": other, "stated": stated})
+    return replace(solved, verdict=replace(solved.verdict, findings=(found, *solved.verdict.findings)))
+
+
+_LENS_WITHIN_PX, _LARGEST_LENS_PX = 1.0, 10.0
+"""1-sigma of the image near the horizon by a lens of which a file states no uncertainty; no lens is kept by more."""
+
+
+def _posed(
+    points: Sightings, start: Path, *, image_size: tuple[int, int], site: Site, options: CalibrationOptions
+) -> Calibration:
+    """Return the lens of a file in the pose that sightings ask for.
+
+    That of a calibration document is kept within its own uncertainty; that of another format, which states none, within
+    a pixel, and as far as our model differs from its description.
+    """
+    view = read_view_file(start)
+    if view.camera is not None:
+        known = read_calibration(start)
+        _require_size(known.camera, image_size)
+        return estimate_pose(points, start=known, site=site, options=options)
+    camera, difference = closest_camera(view)
+    _require_size(camera, image_size)
+    lens_px = math.hypot(_LENS_WITHIN_PX, difference.total.rms_px)
+    if not lens_px <= _LARGEST_LENS_PX:
+        raise InputError(
+            field="--pose-only",
+            problem=f"the lens of {start.name} is none of ours to {difference.total.rms_px:.0f} px",
+            remedy="name a calibration that describes the whole image",
+        )
+    camera = replace(camera, max_angle=math.radians(options.max_angle_deg))
+    return calibrate_with_prior(
+        points, prior=camera, tolerances=PriorTolerances(lens_px=lens_px), site=site, options=options
     )
 
 

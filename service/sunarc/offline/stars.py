@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -119,7 +119,42 @@ def find_stars(paths: Sequence[Path], calibration: Calibration, options: StarOpt
     camera = calibration.camera
     size = (camera.width, camera.height)
     seen = [read_stars(path, calibration.site, options, size=size) for path in paths]
-    return named_stars(seen, calibration, within_px=options.within_px)
+    return _with_flips(named_stars(seen, calibration, within_px=options.within_px), seen, calibration, options)
+
+
+def _with_flips(
+    named: list[StarImage], seen: Sequence[StarImage], calibration: Calibration, options: StarOptions
+) -> list[StarImage]:
+    """Return images; where no image's stars match, and those of flipped ones do, their findings say which flip."""
+    if any(one.matches is not None and one.matches.accepted for one in named):
+        return named
+    width, height = calibration.camera.width, calibration.camera.height
+    last = np.array([width - 1.0, height - 1.0])
+    found = {
+        "its rows in reverse order": _flipped(seen, lambda xy: np.stack([xy[:, 0], last[1] - xy[:, 1]], axis=-1)),
+        "its columns in reverse order": _flipped(seen, lambda xy: np.stack([last[0] - xy[:, 0], xy[:, 1]], axis=-1)),
+    }
+    if width == height:
+        found["x and y swapped"] = _flipped(seen, lambda xy: np.ascontiguousarray(xy[:, ::-1]))
+    counts = {}
+    for name, images in found.items():
+        matches = [one.matches for one in named_stars(images, calibration, within_px=options.within_px)]
+        counts[name] = [len(one.detection) if one is not None and one.accepted else 0 for one in matches]
+    best = max(counts, key=lambda name: sum(counts[name]))
+    return [
+        replace(one, findings=findings, reason=reason_of(findings))
+        if n and (findings := (*one.findings, Finding("stars_flipped", {"flip": best, "n": n})))
+        else one
+        for one, n in zip(named, counts[best], strict=True)
+    ]
+
+
+def _flipped(images: Sequence[StarImage], flip: Callable[[FloatArray], FloatArray]) -> list[StarImage]:
+    """Return images whose detections are elsewhere."""
+    return [
+        one if one.stars is None else replace(one, stars=replace(one.stars, pixels=flip(one.stars.pixels)))
+        for one in images
+    ]
 
 
 def named_stars(images: Sequence[StarImage], calibration: Calibration, *, within_px: float = 0.0) -> list[StarImage]:
