@@ -187,9 +187,33 @@ def test_without_a_calibration_the_command_finds_the_camera(images: list[Path], 
     assert 0.0 < np.median(error) < 0.1
     table = read_sightings(out.read_text().splitlines(), name="stars.csv")
     assert np.median(np.linalg.norm(project(CAMERA, table.directions) - table.pixels, axis=-1)) < 0.15
-    alone = sunarc("stars", str(images[0]), "--blind", *site, "--json")
-    assert alone.code == 1
-    assert json.loads(alone.out)["findings"][0]["code"] == "blind_few_images"
+
+
+def test_one_image_is_enough_and_hot_pixels_are_none_of_its_stars(
+    images: list[Path], tmp_path: Path, sunarc: Sunarc
+) -> None:
+    target, out = tmp_path / "roof.json", tmp_path / "stars.csv"
+    site = ["--latitude", str(SITE.latitude), "--longitude", str(SITE.longitude), "--altitude", str(SITE.altitude)]
+    usual = ["stars", str(images[0]), "--blind", "--full-scale", "4095", "--json"]
+    done = sunarc(*usual, *site, "--write-calibration", str(target), "-o", str(out))
+    assert done.code == 0, done.err
+    answer = json.loads(done.out)
+    codes = {finding["code"]: finding["data"] for finding in answer["findings"]}
+    assert codes["blind_by_pattern"]["log10_chance"] < -50.0
+    camera = from_document(json.loads(target.read_text())).camera
+    sky = night_sky(unix_s(TIMES[0]), SITE, faintest=4.0).directions
+    sky = sky[sky[:, 2] > 0.2]
+    error = np.linalg.norm(project(camera, sky) - project(CAMERA, sky), axis=-1)
+    assert 0.0 < np.median(error) < 0.2
+    table = read_sightings(out.read_text().splitlines(), name="stars.csv")
+    off = np.linalg.norm(project(CAMERA, table.directions) - table.pixels, axis=-1)
+    assert np.median(off) < 0.15
+    assert np.all(off < 2.0)
+    # three hours late, and of half the Earth away
+    for options in (["--utc-offset", "3", *site], ["--latitude", "-36.6", "--longitude", "80"]):
+        wrong = sunarc(*usual, *options)
+        assert wrong.code == 1
+        assert not json.loads(wrong.out)["accepted"]
 
 
 def test_blind_needs_a_site_and_no_calibration(images: list[Path], tmp_path: Path, sunarc: Sunarc) -> None:

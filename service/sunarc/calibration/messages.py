@@ -364,6 +364,21 @@ MESSAGES = Messages(
         "{tilt_deg:.1f}°; an error of the clock turns north by {north_deg_per_minute:.2f}° per minute",
         "The camera is used. Stars cannot distinguish an error of the clock from a rotation about the pole.",
     ),
+    blind_by_pattern=Message(
+        "the camera is that of the pattern of bright stars in one image (by chance: 10^{log10_chance:.0f})",
+        "The camera is used.",
+    ),
+    blind_no_pattern=Message(
+        "no camera matches the bright stars with the {n} detections of one image better than chance would (10^"
+        "{log10_chance:.0f} expected, at most 10^{limit:.0f})",
+        _NO_CAMERA,
+        "check time, time zone, latitude and longitude; give a clearer image, or several an hour or more apart",
+    ),
+    blind_pattern_not_named=Message(
+        "a camera matches the bright stars of one image (by chance: 10^{log10_chance:.0f}), but not all of the sky",
+        _NO_CAMERA,
+        "give several images of the night, an hour or more apart",
+    ),
     blind_few_images=Message(
         "{n} images with stars, between which the sky turned by {turn_deg:.0f}°; 2 images and {limit:.0f}° are needed",
         _NO_CAMERA,

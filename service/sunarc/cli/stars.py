@@ -34,7 +34,7 @@ def stars(
         Path | None, typer.Option("--calibration", help="A calibration document (JSON), unless --blind.")
     ] = None,
     blind: Annotated[
-        bool, typer.Option("--blind", help="Without a calibration: find the camera by these images of one night.")
+        bool, typer.Option("--blind", help="Without a calibration: find the camera by images of one night, or by one.")
     ] = False,
     write_calibration: Annotated[
         Path | None, typer.Option(help="The calibration that --blind found (JSON).", rich_help_panel=BLIND)
@@ -66,8 +66,9 @@ def stars(
     With --beside the output holds the sun's sightings as well, for the next sunarc calibrate. Give two images or more,
     ten minutes apart, so that hot pixels and lamps are known. Needs the extra sunarc[night].
 
-    With --blind no calibration is needed: what turns in images of one night (an hour or more apart, within 20 degrees
-    of the zenith) gives lens and pole, and the bright stars the rest. North is then right as the images' clock is.
+    With --blind no calibration is needed, for cameras within 20 degrees of the zenith: what turns in images of one
+    night (an hour or more apart) gives lens and pole, and the bright stars the rest; of one image their pattern all.
+    North is then right as the images' clock is.
 
     Example: sunarc stars night/*.png --calibration calibration.json --beside sun.csv -o sightings.csv
 

@@ -398,6 +398,8 @@ def find_stars_blind(
     fitted = calibrate(points, site=site, image_size=size, options=choice, start=start.camera)
     if not fitted.verdict.accepted:
         return BlindResult(start=start, images=seen, calibration=fitted)
+    if len(images) == 1:  # hot pixels are left out by the start: there is no other image to tell them by
+        seen = [replace(one, stars=start.stars[0]) if one is night[0] else one for one in seen]
     return BlindResult(start=start, images=named_stars(seen, fitted, within_px=options.within_px), calibration=fitted)
 
 

@@ -115,9 +115,9 @@ def test_what_does_not_turn_gives_no_camera() -> None:
     sky = nights.sky_of(nights.MIDNIGHT + 3600.0)
     same = started([frozen, replace(frozen, unix_s=frozen.unix_s + 3600.0, sky=sky)])
     assert not same.accepted
-    short = started(images_of(CAMERA, NIGHT, hours=(0.0, 0.1)))
+    short = started(images_of(CAMERA, NIGHT, hours=(0.0, 0.25)))
     assert [finding.code for finding in short.findings] == ["blind_few_images"]
-    assert short.findings[0].data["turn_deg"] == pytest.approx(1.5, abs=0.01)
+    assert short.findings[0].data["turn_deg"] == pytest.approx(3.75, abs=0.02)
     assert [finding.code for finding in started([]).findings] == ["blind_few_images"]
     nothing = np.zeros(0)
     columns = dict.fromkeys(Stars.__dataclass_fields__, nothing)

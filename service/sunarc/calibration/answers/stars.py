@@ -50,7 +50,7 @@ def stars_in_image(
     zenith, azimuth = angles_from_direction(sky.directions)
     inside = np.all((pixels > -0.5) & (pixels < np.array([camera.width, camera.height]) - 0.5), axis=-1)
     visible = inside & camera_sees(camera, pixels) & (zenith < furthest_deg)
-    magnitude = sky.magnitude + _EXTINCTION * (relative_air_mass(zenith) - 1.0)
+    magnitude = seen_magnitude(sky)
     return PredictedStars(
         names=sky.names,
         pixels=pixels,
@@ -58,6 +58,12 @@ def stars_in_image(
         magnitude=magnitude,
         azimuth_deg=azimuth,
     ).select(visible)
+
+
+def seen_magnitude(sky: NightSky) -> FloatArray:
+    """Return the magnitudes (n,) behind the air of a clear night; those of the zenith as in the catalogue."""
+    zenith, _ = angles_from_direction(sky.directions)
+    return np.asarray(sky.magnitude + _EXTINCTION * (relative_air_mass(zenith) - 1.0))
 
 
 # Images of one night, matched together: what stands still between them is no star.

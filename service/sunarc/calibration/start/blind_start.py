@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from sunarc.array_types import BoolArray, FloatArray
 from sunarc.bounds import require_bounds
 from sunarc.calibration.answers.covariance import hemisphere
-from sunarc.calibration.answers.stars import MatchedView, StarView, match_views, stars_in_image
+from sunarc.calibration.answers.stars import MatchedView, StarView, match_views, seen_magnitude, stars_in_image
 from sunarc.calibration.model.options import ImageCircle
 from sunarc.calibration.quality.site_checks import tilt_question
 from sunarc.calibration.start.sky_turn import (
@@ -30,7 +30,8 @@ from sunarc.calibration.start.sky_turn import (
     turnings,
     unmirrored,
 )
-from sunarc.detection.stars.matching import StarMatches
+from sunarc.calibration.start.star_pattern import Bright, bright_stars, camera_of, log10_chance, patterns
+from sunarc.detection.stars.matching import StarMatches, on_cloud
 from sunarc.detection.values import PredictedStars, Stars
 from sunarc.findings import Finding
 from sunarc.optics.camera import Camera, Param
@@ -89,7 +90,7 @@ class BlindStart:
     Attributes
     ----------
     camera : the best one; None where nothing turned. To be used only where `accepted`.
-    accepted : whether the stars of two images or more are named by it, and by no other.
+    accepted : whether the stars of the images are named by it, and by no other.
     findings : why, or why not.
     predicted, stars, matches : of each image, in the order given: where the camera sees the stars, the detections
         that are not still, and which is which; empty where there is no camera.
@@ -129,13 +130,15 @@ class Refined(NamedTuple):
     scatter_px: float
 
 
-def refined(camera: Camera, images: Sequence[NightDetections]) -> Refined | None:
-    """Return the camera by least squares of bright stars of several images; None where too few come near."""
+def refined(
+    camera: Camera, images: Sequence[NightDetections], rounds: Sequence[tuple[float, float]] = _ROUNDS
+) -> Refined | None:
+    """Return the camera by least squares of bright stars of some images; None where too few come near."""
     focal = camera.focal_length_px[0]
     start = camera.to_vector()[list(_FIT)]
     sigma = np.array(_SIGMA_LENS) * np.r_[focal, focal, focal, np.ones(7)]
     scatter = np.nan
-    for reach, faintest in _ROUNDS:
+    for reach, faintest in rounds:
         for _ in range(_STEPS):
             radius = max(reach * focal, _LEAST_REACH_PX)
             pairs = _nearest(camera, images, radius, faintest)
@@ -213,12 +216,13 @@ _NORTH_PER_MINUTE_DEG = 0.25
 
 
 class _Hypothesis(NamedTuple):
-    """A refined camera, what it makes of each image, and how many stars it names."""
+    """A refined camera, what it makes of each image, and how many stars it names; by one image, what chance has."""
 
     camera: Camera
     views: tuple[StarView, ...]
     matched: tuple[MatchedView, ...]
     stars: int
+    log10_chance: float = math.nan
 
 
 def blind_start(
@@ -226,14 +230,17 @@ def blind_start(
 ) -> BlindStart:
     """Find a camera by one night's images alone: no start, no sun, mirrored or not.
 
-    What turns gives the lens, the pole and the handedness; the bright catalogue at the stated times the angle about the
-    pole. A camera counts where it names the stars of two images or more by the rules of `match_stars`, and no other
-    camera does. North is right as the times are: a clock that is wrong turns the camera about the pole, a minute by a
-    quarter of a degree, and no star tells it; only a tilt that a wrong zone would explain is refused.
+    Of one image, or of several between which the sky turned by less than 3 degrees, the pattern of the bright stars
+    gives the camera, where it matches far more of them than chance would (`star_pattern`). Of more images what turns
+    gives the lens, the pole and the handedness; the bright catalogue at the stated times the angle about the pole. That
+    camera counts where it names the stars of two images or more by the rules of `match_stars`, and no other camera
+    does. North is right as the times are: a clock that is wrong turns the camera about the pole, a minute by a quarter
+    of a degree, and no star tells it; only a tilt that a wrong zone would explain is refused.
 
     Parameters
     ----------
-    images : of one night, the sky turned by 10 degrees (40 minutes) or more between the first and the last.
+    images : of one night, one or more; where the sky turned by 3 degrees or more between two, it must have turned by 10
+        (40 minutes) between the first and the last.
     site : where the camera stands.
     image_size : width and height, px.
     options : what is known of the camera.
@@ -242,9 +249,7 @@ def blind_start(
     moving = [_without_still(image, images) for image in images]
     pairs = pairs_of([image.unix_s for image in moving], [image.stars.pixels for image in moving])
     if not pairs:
-        turn = math.degrees(SIDEREAL_RATE * float(np.ptp([image.unix_s for image in images]))) if images else 0.0
-        few = {"n": len(images), "turn_deg": turn, "limit": _LEAST_TURN_DEG}
-        return BlindStart(accepted=False, findings=(Finding("blind_few_images", few),))
+        return _by_pattern(images, site, image_size, known)
     turns = turnings(pairs, _field(site, image_size, known))
     if not turns or turns[0].share < _LEAST_SHARE:
         share = turns[0].share if turns else 0.0
@@ -255,6 +260,78 @@ def blind_start(
     if not found:
         return BlindStart(accepted=False, findings=(Finding("blind_no_stars", {"share": turns[0].share}),))
     return _decided(found, site, known)
+
+
+# One image, or several between which the sky hardly turned: the pattern of the bright stars, all of the sky at once.
+
+_PATTERN_OF_SIDE = (0.25, 1.0)
+"""Radius of 90 degrees off the axis over the image's shorter side: a factor of two about the largest circle in it."""
+_CENTRE_LIKE_TILT_DEG = 5.0
+"""By how much a centre that is off the image's looks like a tilt more."""
+_PATTERNS, _PATTERNS_REFINED = 40, 5
+_FIRST_ROUNDS, _LAST_ROUNDS = ((0.06, 3.0), (0.04, 3.5)), _ROUNDS[4:]
+_MOST_LOG10_CHANCE = -4.0
+"""One camera in 10,000 images is expected by chance."""
+_MOST_TRIED = 2
+_STAR_WITHIN = 4.0
+"""1-sigmas of the prediction from a star's place, within which a detection may be it."""
+
+
+def _by_pattern(
+    images: Sequence[NightDetections], site: Site, image_size: tuple[int, int], known: BlindOptions
+) -> BlindStart:
+    """Return the camera that matches the bright stars of one image far beyond chance, or why there is none."""
+    lit = sorted((one for one in images if len(one.stars) >= _FEWEST), key=lambda one: -len(one.stars))
+    if not lit:
+        turn = math.degrees(SIDEREAL_RATE * float(np.ptp([image.unix_s for image in images]))) if images else 0.0
+        few = {"n": len(images), "turn_deg": turn, "limit": _LEAST_TURN_DEG}
+        return BlindStart(accepted=False, findings=(Finding("blind_few_images", few),))
+    found = [one for image in lit[:_MOST_TRIED] for one in _of_pattern(image, images, site, image_size, known)]
+    found.sort(key=lambda one: one.log10_chance)
+    if not found or found[0].log10_chance > _MOST_LOG10_CHANCE:
+        chance = found[0].log10_chance if found else 0.0
+        data = {"log10_chance": chance, "limit": _MOST_LOG10_CHANCE, "n": len(lit[0].stars)}
+        return BlindStart(accepted=False, findings=(Finding("blind_no_pattern", data),))
+    if found[0].stars == 0:
+        data = {"log10_chance": found[0].log10_chance}
+        why = tuple(finding for one in found[0].matched for finding in one.matches.findings)
+        return BlindStart(accepted=False, findings=(Finding("blind_pattern_not_named", data), *why))
+    return _decided(found, site, known)
+
+
+def _of_pattern(
+    image: NightDetections,
+    images: Sequence[NightDetections],
+    site: Site,
+    image_size: tuple[int, int],
+    known: BlindOptions,
+) -> list[_Hypothesis]:
+    """Return the refined cameras of one image that name its stars, the least probable by chance first."""
+    field = _field(site, image_size, known)
+    radius = field.radius_px
+    if known.circle is None:
+        least, greatest = (share * min(image_size) for share in _PATTERN_OF_SIDE)
+        radius = (least, max(greatest, radius[1]))
+    sky, clear = image.sky, image.stars.select(~on_cloud(image.stars))
+    magnitude = seen_magnitude(sky)
+    stars, tilt = bright_stars(sky.directions, magnitude), math.radians(known.max_tilt_deg + _CENTRE_LIKE_TILT_DEG)
+    bright = Bright(stars=stars, away=clear.pixels - np.array(field.centre))
+    rough = patterns(bright, radius_px=radius, max_tilt=tilt, most=_PATTERNS)
+    alone = [NightDetections(unix_s=image.unix_s, stars=clear, sky=sky)]
+
+    def chance(camera: Camera) -> float:
+        up = _of_image(camera, sky)
+        return log10_chance(camera, up.directions, seen_magnitude(up), clear.pixels)
+
+    nearer = [refined(camera_of(one, field.centre, image_size), alone, _FIRST_ROUNDS) for one in rough]
+    first = [one.camera for one in nearer if one is not None]
+    first.sort(key=chance)
+    found: list[_Hypothesis] = []
+    for one in first[:_PATTERNS_REFINED]:
+        better = refined(one, alone, _LAST_ROUNDS)
+        if better is not None and not any(_same(better.camera, other.camera) for other in found):
+            found.append(_judged(better, images, by_pattern=True)._replace(log10_chance=chance(better.camera)))
+    return found
 
 
 def _without_still(image: NightDetections, every: Sequence[NightDetections]) -> NightDetections:
@@ -310,7 +387,8 @@ def _hypotheses(
     return sorted(found, key=lambda one: -one.stars)
 
 
-def _judged(one: Refined, images: Sequence[NightDetections]) -> _Hypothesis:
+def _judged(one: Refined, images: Sequence[NightDetections], *, by_pattern: bool = False) -> _Hypothesis:
+    """Return what a camera names; by one image's pattern without the detections that are far from any star."""
     camera = one.camera
     sigma = max(_LEAST_SIGMA_PX, one.scatter_px, _OF_FOCAL * camera.focal_length_px[0])
     views = []
@@ -320,7 +398,12 @@ def _judged(one: Refined, images: Sequence[NightDetections]) -> _Hypothesis:
         above = (
             unproject(camera, image.stars.pixels)[:, 2] > 0.0
         )  # text beside the image circle does not look at the sky
-        views.append(StarView(unix_s=image.unix_s, sky=image.sky, stars=image.stars.select(above), predicted=predicted))
+        seen = image.stars.select(above)
+        if by_pattern and len(predicted) and len(seen):
+            # hot pixels and lamps, which one image does not tell: that the rest is stars is proven by its pattern
+            apart = np.asarray(cKDTree(predicted.pixels).query(seen.pixels)[0])
+            seen = seen.select(apart < _STAR_WITHIN * sigma)
+        views.append(StarView(unix_s=image.unix_s, sky=image.sky, stars=seen, predicted=predicted))
     matched = match_views(views)
     stars = sum(found.matches.star.size for found in matched if found.matches.accepted)
     return _Hypothesis(camera, tuple(views), tuple(matched), stars)
@@ -352,7 +435,9 @@ def _decided(found: Sequence[_Hypothesis], site: Site, options: BlindOptions) ->
     findings = [Finding("blind_found", data)]
     question = tilt_question(best.camera, site)
     against = []
-    if len(accepted) < _FEWEST_IMAGES or turn < _LEAST_TURN_DEG:
+    if math.isfinite(best.log10_chance):
+        findings.append(Finding("blind_by_pattern", {"log10_chance": best.log10_chance}))
+    elif len(accepted) < _FEWEST_IMAGES or turn < _LEAST_TURN_DEG:
         against.append(Finding("blind_few_images", {"n": len(accepted), "turn_deg": turn, "limit": _LEAST_TURN_DEG}))
     if rival is not None:
         against.append(Finding("blind_ambiguous", {"n": best.stars, "rival": rival.stars}))
