@@ -131,7 +131,7 @@ def measure(path: Path) -> None:
     board = StatusRegistry(version="study", started_at=_END, monotonic=SystemClock().monotonic)
     judge = DayJudge(
         camera=CameraArchive(archive, name="roof", site=SGP),
-        cadence_s=_CADENCE_S,
+        cadence_s=lambda: _CADENCE_S,
         sun_zenith_deg=88.0,
         now=lambda: _END,
         request_refit=lambda reason: Refit(id="x", camera="roof", requested_at=_END, reason=reason),

@@ -80,7 +80,11 @@ def test_every_table_is_sent_or_left_out_for_a_reason() -> None:
     of_its_own_receivers = {"notice", "notice_position", "notice_sink"}
     made_on_the_hub = {"day_summary", "nightly_run"}
     names_rows_by_the_imagers_own_ids = {"used_sightings"}
-    of_the_service_alone = {"condition", "night_image"}  # the latter until the night's verdict, which is sent
+    of_the_service_alone = {
+        "condition",
+        "seen_file",
+        "night_image",
+    }  # the last until the night's verdict, which is sent
     left_out = (
         of_the_service_alone | of_the_feed | of_its_own_receivers | made_on_the_hub | names_rows_by_the_imagers_own_ids
     )

@@ -33,6 +33,8 @@ ROOT = Path(__file__).parents[2]
 STORED = Path(__file__).with_name("settings_0.2.0.toml")
 ALLOWED = {setting.name: setting.allowed for setting in all_settings()}
 NAMES = list(ALLOWED)
+REQUIRED = {"folder": {"path": "/images"}}
+"""Of sections that came after 0.2.0."""
 
 
 def bounds_by_name() -> dict[str, tuple[Bound, ...]]:
@@ -65,7 +67,7 @@ def stored_with(folder: Path, name: str, value: str) -> Path:
     """Write the stored settings with one value in place of another; `name` may be new."""
     tables = tomllib.loads(STORED.read_text())
     section, _, key = name.rpartition(".")
-    table = tables.setdefault(section, {}) if section else tables
+    table = tables.setdefault(section, dict(REQUIRED.get(section, {}))) if section else tables
     table.pop(key, None)
     lines = [f"{key} = {value}"] if not section else []
     lines += [f"{one} = {json.dumps(other)}" for one, other in tables.items() if not isinstance(other, dict)]
@@ -107,7 +109,7 @@ NUMERIC = [name for name, allowed in ALLOWED.items() if "number" in allowed]
 
 
 NEW = {"store", "hub.url", "hub.token_file"} | {
-    name for name in NAMES if name.startswith(("push.", "night.", "nightly.", "first_pose."))
+    name for name in NAMES if name.startswith(("folder.", "push.", "night.", "nightly.", "first_pose."))
 }
 """Settings that came after 0.2.0."""
 
@@ -127,7 +129,7 @@ def test_a_settings_file_of_0_2_0_is_read_and_has_every_setting() -> None:
 
 
 def test_there_are_about_fifty_settings() -> None:
-    assert len(NAMES) <= 72
+    assert len(NAMES) <= 78
 
 
 def test_every_number_has_a_lower_and_an_upper_bound() -> None:

@@ -108,7 +108,7 @@ class LongRun:
         self._board = StatusRegistry(version="long run", started_at=self.now, monotonic=clock.monotonic)
         self.judge = DayJudge(
             camera=CameraArchive(self.archive, name="roof", site=SGP),
-            cadence_s=self.cadence_s,
+            cadence_s=lambda: self.cadence_s,
             sun_zenith_deg=LOWEST_ZENITH_DEG,
             now=lambda: self.now,
             request_refit=self.request,

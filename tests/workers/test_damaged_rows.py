@@ -158,7 +158,7 @@ def run_every_part(path: Path, board: StatusRegistry, clock: VirtualClock) -> di
     predictor.expectation(NOON)
     predictor.clear_level_per_us(NOW)
     days = DayJudge(
-        camera=CameraArchive(archive, name="roof", site=SITE), cadence_s=60.0, sun_zenith_deg=90.0,
+        camera=CameraArchive(archive, name="roof", site=SITE), cadence_s=lambda: 60.0, sun_zenith_deg=90.0,
         now=clock.now, request_refit=lambda reason: archive.refits.add(
             Refit(id="another", camera="roof", requested_at=NOW, reason=reason)
         ),

@@ -98,7 +98,7 @@ def test_a_day_is_judged_in_its_measured_air(archive: Archive, monkeypatch: pyte
 
     monkeypatch.setattr(days, "measure_day", noting)
     judge = DayJudge(
-        camera=CameraArchive(archive, name="roof", site=SITE), cadence_s=600.0, sun_zenith_deg=88.0,
+        camera=CameraArchive(archive, name="roof", site=SITE), cadence_s=lambda: 600.0, sun_zenith_deg=88.0,
         now=lambda: NOON + timedelta(days=2), request_refit=lambda _: None,  # type: ignore[arg-type, return-value]
     )  # fmt: skip
     assert len(judge.judge_ended_days()) == 2

@@ -30,10 +30,16 @@ def camera_opener(settings: Settings, clock: Clock) -> Callable[[], SkyCamera]:
         return lambda: open_aravis(camera, clock)
     if settings.source == "replay" and replay is not None:
         return lambda: open_replay(replay)
-    section = "camera" if settings.source == "aravis" else "replay"
+    if settings.source == "folder" and settings.folder is not None:
+        return _no_camera
+    section = "camera" if settings.source == "aravis" else settings.source
     raise ConfigurationError(
         f'setting {section} is missing; add a [{section}] section for source = "{settings.source}"'
     )
+
+
+def _no_camera() -> SkyCamera:
+    raise ConfigurationError("images that others have taken come from no camera")
 
 
 def require_stored_site(archive: Archive, settings: Settings) -> None:

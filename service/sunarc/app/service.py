@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import datetime
 from functools import partial
+from pathlib import Path
 from typing import TypedDict
 
 import sunarc
@@ -24,6 +25,9 @@ from sunarc.cameras.frame import Frame, SkyCamera
 from sunarc.detection.values import Detection
 from sunarc.errors import OutsideError
 from sunarc.extras import extra_module
+from sunarc.reanalysis.folder_archive import FolderArchiveWorker
+from sunarc.reanalysis.folder_worker import FolderWorker, LearnedCadence, time_rules
+from sunarc.reanalysis.live_images import LiveImages
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.loop import DropOldestQueue
 from sunarc.runtime.status import StatusRegistry
@@ -132,6 +136,8 @@ def restore_last_known(
 _log = logging.getLogger(__name__)
 _WAITING_CYCLES = 4
 _WAITING_SUN_FRAMES = 8
+_ONE_IMAGE_S = 1.0
+"""Slot of the images that others have taken: each has one sighting."""
 
 
 class Service:
@@ -188,11 +194,14 @@ class Service:
         self.night = night_capture(settings.night, self.camera.site_with_air_at)
         self.days = DayJudge(
             camera=self.camera,
-            cadence_s=settings.capture.cadence_s,
+            cadence_s=lambda: self.cadence.at(self.frame_time.now()),
             sun_zenith_deg=settings.capture.sun_zenith_deg,
             now=self.frame_time.now,
             request_refit=self.request_refit,
+            waiting=lambda: frozenset() if self.folder is None else self.folder.waiting_days,
         )
+        self.cadence = self._cadence()
+        self.folder, self.folder_archive = self._followed_folder()
         self._open_camera = open_camera
 
     def _new_clock_watch(self) -> ClockWatch:
@@ -200,15 +209,65 @@ class Service:
             frame_time=self.frame_time,
             camera=self.camera,
             options=self.settings.clock,
-            camera_error_s=self.settings.capture.camera_clock_error_s if self.settings.dated_by_camera else None,
+            camera_error_s=self._stated_clock_error_s,
             finds_steps=self._in_real_time,
             board=self.board,
         )
 
     @property
+    def _stated_clock_error_s(self) -> float | None:
+        """Bound of the error of times that frames or files state; None where the host's clock dates them."""
+        if self.settings.folder is not None and self.settings.source == "folder":
+            return self.settings.folder.clock_error_s
+        return self.settings.capture.camera_clock_error_s if self.settings.dated_by_camera else None
+
+    @property
     def _in_real_time(self) -> bool:
-        """Whether times of frames go on as the host's do; a replay's and a simulation's jump."""
-        return self.settings.source == "aravis" and self.settings.capture.speed == 1.0
+        """Whether times of frames go on as the host's do; a replay's, a folder's and a simulation's jump."""
+        return self.settings.source not in {"replay", "folder"} and self.settings.capture.speed == 1.0
+
+    def _cadence(self) -> LearnedCadence:
+        folder = self.settings.folder if self.settings.source == "folder" else None
+        return LearnedCadence(self.camera, self.settings.capture.cadence_s if folder is None else folder.cadence_s)
+
+    def _followed_folder(self) -> tuple[FolderWorker | None, FolderArchiveWorker | None]:
+        """Return what follows the folder of the settings, and what analyses its older images; None without one."""
+        settings, options = self.settings, self.settings.folder
+        if settings.source != "folder" or options is None:
+            return None, None
+        rules = time_rules(options)
+        behind = FolderArchiveWorker(
+            options,
+            rules=rules,
+            settings=settings,
+            camera=self.camera,
+            clock=self.clock,
+            frame_time=self.frame_time,
+            board=self.board,
+        )
+        images = LiveImages(
+            self.camera,
+            settings=settings,
+            method=options.method,
+            clock_error_s=self.clock_watch.error_s,
+            notice=self._notice_sun,
+            board=self.board,
+        )
+        follower = FolderWorker(
+            options,
+            camera=self.camera,
+            images=images,
+            clock=self.clock,
+            frame_time=self.frame_time,
+            sun_zenith_deg=settings.capture.sun_zenith_deg,
+            apparent_zenith=self.predictor.apparent_zenith,
+            cadence=self.cadence,
+            board=self.board,
+            night=None if self.night is None else self.night.frames,
+            archive_of=behind.analyse,
+            judge_again=self.days.judge_again,
+        )
+        return follower, behind
 
     def workers(self) -> tuple[Supervised, ...]:
         """Return what the supervisor keeps alive; consumers first, so that producers find them ready."""
@@ -224,15 +283,22 @@ class Service:
             ),
             self._supervised("watch", lambda: self.watch),
             *(() if self.night is None else (self._supervised("night", partial(night_worker, self, self.night)),)),
+            *self._source_workers(),
+        )
+
+    def _source_workers(self) -> tuple[Supervised, ...]:
+        """Return the workers of the source: of frames, or of images that others have taken."""
+        if self.folder is not None and self.folder_archive is not None:
+            follower, behind = self.folder, self.folder_archive
+            return (
+                self._supervised("archive", lambda: behind),
+                replace(self._supervised("capture", lambda: follower), essential=True, severity="not_ready"),
+            )
+        capture = self.replay_worker if self.settings.source == "replay" else self.capture_worker
+        return (
             replace(self._supervised("detect", self.detect_worker), severity="not_ready"),
             self._supervised("compose", self.compose_worker),
-            replace(
-                self._supervised(
-                    "capture", self.replay_worker if self.settings.source == "replay" else self.capture_worker
-                ),
-                essential=True,
-                severity="not_ready",
-            ),
+            replace(self._supervised("capture", capture), essential=True, severity="not_ready"),
         )
 
     def _supervised(self, name: str, make_worker: Callable[[], Worker]) -> Supervised:
@@ -252,8 +318,8 @@ class Service:
         )
 
     def check_sightings(self) -> None:
-        """Check for overdue sightings while the sun is up; a replay has no slots."""
-        if self.settings.source != "replay":
+        """Check for overdue sightings while the sun is up; a replay and a folder have no slots."""
+        if self.settings.source not in {"replay", "folder"}:
             self.overdue.check()
 
     def _clear_level_per_us(self) -> float:
@@ -271,8 +337,16 @@ class Service:
 
     def judge_completed_days(self) -> None:
         """Judge the days that have ended, while the time that dates them is known."""
+        if self.folder_archive is not None and self.folder_archive.is_busy:
+            return
         if self.frame_time.is_known and self.clock_watch.trusted():
             self.days.judge_ended_days()
+
+    def latest_image(self) -> Path | None:
+        """Return the newest preview, or the newest picture of a followed folder."""
+        if self.folder is not None:
+            return self.folder.newest_picture
+        return self.images.newest(kind="hdr.jpg", until=self.frame_time.now())
 
     def open_and_remember(self) -> SkyCamera:
         """Open the camera and write down what it is; a disk that refuses does not keep it from its work."""
@@ -381,14 +455,18 @@ class Service:
     def report(self, frame: Frame, detection: Detection) -> None:
         """Pass the result of a sun exposure to the exposure control and to the change detection."""
         self.exposures.report(frame, detection)
+        self._notice_sun(frame.time, detection)
+
+    def _notice_sun(self, time: datetime, detection: Detection) -> None:
+        """Pass a sun, accepted or elsewhere, to the change detection."""
         is_sun = detection.accepted or detection.verdict == ELSEWHERE
         if is_sun and detection.x_px is not None and detection.y_px is not None and self.clock_watch.trusted():
             self.watch.notice(
-                frame.time,
+                time,
                 x_px=detection.x_px,
                 y_px=detection.y_px,
                 sigma_px=detection.sigma_px,
-                clock_error_s=self.clock_watch.error_s(frame.time),
+                clock_error_s=self.clock_watch.error_s(time),
             )
 
     def watch_worker(self) -> WatchWorker:
@@ -424,7 +502,7 @@ class Service:
             camera=self.camera,
             options=self.settings.refit,
             calibration=self.settings.calibration,
-            cadence_s=self.settings.capture.cadence_s,
+            cadence_s=self.settings.capture.cadence_s if self.folder is None else _ONE_IMAGE_S,
             clock=self.clock,
             now=self.frame_time.now,
             board=self.board,

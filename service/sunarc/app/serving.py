@@ -186,7 +186,7 @@ def _web_server(service: Service, *, on_started: Callable[[], None]) -> Server:
         status=service.board.snapshot,
         request_refit=service.request_refit,
         frame_clock=service.frame_time.now,
-        latest_image=lambda: service.images.newest(kind="hdr.jpg", until=service.frame_time.now()),
+        latest_image=service.latest_image,
         options=options,
         images=service.images,
         stopping=lambda: server.should_exit,

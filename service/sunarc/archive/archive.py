@@ -34,6 +34,7 @@ from sunarc.archive.fleet.feeds import FeedStore
 from sunarc.archive.fleet.nightly import NightlyStore
 from sunarc.archive.fleet.notices import NoticeStore
 from sunarc.archive.fleet.outbox import Outbox
+from sunarc.archive.seen_files import SeenFileStore
 from sunarc.archive.sightings import CameraStore, EpochStore, SightingStore
 from sunarc.archive.values import Event, EventSeverity
 from sunarc.errors import OutsideError
@@ -50,6 +51,7 @@ class Archive:
     cameras, epochs, sightings : the cameras, the intervals in which they did not move, and what was sighted.
     calibrations, refits : what was made of them.
     days, nights, events : the record.
+    seen_files : the image files of a followed folder that were seen.
     conditions, housekeeping : how the service is, and its disk and camera.
     outbox, feeds, notices, nightly : what imagers and hubs exchange, and what a hub does by night.
 
@@ -69,6 +71,7 @@ class Archive:
         self.days = DayStore(database)
         self.nights = NightStore(database)
         self.events = EventStore(database)
+        self.seen_files = SeenFileStore(database)
         self.conditions = ConditionStore(database)
         self.housekeeping = HousekeepingStore(database)
         self.outbox = Outbox(database)

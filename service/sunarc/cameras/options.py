@@ -90,6 +90,44 @@ class ReplayOptions:
             full_scale_of(self.pixel_format, field="replay.pixel_format")
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FolderOptions:
+    """A folder that another program fills with images, one after the other.
+
+    Attributes
+    ----------
+    path : where they are, subfolders included; it is read, never written.
+    files : which files are this camera's, as "ccd1_*.jpg"; by their names, without folders.
+    utc_offset : how far times without a zone are ahead of UTC: hours as "-6", or a zone as "Europe/Berlin" where names
+        follow summer time; unset: such images are left out.
+    time_pattern : strptime pattern of the names without suffix, where no known one fits, as "%d-%m-%Y_%H-%M-%S".
+    method : how the sun is found: "paper" in ordinary images, "disc" in raw microsecond exposures, "auto" by the image.
+    clock_error_s : bound of the error of the images' times; names have whole seconds.
+    cadence_s : seconds between images by day; unset: learned from them.
+    polling : list the folder every `poll_s` though its file system reports changes.
+    poll_s : seconds between two listings, where the file system reports no changes (NFS, SMB) or `polling` is set.
+    settle_s : a file is read once it has not changed for so long.
+    """
+
+    path: Path
+    files: str = "*"
+    utc_offset: str | None = None
+    time_pattern: str | None = None
+    method: Literal["auto", "disc", "paper"] = "auto"
+    clock_error_s: Annotated[float, Ge(0.0), Le(3600.0)] = 1.0
+    cadence_s: Annotated[float, Ge(1.0), Le(3600.0)] | None = None
+    polling: bool = False
+    poll_s: Annotated[float, Ge(0.2), Le(3600.0)] = 10.0
+    settle_s: Annotated[float, Ge(0.0), Le(600.0)] = 2.0
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be followed."""
+        require_bounds(self, section_path="folder")
+        if not self.files.strip() or "/" in self.files:
+            problem, remedy = f"{self.files!r} is no pattern of names", 'give one as "ccd1_*.jpg"'
+            raise InputError(field="folder.files", problem=problem, remedy=remedy)
+
+
 def _require_address(address: str) -> None:
     try:
         ipaddress.ip_address(address)

@@ -9,6 +9,8 @@ from sunarc.workers.messages import MESSAGES as OF_WORKERS
 
 _LEFT_OUT = "The image was left out; nothing is stored of it."
 
+_NO_SIGHTINGS = "Most of the last images gave no sighting."
+
 MESSAGES = Messages(
     file_not_image=Message("{error}", _LEFT_OUT, "give a whole PNG, JPEG, TIFF or JPEG 2000 file of 8 or 16 bits"),
     file_truncated=Message("the file ends before its image does", _LEFT_OUT, "copy it again from its source"),
@@ -115,6 +117,78 @@ MESSAGES = Messages(
     sigma_learned=Message(
         "sigma of sightings in images ({method}): {factor:.2f} times the detector's, estimated from {n} sightings",
         "It was set to their scatter about the calibration; later sightings are stored with it.",
+    ),
+    file_time_future=Message(
+        "its time is {ahead_s:.0f} s ahead of this machine's clock",
+        _LEFT_OUT,
+        "correct folder.utc_offset, or the clock of the camera or of this machine",
+    ),
+    file_time_repeated=Message(
+        "{n} images state its time, at most {most} are exposures of one scene",
+        _LEFT_OUT,
+        "have the names state seconds",
+    ),
+    file_other_camera=Message(
+        "its name begins with {prefix!r}, those of most images with {usual!r}",
+        _LEFT_OUT,
+        "set folder.files to the names of one camera",
+    ),
+    file_latest=Message("a file without a time that is written over again and again", _LEFT_OUT, "none"),
+    images_without_zone=Message(
+        "{n} of the last images were left out, as {file}: {why}",
+        _NO_SIGHTINGS,
+        "set folder.utc_offset: the hours that the times are ahead of UTC, 0, or a zone as Europe/Berlin",
+    ),
+    images_without_time=Message(
+        "{n} of the last images were left out, as {file}: {why}",
+        _NO_SIGHTINGS,
+        "have the camera write the time into the names, or set folder.time_pattern",
+    ),
+    images_of_another_size=Message(
+        "{n} of the last images were left out, as {file}: {why}",
+        _NO_SIGHTINGS,
+        "set the camera's size and crop as they were; or begin anew under another `name`",
+    ),
+    images_of_two_cameras=Message(
+        "{n} of the last images were left out, as {file}: {why}",
+        "The images of one camera are used.",
+        "set folder.files to the names of one camera, and run a service for each",
+    ),
+    images_in_future=Message(
+        "{n} of the last images were left out, as {file}: {why}",
+        _NO_SIGHTINGS,
+        "correct folder.utc_offset, or the clock of the camera or of this machine",
+    ),
+    images_left_out=Message("{n} of the last images were left out, as {file}: {why}", _NO_SIGHTINGS, "{remedy}"),
+    image_times_offset=Message(
+        "images come {hours:+.2f} h after the times that they state",
+        "The sun stood elsewhere at those times: no calibration can come of them.",
+        "correct folder.utc_offset; where images really are delivered so late there is nothing to do",
+    ),
+    folder_missing=Message(
+        "{folder} cannot be read: {error}",
+        "No image comes; it is looked for again every few seconds.",
+        "check folder.path, and that its disk or share is mounted",
+    ),
+    folder_not_permitted=Message(
+        "{folder} may not be read: {error}",
+        "No image comes; it is tried again every few seconds.",
+        "give the user of the service the right to read it (a group, or setfacl -m u:sunarc:rX)",
+    ),
+    no_new_image=Message(
+        "no image for {minutes} minutes; the newest is {file} of {time}",
+        "By day an image is expected at every cadence.",
+        "check the program that writes them, its network, and the share",
+    ),
+    archive_in_work=Message(
+        "{n} older images of the folder are analysed behind the live ones; {stored} sightings so far",
+        "Their days are judged afterwards.",
+        "wait; `sunarc ingest` does the same at once, with the service stopped",
+    ),
+    archive_failed=Message(
+        "the older images of the folder could not be analysed: {error}",
+        "Live images are not affected; it is tried again after an hour.",
+        "see the log; run sunarc ingest with the folder by hand",
     ),
     file_size_differs=Message(
         "image size {width}x{height} px, the camera's is {camera_width}x{camera_height}",

@@ -12,7 +12,7 @@ from sunarc.api.options import ApiOptions
 from sunarc.archive.database.connections import server_url
 from sunarc.archive.images import DiskOptions
 from sunarc.calibration.model.options import CalibrationOptions, WatchOptions
-from sunarc.cameras.options import AravisOptions, ReplayOptions
+from sunarc.cameras.options import AravisOptions, FolderOptions, ReplayOptions
 from sunarc.detection.values import DiscOptions
 from sunarc.imaging.exposure import SunExposureOptions
 from sunarc.runtime.supervisor import SupervisorOptions
@@ -65,7 +65,9 @@ class Settings(_WithStore):
         "postgresql+psycopg://USER@HOST/DATABASE" (needs the extra `postgresql`).
     source : where frames come from.
     site : where the camera stands.
-    camera, replay : the GigE Vision camera, or the folder to replay.
+    camera : the GigE Vision camera.
+    folder : the folder that another program fills.
+    replay : the folder to replay.
     sensor, detection : the sensor's properties, and limits of the detection.
     capture, sun_exposure : the cycle, and the control of its sun exposures.
     clock : how the time of the frames is watched.
@@ -86,9 +88,10 @@ class Settings(_WithStore):
     name: str = "imager"
     state: Path = Path("/var/lib/sunarc")
     store: str | None = None
-    source: Literal["aravis", "replay"] = "aravis"
+    source: Literal["aravis", "folder", "replay"] = "aravis"
     site: Site
     camera: AravisOptions | None = None
+    folder: FolderOptions | None = None
     replay: ReplayOptions | None = None
     sensor: options.SensorOptions = options.SensorOptions()
     detection: DiscOptions = DiscOptions()
@@ -109,7 +112,12 @@ class Settings(_WithStore):
 
     @property
     def dated_by_camera(self) -> bool:
-        """Whether frames are dated by the camera's own clock."""
+        """Whether the time of the frames is taken from them; else it is the host's, also where files state theirs.
+
+        The times of a folder's images come late, and out of order; those of a simulation are the only clock there is.
+        """
+        if self.source == "folder":
+            return self.capture.speed != 1.0
         return self.camera is None or self.camera.timestamps == "camera"
 
     @property

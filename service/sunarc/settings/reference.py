@@ -31,6 +31,10 @@ _FOR_PYTHON = (
     "calibration.tolerances.",
     "camera.answer_timeout_s",
     "capture.reopen_",
+    "folder.cadence_s",
+    "folder.method",
+    "folder.poll_s",
+    "folder.settle_s",
     "supervisor.max_restarts",
     "supervisor.within_s",
 )

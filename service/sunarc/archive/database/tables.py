@@ -642,6 +642,18 @@ night_image = Table(
     Column("picture", LargeBinary),
 )
 
+seen_file = Table(
+    "seen_file",
+    metadata,
+    Column("camera", Text, primary_key=True),  # no reference: files are seen before an image shows the camera's size
+    Column("file", Text, primary_key=True),
+    Column("stamp", Text, nullable=False),
+    Column("content", Text),
+    Column("time", UtcTime),
+    Column("code", Text),
+    Index("ix_seen_file_time", "camera", "time"),
+)
+
 condition = Table(
     "condition",
     metadata,

@@ -6,7 +6,7 @@ import logging
 import math
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import KW_ONLY, asdict, dataclass, field, replace
 from datetime import date, datetime, timedelta
 
@@ -407,15 +407,18 @@ class DayJudge:
     cadence_s, sun_zenith_deg : how often, and down to where, the sun is looked at.
     now : frame time.
     request_refit : asks for a refit, with the reason.
+    waiting : days of which sightings are still to come: they are judged later.
     """
 
     camera: CameraArchive
     _: KW_ONLY
-    cadence_s: float
+    cadence_s: Callable[[], float]
     sun_zenith_deg: float
     now: Callable[[], datetime]
     request_refit: Callable[[str], Refit]
+    waiting: Callable[[], Container[date]] = frozenset
     _judged_before: date | None = field(default=None, init=False)
+    _again: set[date] = field(default_factory=set, init=False)
 
     def judge_ended_days(self) -> list[Day]:
         """Judge what is due and return the verdicts; one refit is asked for, however many days were clear."""
@@ -423,17 +426,25 @@ class DayJudge:
         today = solar_date(self.now().timestamp(), longitude=longitude)
         if self._judged_before is not None and self._judged_before > today:
             self._judged_before = None  # the time went back
-        archive, name, since = self.camera.archive, self.camera.name, self._judged_before
-        judged = {day.date for day in archive.days.find(name, since=since) if self._stands(day)}
+        archive, name, waiting = self.camera.archive, self.camera.name, self.waiting()
+        again = {day for day in set(self._again) if day < today and day not in waiting}
+        since = min([self._judged_before, *again]) if self._judged_before is not None else None
+        judged = {day.date for day in archive.days.find(name, since=since) if self._stands(day)} - again
         observed = archive.sightings.dates(name, longitude=longitude, since=since)
-        verdicts = [self._measure(day) for day in observed if day < today and day not in judged]
+        due = [day for day in observed if day < today and day not in judged]
+        verdicts = [self._measure(day) for day in due if day not in waiting]
         worth = [day for day in verdicts if day.verdict in _WORTH_A_REFIT]
         if worth:
             self.request_refit("after " + ", ".join(f"{day.date} ({day.verdict})" for day in worth))
         for day in verdicts:
             self._remember(day)
-        self._judged_before = today
+        self._again -= again
+        self._judged_before = min([today, *(day for day in due if day in waiting)])
         return verdicts
+
+    def judge_again(self, day: date) -> None:
+        """Judge a day once more where it is judged already: sightings of it came late."""
+        self._again.add(day)
 
     def _stands(self, day: Day) -> bool:
         """Return whether a verdict was given after its day had ended and before now: else a wrong clock gave it."""
@@ -442,14 +453,14 @@ class DayJudge:
 
     def _measure(self, date_: date) -> Day:
         start, end = day_bounds_unix_s(date_, longitude=self.camera.site.longitude)
-        since, until = utc_time(start), utc_time(end)
+        since, until, cadence_s = utc_time(start), utc_time(end), self.cadence_s()
         columns = self.camera.archive.sightings.columns(self.camera.name, since=since, until=until)
         doubtful = np.nan_to_num(columns.clock_error_s) > MAX_CLOCK_ERROR_S
         share = float(np.mean(doubtful)) if doubtful.size else 0.0
         largest_s = MAX_CLOCK_ERROR_S if share <= DOUBTFUL_CLOCK_SHARE else None
         if largest_s is not None:  # else the day is judged by its clock
             columns = columns.select(~doubtful)
-        frames = np.arange(start, end, self.cadence_s)
+        frames = np.arange(start, end, cadence_s)
         up = sun_angles(frames, self.camera.site).apparent_zenith < self.sun_zenith_deg
         measure = measure_day(
             points_of(columns),
@@ -458,7 +469,7 @@ class DayJudge:
             observed_unix_s=self.camera.archive.sightings.observation_times(
                 self.camera.name, since=since, until=until, largest_clock_error_s=largest_s
             ),
-            cadence_s=self.cadence_s,
+            cadence_s=cadence_s,
             doubtful_clock=share,
         )
         decided = decide_day(measure)

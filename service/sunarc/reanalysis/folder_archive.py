@@ -1,0 +1,165 @@
+"""A followed folder's older images, analysed as `ingest` does: in a process of low priority, behind the live ones."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import KW_ONLY, dataclass
+from datetime import date, timedelta
+from functools import partial
+
+from sunarc.archive.archive import CameraArchive
+from sunarc.archive.seen_files import SeenFile
+from sunarc.cameras.options import FolderOptions
+from sunarc.errors import OutsideError
+from sunarc.findings import Finding
+from sunarc.reanalysis.image_files import SourceFile
+from sunarc.reanalysis.image_times import TimeRules
+from sunarc.reanalysis.ingest import IngestOptions, ingest_folder
+from sunarc.reanalysis.ingest_summary import IngestSummary
+from sunarc.reanalysis.messages import MESSAGES
+from sunarc.runtime.clock import Clock
+from sunarc.runtime.loop import Loop
+from sunarc.runtime.status import Reason, StatusRegistry
+from sunarc.settings.model import Settings
+from sunarc.sky.days import solar_date
+from sunarc.utc import EPOCH
+from sunarc.workers.calibrating.solver_process import ChildControl, SolveFailedError, SolverDiedError, in_child
+from sunarc.workers.clock_watch import FrameTime
+
+_log = logging.getLogger(__name__)
+_LOOK_S = 2.0
+_COUNT_S = 30.0
+_AGAIN_S = 3600.0
+_LONGEST_S = 14 * 86_400.0
+"""Of one analysis: 100,000 images of 12 MP on a small computer take days."""
+_IN_WORK, _FAILED = "archive_in_work", "archive_failed"
+
+
+@dataclass(eq=False)
+class FolderArchiveWorker:
+    """Analyses what is in the folder with both passes of `ingest`, in a child process, when there is a reason to.
+
+    Reasons are many older files at a start; a day that ended before there was a calibration, whose images were searched
+    without a prediction; and the first calibration, which predicts the sun in them.
+
+    Parameters
+    ----------
+    options : the folder.
+    rules : how times are read.
+    settings : of the service.
+    camera : its archive.
+    clock, frame_time : real time, and that of the images.
+    board : where the progress is shown.
+    """
+
+    options: FolderOptions
+    _: KW_ONLY
+    rules: TimeRules
+    settings: Settings
+    camera: CameraArchive
+    clock: Clock
+    frame_time: FrameTime
+    board: StatusRegistry
+
+    def __post_init__(self) -> None:
+        """Begin without a reason."""
+        self._lock = threading.Lock()
+        self._older: tuple[SourceFile, ...] = ()
+        self._analysed: date | None = None
+        self._calibrated: bool | None = None
+        self._working = False
+        self._failed_s: float | None = None
+
+    def analyse(self, files: Sequence[SourceFile]) -> None:
+        """Have older files of the folder analysed."""
+        with self._lock:
+            self._older = (*self._older, *files)
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether an analysis is going on or due: days are judged afterwards."""
+        return self._working or bool(self._older) or self._is_due()
+
+    def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
+        """Analyse when there is a reason, until stopped."""
+        loop = Loop(self.clock, stop, heartbeat)
+        for _ in loop.turns():
+            self.step(stop, heartbeat)
+            loop.wait(_LOOK_S)
+
+    def step(self, stop: threading.Event, heartbeat: Callable[[], None]) -> bool:
+        """Analyse the folder if there is a reason to; return whether that was done."""
+        resting = self._failed_s is not None and self.clock.monotonic() - self._failed_s < _AGAIN_S
+        if resting or not (self._older or self._is_due()):
+            return False
+        with self._lock:
+            files, self._older = self._older, ()
+        self._working = True
+        try:
+            answer = self._analyse(files, stop, heartbeat)
+            if isinstance(answer, IngestSummary):
+                self._succeeded(files)
+            elif answer is not None:
+                self._fail(files, str(answer))
+        except (OutsideError, SolverDiedError, SolveFailedError) as error:
+            self._fail(files, str(error))
+        finally:
+            self._working = False
+            self.board.set_condition(_IN_WORK, None)
+        return True
+
+    def _is_due(self) -> bool:
+        """Return whether a day has ended without a calibration, or the first one is there."""
+        today = self._today()
+        if self._analysed is None:
+            self._analysed, self._calibrated = today, self._has_calibration()
+        if self._calibrated and self._has_calibration():
+            self._analysed = today
+            return False
+        known = self.camera.archive.cameras.get(self.camera.name) is not None
+        return known and (today != self._analysed or self._calibrated != self._has_calibration())
+
+    def _today(self) -> date:
+        return solar_date(self.frame_time.now().timestamp(), longitude=self.camera.site.longitude)
+
+    def _has_calibration(self) -> bool:
+        return self.camera.archive.calibrations.current(self.camera.name) is not None
+
+    def _analyse(self, files: Sequence[SourceFile], stop: threading.Event, heartbeat: Callable[[], None]) -> object:
+        call = partial(
+            ingest_folder,
+            self.settings,
+            self.options.path,
+            options=IngestOptions(method=self.options.method, rules=self.rules, files=self.options.files),
+        )
+        before, next_s = self._stored(), self.clock.monotonic()
+
+        def show() -> None:
+            nonlocal next_s
+            heartbeat()
+            if files and self.clock.monotonic() >= next_s:
+                next_s = self.clock.monotonic() + _COUNT_S
+                found = Finding(_IN_WORK, {"n": len(files), "stored": self._stored() - before})
+                self.board.set_condition(_IN_WORK, Reason.of(found, MESSAGES))
+
+        return in_child(call, ChildControl(self.clock, _LONGEST_S, stop, show))
+
+    def _stored(self) -> int:
+        until = self.frame_time.now() + timedelta(days=1)
+        return sum(self.camera.archive.sightings.count(self.camera.name, since=EPOCH, until=until).values())
+
+    def _succeeded(self, files: Sequence[SourceFile]) -> None:
+        """Write the files down as seen: a run that is broken off begins again with what it had not stored."""
+        seen = (SeenFile(camera=self.camera.name, file=one.name, stamp=one.stamp) for one in files)
+        self.camera.archive.seen_files.add(seen)
+        self._analysed, self._calibrated = self._today(), self._has_calibration()
+        self._failed_s = None
+        self.board.set_condition(_FAILED, None)
+
+    def _fail(self, files: Sequence[SourceFile], error: str) -> None:
+        self.analyse(files)
+        self._failed_s = self.clock.monotonic()
+        _log.warning("the older images of %s could not be analysed: %s", self.options.path, error)
+        self.board.set_condition(_FAILED, Reason.of(Finding(_FAILED, {"error": error}), MESSAGES))

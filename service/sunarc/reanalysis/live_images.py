@@ -1,0 +1,237 @@
+"""The sun in images as they come: looked for as `ingest` does, and stored as its sightings."""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter, OrderedDict
+from collections.abc import Callable, Sequence
+from dataclasses import KW_ONLY, dataclass, replace
+from datetime import datetime
+from typing import NamedTuple
+
+import numpy as np
+
+from sunarc.archive.archive import CameraArchive
+from sunarc.archive.sightings import ELSEWHERE, FROZEN, sun_point_of
+from sunarc.archive.values import CalibrationRecord, SunPoint
+from sunarc.calibration.model.result import Calibration
+from sunarc.detection.values import Detection, Expectation
+from sunarc.errors import InputError
+from sunarc.findings import Finding
+from sunarc.reanalysis.cameras import register_camera
+from sunarc.reanalysis.detect_files import Method
+from sunarc.reanalysis.learned_sigma import ValidCamera, factor_in_force, learn_sigma, with_factor
+from sunarc.reanalysis.look import IN_STACK, Answer, Chunk, Item, look_at
+from sunarc.reanalysis.passes import PREDICTED, SEARCHED, as_predicted, expectations
+from sunarc.runtime.status import Reason, StatusRegistry
+from sunarc.settings.model import Settings
+from sunarc.workers.calibrating.provisional_pose import is_provisional
+from sunarc.workers.messages import MESSAGES
+
+_log = logging.getLogger(__name__)
+_CONTENTS = 512
+"""Hashes that are remembered: a camera that serves one picture for an hour and more is found."""
+_LASTING = 3
+_FROZEN_CODE = "camera_frozen"
+_PERHAPS_ELSEWHERE = frozenset({"hidden", "reflection"})
+
+
+class LiveImage(NamedTuple):
+    """An image that has come: its file below the folder, the name it is stored by, when, how exposed, and its content.
+
+    content: hash of the file's bytes.
+    """
+
+    file: str
+    name: str
+    time: datetime
+    exposure_us: float | None
+    content: str
+
+
+class Repetitions:
+    """Finds pictures that came before with another time, and reports a camera that repeats itself.
+
+    Parameters
+    ----------
+    camera : whose archive gets the event.
+    board : where the condition is set.
+    """
+
+    def __init__(self, camera: CameraArchive, board: StatusRegistry) -> None:
+        self._camera, self._board = camera, board
+        self._times: OrderedDict[str, datetime] = OrderedDict()
+        self._in_a_row = 0
+
+    def resume(self) -> None:
+        """Remember the pictures from before the start."""
+        for one in reversed(self._camera.archive.seen_files.newest(self._camera.name, limit=_CONTENTS)):
+            if one.content is not None and one.time is not None:
+                self._times.setdefault(one.content, one.time)
+
+    def earlier(self, image: LiveImage) -> datetime | None:
+        """Return when the same picture came before; None for a new one."""
+        first = self._times.setdefault(image.content, image.time)
+        self._times.move_to_end(image.content)
+        if len(self._times) > _CONTENTS:
+            self._times.popitem(last=False)
+        repeated = None if first == image.time else first
+        self._count(image.time, repeated)
+        return repeated
+
+    def _count(self, time: datetime, earlier: datetime | None) -> None:
+        if earlier is None:
+            self._in_a_row = 0
+            self._board.set_condition(_FROZEN_CODE, None)
+            return
+        self._in_a_row += 1
+        if self._in_a_row < _LASTING:
+            return
+        found = Finding(_FROZEN_CODE, {"n": self._in_a_row, "time": earlier.isoformat(timespec="seconds")})
+        self._board.set_condition(_FROZEN_CODE, Reason.of(found, MESSAGES), log=False)
+        if self._in_a_row == _LASTING:
+            self._camera.add_event(found, MESSAGES, time=time, severity="alarm")
+
+
+@dataclass(eq=False)
+class LiveImages:
+    """Looks for the sun in the images of one time, and stores what is found.
+
+    With a calibration the sun is looked for where it should be, and where it is not there, in the whole image: a sun
+    elsewhere tells that the camera was moved. Without one the whole image is searched.
+
+    Parameters
+    ----------
+    camera : its archive and site.
+    settings : of the service.
+    method : see `detect_in_image`.
+    clock_error_s : bound of the error of an image's time, s.
+    notice : called with the time and place of each sun that was found, for the detection of changes.
+    board : where repetitions are reported.
+    """
+
+    camera: CameraArchive
+    _: KW_ONLY
+    settings: Settings
+    method: Method
+    clock_error_s: Callable[[datetime], float]
+    notice: Callable[[datetime, Detection], None]
+    board: StatusRegistry
+
+    def __post_init__(self) -> None:
+        """Begin without an image."""
+        self.repetitions = Repetitions(self.camera, self.board)
+        self._learned_with: str | None = None
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """Width and height that the images must have, px; None before the first one."""
+        record = self.camera.archive.cameras.get(self.camera.name)
+        return None if record is None else record.image_size
+
+    def register(self, sizes: Sequence[tuple[int, int]]) -> None:
+        """Write the camera down with the size (width, height) that most of some images have, unless it is known."""
+        if self.size is None and sizes:
+            register_camera(self.camera.archive, self.settings, Counter(sizes).most_common(1)[0][0])
+
+    def take(self, address: str, images: Sequence[LiveImage]) -> list[Finding | None]:
+        """Look at the images of one time, store their sightings, and return why each was left out, None where not.
+
+        Parameters
+        ----------
+        address : of the source that the files are in.
+        images : of one time; several are a stack, which has one sighting.
+
+        Raises
+        ------
+        OutsideError : the archive cannot store them; nothing is.
+        """
+        time = images[0].time
+        earlier = self.repetitions.earlier(images[0])
+        if earlier is not None:
+            repeated = Finding("frame_repeated", {"time": earlier.isoformat(timespec="seconds")})
+            self._store([self._point(one, _frozen(repeated), SEARCHED) for one in images])
+            return [repeated for _ in images]
+        record = self.camera.archive.calibrations.current(self.camera.name, at=time)
+        model = None if record is None else self._model(record)
+        expected = None if model is None else self._expected(model, time)
+        answers = self._look(address, images, expected, outside=model is not None and expected is None)
+        suns = {one.file: one.found for one in answers if isinstance(one.found, Detection)}
+        if suns:
+            accepted = any(found.accepted for found in suns.values())
+            if expected is not None and not accepted:
+                self._add_elsewhere(address, images, suns)
+            number = SEARCHED if model is None else PREDICTED
+            self._store([self._point(one, suns[one.file], number) for one in images if one.file in suns])
+        for found in suns.values():
+            if found.accepted or found.verdict == ELSEWHERE:
+                self.notice(time, found)
+        self._learn(record, model)
+        return [one.found if isinstance(one.found, Finding) else None for one in answers]
+
+    def _model(self, record: CalibrationRecord) -> Calibration | None:
+        try:
+            return self.camera.archive.calibrations.model(record.id)
+        except InputError:
+            return None
+
+    def _expected(self, model: Calibration, time: datetime) -> Expectation | None:
+        site = self.camera.site_with_air_at(time)
+        return expectations(model, np.array([time.timestamp()]), site=site)[0]
+
+    def _look(
+        self, address: str, images: Sequence[LiveImage], expected: Expectation | None, *, outside: bool
+    ) -> list[Answer]:
+        """Return the answer for each image; of the ordinary ones within what the prediction allows."""
+        items = tuple(Item(one.file, 0, one.exposure_us, expected, outside) for one in images)
+        size = self.size or (0, 0)
+        chunk = Chunk(self.camera.name, address, self.method, size, items, stack=len(items) > 1)
+        return [
+            one._replace(found=as_predicted(self._scaled(one.found), expected))
+            if isinstance(one.found, Detection)
+            else one
+            for one in look_at(chunk)
+        ]
+
+    def _scaled(self, found: Detection) -> Detection:
+        return with_factor(found, factor_in_force(self.camera.archive, self.camera.name, found.method))
+
+    def _add_elsewhere(self, address: str, images: Sequence[LiveImage], suns: dict[str, Detection]) -> None:
+        """Search the whole of images without a sun where it should be; one that is found is of a camera that moved."""
+        perhaps = [
+            one for one in images if one.file in suns and suns[one.file].verdict in {*_PERHAPS_ELSEWHERE, IN_STACK}
+        ]
+        if not any(suns[one.file].verdict in _PERHAPS_ELSEWHERE for one in perhaps):
+            return
+        for one in self._look(address, perhaps, None, outside=False):
+            if isinstance(one.found, Detection) and one.found.accepted:
+                findings = (Finding("sun_elsewhere"), *suns[one.file].findings)
+                suns[one.file] = replace(one.found, accepted=False, verdict="elsewhere", findings=findings)
+
+    def _point(self, image: LiveImage, found: Detection, ingest_pass: int) -> SunPoint:
+        return sun_point_of(
+            found,
+            camera=self.camera.name,
+            pose_epoch="",
+            time=image.time,
+            exposure_us=image.exposure_us or 0.0,
+            clock_error_s=self.clock_error_s(image.time),
+            file=image.name,
+            ingest_pass=ingest_pass,
+        )
+
+    def _store(self, points: list[SunPoint]) -> None:
+        self.camera.archive.sightings.replace(points, first_epoch="first image")
+
+    def _learn(self, record: CalibrationRecord | None, model: Calibration | None) -> None:
+        """Learn the sigma of the sightings in images once from each calibration of a full fit."""
+        if record is None or model is None or record.id == self._learned_with or is_provisional(model):
+            return
+        self._learned_with = record.id
+        until = float("inf") if record.valid_until is None else record.valid_until.timestamp()
+        valid = ValidCamera(model, record.valid_from.timestamp(), until)
+        learn_sigma(self.camera.archive, self.settings, [valid], now=record.created_at)
+
+
+def _frozen(repeated: Finding) -> Detection:
+    return Detection(method="paper", accepted=False, verdict=FROZEN, findings=(repeated,))

@@ -1,0 +1,72 @@
+"""A service that follows a folder, in virtual time: its worker is turned by hand."""
+
+from __future__ import annotations
+
+import os
+from datetime import datetime
+from pathlib import Path
+
+from tests.fixtures.settings import new_settings
+
+from sunarc.app.service import Service
+from sunarc.archive.archive import open_archive
+from sunarc.archive.database.schema import upgrade
+from sunarc.archive.values import SunPoint
+from sunarc.reanalysis.folder_worker import FolderWorker
+from sunarc.runtime.clock import VirtualClock
+
+
+def never() -> object:
+    raise AssertionError("no camera is opened")
+
+
+class Followed:
+    """The service of a folder below `base`, from a moment on; another one of the same base is its next start."""
+
+    def __init__(self, base: Path, start: datetime, **options: object) -> None:
+        self.root = base / "images"
+        self.root.mkdir(exist_ok=True)
+        chosen = {"path": self.root, "utc_offset": "0", "polling": True, "settle_s": 1.0, **options}
+        settings = new_settings(base, source="folder", folder=chosen)
+        upgrade(settings.database)
+        self.clock = VirtualClock(start)
+        self.service = Service(
+            settings,
+            archive=open_archive(settings.archive),
+            clock=self.clock,
+            open_camera=never,  # type: ignore[arg-type]
+        )
+
+    @property
+    def worker(self) -> FolderWorker:
+        assert self.service.folder is not None
+        return self.service.folder
+
+    def write(self, name: str, content: bytes) -> Path:
+        """Write a file as another program does, at this moment."""
+        path = self.root / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+        now = self.clock.now().timestamp()
+        os.utime(path, (now, now))
+        return path
+
+    def turn(self) -> None:
+        """List, let settle, and look at all that came."""
+        self.worker.list_new()
+        for _ in range(2):
+            self.clock.advance(1.5)
+            while self.worker.work():
+                pass
+
+    def points(self) -> tuple[SunPoint, ...]:
+        return self.service.archive.sightings.find("roof")
+
+    def verdicts(self) -> list[str]:
+        return [point.verdict for point in self.points()]
+
+    def codes(self) -> set[str]:
+        return {reason.code for reason in self.service.board.snapshot().reasons}
+
+    def close(self) -> None:
+        self.service.archive.close()

@@ -1,0 +1,237 @@
+"""A folder that grows: each image is looked at once, by its own time, whatever happens to the folder."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.offline.live.followed import Followed
+from tests.offline.live.sky_pictures import Lens, jpeg, picture, sun_at
+
+MORNING = datetime(2025, 5, 13, 15, 0, tzinfo=UTC)
+LENS = Lens()
+
+
+def shot(time: datetime, *, seed: int = 0, cloud: bool = False, lens: Lens = LENS) -> bytes:
+    rng = np.random.default_rng([seed, int(time.timestamp())])
+    return jpeg(picture(time, lens, rng, cloud=cloud))
+
+
+def allsky(time: datetime) -> str:
+    return f"{time:%Y%m%d}/image-{time:%Y%m%d%H%M%S}.jpg"
+
+
+@pytest.fixture
+def followed(tmp_path: Path) -> Iterator[Followed]:
+    made = Followed(tmp_path, MORNING)
+    made.turn()
+    yield made
+    made.close()
+
+
+def take(followed: Followed, n: int, *, every_s: float = 60.0, name: object = allsky) -> list[datetime]:
+    """Have so many images come, one every so often."""
+    times = []
+    for _ in range(n):
+        time = followed.clock.now().replace(microsecond=0)
+        followed.write(name(time), shot(time))  # type: ignore[operator]
+        times.append(time)
+        followed.turn()
+        followed.clock.advance(every_s - 3.0)
+    return times
+
+
+def test_images_are_taken_as_they_come_and_once(followed: Followed, tmp_path: Path) -> None:
+    times = take(followed, 3)
+    points = followed.points()
+    assert [point.time for point in points] == times
+    assert {(point.verdict, point.clock_error_s, point.ingest_pass) for point in points} == {("clear", 1.0, 1)}
+    for point in points:
+        assert (point.x_px, point.y_px) == pytest.approx(LENS.pixel(*sun_at(point.time)), abs=0.5)
+    assert followed.service.board.snapshot().last_frame_at == times[-1]
+    assert followed.worker.newest_picture == followed.root / allsky(times[-1])
+    assert followed.codes() == set()
+    before = followed.service.archive.seen_files.newest("roof", limit=9)
+    followed.turn()
+    followed.close()
+    again = Followed(tmp_path, followed.clock.now())
+    again.turn()
+    assert [point.time for point in again.points()] == times
+    assert again.service.archive.seen_files.newest("roof", limit=9) == before
+    again.close()
+
+
+def test_a_half_written_file_is_awaited_and_a_truncated_one_left_out_in_the_end(followed: Followed) -> None:
+    time = followed.clock.now()
+    content = shot(time)
+    path = followed.write(allsky(time), content[: len(content) // 2])
+    followed.turn()
+    assert followed.points() == ()
+    followed.write(allsky(time), content)
+    for _ in range(2):
+        followed.clock.advance(31.0)
+        followed.turn()
+    assert followed.verdicts() == ["clear"]
+    later = followed.clock.now()
+    path = followed.write(allsky(later), shot(later)[:3000])
+    for _ in range(6):
+        followed.clock.advance(31.0)
+        followed.turn()
+    assert followed.service.archive.seen_files.refused("roof") == {"file_truncated": 1}
+    path.write_bytes(shot(later))
+    followed.turn()
+    assert followed.verdicts() == ["clear", "clear"]
+
+
+def test_what_is_in_the_folder_at_the_start_is_taken_too(tmp_path: Path) -> None:
+    followed = Followed(tmp_path, MORNING)
+    for minutes in (90, 60, 30, 1):
+        time = MORNING - timedelta(minutes=minutes)
+        path = followed.write(allsky(time), shot(time))
+        os.utime(path, (time.timestamp(), time.timestamp()))
+    followed.turn()
+    assert [point.time for point in followed.points()] == [MORNING - timedelta(minutes=n) for n in (90, 60, 30, 1)]
+    followed.close()
+
+
+def test_an_upload_after_six_hours_is_taken_and_its_day_judged_again(followed: Followed) -> None:
+    take(followed, 4, every_s=300.0)
+    followed.clock.advance(86_400.0)
+    followed.turn()
+    followed.service.judge_completed_days()
+    judged = followed.service.archive.days.find("roof")
+    for n in range(30):
+        time = MORNING + timedelta(minutes=30 + 5 * n)
+        followed.write(allsky(time), shot(time))
+    followed.turn()
+    assert len(followed.points()) == 34
+    followed.service.judge_completed_days()
+    assert followed.service.archive.days.find("roof") == judged  # more may come
+    followed.clock.advance(700.0)
+    followed.service.judge_completed_days()
+    (day,) = followed.service.archive.days.find("roof")
+    assert (day.n_observed, day.n) == (34, 34)
+
+
+def test_a_copy_is_known_by_its_content_and_a_picture_that_comes_again_is_frozen(followed: Followed) -> None:
+    time = followed.clock.now()
+    followed.write(allsky(time), shot(time))
+    followed.turn()
+    followed.write(f"copies/image-{time:%Y%m%d%H%M%S}_2.jpg", shot(time))
+    followed.write("latest.jpg", shot(time))
+    followed.turn()
+    assert followed.verdicts() == ["clear"]
+    for n in range(1, 4):
+        later = time + timedelta(minutes=n)
+        followed.clock.advance(57.0)
+        followed.write(allsky(later), shot(time))
+        followed.turn()
+    assert followed.verdicts() == ["clear", "frozen", "frozen", "frozen"]
+    assert "camera_frozen" in followed.codes()
+    take(followed, 1)
+    assert "camera_frozen" not in followed.codes()
+
+
+def test_exposures_of_one_time_are_one_sighting_in_whatever_order_they_come(followed: Followed) -> None:
+    time = followed.clock.now()
+    rng = np.random.default_rng(4)
+    for exposure_us, plateau_deg in ((4000, 4.0), (1000, 2.6), (250, 1.5)):
+        image = picture(time, LENS, rng, plateau_deg=plateau_deg)
+        followed.write(f"{time:%Y%m%dT%H%M%SZ}_{exposure_us}us.jpg", jpeg(image))
+        followed.turn()
+        followed.clock.advance(25.0)  # the other exposures of a stack are waited for
+        followed.turn()
+    points = followed.points()
+    assert sorted(point.verdict for point in points) == ["clear", "in_stack", "in_stack"]
+    assert {point.exposure_us for point in points} == {4000.0, 1000.0, 250.0}
+
+
+def test_the_silence_of_a_folder_is_told_by_day(followed: Followed) -> None:
+    take(followed, 2)
+    for _ in range(11):
+        followed.clock.advance(60.0)
+        followed.turn()
+    (reason,) = [one for one in followed.service.board.snapshot().reasons if one.code == "no_new_image"]
+    assert reason.data["file"] == allsky(MORNING + timedelta(seconds=63))
+    take(followed, 1)
+    assert "no_new_image" not in followed.codes()
+    followed.clock.advance(12.0 * 3600.0)
+    followed.turn()
+    assert "no_new_image" not in followed.codes()
+
+
+def test_a_folder_that_vanishes_comes_back_with_all_that_was_written_meanwhile(followed: Followed) -> None:
+    times = take(followed, 2)
+    away = followed.root.rename(followed.root.with_name("away"))
+    followed.turn()
+    assert "folder_missing" in followed.codes()
+    assert followed.service.board.snapshot().health == "not_ready"
+    time = followed.clock.now().replace(microsecond=0)
+    path = away / allsky(time)
+    path.write_bytes(shot(time))
+    os.utime(path, (time.timestamp(), time.timestamp()))
+    away.rename(followed.root)
+    followed.turn()
+    assert [point.time for point in followed.points()] == [*times, time]
+    assert "folder_missing" not in followed.codes()
+    assert followed.service.board.snapshot().health == "ready"
+
+
+@pytest.mark.parametrize(
+    ("names", "options", "code"),
+    [
+        ("image-{:%Y%m%d%H%M%S}.jpg", {"utc_offset": None}, "images_without_zone"),
+        ("snapshot{:%S%M}.jpg", {}, "images_without_time"),
+        ("image-{:%Y%m%d%H%M%S}.jpg", {"utc_offset": "-1"}, "images_in_future"),
+        ("image-{:%Y%m%d%H%M%S}.jpg", {"utc_offset": "2"}, "image_times_offset"),
+    ],
+)
+def test_what_is_wrong_with_most_images_is_a_condition(
+    tmp_path: Path, names: str, options: dict[str, object], code: str
+) -> None:
+    followed = Followed(tmp_path, MORNING, **options)
+    followed.turn()
+    take(followed, 8, name=names.format)
+    assert code in followed.codes()
+    followed.close()
+
+
+def test_images_of_another_size_and_of_another_camera_are_left_out_and_the_right_ones_used(followed: Followed) -> None:
+    take(followed, 6, name="ccd1_{:%Y%m%d_%H%M%S}.jpg".format)
+    take(followed, 3, name="ccd2_{:%Y%m%d_%H%M%S}.jpg".format)
+    assert len(followed.points()) == 6
+    assert "images_of_two_cameras" in followed.codes()
+    for n in range(9):
+        time = followed.clock.now()
+        content = shot(time, lens=Lens(size=200, focal_px=60.0, x=99.0, y=99.0)) if n % 2 else shot(time)
+        followed.write(f"ccd1_{time:%Y%m%d_%H%M%S}.jpg", content)
+        followed.turn()
+        followed.clock.advance(57.0)
+    assert followed.verdicts() == ["clear"] * (6 + 5)
+    assert followed.service.archive.seen_files.refused("roof") == {"file_other_camera": 3, "file_size_differs": 4}
+
+
+def test_html_in_a_picture_and_a_huge_one_are_left_out(followed: Followed) -> None:
+    take(followed, 1)
+    for n, content in enumerate([b"<html>401</html>", b"", shot(MORNING)[:2]]):
+        followed.clock.advance(60.0)
+        followed.write(f"image-2025051315{n:02d}30.jpg", content)
+        for _ in range(6):
+            followed.clock.advance(31.0)
+            followed.turn()
+    assert followed.verdicts() == ["clear"]
+    assert sum(followed.service.archive.seen_files.refused("roof").values()) == 3
+    assert "images_left_out" in followed.codes()
+
+
+def test_the_folder_is_never_written(followed: Followed) -> None:
+    take(followed, 2)
+    followed.root.chmod(0o555)
+    before = sorted(path.name for path in followed.root.rglob("*"))
+    followed.turn()
+    assert sorted(path.name for path in followed.root.rglob("*")) == before
+    followed.root.chmod(0o755)
