@@ -25,11 +25,11 @@ from tests.workers.test_full_disk import mounted
 
 from sunarc.api.app import create_hub_app
 from sunarc.api.options import ApiOptions
-from sunarc.api.routes.feed import MOST_BYTES, token_digest
+from sunarc.api.routes.feed import MOST_BYTES, MOST_LISTS, token_digest
 from sunarc.api.routes.fleet import SILENT
 from sunarc.archive.archive import Archive, open_archive
 from sunarc.archive.database.schema import head_revision
-from sunarc.archive.fleet.feed_rows import feed_lines
+from sunarc.archive.fleet.feed_rows import MOST_ROWS, feed_lines
 from sunarc.archive.fleet.nightly import CrossCheck, NightlyRun
 from sunarc.archive.values import Day
 from sunarc.runtime.clock import VirtualClock
@@ -197,6 +197,46 @@ def test_a_body_of_two_gigabytes_is_refused_before_it_is_read(hub: Hub) -> None:
     answer = hub.client.request("PUT", path, content=b"", headers={**headers, "sunarc-revision": head_revision()})
     assert answer.status_code == 413
     assert hub.reasons() == ["body_too_large"]
+
+
+def test_a_sender_of_whose_rows_none_can_be_stored_waits_ever_longer_and_no_other_does(
+    hub: Hub, imager: Archive
+) -> None:
+    hub.archive.feeds.add_token("mast", token_digest("the token of the camera mast"), now=NOW, former_until=NOW)
+    assert hub.put(body_of(imager)).status_code == 200
+    waits: list[int] = []
+    for after in range(5, 16):
+        wrong = gzip.compress(b'{"seq": %d, "kind": "sun_point", "data": {"x": 1}}\n' % (after + 1))
+        answer = hub.put(wrong, after=after)
+        assert answer.json() == {"committed": after + 1}
+        waits.append(int(answer.headers.get("retry-after", 0)))
+        if waits[-1]:
+            refused = hub.put(wrong, after=after + 1)
+            assert (refused.status_code, int(refused.headers["retry-after"])) == (429, waits[-1])
+            hub.now[0] += timedelta(seconds=waits[-1])
+    assert waits == [0, 0, 0, 1, 2, 4, 8, 16, 32, 60, 60]
+    assert hub.put(gzip.compress(b""), camera="mast", token="the token of the camera mast").status_code == 200  # noqa: S106
+    imager.outbox.acknowledge(5)
+    imager.sightings.add([sighting(9)])
+    line = feed_lines(next_batch(imager).rows).replace(b'"seq": 6', b'"seq": 17')
+    good = hub.put(gzip.compress(line), after=16)
+    assert (good.json(), "retry-after" in good.headers) == ({"committed": 17}, False)
+    assert "retry-after" not in hub.put(gzip.compress(b'{"seq": 18, "kind": "x", "data": {}}'), after=17).headers
+
+
+def test_a_small_body_that_holds_much_waits_with_the_large_ones_and_one_that_needs_much_memory_is_refused(
+    hub: Hub, imager: Archive
+) -> None:
+    assert hub.put(body_of(imager)).status_code == 200
+    text = b"x" * 500_000
+    assert (
+        hub.put(gzip.compress(b'{"seq": 6, "kind": "event", "data": {"text": "%s"}}' % text), after=5).status_code
+        == 200
+    )
+    lists = b'{"seq": 7, "kind": "status", "data": {"x": [' + b"[]," * MOST_LISTS + b"[]]}}"
+    rows = b"".join(b'{"seq": %d, "kind": "x", "data": {}}\n' % n for n in range(7, MOST_ROWS + 9))
+    for body in (lists, rows, b"\n" * 1_000_000):
+        assert hub.put(gzip.compress(body), after=6).status_code == 413
 
 
 @pytest.mark.parametrize("after", ["-2", "x", str(2**63), ""])

@@ -14,7 +14,7 @@ from tests.fixtures.fleet import NOW
 
 from sunarc.api.app import create_hub_app
 from sunarc.api.options import ApiOptions
-from sunarc.api.routes.feed import LARGE_AT_ONCE, LARGE_BYTES, FeedReceiver
+from sunarc.api.routes.feed import LARGE_AT_ONCE, LARGE_BYTES, FeedReceiver, SentBody
 from sunarc.archive.archive import open_archive
 from sunarc.archive.database.schema import head_revision
 from sunarc.runtime.status import StatusSnapshot
@@ -31,8 +31,9 @@ class Storing:
         self.largest = self.now = 0
         self._lock = threading.Lock()
 
-    def take(self, *, body: bytes, after: int, **_: object) -> int:
-        if len(body) <= LARGE_BYTES:
+    def take(self, sent: SentBody, *, large: bool) -> int:
+        after = sent.after
+        if not large:
             return after
         with self._lock:
             self.now += 1
@@ -49,7 +50,7 @@ def test_small_bodies_are_stored_while_more_large_ones_wait_than_there_are_threa
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     storing = Storing()
-    monkeypatch.setattr(FeedReceiver, "take", lambda _self, **how: storing.take(**how))
+    monkeypatch.setattr(FeedReceiver, "take", lambda _self, sent, **how: storing.take(sent, **how))
     make_empty(tmp_path / "hub.sqlite")
     large = random.Random(0).randbytes(LARGE_BYTES + 1)
 

@@ -18,7 +18,7 @@ from tests.fixtures.nights import judged, whole_night
 
 from sunarc.archive.archive import Archive, open_archive
 from sunarc.archive.fleet.feed_rows import FED, FeedBatch, FeedRow, Refusal, read_feed_lines
-from sunarc.archive.fleet.feeds import FUTURE
+from sunarc.archive.fleet.feeds import FUTURE, KEPT
 from sunarc.archive.values import Day, DayAir, Event, Refit, fields_of
 from sunarc.errors import NotFoundError
 from sunarc.findings import Finding, uncoded
@@ -441,3 +441,56 @@ def test_feeds_of_many_cameras_at_the_same_time_are_each_complete(hub: Archive, 
         assert contents(hub, name) == contents(one, name)
         one.close()
     assert hub.feeds.quarantine() == ()
+
+
+def test_a_gap_that_is_closed_leaves_the_quarantine_by_itself(imager: Archive, hub: Archive) -> None:
+    feed(imager, hub)
+    hub.feeds.ask_again("roof")
+    imager.sightings.add([sighting(0)])
+    hub.feeds.take(next_batch(imager), now=NOW)
+    assert (reasons(hub), hub.feeds.fleet()[0].n_quarantined) == (["gap"], 1)
+    imager.outbox.send_again(committed=-1)
+    feed(imager, hub, now=NOW + timedelta(seconds=5))
+    assert (reasons(hub), hub.feeds.fleet()[0].n_quarantined) == ([], 0)
+    assert hub.feeds.expire(now=NOW + timedelta(seconds=5)) == 1
+
+
+def test_of_a_camera_and_a_reason_a_hundred_rows_are_kept_and_the_others_are_counted(
+    imager: Archive, hub: Archive
+) -> None:
+    feed(imager, hub)
+    position = imager.outbox.position()
+    rows = [("sun_point", row_of(n, pose_epoch="none")) for n in range(250)]
+    made = replace(batch_of(*rows, after=position.committed), installation=position.installation)
+    for _ in range(2):
+        hub.feeds.take(made, now=NOW)
+        hub.feeds.take(
+            replace(made, rows=tuple(replace(row, seq=row.seq + 250) for row in made.rows), after=made.rows[-1].seq),
+            now=NOW,
+        )
+    found = hub.feeds.quarantine("roof")
+    assert len(found) == 101
+    (others,) = [one for one in found if one.seq == 0]
+    assert (others.n, others.reason, {one.n for one in found} - {others.n}) == (400, "contradiction", {1})
+    assert hub.feeds.n_failing("roof") == 2
+    later = NOW + KEPT
+    assert (hub.feeds.expire(now=later), hub.feeds.expire(now=later + timedelta(seconds=1))) == (0, 101)
+    long = batch_of(("x" * 5000, {"y": "z" * 20_000}), after=position.committed + 500)
+    hub.feeds.take(replace(long, installation=position.installation), now=NOW)
+    (found_long,) = hub.feeds.quarantine("roof")
+    assert (len(found_long.kind), found_long.data) == (500, "")
+    feed_good = batch_of(("sun_point", row_of(1)), after=position.committed + 501)
+    hub.feeds.take(replace(feed_good, installation=position.installation), now=NOW)
+    assert hub.feeds.n_failing("roof") == 0
+
+
+def test_a_calibrations_parent_may_come_in_the_same_batch_and_not_after_it(imager: Archive, hub: Archive) -> None:
+    for name, parent in (("a", None), ("b", "a"), ("c", "b")):
+        imager.calibrations.add(document(name), parent=parent)
+    batch = next_batch(imager)
+    calibrations = [row for row in batch.rows if row.kind == "calibration"]
+    assert len(calibrations) == 3
+    turned = [replace(row, seq=n) for n, row in enumerate([*batch.rows[:2], *reversed(calibrations)], 1)]
+    hub.feeds.take(replace(batch, rows=tuple(turned)), now=NOW)
+    assert [one.id for one in hub.calibrations.find("roof")] == ["a"]
+    assert reasons(hub) == ["contradiction", "contradiction"]

@@ -16,6 +16,7 @@ from alembic.autogenerate import compare_metadata
 from alembic.runtime.migration import MigrationContext
 from sqlalchemy import URL, Engine, event, text
 from tests.archive.test_calibrations import document
+from tests.fixtures.feed_cases import good_rows
 from tests.fixtures.fleet import NOW, batch_of, feed, new_imager, sighting
 from tests.fixtures.postgresql import TEMPLATE, Server, running_server
 
@@ -23,7 +24,8 @@ from sunarc.archive.archive import Archive, open_archive
 from sunarc.archive.database.connections import create_server_engine, server_url, writing
 from sunarc.archive.database.schema import check, head_revision, upgrade_server
 from sunarc.archive.database.tables import metadata
-from sunarc.archive.fleet.feed_rows import FeedBatch
+from sunarc.archive.fleet.feed_rows import REMOVED, FeedBatch
+from sunarc.archive.fleet.feeds import KEPT
 from sunarc.archive.sightings import MOVED
 from sunarc.archive.values import SunPoint, fields_of
 from sunarc.errors import InputError, OutsideError, SchemaError, StoreFullError
@@ -291,6 +293,21 @@ def test_a_feed_is_stored_by_the_feeds_role(fleet: Server, tmp_path: Path) -> No
         feed(imager, hub, "mast")
         assert hub.sightings.find("mast") == imager.sightings.find("mast")
         assert "mast" in [camera.camera for camera in hub.feeds.fleet()]
+
+
+def test_every_kind_of_row_is_stored_and_aged_by_the_feeds_role(fleet: Server, tmp_path: Path) -> None:
+    rows = good_rows(tmp_path, "pole")
+    whole = [row for row in rows if not row[0].endswith(REMOVED)]
+    with open_archive(fleet.url("sunarc", user="sunarc_feed")) as hub:
+        assert hub.feeds.take(batch_of(*whole, camera="pole"), now=NOW) == len(whole)
+        assert hub.feeds.quarantine("pole") == ()
+        assert (len(hub.nights.find("pole")), len(hub.events.find("pole"))) == (1, 1)
+        removed = [row for row in rows if row[0].endswith(REMOVED)]
+        hub.feeds.take(batch_of(*removed, camera="pole", after=len(whole)), now=NOW)
+        assert {one.kind for one in hub.feeds.quarantine("pole")} == {
+            f"{kind}{REMOVED}" for kind in ("camera", "pose_epoch", "day", "calibration", "refit", "event", "night")
+        }
+        assert hub.feeds.expire(now=NOW + 2 * KEPT) >= 7
 
 
 def batch_after(imager: Archive, *rows: tuple[str, dict[str, Any]], camera: str) -> FeedBatch:

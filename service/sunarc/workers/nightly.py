@@ -229,6 +229,7 @@ def nightly_jobs(archive: Archive, options: NightlyOptions) -> dict[str, Job]:
         "summaries": lambda _now: {"days": archive.nightly.summarise_days()},
         "cross_checks": lambda now: {"checks": [one.as_json() for one in cross_check_fleet(archive, now=now)]},
         "retention": lambda now: {"removed": archive.nightly.remove_sightings(before=now - keep, now=now)},
+        "quarantine": lambda now: {"removed": archive.feeds.expire(now=now)},
     }
 
 

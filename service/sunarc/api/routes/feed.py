@@ -5,16 +5,16 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import hmac
+import math
 import re
 import zlib
 from collections.abc import Callable
-from contextlib import nullcontext
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timedelta
 from http import HTTPStatus
 from typing import Annotated
 
-from fastapi import APIRouter, Header, Path, Query, Request
+from fastapi import APIRouter, Header, Path, Query, Request, Response
 from fastapi.security.utils import get_authorization_scheme_param
 from pydantic import BaseModel
 from starlette.concurrency import run_in_threadpool
@@ -25,14 +25,22 @@ from sunarc.api.middleware.http_only import HttpMiddleware
 from sunarc.api.problems import Fault, RefusedError, answers
 from sunarc.archive.archive import Archive
 from sunarc.archive.database.schema import head_revision
-from sunarc.archive.fleet.feed_rows import FeedBatch, Reason, Refusal, read_feed_lines
+from sunarc.archive.fleet.feed_rows import MOST_ROWS, FeedBatch, Reason, Refusal, read_feed_lines
+from sunarc.archive.fleet.feeds import Tokens
 from sunarc.errors import InputError, OutsideError
 from sunarc.json_fields import described
 
-MOST_BYTES = 64_000_000
+MOST_BYTES = 16_000_000
 """Of a body when it is decompressed; an imager sends a million at once, and one calibration has a few."""
-LARGE_BYTES = 10_000
-"""Of a compressed body, about 200 rows: what an imager sends that was away."""
+LARGE_BYTES, LARGE_CONTENT_BYTES = 10_000, 200_000
+"""Of a compressed body and of what it holds, about 200 rows: what an imager sends that was away."""
+MOST_LISTS = 200_000
+"""Lists and objects of JSON in a body: an empty one takes 27 times as much memory as of its text."""
+_PATIENCE = 3
+"""Batches in succession of which nothing could be stored, until the sender waits: 1 s, twice as long each time."""
+_LONGEST_WAIT_S = 60
+_TOKENS_EVERY = timedelta(seconds=10)
+"""For so long a token that was ended is still taken; a new one is known at once."""
 LARGE_AT_ONCE = 2
 """Large bodies that are stored at the same time; the others wait for one another, and small ones for none of them."""
 _STATUS: dict[Reason, HTTPStatus] = {
@@ -65,6 +73,18 @@ Installation = Annotated[str, Header(alias="Sunarc-Installation", description="I
 Revision = Annotated[str, Header(alias="Sunarc-Revision", description="Revision of the imager's database.")]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SentBody:
+    """What an imager sent, as it arrived: under which name, with which token, and what follows which number."""
+
+    camera: str
+    token: str
+    installation: str
+    revision: str
+    after: int
+    body: bytes
+
+
 @dataclass(eq=False)
 class FeedReceiver:
     """Stores what imagers send, and writes into quarantine what is refused.
@@ -78,16 +98,48 @@ class FeedReceiver:
     archive: Archive
     now: Callable[[], datetime]
 
-    def take(self, *, camera: str, token: str, installation: str, revision: str, after: int, body: bytes) -> int:
-        """Return the number up to which the hub has an imager's rows; RefusedError where it takes none of them."""
-        self._require_token(camera, token)
+    def __post_init__(self) -> None:
+        """Begin with no sender that has to wait, and no tokens read."""
+        self._failed: dict[str, tuple[int, datetime]] = {}
+        self._tokens: Tokens = {}
+        self._read_at: datetime | None = None
+
+    def wait_s(self, camera: str) -> int:
+        """Return for how many seconds a sender has to wait of whose last batches no row could be stored."""
+        n, since = self._failed.get(camera, (0, self.now()))
+        pause_s = min(2 ** min(max(n - _PATIENCE, 0), 16) // 2, _LONGEST_WAIT_S)
+        waited_s = (self.now() - since).total_seconds()
+        return math.ceil(pause_s - waited_s) if 0.0 <= waited_s < pause_s else 0
+
+    def take(self, sent: SentBody, *, large: bool) -> int | None:
+        """Return the number up to which the hub has an imager's rows; None of a body that is large and may not be.
+
+        Raises
+        ------
+        RefusedError : the hub takes none of them.
+        """
+        try:
+            return self._take(sent, large=large)
+        finally:
+            n = self.archive.feeds.n_failing(sent.camera)
+            if not n:
+                self._failed.pop(sent.camera, None)
+            elif n != self._failed.get(sent.camera, (0, None))[0]:
+                self._failed[sent.camera] = (n, self.now())
+
+    def _take(self, sent: SentBody, *, large: bool) -> int | None:
+        camera, installation, after = sent.camera, sent.installation, sent.after
+        self._require_token(camera, sent.token)
         if not _INSTALLATION.fullmatch(installation):
             raise self._refused(camera, "", Refusal(reason="malformed", text="the installation's id is not a word"))
-        if revision > head_revision():
-            text = f"the imager is at revision {revision}, the hub at {head_revision()}"
+        if sent.revision > head_revision():
+            text = f"the imager is at revision {sent.revision}, the hub at {head_revision()}"
             raise self._refused(camera, installation, Refusal(reason="newer_imager", text=text))
         try:
-            rows = read_feed_lines(_decompressed(body), after=after)
+            content = _decompressed(sent.body, MOST_BYTES if large else LARGE_CONTENT_BYTES)
+            if content is None and not large:
+                return None
+            rows = read_feed_lines(_bounded(content), after=after)
         except InputError as error:
             raise self._refused(camera, installation, Refusal(reason="malformed", text=str(error))) from None
         except _TooLargeError as error:
@@ -99,19 +151,29 @@ class FeedReceiver:
         return committed
 
     def _require_token(self, camera: str, token: str) -> None:
-        digests = self.archive.feeds.tokens(camera, now=self.now())
-        if digests is None:
+        own, now = token_digest(token), self.now()
+        if self._has(camera, own, now):
+            return
+        self._read_at = None  # it may be new
+        if self._has(camera, own, now):
+            return
+        if camera not in self._tokens:
             refusal = Refusal(reason="unknown_camera", text=f"nobody registered a camera {camera}")
             raise self._refused(camera, "", refusal)
-        own = token_digest(token)
-        if not sum(hmac.compare_digest(own, digest) for digest in digests):
-            # What the request says of itself is not believed: the id would be a stranger's.
-            refusal = Refusal(reason="forged_token", text="the token is not one of the camera's, or has expired")
-            raise self._refused(camera, "", refusal)
+        # What the request says of itself is not believed: the id would be a stranger's.
+        refusal = Refusal(reason="forged_token", text="the token is not one of the camera's, or has expired")
+        raise self._refused(camera, "", refusal)
+
+    def _has(self, camera: str, own: str, now: datetime) -> bool:
+        """Return whether a digest is that of a camera's token that has not ended; read every 10 s, for all at once."""
+        if self._read_at is None or not timedelta(0) <= now - self._read_at < _TOKENS_EVERY:
+            self._tokens, self._read_at = self.archive.feeds.all_tokens(), now
+        valid = [one for one, until in self._tokens.get(camera, ()) if until is None or until > now]
+        return sum(hmac.compare_digest(own, digest) for digest in valid) > 0
 
     def note_too_large(self, camera: str) -> None:
         """Write into quarantine that a body was too large."""
-        if self.archive.feeds.tokens(camera, now=self.now()) is not None:
+        if camera in self.archive.feeds.all_tokens():
             refusal = Refusal(reason="body_too_large", text="a body was too large; the imager sends it in parts")
             self.archive.feeds.refuse(camera=camera, installation="", refusal=refusal, now=self.now())
 
@@ -128,30 +190,48 @@ def token_digest(token: str) -> str:
 def feed_routes(receiver: FeedReceiver) -> APIRouter:
     """Return the route that takes what imagers send."""
     routes = APIRouter(tags=["fleet"])
-    large = asyncio.Semaphore(LARGE_AT_ONCE)
+    slots = asyncio.Semaphore(LARGE_AT_ONCE)
 
     @routes.put("/v1/cameras/{camera}/feed", responses=answers(401, 404, 408, 409, 413, 422))
-    async def feed(
-        request: Request, camera: Name, after: After, installation: Installation, revision: Revision
+    async def feed(  # noqa: PLR0917 - FastAPI's parameters
+        request: Request,
+        response: Response,
+        camera: Name,
+        after: After,
+        installation: Installation,
+        revision: Revision,
     ) -> Committed:
         """Store rows of an imager's outbox: gzip-compressed lines of {"seq", "kind", "data"}.
 
         A repetition changes nothing. What is refused, as a whole or one row, is in /v1/quarantine with its reason.
+        A sender of whose rows none can be stored is asked to wait (Retry-After), and answered 429 until then.
         """
-        scheme, token = get_authorization_scheme_param(request.headers.get("authorization"))
-        body = await request.body()
-        # After a failure of the hub all imagers catch up: without a limit they would have every thread of the pool.
-        async with large if len(body) > LARGE_BYTES else nullcontext():
-            committed = await run_in_threadpool(
-                receiver.take,
-                camera=camera,
-                token=token if scheme.lower() == "bearer" else "",
-                installation=installation,
-                revision=revision,
-                after=after,
-                body=body,
+        wait_s = receiver.wait_s(camera)
+        if wait_s:
+            fault = Fault(
+                field="request", problem="no row of the last batches could be stored", remedy="wait, or correct it"
             )
-        return Committed(committed=committed)
+            raise RefusedError(HTTPStatus.TOO_MANY_REQUESTS, fault, headers={"retry-after": str(wait_s)})
+        scheme, token = get_authorization_scheme_param(request.headers.get("authorization"))
+        sent = SentBody(
+            camera=camera,
+            token=token if scheme.lower() == "bearer" else "",
+            installation=installation,
+            revision=revision,
+            after=after,
+            body=await request.body(),
+        )
+        committed = None
+        if int(request.headers.get("content-length") or LARGE_BYTES + 1) <= LARGE_BYTES:
+            committed = await run_in_threadpool(receiver.take, sent, large=False)
+        if committed is None:
+            # After a failure of the hub all imagers catch up: without a limit they would have every thread of the pool.
+            async with slots:
+                committed = await run_in_threadpool(receiver.take, sent, large=True)
+        wait_s = receiver.wait_s(camera)
+        if wait_s:
+            response.headers["retry-after"] = str(wait_s)
+        return Committed(committed=committed or 0)
 
     return routes
 
@@ -195,17 +275,28 @@ class _TooLargeError(Exception):
     pass
 
 
-def _decompressed(body: bytes) -> bytes:
-    """Return a gzip body's content, no more of it than is allowed: a small one can hold gigabytes."""
+def _decompressed(body: bytes, most: int) -> bytes | None:
+    """Return a gzip body's content; None where it has more bytes than `most`: a small one can hold gigabytes."""
     unpacking = zlib.decompressobj(wbits=31)
     try:
-        content = unpacking.decompress(body, MOST_BYTES)
+        content = unpacking.decompress(body, most)
     except zlib.error as error:
         raise InputError(field="body", problem=f"is not gzip ({error})", remedy="compress it") from None
     if unpacking.unconsumed_tail:
-        raise _TooLargeError(f"the body is larger than {MOST_BYTES} bytes when decompressed")
+        return None
     if not unpacking.eof:
         raise InputError(field="body", problem="is not complete gzip", remedy="send it again")
+    return content
+
+
+def _bounded(content: bytes | None) -> bytes:
+    """Return a content that needs no more memory than is there for it."""
+    if content is None:
+        raise _TooLargeError(f"the body is larger than {MOST_BYTES} bytes when decompressed")
+    if content.count(b"[") + content.count(b"{") > MOST_LISTS:
+        raise _TooLargeError(f"the body has more than {MOST_LISTS} lists and objects")
+    if content.count(b"\n") > MOST_ROWS:
+        raise _TooLargeError(f"the body has more than {MOST_ROWS} rows")
     return content
 
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import select
 import sqlite3
 import threading
+import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
@@ -22,6 +24,7 @@ from sqlalchemy.exc import (
     IntegrityError,
     InterfaceError,
     InternalError,
+    InvalidatePoolError,
     OperationalError,
     ProgrammingError,
 )
@@ -166,34 +169,43 @@ def create_server_engine(url: URL) -> Engine:
         pool_size=8,
         max_overflow=32,
         pool_timeout=30.0,
-        pool_pre_ping=True,  # after a failover every pooled connection is broken
         json_serializer=json_text,
         json_deserializer=parsed_json,
     )
+
+    @event.listens_for(engine, "checkout")
+    def _require_open(connection: Any, _record: object, _proxy: object) -> None:  # noqa: ANN401 - psycopg's
+        # After a failover every pooled connection is closed, which the socket says without a round trip: nothing else
+        # is to be read from a connection that is not in use.
+        readable, _, _ = select.select([connection.fileno()], [], [], 0.0)
+        if readable:
+            raise InvalidatePoolError("the server closed it")
 
     @event.listens_for(engine, "begin")
     def _begin(connection: Connection) -> None:
         options = connection.get_execution_options()
         if options.get(WRITES, False):
-            # REPEATABLE READ takes its snapshot before the lock is granted: what its last holder wrote would be missed
-            connection.exec_driver_sql("SET TRANSACTION ISOLATION LEVEL READ COMMITTED")
             _lock(connection, options.get(ONE_CAMERA))
 
     return engine
 
 
 def _lock(connection: Connection, camera: str | None) -> None:
-    """Wait for the write lock: of all that is written, or of one camera's rows.
+    """Wait, in a transaction that writes, for the write lock: of all that is written, or of one camera's rows.
 
     SQLite has one writer at a time, and the archive's methods read under its lock what they write by. Feeds of
     different cameras write at the same time.
     """
+    # REPEATABLE READ takes its snapshot before the lock is granted: what its last holder wrote would be missed
+    level = "SET TRANSACTION ISOLATION LEVEL READ COMMITTED"
     if camera is None:
-        connection.exec_driver_sql("SELECT pg_advisory_xact_lock(%s)", (_ARCHIVE_LOCK,))
+        connection.exec_driver_sql(f"{level}; SELECT pg_advisory_xact_lock({_ARCHIVE_LOCK})")
         return
+    # in one round trip, which takes no parameters: the name's number is made here
+    of_camera = zlib.crc32(camera.encode("utf-8", "replace")) - 2**31
     connection.exec_driver_sql(
-        "SELECT pg_advisory_xact_lock_shared(%s), pg_advisory_xact_lock(%s, hashtext(%s))",
-        (_ARCHIVE_LOCK, _ARCHIVE_LOCK, camera),
+        f"{level}; SELECT pg_advisory_xact_lock_shared({_ARCHIVE_LOCK}), "
+        f"pg_advisory_xact_lock({_ARCHIVE_LOCK}, {of_camera})"
     )
 
 

@@ -287,7 +287,13 @@ def insert_new(connection: Connection, table: Table, rows: Sequence[Mapping[str,
 
 
 def upsert(
-    connection: Connection, table: Table, row: Mapping[str, Any], *, key: Sequence[str], of: str | None = None
+    connection: Connection,
+    table: Table,
+    row: Mapping[str, Any],
+    *,
+    key: Sequence[str],
+    of: str | None = None,
+    changed: Mapping[str, Any] | None = None,
 ) -> int:
     """Insert a row, or write it over the one of the same key, and return how many rows were written.
 
@@ -296,19 +302,35 @@ def upsert(
     connection, table, row : where to, and the columns' values by their keys.
     key : the columns of the unique key.
     of : a column that must have the same value in the row that is there; else nothing is written.
+    changed : what is written over the row that is there; all of the row unless given.
     """
     statement = _insert(connection, table).values(row)
     same = None if of is None else table.c[of] == row[of]
-    statement = statement.on_conflict_do_update(index_elements=key, set_=dict(row), where=same)
+    statement = statement.on_conflict_do_update(index_elements=key, set_=dict(changed or row), where=same)
     return connection.execute(statement.execution_options(preserve_rowcount=True)).rowcount
 
 
-def upsert_all(connection: Connection, table: Table, rows: Sequence[Mapping[str, Any]], *, key: Sequence[str]) -> None:
-    """Insert rows that have the same columns, each over the one of the same key, in their order."""
+def upsert_all(
+    connection: Connection,
+    table: Table,
+    rows: Sequence[Mapping[str, Any]],
+    *,
+    key: Sequence[str],
+    kept: Sequence[str] = (),
+    added: Sequence[str] = (),
+) -> None:
+    """Insert rows that have the same columns, each over the one of the same key, in their order.
+
+    Parameters
+    ----------
+    connection, table, rows, key : where to, the columns' values by their keys, and the columns of the unique key.
+    kept, added : columns whose value stays as it is in the row that is there, or is added to that.
+    """
     if not rows:
         return
     statement = _insert(connection, table)
-    written = {name: statement.excluded[name] for name in rows[0] if name not in key}
+    written: dict[str, Any] = {name: statement.excluded[name] for name in rows[0] if name not in {*key, *kept}}
+    written |= {name: table.c[name] + statement.excluded[name] for name in added}
     connection.execute(statement.on_conflict_do_update(index_elements=key, set_=written), list(rows))
 
 

@@ -36,6 +36,8 @@ FED: Mapping[str, tuple[Table, tuple[str, ...]]] = {
 
 STATUS = "status"
 """Kind of the imager's own state; the hub keeps the newest."""
+MOST_ROWS = 10_000
+"""Of a body."""
 REMOVED = ".removed"
 """Ending of the kind of a row that is there no more, or not under that key."""
 _NUMBERED = frozenset({"sun_point", "event"})

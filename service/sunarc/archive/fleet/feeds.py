@@ -4,17 +4,32 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import KW_ONLY, dataclass, replace
 from datetime import datetime, timedelta
 from itertools import groupby
 from typing import Any
 
-from sqlalchemy import Connection, Table, and_, delete, func, insert, or_, select, update
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    Table,
+    case,
+    delete,
+    exists,
+    func,
+    insert,
+    literal,
+    or_,
+    select,
+    update,
+)
 from sqlalchemy.exc import DataError, DBAPIError, IntegrityError, StatementError
 
 from sunarc.archive.database.connections import is_of_row, json_text
-from sunarc.archive.database.store import Part, given, upsert, upsert_all, upsert_records
+from sunarc.archive.database.store import Database, Part, given, upsert, upsert_all, upsert_records
 from sunarc.archive.database.tables import (
     calibration,
     camera,
@@ -63,7 +78,11 @@ _REFERENCES: Mapping[str, Mapping[str, Table]] = {
     "refit": {"calibration": calibration},
 }
 """Columns that name a row by its id: it must be one of the same camera."""
-_MOST_UNKNOWN = 100
+_MOST_UNKNOWN, _MOST_KEPT, _MOST_OWN = 100, 100, 100_000
+_LONGEST_DATA, _LONGEST_TEXT = 10_000, 500
+_NOT_ALLOWED = "permission denied"  # of a table: it is so for every row
+KEPT = timedelta(days=90)
+"""What did not come again for so long leaves the quarantine."""
 _OTHERS = "(others)"
 """Stands for cameras that nobody registered, beyond the first so many: names cost a stranger nothing."""
 _NAME = re.compile(r"(?! )[^/]{1,100}(?<! )")
@@ -73,8 +92,21 @@ WHOLE = 0
 """The `seq` of what was refused as a whole."""
 
 
+Tokens = Mapping[str, Sequence[tuple[str, datetime | None]]]
+"""Digests by camera, each with when it ends."""
+
+
+class _RowError(Exception):
+    """The database refuses a row."""
+
+
 class FeedStore(Part):
     """What imagers send to a hub, their cameras, and what is in quarantine of them."""
+
+    def __init__(self, database: Database) -> None:
+        super().__init__(database)
+        self._failing: dict[str, int] = {}
+        self._own: set[tuple[str, str, str]] = set()
 
     def take(self, batch: FeedBatch, *, now: datetime) -> int | Refusal:
         """Store a batch, and return the number up to which the hub has this imager's rows.
@@ -93,21 +125,46 @@ class FeedStore(Part):
         """
         dated = [time for time in map(_sighting_time, batch.rows) if time is not None]
         self._database.prepare_months([time for time in dated if time <= now + FUTURE])
+        try:
+            taken = self._take(batch, now, one_by_one=False)
+        except _RowError:
+            taken = self._take(batch, now, one_by_one=True)
+        return taken
+
+    def _take(self, batch: FeedBatch, now: datetime, *, one_by_one: bool) -> int | Refusal:
+        """Store a batch whose rows the database takes, in few round trips; else with what is needed to leave some out.
+
+        Raises
+        ------
+        _RowError : the database refuses a row; nothing is stored, and it is to be done again `one_by_one`.
+        """
         with self._database.writing(camera=batch.camera) as connection:
-            position = _position(connection, batch, now)
-            if isinstance(position, Refusal):
-                _set_apart(connection, batch, position, now=now)
-                return position
-            if batch.after != position:
-                if batch.after > position:
+            if not _moved_on(connection, batch, now):
+                position = _position(connection, batch, now)
+                if isinstance(position, int) and batch.after > position:
                     text = f"rows after {batch.after} came, rows after {position} were expected; all are sent again"
-                    _set_apart(connection, batch, Refusal(reason="gap", text=text), now=now)
-                return position
-            _store_batch(connection, batch, now)
-            committed = batch.rows[-1].seq if batch.rows else position
-            this = and_(feed.c.camera == batch.camera, feed.c.installation == batch.installation)
-            connection.execute(update(feed).where(this).values(committed=committed, last_at=now))
-        return committed
+                    self._fail(connection, batch, Refusal(reason="gap", text=text), now)
+                if isinstance(position, Refusal):
+                    self._fail(connection, batch, position, now)
+                if batch.after != position or not _moved_on(connection, batch, now):
+                    return position
+            storing = _Storing(connection, batch, self._own, one_by_one=one_by_one)
+            n_stored = storing.store(now)
+            _set_apart(connection, batch, storing.apart, now=now)
+            _note_in_fleet(connection, batch, now)
+        if n_stored:
+            self._failing.pop(batch.camera, None)
+        elif storing.apart:
+            self._failing[batch.camera] = self.n_failing(batch.camera) + 1
+        return batch.rows[-1].seq if batch.rows else batch.after
+
+    def _fail(self, connection: Connection, batch: FeedBatch, refusal: Refusal, now: datetime) -> None:
+        self._failing[batch.camera] = self.n_failing(batch.camera) + 1
+        _set_apart(connection, batch, [(None, refusal)], now=now)
+
+    def n_failing(self, camera: str) -> int:
+        """Return how many batches of a camera came in succession of which no row could be stored."""
+        return self._failing.get(camera, 0)
 
     def refuse(self, *, camera: str, installation: str, refusal: Refusal, now: datetime) -> None:
         """Write into quarantine that something was refused as a whole."""
@@ -115,17 +172,27 @@ class FeedStore(Part):
         with self._database.writing(camera=camera) as connection:
             if refusal.reason == "unknown_camera":
                 batch = replace(batch, camera=_bounded(connection, camera), installation="")
-            _set_apart(connection, batch, refusal, now=now)
+            if refusal.reason in {"unknown_camera", "forged_token", "body_too_large"}:
+                _set_apart(connection, batch, [(None, refusal)], now=now)
+            else:
+                self._fail(connection, batch, refusal, now)
+
+    def expire(self, *, now: datetime) -> int:
+        """Remove from quarantine what did not come again for 90 days, and gaps that were closed; return how many."""
+        with self._database.writing() as connection:
+            old = or_(quarantine.c.last_at < now - KEPT, ~_standing())
+            return connection.execute(delete(quarantine).where(old)).rowcount
 
     def quarantine(self, camera: str | None = None, *, limit: int | None = None) -> tuple[Quarantined, ...]:
         """Return what was refused or set apart, the newest first."""
         c = quarantine.c
-        statement = select(quarantine).where(*given((c.camera.__eq__, camera)))
+        statement = select(quarantine).where(_standing(), *given((c.camera.__eq__, camera)))
         return self._database.values(statement.order_by(c.last_at.desc(), c.camera, c.seq).limit(limit), Quarantined)
 
     def fleet(self) -> tuple[FleetCamera, ...]:
         """Return every camera that was registered or fed, with how many things of it are in quarantine."""
-        apart = select(quarantine.c.camera, func.count().label("n")).group_by(quarantine.c.camera).subquery()
+        counted = select(quarantine.c.camera, func.count().label("n")).where(_standing())
+        apart = counted.group_by(quarantine.c.camera).subquery()
         known = select(feed_token.c.camera).union(select(fleet.c.camera)).subquery()
         f = fleet.c
         columns = [column for column in f if column.name != "camera"]
@@ -178,6 +245,15 @@ class FeedStore(Part):
         valid = tuple(row.digest for row in rows if row.expires_at is None or row.expires_at > now)
         return valid if rows else None
 
+    def all_tokens(self) -> Tokens:
+        """Return the digests of all cameras' tokens, each with when it ends; None: it does not."""
+        c = feed_token.c
+        found: dict[str, list[tuple[str, datetime | None]]] = {}
+        with self._database.reading() as connection:
+            for row in connection.execute(select(c.camera, c.digest, c.expires_at)):
+                found.setdefault(row.camera, []).append((row.digest, row.expires_at))
+        return found
+
     def accept_installation(self, camera: str, installation: str, *, now: datetime) -> None:
         """Take what an installation sends from now on, in place of the one that was taken before."""
         c = feed.c
@@ -222,27 +298,25 @@ def _position(connection: Connection, batch: FeedBatch, now: datetime) -> int | 
     return int(found.committed)
 
 
+def _moved_on(connection: Connection, batch: FeedBatch, now: datetime) -> bool:
+    """Move the number of an installation that is accepted from where the batch begins to where it ends."""
+    c = feed.c
+    here = (c.camera == batch.camera, c.installation == batch.installation, c.accepted, c.committed == batch.after)
+    committed = batch.rows[-1].seq if batch.rows else batch.after
+    return connection.execute(update(feed).where(*here).values(committed=committed, last_at=now)).rowcount == 1
+
+
+def _standing() -> ColumnElement[bool]:
+    """Return the condition that something in quarantine is no gap that was closed since: rows followed it."""
+    q = quarantine.c
+    after = (feed.c.camera == q.camera, feed.c.installation == q.installation, feed.c.last_at > q.last_at)
+    return or_(q.reason != "gap", ~exists().where(*after))
+
+
 def _sighting_time(row: FeedRow) -> datetime | None:
     """Return the time of a sighting; None of another row, and where there is none in its place."""
     time = row.data.get("time") if row.kind == "sun_point" and row.data is not None else None
     return from_microseconds(time) if type(time) is int and 0 <= time < LATEST_US else None
-
-
-def _store_batch(connection: Connection, batch: FeedBatch, now: datetime) -> None:
-    """Store the rows in their order; rows that cannot be stored are set apart, and what follows is stored."""
-    for kind, group in groupby(batch.rows, key=lambda row: row.kind):
-        rows = []
-        for row in group:
-            refusal = _refusal(batch.camera, row, now)
-            if refusal is not None:
-                _set_apart(connection, batch, refusal, row=row, now=now)
-            else:
-                rows.append(row)
-        if kind == STATUS or not rows:
-            continue
-        for row, refusal in _stored(connection, batch.camera, kind, rows):
-            _set_apart(connection, batch, refusal, row=row, now=now)
-    _note_in_fleet(connection, batch, now)
 
 
 def _refusal(camera: str, row: FeedRow, now: datetime) -> Refusal | None:
@@ -290,40 +364,93 @@ def _refusal_of_document(data: Mapping[str, Any]) -> Refusal | None:
     return None
 
 
-def _stored(
-    connection: Connection, camera: str, kind: str, rows: Sequence[FeedRow]
-) -> Iterable[tuple[FeedRow, Refusal]]:
-    """Store rows of one kind together, or one by one where the database refuses one of them; yield those left out."""
-    if _refused_by_database(connection, camera, kind, rows) is None:
-        return
-    for row in rows:
-        refusal = _refused_by_database(connection, camera, kind, [row])
-        if refusal is not None:
-            yield row, refusal
+@dataclass(eq=False)
+class _Storing:
+    """Stores the rows of a batch in their order; those that cannot be stored are set apart, and what follows is stored.
 
+    Parameters
+    ----------
+    connection, batch : where to, and what.
+    own : (table, camera, id) of rows that were found to be the camera's; more are added.
+    one_by_one : whether to look for the rows that the database refuses; `_RowError` else.
+    """
 
-def _refused_by_database(connection: Connection, camera: str, kind: str, rows: Sequence[FeedRow]) -> Refusal | None:
-    """Store rows or none of them, and return why not; an error that is of no row (server, disk, locks) is raised."""
-    try:
-        with connection.begin_nested():
-            _require_own_references(connection, camera, kind, rows)
-            _write(connection, camera, kind, rows)
-    except StatementError as error:
-        if isinstance(error, DBAPIError) and not is_of_row(connection, error):
-            raise
-        text = str(error.orig).strip().partition("\n")[0]
-        contradicts = isinstance(error, IntegrityError | DataError)
-        return Refusal(reason="contradiction" if contradicts else "refused_by_database", text=text)
-    return None
+    connection: Connection
+    batch: FeedBatch
+    own: set[tuple[str, str, str]]
+    _: KW_ONLY
+    one_by_one: bool
 
+    def __post_init__(self) -> None:
+        """Begin with nothing set apart."""
+        self.apart: list[tuple[FeedRow | None, Refusal]] = []
+        if self.one_by_one or len(self.own) > _MOST_OWN:
+            self.own.clear()
 
-def _require_own_references(connection: Connection, camera_name: str, kind: str, rows: Sequence[FeedRow]) -> None:
-    for column, table in _REFERENCES.get(kind, {}).items():
-        named = {(row.data or {}).get(column) for row in rows} - {None}
-        others = select(table.c.id).where(table.c.id.in_(named), table.c.camera != camera_name)
-        found = connection.scalar(others.limit(1)) if named else None
-        if found is not None:
-            raise _another_cameras(f"{column} {found}")
+    def store(self, now: datetime) -> int:
+        """Store all rows, and return how many were stored; a status is none."""
+        n_stored = 0
+        for kind, group in groupby(self.batch.rows, key=lambda row: row.kind):
+            sound = []
+            for row in group:
+                refusal = _refusal(self.batch.camera, row, now)
+                if refusal is None:
+                    sound.append(row)
+                else:
+                    self.apart.append((row, refusal))
+            if kind != STATUS and sound:
+                n_stored += self._store(kind, self._referring(kind, sound))
+        return n_stored
+
+    def _referring(self, kind: str, rows: list[FeedRow]) -> list[FeedRow]:
+        """Return the rows that refer to rows of the same camera; set the others apart."""
+        for column, table in _REFERENCES.get(kind, {}).items():
+            known: set[object] = {None, *self._own_ids(table, {(row.data or {}).get(column) for row in rows} - {None})}
+            left = []
+            for row in rows:
+                data = row.data or {}
+                if data.get(column) in known:
+                    left.append(row)
+                    known |= {data["id"]} if table is FED[kind][0] else set()
+                else:
+                    text = f"{column} {data[column]} is not there, or is another camera's"
+                    self.apart.append((row, Refusal(reason="contradiction", text=text)))
+            rows = left
+        return rows
+
+    def _own_ids(self, table: Table, named: set[Any]) -> set[object]:
+        camera = self.batch.camera
+        unknown = {one for one in named if (table.name, camera, one) not in self.own}
+        if unknown:
+            mine = select(table.c.id).where(table.c.id.in_(unknown), table.c.camera == camera)
+            self.own |= {(table.name, camera, one) for one in self.connection.scalars(mine)}
+        return {one for one in named if (table.name, camera, one) in self.own}
+
+    def _store(self, kind: str, rows: Sequence[FeedRow]) -> int:
+        """Store rows of one kind, one half after the other where the database refuses one; return how many."""
+        refusal = self._refused_by_database(kind, rows) if rows else None
+        if refusal is None:
+            return len(rows)
+        if len(rows) == 1 or _NOT_ALLOWED in refusal.text:
+            self.apart += [(row, refusal) for row in rows]
+            return 0
+        middle = len(rows) // 2
+        return self._store(kind, rows[:middle]) + self._store(kind, rows[middle:])
+
+    def _refused_by_database(self, kind: str, rows: Sequence[FeedRow]) -> Refusal | None:
+        """Store rows or none of them, and return why not; an error that is of no row (server, disk) is raised."""
+        try:
+            with self.connection.begin_nested() if self.one_by_one else nullcontext():
+                _write(self.connection, self.batch.camera, kind, rows)
+        except StatementError as error:
+            if isinstance(error, DBAPIError) and not is_of_row(self.connection, error):
+                raise
+            if not self.one_by_one:
+                raise _RowError from error
+            text = str(error.orig).strip().partition("\n")[0]
+            contradicts = isinstance(error, IntegrityError | DataError)
+            return Refusal(reason="contradiction" if contradicts else "refused_by_database", text=text)
+        return None
 
 
 def _another_cameras(what: str) -> IntegrityError:
@@ -389,47 +516,61 @@ def _write_events(connection: Connection, camera_name: str, rows: Sequence[dict[
 
 
 def _set_apart(
-    connection: Connection, batch: FeedBatch, refusal: Refusal, *, now: datetime, row: FeedRow | None = None
+    connection: Connection, batch: FeedBatch, apart: Sequence[tuple[FeedRow | None, Refusal]], *, now: datetime
 ) -> None:
-    """Write into quarantine, once a row, and once an installation for what was refused as a whole; count."""
-    values = {
-        "camera": batch.camera,
-        "installation": batch.installation,
-        "reason": refusal.reason,
-        "seq": WHOLE if row is None else row.seq,
-        "kind": "" if row is None else _plain(row.kind),
-        "text": _plain(refusal.text),
-        "data": "" if row is None else json_text(row.data),
-    }
-    q = quarantine.c
-    this = [q[name] == values[name] for name in ("camera", "installation", "reason", "seq")]
-    again = update(quarantine).where(*this).values(n=q.n + 1, last_at=now, text=values["text"])
-    if not connection.execute(again).rowcount:
-        connection.execute(insert(quarantine).values(**values, n=1, first_at=now, last_at=now))
+    """Write into quarantine, once a row, and once an installation for what was refused as a whole (no row); count.
+
+    Of a camera and a reason the first hundred are kept, and what follows is counted in one row.
+    """
+    if not apart:
+        return
+    q, columns = quarantine.c, ("camera", "installation", "reason", "seq")
+    found = connection.execute(select(q.installation, q.reason, q.seq).where(q.camera == batch.camera))
+    present = {(one.installation, one.reason, one.seq) for one in found}
+    n_kept = Counter(reason for _, reason, _ in present)
+    written: dict[tuple[str, str, int], dict[str, Any]] = {}
+    for one, refusal in apart:
+        row, reason = one, refusal.reason
+        key = (batch.installation, reason, WHOLE if row is None else row.seq)
+        if key not in present and key not in written:
+            n_kept[reason] += 1
+            if n_kept[reason] > _MOST_KEPT:
+                row, key = None, ("", reason, WHOLE)
+        data = "" if row is None else json_text(row.data)
+        written[key] = {
+            **dict(zip(columns, (batch.camera, *key), strict=True)),
+            "kind": "" if row is None else _plain(row.kind),
+            "text": _plain(refusal.text),
+            "data": data if len(data) <= _LONGEST_DATA else "",
+            "n": written[key]["n"] + 1 if key in written else 1,
+            "first_at": now,
+            "last_at": now,
+        }
+    upsert_all(
+        connection, quarantine, [*written.values()], key=columns, kept=("first_at", "kind", "data"), added=("n",)
+    )
 
 
 def _plain(text: str) -> str:
     """Return a text as both engines store it: without NUL and halves of characters."""
-    return text.replace("\0", "?").encode("utf-8", "replace").decode()
+    return text[:_LONGEST_TEXT].replace("\0", "?").encode("utf-8", "replace").decode()
 
 
 def _note_in_fleet(connection: Connection, batch: FeedBatch, now: datetime) -> None:
     """Keep what the fleet page shows of a camera, so that it reads one row of each."""
-    found = connection.execute(select(fleet).where(fleet.c.camera == batch.camera)).mappings().one_or_none()
-    values: dict[str, Any] = dict(found or {"camera": batch.camera, "status": {}}) | {"received_at": now}
+    changed: dict[str, Any] = {"received_at": now}
     for row in batch.rows:
-        if row.kind == STATUS and isinstance(row.data, Mapping):
-            values |= {"status": dict(row.data), "status_at": now}
+        if row.kind == STATUS and row.data is not None and problem_of(STATUS, row.data) is None:
+            changed |= {"status": dict(row.data), "status_at": now}
     times = [time for time in map(_sighting_time, batch.rows) if time is not None and time <= now + FUTURE]
-    values["last_sighting_at"] = max([*times, *_listed(values.get("last_sighting_at"))], default=None)
-    if any(row.kind == "calibration" for row in batch.rows):
-        values |= _served(connection, batch.camera)
-    upsert(connection, fleet, values, key=["camera"])
-
-
-def _listed(time: datetime | None) -> list[datetime]:
-    """Return a list of a time, empty where there is none."""
-    return [] if time is None else [time]
+    if any(row.kind.removesuffix(REMOVED) == "calibration" for row in batch.rows):
+        changed |= _served(connection, batch.camera)
+    new = {"camera": batch.camera, "status": {}, **changed}
+    if times:
+        new["last_sighting_at"], newest = max(times), fleet.c.last_sighting_at
+        latest = literal(max(times), newest.type)
+        changed["last_sighting_at"] = case((newest > latest, newest), else_=latest)
+    upsert(connection, fleet, new, key=["camera"], changed=changed)
 
 
 def _served(connection: Connection, camera_name: str) -> dict[str, Any]:
