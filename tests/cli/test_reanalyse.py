@@ -66,16 +66,22 @@ def test_what_is_missing_or_wrong_is_named(
     assert (answer.code, answer.err.splitlines()[-1].startswith(f"sunarc: {field}: ")) == (2, True)
 
 
-def test_an_epoch_that_does_not_explain_its_days_exits_1_beside_accepted_ones(
-    sunarc: Sunarc, images: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("accepted", "expected"), [(([True, True],), 0), (([True, False],), 1), (([True], []), 1), (([True], [True]), 0)]
+)
+def test_a_refused_epoch_or_a_camera_without_one_exits_1_beside_accepted_ones(
+    sunarc: Sunarc,
+    *,
+    accepted: tuple[list[bool], ...],
+    expected: int,
+    images: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    report = {"cameras": [{"camera": "roof", "epochs": [{"accepted": True}, {"accepted": False}]}]}
-    for codes, expected in (([], 0), (["direction_sigma_too_large"], 0), (["epoch_does_not_explain_its_days"], 1)):
-        verdict = {"accepted": False, "findings": [{"code": code, "data": {}} for code in codes]}
-        summary = Summary(report=report, documents={("roof", "002"): {"verdict": verdict}})
-        monkeypatch.setattr(command, "reanalyse", lambda *_, given=summary, **__: given)
-        answer = sunarc("reanalyse", str(images), *SITE, "-o", str(tmp_path / "out"), "--yes", "--json")
-        assert answer.code == expected
+    cameras = [{"camera": "roof", "epochs": [{"accepted": one} for one in of_camera]} for of_camera in accepted]
+    monkeypatch.setattr(command, "reanalyse", lambda *_, **__: Summary(report={"cameras": cameras}, documents={}))
+    answer = sunarc("reanalyse", str(images), *SITE, "-o", str(tmp_path / "out"), "--yes", "--json")
+    assert answer.code == expected
 
 
 def test_a_source_without_an_image_that_can_be_used_exits_1_beside_an_accepted_camera(

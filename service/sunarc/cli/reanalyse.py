@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -74,8 +74,7 @@ def reanalyse_archive(
 ) -> None:
     """Find the sun in an archive of images, the pose epochs of its cameras, and a calibration for each.
 
-    Exits 1 where a camera has no image that can be used, no epoch has a calibration, or one does not explain its days
-    (a change of lens that was not found).
+    Exits 1 where a camera has no image that can be used or no epoch, and where the calibration of an epoch is refused.
 
     Example: sunarc reanalyse images/ --latitude 36.6 --longitude -97.5 --altitude 318 --utc-offset 0 -o result
     """
@@ -100,18 +99,9 @@ def reanalyse_archive(
         print_json(summary.report)
     else:
         _print(summary, target)
-    unexplained = [one for one in summary.documents.values() if _is_unexplained(one)]
-    if (
-        indexed.refused
-        or unexplained
-        or not any(epoch["accepted"] for one in summary.report["cameras"] for epoch in one["epochs"])
-    ):
+    epochs = [one["epochs"] for one in summary.report["cameras"]]
+    if indexed.refused or not all(of_camera and all(one["accepted"] for one in of_camera) for of_camera in epochs):
         raise typer.Exit(1)
-
-
-def _is_unexplained(document: dict[str, Any]) -> bool:
-    """Return whether the calibration of an epoch is refused because it does not explain the epoch's days."""
-    return any(one["code"] == "epoch_does_not_explain_its_days" for one in document["verdict"]["findings"])
 
 
 def _site(latitude: float | None, longitude: float | None, altitude: float, cameras: Path | None) -> Site:

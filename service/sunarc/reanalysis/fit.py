@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -13,21 +11,32 @@ import numpy as np
 import sunarc
 from sunarc.array_types import IntArray, stacked
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.changes.step_search import find_pose_steps
 from sunarc.calibration.model.document import to_document
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.pose import estimate_pose
 from sunarc.calibration.quality.site_checks import tilt_question
-from sunarc.calibration.robust_loss import robust_sigma
+from sunarc.calibration.robust_loss import finite, robust_sigma
 from sunarc.calibration.selection import select_sightings, surest_of_epochs
 from sunarc.findings import Finding
+from sunarc.optics.forward import project_fast
+from sunarc.reanalysis.epoch_changes import agreeing_days, change_within, noise_of_days
 from sunarc.reanalysis.look import key_of
-from sunarc.reanalysis.states import ArchiveCamera, Epoch, State, find_epochs, find_states, joined, with_true_clock
+from sunarc.reanalysis.states import (
+    ArchiveCamera,
+    Epoch,
+    State,
+    changed_states,
+    epochs_of,
+    find_epochs,
+    find_states,
+    joined,
+    with_true_clock,
+)
+from sunarc.sky.sun import sun_directions
 from sunarc.utc import utc_time
 
-_FEWEST_FOR_STEPS = 150
-"""Sightings of a pose in which small steps are searched for: a step that few show is as large as a state of its own."""
+_MOST_CHANGES = 12
+"""Changes that are found within states: each is sought anew in both of its sides."""
 
 
 class FittedPose(NamedTuple):
@@ -38,32 +47,34 @@ class FittedPose(NamedTuple):
     stars: Sightings | None = None
 
 
-def with_small_steps(points: Sightings, path: IntArray, states: Sequence[State], camera: ArchiveCamera) -> list[State]:
-    """Return states with those of small steps of the pose, which no single sighting shows."""
-    together = joined(points, path, states)
-    refined = list(states)
-    for pose in np.unique(together.epoch).tolist():
-        rows = np.flatnonzero(together.epoch == pose)
-        if rows.size < _FEWEST_FOR_STEPS:
-            continue
-        of_pose = replace(together.select(rows), epoch=np.zeros(rows.size, dtype=np.int64))
-        number, state = next((n, one) for n, one in enumerate(states) if one.pose == pose)
-        steps = find_pose_steps(
-            of_pose, site=camera.site, image_size=camera.size, options=camera.loosely(), lens=state.calibration
-        )
-        if steps:
-            bounds = [-math.inf, *(0.5 * (step.before_unix_s + step.after_unix_s) for step in steps), math.inf]
-            parts = [(of_pose.unix_s >= low) & (of_pose.unix_s < high) for low, high in itertools.pairwise(bounds)]
-            posed = [_posed(state, of_pose.select(part), camera) for part in parts]
-            refined[number] = posed[0]._replace(pose=pose)
-            free = 1 + max(one.pose for one in refined)
-            refined += [one._replace(pose=free + k) for k, one in enumerate(posed[1:])]
-    return refined
+def with_changes_within(points: Sightings, states: Sequence[State], camera: ArchiveCamera) -> list[State]:
+    """Return states with those of changes that are smaller than what a single sighting shows.
 
-
-def _posed(state: State, points: Sightings, camera: ArchiveCamera) -> State:
-    posed = estimate_pose(points, start=state.calibration, site=camera.site, options=camera.loosely())
-    return state._replace(calibration=posed)
+    Parameters
+    ----------
+    points : accepted sightings in the order of their stated times.
+    states, camera : see there.
+    """
+    noise, found, settled = noise_of_days(points, camera.site), list(states), set[tuple[int, int]]()
+    for _ in range(_MOST_CHANGES):
+        epochs, _ = find_epochs(points, found, camera)
+        split = False
+        for epoch in epochs:
+            rows, state = slice(epoch.first, epoch.last + 1), found[epoch.state]
+            if (epoch.first, epoch.last) in settled:
+                continue
+            settled.add((epoch.first, epoch.last))
+            of_epoch = points.select(rows)
+            change = change_within(
+                camera.shifted(of_epoch, state.clock_offset_s), state.calibration.camera, camera.site, noise[rows]
+            )
+            if change is not None:
+                sides = of_epoch.select(slice(0, change.row)), of_epoch.select(slice(change.row, None))
+                found += changed_states(found, state, sides, change.cause, camera)
+                split = True
+        if not split:
+            break
+    return found
 
 
 def fit_poses(
@@ -99,6 +110,10 @@ def fit_poses(
         selected = ordered.select(selection.index)
         given = selected if beside is None else _merged(selected, beside)
         solved = calibrate(given, site=camera.site, image_size=camera.size, options=camera.options)
+        if not solved.verdict.accepted:  # the search for a start may have ended elsewhere
+            near = next(state.calibration.camera for state in states if state.pose == pose)
+            again = calibrate(given, site=camera.site, image_size=camera.size, options=camera.options, start=near)
+            solved = again if again.verdict.accepted else solved
         evidence = replace(solved.evidence, selection=selection.counts())
         fitted[int(pose)] = FittedPose(replace(solved, evidence=evidence), rows[selection.index], beside)
     return fitted
@@ -180,6 +195,8 @@ def doubts(calibration: Calibration, camera: ArchiveCamera) -> tuple[Finding, ..
 
 
 _SIGMA_FLOOR_PX = 0.05
+_FAILED = 3.0
+"""Scatter about a refused fit, in that of the state that it began with, from which the fit has failed."""
 
 
 class CameraSightings(NamedTuple):
@@ -224,15 +241,47 @@ def first_analysis(given: CameraSightings) -> Rough:
 def final_analysis(given: CameraSightings) -> Final:
     """Return the epochs and calibrations of a camera by its second pass."""
     points, camera = given.points, given.camera
-    _, path = find_epochs(points, given.states, camera)
-    states = with_small_steps(points, path, given.states, camera)
+    states = with_changes_within(points, given.states, camera)
     _, path = find_epochs(points, states, camera)
     fitted = fit_poses(points, path, states, camera)
     # a state that no sighting is left to has no calibration that a later one could be given
     held = [(state, points.select(path == number)) for number, state in enumerate(states) if np.any(path == number)]
     refined = [_refined(state, fitted, of_state, camera) for state, of_state in held]
     epochs, path = find_epochs(points, refined, camera)
-    return Final(tuple(refined), tuple(epochs), path, fitted)
+    return _held_to_days(Final(tuple(refined), tuple(epochs), path, fitted), given)
+
+
+_OF_DAYS = {"epoch_does_not_explain_its_days", "held_out_contradicts", "too_many_rejected", "rmse_too_large"}
+"""Findings by which the sightings of an epoch are not of one camera."""
+
+
+def _held_to_days(final: Final, given: CameraSightings) -> Final:
+    """Return epochs, those that do not explain their days shortened to the days that agree, where these give a camera.
+
+    What is left of such an epoch keeps the calibration that was refused.
+    """
+    points, camera = given.points, given.camera
+    noise = noise_of_days(points, camera.site)
+    states, path, fitted = list(final.states), final.path.copy(), dict(final.fitted)
+    for epoch in final.epochs:
+        state = states[epoch.state]
+        refused = final.fitted[state.pose].calibration
+        if refused.verdict.accepted or not _OF_DAYS & {one.code for one in refused.verdict.findings}:
+            continue
+        rows = slice(epoch.first, epoch.last + 1)
+        seen = camera.shifted(points.select(rows), state.clock_offset_s)
+        residual = seen.pixels - project_fast(refused.camera, sun_directions(seen.unix_s, camera.site))
+        for run in agreeing_days(finite(residual), noise[rows], seen.unix_s, camera.site)[:1]:
+            alone = calibrate(seen.select(run), site=camera.site, image_size=camera.size, options=camera.options)
+            if not alone.verdict.accepted:
+                continue
+            pose, lens = (1 + max(getattr(one, name) for one in states) for name in ("pose", "lens"))
+            path[epoch.first + run[0] : epoch.first + run[-1] + 1] = len(states)
+            fitted[pose] = FittedPose(alone, epoch.first + run)
+            states.append(state._replace(calibration=alone, pose=pose, lens=lens))
+    causes = {one.first: one.cause for one in final.epochs}
+    epochs = [one._replace(cause=causes.get(one.first, "unexplained")) for one in epochs_of(path, states, points)]
+    return Final(tuple(states), tuple(epochs), path, fitted)
 
 
 class Starry(NamedTuple):
@@ -256,4 +305,8 @@ def _refined(state: State, fitted: dict[int, FittedPose], points: Sightings, cam
     if found is None or found.calibration.evidence.n_used == 0 or len(points) == 0:
         return state
     distance = camera.distances_of(found.calibration, points, state.clock_offset_s)
-    return state._replace(calibration=found.calibration, sigma_px=robust_sigma(distance, floor=_SIGMA_FLOOR_PX))
+    scatter = robust_sigma(distance, floor=_SIGMA_FLOOR_PX)
+    # a fit that failed says nothing of when the state held
+    if not found.calibration.verdict.accepted and scatter > _FAILED * state.sigma_px:
+        return state
+    return state._replace(calibration=found.calibration, sigma_px=scatter)

@@ -108,6 +108,12 @@ MESSAGES = Messages(
         "The camera has no epochs.",
         "check that the images are those of one camera, and show the sun",
     ),
+    days_of_two_states=Message(
+        "the sightings of any few days scatter by {scatter_px:.2f} px about one camera (at most {limit_px:.2f} px by "
+        "their own noise)",
+        "The camera has no epochs.",
+        "check that the images are those of one camera that stands still for days, and show the sun",
+    ),
     worker_died=Message("the process that read it died: {error}", _LEFT_OUT, "open it in another program"),
     mirrored_setting_differs=Message(
         "the sightings fit a camera with mirrored = {mirrored!r}, and calibration.mirrored is not that",

@@ -232,7 +232,7 @@ def _align(cell: object) -> str:
 # Drawings of the report as SVG: epochs on a time line, residuals over time.
 
 _WIDTH, _LEFT, _RIGHT = 960, 60, 12
-_COLOURS = {"start": "#4477aa", "moved": "#ee6677", "lens": "#aa3377", "clock": "#ccbb44"}
+_COLOURS = {"start": "#4477aa", "moved": "#ee6677", "lens": "#aa3377", "clock": "#ccbb44", "unexplained": "#bbbbbb"}
 """By the cause of an epoch: P. Tol's scheme, which people with a colour deficiency can tell apart."""
 _MOST_POINTS = 4000
 

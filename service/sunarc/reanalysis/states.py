@@ -11,7 +11,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from sunarc.calibration.robust_loss import finite, robust_sigma
 from sunarc.findings import Finding
 from sunarc.optics.forward import project_fast
 from sunarc.optics.pose import rotation_matrix, rotation_vector
+from sunarc.reanalysis.epoch_changes import Cause, noise_of_days
 from sunarc.sky.days import solar_days
 from sunarc.sky.site import Site, pole_enu
 from sunarc.sky.sun import sun_directions
@@ -36,6 +37,10 @@ _PER_DAY = 40
 _FEWEST_PER_DAY = 6
 _WINDOW_DAYS = (6, 3, 1)
 """Days that a new state is fitted to: many tell a lens better, few lie less often on both sides of a change."""
+_MOST_WINDOWS = 6
+"""Places among the open days at which a window is tried."""
+_OVER_NOISE, _OVER_NOISE_PX = 2.0, 0.3
+"""A state's scatter over its days' own noise, and beyond it: days of two states, fitted as one, scatter more."""
 _FEWEST = 12
 _EXPLAINED = 0.7
 """Share of sightings near a state's predictions from which it explains them; others are false, or of another state."""
@@ -58,6 +63,10 @@ _LOOSE: dict[str, Any] = {
     "max_below_horizon": 1.0,
 }  # fmt: skip
 """A state need not be a calibration."""
+
+
+_MISFIT_PX = 0.15
+"""1-sigma by which a state is wrong beside the noise of a day."""
 
 
 class State(NamedTuple):
@@ -185,23 +194,31 @@ def _next_state(
     states: Sequence[State], points: Sightings, day: IntArray, open_days: Sequence[int], camera: ArchiveCamera
 ) -> tuple[State | None, Finding | None]:
     """Return the state of the first days that none explains."""
-    finding: Finding | None = None
+    refusal: Finding | None = None
     for width in _WINDOW_DAYS:
-        window = points.select(np.isin(day, open_days[:width]))
-        if len(window) < _FEWEST:
-            continue
-        # of days that are partly explained, what is left is of the new state
-        for state in states:
-            rest = camera.distances(state, window) >= _near_px(state.sigma_px)
-            window = window.select(rest) if np.count_nonzero(rest) >= _FEWEST else window
-        for find in (_with_other_clock, _in_other_pose):
-            found = find(states, window, camera)
+        places = range(max(len(open_days) - width, 0) + 1)
+        for place in places[:: -(-len(places) // _MOST_WINDOWS)]:
+            window = points.select(np.isin(day, open_days[place : place + width]))
+            found, finding = _state_of(states, window, camera)
             if found is not None:
                 return found, None
-        fitted, finding = _with_other_lens(states, window, camera)
-        if fitted is not None:
-            return fitted, None
-    return None, finding
+            refusal = finding or refusal
+    return None, refusal
+
+
+def _state_of(states: Sequence[State], window: Sightings, camera: ArchiveCamera) -> tuple[State | None, Finding | None]:
+    """Return the state of some days, and why there is none."""
+    # of days that are partly explained, what is left is of the new state
+    for state in states:
+        rest = camera.distances(state, window) >= _near_px(state.sigma_px)
+        window = window.select(rest) if np.count_nonzero(rest) >= _FEWEST else window
+    if len(window) < _FEWEST:
+        return None, None
+    for find in (_with_other_clock, _in_other_pose):
+        found = find(states, window, camera)
+        if found is not None:
+            return found, None
+    return _with_other_lens(states, window, camera)
 
 
 def _judged(
@@ -286,7 +303,11 @@ def _with_other_lens(
     if not fitted.verdict.accepted:
         return None, fitted.verdict.findings[0]
     scatter = robust_sigma(camera.distances_of(fitted, points, clock), floor=0.05)
+    most = _OVER_NOISE * float(np.median(noise_of_days(points, camera.site))) + _OVER_NOISE_PX
+    if scatter > most:
+        return None, Finding("days_of_two_states", {"scatter_px": scatter, "limit_px": most})
     near = camera.distances_of(fitted, points, clock) < _near_px(scatter)
+    near = _of_explained_days(near, solar_days(points.unix_s, longitude=camera.site.longitude))
     share = float(np.mean(near))
     if share < _MAJORITY:
         return None, Finding("sightings_disagree", {"share": share, "least": _MAJORITY})
@@ -306,7 +327,44 @@ def _with_other_lens(
     return State(fitted, lens, pose, clock, scatter), None
 
 
-Cause = Literal["start", "moved", "lens", "clock"]
+def _of_explained_days(near: BoolArray, day: IntArray) -> BoolArray:
+    """Return which sightings are near, of the days (n,) of which most are: what fits a half of each is no camera."""
+    explained = [one for one in np.unique(day).tolist() if float(np.mean(near[day == one])) >= _EXPLAINED]
+    return np.asarray(near & np.isin(day, explained))
+
+
+def changed_states(
+    states: Sequence[State], state: State, sides: tuple[Sightings, Sightings], cause: Cause, camera: ArchiveCamera
+) -> list[State]:
+    """Return the states of sightings before and after a change within a state, new poses and lenses numbered anew.
+
+    Parameters
+    ----------
+    states : all that are known.
+    state : the one that was taken to explain both sides.
+    sides : sightings before and after, at their stated times.
+    cause : what changed.
+    camera : see there.
+    """
+    free_pose, free_lens = (1 + max(getattr(one, name) for one in states) for name in ("pose", "lens"))
+    found = []
+    for number, side in enumerate(sides):
+        clock = state.clock_offset_s
+        if cause == "clock":
+            one = state._replace(clock_offset_s=_best_offset_s(state, side, camera))
+        else:
+            shifted = camera.shifted(side, clock)
+            posed = estimate_pose(shifted, start=state.calibration, site=camera.site, options=camera.loosely())
+            one = state._replace(calibration=posed, pose=free_pose + number)
+        if cause == "lens":
+            options = replace(camera.loosely(), mirrored="yes" if posed.camera.mirrored else "no")
+            fitted = calibrate(
+                shifted, site=camera.site, image_size=camera.size, options=options, start=posed.camera, parts=False
+            )
+            one = one._replace(lens=free_lens + number, calibration=fitted if fitted.verdict.accepted else posed)
+        scatter = robust_sigma(camera.distances(one, side), floor=0.05)
+        found.append(one._replace(sigma_px=scatter))
+    return found
 
 
 class Epoch(NamedTuple):
@@ -333,8 +391,14 @@ def find_epochs(points: Sightings, states: Sequence[State], camera: ArchiveCamer
     states : as `find_states` returns them.
     camera : see there.
     """
-    costs = np.stack([bounded_cost(camera.distances(state, points), state.sigma_px) for state in states], axis=1)
+    noise = np.hypot(noise_of_days(points, camera.site), _MISFIT_PX)
+    costs = np.stack([bounded_cost(camera.distances(state, points) / noise, 1.0) for state in states], axis=1)
     path = likeliest_path(costs, change_cost=SEQUENCE_GAIN)
+    return epochs_of(path, states, points), path
+
+
+def epochs_of(path: IntArray, states: Sequence[State], points: Sightings) -> list[Epoch]:
+    """Return the epochs in which sightings (n,) in the order of time are of one state each."""
     bounds = np.flatnonzero(np.diff(path, prepend=-1))
     epochs: list[Epoch] = []
     for number, first in enumerate(bounds.tolist()):
@@ -342,7 +406,7 @@ def find_epochs(points: Sightings, states: Sequence[State], camera: ArchiveCamer
         state = int(path[first])
         cause = cause_of(states[epochs[-1].state], states[state]) if epochs else "start"
         epochs.append(Epoch(state, cause, first, last, float(points.unix_s[first]), float(points.unix_s[last])))
-    return epochs, path
+    return epochs
 
 
 def cause_of(former: State, state: State) -> Cause:

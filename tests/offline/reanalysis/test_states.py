@@ -111,7 +111,7 @@ def test_another_lens_is_no_move() -> None:
     at = lens.made.first_day.timestamp() + 3 * 14 * 86_400 + 17.9 * 3600
     assert [one.cause for one in rough.epochs] == ["start", "lens"]
     assert rough.epochs[1].first == int(np.searchsorted(times, at))
-    focal = [one.calibration.camera.focal_length_px[0] for one in rough.states]
+    focal = [one.calibration.camera.focal_length_px[0] for one in (rough.states[epoch.state] for epoch in rough.epochs)]
     assert focal[1] / focal[0] == pytest.approx(1.12, rel=0.01)
 
 

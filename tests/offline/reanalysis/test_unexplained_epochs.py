@@ -1,12 +1,15 @@
-"""An epoch of two lenses is refused, where the search for states took it for one; and one of one lens is not.
+"""An epoch of two lenses is split or refused, where the search for states took it for one; one of one lens is not.
 
 The sightings are made by a formula of the projection that is written here, and by nothing of the simulator.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from tests.finding_codes import codes
 
 from sunarc.array_types import FloatArray
@@ -14,10 +17,12 @@ from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.optics.forward import project
+from sunarc.reanalysis.epoch_changes import agreeing_days, change_within, noise_of_days
 from sunarc.reanalysis.fit import CameraSightings, final_analysis
 from sunarc.reanalysis.states import ArchiveCamera, State
 from sunarc.sky.site import Site
-from sunarc.sky.sun import sun_angles
+from sunarc.sky.sun import sun_angles, sun_directions
 
 SITE = Site(latitude=47.1, longitude=8.4, altitude=500.0)
 SIZE = (640, 600)
@@ -95,12 +100,47 @@ def test_days_of_false_sightings_do_not_count_against_a_fit() -> None:
     assert fit.verdict.accepted, fit.verdict.reasons
 
 
-def test_the_epoch_of_an_archive_is_refused_where_one_state_was_taken_for_both() -> None:
+def test_a_state_that_was_taken_for_two_lenses_is_split_between_them() -> None:
     points = archive(0, days=14, per_day=4, first_share=0.35)
     camera = ArchiveCamera(SITE, SIZE, OPTIONS)
     state = State(fitted(points, UNJUDGED), lens=0, pose=0, clock_offset_s=0.0, sigma_px=0.6)
     final = final_analysis(CameraSightings(points, camera, (state,)))
-    assert len(final.epochs) == 1
-    verdict = final.fitted[0].calibration.verdict
-    assert not verdict.accepted
-    assert CODE in codes(verdict.findings)
+    assert [(one.cause, one.first, one.last) for one in final.epochs] == [("start", 0, 19), ("lens", 20, 55)]
+    for epoch, focal in zip(final.epochs, (FIRST, SECOND), strict=True):
+        fit = final.fitted[final.states[epoch.state].pose].calibration
+        sigma = float(np.sqrt(fit.covariance[0, 0]))
+        assert abs(fit.camera.focal_length_px[0] - focal) < 3.0 * max(sigma, 0.5)
+
+
+def test_an_epoch_of_one_lens_is_not_split() -> None:
+    points = archive(1, days=14, per_day=8, first_share=1.0)
+    camera = ArchiveCamera(SITE, SIZE, OPTIONS)
+    state = State(fitted(points), lens=0, pose=0, clock_offset_s=0.0, sigma_px=0.6)
+    final = final_analysis(CameraSightings(points, camera, (state,)))
+    assert [(one.first, one.last) for one in final.epochs] == [(0, len(points) - 1)]
+    assert final.fitted[0].calibration.verdict.accepted
+
+
+@pytest.mark.parametrize(("turn_deg", "cause"), [(0.0, "start"), (0.4, "moved")])
+def test_a_small_turn_is_found_by_the_noise_of_the_days(turn_deg: float, cause: str) -> None:
+    points = archive(4, days=8, per_day=20, first_share=1.0, sigma_px=0.3)
+    camera = fitted(points).camera
+    late = np.arange(len(points)) >= 75
+    directions = sun_directions(points.unix_s, SITE)
+    turned = Rotation.from_euler("xy", [turn_deg, -turn_deg], degrees=True).apply(directions)
+    shift = project(camera, turned) - project(camera, directions)
+    moved = replace(points, pixels=points.pixels + np.where(late[:, None], shift, 0.0))
+    found = change_within(moved, camera, SITE, noise_of_days(moved, SITE))
+    assert (cause if found is None else found.cause) == cause
+    assert found is None or abs(found.row - 75) <= 2
+
+
+def test_days_that_agree_are_the_longest_run_of_those_by_the_camera() -> None:
+    points = archive(5, days=8, per_day=20, first_share=1.0, sigma_px=0.3)
+    noise = noise_of_days(points, SITE)
+    assert np.median(noise) == pytest.approx(0.3, rel=0.35)
+    residual = np.random.default_rng(0).normal(0.0, 0.3, points.pixels.shape)
+    residual[40:60] += (3.0, 0.0)
+    longest, shorter = agreeing_days(residual, noise, points.unix_s, SITE)
+    assert (longest[0], longest[-1], longest.size) == (60, 159, 100)
+    assert (shorter[0], shorter[-1]) == (0, 39)

@@ -1,0 +1,214 @@
+"""What a state of a camera does not explain of its sightings: a change among them, by the noise of the days themselves.
+
+A sun's track runs smoothly over the image whatever the camera is: its scatter about a smooth arc is the day's own
+noise, known before any camera is. By it a state's residuals are explained by a change of the clock, of the pose, or of
+the lens from one sighting on, or by none: the evidences are compared (`calibration.evidence`). What detectors in
+photographs do wrong all through a half-day (cloud, glare) is no noise that many sightings average out, and is allowed
+for by half-days.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from sunarc.array_types import FloatArray, IntArray
+from sunarc.calibration.changes.detect_change import rarity
+from sunarc.calibration.evidence import SEQUENCE_GAIN, Weighed, most_probable
+from sunarc.calibration.model.sightings import Sightings
+from sunarc.calibration.quality.day_quality import smooth_arc
+from sunarc.calibration.robust_loss import robust_sigma
+from sunarc.optics.camera import POSE, Camera, Param
+from sunarc.optics.forward import project_fast, project_with_rows_fast
+from sunarc.sky.days import solar_days
+from sunarc.sky.site import Site
+from sunarc.sky.sun import hour_angle, sun_directions
+
+Cause = Literal["start", "moved", "lens", "clock", "unexplained"]
+
+_FEWEST_OF_ARC = 9
+"""Sightings of a day that show its noise; that of fewer is the usual one of all days."""
+_LEAST_NOISE_PX = 0.05
+_GROSS_SIGMAS = 3.5
+_NEIGHBOURS = 4
+"""Sightings on each side whose median shows that one is false."""
+_MISFIT_PX, _MISFIT_SHARE = 0.15, 0.5
+"""1-sigma by which a half-day's sightings err alike: px, and in the day's noise."""
+_HALF_DAY_S = 6.0 * 3600.0
+_FEWEST_BESIDE = 8
+"""Sightings on either side of a change within a state."""
+_CLOCK_S, _POSE_RAD = 600.0, math.radians(1.0)
+_FOCAL_SHARE, _CENTER_SHARE, _RADIAL = 0.03, 0.01, 0.02
+"""1-sigma of a change: of the clock, of the pose about each axis, of focal length, place (share of the width), k2."""
+_COMMON_LENS = 0.3
+"""1-sigma of what the state itself is wrong by, in that of a change of the lens."""
+_STEP_S = 30.0
+_AGREES_PX, _AGREES_SIGMAS, _FEWEST_OF_HALF = 0.3, 1.5, 4
+"""How far off the middle of half a day may lie: px, and in the day's noise; fewer sightings have no middle."""
+_LENS = (Param.FOCAL_LENGTH_X_PX, Param.PRINCIPAL_POINT_X_PX, Param.PRINCIPAL_POINT_Y_PX, Param.K2)
+
+
+class ChangeWithin(NamedTuple):
+    """A change within a state: the first sighting after it, what changed, and by how many powers of e likelier."""
+
+    row: int
+    cause: Cause
+    gain: float
+
+
+def noise_of_days(points: Sightings, site: Site) -> FloatArray:
+    """Return (n,): 1-sigma per axis of each sighting by its own day, that of one beside its day's arc being larger.
+
+    Parameters
+    ----------
+    points : of the sun, in the order of time.
+    site : where the camera stands.
+    """
+    day = solar_days(points.unix_s, longitude=site.longitude)
+    found = np.full(len(points), np.nan)
+    for one in np.unique(day).tolist():
+        rows = np.flatnonzero(day == one)
+        if rows.size < _FEWEST_OF_ARC:
+            continue
+        _, rough, _ = smooth_arc(points.pixels[rows], hour_angle(points.unix_s[rows], site))
+        distance = np.hypot(rough[:, 0], rough[:, 1])
+        # the arc has taken its share of the scatter: a polynomial of order n // 3, of the ninth at most
+        free = 1.0 - min(10.0, 1.0 + rows.size // 3) / rows.size
+        sigma = robust_sigma(distance, share=0.5, floor=_LEAST_NOISE_PX) / math.sqrt(free)
+        found[rows] = sigma * np.maximum(distance / sigma / _GROSS_SIGMAS, 1.0) ** 2
+    usual = float(np.nanmedian(found)) if np.any(np.isfinite(found)) else 1.0
+    return np.where(np.isfinite(found), found, usual)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Linear:
+    """Residuals of n sightings and what moves them, whitened: values (2 n,), columns (2 n, p) of prior variance 1."""
+
+    values: FloatArray
+    common: FloatArray
+    steps: dict[Cause, FloatArray]
+
+
+def change_within(points: Sightings, camera: Camera, site: Site, noise_px: FloatArray) -> ChangeWithin | None:
+    """Return the likeliest change among sightings that one camera is said to have seen; None where none is likelier.
+
+    Parameters
+    ----------
+    points : of the sun, in the order of time, at the times of the camera's clock.
+    camera, site : see there.
+    noise_px : (n,) see `noise_of_days`.
+    """
+    directions = sun_directions(points.unix_s, site)
+    predicted = project_fast(camera, directions)
+    seen = np.all(np.isfinite(predicted), axis=-1)
+    index = np.flatnonzero(seen)
+    if index.size < 2 * _FEWEST_BESIDE:
+        return None
+    some = points.select(index)
+    residual = some.pixels - predicted[index]
+    linear = _linear(some, camera, residual, _with_gross(residual, noise_px[index]), site=site)
+    weighed = [Weighed(ChangeWithin(0, "start", 0.0), _log_evidence(linear.common, linear.values))]
+    none = weighed[0].log_evidence
+    for cause, columns in linear.steps.items():
+        gains = np.array(list(_gains(linear, columns))) - none
+        row = _FEWEST_BESIDE + int(np.argmax(gains))
+        rarer = 0.0 if cause == "moved" else rarity("clock" if cause == "clock" else "lens", clock_stepped=False)
+        change = ChangeWithin(int(index[row]), cause, float(gains.max()) - rarer)
+        weighed.append(Weighed(change, none + float(gains.max()), rarer + SEQUENCE_GAIN))
+    best = most_probable(weighed).explanation
+    return None if best.cause == "start" else best
+
+
+def _with_gross(residual: FloatArray, noise_px: FloatArray) -> FloatArray:
+    """Return the noise (n,), larger where a residual (n, 2) lies far beside those of its neighbours."""
+    padded = np.pad(residual, ((_NEIGHBOURS, _NEIGHBOURS), (0, 0)), mode="reflect")
+    middle = np.median(sliding_window_view(padded, 2 * _NEIGHBOURS + 1, axis=0), axis=-1)
+    beside = np.linalg.norm(residual - middle, axis=-1) / noise_px
+    return np.asarray(noise_px * np.maximum(beside / (2.0 * _GROSS_SIGMAS), 1.0) ** 2)
+
+
+def _linear(points: Sightings, camera: Camera, residual: FloatArray, noise_px: FloatArray, *, site: Site) -> _Linear:
+    """Return the linear problem of residuals (n, 2) of noise (n,)."""
+    rows = project_with_rows_fast(camera, sun_directions(points.unix_s, site))[1]
+    alike = np.floor((points.unix_s + 240.0 * site.longitude) / _HALF_DAY_S).astype(np.int64)
+    _, member, count = np.unique(alike, return_inverse=True, return_counts=True)
+    usual = np.median(noise_px)
+    misfit = max(_MISFIT_PX, _MISFIT_SHARE * float(usual))
+    root = 1.0 / np.sqrt(noise_px**2 + count[member] * misfit**2)
+    lens = rows[..., list(_LENS)].copy()
+    lens[..., 0] += rows[..., Param.FOCAL_LENGTH_Y_PX]
+    lens *= np.array([_FOCAL_SHARE * camera.focal_length_px[0], *(2 * [_CENTER_SHARE * camera.width]), _RADIAL])
+    pose = rows[..., POSE] * _POSE_RAD
+    before, after = (
+        project_with_rows_fast(camera, sun_directions(points.unix_s + one, site))[0] for one in (-_STEP_S, _STEP_S)
+    )
+    clock = np.nan_to_num((before - after) / (2.0 * _STEP_S))[..., None] * _CLOCK_S
+
+    def white(columns: FloatArray) -> FloatArray:
+        return np.asarray((columns * root[:, None, None]).reshape(2 * root.size, -1))
+
+    return _Linear(
+        values=(residual * root[:, None]).ravel(),
+        common=white(np.concatenate([pose, _COMMON_LENS * lens], axis=-1)),
+        steps={"clock": white(clock), "moved": white(pose), "lens": white(np.concatenate([pose, lens], axis=-1))},
+    )
+
+
+def _log_evidence(columns: FloatArray, values: FloatArray) -> float:
+    """Return the log evidence of whitened values, numbers of unit prior variance integrated out, up to a constant."""
+    information = columns.T @ columns + np.eye(columns.shape[1])
+    return _of_sums(information, columns.T @ values)
+
+
+def _of_sums(information: FloatArray, pull: FloatArray) -> float:
+    return 0.5 * float(pull @ np.linalg.solve(information, pull)) - 0.5 * float(np.linalg.slogdet(information)[1])
+
+
+def _gains(linear: _Linear, columns: FloatArray) -> Iterator[float]:
+    """Yield the log evidence of a step before each sighting but the first and last few."""
+    common, size = linear.common, linear.common.shape[1]
+    both = np.concatenate([common, columns], axis=1)
+    n, total = both.shape[0] // 2, both.shape[1]
+    pairs = both.reshape(n, 2, total)
+    # sums over the sightings from each on
+    products = np.cumsum(np.einsum("nap,naq->npq", pairs, pairs)[::-1], axis=0)[::-1]
+    pulls = np.cumsum(np.einsum("nap,na->np", pairs, linear.values.reshape(n, 2))[::-1], axis=0)[::-1]
+    for row in range(_FEWEST_BESIDE, n - _FEWEST_BESIDE):
+        information = np.eye(total)
+        information[:size, :size] += products[0, :size, :size]
+        information[size:, :] = products[row, size:, :]
+        information[:size, size:] = products[row, :size, size:]
+        information[size:, size:] += np.eye(total - size)
+        yield _of_sums(information, np.concatenate([pulls[0, :size], pulls[row, size:]]))
+
+
+def agreeing_days(residual: FloatArray, noise_px: FloatArray, unix_s: FloatArray, site: Site) -> list[IntArray]:
+    """Return the days that agree with a camera, as rows (k,) of consecutive ones, the longest run first.
+
+    A day agrees where the middle of each of its halves lies no farther off than the day's own noise and a misfit allow.
+
+    Parameters
+    ----------
+    residual : (n, 2) of the sightings about the camera, px.
+    noise_px : (n,) see `noise_of_days`.
+    unix_s : (n,) their times, in order.
+    site : where the camera stands.
+    """
+    day = solar_days(unix_s, longitude=site.longitude)
+    half = np.floor((unix_s + 240.0 * site.longitude) / (2.0 * _HALF_DAY_S)).astype(np.int64)
+    runs: list[list[int]] = [[]]
+    for one in np.unique(day).tolist():
+        rows = np.flatnonzero(day == one)
+        most = _AGREES_PX + _AGREES_SIGMAS * float(np.median(noise_px[rows]))
+        halves = [rows[half[rows] == number] for number in np.unique(half[rows])]
+        off = [np.linalg.norm(np.median(residual[part], axis=0)) for part in halves if part.size >= _FEWEST_OF_HALF]
+        if all(distance <= most for distance in off):
+            runs[-1] += rows.tolist()
+        else:
+            runs.append([])
+    return [np.array(run) for run in sorted(runs, key=len, reverse=True) if run]
