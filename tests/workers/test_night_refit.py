@@ -103,14 +103,15 @@ def test_a_fit_has_the_sun_and_at_most_150_stars_all_over_the_image(camera: Came
     assert np.unique(np.floor(np.arctan2(*(task.used.pixels[~of_sun] - 873.5).T) / (np.pi / 6.0))).size == 12
 
 
-def test_stars_beside_the_sun_bring_the_north_nearer_and_the_fit_is_reproduced(camera: CameraArchive) -> None:
+def test_stars_beside_the_sun_make_the_sky_better_known_and_the_fit_is_reproduced(camera: CameraArchive) -> None:
     alone = solved(task_of(camera))
     camera.archive.sightings.add(star_points(np.random.default_rng(2)))
     task = task_of(camera)
     both = solved(task)
     assert both.verdict.accepted
-    assert north_px(both) < 0.8 * north_px(alone)
-    assert both.sky_rms_deg < alone.sky_rms_deg
+    # one day may be right by chance: what stars add is in what is stated
+    assert north_px(both) < 0.025
+    assert both.sky_rms_deg < 0.6 * alone.sky_rms_deg
     kept = camera.archive.sightings.columns("roof", body=None).select(
         np.isin(camera.archive.sightings.columns("roof", body=None).ids, task.used.ids)
     )
