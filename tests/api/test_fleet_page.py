@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from datetime import timedelta
 from pathlib import Path
+from typing import Any
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
@@ -18,7 +20,8 @@ from sunarc.api.app import create_hub_app
 from sunarc.api.options import ApiOptions
 from sunarc.api.routes.feed import token_digest
 from sunarc.archive.archive import open_archive
-from sunarc.archive.fleet.feed_rows import Refusal
+from sunarc.archive.fleet.feed_rows import FleetCamera, Refusal
+from sunarc.archive.fleet.feeds import FeedStore
 from sunarc.runtime.status import StatusSnapshot
 
 pytestmark = [pytest.mark.browser, in_a_browser]
@@ -32,7 +35,7 @@ def address(tmp_path: Path) -> Iterator[str]:
         for number, name in enumerate(("gate", "mast", "roof")):
             archive.feeds.add_token(name, token_digest(TOKEN + name), now=NOW, former_until=NOW)
             with new_imager(tmp_path, name) as imager:
-                imager.sightings.add([sighting(number, camera=name)])
+                imager.sightings.add([sighting(number, camera=name, time=NOW - timedelta(hours=12))])
                 imager.outbox.queue_status(
                     {"health": "ready", "disk_free_bytes": 8e10, "clock_error_s": 0.01, "drift_deg": 0.002}
                 )
@@ -63,8 +66,8 @@ def test_an_alarm_of_a_cross_check_is_in_the_headline_the_table_and_its_own_rows
 ) -> None:
     page = opened(chromium, address)
     page.page.wait_for_selector("#checks tr")
-    assert "2 of 3" in page.page.inner_text("#verdict")  # a wrong clock, and a quarantine
-    shown = [(row[0], row[8]) for row in cells(page.page, "cameras")]
+    assert "3 of 3" in page.page.inner_text("#verdict")  # none is calibrated
+    shown = [(row[0], row[9]) for row in cells(page.page, "cameras")]
     assert shown == [("roof", "! clock, clock by clouds"), ("mast", "✓ nothing"), ("gate", "· slow turn")]
     assert page.page.locator("#map .degraded").count() == 1
     wrong, slow = cells(page.page, "checks")
@@ -87,3 +90,65 @@ def test_everyone_can_read_it_on_a_telephone_too(chromium: Browser, address: str
         found = Axe().run(page.page)
         assert found.response["violations"] == [], found.generate_report()
         assert page.page.evaluate("document.documentElement.scrollWidth") <= width
+
+
+ILL: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    "silent": ({"received_at": NOW - timedelta(hours=2)}, {}),
+    "not_ready": ({}, {"health": "not_ready", "conditions": ["camera_lost"]}),
+    "drift": ({}, {"drift_deg": 3.02}),
+    "no_sighting": ({"last_sighting_at": NOW - timedelta(days=9)}, {}),
+    "disk": ({}, {"disk_free_bytes": 0}),
+    "calibration_uncertain": ({"sky_rms_deg": 0.9}, {}),
+    "quarantine": ({"n_quarantined": 3}, {}),
+    "uncalibrated": ({"calibration": None, "calibrated_at": None, "sky_rms_deg": None}, {}),
+}
+"""Codes of eight that are ill in eight ways, and what of them is not as it is to be."""
+
+
+def of_fleet(number: int, changes: dict[str, Any], reported: dict[str, Any]) -> FleetCamera:
+    status = {"health": "ready", "conditions": [], "drift_deg": 0.004, "disk_free_bytes": 8e10, "clock_error_s": 0.01}
+    values = {
+        "camera": f"station-{number:02d}",
+        "latitude": 36.6 + 0.05 * (number // 8),
+        "longitude": -97.5 + 0.06 * (number % 8),
+        "altitude": 318.0,
+        "received_at": NOW - timedelta(seconds=20),
+        "last_sighting_at": NOW - timedelta(hours=12),
+        "calibration": "a",
+        "calibrated_at": NOW,
+        "sky_rms_deg": 0.012 + 0.001 * number,
+        "status_at": NOW,
+    }
+    return FleetCamera(**{**values, "status": status | reported, **changes})
+
+
+@pytest.fixture
+def fifty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """Serve a hub of fifty cameras, every sixth of the first of which is ill."""
+    ill = {6 * n + 1: changes for n, changes in enumerate(ILL.values())}
+    cameras = tuple(of_fleet(number, *ill.get(number, ({}, {}))) for number in range(50))
+    monkeypatch.setattr(FeedStore, "fleet", lambda _self: cameras)
+    make_empty(tmp_path / "hub.sqlite")
+    with open_archive(tmp_path / "hub.sqlite") as archive:
+        status = StatusSnapshot(version="1", started_at=NOW)
+        app = create_hub_app(archive=archive, status=lambda: status, now=lambda: NOW, options=ApiOptions())
+        with serving_app(app) as served:
+            yield served
+
+
+def test_of_fifty_cameras_eight_that_are_ill_in_eight_ways_are_named_first_on_one_screen(
+    chromium: Browser, fifty: str, tmp_path: Path
+) -> None:
+    for width in (1440, 390):
+        page = opened(chromium, fifty, width=width)
+        page.page.wait_for_selector("#cameras tr")
+        assert page.page.evaluate("document.documentElement.scrollWidth") <= width
+        page.page.screenshot(path=tmp_path / f"fleet-{width}.png", full_page=True)
+        if width == 1440:
+            assert "8 of 50" in page.page.inner_text("#verdict")
+            rows = cells(page.page, "cameras")
+            assert [bool(row[2] != "–") for row in rows] == [True] * 8 + [False] * 42
+            assert {row[1].split(" ", 1)[1] for row in rows[8:]} == {"ready"}
+            bottom = page.page.evaluate("document.querySelector('#cameras').getBoundingClientRect().bottom")
+            assert bottom <= 900.0
+        assert page.complaints == []

@@ -24,9 +24,9 @@ from tests.fixtures.postgresql import TEMPLATE, running_server
 from tests.workers.test_full_disk import mounted
 
 from sunarc.api.app import create_hub_app
+from sunarc.api.fleet_states import SILENT
 from sunarc.api.options import ApiOptions
 from sunarc.api.routes.feed import MOST_BYTES, MOST_LISTS, token_digest
-from sunarc.api.routes.fleet import SILENT
 from sunarc.archive.archive import Archive, open_archive
 from sunarc.archive.database.schema import head_revision
 from sunarc.archive.fleet.feed_rows import MOST_ROWS, feed_lines
@@ -178,7 +178,7 @@ def test_what_is_refused_is_answered_and_seen_and_nothing_else_stops(
     assert hub.reasons() == [reason]
     fleet = {one["camera"]: one for one in hub.client.get("/v1/fleet").json()["cameras"]}
     if reason != "unknown_camera":
-        assert (fleet["roof"]["n_quarantined"], fleet["roof"]["state"]) == (1, "quarantine")
+        assert (fleet["roof"]["n_quarantined"], "quarantine" in str(fleet["roof"]["why"])) == (1, True)
     imager.outbox.acknowledge(5)
     imager.sightings.add([sighting(9)])
     assert hub.put(body_of(imager), after=5).json() == {"committed": 6}
@@ -274,7 +274,9 @@ def test_the_fleet_has_the_worst_first(hub: Hub, tmp_path: Path) -> None:
     for name, health in healths.items():
         hub.archive.feeds.add_token(name, token_digest(TOKEN + name), now=NOW, former_until=NOW)
         with new_imager(tmp_path, name) as one:
-            one.outbox.queue_status({"health": health, "disk_free_bytes": 7, "clock_error_s": 0.5, "drift_deg": 0.25})
+            one.outbox.queue_status(
+                {"health": health, "disk_free_bytes": 8e10, "clock_error_s": 0.5, "drift_deg": 0.25}
+            )
             body = gzip.compress(feed_lines(next_batch(one, name).rows))
             assert hub.put(body, camera=name, token=TOKEN + name).status_code == 200
     fleet = hub.client.get("/v1/fleet").json()["cameras"]
@@ -297,7 +299,7 @@ def test_every_camera_has_its_numbers_and_the_document_names_them(hub: Hub, tmp_
         hub.put(body_of(one))
     text = hub.client.get("/metrics").text
     assert 'sunarc_fleet_disk_free_bytes{camera="roof"} 7.0' in text
-    assert 'sunarc_fleet_state{camera="roof",state="uncalibrated"} 1.0' in text
+    assert 'sunarc_fleet_state{camera="roof",state="degraded"} 1.0' in text
     found = {line.split(" ")[2] for line in text.splitlines() if line.startswith("# TYPE")}
     assert {name for name in found if name.startswith("sunarc_fleet_")} == METRICS
     assert {"sunarc_push_waiting", "sunarc_http_requests_total", "process_cpu_seconds_total"} <= found

@@ -63,10 +63,12 @@ def test_a_hub_tells_what_imagers_reported_and_what_it_finds(tmp_path: Path) -> 
         feed(imager, hub)
         now = [NOW]
         states = fleet_states(hub, lambda: now[0])
-        assert {name: list(state.conditions) for name, state in states().items()} == {"roof": ["camera_lost"]}
+        assert {name: list(state.conditions) for name, state in states().items()} == {
+            "roof": ["camera_lost", "no_sighting", "uncalibrated"]
+        }
         assert states()["roof"].health == "degraded"
         refusal = Refusal(reason="forged_token", text="it is")
         hub.feeds.refuse(camera="roof", installation="x", refusal=refusal, now=NOW)
         now[0] += timedelta(hours=1)
-        assert set(states()["roof"].conditions) == {"camera_lost", "silent", "quarantine"}
+        assert set(states()["roof"].conditions) == {"camera_lost", "silent", "no_sighting", "quarantine", "uncalibrated"}
         assert states()["roof"].health == "silent"

@@ -24,5 +24,5 @@ def test_cuts_repetitions_a_killed_hub_and_a_crashed_database_lose_and_double_no
         assert [one["camera"] for one in sorted(listed, key=lambda one: one["camera"])] == [
             imager.name for imager in fleet.imagers
         ]
-        assert {one["state"] for one in listed} == {"uncalibrated"}  # nothing is in quarantine
+        assert {one["n_quarantined"] for one in listed} == {0}
         assert fleet.hub.stop() == 0

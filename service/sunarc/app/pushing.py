@@ -6,9 +6,8 @@ from collections.abc import Callable, Mapping
 from datetime import datetime
 from functools import partial
 
-from sunarc.api.routes.fleet import members
+from sunarc.api.fleet_states import FleetMember, members
 from sunarc.archive.archive import Archive, CameraArchive
-from sunarc.archive.fleet.feed_rows import FleetCamera
 from sunarc.archive.fleet.notices import CameraState
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import StatusRegistry
@@ -97,7 +96,7 @@ def fleet_states(archive: Archive, now: Callable[[], datetime]) -> Callable[[], 
         return {
             camera.camera: CameraState(
                 health=camera.state,
-                conditions=_fleet_conditions(camera, silent=camera.state == "silent"),
+                conditions=_fleet_conditions(camera),
                 calibration=camera.calibration,
                 calibrated_at=camera.calibrated_at,
                 sky_rms_deg=camera.sky_rms_deg,
@@ -108,9 +107,8 @@ def fleet_states(archive: Archive, now: Callable[[], datetime]) -> Callable[[], 
     return states
 
 
-def _fleet_conditions(camera: FleetCamera, *, silent: bool) -> Mapping[str, Mapping[str, object]]:
+def _fleet_conditions(camera: FleetMember) -> Mapping[str, Mapping[str, object]]:
     """Return what an imager reported of itself, and what the hub finds."""
     reported = (camera.status or {}).get("conditions")
     codes = [str(code) for code in reported] if isinstance(reported, list) else []
-    codes += [*(["silent"] if silent else []), *(["quarantine"] if camera.n_quarantined else [])]
-    return {code: {"code": code} for code in codes}
+    return {code: {"code": code} for code in (*codes, *(one.code for one in camera.why))}

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields, replace
-from datetime import date, datetime, timedelta
+from dataclasses import replace
+from datetime import date, datetime
 from pathlib import Path as FilePath
-from typing import Annotated, Literal, get_args
+from typing import Annotated
 
 import numpy as np
 from fastapi import APIRouter, Path, Query, Request
@@ -17,6 +17,7 @@ from prometheus_client.registry import Collector
 from pydantic import BaseModel, ConfigDict, Field
 
 from sunarc.api.context import ApiContext
+from sunarc.api.fleet_states import FleetMember, members, status_number
 from sunarc.api.parameters import Body, Number, Pixel, row_limit
 from sunarc.api.problems import answers
 from sunarc.api.routes.health import readiness
@@ -29,18 +30,6 @@ from sunarc.errors import InputError, OutsideError
 from sunarc.geolocation.pair_height import PairView, pair_height
 from sunarc.json_fields import Time, described
 from sunarc.runtime.status import StatusSnapshot
-
-SILENT = timedelta(minutes=15)
-"""A camera that sent nothing for so long is silent: imagers report their state every minute."""
-State = Literal["silent", "not_ready", "degraded", "quarantine", "uncalibrated", "ready"]
-"""How a camera is, the worst first."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FleetMember(FleetCamera):
-    """A camera as the hub sees it, with the worst that there is to say of it."""
-
-    state: Annotated[State, described("The worst of it; `quarantine`: something of it was refused or set apart.")]
 
 
 class Fleet(BaseModel):
@@ -113,40 +102,15 @@ def fleet_page(folder: FilePath) -> APIRouter:
     return routes
 
 
-def members(cameras: tuple[FleetCamera, ...], now: datetime) -> list[FleetMember]:
-    """Return cameras with their states, the worst first; of one state, the most uncertain first."""
-    names = [one.name for one in fields(FleetCamera)]
-    found = [
-        FleetMember(**{name: getattr(camera, name) for name in names}, state=state_of(camera, now))
-        for camera in cameras
-    ]
-    order = get_args(State)
-    return sorted(found, key=lambda one: (order.index(one.state), -(one.sky_rms_deg or 0.0), one.camera))
-
-
-def state_of(camera: FleetCamera, now: datetime) -> State:
-    """Return the worst that there is to say of a camera."""
-    if camera.received_at is None or now - camera.received_at > SILENT:
-        return "silent"
-    health = (camera.status or {}).get("health")
-    if health == "not_ready":
-        return "not_ready"
-    if health == "degraded":
-        return "degraded"
-    if camera.n_quarantined:
-        return "quarantine"
-    return "uncalibrated" if camera.calibration is None else "ready"
-
-
 _NUMBERS: tuple[tuple[str, str, Callable[[FleetCamera], float | None]], ...] = (
     ("received_seconds", "When it last sent something, Unix time.", lambda c: _unix_s(c.received_at)),
     ("status_seconds", "When its last report of itself came, Unix time.", lambda c: _unix_s(c.status_at)),
     ("last_sighting_seconds", "Time of its newest sighting, Unix time.", lambda c: _unix_s(c.last_sighting_at)),
     ("sky_sigma_degrees", "1-sigma of its calibration over the sky (RMS).", lambda c: c.sky_rms_deg),
     ("quarantined", "Things of it in quarantine.", lambda c: c.n_quarantined),
-    ("disk_free_bytes", "Free space where its images are.", lambda c: _number(c, "disk_free_bytes")),
-    ("clock_error_seconds", "Bound of its clock's error.", lambda c: _number(c, "clock_error_s")),
-    ("drift_degrees", "Rotation against its calibration on its last day.", lambda c: _number(c, "drift_deg")),
+    ("disk_free_bytes", "Free space where its images are.", lambda c: status_number(c, "disk_free_bytes")),
+    ("clock_error_seconds", "Bound of its clock's error.", lambda c: status_number(c, "clock_error_s")),
+    ("drift_degrees", "Rotation against its calibration on its last day.", lambda c: status_number(c, "drift_deg")),
 )
 
 
@@ -184,7 +148,7 @@ class FleetCollector(Collector):
         for name, meaning, value_of in _NUMBERS:
             known: Labelled = {(one.camera,): value for one in cameras if (value := value_of(one)) is not None}
             yield labelled(f"sunarc_fleet_{name}", meaning, ("camera",), known)
-        states: Labelled = {(one.camera, state_of(one, now)): 1.0 for one in cameras}
+        states: Labelled = {(one.camera, one.state): 1.0 for one in members(cameras, now)}
         yield labelled("sunarc_fleet_state", "1 for the camera's state.", ("camera", "state"), states)
         checks = self._archive.nightly.cross_checks().checks
         crossed: Labelled = {(check.camera, found): 1.0 for check in checks for found in check.found}
@@ -194,11 +158,6 @@ class FleetCollector(Collector):
 
 def _unix_s(time: datetime | None) -> float | None:
     return None if time is None else time.timestamp()
-
-
-def _number(camera: FleetCamera, name: str) -> float | None:
-    value = (camera.status or {}).get(name)
-    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
 
 
 class NightlyRuns(BaseModel):

@@ -3,6 +3,8 @@ import { ask, keepToken, NeedsToken } from "./ask.js";
 import { $, ago, element, fixed, moment, node, telling } from "./draw.js";
 
 const AGAIN_MS = 10000;
+// More cameras than this are shown in small print, and on the map the names of those alone that are not ready.
+const MANY = 20;
 const SIGNS = { silent: "✕", not_ready: "✕", degraded: "!", quarantine: "!", uncalibrated: "…", ready: "✓" };
 const [WIDTH, HEIGHT, MARGIN] = [400, 300, 30];
 
@@ -41,7 +43,7 @@ function ofCamera(c, now, check) {
   const name = node("th", c.camera);
   name.scope = "row";
   return row(
-    name, `${SIGNS[c.state]} ${c.state.replace("_", " ")}`, c.received_at ? ago(c.received_at, now) : "never", moment(c.last_sighting_at),
+    name, `${SIGNS[c.state]} ${c.state.replace("_", " ")}`, node("td", c.why.map((one) => one.text).join("; ") || "–", "why"), c.received_at ? ago(c.received_at, now) : "never", moment(c.last_sighting_at),
     telling(c.sky_rms_deg, "°"), telling(status.drift_deg, "°"), status.disk_free_bytes == null ? "–" : fixed(status.disk_free_bytes / 1e9, 1, " GB"),
     telling(status.clock_error_s, " s"), mark(check), String(c.n_quarantined),
   );
@@ -57,25 +59,34 @@ function drawMap(cameras, wrong) {
   $("map").replaceChildren(...placed.flatMap((c, i) => {
     const x = MARGIN + (xs[i] - Math.min(...xs)) * scale, y = HEIGHT - MARGIN - (ys[i] - Math.min(...ys)) * scale;
     const [kind, sign] = wrong(c) && !FIRST.includes(c.state) ? ["degraded", "!"] : [c.state, SIGNS[c.state]];
-    return [element("circle", { class: kind, cx: x, cy: y, r: 5 }), element("text", { x: x + 7, y: y + 4 }, `${sign} ${c.camera}`)];
+    const named = placed.length <= MANY || kind !== "ready";
+    return [element("circle", { class: kind, cx: x, cy: y, r: 5 }), ...(named ? [element("text", { x: x + 7, y: y + 4 }, `${sign} ${c.camera}`)] : [])];
   }));
 }
 
 function showAll(fleet, quarantine, crossed) {
   const checks = new Map(crossed.checks.map((check) => [check.camera, check]));
   const wrong = (c) => checks.has(c.camera) && alarmed(checks.get(c.camera));
-  const rank = (c) => (FIRST.includes(c.state) ? 0 : wrong(c) ? 1 : 2);
+  const rank = (c) => (FIRST.includes(c.state) ? 0 : wrong(c) ? 1 : c.state !== "ready" ? 2 : 3);
   const cameras = [...fleet.cameras].sort((a, b) => rank(a) - rank(b));
-  const bad = cameras.filter((c) => !["ready", "uncalibrated"].includes(c.state) || wrong(c)).length;
+  const bad = cameras.filter((c) => c.state !== "ready" || wrong(c)).length;
   $("health").dataset.health = bad ? "degraded" : "ready";
-  $("verdict").textContent = bad ? `! ${bad} of ${fleet.cameras.length} need attention` : `✓ ${fleet.cameras.length} cameras`;
+  $("verdict").textContent = bad ? `! ${bad} of ${fleet.cameras.length} need a look` : `✓ ${fleet.cameras.length} cameras`;
   $("headline").textContent = `at ${moment(fleet.time)} UTC`;
   $("cameras").replaceChildren(...cameras.map((c) => ofCamera(c, fleet.time, checks.get(c.camera))));
+  document.body.classList.toggle("many", cameras.length > MANY);
   $("checks").replaceChildren(...crossed.checks.filter((check) => check.found.length).map(ofCheck));
   $("checks-about").textContent = crossed.night
     ? `night of ${crossed.night}: ${crossed.checks.length} cameras compared with neighbours, ${crossed.checks.filter(alarmed).length} with an alarm` : "none yet";
   $("quarantine").replaceChildren(...quarantine.rows.map((q) => row(q.camera, q.reason, q.text, String(q.n), moment(q.last_at))));
+  ["cameras", "checks", "quarantine"].forEach(nameCells);
   drawMap(cameras, wrong);
+}
+
+// On a phone a row is a list of its cells, each with the heading of its column.
+function nameCells(table) {
+  const titles = [...$(table).parentElement.querySelectorAll("thead th")].map((title) => title.textContent);
+  for (const line of $(table).rows) [...line.cells].forEach((cell, i) => { if (cell.tagName === "TD") cell.dataset.title = titles[i]; });
 }
 
 async function refresh() {

@@ -168,7 +168,7 @@ _STATUS: Mapping[str, tuple[_Rule, str]] = {
     "version": (_TEXT, "Version of the sender's software."),
     "health": (_words(("ready", "degraded", "not_ready")), "How it is."),
     "conditions": (_LIST, "Codes of what is wrong (codes.md), a list of words."),
-    "disk_free_bytes": (_INT64, "Free space where the images are, bytes."),
+    "disk_free_bytes": (_NUMBER, "Free space where the images are, bytes."),
     "clock_synchronised": (_FLAG, "Whether a time service steers its clock."),
     "clock_error_s": (_NUMBER, "Bound of its clock's error, s."),
     "last_frame_at": (_TEXT, "Time of its newest frame, RFC 3339."),
