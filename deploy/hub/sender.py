@@ -17,7 +17,7 @@ import uuid
 from pathlib import Path
 from typing import Any
 
-REVISION = "0018"
+REVISION = "0019"
 AGAIN_LATER = {408, 429, 500, 502, 503, 504}
 
 

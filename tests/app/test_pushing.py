@@ -70,5 +70,11 @@ def test_a_hub_tells_what_imagers_reported_and_what_it_finds(tmp_path: Path) -> 
         refusal = Refusal(reason="forged_token", text="it is")
         hub.feeds.refuse(camera="roof", installation="x", refusal=refusal, now=NOW)
         now[0] += timedelta(hours=1)
-        assert set(states()["roof"].conditions) == {"camera_lost", "silent", "no_sighting", "quarantine", "uncalibrated"}
+        assert set(states()["roof"].conditions) == {
+            "camera_lost",
+            "silent",
+            "no_sighting",
+            "quarantine",
+            "uncalibrated",
+        }
         assert states()["roof"].health == "silent"
