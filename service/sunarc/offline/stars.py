@@ -306,7 +306,8 @@ _GAP_S = 6.0 * 3600.0
 _MOST_IMAGES = 6
 """Of a night that the start is found by, evenly over it; all are named by its calibration."""
 _MOST_STARS = 400
-"""Of all images, that the fit takes: the surest of each part of the image."""
+"""Of several images, that the fit takes: the surest of each part of the image. Of one `MOST_STARS`: what errors they
+have in common more do not average."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -429,4 +430,5 @@ def _points(start: BlindStart, images: Sequence[NightDetections], size: tuple[in
         sigma_px=np.concatenate(sigma),
         directions=np.concatenate(directions),
     )
-    return every.select(surest_of_parts(image_parts(every.pixels, size), every.sigma_px, _MOST_STARS))
+    most = _MOST_STARS if len(images) > 1 else MOST_STARS
+    return every.select(surest_of_parts(image_parts(every.pixels, size), every.sigma_px, most))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from sunarc.detection.stars.matching import (
     StarMatches,
     match_stars,
+    noise_floor,
     on_cloud,
     share_where_clear,
     sky_motion,
@@ -220,3 +221,25 @@ def test_what_stands_still_while_the_sky_turns_is_no_star() -> None:
     assert not np.any(standing_still(one, two, moved_px=np.zeros(len(one))))
     assert not np.any(standing_still(one, one.select(np.arange(0)), moved_px=np.full(len(one), 9.0)))
     assert np.all(sky_motion(one, first, later.select(np.arange(0))) == 0.0)
+
+
+@pytest.mark.parametrize(("beside_px", "least", "most"), [(0.0, 0.0, 0.075), (0.3, 0.26, 0.36)])
+def test_the_scatter_of_neighbours_gives_the_floor_whatever_bends_them_alike(
+    beside_px: float, least: float, most: float
+) -> None:
+    rng = np.random.default_rng(3)
+    places = rng.uniform(0.0, 1500.0, (600, 2))
+    sigma = rng.uniform(0.03, 0.2, 600)
+    noise = np.hypot(sigma, beside_px)[:, None] * rng.standard_normal((600, 2))
+    floor = noise_floor(places, noise + 0.8 * np.sin(places / 500.0), sigma)
+    assert least <= floor <= most
+    within = np.abs(noise) <= 1.96 * np.hypot(sigma, floor)[:, None]
+    assert 0.93 < np.mean(within) < 0.98
+    assert noise_floor(places[:29], noise[:29], sigma[:29]) == 0.0
+
+
+def test_matches_say_by_how_much_their_sigma_is_too_small() -> None:
+    truth = sky()
+    exact, rough = (match_stars(replace(seen(truth), sigma_px=np.full(len(seen(truth)), s)), truth) for s in (0.2, 0.1))
+    assert exact.floor_px < 0.06
+    assert rough.floor_px == pytest.approx(math.sqrt(0.2**2 - 0.1**2), abs=0.03)

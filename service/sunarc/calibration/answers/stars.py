@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -84,7 +84,7 @@ class StarView:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MatchedView:
-    """The detections of an image that move with the sky, and which stars they are."""
+    """The detections of an image that move with the sky, with the sigma of their scatter, and which stars they are."""
 
     stars: Stars
     matches: StarMatches
@@ -109,7 +109,9 @@ def _matched(view: StarView, every: Sequence[StarView]) -> MatchedView:
     if other is not None:
         moved = sky_motion(stars, view.predicted, other.predicted)
         stars = stars.select(~standing_still(stars, other.stars, moved_px=moved))
-    return MatchedView(stars=stars, matches=match_stars(stars, view.predicted))
+    matches = match_stars(stars, view.predicted)
+    # what the fit of a star's centre does not know of: the point spread's shape, the air, the grid of pixels
+    return MatchedView(stars=replace(stars, sigma_px=np.hypot(stars.sigma_px, matches.floor_px)), matches=matches)
 
 
 def _furthest(view: StarView, every: Sequence[StarView]) -> StarView | None:

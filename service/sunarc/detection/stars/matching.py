@@ -49,6 +49,7 @@ class StarMatches:
     explained : share of the bright detections that are predicted stars.
     found : share of the predicted bright stars that are detected, over the clear part of the sky.
     scatter_px : of the matches about a smooth correction of the prediction, per axis.
+    floor_px : 1-sigma that the centres have beside what is stated of each, by their scatter (`noise_floor`).
     """
 
     accepted: bool
@@ -58,6 +59,7 @@ class StarMatches:
     explained: float = math.nan
     found: float = math.nan
     scatter_px: float = math.nan
+    floor_px: float = 0.0
 
 
 class _Pairs(NamedTuple):
@@ -133,7 +135,46 @@ def _corrected(stars: Stars, predicted: PredictedStars, zero: FloatArray, scatte
     pairs = _pairs(stars, predicted, predicted.pixels, near, np.ones(len(predicted), dtype=bool))
     pairs = _like_in_brightness(stars, predicted, pairs, zero)
     matched = Finding("stars_matched", {"n": int(pairs.star.size), "explained": explained, "found": found})
-    return StarMatches(accepted=True, findings=(matched,), star=pairs.star, detection=pairs.detection, **measured)
+    sound = stars.sound[pairs.detection]
+    places, sigma = predicted.pixels[pairs.star[sound]], stars.sigma_px[pairs.detection[sound]]
+    floor = noise_floor(places, pairs.difference[sound], sigma)
+    return StarMatches(
+        accepted=True, findings=(matched,), star=pairs.star, detection=pairs.detection, floor_px=floor, **measured
+    )
+
+
+_FEWEST_FLOOR, _WITHIN, _TWO_SIGMAS = 30, 0.95, 1.96
+_HALVINGS = 12
+
+
+def noise_floor(places: FloatArray, difference: FloatArray, sigma_px: FloatArray) -> float:
+    """Return the 1-sigma, px, that is to be added to those of star centres so that 95 % of them are within 1.96.
+
+    Each star is held against its nearest neighbour, which what is smooth of a lens moves alike. 0 where what is stated
+    suffices, or of fewer than 30 stars.
+
+    Parameters
+    ----------
+    places : (n, 2) of the stars, px.
+    difference : (n, 2) of their detections from the prediction, px.
+    sigma_px : (n,) as stated.
+    """
+    if sigma_px.size < _FEWEST_FLOOR:
+        return 0.0
+    beside = np.asarray(cKDTree(places).query(places, k=2)[1])[:, 1]
+    apart = np.abs(difference - difference[beside])
+    variance = (sigma_px**2 + sigma_px[beside] ** 2)[:, None]
+
+    def enough(floor: float) -> bool:
+        return bool(np.mean(apart <= _TWO_SIGMAS * np.sqrt(variance + 2.0 * floor**2)) >= _WITHIN)
+
+    least, most = 0.0, _MOST_SCATTER_PX
+    if enough(least):
+        return least
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (least + most)
+        least, most = (least, middle) if enough(middle) else (middle, most)
+    return most
 
 
 def _considered(n_bright: int) -> int:
