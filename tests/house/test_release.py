@@ -1,0 +1,126 @@
+"""The parts of deploy/release: what it cuts, compares, lists and refuses."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+CHANGELOG = "# Changelog\n\n## [Unreleased]\n\n### Added\n\n- A thing.\n\n## [0.3.0] - 2026-11-01\n\n- Old.\n"
+
+
+@pytest.fixture(scope="module")
+def release(root: Path) -> ModuleType:
+    found = importlib.util.spec_from_file_location("release", root / "deploy" / "release.py")
+    assert found is not None
+    assert found.loader is not None
+    module = importlib.util.module_from_spec(found)
+    found.loader.exec_module(module)
+    return module
+
+
+def installed(site: Path, name: str, *, licence: str = "", text: str = "", version: str = "1.0") -> None:
+    """Lay a distribution into a folder."""
+    folder = site / f"{name}-{version}.dist-info"
+    folder.mkdir(parents=True)
+    stated = f"License-Expression: {licence}\n" if licence else ""
+    (folder / "METADATA").write_text(f"Metadata-Version: 2.4\nName: {name}\nVersion: {version}\n{stated}")
+    if text:
+        (folder / "licenses").mkdir()
+        (folder / "licenses" / "LICENSE.txt").write_text(text)
+
+
+def test_a_changelog_is_cut_once(release: ModuleType) -> None:
+    cut = release.cut(CHANGELOG, "0.4.0", "2026-11-25")
+    assert "## [Unreleased]\n\n## [0.4.0] - 2026-11-25\n\n### Added\n" in cut
+    assert cut.count("- A thing.") == cut.count("- Old.") == 1
+    for again in ("0.4.0", "0.5.0"):  # it stands there; nothing is unreleased
+        with pytest.raises(release.ReleaseError):
+            release.cut(cut, again, "2026-11-26")
+
+
+def test_the_changelog_and_the_version_of_the_tree_can_be_cut(root: Path, release: ModuleType) -> None:
+    project = (root / "pyproject.toml").read_text("utf-8")
+    stated = release.STATED.search(project)[1]
+    version = stated.removesuffix(".dev0")
+    assert f"## [{version}] - " in release.cut((root / "CHANGELOG.md").read_text("utf-8"), version, "2026-11-25")
+    assert f'version = "{version}"' in release.with_version(project, version)
+
+
+@pytest.mark.parametrize("version", ["0.4.1", "0.3.0", "0.4", "0.4.0.dev0", "v0.4.0", ""])
+def test_a_version_that_is_not_the_one_under_way_is_refused(release: ModuleType, version: str) -> None:
+    with pytest.raises(release.ReleaseError):
+        release.with_version('version = "0.4.0.dev0"\n', version)
+
+
+def test_two_builds_that_differ_are_refused(tmp_path: Path, release: ModuleType) -> None:
+    first, second = tmp_path / "a", tmp_path / "b"
+    first.write_bytes(b"same")
+    second.write_bytes(b"same")
+    release.require_equal(first, second)
+    second.write_bytes(b"sane")
+    with pytest.raises(release.ReleaseError):
+        release.require_equal(first, second)
+
+
+def test_a_version_is_never_of_two_packages(tmp_path: Path, release: ModuleType) -> None:
+    package = tmp_path / "sunarc_0.4.0_amd64.deb"
+    package.write_bytes(b"one")
+    record = release.require_new("", [package], "0.4.0")
+    assert release.require_new(record, [package], "0.4.0") == record
+    package.write_bytes(b"other")
+    with pytest.raises(release.ReleaseError):
+        release.require_new(record, [package], "0.4.0")
+    assert len(release.require_new(record, [package], "0.4.1").splitlines()) == 2
+
+
+def test_every_bundled_licence_is_in_one_text(tmp_path: Path, release: ModuleType) -> None:
+    installed(tmp_path, "beta", licence="MIT", text="Permission is granted")
+    installed(tmp_path, "alpha", licence="BSD-3-Clause")
+    text = release.licences(tmp_path)
+    assert text.index("alpha 1.0") < text.index("BSD-3-Clause") < text.index("beta 1.0")
+    assert "Permission is granted" in text
+    installed(tmp_path, "gamma")
+    with pytest.raises(release.ReleaseError):
+        release.licences(tmp_path)
+
+
+def test_the_bill_of_materials_names_all_and_is_the_same_again(
+    tmp_path: Path, release: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("cyclonedx", reason="the set-up is of an older requirements.lock")
+    from cyclonedx.model.bom import Bom  # noqa: PLC0415 - skipped without it
+
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1764000000")
+    for name in ("sunarc", "alpha", "beta_b"):
+        installed(tmp_path, name, licence="MIT")
+    text = release.bill_of_materials(tmp_path, "0.4.0")
+    assert text == release.bill_of_materials(tmp_path, "0.4.0")
+    read = Bom.from_json(json.loads(text))  # type: ignore[attr-defined] # its serializer makes it
+    assert {one.name for one in read.components} == {"alpha", "beta_b"}
+    assert {str(one.purl) for one in read.components} == {"pkg:pypi/alpha@1.0", "pkg:pypi/beta-b@1.0"}
+    assert read.metadata.component.name == "sunarc"
+    installed(tmp_path, "delta", licence="MIT")
+    assert json.loads(text)["serialNumber"] != json.loads(release.bill_of_materials(tmp_path, "0.4.0"))["serialNumber"]
+
+
+def test_the_checksums_are_those_of_sha256sum(tmp_path: Path, release: ModuleType) -> None:
+    (tmp_path / "reports").mkdir()
+    (tmp_path / "reports" / "booted.txt").write_text("passed")
+    (tmp_path / "a.deb").write_bytes(b"package")
+    (tmp_path / "SHA256SUMS").write_text(release.checksums(tmp_path))
+    check = ["sha256sum", "--check", "--strict", "SHA256SUMS"]
+    subprocess.run(check, cwd=tmp_path, check=True, capture_output=True)
+    (tmp_path / "a.deb").write_bytes(b"another")
+    assert subprocess.run(check, cwd=tmp_path, check=False, capture_output=True).returncode == 1
+
+
+def test_the_command_wants_a_version_or_the_files_alone(root: Path) -> None:
+    for arguments in ([], ["0.4.0", "--files"]):
+        command = [sys.executable, root / "deploy" / "release.py", *arguments]
+        assert subprocess.run(command, capture_output=True, check=False).returncode == 2
