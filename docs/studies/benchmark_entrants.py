@@ -33,6 +33,8 @@ Model = Callable[[FloatArray, FloatArray], FloatArray]
 _SOFT_PX = 1.0
 _FEWEST = 30
 _NEWTON_STEPS = 12
+_STEPS = {True: 60, False: 20}
+"""Of a fit, without slopes and with them."""
 _SHAPES: dict[str, Callable[[FloatArray], FloatArray]] = {
     "equidistant": lambda angle: angle,
     "equisolid": lambda angle: 2.0 * np.sin(angle / 2.0),
@@ -61,12 +63,16 @@ class Fit(NamedTuple):
 
 
 class Prepared(NamedTuple):
-    """A model for a case, the numbers that it starts at, the scale of each, and what holds each at 0, 1-sigma."""
+    """A model for a case, the numbers that it starts at, the scale of each, and what holds each at 0, 1-sigma.
+
+    slopes: the derivatives (n, 2, k) of its pixels by its numbers, where it has many.
+    """
 
     model: Model
     start: FloatArray
     scale: FloatArray
     held: FloatArray | None = None
+    slopes: Model | None = None
 
 
 class Entrant(NamedTuple):
@@ -124,8 +130,21 @@ def fitted(case: Case, ready: Prepared, turn: FloatArray) -> Fit:
         off = np.nan_to_num(ready.model(numbers[3:], rays) - case.pixels, nan=1e3).ravel() / _SOFT_PX
         return off if ready.held is None else np.r_[off, numbers[3:] / ready.held]
 
+    def jacobian(numbers: FloatArray) -> FloatArray:
+        ends = [residuals(numbers + sign * 1e-6 * axis) for axis in np.eye(3, numbers.size) for sign in (1.0, -1.0)]
+        of_pose = np.stack([(more - less) / 2e-6 for more, less in zip(ends[::2], ends[1::2], strict=True)], axis=-1)
+        rays = Rotation.from_rotvec(numbers[:3]).apply(case.directions)
+        by_numbers = np.zeros((of_pose.shape[0], numbers.size - 3))
+        if ready.slopes is not None and ready.held is not None:
+            seen = np.nan_to_num(ready.slopes(numbers[3:], rays) / _SOFT_PX)
+            by_numbers[:] = np.concatenate([seen.reshape(-1, numbers.size - 3), np.diag(1.0 / ready.held)])
+        return np.concatenate([of_pose, by_numbers], axis=1)
+
     begin, steps = np.r_[turn, ready.start], np.r_[np.full(3, 0.05), ready.scale]
-    found = least_squares(residuals, begin, loss="soft_l1", x_scale=steps, max_nfev=60)
+    by = "2-point" if ready.slopes is None else jacobian
+    found = least_squares(
+        residuals, begin, jac=by, loss="soft_l1", x_scale=steps, max_nfev=_STEPS[ready.slopes is None]
+    )
     off = residuals(found.x)[: 2 * len(case.pixels)].reshape(-1, 2)
     # of the middle of the residuals, as is usual with a robust loss; a pair has a Rayleigh median of 1.18
     variance = (float(np.median(np.linalg.norm(off, axis=-1))) / 1.1774) ** 2
@@ -288,16 +307,19 @@ def mrcal_opencv8(case: Case, focal: float, mrcal: Any) -> Prepared:  # noqa: AN
 
 
 def mrcal_splined(case: Case, focal: float, mrcal: Any) -> Prepared:  # noqa: ANN401
-    """Return mrcal's splined stereographic model with 9 by 9 knots, its core locked as mrcal advises."""
-    kind = "LENSMODEL_SPLINED_STEREOGRAPHIC_order=3_Nx=9_Ny=9_fov_x_deg=220"
+    """Return mrcal's splined stereographic model with 6 by 6 knots, its core locked as mrcal advises."""
+    kind = "LENSMODEL_SPLINED_STEREOGRAPHIC_order=3_Nx=6_Ny=6_fov_x_deg=220"
     core = np.array([0.62 * focal, 0.62 * focal, *middle(case)])
     count = int(mrcal.lensmodel_num_params(kind)) - 4
 
     def model(n: FloatArray, rays: FloatArray) -> FloatArray:
         return np.asarray(mrcal.project(rays, kind, np.r_[core, n[:count]]))
 
+    def slopes(n: FloatArray, rays: FloatArray) -> FloatArray:
+        return np.asarray(mrcal.project(rays, kind, np.r_[core, n[:count]], get_gradients=True)[2][..., 4:])
+
     # as in mrcal's own optimizer, knots that nothing is seen through are held, here to 20 px
-    return Prepared(model, np.zeros(count), np.full(count, 0.01), np.full(count, 20.0 / core[0]))
+    return Prepared(model, np.zeros(count), np.full(count, 0.01), np.full(count, 20.0 / core[0]), slopes)
 
 
 def ocam(case: Case, focal: float, _: object) -> Prepared:

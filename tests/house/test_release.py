@@ -122,5 +122,5 @@ def test_the_checksums_are_those_of_sha256sum(tmp_path: Path, release: ModuleTyp
 
 def test_the_command_wants_a_version_or_the_files_alone(root: Path) -> None:
     for arguments in ([], ["0.4.0", "--files"]):
-        command = [sys.executable, root / "deploy" / "release.py", *arguments]
+        command: list[str | Path] = [sys.executable, root / "deploy" / "release.py", *arguments]
         assert subprocess.run(command, capture_output=True, check=False).returncode == 2

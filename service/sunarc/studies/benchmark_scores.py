@@ -362,13 +362,14 @@ def _error_table(scores: Sequence[Score], unit: str) -> Iterator[str]:
     names = [band.band for band in scores[0].bands] if scores else []
     yield f"| entrant | {' | '.join(names)} |"
     yield f"|---|{'--:|' * len(names)}"
-    best = [min(getattr(one.bands[k], f"median_{unit}") for one in scores) for k in range(len(names))]
+    columns = (f"median_{unit}", f"p90_{unit}")
+    best = {name: [min(getattr(one.bands[k], name) for one in scores) for k in range(len(names))] for name in columns}
     for one in scores:
         cells = []
-        for band, least in zip(one.bands, best, strict=True):
-            median = getattr(band, f"median_{unit}")
-            shown = f"**{_figure(median)}**" if median == least and len(scores) > 1 else _figure(median)
-            cells.append(f"{shown}, {_figure(getattr(band, f'p90_{unit}'))}")
+        for k, band in enumerate(one.bands):
+            values = [(getattr(band, name), best[name][k]) for name in columns]
+            shown = [_figure(value) if value > least else f"**{_figure(value)}**" for value, least in values]
+            cells.append(", ".join(shown))
         yield f"| {one.entrant} | {' | '.join(cells)} |"
 
 
