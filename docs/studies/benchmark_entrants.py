@@ -141,7 +141,7 @@ def fitted(case: Case, ready: Prepared, turn: FloatArray) -> Fit:
         return np.concatenate([of_pose, by_numbers], axis=1)
 
     begin, steps = np.r_[turn, ready.start], np.r_[np.full(3, 0.05), ready.scale]
-    by = "2-point" if ready.slopes is None else jacobian
+    by: Any = "2-point" if ready.slopes is None else jacobian
     found = least_squares(
         residuals, begin, jac=by, loss="soft_l1", x_scale=steps, max_nfev=_STEPS[ready.slopes is None]
     )
