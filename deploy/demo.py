@@ -76,6 +76,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--clouds", default="clear", help="clear, veil, broken, overcast; several by commas: one a day")
     parser.add_argument("--keep", action="store_true", help="with --headless: go on serving")
     parser.add_argument("--nights", action="store_true", help="look at the stars in the nights, too")
+    parser.add_argument("--folder", action="store_true", help="a program writes pictures into a folder instead")
     parser.add_argument("--archive", action="store_true", help="make a small archive of images and analyse it instead")
     parser.add_argument("--setup-only", action="store_true", help="set up and stop")
     options = parser.parse_args()
@@ -90,11 +91,13 @@ def run(options: argparse.Namespace) -> int:
     state = prepare_state(options.state)
     if options.archive:
         return analyse_archive(state)
-    require_free_camera_port()
-    allow_whole_frames()
+    if not options.folder:
+        require_free_camera_port()
+        allow_whole_frames()
     config = write_config(state, options)
     with ExitStack() as stack:
-        print(f"demo: simulated imager at {CAMERA_ADDRESS}, {options.speed:g} times faster than real; state in {state}")
+        where = f"writes pictures into {state / 'pictures'}" if options.folder else f"imager at {CAMERA_ADDRESS}"
+        print(f"demo: simulated: {where}, {options.speed:g} times faster than real; state in {state}")
         stack.enter_context(running("imager", simulate_command(state, options), log=state / "imager.log"))
         wait_for((state / "truth.json").exists, what="the simulated imager", log=state / "imager.log")
         stack.enter_context(running("service", serve_command(config), log=state / "service.log"))
@@ -176,19 +179,14 @@ def write_config(state: Path, options: argparse.Namespace) -> Path:
         f"""\
 name = "demo"
 state = "{state}"
+source = "{"folder" if options.folder else "aravis"}"
 
 [site]
 latitude = {SITE["latitude"]}
 longitude = {SITE["longitude"]}
 altitude = {SITE["altitude"]}
 
-[camera]
-address = "{CAMERA_ADDRESS}"
-pixel_format = "Mono12"
-packet_size = 60000
-packet_socket = false
-timestamps = "camera"
-
+{source_sections(state, options)}
 [capture]
 cadence_s = {options.cadence}
 night_cadence_s = {NIGHT_CADENCE_S if options.nights else options.cadence}
@@ -210,10 +208,28 @@ port = {options.port}
     return config
 
 
+def source_sections(state: Path, options: argparse.Namespace) -> str:
+    """Return the settings of the source."""
+    if options.folder:
+        return f"""[folder]
+path = "{state / "pictures"}"
+utc_offset = "0"
+"""
+    return f"""[camera]
+address = "{CAMERA_ADDRESS}"
+pixel_format = "Mono12"
+packet_size = 60000
+packet_socket = false
+timestamps = "camera"
+"""
+
+
 def simulate_command(state: Path, options: argparse.Namespace) -> list[str]:
     """Return the command line of the simulated imager."""
+    pictures = ["--folder", str(state / "pictures"), "--cadence", str(options.cadence)] if options.folder else []
     return [
-        *("simulate", "--address", CAMERA_ADDRESS, "--start", f"{FIRST_DAY}T11:00:00Z"),
+        *("simulate", *pictures),
+        *("--address", CAMERA_ADDRESS, "--start", f"{FIRST_DAY}T11:00:00Z"),
         *("--latitude", str(SITE["latitude"]), "--longitude", str(SITE["longitude"])),
         *("--altitude", str(SITE["altitude"]), "--speed", str(options.speed)),
         *("--lens-seed", str(options.lens_seed), "--clouds", options.clouds, "--truth", str(state / "truth.json")),

@@ -30,11 +30,20 @@ from sunarc.archive.archive import open_archive
 from sunarc.archive.database.backup import newest_sound_copy
 from sunarc.archive.database.schema import check, head_revision
 from sunarc.archive.fleet.outbox import OutboxPosition
-from sunarc.cameras.aravis import AravisCamera
+from sunarc.array_types import Image
+from sunarc.cameras.aravis import AravisCamera, open_aravis
 from sunarc.cameras.frame import SkyCamera
+from sunarc.cameras.options import AravisOptions, FolderOptions
+from sunarc.findings import Finding
+from sunarc.offline.first_look import MESSAGES as OF_FIRST_LOOK
+from sunarc.offline.first_look import TriedPicture, judge_site, small_picture, try_pictures
+from sunarc.reanalysis.folder_files import is_image
+from sunarc.reanalysis.folder_worker import time_rules
+from sunarc.reanalysis.sources import open_source
 from sunarc.runtime.clock import Clock, SystemClock, host_clock_state
 from sunarc.runtime.host import listen, prepare_state
 from sunarc.settings.model import Settings
+from sunarc.sky.site import Site
 from sunarc.utc import utc_time
 from sunarc.workers.calibrating.provisional_pose import FirstPose
 from sunarc.workers.feed import HubConnection, HubRefusal
@@ -64,6 +73,15 @@ class CheckResult(NamedTuple):
     what: str
     outcome: Outcome
     text: str
+
+
+class TriedResult(NamedTuple):
+    """Result of a trial of new settings, as `CheckResult`, with the codes of the findings that decided."""
+
+    what: str
+    outcome: Outcome
+    text: str
+    codes: tuple[str, ...] = ()
 
 
 def survey(settings: Settings, *, clock: Clock) -> Iterator[CheckResult]:
@@ -146,10 +164,14 @@ def run_checks(settings: Settings, *, clock: Clock) -> Iterator[CheckResult]:
     yield _checked("database", lambda: _database(settings))
     yield _checked("backups", lambda: _backups(settings, clock))
     yield _checked("port", lambda: _port(settings, running))
-    yield _checked("clock", _clock)
+    yield _checked("clock", check_clock)
     with _rights_of_owner(settings.state):
         yield from _optional(settings, clock)
-    yield _checked("camera", lambda: _camera(settings, clock) if running is None else _camera_in_use(running))
+    if settings.source == "folder" and settings.folder is not None:
+        with _rights_of_owner(settings.state):
+            yield from (CheckResult(*tried[:3]) for tried in _pictures(settings.folder, settings.site, None))
+    else:
+        yield _checked("camera", lambda: _camera(settings, clock) if running is None else _camera_in_use(running))
 
 
 def run_camera_checks(settings: Settings, *, clock: Clock) -> Iterator[CheckResult]:
@@ -160,6 +182,121 @@ def run_camera_checks(settings: Settings, *, clock: Clock) -> Iterator[CheckResu
         yield CheckResult("camera", outcome, f"{text}; stop the service to look closer")
         return
     yield from survey(settings, clock=clock)
+
+
+_PICTURES = 16
+"""Pictures of a folder that are looked at: on a small computer a few seconds for each."""
+_QUESTIONS = {
+    "database": "--latitude, --longitude, --altitude, --name",
+    "state folder": "--state",
+    "backups": "--state",
+    "port": "--port",
+    "camera": "--camera",
+    "folder": "--folder",
+    "picture": "--utc-offset, --time-pattern",
+    "site": "--latitude, --longitude",
+    "clock": "no option: it looks again",
+}
+"""The options of `sunarc init` that answer what a check may complain of."""
+
+
+def question_of(result: CheckResult | TriedResult) -> str | None:
+    """Return the option of `sunarc init` that answers a complaint; None where there is none, or no complaint."""
+    return None if result.outcome == "ok" else _QUESTIONS.get(result.what)
+
+
+def try_first(settings: Settings, *, addresses: Sequence[str], picture: Path) -> Iterator[TriedResult]:
+    """Try what a new settings file names: cameras, pictures, site, clock and disk; nothing is searched for.
+
+    Parameters
+    ----------
+    settings : of the new file.
+    addresses : of GigE cameras that are asked whether they answer, besides the settings' own.
+    picture : where a small picture of the source is written.
+    """
+    clock = SystemClock()
+    if settings.source == "aravis":
+        yield from (TriedResult(*result) for result in _cameras_that_answer(settings, addresses, clock))
+    elif settings.folder is not None and settings.source == "folder":
+        yield from _pictures(settings.folder, settings.site, picture)
+    yield TriedResult(*_checked("clock", check_clock))
+    yield TriedResult(*_checked("disk", lambda: _room_for(settings.state)))
+
+
+def _cameras_that_answer(settings: Settings, addresses: Sequence[str], clock: Clock) -> Iterator[CheckResult]:
+    """Ask each address in turn; the settings' camera has to answer, of others it is said."""
+    options = settings.camera
+    if options is None:
+        return
+    for address in dict.fromkeys((options.address, *addresses)):
+        result = _checked("camera", partial(_identified, replace(options, address=address), clock))
+        own = address == options.address
+        yield result if own or result.outcome == "ok" else result._replace(outcome="warn")
+
+
+def _identified(options: AravisOptions, clock: Clock) -> tuple[Outcome, str]:
+    with closing(open_aravis(options, clock)) as camera:
+        found = _identity(camera)
+    return found.outcome, found.text
+
+
+def _pictures(options: FolderOptions, site: Site, picture: Path | None) -> Iterator[TriedResult]:
+    """Look at pictures of a folder: whether they can be read, when they were taken, where the sun is in them."""
+    if options.path.exists() and not os.access(options.path, os.R_OK | os.X_OK, effective_ids=True):
+        text = f"{options.path} is not for this user; let the service's user read it, with all that is in it"
+        yield TriedResult("folder", "fail", text, ("folder_not_permitted",))
+        return
+    if not options.path.is_dir():
+        text = f"{options.path} is no folder; give --folder, or let the other program make it"
+        yield TriedResult("folder", "fail", text, ("folder_missing",))
+        return
+    source = open_source(str(options.path))
+    names = [file.name for file in source.files() if is_image(file.name, options.files)]
+    rules = time_rules(options)
+
+    unwritten: list[str] = []
+
+    def show(tried: TriedPicture, image: Image) -> None:
+        if picture is None:
+            return
+        try:
+            picture.write_bytes(small_picture(image, tried.found))
+        except OSError as error:
+            unwritten.append(f"{picture} cannot be written: {error.strerror}; give --picture")
+
+    tried = list(try_pictures(source, names, rules, most=_PICTURES, on_image=show))
+    if not tried:
+        finding = Finding("folder_without_images", {"path": str(options.path)})
+        yield TriedResult("folder", "warn", _sentence(finding), (finding.code,))
+        return
+    yield _picture_result(tried[0], len(names), picture)
+    yield from (TriedResult("small picture", "warn", text) for text in unwritten)
+    faults = {fault.code: one for one in tried[1:] for fault in one.faults}
+    for code in faults.keys() - {fault.code for fault in tried[0].faults}:
+        yield TriedResult("picture", "warn", f"{faults[code].name}: {faults[code].describe()}", (code,))
+    judged = judge_site(tried, site)
+    good = judged.code == "site_agrees"
+    yield TriedResult("site", "ok" if good else "warn", _sentence(judged), (judged.code,))
+
+
+def _picture_result(tried: TriedPicture, files: int, picture: Path | None) -> TriedResult:
+    shown = "" if tried.size is None or picture is None else f"; see {picture}"
+    codes = tuple(fault.code for fault in tried.faults)
+    text = f"{tried.name}, one of {files}: {tried.describe()}{shown}"
+    return TriedResult("picture", "fail" if codes else "ok", text, codes)
+
+
+def _sentence(finding: Finding) -> str:
+    remedy = OF_FIRST_LOOK.remedy_of(finding)
+    return OF_FIRST_LOOK.text_of(finding) + ("" if remedy == "none" else f"; {remedy}") + f" [{finding.code}]"
+
+
+def _room_for(state: Path) -> tuple[Outcome, str]:
+    """Return how much room there is where the state folder is, or will be."""
+    there = next(folder for folder in (state, *state.absolute().parents) if folder.exists())
+    free = shutil.disk_usage(there).free
+    text = f"{state}: {free / 1e9:.1f} GB free"
+    return ("ok", text) if free > _LEAST_FREE_BYTES else ("warn", f"only {text}; free some space, or give --state")
 
 
 def _optional(settings: Settings, clock: Clock) -> Iterator[CheckResult]:
@@ -348,7 +485,8 @@ def _camera_in_use(running: Mapping[str, Any]) -> tuple[Outcome, str]:
     return "fail", f"the running service has lost it: {'; '.join(text) or 'no reason text'}; power, cable, address"
 
 
-def _clock() -> tuple[Outcome, str]:
+def check_clock() -> tuple[Outcome, str]:
+    """Check that the host's clock is synchronised."""
     state = host_clock_state()
     if not state.synchronised:
         return "warn", "not synchronised; start systemd-timesyncd or chrony and let it reach its servers"

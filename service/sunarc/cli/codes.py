@@ -13,6 +13,7 @@ from sunarc.cli.options import AsJson, print_json
 from sunarc.detection.messages import MESSAGES as OF_DETECTION
 from sunarc.exports.messages import MESSAGES as OF_EXPORTS
 from sunarc.findings import Messages
+from sunarc.offline.first_look import MESSAGES as OF_OFFLINE
 from sunarc.reanalysis.messages import MESSAGES as OF_REANALYSIS
 from sunarc.runtime.supervisor import MESSAGES as OF_RUNTIME
 from sunarc.studies.benchmark_scores import MESSAGES as OF_STUDIES
@@ -28,6 +29,7 @@ _TABLES: dict[str, Messages] = {
     "exports": OF_EXPORTS,
     "reanalysis": OF_REANALYSIS,
     "studies": OF_STUDIES,
+    "offline": OF_OFFLINE,
 }
 _HEAD = """# Codes of findings
 

@@ -41,6 +41,8 @@ COMMANDS = {name: _Command(*rest) for name, *rest in (
      "Detect and identify stars in images of the night; exit 1 when no image has matched stars."),
     ("reanalyse", "reanalyse", "reanalyse_archive",
      "Find the sun in an archive of images, the pose epochs of its cameras, and a calibration for each."),
+    ("init", "init", "init",
+     "Ask for what cannot be known, try the rest, and write a settings file; exit 1 where a trial fails."),
     ("serve", "service", "serve", "Run the service until SIGTERM or SIGINT."),
     ("compile", "service", "compile_kernels",
      "Do nothing: the kernels are compiled where the package is built. Kept for scripts of versions before 0.4."),

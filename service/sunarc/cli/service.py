@@ -58,15 +58,30 @@ def simulate(
     nights: Annotated[
         bool, typer.Option("--nights", help="Show the nights, with stars and moon; else skip them.")
     ] = False,
+    folder: Annotated[
+        Path | None, typer.Option(help="Write a picture a minute here instead, as another program's camera does.")
+    ] = None,
+    cadence: Annotated[float, typer.Option(help="Simulated seconds between the pictures of --folder.")] = 60.0,
     truth: Annotated[Path | None, typer.Option(help="Write the true camera here, a calibration document.")] = None,
 ) -> None:
     """Run a simulated imager that speaks GigE Vision on loopback; SIGUSR1 halves the speed of its clock.
 
+    With --folder a camera whose program writes its pictures into a folder, in UTC; the nights are skipped.
+
     Example: sunarc simulate --address 127.0.0.1 --speed 60 --truth truth.json
     """
-    from sunarc.app.simulating import ImagerOptions, SceneOptions, SensorModel, SimulatedNight, simulate_imager
+    from sunarc.app import simulating
+    from sunarc.app.simulating import ImagerOptions, SceneOptions, SensorModel, SimulatedNight
 
     start_log(os.environ)
+    if folder is not None:
+        site = Site(latitude=latitude, longitude=longitude, altitude=altitude)
+        first = parse_time(start, where="--start")
+        made = simulating.PictureOptions(
+            folder=folder, start=first, speed=speed, cadence_s=cadence, site=site, truth=truth
+        )
+        simulating.simulate_pictures(made)
+        return
     scene = SceneOptions(
         nd_transmission=nd_transmission,
         ghost_strength=ghost,
@@ -86,7 +101,7 @@ def simulate(
         sensor=SensorModel(blooming=blooming),
         truth=truth,
     )
-    simulate_imager(options)
+    simulating.simulate_imager(options)
 
 
 def check(
@@ -99,12 +114,16 @@ def check(
 
     Example: sunarc check --camera --config /etc/sunarc/sunarc.toml
     """
-    from sunarc.diagnostics import run_camera_checks, run_checks
+    from sunarc.diagnostics import question_of, run_camera_checks, run_checks
 
     run = run_camera_checks if camera else run_checks
     results = list(run(load_settings(config), clock=SystemClock()))
     rows = [[result.outcome, result.what, escape(result.text)] for result in results]
-    print_rows([result._asdict() for result in results], ("", "", ""), rows, as_json=as_json)
+    record = [{**result._asdict(), "question": question_of(result)} for result in results]
+    print_rows(record, ("", "", ""), rows, as_json=as_json)
+    asked = [f"{result.what} ({question})" for result in results if (question := question_of(result)) is not None]
+    if asked and not as_json:
+        print(f"sunarc init {'FILE' if config is None else config} asks again: {'; '.join(asked)}")
     if any(result.outcome == "fail" for result in results):
         raise typer.Exit(1)
 

@@ -350,7 +350,9 @@ class FolderWorker:
     def waiting_days(self) -> set[date]:
         """The solar days of which files wait, or came late a moment ago: they are judged afterwards."""
         now_s = self.clock.monotonic()
-        self._late_days = {day: at for day, at in self._late_days.items() if now_s - at < _LATE_S}
+        self._late_days = {
+            day: at for day, at in self._late_days.items() if (now_s - at) * self.frame_time.speed < _LATE_S
+        }
         named = (time_in_name(PurePosixPath(name).name) for name in self._late)
         return {*self._late_days, *(self._day(one.time.timestamp()) for one in named if one is not None)}
 

@@ -22,6 +22,7 @@ _PREFIX = "SUNARC_"
 _CONFIG_VARIABLE = "SUNARC_CONFIG"
 _KNOWN = {setting.name: setting for setting in all_settings()}
 _SECTIONS = {name.partition(".")[0] for name in _KNOWN if "." in name}
+_SECTION_OF_SOURCE = {"aravis": "camera", "folder": "folder", "replay": "replay"}
 _FORMER_SECTIONS = {"calibration.paper", "calibration.tolerances", "days", "refit.selection"}
 """Sections whose settings are all commented out in the example of 0.2.0, and went away."""
 
@@ -45,12 +46,24 @@ def load_hub_settings(path: Path | None) -> HubSettings:
     return _load(path, HubSettings)
 
 
+def settings_of(text: str, *, where: str) -> Settings:
+    """Return the settings of a TOML text and of the environment, as `load_settings` does; `where` names it."""
+    try:
+        return _of_tables(tomllib.loads(text), Settings, where)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigurationError(f"{where}: is not TOML: {error}") from None
+
+
 def _load(path: Path | None, model: type[Loaded]) -> Loaded:
     where = str(path) if path else "settings"
-    given = _merged({} if path is None else _read_toml(path), _environment())
+    return _of_tables({} if path is None else _read_toml(path), model, where)
+
+
+def _of_tables(tables: Mapping[str, Any], model: type[Loaded], where: str) -> Loaded:
+    given = _merged(tables, _environment())
     try:
         _refuse_names(given)
-        given = _without_former_sections(given)
+        given = _without_unused_sources(_without_former_sections(given))
         # JSON mode takes lists for tuples and texts for paths, and strict mode no number in quotes and no true for 1.
         return model.model_validate_json(json.dumps(given, default=str), strict=True)
     except ValidationError as error:
@@ -125,6 +138,16 @@ def _without_former_sections(table: Mapping[str, Any], prefix: str = "") -> dict
     }
 
 
+def _without_unused_sources(given: dict[str, Any]) -> dict[str, Any]:
+    """Return the tables without an empty section of another source, as where all of [camera] is commented out."""
+    used = _SECTION_OF_SOURCE.get(str(given.get("source", "aravis")))
+    return {
+        name: value
+        for name, value in given.items()
+        if value != {} or name == used or name not in _SECTION_OF_SOURCE.values()
+    }
+
+
 def _leaves(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Yield the dotted path and the value of everything in nested tables."""
     for name, value in table.items():
@@ -139,5 +162,5 @@ def _first_problem(error: ValidationError) -> str:
     name = ".".join(part for part in problem["loc"] if isinstance(part, str))
     others = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
     if problem["type"] == "missing":
-        return f"setting {name} is missing; add it{others}"
+        return f"setting {name} is missing; add it, or run sunarc init{others}"
     return f"{name}: {problem['input']!r} is not allowed; give {_KNOWN[name].allowed}{others}"

@@ -1,0 +1,246 @@
+"""The command `sunarc init`: asks for what cannot be known, tries the rest, writes the settings file."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import typer
+from rich.markup import escape
+
+from sunarc.cli.options import AsJson, print_json, print_table
+from sunarc.diagnostics import TriedResult, try_first
+from sunarc.errors import InputError, disk_errors
+from sunarc.findings import Finding
+from sunarc.offline.first_look import RefusedAnswerError, parse_angle
+from sunarc.settings.file_text import NEW_FILE, Value, read_text, value_in, with_values
+from sunarc.settings.load import settings_of
+
+_SOURCES = ("aravis", "folder")
+_TRIES = 5
+"""Answers to a question that may be wrong, one after the other."""
+
+
+class _SettingQuestion(NamedTuple):
+    """A question: its setting and option, its text, what reads the answer, and what holds where nobody answers."""
+
+    setting: str
+    option: str
+    text: str
+    read: Callable[[str], Value]
+    default: str | None = None
+
+
+def _number(option: str) -> Callable[[str], Value]:
+    def read(text: str) -> Value:
+        try:
+            return float(text.strip().removesuffix("m").replace(",", "."))
+        except ValueError:
+            raise RefusedAnswerError(option, Finding("answer_not_number", {"given": text})) from None
+
+    return read
+
+
+def _source(text: str) -> Value:
+    if text not in _SOURCES:
+        raise RefusedAnswerError("--source", Finding("answer_unknown", {"given": text, "choices": ", ".join(_SOURCES)}))
+    return text
+
+
+_SITE = (
+    _SettingQuestion("site.latitude", "--latitude", "Latitude, decimal or as 36°36'14\"N",
+              lambda text: parse_angle(text, question="--latitude", axis="NS")),
+    _SettingQuestion("site.longitude", "--longitude", "Longitude, decimal (east positive) or as 97°29'05\"W",
+              lambda text: parse_angle(text, question="--longitude", axis="EW")),
+    _SettingQuestion("site.altitude", "--altitude", "Altitude, metres above sea level", _number("--altitude")),
+    _SettingQuestion("source", "--source", f"Where the images come from: {', '.join(_SOURCES)}", _source, "aravis"),
+)  # fmt: skip
+_OF_SOURCE = {
+    "aravis": _SettingQuestion("camera.address", "--camera", "The camera's IP address", str.strip),
+    "folder": _SettingQuestion("folder.path", "--folder", "The folder that another program fills", str.strip),
+}
+_OFFSET = _SettingQuestion(
+    "folder.utc_offset",
+    "--utc-offset",
+    "Hours that the times in names are ahead of UTC (0 for UTC), or a zone as Europe/Berlin",
+    str.strip,
+)
+_PATTERN = _SettingQuestion(
+    "folder.time_pattern", "--time-pattern", "strptime pattern of the names without suffix", str.strip
+)
+_ASKED_BY_FAULT = {"file_time_zone": _OFFSET, "file_time_unknown": _PATTERN, "file_time_ambiguous": _PATTERN}
+"""What a picture's time needs to be read."""
+
+
+def init(
+    file: Annotated[Path, typer.Argument(help="Settings file to write, or to change.")] = Path("sunarc.toml"),
+    *,
+    latitude: Annotated[str | None, typer.Option(help="Decimal degrees, north positive, or as 36°36'14\"N.")] = None,
+    longitude: Annotated[str | None, typer.Option(help="Decimal degrees, east positive, or as 97°29'05\"W.")] = None,
+    altitude: Annotated[str | None, typer.Option(help="Metres above sea level.")] = None,
+    source: Annotated[str | None, typer.Option(help="aravis (a GenICam camera) or folder.")] = None,
+    camera: Annotated[
+        list[str] | None, typer.Option(help="Address of a GigE camera; may be given often, none is searched for.")
+    ] = None,
+    folder: Annotated[Path | None, typer.Option(help="Folder that another program fills with images.")] = None,
+    utc_offset: Annotated[
+        str | None, typer.Option(help="How far times in names are ahead of UTC: hours, or a zone as Europe/Berlin.")
+    ] = None,
+    time_pattern: Annotated[str | None, typer.Option(help="strptime pattern of the names, without suffix.")] = None,
+    name: Annotated[str | None, typer.Option(help="The camera's name in the archive and in documents.")] = None,
+    state: Annotated[Path | None, typer.Option(help="Folder of the database and the images.")] = None,
+    port: Annotated[int | None, typer.Option(help="Of the dashboard and the REST service.")] = None,
+    picture: Annotated[Path, typer.Option(help="Write a small picture of the source here, the sun marked.")] = Path(
+        "sunarc-init.png"
+    ),
+    as_json: AsJson = False,
+) -> None:
+    """Ask for what cannot be known, try the rest, and write a settings file; exit 1 where a trial fails.
+
+    Called again it changes what is given and keeps the rest of the file, comments too. Without a terminal nothing is
+    asked: what is missing is named, and nothing written.
+
+    Example: sunarc init --latitude 36.604 --longitude 97.485W --altitude 318 --folder /srv/allsky/images
+    """  # fmt: skip
+    given = {
+        "site.latitude": latitude,
+        "site.longitude": longitude,
+        "site.altitude": altitude,
+        "source": source or _source_of(camera, folder),
+        "camera.address": camera[0] if camera else None,
+        "folder.path": None if folder is None else str(folder.absolute()),
+        "folder.utc_offset": utc_offset,
+        "folder.time_pattern": time_pattern,
+    }
+    before = read_text(file)
+    answers = _Answers(NEW_FILE if before is None else before, given, ask=sys.stdin.isatty())
+    plain: Mapping[str, Value | None] = {
+        "name": name,
+        "state": None if state is None else str(state.absolute()),
+        "api.port": port,
+    }
+    answers.set(plain)
+    for question in _SITE:
+        answers.answer(question)
+    kind = str(answers.value("source") or "aravis")
+    _require_source(kind, camera=camera, folder=folder)
+    answers.answer(_OF_SOURCE[kind])
+    for optional in (_OFFSET, _PATTERN):
+        answers.answer(optional, needed=False)
+    results = _tried(answers, file, addresses=camera or [], picture=picture)
+    changed = {} if before == answers.text else answers.changes
+    if before != answers.text:
+        _write(file, answers.text)
+    _print(file, changed, results, as_json=as_json)
+    if any(result.outcome == "fail" for result in results):
+        raise typer.Exit(1)
+
+
+def _source_of(camera: list[str] | None, folder: Path | None) -> str | None:
+    """Return the source that the other options mean; None where there are none, or both."""
+    if (folder is None) == (not camera):
+        return None
+    return "aravis" if camera else "folder"
+
+
+def _require_source(kind: str, *, camera: list[str] | None, folder: Path | None) -> None:
+    """Raise where an option of another source is given."""
+    fitting = _OF_SOURCE[kind].option
+    for option, value in (("--camera", camera), ("--folder", folder)):
+        if value and option != fitting:
+            raise RefusedAnswerError(option, Finding("answer_contradicts", {"source": kind, "option": fitting}))
+
+
+class _Answers:
+    """A settings file's text, and the answers to questions that go into it."""
+
+    def __init__(self, text: str, given: Mapping[str, str | None], *, ask: bool) -> None:
+        self.text = text
+        self.changes: dict[str, Value] = {}
+        self.ask = ask
+        self._given = given
+
+    def value(self, setting: str) -> Any:  # noqa: ANN401 - whatever TOML holds
+        """Return the value that the file has now."""
+        return value_in(self.text, setting)
+
+    def set(self, values: Mapping[str, Value | None]) -> None:
+        """Set what is not None."""
+        for setting, value in values.items():
+            if value is not None and value != self.value(setting):
+                self.text = with_values(self.text, {setting: value})
+                self.changes[setting] = value
+
+    def answer(self, question: _SettingQuestion, *, needed: bool = True) -> None:
+        """Take the answer that was given; ask where the file has none and it is needed."""
+        given = self._given.get(question.setting)
+        if given is not None:
+            self.set({question.setting: question.read(given)})
+        elif needed and self.value(question.setting) is None:
+            self.set({question.setting: self._asked(question)})
+
+    def _asked(self, question: _SettingQuestion) -> Value:
+        if not self.ask:
+            if question.default is not None:
+                return question.read(question.default)
+            raise RefusedAnswerError(question.setting, Finding("answer_missing", {"option": question.option}))
+        for left in reversed(range(_TRIES)):
+            try:
+                return question.read(str(typer.prompt(question.text, default=question.default, err=True)))
+            except InputError as error:
+                if not left:
+                    raise
+                print(f"sunarc: {error}", file=sys.stderr)
+        raise AssertionError  # the last one returns or raises
+
+
+def _tried(answers: _Answers, file: Path, *, addresses: list[str], picture: Path) -> list[TriedResult]:
+    """Return what came of the trials; where a picture's time needs one more answer, that is asked, and tried again."""
+    while True:
+        settings = settings_of(answers.text, where=str(file))
+        results = list(try_first(settings, addresses=addresses, picture=picture))
+        codes = {code for result in results for code in result.codes}
+        wanted = [question for code, question in _ASKED_BY_FAULT.items() if code in codes]
+        if not answers.ask or not wanted or answers.value(wanted[0].setting) is not None:
+            return results
+        answers.answer(wanted[0])
+
+
+def _write(file: Path, text: str) -> None:
+    """Write a file whole or not at all, with the owner and the rights that it has."""
+    with disk_errors(file):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=file.parent, prefix=f".{file.name}.")
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8", newline="") as out:
+                out.write(text)
+            if file.exists():
+                shutil.copymode(file, temporary)
+                with suppress(PermissionError):  # of another user, whose folder this one may write in
+                    os.chown(temporary, file.stat().st_uid, file.stat().st_gid)
+            else:
+                Path(temporary).chmod(0o644)
+            Path(temporary).replace(file)
+        except BaseException:
+            Path(temporary).unlink(missing_ok=True)
+            raise
+
+
+def _print(file: Path, changed: Mapping[str, Value], results: list[TriedResult], *, as_json: bool) -> None:
+    failed = [result for result in results if result.outcome == "fail"]
+    following = f"sunarc init {file} …" if failed else f"sunarc check --config {file}"
+    if as_json:
+        checks = [result._asdict() for result in results]
+        print_json({"file": str(file), "changed": dict(changed), "checks": checks, "next": following})
+        return
+    print_table(("", "", ""), [[result.outcome, result.what, escape(result.text)] for result in results])
+    print(f"wrote {file}: {', '.join(changed)}" if changed else f"{file} is as it was")
+    print(
+        f"next: {following}" if not failed else f"next: correct what failed, by the option that it names: {following}"
+    )
