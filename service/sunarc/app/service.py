@@ -28,6 +28,7 @@ from sunarc.extras import extra_module
 from sunarc.reanalysis.folder_archive import FolderArchiveWorker
 from sunarc.reanalysis.folder_worker import FolderWorker, LearnedCadence, time_rules
 from sunarc.reanalysis.live_images import LiveImages
+from sunarc.reanalysis.snapshots import SnapshotWorker
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.loop import DropOldestQueue
 from sunarc.runtime.status import StatusRegistry
@@ -202,6 +203,7 @@ class Service:
         )
         self.cadence = self._cadence()
         self.folder, self.folder_archive = self._followed_folder()
+        self.snapshots = self._snapshot_worker()
         self._open_camera = open_camera
 
     def _new_clock_watch(self) -> ClockWatch:
@@ -269,6 +271,34 @@ class Service:
         )
         return follower, behind
 
+    def _snapshot_worker(self) -> SnapshotWorker | None:
+        """Return what asks a camera for pictures by HTTP; None where the source is another one."""
+        settings, options = self.settings, self.settings.http
+        if settings.source != "http" or options is None:
+            return None
+        images = LiveImages(
+            self.camera,
+            settings=settings,
+            method="auto",
+            clock_error_s=lambda time: self.clock_watch.error_s(time) + options.clock_error_s + worker.within_s,
+            notice=self._notice_sun,
+            board=self.board,
+        )
+        worker = SnapshotWorker(
+            options,
+            capture=settings.capture,
+            name=settings.name,
+            images=images,
+            clock=self.clock,
+            frame_time=self.frame_time,
+            apparent_zenith=self.predictor.apparent_zenith,
+            store=self.images,
+            last=settings.snapshots,
+            board=self.board,
+            night=None if self.night is None else self.night.frames,
+        )
+        return worker
+
     def workers(self) -> tuple[Supervised, ...]:
         """Return what the supervisor keeps alive; consumers first, so that producers find them ready."""
         return (
@@ -294,6 +324,9 @@ class Service:
                 self._supervised("archive", lambda: behind),
                 replace(self._supervised("capture", lambda: follower), essential=True, severity="not_ready"),
             )
+        if self.snapshots is not None:
+            snapshots = self.snapshots
+            return (replace(self._supervised("capture", lambda: snapshots), essential=True, severity="not_ready"),)
         capture = self.replay_worker if self.settings.source == "replay" else self.capture_worker
         return (
             replace(self._supervised("detect", self.detect_worker), severity="not_ready"),
@@ -318,8 +351,8 @@ class Service:
         )
 
     def check_sightings(self) -> None:
-        """Check for overdue sightings while the sun is up; a replay and a folder have no slots."""
-        if self.settings.source not in {"replay", "folder"}:
+        """Check for overdue sightings while the sun is up; other sources than a camera have their own conditions."""
+        if self.settings.source == "aravis":
             self.overdue.check()
 
     def _clear_level_per_us(self) -> float:
@@ -346,6 +379,8 @@ class Service:
         """Return the newest preview, or the newest picture of a followed folder."""
         if self.folder is not None:
             return self.folder.newest_picture
+        if self.snapshots is not None:
+            return self.snapshots.newest_picture
         return self.images.newest(kind="hdr.jpg", until=self.frame_time.now())
 
     def open_and_remember(self) -> SkyCamera:
@@ -502,7 +537,7 @@ class Service:
             camera=self.camera,
             options=self.settings.refit,
             calibration=self.settings.calibration,
-            cadence_s=self.settings.capture.cadence_s if self.folder is None else _ONE_IMAGE_S,
+            cadence_s=self.settings.capture.cadence_s if self.settings.source == "aravis" else _ONE_IMAGE_S,
             clock=self.clock,
             now=self.frame_time.now,
             board=self.board,

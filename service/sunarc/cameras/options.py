@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import ipaddress
+import urllib.parse
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Annotated, Literal
 
-from annotated_types import Ge, Le
+from annotated_types import Ge, Gt, Le
 
 from sunarc.bounds import require_bounds
 from sunarc.cameras.frame import full_scale_of
@@ -126,6 +127,48 @@ class FolderOptions:
         if not self.files.strip() or "/" in self.files:
             problem, remedy = f"{self.files!r} is no pattern of names", 'give one as "ccd1_*.jpg"'
             raise InputError(field="folder.files", problem=problem, remedy=remedy)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SnapshotOptions:
+    """A camera that answers with its present picture (JPEG or PNG) at an address.
+
+    Attributes
+    ----------
+    url : of the picture, as "https://camera.example/snapshot.jpg"; without user and password.
+    token_file : a file whose one line is USER:PASSWORD (Basic or Digest, as the camera asks).
+    ca_file : certificate that the camera's is verified by, beside those of the system.
+    clock_error_s : bound of how far a picture's time is from the request, beyond the time that the answer takes.
+    timeout_s : of a request as a whole, s.
+    keep_images : keep the pictures as they came, in `state`/images; see [disk].
+    """
+
+    url: str
+    token_file: Path | None = None
+    ca_file: Path | None = None
+    clock_error_s: Annotated[float, Ge(0.0), Le(3600.0)] = 1.0
+    timeout_s: Annotated[float, Gt(0.0), Le(300.0)] = 10.0
+    keep_images: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse an address that is none."""
+        require_bounds(self, section_path="http")
+        _require_url("http.url", self.url, ("http", "https"))
+
+
+def _require_url(field: str, url: str, schemes: tuple[str, ...]) -> None:
+    remedy = f"give one as {schemes[0]}://camera.example/…"
+    try:
+        parts = urllib.parse.urlsplit(url)
+        known = parts.scheme in schemes and parts.hostname and parts.port != 0 and not parts.fragment
+    except ValueError:
+        known = None
+    if not known or not url.isascii() or not url.isprintable() or " " in url:
+        raise InputError(field=field, problem=f"{url!r} is not an address", remedy=remedy)
+    if parts.username is not None:
+        section = field.partition(".")[0]
+        remedy = f"put USER:PASSWORD in a file and name it as {section}.token_file"
+        raise InputError(field=field, problem="has a user in the address", remedy=remedy)
 
 
 def _require_address(address: str) -> None:

@@ -248,7 +248,8 @@ class FolderWorker:
         self._settling = Settling(self._root, self.options.settle_s)
         self._left_out = LeftOut(self.board)
         self._arrivals = ArrivalTimes(self.board)
-        self._stamps: dict[str, str] | None = None
+        self._stamps: dict[str, str] = {}
+        self._remembers = False
         self._ready: dict[str, tuple[SourceFile, float]] = {}
         self._late: dict[str, SourceFile] = {}
         self._again: dict[str, float] = {}
@@ -284,7 +285,7 @@ class FolderWorker:
         """List what may be new in the folder; return whether it could be read."""
         now_s = self.clock.monotonic()
         try:
-            if self._stamps is None:
+            if not self._remembers:
                 self._remember()
             listed = list(self._listing.files(now_ns=int(1e9 * self.clock.now().timestamp())))
         except OSError as error:
@@ -361,7 +362,7 @@ class FolderWorker:
     def _remember(self) -> None:
         """Read which files were seen; those without a time are dated again, for the settings may have changed."""
         seen = self.camera.archive.seen_files
-        self._stamps = dict(seen.stamps(self.camera.name))
+        self._stamps, self._remembers = dict(seen.stamps(self.camera.name)), True
         self.images.repetitions.resume()
         newest = seen.newest(self.camera.name, limit=_NEWEST)
         if newest and newest[0].time is not None:
@@ -371,7 +372,7 @@ class FolderWorker:
 
     def _is_new(self, file: SourceFile) -> bool:
         name = file.name
-        seen = (self._stamps or {}).get(name)
+        seen = self._stamps.get(name)
         return seen != file.stamp and name not in self._ready and name not in self._late and name not in self._again
 
     def _first_listing(self, listed: Sequence[SourceFile], new: Sequence[SourceFile]) -> None:
@@ -385,7 +386,7 @@ class FolderWorker:
         if len(older) > _MANY:
             self.archive_of(older)
             for file in older:
-                (self._stamps or {})[file.name] = file.stamp
+                self._stamps[file.name] = file.stamp
         else:
             self._late.update((file.name, file) for file in older)
         self._prune({file.name for file in listed})
@@ -396,7 +397,7 @@ class FolderWorker:
 
     def _prune(self, present: set[str]) -> None:
         """Forget what is gone from a folder that has files: it would grow for ever."""
-        gone = [name for name in self._stamps or {} if name not in present]
+        gone = [name for name in self._stamps if name not in present]
         if not present or not gone:
             return
         try:
@@ -484,7 +485,7 @@ class FolderWorker:
 
     def _as_latest(self, name: str, finding: Finding) -> Finding:
         """Return why a file without a time is left out: one that is written over again and again is a copy."""
-        written_over = name in (self._stamps or {})
+        written_over = name in self._stamps
         others = self._newest is not None and self._newest[0] != name
         return Finding(_LATEST) if finding.code == "file_time_unknown" and written_over and others else finding
 
@@ -618,8 +619,7 @@ class FolderWorker:
             time=None if dated is None else dated.frame.time,
             code=code,
         )
-        if self._stamps is not None:
-            self._stamps[file.name] = file.stamp
+        self._stamps[file.name] = file.stamp
         try:
             self.camera.archive.seen_files.add([seen])
         except OutsideError as error:  # a restart looks at it again, to the same end

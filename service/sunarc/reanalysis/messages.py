@@ -11,6 +11,8 @@ _LEFT_OUT = "The image was left out; nothing is stored of it."
 
 _NO_SIGHTINGS = "Most of the last images gave no sighting."
 
+_NO_PICTURE = "No picture is taken; it is tried again at the next slot."
+
 MESSAGES = Messages(
     file_not_image=Message("{error}", _LEFT_OUT, "give a whole PNG, JPEG, TIFF or JPEG 2000 file of 8 or 16 bits"),
     file_truncated=Message("the file ends before its image does", _LEFT_OUT, "copy it again from its source"),
@@ -186,6 +188,46 @@ MESSAGES = Messages(
         "By day an image is expected at every cadence.",
         "check the program that writes them, its network, and the share",
     ),
+    http_unreachable=Message(
+        "{host} does not answer: {error}",
+        _NO_PICTURE,
+        "check http.url, the camera's power and network, and a firewall between",
+    ),
+    http_certificate=Message(
+        "the certificate of {host} is not accepted: {error}",
+        _NO_PICTURE,
+        "give the camera's certificate, or its authority's, as http.ca_file; check its name and this host's clock",
+    ),
+    http_denied=Message(
+        "{host} answers {status}: it asks for another user or password",
+        _NO_PICTURE,
+        "write USER:PASSWORD in one line of http.token_file, readable by the service",
+    ),
+    http_redirected=Message(
+        "{host} refers to another host, {location}",
+        "It is not followed, for it would be given the password.",
+        "set http.url to the address that the picture has",
+    ),
+    http_status=Message("{host} answers {status}", _NO_PICTURE, "check the path of http.url"),
+    http_no_picture=Message(
+        "{host} answers with no picture: {why}",
+        _NO_PICTURE,
+        "open http.url in a browser: it has to show a JPEG or PNG picture alone, no page and no video",
+    ),
+    http_too_large=Message(
+        "the answer of {host} is longer than {most} bytes, or has no end",
+        _NO_PICTURE,
+        "set http.url to a single picture, not to a stream (MJPEG)",
+    ),
+    http_too_many_pixels=Message(
+        "the picture has {width}x{height} px, more than {most} in all", _NO_PICTURE, "have the camera send smaller ones"
+    ),
+    http_stale=Message(
+        "the picture is {age_s:.0f} s old, as its headers state (Date, Last-Modified, Age)",
+        "It is left out: the sun stood elsewhere.",
+        "ask the camera itself, without a cache between; give the address of a live picture",
+    ),
+    http_refused=Message("the picture cannot be used: {why}", _NO_PICTURE, "{remedy}"),
     archive_in_work=Message(
         "{n} older images of the folder are analysed behind the live ones; {stored} sightings so far",
         "Their days are judged afterwards.",

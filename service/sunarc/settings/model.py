@@ -12,7 +12,7 @@ from sunarc.api.options import ApiOptions
 from sunarc.archive.database.connections import server_url
 from sunarc.archive.images import DiskOptions
 from sunarc.calibration.model.options import CalibrationOptions, WatchOptions
-from sunarc.cameras.options import AravisOptions, FolderOptions, ReplayOptions
+from sunarc.cameras.options import AravisOptions, FolderOptions, ReplayOptions, SnapshotOptions
 from sunarc.detection.values import DiscOptions
 from sunarc.imaging.exposure import SunExposureOptions
 from sunarc.runtime.supervisor import SupervisorOptions
@@ -66,7 +66,7 @@ class Settings(_WithStore):
     source : where frames come from.
     site : where the camera stands.
     camera : the GigE Vision camera.
-    folder : the folder that another program fills.
+    folder, http : the folder that another program fills, the picture at an address.
     replay : the folder to replay.
     sensor, detection : the sensor's properties, and limits of the detection.
     capture, sun_exposure : the cycle, and the control of its sun exposures.
@@ -88,10 +88,11 @@ class Settings(_WithStore):
     name: str = "imager"
     state: Path = Path("/var/lib/sunarc")
     store: str | None = None
-    source: Literal["aravis", "folder", "replay"] = "aravis"
+    source: Literal["aravis", "folder", "http", "replay"] = "aravis"
     site: Site
     camera: AravisOptions | None = None
     folder: FolderOptions | None = None
+    http: SnapshotOptions | None = None
     replay: ReplayOptions | None = None
     sensor: options.SensorOptions = options.SensorOptions()
     detection: DiscOptions = DiscOptions()
@@ -116,8 +117,8 @@ class Settings(_WithStore):
 
         The times of a folder's images come late, and out of order; those of a simulation are the only clock there is.
         """
-        if self.source == "folder":
-            return self.capture.speed != 1.0
+        if self.source in {"folder", "http"}:
+            return self.source == "folder" and self.capture.speed != 1.0
         return self.camera is None or self.camera.timestamps == "camera"
 
     @property
@@ -134,6 +135,11 @@ class Settings(_WithStore):
     def warm_pixels(self) -> Path:
         """The file of the warm pixels that the images of the night showed."""
         return self.state / "warm-pixels.json"
+
+    @property
+    def snapshots(self) -> Path:
+        """The folder of the last picture of a camera that is asked by HTTP."""
+        return self.state / "snapshots"
 
     @property
     def images(self) -> Path:

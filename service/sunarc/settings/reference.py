@@ -35,6 +35,7 @@ _FOR_PYTHON = (
     "folder.method",
     "folder.poll_s",
     "folder.settle_s",
+    "http.timeout_s",
     "supervisor.max_restarts",
     "supervisor.within_s",
 )

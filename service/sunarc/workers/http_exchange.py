@@ -36,6 +36,15 @@ class HttpRequest:
     proxy: urllib.parse.SplitResult | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class HttpAnswer:
+    """The status, headers (names in lower case, those of one name in lines) and beginning of the body of an answer."""
+
+    status: int
+    headers: Mapping[str, str]
+    body: bytes
+
+
 class UnfinishedError(Exception):
     """An exchange began, and did not end: it was cut off, or took longer than it may."""
 
@@ -87,7 +96,13 @@ class Limit:
 def exchange(
     request: HttpRequest, *, context: ssl.SSLContext | None, limit: Limit, most_bytes: int = 0
 ) -> tuple[int, bytes]:
-    """Send a request, and return the status and the beginning of the body of its answer.
+    """Send a request, and return the status and the beginning of the body of its answer; see `fetch`."""
+    answer = fetch(request, context=context, limit=limit, most_bytes=most_bytes)
+    return answer.status, answer.body
+
+
+def fetch(request: HttpRequest, *, context: ssl.SSLContext | None, limit: Limit, most_bytes: int = 0) -> HttpAnswer:
+    """Send a request, and return its answer.
 
     The limit holds for the whole of it, however slowly bytes come; a name that is not resolved takes as long as the
     host's resolver. `urllib` and `http.client` limit the time between two bytes alone.
@@ -125,21 +140,24 @@ def exchange(
             raise UnfinishedError(str(error)) from error
 
 
-def _answer(channel: socket.socket, events: list[h11.Event], limit: Limit, most_bytes: int) -> tuple[int, bytes]:
+def _answer(channel: socket.socket, events: list[h11.Event], limit: Limit, most_bytes: int) -> HttpAnswer:
     connection = h11.Connection(h11.CLIENT, max_incomplete_event_size=_PART_BYTES)
     with suppress(BrokenPipeError, ConnectionResetError):  # who refuses early may close before all is read
         limit.write(channel, b"".join(connection.send(event) or b"" for event in events))
-    status, body = 0, b""
+    status, body, headers = 0, bytearray(), dict[str, str]()
     while True:
         event = connection.next_event()
         if event is h11.NEED_DATA:
             connection.receive_data(limit.read(channel))
         elif isinstance(event, h11.Response):
             status = event.status_code
+            for name, value in event.headers:
+                key = name.decode("latin-1").lower()
+                headers[key] = "\n".join([*([headers[key]] if key in headers else []), value.decode("latin-1")])
         elif isinstance(event, h11.Data):
             body += event.data
         if status and (isinstance(event, h11.EndOfMessage) or len(body) >= most_bytes):
-            return status, body[:most_bytes]
+            return HttpAnswer(status, headers, bytes(body[:most_bytes]))
 
 
 def connected(request: HttpRequest, context: ssl.SSLContext | None, limit: Limit) -> socket.socket:
@@ -177,6 +195,6 @@ def _reached(host: str, port: int, limit: Limit) -> socket.socket:
 def _open_tunnel(channel: socket.socket, target: str, limit: Limit) -> None:
     """Ask a proxy to pass on what is sent to a host and port."""
     events: list[h11.Event] = [h11.Request(method="CONNECT", target=target, headers=[("host", target)])]
-    status, _ = _answer(channel, [*events, h11.EndOfMessage()], limit, 0)
+    status = _answer(channel, [*events, h11.EndOfMessage()], limit, 0).status
     if status != 200:
         raise OSError(f"the proxy answers {status}")

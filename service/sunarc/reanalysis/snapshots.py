@@ -1,0 +1,327 @@
+"""The source of images that is a camera's picture at an address: asked for at every slot, checked, stored."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import io
+import logging
+import ssl
+import threading
+import urllib.parse
+import urllib.request
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass
+from datetime import datetime, timedelta
+from email.utils import parsedate_to_datetime
+from pathlib import Path
+from typing import NamedTuple
+
+import h11
+from PIL import Image as Pictures
+
+from sunarc.archive.images import ImageStore, write_atomically
+from sunarc.cameras.frame import Frame
+from sunarc.cameras.options import SnapshotOptions
+from sunarc.errors import ConfigurationError, InputError, OutsideError
+from sunarc.findings import Finding
+from sunarc.reanalysis.image_files import image_of, image_size
+from sunarc.reanalysis.image_times import exif_time
+from sunarc.reanalysis.live_images import LiveImage, LiveImages
+from sunarc.reanalysis.messages import MESSAGES
+from sunarc.reanalysis.nights import frame_of
+from sunarc.reanalysis.sources import Folder
+from sunarc.runtime.clock import Clock
+from sunarc.runtime.loop import DropOldestQueue, Loop
+from sunarc.runtime.status import CameraStatus, CaptureStatus, Reason, StatusRegistry
+from sunarc.workers.clock_watch import FrameTime
+from sunarc.workers.http_exchange import HttpAnswer, HttpRequest, Limit, UnfinishedError, fetch
+from sunarc.workers.messages import condition
+from sunarc.workers.night.exposures import DARK_ZENITH_DEG
+from sunarc.workers.options import CaptureOptions
+
+_log = logging.getLogger(__name__)
+_MOST_BYTES = 32_000_000
+_MOST_PIXELS = 100_000_000
+_MOST_REDIRECTS = 3
+_SUFFIXES = {"JPEG": "jpg", "MPO": "jpg", "PNG": "png"}
+_REDIRECTS = frozenset({301, 302, 303, 307, 308})
+_STALE_S = 60.0
+"""A picture that is older is not one of the moment of the request."""
+
+
+class Snapshot(NamedTuple):
+    """A picture: its content, the kind of its file ("jpg", "png"), the middle of the request, and half its duration."""
+
+    content: bytes
+    suffix: str
+    time: datetime
+    within_s: float
+
+
+class SnapshotClient:
+    """Asks a camera for its picture, and refuses what is none.
+
+    Parameters
+    ----------
+    options : the address, and how it is asked.
+    clock : dates the request, and limits it.
+
+    Raises
+    ------
+    ConfigurationError : a file of the options cannot be read, or is none.
+    """
+
+    def __init__(self, options: SnapshotOptions, clock: Clock) -> None:
+        self._options, self._clock = options, clock
+        self._url = urllib.parse.urlsplit(options.url)
+        self._login = _login(options.token_file)
+        self._context = _context(options) if self._url.scheme == "https" else None
+        self.host = self._url.hostname or ""
+
+    def picture(self, heartbeat: Callable[[], None] = lambda: None) -> Snapshot | Finding:
+        """Return the picture of now, or the finding why there is none."""
+        requested, began_s = self._clock.now(), self._clock.monotonic()
+        limit = Limit(self._options.timeout_s, monotonic=self._clock.monotonic, heartbeat=heartbeat)
+        try:
+            answer = self._answer(limit)
+        except ssl.SSLCertVerificationError as error:
+            return Finding("http_certificate", {"host": self.host, "error": error.verify_message})
+        except (OSError, UnfinishedError, h11.ProtocolError) as error:
+            return Finding("http_unreachable", {"host": self.host, "error": str(error) or type(error).__name__})
+        if isinstance(answer, Finding):
+            return answer
+        half_s = (self._clock.monotonic() - began_s) / 2.0
+        return self._checked(answer, requested + timedelta(seconds=half_s), half_s)
+
+    def _answer(self, limit: Limit) -> HttpAnswer | Finding:
+        """Return the answer with the picture: after what the camera asks for, and redirects on the same host."""
+        url, login = self._url, dict[str, str]()
+        asked = False
+        for _ in range(_MOST_REDIRECTS + 2):
+            request = HttpRequest(method="GET", url=url, headers={"accept": "image/*", **login}, body=b"")
+            answer = fetch(request, context=self._context, limit=limit, most_bytes=_MOST_BYTES + 1)
+            if answer.status == 401 and self._login is not None and not asked:
+                challenges = answer.headers.get("www-authenticate", "").splitlines()
+                login, asked = {"authorization": self._authorization(url, challenges)}, True
+            elif answer.status in _REDIRECTS:
+                target = urllib.parse.urlsplit(urllib.parse.urljoin(url.geturl(), answer.headers.get("location", "")))
+                if (target.scheme, target.netloc) != (url.scheme, url.netloc):
+                    where = f"{target.scheme}://{target.hostname}"
+                    return Finding("http_redirected", {"host": self.host, "location": where})
+                url, asked = target, False
+            else:
+                return self._accepted(answer)
+        return Finding("http_status", {"host": self.host, "status": answer.status})
+
+    def _accepted(self, answer: HttpAnswer) -> HttpAnswer | Finding:
+        if answer.status in {401, 403}:
+            return Finding("http_denied", {"host": self.host, "status": answer.status})
+        if answer.status != 200:
+            return Finding("http_status", {"host": self.host, "status": answer.status})
+        if len(answer.body) > _MOST_BYTES:
+            return Finding("http_too_large", {"host": self.host, "most": _MOST_BYTES})
+        return answer
+
+    def _authorization(self, url: urllib.parse.SplitResult, challenges: Sequence[str]) -> str:
+        """Return the answer to the challenges of a camera: Digest (RFC 7616, MD5 or SHA) before Basic."""
+        user, password = self._login or ("", "")
+        digest = next((one for one in challenges if one.lower().startswith("digest ")), None)
+        if digest is None:
+            return f"Basic {base64.b64encode(f'{user}:{password}'.encode()).decode()}"
+        manager = urllib.request.HTTPPasswordMgrWithDefaultRealm()
+        manager.add_password(None, url.geturl(), user, password)
+        handler = urllib.request.HTTPDigestAuthHandler(manager)
+        parts = urllib.request.parse_keqv_list(urllib.request.parse_http_list(digest.partition(" ")[2]))
+        request = urllib.request.Request(url.geturl())  # noqa: S310 - it is not opened
+        try:
+            return f"Digest {handler.get_authorization(request, parts)}"
+        except (ValueError, KeyError) as error:
+            raise OSError(f"its challenge is not understood ({error})") from None
+
+    def _checked(self, answer: HttpAnswer, time: datetime, half_s: float) -> Snapshot | Finding:
+        content = answer.body
+        try:
+            with Pictures.open(io.BytesIO(content), formats=("JPEG", "PNG")) as picture:
+                (width, height), suffix = picture.size, _SUFFIXES[str(picture.format)]
+        except Pictures.DecompressionBombError:
+            width = height = 1 << 16
+            suffix = ""
+        except (OSError, ValueError, SyntaxError, KeyError):
+            kind = answer.headers.get("content-type", "no content type").partition(";")[0]
+            return Finding("http_no_picture", {"host": self.host, "why": f"{len(content)} bytes of {kind}"})
+        if width * height > _MOST_PIXELS:
+            return Finding("http_too_many_pixels", {"width": width, "height": height, "most": _MOST_PIXELS})
+        age_s = _age_s(answer.headers, content, time)
+        if age_s > _STALE_S:
+            return Finding("http_stale", {"age_s": age_s})
+        return Snapshot(content, suffix, time, half_s)
+
+
+def _login(file: Path | None) -> tuple[str, str] | None:
+    if file is None:
+        return None
+    try:
+        user, colon, password = file.read_text("utf-8").strip().partition(":")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"http.token_file {file}: {error}") from error
+    if not user or not colon:
+        raise ConfigurationError(f"http.token_file {file}: is not USER:PASSWORD in one line")
+    return user, password
+
+
+def _context(options: SnapshotOptions) -> ssl.SSLContext:
+    context = ssl.create_default_context()
+    if options.ca_file is not None:
+        try:
+            context.load_verify_locations(options.ca_file)
+        except (OSError, ssl.SSLError) as error:
+            raise ConfigurationError(f"http.ca_file {options.ca_file}: {error}") from error
+    return context
+
+
+def _age_s(headers: Mapping[str, str], content: bytes, now: datetime) -> float:
+    """Return how old a picture is by what is stated of it, the oldest: a cache's Age, Last-Modified, or EXIF.
+
+    Last-Modified is compared with Date, which is of the same clock; EXIF counts where it has a zone.
+    """
+    ages = [0.0]
+    age = headers.get("age", "")
+    if age.isdecimal():
+        ages.append(float(age))
+    date, modified = _http_date(headers.get("date")), _http_date(headers.get("last-modified"))
+    if date is not None and modified is not None:
+        ages.append((date - modified).total_seconds())
+    taken = exif_time(io.BytesIO(content))
+    if taken is not None and taken.tzinfo is not None:
+        ages.append(((date or now) - taken).total_seconds())
+    return max(ages)
+
+
+def _http_date(text: str | None) -> datetime | None:
+    try:
+        found = None if text is None else parsedate_to_datetime(text)
+    except ValueError:
+        return None
+    return found if found is None or found.tzinfo is not None else None
+
+
+CODES = (
+    *("http_unreachable", "http_certificate", "http_denied", "http_redirected", "http_status", "http_no_picture"),
+    *("http_too_large", "http_too_many_pixels", "http_stale", "http_refused"),
+)
+"""Conditions of a camera that gives no picture, one at a time."""
+_LEAD_S = 0.05
+
+
+@dataclass(eq=False)
+class SnapshotWorker:
+    """Takes a picture at every slot, by day at `capture.cadence_s`, else at `capture.night_cadence_s`.
+
+    Parameters
+    ----------
+    options : the camera's address.
+    capture : the cadences, and down to where the sun is looked for.
+    name : the camera's, on the board.
+    images : looks for the sun.
+    clock, frame_time : the host's, which dates the pictures.
+    apparent_zenith : the sun's, degrees.
+    store : keeps pictures where they are to be kept.
+    last : folder of the last picture, where they are not.
+    board : where the camera's state is shown.
+    night : takes the pictures of the night; None: they are a sign of life.
+    """
+
+    options: SnapshotOptions
+    _: KW_ONLY
+    capture: CaptureOptions
+    name: str
+    images: LiveImages
+    clock: Clock
+    frame_time: FrameTime
+    apparent_zenith: Callable[[datetime], float]
+    store: ImageStore
+    last: Path
+    board: StatusRegistry
+    night: DropOldestQueue[Frame] | None = None
+
+    def __post_init__(self) -> None:
+        """Begin without a picture."""
+        self._client = SnapshotClient(self.options, self.clock)
+        self._n_frames = 0
+        self.within_s = 0.0
+        self.newest_picture: Path | None = None
+
+    def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
+        """Take pictures until stopped."""
+        loop = Loop(self.clock, stop, heartbeat)
+        for _ in loop.turns():
+            daylight = self.apparent_zenith(self.frame_time.now()) < self.capture.sun_zenith_deg
+            slot = self.frame_time.next_slot(
+                every_s=self.capture.cadence_s if daylight else self.capture.night_cadence_s
+            )
+            if not loop.wait(self.frame_time.real_seconds_until(slot)):
+                self.take(heartbeat)
+
+    def take(self, heartbeat: Callable[[], None] = lambda: None) -> None:
+        """Take a picture, look at it and store what is found."""
+        found = self._client.picture(heartbeat)
+        if isinstance(found, Finding):
+            self._show(found)
+            self.board.note(camera=CameraStatus(name=self.name, connected=False, address=self._client.host))
+            return
+        self.board.note(camera=CameraStatus(name=self.name, connected=True, address=self._client.host))
+        try:
+            left_out = self._look_at(found)
+        except OutsideError as error:
+            stored = condition("sightings_not_stored", waiting=0, lost=1, error=str(error))
+            self.board.set_condition("sightings_not_stored", stored)
+            return
+        self.board.set_condition("sightings_not_stored", None)
+        repeated = left_out is not None and left_out.code == "frame_repeated"
+        self._show(None if left_out is None or repeated else _refused(left_out))
+
+    def _look_at(self, found: Snapshot) -> Finding | None:
+        """Look at a picture, and return why it is left out; None where it is not."""
+        path = self._written(found)
+        self._n_frames += 1
+        self.within_s = found.within_s
+        self.board.note(last_frame_at=found.time, capture=CaptureStatus(frames=self._n_frames))
+        self.newest_picture = path
+        source, zenith = Folder(str(path.parent)), self.apparent_zenith(found.time)
+        if zenith < self.capture.sun_zenith_deg:
+            content = hashlib.blake2b(found.content, digest_size=16).hexdigest()
+            try:
+                size = image_size(source, path.name)
+                self.images.register([] if size is None else [size])
+                return self.images.take(source.address, [LiveImage(path.name, path.name, found.time, None, content)])[0]
+            except InputError as error:
+                return Finding("file_not_image", {"error": str(error)})
+        if self.night is not None and zenith >= DARK_ZENITH_DEG:
+            pixels = image_of(source, path.name, size=self.images.size)
+            if isinstance(pixels, Finding):
+                return pixels
+            self.night.put(frame_of(pixels, found.time.timestamp(), None, self._n_frames))
+        return None
+
+    def _written(self, found: Snapshot) -> Path:
+        """Write a picture where it is kept, or where the next one takes its place; return its path."""
+        kind = f"hdr.{found.suffix}"
+        if self.options.keep_images:
+            return self.store.write(found.time, found.content, kind=kind)
+        path = self.last / self.store.path(found.time, kind=kind).name
+        try:
+            write_atomically(path, found.content)
+            for one in self.last.iterdir():
+                if one != path:
+                    one.unlink(missing_ok=True)
+        except OSError as error:
+            raise OutsideError(f"picture {path.name} could not be written: {error.strerror or error}") from error
+        return path
+
+    def _show(self, finding: Finding | None) -> None:
+        self.board.set_one_condition(CODES, None if finding is None else Reason.of(finding, MESSAGES))
+
+
+def _refused(finding: Finding) -> Finding:
+    return Finding("http_refused", {"why": MESSAGES.text_of(finding), "remedy": MESSAGES.remedy_of(finding)})

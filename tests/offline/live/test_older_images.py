@@ -1,0 +1,53 @@
+"""Many older images are analysed by `ingest`, in a process of its own, behind the live ones."""
+
+from __future__ import annotations
+
+import os
+import threading
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from tests.offline.live.followed import Followed
+from tests.offline.live.test_folder import allsky, shot
+
+from sunarc.reanalysis import folder_worker
+
+MORNING = datetime(2025, 5, 13, 15, 0, tzinfo=UTC)
+
+pytestmark = [pytest.mark.slow]
+
+
+def test_many_older_images_wait_for_the_archive_and_live_ones_do_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(folder_worker, "_MANY", 5)
+    followed = Followed(tmp_path, MORNING)
+    older = [MORNING - timedelta(days=1, minutes=-10 * n) for n in range(8)]
+    for time in older:
+        path = followed.write(allsky(time), shot(time))
+        os.utime(path, (time.timestamp(), time.timestamp()))
+    followed.turn()
+    behind = followed.service.folder_archive
+    assert behind is not None
+    assert [behind.is_busy] == [True]
+    live = followed.clock.now().replace(microsecond=0)
+    followed.write(allsky(live), shot(live))
+    followed.turn()
+    assert [point.time for point in followed.points()] == [live]
+    followed.service.judge_completed_days()
+    assert followed.service.archive.days.find("roof") == ()  # yesterday's images are still to come
+    assert behind.step(threading.Event(), lambda: None)
+    assert [point.time for point in followed.points()] == [*older, live]
+    assert followed.codes() == set()
+    assert [behind.is_busy] == [False]
+    followed.service.judge_completed_days()
+    (day,) = followed.service.archive.days.find("roof")
+    assert day.n_observed == 8
+    followed.close()
+    again = Followed(tmp_path, followed.clock.now())
+    again.turn()
+    assert again.service.folder_archive is not None
+    assert not again.service.folder_archive.is_busy
+    assert len(again.points()) == 9
+    again.close()

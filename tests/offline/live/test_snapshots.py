@@ -1,0 +1,273 @@
+"""A camera that is asked by HTTP: its pictures are dated by this host, and what is no picture of now is refused."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import ssl
+import struct
+import subprocess
+import threading
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from datetime import UTC, datetime, timedelta
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.fixtures.settings import new_settings
+from tests.offline.live.followed import never
+from tests.offline.live.sky_pictures import Lens, jpeg, picture, sun_at
+
+from sunarc.app.service import Service
+from sunarc.archive.archive import open_archive
+from sunarc.archive.database.schema import upgrade
+from sunarc.cameras.options import SnapshotOptions
+from sunarc.errors import InputError
+from sunarc.runtime.clock import VirtualClock
+
+MORNING = datetime(2025, 5, 13, 15, 0, tzinfo=UTC)
+LENS = Lens()
+Answer = Callable[[BaseHTTPRequestHandler], None]
+
+
+def sent(content: bytes, kind: str = "image/jpeg", **headers: str) -> Answer:
+    def answer(request: BaseHTTPRequestHandler) -> None:
+        request.send_response_only(200)
+        for name, value in {"Content-Type": kind, "Content-Length": str(len(content)), **headers}.items():
+            request.send_header(name.replace("_", "-"), value)
+        request.end_headers()
+        request.wfile.write(content)
+
+    return answer
+
+
+class Camera:
+    """A camera's web server on loopback, whose answer is set."""
+
+    def __init__(self, certificate: Path | None = None) -> None:
+        camera = self
+
+        class Handler(BaseHTTPRequestHandler):
+            def do_GET(self) -> None:
+                camera.asked.append((self.path, self.headers.get("Authorization")))
+                with suppress(BrokenPipeError, ConnectionResetError):
+                    camera.answer(self)
+
+            def log_message(self, *_: object) -> None:
+                pass
+
+        self.asked: list[tuple[str, str | None]] = []
+        self.answer: Answer = sent(b"")
+        self.server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        if certificate is not None:
+            context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+            context.load_cert_chain(certificate)
+            self.server.socket = context.wrap_socket(self.server.socket, server_side=True)
+        threading.Thread(target=self.server.serve_forever, kwargs={"poll_interval": 0.05}, daemon=True).start()
+
+    @property
+    def port(self) -> int:
+        return int(self.server.server_address[1])
+
+    def close(self) -> None:
+        self.server.shutdown()
+        self.server.server_close()
+
+
+@pytest.fixture
+def camera() -> Iterator[Camera]:
+    made = Camera()
+    yield made
+    made.close()
+
+
+class Asked:
+    """A service that asks a camera, in virtual time."""
+
+    def __init__(self, base: Path, url: str, **options: object) -> None:
+        settings = new_settings(base, source="http", http={"url": url, **options})
+        upgrade(settings.database)
+        self.clock = VirtualClock(MORNING)
+        archive = open_archive(settings.archive)
+        self.service = Service(settings, archive=archive, clock=self.clock, open_camera=never)  # type: ignore[arg-type]
+
+    def take(self) -> None:
+        assert self.service.snapshots is not None
+        self.service.snapshots.take()
+        self.clock.advance(30.0)
+
+    def codes(self) -> set[str]:
+        return {reason.code for reason in self.service.board.snapshot().reasons}
+
+
+@pytest.fixture
+def asked(tmp_path: Path, camera: Camera) -> Iterator[Asked]:
+    made = Asked(tmp_path, f"http://127.0.0.1:{camera.port}/snapshot.jpg")
+    yield made
+    made.service.archive.close()
+
+
+def shot(time: datetime) -> bytes:
+    return jpeg(picture(time, LENS, np.random.default_rng(int(time.timestamp()))))
+
+
+def test_pictures_are_dated_by_the_host_and_stored(asked: Asked, camera: Camera, tmp_path: Path) -> None:
+    for _ in range(3):
+        camera.answer = sent(shot(asked.clock.now()))
+        asked.take()
+    points = asked.service.archive.sightings.find("roof")
+    assert [point.time for point in points] == [MORNING + timedelta(seconds=30 * n) for n in range(3)]
+    assert {point.verdict for point in points} == {"clear"}
+    assert {point.clock_error_s for point in points} == {1.02}  # the host's 0.02 s and what is stated
+    for point in points:
+        assert (point.x_px, point.y_px) == pytest.approx(LENS.pixel(*sun_at(point.time)), abs=0.5)
+    assert asked.codes() == set()
+    assert [path.name for path in (tmp_path / "state" / "snapshots").iterdir()] == ["20250513T150100.000Z_hdr.jpg"]
+    assert not list((tmp_path / "state").glob("images/*/*/*/*"))
+
+
+def test_pictures_are_kept_where_that_is_set(camera: Camera, tmp_path: Path) -> None:
+    asked = Asked(tmp_path, f"http://127.0.0.1:{camera.port}/", keep_images=True)
+    camera.answer = sent(shot(MORNING))
+    asked.take()
+    (kept,) = (tmp_path / "state").glob("images/*/*/*/*")
+    assert kept.read_bytes() == shot(MORNING)
+    assert asked.service.latest_image() == kept
+    asked.service.archive.close()
+
+
+def endless(request: BaseHTTPRequestHandler) -> None:
+    request.send_response_only(200)
+    request.end_headers()
+    while True:
+        request.wfile.write(bytes(1 << 20))
+
+
+def status(code: int, **headers: str) -> Answer:
+    def answer(request: BaseHTTPRequestHandler) -> None:
+        request.send_response_only(code)
+        for name, value in {"Content-Length": "0", **headers}.items():
+            request.send_header(name.replace("_", "-"), value)
+        request.end_headers()
+
+    return answer
+
+
+def bomb(side: int) -> bytes:
+    """Return the PNG of a black square: some kB that would be gigabytes."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    header = struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0)
+    return (
+        b"\x89PNG\r\n\x1a\n"
+        + chunk(b"IHDR", header)
+        + chunk(b"IDAT", zlib.compress(bytes(1 << 16)))
+        + chunk(b"IEND", b"")
+    )
+
+
+OLD = {"Date": "Tue, 13 May 2025 15:00:00 GMT", "Last_Modified": "Tue, 13 May 2025 14:00:00 GMT"}
+
+
+@pytest.mark.parametrize(
+    ("answer", "code"),
+    [
+        (sent(b"<html>log in</html>", "text/html"), "http_no_picture"),
+        (sent(b""), "http_no_picture"),
+        (endless, "http_too_large"),
+        (status(401, WWW_Authenticate='Basic realm="camera"'), "http_denied"),
+        (status(404), "http_status"),
+        (status(302, Location="http://elsewhere.example/snapshot.jpg"), "http_redirected"),
+        (sent(bomb(11_000)), "http_too_many_pixels"),
+        (sent(bomb(60_000)), "http_too_many_pixels"),
+        (sent(shot(MORNING), **OLD), "http_stale"),
+        (sent(shot(MORNING), Age="3000"), "http_stale"),
+        (sent(shot(MORNING)[:4000]), "http_refused"),
+        (lambda request: request.connection.close(), "http_unreachable"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::PIL.Image.DecompressionBombWarning")
+def test_what_is_no_picture_of_now_is_a_condition_until_there_is_one(
+    asked: Asked, camera: Camera, answer: Answer, code: str
+) -> None:
+    camera.answer = answer
+    asked.take()
+    assert asked.codes() == {code}
+    assert [p for p in asked.service.archive.sightings.find("roof") if p.accepted] == []
+    camera.answer = sent(shot(asked.clock.now()))
+    asked.take()
+    assert asked.codes() == set()
+    assert [point.verdict for point in asked.service.archive.sightings.find("roof")] == ["clear"]
+
+
+def test_a_camera_that_serves_one_picture_for_an_hour_is_frozen(asked: Asked, camera: Camera) -> None:
+    camera.answer = sent(shot(MORNING))
+    for _ in range(6):
+        asked.take()
+    assert [point.verdict for point in asked.service.archive.sightings.find("roof")] == ["clear"] + 5 * ["frozen"]
+    assert asked.codes() == {"camera_frozen"}
+
+
+def test_basic_and_digest_are_answered_with_the_login_of_a_file_and_never_before(
+    camera: Camera, tmp_path: Path
+) -> None:
+    (tmp_path / "login").write_text("owner:secret:1\n")
+    asked = Asked(tmp_path, f"http://127.0.0.1:{camera.port}/a?b=1", token_file=tmp_path / "login")
+
+    def basic(request: BaseHTTPRequestHandler) -> None:
+        right = request.headers.get("Authorization") == "Basic " + base64.b64encode(b"owner:secret:1").decode()
+        (sent(shot(MORNING)) if right else status(401, WWW_Authenticate='Basic realm="c"'))(request)
+
+    def digest(request: BaseHTTPRequestHandler) -> None:
+        given = request.headers.get("Authorization") or ""
+        fields = dict(part.strip().split("=", 1) for part in given.removeprefix("Digest ").split(",") if "=" in part)
+        at = {name: value.strip('"') for name, value in fields.items()}
+        first = hashlib.md5(b"owner:c:secret:1").hexdigest()  # noqa: S324 - as cameras ask
+        second = hashlib.md5(b"GET:/a?b=1").hexdigest()  # noqa: S324
+        text = ":".join([first, "n1", at.get("nc", ""), at.get("cnonce", ""), "auth", second])
+        right = at.get("response") == hashlib.md5(text.encode()).hexdigest()  # noqa: S324
+        challenge = 'Digest realm="c", nonce="n1", qop="auth", algorithm=MD5'
+        (sent(shot(MORNING + timedelta(seconds=30))) if right else status(401, WWW_Authenticate=challenge))(request)
+
+    for answer in (basic, digest):
+        camera.asked.clear()
+        camera.answer = answer
+        asked.take()
+        assert [given is None for _, given in camera.asked] == [True, False]
+    assert [point.verdict for point in asked.service.archive.sightings.find("roof")] == ["clear", "clear"]
+    camera.answer = status(401, WWW_Authenticate='Basic realm="c"')
+    asked.take()
+    assert asked.codes() == {"http_denied"}
+    asked.service.archive.close()
+
+
+def test_a_certificate_is_verified_and_the_cameras_own_can_be_named(tmp_path: Path) -> None:
+    both = tmp_path / "camera.pem"
+    command = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "9", "-subj", "/CN=127.0.0.1"]
+    command += ["-addext", "subjectAltName=IP:127.0.0.1", "-keyout", str(both), "-out", str(tmp_path / "own.pem")]
+    subprocess.run(command, check=True, capture_output=True)
+    both.write_bytes(both.read_bytes() + (tmp_path / "own.pem").read_bytes())
+    camera = Camera(both)
+    camera.answer = sent(shot(MORNING))
+    codes = []
+    for base, options in (("a", {}), ("b", {"ca_file": tmp_path / "own.pem"})):
+        (tmp_path / base).mkdir()
+        asked = Asked(tmp_path / base, f"https://127.0.0.1:{camera.port}/", **options)
+        asked.take()
+        codes.append(asked.codes())
+        asked.service.archive.close()
+    camera.close()
+    assert codes == [{"http_certificate"}, set()]
+
+
+@pytest.mark.parametrize("url", ["ftp://camera/", "http://", "http://user:secret@camera/", "http://ca mera/", "camera"])
+def test_an_address_that_is_none_is_refused(url: str) -> None:
+    with pytest.raises(InputError) as refused:
+        SnapshotOptions(url=url)
+    assert refused.value.field == "http.url"
+    assert "secret" not in str(refused.value)
