@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import sys
+import threading
 from io import StringIO
 
 import pytest
 from rich.console import Console
 
-from sunarc.cli.options import parse_image_size, table
+from sunarc.cli.options import parse_image_size, progress_bars, table
 from sunarc.errors import InputError
+from sunarc.runtime.clock import SystemClock
 
 ID = "20130514T063000Z-ab12cd"
 
@@ -42,6 +45,33 @@ def test_nothing_and_numbers() -> None:
     out = shown(["a", None, 1.23456, 7, True], width=80)
     assert "1.235" in out
     assert "None" not in out
+
+
+def test_a_table_of_epochs_is_whole_on_80_columns() -> None:
+    columns = ("epoch", "cause", "from, to", "clock\ns", "suns", "RMSE\npx", "sky\n°", "ok")
+    row = ("roof-west 001", "moved", "2024-05-10T06:34\n2024-05-12T15:06", "+3600", 12345, "0.14", "0.15", "yes")
+    out = StringIO()
+    Console(file=out, width=80, soft_wrap=True).print(table(columns, [row]))
+    lines = out.getvalue().splitlines()
+    assert max(map(len, lines)) <= 80
+    assert len(lines) == 7  # no cell is broken
+    assert "2024-05-10T06:34" in lines[4]
+
+
+def test_without_a_terminal_the_latest_progress_is_a_line_at_an_interval(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: False)
+    with progress_bars(every_s=0.02) as note:
+        note("searching", 64, 500)
+        note("searching", 128, 500)
+        SystemClock().wait(threading.Event(), 0.3)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines.count("searching: 128 of 500") >= 2
+    assert "searching: 64 of 500" not in lines
+    with progress_bars(every_s=60.0) as note:
+        note("searching", 1, 2)
+    assert capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize(("text", "size"), [("1748,1600", (1748, 1600)), (" 1 , 2 ", (1, 2))])

@@ -11,6 +11,7 @@ from tests.offline.reanalysis.in_process import InProcess, use
 from tests.offline.sources.archives import GREY, encoded, folder_of
 
 from sunarc.cli import reanalyse as command
+from sunarc.reanalysis.index import Indexed
 from sunarc.reanalysis.results import Summary
 
 __all__ = ["sunarc"]
@@ -94,3 +95,25 @@ def test_a_source_without_an_image_that_can_be_used_exits_1_beside_an_accepted_c
         asked = [str(one) for one in sources]
         answer = sunarc("reanalyse", *asked, *SITE, "-o", str(tmp_path / "out"), "--yes", "--json")
         assert answer.code == expected
+
+
+def test_a_pattern_is_for_one_camera_or_for_all(
+    sunarc: Sunarc, images: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = folder_of({"day133 at 1801 of 2013.png": encoded(GREY, ".png")}, tmp_path / "mast")
+    report: dict[str, object] = {"cameras": []}
+    seen = []
+
+    def note(indexed: Indexed, *_: object, **__: object) -> Summary:
+        seen.append({one.plan.name: one.example[1] for one in indexed.cameras})
+        return Summary(report=report | {"failures": {}, "seconds": 0.0}, documents={})
+
+    monkeypatch.setattr(command, "reanalyse", note)
+    asked = ("reanalyse", str(images), str(other), *SITE, "--utc-offset", "0", "-o", str(tmp_path / "out"), "--yes")
+    sunarc(*asked, "--time-pattern", "mast=day%j at %H%M of %Y")
+    sunarc(*asked, "--time-pattern", "mast=day%j at %H%M of %Y", "--time-pattern", "%Y%m%dT%H%M%SZ")
+    expected = {"roof": "2013-05-13T18:00:00Z", "mast": "2013-05-13T18:01:00Z"}
+    assert seen == [expected, expected]
+    for wrong in (("--time-pattern", "hut=%Y"), ("--time-pattern", "%Y", "--time-pattern", "%j")):
+        answer = sunarc(*asked, *wrong)
+        assert (answer.code, answer.err.splitlines()[-1].startswith("sunarc: --time-pattern: ")) == (2, True)

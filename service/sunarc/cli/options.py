@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from sunarc.errors import InputError
+from sunarc.runtime.clock import SystemClock
 
 SITE = "Where the camera stands"
 """Heading of the site's options in `--help`."""
@@ -90,12 +92,20 @@ def print_table(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     Console(soft_wrap=True).print(table(columns, rows))
 
 
+_LINE_S = 60.0
+"""Between lines of progress where there is no terminal."""
+
+
 @contextmanager
-def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
-    """Give the function that draws a bar for each stage; it draws none where standard error is no terminal."""
+def progress_bars(*, every_s: float = _LINE_S) -> Iterator[Callable[[str, int, int], None]]:
+    """Give the function that draws a bar for each stage; a line a minute where standard error is no terminal."""
+    if not sys.stderr.isatty():
+        with _progress_lines(every_s) as note:
+            yield note
+        return
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     console = Console(stderr=True, soft_wrap=True)
-    with Progress(*columns, console=console, disable=not sys.stderr.isatty()) as bars:
+    with Progress(*columns, console=console) as bars:
         tasks = {}
 
         def update(stage: str, done: int, total: int) -> None:
@@ -104,6 +114,27 @@ def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
             bars.update(tasks[stage], completed=done, total=total)
 
         yield update
+
+
+@contextmanager
+def _progress_lines(every_s: float) -> Iterator[Callable[[str, int, int], None]]:
+    """Give the function that notes how far a stage is; a thread writes the latest note, also while a stage lasts."""
+    ended, latest, clock = threading.Event(), ["beginning"], SystemClock()
+
+    def note(stage: str, done: int, total: int) -> None:
+        latest[0] = f"{stage}: {done} of {total}"
+
+    def write() -> None:
+        while not clock.wait(ended, every_s):
+            print(latest[0], file=sys.stderr, flush=True)
+
+    writer = threading.Thread(target=write, name="progress", daemon=True)
+    writer.start()
+    try:
+        yield note
+    finally:
+        ended.set()
+        writer.join(timeout=1.0)
 
 
 def parse_image_size(text: str) -> tuple[int, int]:

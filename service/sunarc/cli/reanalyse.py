@@ -54,7 +54,10 @@ def reanalyse_archive(
     cameras: Annotated[
         Path | None, typer.Option(help="TOML: whose each file is, where each camera stands, how its times are read.")
     ] = None,
-    time_pattern: Annotated[str | None, typer.Option(help="strptime pattern of the names, without suffix.")] = None,
+    time_pattern: Annotated[
+        list[str] | None,
+        typer.Option(help="strptime pattern of the names, without suffix; CAMERA=PATTERN for one camera. Repeat it."),
+    ] = None,
     utc_offset: Annotated[
         str | None,
         typer.Option(help="How far times without a zone are ahead of UTC: hours, 0, or a zone as Europe/Berlin."),
@@ -82,12 +85,16 @@ def reanalyse_archive(
         name="camera",
         site=_site(latitude, longitude, altitude, cameras),
         selector=Selector(tuple(sources or ())),
-        rules=TimeRules(time_pattern, None if utc_offset is None else utc_offset_of(utc_offset, field="--utc-offset")),
+        rules=TimeRules(
+            _common_pattern(time_pattern),
+            None if utc_offset is None else utc_offset_of(utc_offset, field="--utc-offset"),
+        ),
         image_size=None if image_size is None else parse_image_size(image_size),
         method=choice_of("--method", method, METHODS),
         options=CalibrationOptions(mirrored=choice_of("--mirrored", mirrored, ("no", "yes", "auto"))),
     )
     plans = _plans(common) if cameras is None else read_cameras(cameras, common=common)
+    plans = _with_patterns(plans, time_pattern or [])
     indexed = index_archive(plans)
     _confirm(indexed, yes=yes)
     options = ReanalysisOptions(
@@ -122,6 +129,36 @@ def _plans(common: CameraPlan) -> list[CameraPlan]:
             name += "-2"
         plans[name] = replace(common, name=name, selector=Selector((address,)))
     return list(plans.values())
+
+
+def _pattern_of(given: str) -> tuple[str, str]:
+    """Return the camera that a pattern is for, "" for all, and the pattern."""
+    name, equals, pattern = given.partition("=")
+    return (name, pattern) if equals and "%" not in name else ("", given)
+
+
+def _common_pattern(given: list[str] | None) -> str | None:
+    """Return the pattern that is for all cameras."""
+    found = [pattern for name, pattern in map(_pattern_of, given or []) if not name]
+    if len(found) > 1:
+        raise InputError(
+            field="--time-pattern", problem="two patterns for all cameras", remedy="give CAMERA=PATTERN for each"
+        )
+    return found[0] if found else None
+
+
+def _with_patterns(plans: list[CameraPlan], given: Sequence[str]) -> list[CameraPlan]:
+    """Return cameras with the patterns that are given for them."""
+    patterns = {name: pattern for name, pattern in map(_pattern_of, given) if name}
+    names = [plan.name for plan in plans]
+    unknown = sorted(set(patterns) - set(names))
+    if unknown:
+        problem, remedy = f"{unknown[0]} is no camera", f"name one of {', '.join(names)}"
+        raise InputError(field="--time-pattern", problem=problem, remedy=remedy)
+    return [
+        replace(plan, rules=plan.rules._replace(pattern=patterns[plan.name])) if plan.name in patterns else plan
+        for plan in plans
+    ]
 
 
 def _confirm(indexed: Indexed, *, yes: bool) -> None:
@@ -163,8 +200,7 @@ def _print(summary: Summary, target: Path) -> None:
             print(f"{one['camera']}: {finding['reason']}")
         rows += [
             (
-                one["camera"],
-                epoch["epoch"],
+                f"{one['camera']} {epoch['epoch']}",
                 epoch["cause"],
                 f"{epoch['start'][:16]}\n{epoch['end'][:16]}",
                 f"{epoch['clock_offset_s']:+.0f}",
@@ -175,7 +211,7 @@ def _print(summary: Summary, target: Path) -> None:
             )
             for epoch in one["epochs"]
         ]
-    header = ("camera", "epoch", "cause", "from, to", "clock, s", "suns", "RMSE, px", "sky, °", "ok")
+    header = ("epoch", "cause", "from, to", "clock\ns", "suns", "RMSE\npx", "sky\n°", "ok")
     print_table(header, rows)
     images, suns = (sum(one[key] for one in summary.report["cameras"]) for key in ("images", "accepted"))
     left_out = sum(summary.report["failures"].values())
