@@ -8,9 +8,11 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from tests.detection.photo.stack_series import Series, series
 
-from sunarc.errors import InputError, OutsideError
+from sunarc.errors import OutsideError
 from sunarc.reanalysis.detect_files import (
+    METHODS,
     detect_in_files,
     detect_in_image,
     draw_overlay,
@@ -66,10 +68,15 @@ def test_the_method_that_is_asked_for_is_used() -> None:
     assert detect_in_image(disc(65535, sky=0.1), method="disc").method == "disc"
 
 
-def test_the_disc_method_refuses_colours() -> None:
-    with pytest.raises(InputError) as refused:
-        detect_in_image(np.zeros((20, 20, 3), dtype=np.uint8), method="disc")
-    assert refused.value.field == "method"
+def test_a_short_exposure_in_colours_goes_to_the_disc_model() -> None:
+    colours = np.stack([np.round(gain * disc(4095)).astype(np.uint16) for gain in (0.7, 1.0, 0.8)], axis=-1)
+    for method in METHODS[:2]:
+        found = detect_in_image(colours, method=method, full_scale=4095)
+        assert (found.x_px, found.y_px) == pytest.approx(CENTRE, abs=0.05)
+        assert (found.sigma_px or 0.0) >= 0.1  # of the colours' interpolation
+    dark = np.zeros((20, 20, 3), dtype=np.uint8)
+    assert [detect_in_image(dark, method=method).method for method in METHODS[:2]] == ["paper", "disc"]
+    assert detect_in_image(series(Series(sun=(301.3, 212.6)), 1)[10]).accepted
 
 
 def test_a_stated_full_scale_decides_what_is_saturated() -> None:

@@ -59,9 +59,9 @@ def test_what_stands_still_takes_no_part(tmp_path: Path, hidden: bool) -> None: 
         assert (found.x_px, found.y_px) == pytest.approx((100.0, 90.0), abs=1.0)
 
 
-def test_a_refused_image_and_one_that_the_method_cannot_take_are_findings(tmp_path: Path) -> None:
+def test_a_refused_image_is_a_finding_and_colours_are_taken_by_the_disc_model(tmp_path: Path) -> None:
     assert answer(tmp_path / "b.png") == Finding("file_not_image", {"error": "No such file or directory"})
     cv2.imwrite(str(tmp_path / "c.png"), np.zeros((SIZE[1], SIZE[0], 3), dtype=np.uint8))
     found = answer(tmp_path / "c.png", method="disc")
-    assert isinstance(found, Finding)
-    assert found.code == "file_not_image"
+    assert isinstance(found, Detection)
+    assert (found.method, found.accepted) == ("disc", False)

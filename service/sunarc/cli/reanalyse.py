@@ -92,6 +92,7 @@ def reanalyse_archive(
         image_size=None if image_size is None else parse_image_size(image_size),
         method=choice_of("--method", method, METHODS),
         options=CalibrationOptions(mirrored=choice_of("--mirrored", mirrored, ("no", "yes", "auto"))),
+        stacks=True,
     )
     plans = _plans(common) if cameras is None else read_cameras(cameras, common=common)
     plans = _with_patterns(plans, time_pattern or [])

@@ -78,6 +78,7 @@ MESSAGES = Messages(
     blob_found=Message("a bright region of {diameter_px:.0f} px, round in {share:.2f} of the directions", _ACCEPTED),
     stack_mean=Message("mean of {frames} exposures, reduced chi² {chi2:.1f}", _ACCEPTED),
     stack_member=Message("an exposure of a stack whose sighting is that of {file}", "Used there."),
+    disc_without_glare=Message("a disc in short exposures, and no glare of the sun about it in longer ones", _NO_SUN),
     image_dark=Message("the brightest pixel is {peak:.2f} of full scale", _NO_SUN),
     image_saturated=Message(
         "the median of the image is {level:.2f} of full scale (at most {limit:.2f} allowed)",

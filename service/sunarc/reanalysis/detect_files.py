@@ -11,6 +11,7 @@ import numpy as np
 
 from sunarc.array_types import BoolArray, Image
 from sunarc.detection.disc.detect import detect_sun
+from sunarc.detection.exposure_stack import detect_disc_in_colours, is_short
 from sunarc.detection.photo.ordinary_image import Photo, detect_sun_in_photo
 from sunarc.detection.values import Bayer, Detection, Expectation, Sensor
 from sunarc.errors import InputError, disk_errors
@@ -57,8 +58,9 @@ def detect_in_image(
     Parameters
     ----------
     image : (rows, columns) or (rows, columns, 3), uint8 or uint16.
-    method : "disc" for raw microsecond frames, "paper" for ordinary and HDR images; "auto" takes an image with an
-        exposed sky, or in colours, for an ordinary one.
+    method : "disc" for raw microsecond frames (of colours their linear sum), "paper" for ordinary and HDR images;
+        "auto" takes an image with an exposed sky, or in colours, for an ordinary one, unless it is dark and shows the
+        disc.
     full_scale, bayer : as in `detect_in_files`.
     expectation : where the sun should be, where that is known.
     static : what stands still in the series of an ordinary image, (rows, columns) or reduced.
@@ -67,13 +69,15 @@ def detect_in_image(
     """
     top = full_scale or estimated_full_scale(image)
     selected = selected_method(image, method, full_scale=top)
+    photo = Photo(image, top, exposure_us, static, bayer)
+    if image.ndim == 3 and (selected == "disc" or (method == "auto" and is_short(photo))):
+        found = detect_disc_in_colours(photo, expectation=expectation)
+        if found.accepted or selected == "disc":
+            return found
+        ordinary = detect_sun_in_photo(photo, expectation=expectation, elsewhere=elsewhere)
+        return found if found.x_px is not None and ordinary.x_px is None else ordinary
     if selected == "paper":
-        photo = Photo(image, top, exposure_us, static, bayer)
         return detect_sun_in_photo(photo, expectation=expectation, elsewhere=elsewhere)
-    if image.ndim != 2:
-        raise InputError(
-            field="method", problem="disc wants a raw frame, and the image has colours", remedy="use --method paper"
-        )
     sensor = Sensor.from_full_well(full_scale=top, bayer=bayer)
     return detect_sun(image, sensor=sensor, expectation=expectation, exposure_us=exposure_us)
 

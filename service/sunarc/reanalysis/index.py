@@ -97,6 +97,7 @@ class CameraPlan:
     options : how it is calibrated.
     largest_zenith_deg : apparent zenith angle of the sun beyond which an image is not one of the day.
     stacks : whether images of one time are exposures of one scene, with one sighting.
+    one_by_one : whether each is a unit of work, so that a run that is ended loses few.
     """
 
     name: str
@@ -108,6 +109,7 @@ class CameraPlan:
     options: CalibrationOptions = field(default_factory=CalibrationOptions)
     largest_zenith_deg: float = 90.0
     stacks: bool = False
+    one_by_one: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

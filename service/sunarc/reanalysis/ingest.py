@@ -147,6 +147,7 @@ def _plan(settings: Settings, folder: Path, options: IngestOptions, size: tuple[
         options=settings.calibration,
         largest_zenith_deg=settings.capture.sun_zenith_deg,
         stacks=True,
+        one_by_one=True,
     )
 
 

@@ -17,7 +17,8 @@ import numpy as np
 
 from sunarc.array_types import BoolArray, Image
 from sunarc.calibration.model.result import Calibration
-from sunarc.detection.photo.ordinary_image import Photo, detect_sun_in_stack
+from sunarc.detection.exposure_stack import detect_sun_in_stack
+from sunarc.detection.photo.ordinary_image import Photo
 from sunarc.detection.photo.plateau import static_mask
 from sunarc.detection.values import Detection, Expectation
 from sunarc.errors import InputError

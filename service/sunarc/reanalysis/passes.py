@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from typing import NamedTuple, Protocol, TypeVar
@@ -202,7 +202,7 @@ class Passes(NamedTuple):
             if one.chunks is not None:
                 chunks += one.chunks({n for n, _ in camera.waiting})
             elif one.camera.plan.stacks:
-                chunks += _stacks_of(one, {n for n, _ in camera.waiting})
+                chunks += _stacks_of(one, dict(camera.waiting))
             else:
                 chunks += chunks_of(one.camera, [(one.camera.images[n], item) for n, item in camera.waiting], one.mask)
         done = total - sum(len(chunk.items) for chunk in chunks)
@@ -341,8 +341,11 @@ def chunks_of(camera: CameraImages, items: Iterable[tuple[ArchiveImage, Item]], 
     return chunks
 
 
-def _stacks_of(work: Work, waiting: Collection[int]) -> list[Chunk]:
-    """Return a unit of work for each time at which an image waits, with all images of that time."""
+def _stacks_of(work: Work, waiting: Mapping[int, Item]) -> list[Chunk]:
+    """Return a unit of work for each time at which an image waits, with all images of that time.
+
+    Images that are alone at their time are together, unless they are to be looked at one by one.
+    """
     plan, size = work.camera.plan, work.camera.size
     by_time: dict[int, list[tuple[int, Item]]] = {}
     for number, item in work.items:
@@ -351,8 +354,10 @@ def _stacks_of(work: Work, waiting: Collection[int]) -> list[Chunk]:
         part
         for members in by_time.values()
         for part in ([members] if len(members) <= MOST_EXPOSURES else [[one] for one in members])
+        if any(number in waiting for number, _ in part)
     ]
-    return [
+    alone = [] if plan.one_by_one else [part[0] for part in stacks if len(part) == 1]
+    together = [
         Chunk(
             plan.name,
             work.camera.images[part[0][0]].address,
@@ -363,8 +368,9 @@ def _stacks_of(work: Work, waiting: Collection[int]) -> list[Chunk]:
             stack=len(part) > 1,
         )
         for part in stacks
-        if any(number in waiting for number, _ in part)
+        if len(part) > 1 or plan.one_by_one
     ]
+    return chunks_of(work.camera, [(work.camera.images[n], waiting[n]) for n, _ in alone], work.mask) + together
 
 
 def _source_and_day(image: ArchiveImage) -> tuple[str, int]:

@@ -25,9 +25,10 @@ from sunarc.reanalysis.fit import Final, Rough, document_of
 from sunarc.reanalysis.index import CameraImages, Failure, Indexed
 from sunarc.reanalysis.learned_sigma import sigma_factor
 from sunarc.reanalysis.ledger import Ledger, ParallelMap, content_key
+from sunarc.reanalysis.look import IN_STACK
 from sunarc.reanalysis.messages import MESSAGES, sentence_of
 from sunarc.reanalysis.nights import NightsLooked
-from sunarc.reanalysis.passes import FoundSun, Looked
+from sunarc.reanalysis.passes import Found, FoundSun, Looked
 from sunarc.reanalysis.states import Epoch
 from sunarc.sky.sun import sun_directions
 from sunarc.utc import DAY_S, rfc3339, utc_time
@@ -60,7 +61,7 @@ def learn_horizon(looked: Looked, expected: Sequence[Expectation | None], size: 
     """
     cell = min(size) / _CELLS
     shape = int(np.ceil(size[1] / cell)), int(np.ceil(size[0] / cell))
-    rows = [row for row, one in enumerate(expected) if one is not None]
+    rows = [row for row, one in enumerate(expected) if one is not None and not _is_stacked(looked.found[row])]
     pixels = np.array([_pixel(expected[row]) for row in rows]).reshape(-1, 2)
     days = np.array([looked.images[row].unix_s // DAY_S for row in rows])
     seen = np.array([_is_seen(looked, row) for row in rows], dtype=bool)
@@ -80,6 +81,10 @@ def learn_horizon(looked: Looked, expected: Sequence[Expectation | None], size: 
 
 def _pixel(one: Expectation | None) -> tuple[float, float]:
     return (0.0, 0.0) if one is None else (one.x_px, one.y_px)
+
+
+def _is_stacked(found: Found) -> bool:
+    return isinstance(found, FoundSun) and found.verdict == IN_STACK
 
 
 def _is_seen(looked: Looked, row: int) -> bool:

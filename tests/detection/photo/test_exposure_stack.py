@@ -9,7 +9,8 @@ import pytest
 from tests.detection.photo.suns import SUN, exposed
 from tests.finding_codes import codes
 
-from sunarc.detection.photo.ordinary_image import Photo, detect_sun_in_photo, detect_sun_in_stack
+from sunarc.detection.exposure_stack import detect_sun_in_stack
+from sunarc.detection.photo.ordinary_image import Photo, detect_sun_in_photo
 from sunarc.errors import InputError
 
 

@@ -6,8 +6,8 @@ import math
 
 import pytest
 
+from sunarc.detection.exposure_stack import agrees, weighted_mean
 from sunarc.detection.photo.candidates import Candidate
-from sunarc.detection.photo.ordinary_image import agrees, weighted_mean
 from sunarc.detection.photo.rim import Rim
 from sunarc.detection.values import Detection
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -29,7 +29,6 @@ from sunarc.detection.photo.candidates import (
 from sunarc.detection.photo.rim import Rim
 from sunarc.detection.photo.urquhart2016 import locate, planes_of
 from sunarc.detection.values import Bayer, Detection, Expectation, Verdict, require_photo
-from sunarc.errors import InputError
 from sunarc.findings import Finding
 
 # Which of the candidates is the sun's, and whether its position is worth using at its sigma.
@@ -92,7 +91,7 @@ def best_of(seen: list[Candidate], expectation: Expectation | None) -> Judged:
 def _verdict(seen: Candidate, expectation: Expectation | None) -> tuple[Verdict, Finding]:
     if expectation is None:
         return (
-            _edge(seen, has_aureole=_has_aureole(seen))
+            edge(seen, has_aureole=lies_in_aureole(seen))
             or _fault(seen)
             or _unlike_a_sun(seen, _MIN_FLAT, seen.off_glare_px)
             or _one_of_many(seen)
@@ -102,7 +101,7 @@ def _verdict(seen: Candidate, expectation: Expectation | None) -> tuple[Verdict,
     if distance > REACH_SIGMAS * math.hypot(expectation.uncertainty_px, seen.sigma_px) + REACH_PX:
         return "reflection", Finding("blob_displaced", {"distance_px": distance})
     return (
-        _edge(seen, has_aureole=True)
+        edge(seen, has_aureole=True)
         or _fault(seen)
         or _unlike_a_sun(seen, _MIN_FLAT_PREDICTED, seen.off_local_glare_px)
         or _clear(seen.rim)
@@ -113,7 +112,7 @@ def _clear(rim: Rim) -> tuple[Verdict, Finding]:
     return "clear", Finding("blob_found", {"diameter_px": 2.0 * rim.radius, "share": rim.share})
 
 
-def _edge(seen: Candidate, *, has_aureole: bool) -> tuple[Verdict, Finding] | None:
+def edge(seen: Candidate, *, has_aureole: bool) -> tuple[Verdict, Finding] | None:
     """Return why a round region with an edge may be a white roof, a lamp at night, or a gap in the cloud."""
     rim = seen.rim
     if rim.near >= MIN_NEAR and rim.far >= _MIN_FAR and 1.0 - rim.near <= _STEEPEST * (1.0 - rim.far):
@@ -123,7 +122,8 @@ def _edge(seen: Candidate, *, has_aureole: bool) -> tuple[Verdict, Finding] | No
     return "hidden", Finding("blob_edged", {"near": rim.near, "far": rim.far})
 
 
-def _has_aureole(seen: Candidate) -> bool:
+def lies_in_aureole(seen: Candidate) -> bool:
+    """Return whether what is about a round region is the sun's aureole: lighter than the sky, and nothing else is."""
     far = seen.rim.far
     is_lightest = far >= max(_AUREOLE * seen.sky, _AUREOLE_FAR) and seen.lighter <= _AUREOLE_LIGHTER
     return is_lightest and seen.rim.near >= far and seen.sky >= _DAY
@@ -375,87 +375,3 @@ def _with_bias(found: Detection, lens: Lens | None) -> Detection:
     if lens is None or found.x_px is None or found.y_px is None or found.radius_px is None:
         return found
     return replace(found, radial_bias_px=bias_at(lens, x_px=found.x_px, y_px=found.y_px, radius_px=found.radius_px))
-
-
-_LEAST_LEVEL = 0.1
-"""Of full scale: in a short exposure the disc need not be saturated."""
-_AGREE_SIGMAS, _AGREE_RADIUS = 4.0, 0.35
-"""Candidates of two exposures are of one thing within so many of their sigmas, or so much of the larger radius."""
-
-
-def detect_sun_in_stack(exposures: Sequence[Photo], *, expectation: Expectation | None = None) -> Detection:
-    """Find the sun in a stack of exposures of one time.
-
-    Parameters
-    ----------
-    exposures : images of one size, in any order; where not all times are known, the lighter one is the longer one.
-    expectation : as in `detect_sun_in_photo`.
-
-    Returns
-    -------
-    The position is the mean of the exposures that agree with what an ordinary exposure shows, weighted by their
-    variances: a short exposure's plateau is the smallest, so that it rules. Where no exposure is accepted by itself,
-    what the longest one shows.
-
-    Raises
-    ------
-    InputError : no exposures, several sizes, or no images.
-    """
-    if not exposures:
-        raise InputError(field="exposures", problem="none is given", remedy="give the images of one time")
-    if len({each.image.shape for each in exposures}) > 1:
-        raise InputError(field="exposures", problem="several sizes", remedy="give images of one size")
-    ordered = _longest_first(exposures)
-    seen = [detect_sun_in_photo(each, expectation=expectation) for each in ordered]
-    accepted = [found for found in seen if found.accepted]
-    if not accepted:
-        return seen[0]
-    anchor = min(accepted, key=lambda found: found.sigma_px or math.inf)
-    agreeing = [(near, each.exposure_us) for each in ordered if (near := _nearest(each, anchor)) is not None]
-    return weighted_mean(anchor, agreeing)
-
-
-def _longest_first(exposures: Sequence[Photo]) -> list[Photo]:
-    known = [each.exposure_us for each in exposures if each.exposure_us is not None]
-    lengths = known if len(known) == len(exposures) else [float(np.mean(each.image)) for each in exposures]
-    order = sorted(range(len(exposures)), key=lambda number: -lengths[number])
-    return [exposures[number] for number in order]
-
-
-def _nearest(photo: Photo, anchor: Detection) -> Candidate | None:
-    """Return an exposure's most certain candidate that agrees with the anchor."""
-    part = whole_part(photo.image, static=photo.static, bayer=photo.bayer)
-    found = candidates_in(part, full_scale=photo.full_scale, least_level=_LEAST_LEVEL, least_near=0.0)
-    agreeing = [each for each in found if agrees(each, anchor)]
-    return min(agreeing, key=lambda each: each.sigma_px, default=None)
-
-
-def agrees(seen: Candidate, anchor: Detection) -> bool:
-    """Return whether a candidate is within the errors of a detection's position."""
-    distance = math.hypot(seen.rim.x - (anchor.x_px or 0.0), seen.rim.y - (anchor.y_px or 0.0))
-    reach = _AGREE_SIGMAS * math.hypot(seen.sigma_px, anchor.sigma_px or 0.0)
-    return distance <= max(reach, _AGREE_RADIUS * max(seen.rim.radius, anchor.radius_px or 0.0))
-
-
-def weighted_mean(anchor: Detection, agreeing: Sequence[tuple[Candidate, float | None]]) -> Detection:
-    """Return the anchor at the weighted mean of what agrees with it."""
-    if len(agreeing) < 2:
-        return anchor
-    places = np.array([[each.rim.x, each.rim.y] for each, _ in agreeing])
-    weights = np.array([each.sigma_px**-2 for each, _ in agreeing])
-    x, y = np.average(places, axis=0, weights=weights)
-    ruling, exposure_us = min(agreeing, key=lambda pair: pair[0].sigma_px)
-    freedom = 2 * (len(agreeing) - 1)
-    chi2 = float(np.sum(weights[:, None] * (places - (x, y)) ** 2)) / freedom
-    # The exposures see the same glare: their mean is no better than the best of them.
-    sigma = ruling.sigma_px * math.sqrt(max(chi2, 1.0))
-    return replace(
-        anchor,
-        x_px=float(x),
-        y_px=float(y),
-        sigma_px=sigma,
-        radius_px=ruling.rim.radius,
-        ellipticity=ruling.rim.ellipticity,
-        exposure_us=exposure_us,
-        findings=(*anchor.findings, Finding("stack_mean", {"frames": len(agreeing), "chi2": chi2})),
-    )

@@ -1,0 +1,247 @@
+"""The sun in a stack of exposures of one time, and its disc in a short exposure in colours."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from sunarc.array_types import Image
+from sunarc.detection.disc.detect import detect_sun
+from sunarc.detection.photo.candidates import Candidate, candidates_in, whole_part
+from sunarc.detection.photo.ordinary_image import Photo, detect_sun_in_photo, edge, lies_in_aureole
+from sunarc.detection.values import Detection, Expectation, Sensor
+from sunarc.errors import InputError
+from sunarc.findings import Finding
+
+_TONES = 2.2
+"""Exponent of the tones of 8 bits; images of more bits are taken for linear."""
+_EIGHT_BITS, _LINEAR_SCALE = 255, 4095
+_DARK = 0.03
+"""Of full scale, of linear light: the median of an image in which the disc is looked for."""
+_SMEAR_PX = 0.1
+"""1-sigma that interpolated colours, tones and JPEG add to the disc's place: a stand-in's errors had up to 0.1 px."""
+_SHAPED = frozenset(
+    {"disc_found", "disc_poor_fit", "disc_residuals", "disc_uneven", "disc_without_limb", "disc_position_uncertain",
+     "disc_in_bright_sky", "disc_faint", "disc_dimmed", "disc_wrong_size"}
+)  # fmt: skip
+"""What the disc's model says of a dot that is one: tones and JPEG fit no limb darkening."""
+_LARGEST_ELLIPTICITY, _LARGEST_RADIUS = 0.45, 0.02
+"""1 - minor/major axis, and radius over the image's smaller side, of a dot that may be the disc (4 times the sun's)."""
+
+
+def linear_sum(image: Image, full_scale: int) -> Image:
+    """Return the light of a colour image, (rows, columns), 0 to 3 * 4095: the mean of its colours, tones undone."""
+    exponent = _TONES if full_scale == _EIGHT_BITS else 1.0
+    light = _LINEAR_SCALE * (np.arange(full_scale + 1) / full_scale) ** exponent
+    counts = np.round(light).astype(np.uint16)
+    return np.asarray(counts[np.minimum(image, full_scale)].sum(axis=2, dtype=np.uint16))
+
+
+def detect_disc_in_colours(photo: Photo, *, expectation: Expectation | None = None) -> Detection:
+    """Find the sun's disc in a colour image of short exposure, by the disc's model on the sum of the linear colours.
+
+    Parameters
+    ----------
+    photo : (rows, columns, 3).
+    expectation : where the sun should be, where known.
+
+    Returns
+    -------
+    What `detect_sun` says, its sigma with the smear of interpolated colours; accepted only where that model fits.
+    """
+    light = linear_sum(photo.image, photo.full_scale)
+    sensor = Sensor.from_full_well(full_scale=3 * _LINEAR_SCALE)
+    found = detect_sun(light, sensor=sensor, expectation=expectation, exposure_us=photo.exposure_us)
+    return replace(found, sigma_px=None if found.sigma_px is None else math.hypot(found.sigma_px, _SMEAR_PX))
+
+
+def is_short(photo: Photo) -> bool:
+    """Return whether an image in colours is so dark that the disc stands alone in it."""
+    if photo.image.ndim != 3:
+        return False
+    light = linear_sum(photo.image[::8, ::8], photo.full_scale)
+    return float(np.median(light)) <= _DARK * 3 * _LINEAR_SCALE
+
+
+class _Disc(NamedTuple):
+    """The disc as several short exposures show it: place, 1-sigma, and that in the shortest with a position."""
+
+    x: float
+    y: float
+    sigma_px: float
+    shortest: Detection
+    frames: int
+
+
+_SAME_PX = 1.0
+_FEWEST = 2
+_TIMES_SKY = 60.0
+"""Light of the disc over that of the sky: the sun has 1e5 without cloud; a reflection has less than the cloud's rim."""
+
+
+def _disc_in(ordered: Sequence[Photo], expectation: Expectation | None) -> _Disc | None:
+    """Return the disc that short exposures show at one place, the longest exposures coming first; None without one."""
+    short = [each for each in ordered if is_short(each)]
+    found = [detect_disc_in_colours(each, expectation=expectation) for each in reversed(short)]
+    dots = [(one, each) for one, each in zip(found, reversed(short), strict=True) if _is_dot(one, each)]
+    if len(dots) < _FEWEST:
+        return None
+    first = dots[0][0]
+    places = np.array([[one.x_px, one.y_px] for one, _ in dots], dtype=np.float64)
+    same = np.linalg.norm(places - places[0], axis=1) <= _SAME_PX
+    if np.count_nonzero(same) < max(_FEWEST, 0.5 * len(dots)):
+        return None
+    weights = np.array([one.sigma_px or math.inf for one, _ in dots])[same] ** -2.0
+    x, y = np.average(places[same], axis=0, weights=weights)
+    scatter = math.sqrt(float(np.average(np.sum((places[same] - (x, y)) ** 2, axis=1), weights=weights)) / 2.0)
+    sigma = max(first.sigma_px or math.inf, scatter)
+    return _Disc(float(x), float(y), sigma, first, int(np.count_nonzero(same)))
+
+
+def _is_dot(found: Detection, photo: Photo) -> bool:
+    """Return whether what was found has the shape of a disc, though its light need not be the model's."""
+    if found.x_px is None or found.sigma_px is None or found.findings[0].code not in _SHAPED:
+        return False
+    radius, size = found.radius_px or math.inf, min(photo.image.shape[:2])
+    return (found.ellipticity or 0.0) <= _LARGEST_ELLIPTICITY and radius <= max(_LARGEST_RADIUS * size, 4.0)
+
+
+def _by_disc(disc: _Disc, ordered: Sequence[Photo], accepted: Sequence[Detection]) -> Detection:
+    """Return the stack's sighting at the disc; not accepted where no glare is about it, or another thing was."""
+    at = replace(
+        disc.shortest, method="paper", accepted=True, verdict="clear", x_px=disc.x, y_px=disc.y, sigma_px=disc.sigma_px
+    )
+    elsewhere = [one for one in accepted if not _agree(one, at)]
+    if elsewhere:
+        far = math.hypot((elsewhere[0].x_px or 0.0) - disc.x, (elsewhere[0].y_px or 0.0) - disc.y)
+        return replace(
+            at, accepted=False, verdict="reflection", findings=(Finding("blob_displaced", {"distance_px": far}),)
+        )
+    glare = [near for each in ordered if (near := _glare_about(each, at)) is not None]
+    if not accepted and not (glare and _outshines(disc.shortest, ordered)):
+        return replace(at, accepted=False, verdict="hidden", findings=(Finding("disc_without_glare"),))
+    diameter = 2.0 * (glare[0].rim.radius if glare else accepted[0].radius_px or 0.0)
+    share = glare[0].rim.share if glare else 1.0
+    mean = Finding("stack_mean", {"frames": disc.frames, "chi2": (disc.sigma_px / (at.sigma_px or 1.0)) ** 2})
+    return replace(at, findings=(Finding("blob_found", {"diameter_px": diameter, "share": share}), mean))
+
+
+def _agree(one: Detection, other: Detection) -> bool:
+    distance = math.hypot((one.x_px or 0.0) - (other.x_px or 0.0), (one.y_px or 0.0) - (other.y_px or 0.0))
+    reach = _AGREE_SIGMAS * math.hypot(one.sigma_px or 0.0, other.sigma_px or 0.0)
+    return distance <= max(reach, _AGREE_RADIUS * max(one.radius_px or 0.0, other.radius_px or 0.0))
+
+
+def _glare_about(photo: Photo, disc: Detection) -> Candidate | None:
+    """Return the glare about the disc in an image of the day; None where none is."""
+    if is_short(photo):
+        return None
+    part = whole_part(photo.image, static=photo.static, bayer=photo.bayer)
+    found = candidates_in(part, full_scale=photo.full_scale)
+    return next(
+        (one for one in found if agrees(one, disc) and edge(one, has_aureole=lies_in_aureole(one)) is None), None
+    )
+
+
+def _outshines(dot: Detection, ordered: Sequence[Photo]) -> bool:
+    """Return whether the disc is so much lighter than the sky as the sun is; True where the exposures are not known."""
+    if dot.exposure_us is None or dot.peak_fraction is None:
+        return True
+    skies = [
+        float(np.median(linear_sum(each.image[::8, ::8], each.full_scale))) / (3 * _LINEAR_SCALE) / each.exposure_us
+        for each in ordered
+        if each.exposure_us is not None and not is_short(each)
+    ]
+    return not skies or dot.peak_fraction / dot.exposure_us >= _TIMES_SKY * max(skies)
+
+
+_LEAST_LEVEL = 0.1
+"""Of full scale: in a short exposure the disc need not be saturated."""
+_AGREE_SIGMAS, _AGREE_RADIUS = 4.0, 0.35
+"""Candidates of two exposures are of one thing within so many of their sigmas, or so much of the larger radius."""
+
+
+def detect_sun_in_stack(exposures: Sequence[Photo], *, expectation: Expectation | None = None) -> Detection:
+    """Find the sun in a stack of exposures of one time.
+
+    Parameters
+    ----------
+    exposures : images of one size, in any order; where not all times are known, the lighter one is the longer one.
+    expectation : as in `detect_sun_in_photo`.
+
+    Returns
+    -------
+    Where short exposures in colours show the disc alone, and the glare of a longer one is about it, its place. Else the
+    mean of the exposures that agree with what an ordinary exposure shows, weighted by their variances: a short
+    exposure's plateau is the smallest, so that it rules. Where no exposure is accepted by itself, what the longest one
+    shows.
+
+    Raises
+    ------
+    InputError : no exposures, several sizes, or no images.
+    """
+    if not exposures:
+        raise InputError(field="exposures", problem="none is given", remedy="give the images of one time")
+    if len({each.image.shape for each in exposures}) > 1:
+        raise InputError(field="exposures", problem="several sizes", remedy="give images of one size")
+    ordered = _longest_first(exposures)
+    seen = [detect_sun_in_photo(each, expectation=expectation) for each in ordered]
+    accepted = [found for found in seen if found.accepted]
+    disc = _disc_in(ordered, expectation)
+    if disc is not None:
+        return _by_disc(disc, ordered, accepted)
+    if not accepted:
+        return seen[0]
+    anchor = min(accepted, key=lambda found: found.sigma_px or math.inf)
+    agreeing = [(near, each.exposure_us) for each in ordered if (near := _nearest(each, anchor)) is not None]
+    return weighted_mean(anchor, agreeing)
+
+
+def _longest_first(exposures: Sequence[Photo]) -> list[Photo]:
+    known = [each.exposure_us for each in exposures if each.exposure_us is not None]
+    lengths = known if len(known) == len(exposures) else [float(np.mean(each.image)) for each in exposures]
+    order = sorted(range(len(exposures)), key=lambda number: -lengths[number])
+    return [exposures[number] for number in order]
+
+
+def _nearest(photo: Photo, anchor: Detection) -> Candidate | None:
+    """Return an exposure's most certain candidate that agrees with the anchor."""
+    part = whole_part(photo.image, static=photo.static, bayer=photo.bayer)
+    found = candidates_in(part, full_scale=photo.full_scale, least_level=_LEAST_LEVEL, least_near=0.0)
+    agreeing = [each for each in found if agrees(each, anchor)]
+    return min(agreeing, key=lambda each: each.sigma_px, default=None)
+
+
+def agrees(seen: Candidate, anchor: Detection) -> bool:
+    """Return whether a candidate is within the errors of a detection's position."""
+    distance = math.hypot(seen.rim.x - (anchor.x_px or 0.0), seen.rim.y - (anchor.y_px or 0.0))
+    reach = _AGREE_SIGMAS * math.hypot(seen.sigma_px, anchor.sigma_px or 0.0)
+    return distance <= max(reach, _AGREE_RADIUS * max(seen.rim.radius, anchor.radius_px or 0.0))
+
+
+def weighted_mean(anchor: Detection, agreeing: Sequence[tuple[Candidate, float | None]]) -> Detection:
+    """Return the anchor at the weighted mean of what agrees with it."""
+    if len(agreeing) < 2:
+        return anchor
+    places = np.array([[each.rim.x, each.rim.y] for each, _ in agreeing])
+    weights = np.array([each.sigma_px**-2 for each, _ in agreeing])
+    x, y = np.average(places, axis=0, weights=weights)
+    ruling, exposure_us = min(agreeing, key=lambda pair: pair[0].sigma_px)
+    freedom = 2 * (len(agreeing) - 1)
+    chi2 = float(np.sum(weights[:, None] * (places - (x, y)) ** 2)) / freedom
+    # The exposures see the same glare: their mean is no better than the best of them.
+    sigma = ruling.sigma_px * math.sqrt(max(chi2, 1.0))
+    return replace(
+        anchor,
+        x_px=float(x),
+        y_px=float(y),
+        sigma_px=sigma,
+        radius_px=ruling.rim.radius,
+        ellipticity=ruling.rim.ellipticity,
+        exposure_us=exposure_us,
+        findings=(*anchor.findings, Finding("stack_mean", {"frames": len(agreeing), "chi2": chi2})),
+    )

@@ -1,0 +1,73 @@
+"""Series of thirteen exposures: the short ones say where the sun is, and nothing else is taken for it."""
+
+from __future__ import annotations
+
+import math
+from itertools import islice
+
+import numpy as np
+import pytest
+from tests.detection.photo.stack_series import EXPOSURES_US, Series, series
+from tests.finding_codes import codes
+
+from sunarc.detection.exposure_stack import detect_disc_in_colours, detect_sun_in_stack, is_short
+from sunarc.detection.photo.ordinary_image import Photo, detect_sun_in_photo
+
+SUN = (301.3, 212.6)
+
+
+def stack(what: Series, *, seed: int = 1, of: tuple[int, ...] = EXPOSURES_US) -> list[Photo]:
+    return [Photo(image, 255, float(us)) for us, image in series(what, seed).items() if us in of]
+
+
+@pytest.mark.parametrize("radius", [1.2, 2.1, 3.4])
+def test_short_exposures_in_colours_show_the_disc(radius: float) -> None:
+    short = [one for one in stack(Series(sun=SUN, radius=radius)) if is_short(one)]
+    assert len(short) >= 5
+    for one in islice(short, 4):
+        found = detect_disc_in_colours(one)
+        assert (found.x_px, found.y_px) == pytest.approx(SUN, abs=0.3)
+        assert 0.1 <= (found.sigma_px or math.inf) < 0.5
+        assert not detect_sun_in_photo(one).accepted
+
+
+@pytest.mark.parametrize(("dimmed", "of"), [(1.0, EXPOSURES_US[2:9]), (0.3, EXPOSURES_US)])
+def test_a_series_is_one_sighting_at_the_disc(dimmed: float, of: tuple[int, ...]) -> None:
+    found = detect_sun_in_stack(stack(Series(sun=SUN, dimmed=dimmed), of=of))
+    assert found.accepted
+    assert codes(found.findings) == ["blob_found", "stack_mean"]
+    assert (found.x_px, found.y_px) == pytest.approx(SUN, abs=0.2)
+    assert (found.sigma_px or math.inf) <= 0.3
+
+
+def test_a_series_of_which_no_exposure_is_accepted_alone_is_a_sighting() -> None:
+    frames = stack(Series(sun=SUN), of=EXPOSURES_US[:9])
+    assert not any(detect_sun_in_photo(one).accepted for one in frames)
+    found = detect_sun_in_stack(frames)
+    assert found.accepted
+    assert (found.x_px, found.y_px) == pytest.approx(SUN, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    "what",
+    [
+        Series(sun=None, glint=(150.2, 330.7)),
+        Series(sun=None, cloud=1.5),
+        Series(sun=None, lamp=(420.0, 100.0), night=True),
+    ],
+)
+def test_reflections_cloud_and_lamps_are_no_sun(what: Series) -> None:
+    assert not detect_sun_in_stack(stack(what)).accepted
+
+
+def test_short_exposures_alone_are_not_believed() -> None:
+    found = detect_sun_in_stack(stack(Series(sun=SUN), of=EXPOSURES_US[:4]))
+    assert (found.accepted, codes(found.findings)) == (False, ["disc_without_glare"])
+    assert (found.x_px, found.y_px) == pytest.approx(SUN, abs=0.2)
+
+
+def test_an_accepted_cloud_beside_the_disc_is_a_contradiction() -> None:
+    frames = stack(Series(sun=SUN))
+    shifted = [one if is_short(one) else one._replace(image=np.roll(one.image, 60, axis=1)) for one in frames]
+    found = detect_sun_in_stack(shifted)
+    assert not found.accepted
