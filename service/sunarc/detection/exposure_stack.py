@@ -67,7 +67,7 @@ def is_short(photo: Photo) -> bool:
     return float(np.median(light)) <= _DARK * 3 * _LINEAR_SCALE
 
 
-class _Disc(NamedTuple):
+class _DiscOfStack(NamedTuple):
     """The disc as several short exposures show it: place, 1-sigma, and that in the shortest with a position."""
 
     x: float
@@ -83,7 +83,7 @@ _TIMES_SKY = 60.0
 """Light of the disc over that of the sky: the sun has 1e5 without cloud; a reflection has less than the cloud's rim."""
 
 
-def _disc_in(ordered: Sequence[Photo], expectation: Expectation | None) -> _Disc | None:
+def _disc_in(ordered: Sequence[Photo], expectation: Expectation | None) -> _DiscOfStack | None:
     """Return the disc that short exposures show at one place, the longest exposures coming first; None without one."""
     short = [each for each in ordered if is_short(each)]
     found = [detect_disc_in_colours(each, expectation=expectation) for each in reversed(short)]
@@ -99,7 +99,7 @@ def _disc_in(ordered: Sequence[Photo], expectation: Expectation | None) -> _Disc
     x, y = np.average(places[same], axis=0, weights=weights)
     scatter = math.sqrt(float(np.average(np.sum((places[same] - (x, y)) ** 2, axis=1), weights=weights)) / 2.0)
     sigma = max(first.sigma_px or math.inf, scatter)
-    return _Disc(float(x), float(y), sigma, first, int(np.count_nonzero(same)))
+    return _DiscOfStack(float(x), float(y), sigma, first, int(np.count_nonzero(same)))
 
 
 def _is_dot(found: Detection, photo: Photo) -> bool:
@@ -110,7 +110,7 @@ def _is_dot(found: Detection, photo: Photo) -> bool:
     return (found.ellipticity or 0.0) <= _LARGEST_ELLIPTICITY and radius <= max(_LARGEST_RADIUS * size, 4.0)
 
 
-def _by_disc(disc: _Disc, ordered: Sequence[Photo], accepted: Sequence[Detection]) -> Detection:
+def _by_disc(disc: _DiscOfStack, ordered: Sequence[Photo], accepted: Sequence[Detection]) -> Detection:
     """Return the stack's sighting at the disc; not accepted where no glare is about it, or another thing was."""
     at = replace(
         disc.shortest, method="paper", accepted=True, verdict="clear", x_px=disc.x, y_px=disc.y, sigma_px=disc.sigma_px
