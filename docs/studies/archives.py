@@ -36,6 +36,8 @@ from sunarc.sky.site import Site
 DAY_S, HOUR_S = 86_400.0, 3600.0
 BANDS_DEG = (0.0, 30.0, 60.0, 75.0, 86.0)
 _WITHIN_S = 1.0 * HOUR_S
+_FEW = 4
+"""Sightings of a spell that an epoch has to hold for."""
 _WITHIN_95 = 5.991
 """Chi-square of two degrees of freedom."""
 
@@ -249,8 +251,9 @@ def judged(archive: Archive) -> Told:
             said[f"refused: {calibration.verdict.findings[0].code}"] += 1
             continue
         said["accepted"] += 1
-        inside = archive.of_spell[epoch.first : epoch.last + 1]
-        z, at, ratio = _errors(archive, np.unique(inside), calibration)
+        numbers, counts = np.unique(archive.of_spell[epoch.first : epoch.last + 1], return_counts=True)
+        # a boundary may be some sightings off: what is beyond it is of a time between two, and not of the epoch's
+        z, at, ratio = _errors(archive, numbers[counts >= min(_FEW, counts.max())], calibration)
         square.append(z)
         zenith.append(at)
         if ratio > 3.0:

@@ -107,7 +107,7 @@ def change_within(points: Sightings, camera: Camera, site: Site, noise_px: Float
     predicted = project_fast(camera, directions)
     seen = np.all(np.isfinite(predicted), axis=-1)
     index = np.flatnonzero(seen)
-    if index.size < 2 * _FEWEST_BESIDE:
+    if index.size <= 2 * _FEWEST_BESIDE:
         return None
     some = points.select(index)
     residual = some.pixels - predicted[index]

@@ -25,6 +25,7 @@ from sunarc.reanalysis.states import (
     ArchiveCamera,
     Epoch,
     State,
+    alternation,
     changed_states,
     epochs_of,
     find_epochs,
@@ -232,6 +233,9 @@ def first_analysis(given: CameraSightings) -> Rough:
     found = find_states(given.points, given.camera, given.states)
     if found.finding is not None:
         return Rough(findings=(found.finding,))
+    alternate = alternation(given.points, found.states, given.camera)
+    if alternate is not None:
+        return Rough(findings=(alternate,))
     epochs, path = find_epochs(given.points, found.states, given.camera)
     states = list(found.states) if given.states else with_true_clock(found.states, path, given.camera.site)
     largest = states[max(range(len(states)), key=lambda number: int((path == number).sum()))]

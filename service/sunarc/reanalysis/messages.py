@@ -110,6 +110,11 @@ MESSAGES = Messages(
         "The camera has no epochs.",
         "check that the images are those of one camera, and show the sun",
     ),
+    sightings_alternate=Message(
+        "{changes} times of {n} the next sighting of a day is that of another camera or clock",
+        "The camera has no epochs: these are the images of two cameras.",
+        "give --cameras FILE with a table for each, and their own sources or patterns of names",
+    ),
     days_of_two_states=Message(
         "the sightings of any few days scatter by {scatter_px:.2f} px about one camera (at most {limit_px:.2f} px by "
         "their own noise)",

@@ -48,6 +48,9 @@ _MAJORITY = 0.5
 """The same for a lens that nothing is known of: days of two states may be among those that it is fitted to."""
 _NEAR_SIGMAS, _NEAR_PX = 5.0, 1.5
 _MOST_STATES = 24
+_ALTERNATING = 0.15
+"""Share of the sightings of a day that another state than the one before explains, from which they are those of two
+cameras: of images taken by turns it is a half and more, of a day on which a camera changes one sighting's."""
 _QUARTER_S = 900.0
 """Clocks are wrong by time zones, which are whole quarters of an hour, or by what they drift."""
 _LARGEST_OFFSET_S = 14.0 * 3600.0
@@ -395,6 +398,27 @@ def find_epochs(points: Sightings, states: Sequence[State], camera: ArchiveCamer
     costs = np.stack([bounded_cost(camera.distances(state, points) / noise, 1.0) for state in states], axis=1)
     path = likeliest_path(costs, change_cost=SEQUENCE_GAIN)
     return epochs_of(path, states, points), path
+
+
+def alternation(points: Sightings, states: Sequence[State], camera: ArchiveCamera) -> Finding | None:
+    """Return that sightings go to and fro between states, as those of two cameras do; None where they do not.
+
+    Parameters
+    ----------
+    points, states, camera : as `find_epochs` takes them.
+    """
+    if len(states) < 2:
+        return None
+    # two cameras' tracks together are no smooth arc: a day's own noise says nothing here
+    near = np.stack([camera.distances(state, points) < _near_px(state.sigma_px) for state in states], axis=1)
+    decided = np.count_nonzero(near, axis=1) == 1
+    own = np.argmax(near, axis=1)[decided]
+    day = solar_days(points.unix_s[decided], longitude=camera.site.longitude)
+    same_day = np.diff(day) == 0
+    n, changes = int(np.count_nonzero(same_day)), int(np.count_nonzero(same_day & (np.diff(own) != 0)))
+    if n < _FEWEST or changes <= _ALTERNATING * n:
+        return None
+    return Finding("sightings_alternate", {"changes": changes, "n": n})
 
 
 def epochs_of(path: IntArray, states: Sequence[State], points: Sightings) -> list[Epoch]:

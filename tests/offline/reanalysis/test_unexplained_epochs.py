@@ -12,15 +12,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 from tests.finding_codes import codes
 
-from sunarc.array_types import FloatArray
+from sunarc.array_types import FloatArray, stacked
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.optics.forward import project
 from sunarc.reanalysis.epoch_changes import agreeing_days, change_within, noise_of_days
-from sunarc.reanalysis.fit import CameraSightings, final_analysis
-from sunarc.reanalysis.states import ArchiveCamera, State
+from sunarc.reanalysis.fit import CameraSightings, final_analysis, first_analysis
+from sunarc.reanalysis.states import ArchiveCamera, State, alternation
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles, sun_directions
 
@@ -144,3 +144,36 @@ def test_days_that_agree_are_the_longest_run_of_those_by_the_camera() -> None:
     longest, shorter = agreeing_days(residual, noise, points.unix_s, SITE)
     assert (longest[0], longest[-1], longest.size) == (60, 159, 100)
     assert (shorter[0], shorter[-1]) == (0, 39)
+
+
+def test_images_of_two_cameras_under_one_name_are_said_to_be_that() -> None:
+    each = [archive(seed, days=6, per_day=20, first_share=1.0, sigma_px=0.3) for seed in (6, 7)]
+    mixed = stacked(each)
+    mixed = mixed.select(np.argsort(mixed.unix_s, kind="stable"))
+    camera = ArchiveCamera(SITE, SIZE, OPTIONS)
+    states = [State(fitted(one), lens=n, pose=n, clock_offset_s=0.0, sigma_px=0.3) for n, one in enumerate(each)]
+    found = alternation(mixed, states, camera)
+    assert found is not None
+    assert found.code == "sightings_alternate"
+    assert 60 < int(found.data["changes"]) < int(found.data["n"]) <= 234
+    for one in each:
+        assert alternation(one, states, camera) is None
+    rough = first_analysis(CameraSightings(mixed, camera, tuple(states)))
+    assert (rough.states, [one.code for one in rough.findings]) == ((), ["sightings_alternate"])
+
+
+def test_two_lenses_one_after_the_other_are_two_epochs() -> None:
+    points = archive(6, days=8, per_day=20, first_share=0.43, sigma_px=0.3)
+    rough = first_analysis(CameraSightings(points, ArchiveCamera(SITE, SIZE, OPTIONS)))
+    assert [one.cause for one in rough.epochs] == ["start", "lens"]
+    assert rough.findings == ()
+
+
+@pytest.mark.parametrize("count", [0, 1, 8, 16, 17, 20])
+def test_few_sightings_have_no_change_within(count: int) -> None:
+    points = archive(8, days=1, per_day=20, first_share=1.0)
+    camera = fitted(archive(8, days=3, per_day=40, first_share=1.0)).camera
+    some = points.select(slice(0, count))
+    noise = np.full(count, 0.6)
+    found = change_within(some, camera, SITE, noise)
+    assert found is None or 8 <= found.row <= count - 8
