@@ -216,6 +216,19 @@ def test_one_image_is_enough_and_hot_pixels_are_none_of_its_stars(
         assert not json.loads(wrong.out)["accepted"]
 
 
+def test_an_image_of_another_year_is_said_to_be_one(images: list[Path], tmp_path: Path, sunarc: Sunarc) -> None:
+    other = tmp_path / "allsky_20280313_060000.png"
+    cv2.imwrite(str(other), night_image(np.random.default_rng(2), "20280313_060000", np.zeros((0, 2))))
+    site = ["--latitude", str(SITE.latitude), "--longitude", str(SITE.longitude), "--altitude", str(SITE.altitude)]
+    done = sunarc("stars", str(images[0]), str(other), "--blind", "--full-scale", "4095", *site, "--json")
+    assert done.code == 0, done.err
+    found = json.loads(done.out)["images"]
+    assert [image["accepted"] for image in found] == [True, True]
+    said = [[one["data"] for one in image["findings"] if one["code"] == "stars_years_apart"] for image in found]
+    assert said[0] == []
+    assert said[1][0]["days"] == pytest.approx(731.0, abs=0.1)
+
+
 def test_blind_needs_a_site_and_no_calibration(images: list[Path], tmp_path: Path, sunarc: Sunarc) -> None:
     path = str(images[0])
     for options in (["--blind"], ["--blind", "--calibration", str(tmp_path / "c.json")], []):

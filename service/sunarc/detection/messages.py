@@ -125,6 +125,11 @@ MESSAGES = Messages(
         _NO_STARS,
         _BETTER_START,
     ),
+    stars_years_apart=Message(
+        "taken {days:.0f} days from the night of {date} that gave the camera, which may have been moved since",
+        "Its stars are identified where they match; the camera is that of the other night.",
+        "give the images of each year by themselves",
+    ),
     stars_one_sided=Message("{gap_deg:.0f} degrees of azimuth without a star, {limit:.0f} allowed", _NO_STARS),
     stars_brightness=Message(
         "brightness of detections and stars differs: correlation {correlation:.2f}, {limit:.2f} needed",

@@ -38,7 +38,7 @@ from sunarc.reanalysis.sources import Folder
 from sunarc.runtime.clock import Clock
 from sunarc.sky.night import FAINTEST_V, NightSky, night_sky
 from sunarc.sky.site import Site
-from sunarc.utc import rfc3339, utc_time
+from sunarc.utc import DAY_S, rfc3339, utc_time
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -303,6 +303,7 @@ def _finite_or_none(value: float) -> float | None:
 
 _GAP_S = 6.0 * 3600.0
 """Between images of one night; between nights it is longer."""
+_HALF_A_YEAR_S = 182.0 * DAY_S
 _MOST_IMAGES = 6
 """Of a night that the start is found by, evenly over it; all are named by its calibration."""
 _MOST_STARS = 400
@@ -401,7 +402,17 @@ def find_stars_blind(
         return BlindResult(start=start, images=seen, calibration=fitted)
     if len(images) == 1:  # hot pixels are left out by the start: there is no other image to tell them by
         seen = [replace(one, stars=start.stars[0]) if one is night[0] else one for one in seen]
-    return BlindResult(start=start, images=named_stars(seen, fitted, within_px=options.within_px), calibration=fitted)
+    named = named_stars(seen, fitted, within_px=options.within_px)
+    return BlindResult(start=start, images=[_dated(one, images[0].unix_s) for one in named], calibration=fitted)
+
+
+def _dated(image: StarImage, unix_s: float) -> StarImage:
+    """Return an image that was taken half a year or more from the night that gave the camera with that said."""
+    if image.time is None or abs(image.time.timestamp() - unix_s) < _HALF_A_YEAR_S:
+        return image
+    data = {"days": (image.time.timestamp() - unix_s) / DAY_S, "date": f"{utc_time(unix_s):%Y-%m-%d}"}
+    findings = (*image.findings, Finding("stars_years_apart", data))
+    return replace(image, findings=findings, reason=reason_of(findings))
 
 
 def _one_night(seen: Sequence[StarImage]) -> list[StarImage]:
