@@ -1,6 +1,6 @@
 """How often one image of the night gives a camera: rightly, wrongly, or not; its judge shares no code with the search.
 
-    OMP_NUM_THREADS=1 python docs/studies/one_image.py --lenses 20 [--kinds clear "half"]
+    OMP_NUM_THREADS=1 python docs/studies/one_image.py --lenses 20 [--kinds clear "half"] [--rendered]
 
 Cameras are drawn (`one_image_world`): four shapes of lens, focal lengths of 0.6 to 1.7 of what the image suggests,
 tilted by up to 15 degrees, mirrored or not, at 55 S to 65 N. Under "wrong" the time or the place that is stated is not
@@ -21,6 +21,7 @@ import one_image_world as world
 from numpy.typing import NDArray
 
 from sunarc.calibration.start.blind_start import BlindStart, NightDetections, blind_start
+from sunarc.detection.stars.detect import detect_stars
 from sunarc.detection.values import Stars
 from sunarc.optics.forward import project
 from sunarc.sky.night import night_sky
@@ -50,6 +51,7 @@ WRONG = {  # hours of the clock, degrees of latitude and longitude
     "a tilt: latitude by 8 to 18 degrees": (0.0, -math.inf, 0.0),
 }
 """The last is what a tilt of as much looks like: accepted where it is said that the camera is tilted."""
+MADE = {**KINDS, **FALSE, **dict.fromkeys(WRONG, KINDS["clear"])}
 
 
 def detections(shot: world.Shot) -> Stars:
@@ -78,7 +80,7 @@ def stated(rng: np.random.Generator, kind: str, latitude: float, longitude: floa
     return 3600.0 * hours, float(np.clip(latitude, -80.0, 80.0)), longitude
 
 
-def one(kind: str, seed: int) -> tuple[str, str, float, float, int, int]:
+def one(kind: str, seed: int, *, rendered: bool = False) -> tuple[str, str, float, float, int, int]:
     """Return right, wrong or refused; why; the error, px; the chance; and false and all names."""
     rng = np.random.default_rng(seed)
     latitude, longitude = rng.uniform(-55.0, 65.0), rng.uniform(-180.0, 180.0)
@@ -89,11 +91,12 @@ def one(kind: str, seed: int) -> tuple[str, str, float, float, int, int]:
     when = 1.6e9 + rng.uniform(0.0, 2.0e8)
     directions, magnitude = world.equatorial(when)
     directions = world.horizontal(directions, when, latitude, longitude)
-    shot = world.shoot(rng, lens, {**KINDS, **FALSE}.get(kind, KINDS["clear"]), directions, magnitude)
+    shot = world.shoot(rng, lens, MADE[kind], directions, magnitude)
     late, latitude, longitude = stated(rng, kind, latitude, longitude)
     site = Site(latitude=latitude, longitude=longitude, altitude=0.0)
     sky = night_sky(when + late, site, faintest=5.5)
-    image = NightDetections(unix_s=when + late, stars=detections(shot), sky=sky)
+    seen = detect_stars(world.render(rng, lens, MADE[kind], shot), full_scale=255) if rendered else detections(shot)
+    image = NightDetections(unix_s=when + late, stars=seen, sky=sky)
     found = blind_start([image], site, image_size=lens.size)
     why, chance = (
         found.findings[0].code,
@@ -131,13 +134,14 @@ def main() -> None:
     parser.add_argument("--lenses", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--kinds", nargs="*", default=[*KINDS, *FALSE, *WRONG], help="words that begin a kind's name")
+    parser.add_argument("--rendered", action="store_true", help="draw images, and detect the stars in them")
     asked = parser.parse_args()
     print(f"{'image':36s} right refused wrong  error, px (median, 90 %)  false names  log10 chance  s  why refused")
     for kind in [*KINDS, *FALSE, *WRONG]:
         if not any(kind.startswith(word) for word in asked.kinds):
             continue
         begin = time.process_time()
-        rows = [one(kind, seed) for seed in range(asked.first, asked.first + asked.lenses)]
+        rows = [one(kind, seed, rendered=asked.rendered) for seed in range(asked.first, asked.first + asked.lenses)]
         spent = (time.process_time() - begin) / len(rows)
         count = Counter(row[0] for row in rows)
         errors = np.array([row[2] for row in rows if row[0] == "right"] or [math.nan])

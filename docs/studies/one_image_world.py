@@ -249,3 +249,31 @@ def _ring(lens: Lens, share: float) -> FloatArray:
     angle = share * min(lens.widest, 1.5)
     ring = np.stack([math.sin(angle) * np.cos(about), math.sin(angle) * np.sin(about), np.full(72, math.cos(angle))])
     return np.asarray(ring.T @ lens.pose)
+
+
+def render(rng: np.random.Generator, lens: Lens, sky: Sky, shot: Shot) -> NDArray[np.uint8]:
+    """Return what a camera of 8 bits shows of a shot: spots that widen outwards, a sky, clouds, a glare, and noise."""
+    width, height = lens.size
+    x, y = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
+    middle = np.nanmean(lens.pixels(_ring(lens, 0.97)), axis=0)
+    reach = float(np.nanmedian(np.linalg.norm(lens.pixels(_ring(lens, 0.97)) - middle, axis=-1)))
+    far = np.hypot(x - middle[0], y - middle[1]) / reach
+    light = 60.0 + 40.0 * far**2
+    for _ in range(round(20 * sky.clouds)):
+        at, wide = middle + reach * rng.uniform(-1.0, 1.0, 2), reach * rng.uniform(0.08, 0.3)
+        light += rng.uniform(20.0, 90.0) * np.exp(-(((x - at[0]) ** 2 + (y - at[1]) ** 2) / (2.0 * wide**2)))
+    if sky.glare_deg:
+        at = middle + 0.6 * reach * rng.uniform(-1.0, 1.0, 2)
+        light += 4000.0 / (1.0 + (((x - at[0]) ** 2 + (y - at[1]) ** 2) / (0.02 * reach) ** 2))
+    light[far > 1.05] = 5.0
+    for (u, v), flux in zip(shot.pixels, shot.flux, strict=True):
+        out = math.hypot(u - middle[0], v - middle[1]) / reach
+        spread = 0.9 + 0.5 * out**2
+        columns = np.arange(max(int(u) - 7, 0), min(int(u) + 9, width))
+        rows = np.arange(max(int(v) - 7, 0), min(int(v) + 9, height))
+        across = np.exp(-0.5 * ((columns - u) / spread) ** 2)
+        down = np.exp(-0.5 * ((rows - v) / spread) ** 2)
+        peak = 2.2e4 * flux * 10.0 / (2.0 * math.pi * spread**2)
+        light[np.ix_(rows, columns)] += peak * down[:, None] * across
+    counts = rng.poisson(light * 2.0) / 2.0 + rng.normal(0.0, 3.0, light.shape)
+    return np.asarray(np.round(255.0 * np.clip(counts / 2500.0, 0.0, 1.0) ** 0.5), dtype=np.uint8)
