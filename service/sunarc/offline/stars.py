@@ -410,8 +410,8 @@ def _dated(image: StarImage, unix_s: float) -> StarImage:
     """Return an image that was taken half a year or more from the night that gave the camera with that said."""
     if image.time is None or abs(image.time.timestamp() - unix_s) < _HALF_A_YEAR_S:
         return image
-    data = {"days": (image.time.timestamp() - unix_s) / DAY_S, "date": f"{utc_time(unix_s):%Y-%m-%d}"}
-    findings = (*image.findings, Finding("stars_years_apart", data))
+    days, date = (image.time.timestamp() - unix_s) / DAY_S, f"{utc_time(unix_s):%Y-%m-%d}"
+    findings = (*image.findings, Finding("stars_years_apart", {"days": days, "date": date}))
     return replace(image, findings=findings, reason=reason_of(findings))
 
 
