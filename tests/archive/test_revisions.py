@@ -22,6 +22,7 @@ from sunarc.archive.database.tables import metadata
 from sunarc.archive.days import NightImage
 from sunarc.archive.fleet.feed_rows import FeedBatch, FeedRow, Refusal
 from sunarc.archive.fleet.nightly import NightlyRun
+from sunarc.archive.seen_files import SeenFile
 from sunarc.archive.sightings import MOVED
 from sunarc.archive.values import Day, DayAir, Event, Housekeeping, Refit, SunPoint
 from sunarc.findings import Finding, uncoded
@@ -60,6 +61,7 @@ def filled(archive: Archive, path: Path) -> Path:
     archive.conditions.save("roof", {"disk_low": NOON})
     archive.nights.add_image("roof", night_image(NOON), keep_since=NOON)
     archive.nights.save(whole_night(NOON), event=event_of_night(whole_night(NOON)))
+    archive.seen_files.add([SeenFile(camera="roof", file="a.jpg", stamp="1 2", content="ff", time=NOON)])
     archive.nightly.summarise_days()
     archive.nightly.save(NightlyRun(night=NOON.date(), started_at=NOON, finished_at=NOON, results={"a": {"days": 1}}))
     archive.close()

@@ -29,6 +29,7 @@ FORMATTED: dict[str, tuple[str, ...]] = {
     "database_": get_args(Recovered),
     "refit_": tuple(state for state in get_args(RefitState) if state not in {"requested", "running"}),
     "calibration_": ("pinned", "unpinned"),
+    "benchmark_rows_": ("missing", "repeated", "unknown"),
 }
 """The endings of the codes that a source puts together."""
 
