@@ -86,11 +86,11 @@ class LeftOut:
         """Take note of an image that was used (None), or why it was not."""
         if finding is not None and finding.code in _EXPECTED:
             return
-        code = None if finding is None else _LEFT_OUT_CODES.get(finding.code, "images_left_out")
-        self._last.append(code)
+        cause = None if finding is None else _LEFT_OUT_CODES.get(finding.code, "images_left_out")
+        self._last.append(cause)
         counts = Counter(one for one in self._last if one is not None)
         worst, n = counts.most_common(1)[0] if counts else ("", 0)
-        if finding is not None and code == worst and n >= _LEAST and n >= _SHARE * len(self._last):
+        if finding is not None and cause == worst and n >= _LEAST and n >= _SHARE * len(self._last):
             shown = Finding(
                 worst, {"n": n, "file": file, "why": MESSAGES.text_of(finding), "remedy": MESSAGES.remedy_of(finding)}
             )

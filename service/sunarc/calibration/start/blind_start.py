@@ -293,9 +293,9 @@ def _by_pattern(
         data = {"log10_chance": chance, "limit": _MOST_LOG10_CHANCE, "n": len(lit[0].stars)}
         return BlindStart(accepted=False, findings=(Finding("blind_no_pattern", data),))
     if found[0].stars == 0:
-        data = {"log10_chance": found[0].log10_chance}
+        unnamed = {"log10_chance": found[0].log10_chance}
         why = tuple(finding for one in found[0].matched for finding in one.matches.findings)
-        return BlindStart(accepted=False, findings=(Finding("blind_pattern_not_named", data), *why))
+        return BlindStart(accepted=False, findings=(Finding("blind_pattern_not_named", unnamed), *why))
     return _decided(found, site, known)
 
 
