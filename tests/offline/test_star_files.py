@@ -278,6 +278,24 @@ def test_fits_files_give_the_stars_of_the_same_pictures(
     assert all(one["accepted"] for one, _ in pairs)
 
 
+def test_an_image_of_another_site_is_refused_and_the_rest_is_done(
+    images: list[Path], tmp_path: Path, sunarc: Sunarc
+) -> None:
+    header = {"DATE-OBS": "2026-03-13T05:59:57.5", "EXPTIME": 5.0}
+    here = as_fits(images[0], tmp_path / "a.fits", SITELAT=SITE.latitude + 0.3, SITELONG=-SITE.longitude, **header)
+    there = as_fits(images[1], tmp_path / "b.fits", OBSLAT=SITE.latitude + 3.0, OBSLONG=SITE.longitude, **header)
+    site = ["--latitude", str(SITE.latitude), "--longitude", str(SITE.longitude), "--altitude", str(SITE.altitude)]
+    usual = ["stars", "--blind", "--full-scale", "4095", *site, "--json"]
+    done = sunarc(*usual, str(there), str(here))
+    assert done.code == 1
+    answer = json.loads(done.out)
+    assert answer["accepted"]
+    assert [image["accepted"] for image in answer["images"]] == [False, True]
+    assert answer["images"][0]["findings"][0]["code"] == "file_other_site"
+    assert answer["images"][0]["findings"][0]["data"]["apart_deg"] == pytest.approx(3.0, abs=0.01)
+    assert sunarc(*usual, str(there)).code == 1
+
+
 @pytest.mark.parametrize(
     ("name", "header", "code", "time"),
     [

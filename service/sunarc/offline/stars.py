@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import uuid
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -36,6 +37,7 @@ from sunarc.reanalysis.image_times import TimeRules, timed_picture
 from sunarc.reanalysis.messages import MESSAGES, RefusedImageError
 from sunarc.reanalysis.sources import Folder
 from sunarc.runtime.clock import Clock
+from sunarc.sky.directions import angular_distance, direction_from_angles
 from sunarc.sky.night import FAINTEST_V, NightSky, night_sky
 from sunarc.sky.site import Site
 from sunarc.utc import DAY_S, rfc3339, utc_time
@@ -236,6 +238,9 @@ def read_stars(path: Path, site: Site, options: StarOptions, *, size: tuple[int,
     except InputError as error:
         unreadable = Finding("file_unreadable", {"error": str(error)})
         return StarImage(file=str(path), reason=reason_of([unreadable]), findings=(unreadable,))
+    if (elsewhere := _other_site(path, site)) is not None:
+        reason = MESSAGES.text_of(elsewhere)
+        return StarImage(file=str(path), reason=reason, findings=(elsewhere,), time=time)
     found = (image.shape[1], image.shape[0])
     _require_size(path, found, size)
     stars = detect_stars(
@@ -246,6 +251,25 @@ def read_stars(path: Path, site: Site, options: StarOptions, *, size: tuple[int,
     )
     sky = night_sky(time.timestamp(), site, faintest=FAINTEST_V)
     return StarImage(file=str(path), reason="", findings=(), time=time, sky=sky, stars=stars, size=found)
+
+
+_FARTHEST_DEG = 2.0
+"""Between the header's site and the stated one: headers round, and some write degrees and minutes as a decimal."""
+
+
+def _other_site(path: Path, site: Site) -> Finding | None:
+    """Return what a FITS header says that is another site; longitudes that are positive to the west are known."""
+    if kind_of(path.name) != "fits":
+        return None
+    from sunarc.reanalysis.image_files import fits_site  # noqa: PLC0415 - of an extra
+
+    if (place := fits_site(read_file(path), path.name)) is None:
+        return None
+    here = direction_from_angles(zenith_deg=90.0 - site.latitude, azimuth_deg=site.longitude)
+    there = [direction_from_angles(zenith_deg=90.0 - place[0], azimuth_deg=east) for east in (place[1], -place[1])]
+    apart = min(math.degrees(float(angular_distance(here, one))) for one in there)
+    data = {"latitude": place[0], "longitude": place[1], "apart_deg": apart, "limit": _FARTHEST_DEG}
+    return Finding("file_other_site", data) if apart > _FARTHEST_DEG else None
 
 
 def _read(path: Path, options: StarOptions) -> tuple[datetime, Image, Bayer | None]:
@@ -417,7 +441,9 @@ def _dated(image: StarImage, unix_s: float) -> StarImage:
 
 def _one_night(seen: Sequence[StarImage]) -> list[StarImage]:
     """Return images of the night that has most of them, evenly over it."""
-    timed = sorted((one for one in seen if one.time is not None), key=lambda one: str(one.time))
+    timed = sorted(
+        (one for one in seen if one.time is not None and one.stars is not None), key=lambda one: str(one.time)
+    )
     times = np.array([one.time.timestamp() for one in timed if one.time is not None])
     night = np.cumsum(np.diff(times, prepend=times[0]) > _GAP_S)
     rows = np.flatnonzero(night == np.argmax(np.bincount(night)))

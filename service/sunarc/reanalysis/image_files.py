@@ -331,6 +331,16 @@ def fits_frame(content: bytes, name: str) -> FileImage:
     return FileImage(0, middle, exposure_us)
 
 
+_SITES = (("SITELAT", "SITELONG"), ("OBSLAT", "OBSLONG"), ("LAT-OBS", "LONG-OBS"), ("OBSGEO-B", "OBSGEO-L"))
+
+
+def fits_site(content: bytes, name: str) -> tuple[float, float] | None:
+    """Return the latitude and longitude, degrees, that a FITS file's header states as numbers; None without them."""
+    merged = _fits_cards(content, name)
+    stated = [(_number(merged[north]), _number(merged[east])) for north, east in _SITES if {north, east} <= set(merged)]
+    return next((place for place in stated if math.isfinite(place[0]) and math.isfinite(place[1])), None)
+
+
 def fits_image(content: bytes, name: str, *, size: tuple[int, int] | None) -> Image:
     """Return the image of a FITS file, (rows, columns) or (rows, columns, 3).
 

@@ -64,6 +64,12 @@ MESSAGES = Messages(
         "The file was left out; nothing is stored of it.",
         'write NAME.json beside the video NAME.*: {{"times_utc": ["…Z"]}} or {{"start_utc": "…Z", "interval_s": 60}}',
     ),
+    file_other_site=Message(
+        "its header states {latitude:.2f}° north and {longitude:.2f}° east, {apart_deg:.1f}° from the site (at most "
+        "{limit:.0f}°)",
+        _LEFT_OUT,
+        "correct latitude and longitude (east is positive), or leave the image out",
+    ),
     file_sidecar=Message("the sidecar cannot be read: {error}", _LEFT_OUT, 'write {{"time_utc": "…Z"}}'),
     file_at_night=Message(
         "the sun was at {zenith_deg:.1f} degrees from the zenith",
