@@ -132,7 +132,7 @@ class ArrivalTimes:
 
 _LEARNED_DAYS = timedelta(days=7)
 _LONGEST_S = 3600.0
-_FEWEST = 20
+_FEWEST = 3
 _FIRST_S = 60.0
 
 
@@ -154,21 +154,24 @@ class LearnedCadence:
         if self._stated_s is not None:
             return self._stated_s
         if self._learned is None or abs(time - self._learned[0]) >= timedelta(hours=1):
-            self._learned = (time, self._of(time))
+            learned_s = self._of(time)
+            if learned_s is None:
+                return _FIRST_S if self._learned is None else self._learned[1]
+            self._learned = (time, learned_s)
         return self._learned[1]
 
-    def _of(self, time: datetime) -> float:
+    def _of(self, time: datetime) -> float | None:
         try:
             times = self._camera.archive.sightings.observation_times(
                 self._camera.name, since=time - _LEARNED_DAYS, until=time
             )
         except OutsideError as error:
             _log.warning("the cadence of the images cannot be learned: %s", error)
-            return _FIRST_S if self._learned is None else self._learned[1]
+            return None
         between = np.diff(np.unique(times)) if times is not None else np.zeros(0)
         between = between[between <= _LONGEST_S]
         if between.size < _FEWEST:
-            return _FIRST_S if self._learned is None else self._learned[1]
+            return None
         return max(float(np.median(between)), 1.0)
 
 
