@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections import Counter, OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from datetime import datetime
 from typing import NamedTuple
@@ -122,6 +122,7 @@ class LiveImages:
         """Begin without an image."""
         self.repetitions = Repetitions(self.camera, self.board)
         self._learned_with: str | None = None
+        self._noticed: datetime | None = None
 
     @property
     def size(self) -> tuple[int, int] | None:
@@ -163,11 +164,16 @@ class LiveImages:
                 self._add_elsewhere(address, images, suns)
             number = SEARCHED if model is None else PREDICTED
             self._store([self._point(one, suns[one.file], number) for one in images if one.file in suns])
-        for found in suns.values():
-            if found.accepted or found.verdict == ELSEWHERE:
-                self.notice(time, found)
+        self._notice(time, suns.values())
         self._learn(record, model)
         return [one.found if isinstance(one.found, Finding) else None for one in answers]
+
+    def _notice(self, time: datetime, suns: Iterable[Detection]) -> None:
+        """Pass on the sun of an image that is later than those before: in another order it would seem to go back."""
+        for found in suns:
+            if (found.accepted or found.verdict == ELSEWHERE) and (self._noticed is None or time > self._noticed):
+                self._noticed = time
+                self.notice(time, found)
 
     def _model(self, record: CalibrationRecord) -> Calibration | None:
         try:

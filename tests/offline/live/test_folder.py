@@ -102,6 +102,8 @@ def test_an_upload_after_six_hours_is_taken_and_its_day_judged_again(followed: F
     take(followed, 4, every_s=300.0)
     followed.clock.advance(86_400.0)
     followed.turn()
+    noticed = list[datetime]()
+    followed.worker.images.notice = lambda time, _: noticed.append(time)
     followed.service.judge_completed_days()
     judged = followed.service.archive.days.find("roof")
     for n in range(30):
@@ -115,6 +117,11 @@ def test_an_upload_after_six_hours_is_taken_and_its_day_judged_again(followed: F
     followed.service.judge_completed_days()
     (day,) = followed.service.archive.days.find("roof")
     assert (day.n_observed, day.n) == (34, 34)
+    earlier = MORNING + timedelta(minutes=2)
+    followed.write(allsky(earlier), shot(earlier))
+    followed.turn()
+    assert len(followed.points()) == 35
+    assert (len(noticed), noticed) == (30, sorted(noticed))  # in another order the sun would seem to go back
 
 
 def test_a_copy_is_known_by_its_content_and_a_picture_that_comes_again_is_frozen(followed: Followed) -> None:
