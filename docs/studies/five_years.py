@@ -47,12 +47,12 @@ from sunarc.workers.calibrating.monitor import DayJudge
 from sunarc.workers.calibrating.refit import RefitWorker
 from sunarc.workers.options import RefitOptions
 
-_START = datetime(2013, 5, 13, 6, 30, tzinfo=UTC)
-_DAYS = 1826
+START = datetime(2013, 5, 13, 6, 30, tzinfo=UTC)
+DAYS = 1826
 _CADENCE_S = 30.0
-_SIGHTINGS = 2_500_000
+SIGHTINGS = 2_500_000
 _SIGMA_PX = 0.02
-_END = _START + timedelta(days=_DAYS)
+END = START + timedelta(days=DAYS)
 _CONFIG = """\
 name = "roof"
 state = "{state}"
@@ -77,7 +77,7 @@ def main() -> None:
     # This file imports all of the service.
     vars(sys.modules["__main__"]).pop("__file__", None)
     if not path.exists():
-        _measured("making the database", lambda: make(path))
+        measured("making the database", lambda: make(path))
     for _ in range(2):  # the first one may have to compile and to read a cold disk
         start(path)
     measure(path)
@@ -89,11 +89,11 @@ def make(path: Path) -> None:
     archive = open_archive(path)
     camera = true_camera()
     archive.cameras.save(CameraRecord.at(SGP, name="roof", width=camera.width, height=camera.height))
-    first = archive.epochs.at("roof", _START, reason="installed")
+    first = archive.epochs.at("roof", START, reason="installed")
     rng = np.random.default_rng(5)
-    times = _START.timestamp() + np.arange(0.0, _DAYS * 86_400.0, _CADENCE_S)
+    times = START.timestamp() + np.arange(0.0, DAYS * 86_400.0, _CADENCE_S)
     times = np.concatenate([part[sun_angles(part, SGP).apparent_zenith < 88.0] for part in np.array_split(times, 200)])
-    times = times[np.sort(rng.permutation(times.size)[:_SIGHTINGS])]
+    times = times[np.sort(rng.permutation(times.size)[:SIGHTINGS])]
     with closing(sqlite3.connect(path)) as connection, connection:
         for part in np.array_split(times, 50):
             pixels = project_fast(camera, sun_directions(part, SGP)) + rng.normal(0.0, _SIGMA_PX, (part.size, 2))
@@ -106,16 +106,16 @@ def make(path: Path) -> None:
                     for t, (x, y) in zip(part.tolist(), pixels.tolist(), strict=True)
                 ),
             )
-    for year in range(1, 5):
-        archive.epochs.open("roof", at=_START + timedelta(days=365 * year), reason="moved")
+    for year in range(1, round(DAYS / 365)):
+        archive.epochs.open("roof", at=START + timedelta(days=365 * year), reason="moved")
     _remember_days(archive)
     archive.close()
 
 
 def _remember_days(archive: Archive) -> None:
-    for number in range(_DAYS):
-        moment = _START + timedelta(days=number + 1)
-        day = (_START + timedelta(days=number)).date()
+    for number in range(DAYS):
+        moment = START + timedelta(days=number + 1)
+        day = (START + timedelta(days=number)).date()
         archive.days.save(
             Day(camera="roof", date=day, verdict="clear", findings=(), n=1300, n_possible=1400, decided_at=moment)
         )
@@ -126,30 +126,30 @@ def _remember_days(archive: Archive) -> None:
 
 def measure(path: Path) -> None:
     """Print what a refit, the pages and a start take."""
-    _measured("upgrade and open", lambda: upgrade_and_open(path))
+    measured("upgrade and open", lambda: upgrade_and_open(path))
     archive = open_archive(path)
-    board = StatusRegistry(version="study", started_at=_END, monotonic=SystemClock().monotonic)
+    board = StatusRegistry(version="study", started_at=END, monotonic=SystemClock().monotonic)
     judge = DayJudge(
         camera=CameraArchive(archive, name="roof", site=SGP),
         cadence_s=lambda: _CADENCE_S,
         sun_zenith_deg=88.0,
-        now=lambda: _END,
-        request_refit=lambda reason: Refit(id="x", camera="roof", requested_at=_END, reason=reason),
+        now=lambda: END,
+        request_refit=lambda reason: Refit(id="x", camera="roof", requested_at=END, reason=reason),
     )
-    _measured("the first look for ended days", judge.judge_ended_days)
-    _measured("the next look", judge.judge_ended_days)
+    measured("the first look for ended days", judge.judge_ended_days)
+    measured("the next look", judge.judge_ended_days)
     worker = RefitWorker(
         camera=CameraArchive(archive, name="roof", site=SGP),
         options=RefitOptions(),
         calibration=CalibrationOptions(),
         cadence_s=_CADENCE_S,
         clock=SystemClock(),
-        now=lambda: _END,
+        now=lambda: END,
         board=board,
     )
     for what in ("the first refit, with the search for pose epochs and fits of the earlier ones", "a nightly refit"):
-        refit = archive.refits.add(Refit(id=uuid.uuid4().hex, camera="roof", requested_at=_END, reason="study"))
-        _measured(what, partial(worker.carry_out, refit, threading.Event(), lambda: None))
+        refit = archive.refits.add(Refit(id=uuid.uuid4().hex, camera="roof", requested_at=END, reason="study"))
+        measured(what, partial(worker.carry_out, refit, threading.Event(), lambda: None))
         print(archive.refits.get(refit.id), flush=True)
     app = create_app(
         archive=archive,
@@ -157,13 +157,13 @@ def measure(path: Path) -> None:
         site=SGP,
         status=board.snapshot,
         request_refit=lambda reason: replace(refit, reason=reason),
-        frame_clock=lambda: _END,
+        frame_clock=lambda: END,
         latest_image=lambda: None,
         options=ApiOptions(),
     )
     for page in ("/v1/status", "/metrics", "/v1/calibration", "/v1/days", "/v1/events", "/v1/sun-points"):
         for which in ("first", "again"):
-            _measured(f"GET {page}, {which}", partial(asyncio.run, fetch(app, page)))
+            measured(f"GET {page}, {which}", partial(asyncio.run, fetch(app, page)))
     print(f"size of the database: {path.stat().st_size / 1e6:.0f} MB")
 
 
@@ -212,7 +212,8 @@ def _free_port() -> int:
         return int(trial.getsockname()[1])
 
 
-def _measured(what: str, work: Callable[[], Any]) -> float:
+def measured(what: str, work: Callable[[], Any]) -> float:
+    """Do something, print what it takes, and return the seconds."""
     wall, cpu = time.perf_counter(), _cpu_s()
     work()
     wall = time.perf_counter() - wall
