@@ -7,6 +7,7 @@ import os
 import shutil
 import socket
 import sys
+import tempfile
 import threading
 import urllib.parse
 import urllib.request
@@ -36,10 +37,13 @@ from sunarc.cameras.frame import SkyCamera
 from sunarc.cameras.options import AravisOptions, FolderOptions
 from sunarc.findings import Finding
 from sunarc.offline.first_look import MESSAGES as OF_FIRST_LOOK
-from sunarc.offline.first_look import TriedPicture, judge_site, small_picture, try_pictures
+from sunarc.offline.first_look import TriedPicture, judge_site, look_for_sun, small_picture, try_pictures
 from sunarc.reanalysis.folder_files import is_image
 from sunarc.reanalysis.folder_worker import time_rules
-from sunarc.reanalysis.sources import open_source
+from sunarc.reanalysis.image_files import image_of
+from sunarc.reanalysis.messages import MESSAGES as OF_FILES
+from sunarc.reanalysis.snapshots import SnapshotClient
+from sunarc.reanalysis.sources import Folder, open_source
 from sunarc.runtime.clock import Clock, SystemClock, host_clock_state
 from sunarc.runtime.host import listen, prepare_state
 from sunarc.settings.model import Settings
@@ -170,6 +174,9 @@ def run_checks(settings: Settings, *, clock: Clock) -> Iterator[CheckResult]:
     if settings.source == "folder" and settings.folder is not None:
         with _rights_of_owner(settings.state):
             yield from (CheckResult(*tried[:3]) for tried in _pictures(settings.folder, settings.site, None))
+    elif settings.http is not None and settings.source == "http":
+        with _rights_of_owner(settings.state):
+            yield _checked("picture at http.url", lambda: _snapshot(settings, None)[:2])
     else:
         yield _checked("camera", lambda: _camera(settings, clock) if running is None else _camera_in_use(running))
 
@@ -194,6 +201,7 @@ _QUESTIONS = {
     "camera": "--camera",
     "folder": "--folder",
     "picture": "--utc-offset, --time-pattern",
+    "picture at http.url": "--url, --token-file",
     "site": "--latitude, --longitude",
     "clock": "no option: it looks again",
 }
@@ -219,6 +227,15 @@ def try_first(settings: Settings, *, addresses: Sequence[str], picture: Path) ->
         yield from (TriedResult(*result) for result in _cameras_that_answer(settings, addresses, clock))
     elif settings.folder is not None and settings.source == "folder":
         yield from _pictures(settings.folder, settings.site, picture)
+    elif settings.http is not None and settings.source == "http":
+        codes: list[str] = []
+
+        def try_it() -> tuple[Outcome, str]:
+            outcome, text, code = _snapshot(settings, picture)
+            codes.extend([code] if code else [])
+            return outcome, text
+
+        yield TriedResult(*_checked("picture at http.url", try_it), codes=tuple(codes))
     yield TriedResult(*_checked("clock", check_clock))
     yield TriedResult(*_checked("disk", lambda: _room_for(settings.state)))
 
@@ -277,6 +294,29 @@ def _pictures(options: FolderOptions, site: Site, picture: Path | None) -> Itera
     judged = judge_site(tried, site)
     good = judged.code == "site_agrees"
     yield TriedResult("site", "ok" if good else "warn", _sentence(judged), (judged.code,))
+
+
+def _snapshot(settings: Settings, shown: Path | None) -> tuple[Outcome, str, str]:
+    """Ask a camera for its picture as the service does; return the code, too, of what is wrong."""
+    if settings.http is None:
+        return "fail", "setting http is missing", ""
+    found = SnapshotClient(settings.http, SystemClock()).picture()
+    if isinstance(found, Finding):
+        return "fail", f"{OF_FILES.text_of(found)}; {OF_FILES.remedy_of(found)} [{found.code}]", found.code
+    with tempfile.TemporaryDirectory() as place:
+        name = f"picture.{found.suffix}"
+        (Path(place) / name).write_bytes(found.content)
+        image = image_of(Folder(place), name)
+    if isinstance(image, Finding):
+        return "fail", f"{OF_FILES.text_of(image)}; {OF_FILES.remedy_of(image)} [{image.code}]", image.code
+    tried = look_for_sun(TriedPicture(name=name, time=found.time, rule="this host's clock"), image)
+    if shown is not None:
+        with errors.disk_errors(shown):
+            shown.write_bytes(small_picture(image, tried.found))
+    judged = judge_site([tried], settings.site)
+    if judged.code == "site_sun_down":
+        return "warn", f"{tried.describe()}; {_sentence(judged)}", judged.code
+    return "ok", tried.describe() + ("" if shown is None else f"; see {shown}"), ""
 
 
 def _picture_result(tried: TriedPicture, files: int, picture: Path | None) -> TriedResult:

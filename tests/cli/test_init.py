@@ -7,8 +7,11 @@ import os
 import pty
 import subprocess
 import sys
+import threading
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +31,8 @@ from sunarc.simulation.made_archive import encoded, photograph
 from sunarc.sky.site import Site
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from tests.fixtures.command_line import Answer, Sunarc
 
 SITE = ("--latitude", "36.604043", "--longitude", "-97.484856", "--altitude", "318")
@@ -178,6 +183,39 @@ def test_a_longitude_of_the_wrong_sign_is_named_by_the_suns_of_the_pictures(
     wrong = ("--latitude", "36.6", "--longitude", "97.48", "--altitude", "318", "--utc-offset", "0")
     answer = init(sunarc, tmp_path / "a.toml", *wrong, "--folder", str(pictures), "--json")
     assert "site_longitude_sign" in codes_in(answer)
+
+
+@pytest.fixture
+def camera(pictures: Path) -> Iterator[str]:
+    """Return the address of a folder's files, served as a camera serves its picture."""
+    handler = partial(SimpleHTTPRequestHandler, directory=str(pictures))
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
+        thread.join()
+
+
+def test_a_picture_at_an_address_is_asked_for_once_and_shown(sunarc: Sunarc, tmp_path: Path, camera: str) -> None:
+    file = tmp_path / "sunarc.toml"
+    answer = init(sunarc, file, *SITE, "--url", f"{camera}/image.jpg", "--json")
+    assert answer.code == 0, answer.out
+    assert load_settings(file).source == "http"
+    (picture,) = [check for check in record_of(answer)["checks"] if check["what"] == "picture at http.url"]
+    assert "240x240" in picture["text"]
+    assert (tmp_path / "a.png").exists()
+
+
+def test_an_address_without_a_picture_fails_with_its_code(sunarc: Sunarc, tmp_path: Path, camera: str) -> None:
+    for path, code in (("none.jpg", "http_status"), ("", "http_no_picture")):
+        answer = init(sunarc, tmp_path / "sunarc.toml", *SITE, "--url", f"{camera}/{path}", "--json")
+        assert (answer.code, codes_in(answer)) == (1, {code})
+    answer = sunarc("check", "--config", str(tmp_path / "sunarc.toml"), "--json")
+    assert answer.code == 1
+    (failed,) = [check for check in json.loads(answer.out) if check["what"] == "picture at http.url"]
+    assert failed["outcome"] == "fail"
+    assert "--url" in failed["question"]
 
 
 def test_on_a_terminal_what_is_missing_is_asked_again_until_it_is_right(tmp_path: Path, pictures: Path) -> None:

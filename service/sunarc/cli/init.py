@@ -22,7 +22,7 @@ from sunarc.offline.first_look import RefusedAnswerError, parse_angle
 from sunarc.settings.file_text import NEW_FILE, Value, read_text, value_in, with_values
 from sunarc.settings.load import settings_of
 
-_SOURCES = ("aravis", "folder")
+_SOURCES = ("aravis", "folder", "http")
 _TRIES = 5
 """Answers to a question that may be wrong, one after the other."""
 
@@ -64,6 +64,7 @@ _SITE = (
 _OF_SOURCE = {
     "aravis": _SettingQuestion("camera.address", "--camera", "The camera's IP address", str.strip),
     "folder": _SettingQuestion("folder.path", "--folder", "The folder that another program fills", str.strip),
+    "http": _SettingQuestion("http.url", "--url", "The address of the camera's picture", str.strip),
 }
 _OFFSET = _SettingQuestion(
     "folder.utc_offset",
@@ -84,11 +85,13 @@ def init(
     latitude: Annotated[str | None, typer.Option(help="Decimal degrees, north positive, or as 36°36'14\"N.")] = None,
     longitude: Annotated[str | None, typer.Option(help="Decimal degrees, east positive, or as 97°29'05\"W.")] = None,
     altitude: Annotated[str | None, typer.Option(help="Metres above sea level.")] = None,
-    source: Annotated[str | None, typer.Option(help="aravis (a GenICam camera) or folder.")] = None,
+    source: Annotated[str | None, typer.Option(help="aravis (a GenICam camera), folder or http.")] = None,
     camera: Annotated[
         list[str] | None, typer.Option(help="Address of a GigE camera; may be given often, none is searched for.")
     ] = None,
     folder: Annotated[Path | None, typer.Option(help="Folder that another program fills with images.")] = None,
+    url: Annotated[str | None, typer.Option(help="Address of the camera's picture, JPEG or PNG.")] = None,
+    token_file: Annotated[Path | None, typer.Option(help="File with USER:PASSWORD for --url.")] = None,
     utc_offset: Annotated[
         str | None, typer.Option(help="How far times in names are ahead of UTC: hours, or a zone as Europe/Berlin.")
     ] = None,
@@ -112,9 +115,10 @@ def init(
         "site.latitude": latitude,
         "site.longitude": longitude,
         "site.altitude": altitude,
-        "source": source or _source_of(camera, folder),
+        "source": source or _source_of(camera, folder, url),
         "camera.address": camera[0] if camera else None,
         "folder.path": None if folder is None else str(folder.absolute()),
+        "http.url": url,
         "folder.utc_offset": utc_offset,
         "folder.time_pattern": time_pattern,
     }
@@ -129,8 +133,10 @@ def init(
     for question in _SITE:
         answers.answer(question)
     kind = str(answers.value("source") or "aravis")
-    _require_source(kind, camera=camera, folder=folder)
+    _require_source(kind, camera=camera, folder=folder, url=url)
     answers.answer(_OF_SOURCE[kind])
+    if token_file is not None and kind == "http":
+        answers.set({"http.token_file": str(token_file.absolute())})
     for optional in (_OFFSET, _PATTERN):
         answers.answer(optional, needed=False)
     results = _tried(answers, file, addresses=camera or [], picture=picture)
@@ -142,17 +148,17 @@ def init(
         raise typer.Exit(1)
 
 
-def _source_of(camera: list[str] | None, folder: Path | None) -> str | None:
-    """Return the source that the other options mean; None where there are none, or both."""
-    if (folder is None) == (not camera):
-        return None
-    return "aravis" if camera else "folder"
+def _source_of(camera: list[str] | None, folder: Path | None, url: str | None) -> str | None:
+    """Return the source that the other options mean; None where there are none, or several."""
+    given = {"aravis": camera, "folder": folder, "http": url}
+    meant = [source for source, value in given.items() if value]
+    return meant[0] if len(meant) == 1 else None
 
 
-def _require_source(kind: str, *, camera: list[str] | None, folder: Path | None) -> None:
+def _require_source(kind: str, *, camera: list[str] | None, folder: Path | None, url: str | None) -> None:
     """Raise where an option of another source is given."""
     fitting = _OF_SOURCE[kind].option
-    for option, value in (("--camera", camera), ("--folder", folder)):
+    for option, value in (("--camera", camera), ("--folder", folder), ("--url", url)):
         if value and option != fitting:
             raise RefusedAnswerError(option, Finding("answer_contradicts", {"source": kind, "option": fitting}))
 

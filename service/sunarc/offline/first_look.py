@@ -237,7 +237,12 @@ def _tried(
     image = image_of(source, name, number)
     if isinstance(image, Finding):
         return replace(tried, faults=tuple({one.code: one for one in (*tried.faults, image)}.values())), None
-    return replace(tried, size=(image.shape[1], image.shape[0]), found=detect_in_image(image)), image
+    return look_for_sun(tried, image), image
+
+
+def look_for_sun(tried: TriedPicture, image: Image) -> TriedPicture:
+    """Return what a picture shows with its size, and the sun in it."""
+    return replace(tried, size=(image.shape[1], image.shape[0]), found=detect_in_image(image))
 
 
 _HORIZON_DEG = 91.5
