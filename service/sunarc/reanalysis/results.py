@@ -19,16 +19,17 @@ import numpy as np
 import sunarc
 from sunarc.detection.values import Expectation
 from sunarc.errors import InputError, disk_errors
+from sunarc.extras import extra_module, is_installed
 from sunarc.findings import Finding
 from sunarc.optics.forward import project
 from sunarc.reanalysis.fit import Final, Rough, document_of
 from sunarc.reanalysis.index import CameraImages, Failure, Indexed
 from sunarc.reanalysis.learned_sigma import sigma_factor
 from sunarc.reanalysis.ledger import Ledger, ParallelMap, content_key
-from sunarc.reanalysis.look import IN_STACK
+from sunarc.reanalysis.look import IN_STACK, NamedStars
 from sunarc.reanalysis.messages import MESSAGES, sentence_of
 from sunarc.reanalysis.nights import NightsLooked
-from sunarc.reanalysis.passes import Found, FoundSun, Looked
+from sunarc.reanalysis.passes import PREDICTED, SEARCHED, Found, FoundSun, Looked, id_of, kept
 from sunarc.reanalysis.states import Epoch
 from sunarc.sky.sun import sun_directions
 from sunarc.utc import DAY_S, rfc3339, utc_time
@@ -170,6 +171,7 @@ def write_results(
         for one in results:
             if one.horizon is not None:
                 _write(target / f"horizon_{one.name}.png", one.horizon.png)
+        _write_detections(target / "detections", results, ledger)
         missing = _write_exports(target / "exports", documents if each is not None else {}, each, ledger)
     report = {
         "cameras": [_camera(one, documents) for one in results],
@@ -178,6 +180,79 @@ def write_results(
         "exports_missing": missing,
     }
     return Summary(report=report, documents=documents)
+
+
+_NUMBERS_FOUND = ("x_px", "y_px", "sigma_px", "radius_px", "ellipticity", "peak_fraction", "background_fraction")
+
+
+def _write_detections(folder: Path, results: Sequence[CameraResult], ledger: Ledger) -> None:
+    """Write what was found in each image as Parquet, a folder for each camera, where pyarrow is installed.
+
+    A file that was written of the same answers stays as it is.
+    """
+    if not is_installed("pyarrow"):
+        return
+    made = {f"camera={one.name}": one for one in results}
+    for former in folder.glob("camera=*"):
+        if former.name not in made:
+            shutil.rmtree(former)
+    for name, one in made.items():
+        path, kept_as = folder / name / "detections.parquet", f"detections {folder.absolute()} {name}"
+        times = np.array([image.time_us for image in one.looked.images], dtype=np.int64)
+        key = content_key((sunarc.__version__, times, ledger.chunks()))
+        if not path.is_file() or ledger.result(kept_as, key) is None:
+            _write(path, _parquet(_detections(one, ledger)))
+            ledger.keep_result(kept_as, key, True)
+
+
+def _detections(result: CameraResult, ledger: Ledger) -> dict[str, Sequence[object]]:
+    """Return what was found in each image by columns: the answer that counts, with a rejected position, too."""
+    images = result.looked.images
+    row_of = {id_of(image): row for row, image in enumerate(images)}
+    columns: dict[str, list[object]] = {name: [None] * len(images) for name in ("verdict", "code", *_NUMBERS_FOUND)}
+    accepted, predicted, open_rows = [False] * len(images), [False] * len(images), set(range(len(images)))
+    for number in (PREDICTED, SEARCHED):
+        for image, known in ledger.answers(result.name, pass_number=number):
+            row = row_of.get(image, -1)
+            if (
+                row not in open_rows
+                or isinstance(known.found, NamedStars)
+                or kept(known.found) != result.looked.found[row]
+            ):
+                continue
+            open_rows.remove(row)
+            predicted[row] = number == PREDICTED
+            if isinstance(known.found, Finding):
+                columns["code"][row] = known.found.code
+                continue
+            accepted[row] = known.found.accepted
+            columns["verdict"][row] = known.found.verdict
+            columns["code"][row] = known.found.findings[0].code if known.found.findings else None
+            for name in _NUMBERS_FOUND:
+                columns[name][row] = getattr(known.found, name)
+    return {
+        "time_us": [image.time_us for image in images],
+        "file": [image.path for image in images],
+        "source": [image.address for image in images],
+        "exposure_us": [image.exposure_us for image in images],
+        "accepted": accepted,
+        "predicted": predicted,
+        **columns,
+    }
+
+
+def _parquet(columns: Mapping[str, Sequence[object]]) -> bytes:
+    arrow, parquet = (extra_module(name, extra="parquet") for name in ("pyarrow", "pyarrow.parquet"))
+    text, number = arrow.dictionary(arrow.int32(), arrow.string()), arrow.float64()
+    kinds = {
+        "time_us": arrow.timestamp("us", tz="UTC"), "file": arrow.string(), "source": text, "verdict": text,
+        "code": text, "accepted": arrow.bool_(), "predicted": arrow.bool_(),
+    }  # fmt: skip
+    arrays = [arrow.array(values, type=kinds.get(name, number)) for name, values in columns.items()]
+    names = ["time_utc" if name == "time_us" else name for name in columns]
+    target = io.BytesIO()
+    parquet.write_table(arrow.table(arrays, names=names), target, compression="zstd")
+    return target.getvalue()
 
 
 def epoch_name(number: int) -> str:

@@ -7,11 +7,13 @@ import json
 import os
 import re
 import shutil
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+from pyarrow import parquet
 from tests.fixtures.postgresql import Server, postgresql
 from tests.offline.reanalysis.in_process import InProcess
 from tests.offline.reanalysis.made import MADE, analysed, indexed_in, tables_in
@@ -113,6 +115,22 @@ def test_the_page_needs_no_other_file_and_shows_the_epochs(summary: Summary, tar
     assert page.count("data:image/jpeg;base64,") == 5
     assert all(word in page for word in ("roof", "mast", "moved", "clock", "+3600.0"))
     assert json.loads((target / "report.json").read_text())["failures"]["file_truncated"] == 2
+
+
+def test_what_was_found_in_each_image_is_written_as_parquet(summary: Summary, target: Path) -> None:
+    every = []
+    for one in summary.report["cameras"]:
+        path = target / "detections" / f"camera={one['camera']}" / "detections.parquet"
+        rows = parquet.read_table(path, partitioning=None).to_pylist()
+        assert len(rows) == one["images"]
+        assert sum(row["accepted"] for row in rows) == one["accepted"]
+        assert Counter(row["verdict"] for row in rows if row["verdict"]) == one["by_verdict"]
+        assert all(row["code"] and row["time_utc"].tzinfo is not None for row in rows)
+        assert any(row["predicted"] for row in rows)
+        every += [row for row in rows if row["accepted"]]
+    lines = (target / "sightings.csv").read_text().splitlines()
+    written = {(float(row["x_px"]), float(row["y_px"])) for row in csv.DictReader(lines)}
+    assert {(round(row["x_px"], 4), round(row["y_px"], 4)) for row in every} == written
 
 
 def test_an_interrupted_run_goes_on_and_comes_to_the_same(
