@@ -77,7 +77,7 @@ _MASK = Table(
 _RESULT = Table(
     "result",
     _METADATA,
-    Column("name", String(300), primary_key=True),
+    Column("name", String(24), primary_key=True),
     Column("key", String(24), nullable=False),
     Column("content", LargeBinary, nullable=False),
 )
@@ -213,16 +213,17 @@ class Ledger:
 
     def result(self, name: str, key: str) -> Any:  # noqa: ANN401 - of any type
         """Return what was kept under a name; None where nothing was, or it was made of something else."""
-        rows = select(_RESULT.c.content).where(_RESULT.c.name == name, _RESULT.c.key == key)
+        rows = select(_RESULT.c.content).where(_RESULT.c.name == content_key(name), _RESULT.c.key == key)
         with self._engine.connect() as connection:
             content = connection.scalar(rows)
         return None if content is None else _unpacked(bytes(content))
 
     def keep_result(self, name: str, key: str, value: object) -> None:
         """Keep a result under a name in place of the former one, with the hash of what it was made of."""
-        row = {"name": name, "key": key, "content": pickle.dumps(value, protocol=5)}
+        # by its hash: a name holds paths, which may be longer than a column
+        row = {"name": content_key(name), "key": key, "content": pickle.dumps(value, protocol=5)}
         with self._engine.begin() as connection:
-            connection.execute(delete(_RESULT).where(_RESULT.c.name == name))
+            connection.execute(delete(_RESULT).where(_RESULT.c.name == row["name"]))
             connection.execute(insert(_RESULT), [row])
 
     def each(

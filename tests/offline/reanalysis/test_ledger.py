@@ -57,9 +57,11 @@ def test_a_ledger_in_postgresql_gives_the_same_answers_and_mask(postgresql: Serv
             ledger.store("roof", 1, [(ONE, Known("k1", REFUSED)), (OTHER, Known("k2", REFUSED))], version="1")
             ledger.store("roof", 1, [(ONE, Known("k3", SUN))], version="1")
             ledger.keep_mask("roof", mask, version="1")
+            ledger.keep_result("exports " + 500 * "x", "k", {"sun": SUN})
         with Ledger(address) as ledger:
             assert dict(ledger.answers("roof", pass_number=1)) == {ONE: Known("k3", SUN), OTHER: Known("k2", REFUSED)}
             assert ledger.mask("roof", version="1") == KeptMask(mask)
+            assert ledger.result("exports " + 500 * "x", "k") == {"sun": SUN}
             assert ledger.chunks() == 2
     finally:
         postgresql.drop(url)
