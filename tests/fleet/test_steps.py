@@ -97,17 +97,17 @@ def test_the_steps_of_the_page_lead_to_a_camera_that_is_ready_on_two_hubs(tmp_pa
 
 
 def cut_off(server: Server) -> None:
-    """Cut a restore off in its middle: nothing is there of it, and the next one puts all back."""
+    """Let a restore fail in its middle: nothing is there of it, and the next one puts all back."""
     folder = server.folder / "copies"
     options = ("-h", str(server.folder), "-U", "sunarc_owner")
     name = server.carry_out(HUB / "backup", str(folder), "3", *options).strip()
     server.sql("postgres", "CREATE DATABASE again OWNER sunarc_owner TEMPLATE template0")
-    server.sql("postgres", "ALTER ROLE sunarc_owner IN DATABASE again SET statement_timeout = '1ms'")
+    server.sql("again", "CREATE TABLE public.refit (id int)")  # where the restore comes to late
     with pytest.raises(AssertionError):
         server.carry_out(HUB / "restore", name, "again", *options)
     tables = "SELECT count(*) FROM pg_tables WHERE schemaname = 'public'"
-    assert server.sql("again", tables).strip() == "0"
-    server.sql("postgres", "ALTER ROLE sunarc_owner IN DATABASE again RESET statement_timeout")
+    assert server.sql("again", tables).strip() == "1"
+    server.sql("again", "DROP TABLE public.refit")
     server.carry_out(HUB / "restore", name, "again", *options)
     with open_archive(server.url("again", user="sunarc_owner")) as again:
         assert len(again.sightings.find("roof")) == 1
