@@ -58,7 +58,7 @@ def ready_rows(folder: Path, camera: str) -> list[dict[str, Any]]:
     rows = [row for row in good_rows(folder, camera) if row[0] in {"camera", "pose_epoch", "sun_point", "calibration"}]
     made = document(f"{camera}-a", camera=camera, pose_epoch=f"{camera}-1", uncertainty={"sky_rms_deg": 0.02})
     digest = hashlib.sha256(json.dumps(made).encode()).hexdigest()
-    changes = {
+    changes: dict[str, dict[str, Any]] = {
         "sun_point": {"time": to_microseconds(now - timedelta(seconds=30))},
         "calibration": {"document": made, "document_sha256": digest, "state": "current"},
     }
@@ -86,7 +86,7 @@ def test_the_steps_of_the_page_lead_to_a_camera_that_is_ready_on_two_hubs(tmp_pa
         for n, hub in enumerate(hubs, 1):  # the second has the rows that follow those of the first
             hub.wait_until_it_answers()
             (tmp_path / "rows").write_text("".join(rows[: len(rows) * n // 2]))
-            command = [sys.executable, HUB / "sender.py", hub.url, "roof", token, tmp_path / "rows"]
+            command = [sys.executable, str(HUB / "sender.py"), hub.url, "roof", str(token), str(tmp_path / "rows")]
             subprocess.run(command, check=True)
         for hub in hubs:
             (listed,) = cast("dict[str, Any]", hub.ask("/v1/fleet"))["cameras"]
