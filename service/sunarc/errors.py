@@ -39,6 +39,7 @@ class InputError(SunarcError):
     """
 
     def __init__(self, *, field: str, problem: str, remedy: str) -> None:
+        problem = " ".join(problem.split()) if "\n" in problem else problem  # a library's own words may have lines
         super().__init__(f"{field}: {problem}; {remedy}")
         self.field = field
         self.problem = problem

@@ -304,7 +304,10 @@ def _commented(model: FisheyeModel, notes: list[str]) -> bytes:
 
 def _text_view(form: str, parameters: FloatArray, content: bytes, size: tuple[int, int]) -> View:
     found = re.search(re.escape(_ROTATION.encode()) + rb"([^\n]+)", content)
-    rotation = np.eye(3) if found is None else np.array(found.group(1).split(), dtype=np.float64).reshape(3, 3)
+    try:
+        rotation = np.eye(3) if found is None else np.array(found.group(1).split(), dtype=np.float64).reshape(3, 3)
+    except ValueError as error:
+        raise InputError(field=form, problem=f"no rotation ({error})", remedy="write the file again") from None
     return fisheye_view(
         form, FisheyeModel(parameters=parameters, rotation=rotation), size=size, has_pose=found is not None
     )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import math
+import zlib
 from collections.abc import Callable
 from typing import Any
 
@@ -86,7 +87,7 @@ def read_matlab(content: bytes, *, name: str) -> View:
     try:
         file = scipy.io.loadmat(io.BytesIO(content))  # type: ignore[arg-type]
         azimuth, zenith = (np.asarray(file[key], dtype=np.float64) for key in ("azimuth", "zenith"))
-    except (KeyError, ValueError, TypeError, NotImplementedError, MatReadError) as error:
+    except (KeyError, ValueError, TypeError, OverflowError, NotImplementedError, MatReadError, zlib.error) as error:
         problem = f"no azimuth and zenith of MATLAB's version 5 ({error})"
         raise InputError(field=name, problem=problem, remedy="give a file of sunarc export") from None
     return _angle_view("matlab", azimuth, zenith, name=name)

@@ -93,7 +93,7 @@ def read_table(content: bytes, *, name: str) -> View:
             h5netcdf = extra_module("h5netcdf", extra="netcdf")
             with h5netcdf.File(io.BytesIO(content), "r") as file:
                 x, y, directions = (np.asarray(file.variables[key][...]) for key in ("x", "y", "direction"))
-    except (KeyError, ValueError, OSError, BadZipFile) as error:
+    except (KeyError, ValueError, OSError, RuntimeError, BadZipFile) as error:  # RuntimeError: of HDF5's library
         raise InputError(
             field=name, problem=f"no map of directions ({error})", remedy="give a NetCDF or npz file of sunarc export"
         ) from None
