@@ -80,7 +80,12 @@ class FolderArchiveWorker:
     @property
     def is_busy(self) -> bool:
         """Whether an analysis is going on or due: days are judged afterwards."""
-        return self._working or bool(self._older) or self._is_due()
+        return self._working or (not self._rests and (bool(self._older) or self._is_due()))
+
+    @property
+    def _rests(self) -> bool:
+        """Whether an analysis failed a while ago: meanwhile days are judged by what is stored."""
+        return self._failed_s is not None and self.clock.monotonic() - self._failed_s < _AGAIN_S
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Analyse when there is a reason, until stopped."""
@@ -91,8 +96,7 @@ class FolderArchiveWorker:
 
     def step(self, stop: threading.Event, heartbeat: Callable[[], None]) -> bool:
         """Analyse the folder if there is a reason to; return whether that was done."""
-        resting = self._failed_s is not None and self.clock.monotonic() - self._failed_s < _AGAIN_S
-        if resting or not (self._older or self._is_due()):
+        if self._rests or not (self._older or self._is_due()):
             return False
         with self._lock:
             files, self._older = self._older, ()

@@ -11,7 +11,8 @@ import pytest
 from tests.offline.live.followed import Followed
 from tests.offline.live.test_folder import allsky, shot
 
-from sunarc.reanalysis import folder_worker
+from sunarc.errors import OutsideError
+from sunarc.reanalysis import folder_archive, folder_worker
 
 MORNING = datetime(2025, 5, 13, 15, 0, tzinfo=UTC)
 
@@ -51,3 +52,26 @@ def test_many_older_images_wait_for_the_archive_and_live_ones_do_not(
     assert not again.service.folder_archive.is_busy
     assert len(again.points()) == 9
     again.close()
+
+
+def test_an_analysis_that_fails_does_not_keep_days_from_being_judged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(folder_worker, "_MANY", 5)
+    monkeypatch.setattr(folder_archive, "in_child", died)
+    followed = Followed(tmp_path, MORNING)
+    for n in range(8):
+        time = MORNING - timedelta(days=1, minutes=-10 * n)
+        os.utime(followed.write(allsky(time), shot(time)), (time.timestamp(), time.timestamp()))
+    followed.turn()
+    behind = followed.service.folder_archive
+    assert behind is not None
+    assert [behind.is_busy] == [True]
+    behind.step(threading.Event(), lambda: None)
+    assert followed.codes() == {"archive_failed"}
+    assert [behind.is_busy] == [False]
+    followed.close()
+
+
+def died(*_: object) -> object:
+    raise OutsideError("killed")
