@@ -227,7 +227,7 @@ def asserts_on_phrases() -> int:
 
 
 def words_of_documents() -> dict[str, int]:
-    """Return the words of README and docs: pages by hand, decisions, generated pages (codes, settings, metrics, results)."""
+    """Return the words of README and docs: by hand, decisions, generated (codes, settings, metrics, results)."""
     counts = {"by hand": 0, "decisions": 0, "generated": 0}
     for path in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]:
         kind = "decisions" if path.parent.name == "decisions" else "by hand"
