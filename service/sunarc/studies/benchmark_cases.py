@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import lfilter
 
 from sunarc.array_types import BoolArray, FloatArray, NameArray
 from sunarc.calibration.answers.covariance import hemisphere
@@ -274,7 +273,9 @@ def _sun(
     elevation = np.degrees(np.arcsin(directions[:, 2]))
     kept = np.ones(times.size, dtype=bool)
     if condition == "correlated":
-        noise = 1.3 * np.asarray(lfilter([math.sqrt(1.0 - 0.81)], [1.0, -0.9], noise, axis=0))
+        noise *= 1.3 * math.sqrt(1.0 - 0.81)
+        for k in range(1, len(noise)):  # AR(1)
+            noise[k] += 0.9 * noise[k - 1]
     elif condition == "cloud":
         noise, kept = _clouded(rng, noise, unit)
     elif condition == "haze":
