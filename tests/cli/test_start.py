@@ -104,7 +104,8 @@ except SystemExit:
     pass
 """
     loaded = _loaded(code)
-    assert not {*FIT, "sunarc.api", "sunarc.app.service", "sunarc.simulation", "sunarc.studies"}.intersection(loaded)
+    assert not {*FIT, "sunarc.api", "sunarc.app.service", "sunarc.simulation"}.intersection(loaded)
+    assert {name for name in loaded if name.startswith("sunarc.studies.")} <= {"sunarc.studies.messages"}
 
 
 def test_the_list_of_commands_says_what_each_says_of_itself() -> None:

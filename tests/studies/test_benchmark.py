@@ -21,7 +21,8 @@ from sunarc.errors import InputError
 from sunarc.sky.directions import angles_from_direction, direction_from_angles
 from sunarc.studies.benchmark_cases import CONDITIONS, LENSES, BenchmarkTruth, benchmark_case, sides_of
 from sunarc.studies.benchmark_files import read_case, read_entry, read_round, read_truth, truth_hash, write_round
-from sunarc.studies.benchmark_scores import MESSAGES, Answered, BandScore, Score, answers_of, calibrate_case, score
+from sunarc.studies.benchmark_scores import Answered, BandScore, Score, answers_of, calibrate_case, score
+from sunarc.studies.messages import MESSAGES
 
 __all__ = ["sunarc"]
 

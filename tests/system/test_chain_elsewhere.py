@@ -139,7 +139,7 @@ def test_other_lenses_are_found_from_one_day_too(state: Path, lens_seed: int) ->
     imager.judge_and_refit()
     on_track, over_sky = off_truth_px(imager, day)
     assert on_track <= 0.05
-    assert over_sky <= 0.6
+    assert over_sky <= 0.75  # no day of a lens that differs by 7 px from its projection determines all of the sky
 
 
 def test_a_day_is_judged_once_however_often_one_asks(state: Path) -> None:

@@ -126,6 +126,7 @@ def test_the_jobs_of_a_hub(bench: Bench) -> None:
         "summaries": {"days": 0},
         "cross_checks": {"checks": []},
         "retention": {"removed": 0},
+        "quarantine": {"removed": 0},
     }
 
 

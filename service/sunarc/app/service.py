@@ -9,7 +9,7 @@ from dataclasses import replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import TypedDict
+from typing import TYPE_CHECKING, TypedDict
 
 import sunarc
 from sunarc.app.cameras import camera_record, note_other_camera, require_same_camera
@@ -25,10 +25,6 @@ from sunarc.cameras.frame import Frame, SkyCamera
 from sunarc.detection.values import Detection
 from sunarc.errors import OutsideError
 from sunarc.extras import extra_module
-from sunarc.reanalysis.folder_archive import FolderArchiveWorker
-from sunarc.reanalysis.folder_worker import FolderWorker, LearnedCadence, time_rules
-from sunarc.reanalysis.live_images import LiveImages
-from sunarc.reanalysis.snapshots import SnapshotWorker
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.loop import DropOldestQueue
 from sunarc.runtime.status import StatusRegistry
@@ -37,7 +33,7 @@ from sunarc.settings.model import Settings
 from sunarc.sky.night import moon_disc
 from sunarc.sky.site import Site
 from sunarc.utc import MICROSECOND
-from sunarc.workers.calibrating.monitor import DayJudge, WatchWorker
+from sunarc.workers.calibrating.monitor import DayJudge, LearnedCadence, WatchWorker
 from sunarc.workers.calibrating.provisional_pose import FirstPose, ProvisionalPoseEstimator
 from sunarc.workers.calibrating.refit import RefitWorker
 from sunarc.workers.capture import CaptureWorker, ComposeWorker, ReplayWorker, image_document
@@ -51,6 +47,11 @@ from sunarc.workers.night.night import NightWorker
 from sunarc.workers.options import NightOptions
 from sunarc.workers.sun_prediction import SunPredictor
 from sunarc.workers.upkeep import ConditionTimesWorker, DatabaseWorker, DiskWorker, HousekeepingWorker, StoreRoomWorker
+
+if TYPE_CHECKING:  # a GigE camera's process does without
+    from sunarc.reanalysis.folder_archive import FolderArchiveWorker
+    from sunarc.reanalysis.folder_worker import FolderWorker
+    from sunarc.reanalysis.snapshots import SnapshotWorker
 
 _WAITING_FRAMES = 4
 
@@ -237,6 +238,10 @@ class Service:
         settings, options = self.settings, self.settings.folder
         if settings.source != "folder" or options is None:
             return None, None
+        from sunarc.reanalysis.folder_archive import FolderArchiveWorker  # noqa: PLC0415
+        from sunarc.reanalysis.folder_worker import FolderWorker, time_rules  # noqa: PLC0415
+        from sunarc.reanalysis.live_images import LiveImages  # noqa: PLC0415
+
         rules = time_rules(options)
         behind = FolderArchiveWorker(
             options,
@@ -276,6 +281,9 @@ class Service:
         settings, options = self.settings, self.settings.http
         if settings.source != "http" or options is None:
             return None
+        from sunarc.reanalysis.live_images import LiveImages  # noqa: PLC0415
+        from sunarc.reanalysis.snapshots import SnapshotWorker  # noqa: PLC0415
+
         images = LiveImages(
             self.camera,
             settings=settings,

@@ -16,7 +16,7 @@ from sunarc.findings import Messages
 from sunarc.offline.first_look import MESSAGES as OF_OFFLINE
 from sunarc.reanalysis.messages import MESSAGES as OF_REANALYSIS
 from sunarc.runtime.supervisor import MESSAGES as OF_RUNTIME
-from sunarc.studies.benchmark_scores import MESSAGES as OF_STUDIES
+from sunarc.studies.messages import MESSAGES as OF_STUDIES
 from sunarc.workers.messages import MESSAGES as OF_WORKERS
 
 _TABLES: dict[str, Messages] = {

@@ -38,7 +38,7 @@ COMMANDS = {name: _Command(*rest) for name, *rest in (
     ("rectify", "documents", "rectify",
      "Map images to a grid of the sky, or of the ground for clouds at a height; north at the top, east at the right."),
     ("stars", "stars", "stars",
-     "Detect and identify stars in images of the night; exit 1 when no image has matched stars."),
+     "Detect and identify stars in images of the night; exit 1 when none matches, or one is of another site."),
     ("reanalyse", "reanalyse", "reanalyse_archive",
      "Find the sun in an archive of images, the pose epochs of its cameras, and a calibration for each."),
     ("init", "init", "init",

@@ -61,7 +61,7 @@ def stars(
     most: Annotated[int, typer.Option(help="Stars that are written, the surest of each part of the sky.")] = MOST_STARS,
     as_json: AsJson = False,
 ) -> None:
-    """Detect and identify stars in images of the night; exit 1 when none has matched stars, or one is of another site.
+    """Detect and identify stars in images of the night; exit 1 when none matches, or one is of another site.
 
     With --beside the output holds the sun's sightings as well, for the next sunarc calibrate. Give two images or more,
     ten minutes apart, so that hot pixels and lamps are known. Needs the extra sunarc[night].

@@ -31,7 +31,7 @@ from sunarc.sky.sun import hour_angle, sun_directions
 
 Cause = Literal["start", "moved", "lens", "clock", "unexplained"]
 
-_FEWEST_OF_ARC = 9
+_FEWEST_OF_ARC, _MANY_OF_ARC = 9, 60
 """Sightings of a day that show its noise; that of fewer is the usual one of all days."""
 _LEAST_NOISE_PX = 0.05
 _GROSS_SIGMAS = 3.5
@@ -75,14 +75,32 @@ def noise_of_days(points: Sightings, site: Site) -> FloatArray:
         rows = np.flatnonzero(day == one)
         if rows.size < _FEWEST_OF_ARC:
             continue
-        _, rough, _ = smooth_arc(points.pixels[rows], hour_angle(points.unix_s[rows], site))
+        angle = hour_angle(points.unix_s[rows], site)
+        _, rough, _ = smooth_arc(points.pixels[rows], angle)
         distance = np.hypot(rough[:, 0], rough[:, 1])
         # the arc has taken its share of the scatter: a polynomial of order n // 3, of the ninth at most
         free = 1.0 - min(10.0, 1.0 + rows.size // 3) / rows.size
         sigma = robust_sigma(distance, share=0.5, floor=_LEAST_NOISE_PX) / math.sqrt(free)
+        if rows.size < _MANY_OF_ARC:  # and more than its share of a few, for it leaves out those that are off it
+            sigma = max(sigma, _noise_beside_neighbours(points.pixels[rows], np.unwrap(angle)))
         found[rows] = sigma * np.maximum(distance / sigma / _GROSS_SIGMAS, 1.0) ** 2
     usual = float(np.nanmedian(found)) if np.any(np.isfinite(found)) else 1.0
     return np.where(np.isfinite(found), found, usual)
+
+
+def _noise_beside_neighbours(pixels: FloatArray, angle: FloatArray) -> float:
+    """Return 1-sigma per axis of sightings (n, 2) by the cubics through the two before and the two after each."""
+    distinct = np.append(True, np.diff(angle) > 1e-9)
+    pixels, angle = pixels[distinct], angle[distinct]
+    window = np.arange(max(len(angle) - 4, 0))[:, None] + np.arange(5)
+    beside = np.delete(window, 2, axis=1)
+    apart = angle[beside][:, :, None] - angle[beside][:, None, :] + np.eye(4)
+    to_middle = angle[window[:, 2]][:, None] - angle[beside]
+    others = np.where(np.eye(4, dtype=bool), 1.0, to_middle[:, None, :])
+    weight = np.prod(others / apart, axis=-1)  # Lagrange's
+    off = pixels[window[:, 2]] - np.einsum("ij,ijk->ik", weight, pixels[beside])
+    scale = np.sqrt(1.0 + np.sum(weight**2, axis=-1))
+    return robust_sigma(np.hypot(off[:, 0], off[:, 1]) / scale, share=0.5, floor=_LEAST_NOISE_PX)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

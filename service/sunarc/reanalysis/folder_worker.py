@@ -37,6 +37,7 @@ from sunarc.runtime.loop import DropOldestQueue, Loop
 from sunarc.runtime.status import CameraStatus, CaptureStatus, Reason, StatusRegistry
 from sunarc.sky.days import solar_date
 from sunarc.utc import utc_time
+from sunarc.workers.calibrating.monitor import LearnedCadence
 from sunarc.workers.clock_watch import FrameTime
 from sunarc.workers.messages import condition
 from sunarc.workers.night.exposures import DARK_ZENITH_DEG
@@ -126,53 +127,6 @@ class ArrivalTimes:
         wrong = quarters != 0 and spread_s < _SAME_S and abs(late_s - quarters * _QUARTER_S) < _SAME_S
         found = Finding("image_times_offset", {"hours": quarters / 4.0})
         self._board.set_condition("image_times_offset", Reason.of(found, MESSAGES) if wrong else None)
-
-
-# The cadence that the images come in.
-
-_LEARNED_DAYS = timedelta(days=7)
-_LONGEST_S = 3600.0
-_FEWEST = 3
-_FIRST_S = 60.0
-
-
-class LearnedCadence:
-    """The seconds between images by day, learned from those of the last seven days; 60 until there are some.
-
-    Parameters
-    ----------
-    camera : whose archive has the times.
-    stated_s : as it is set; None learns it.
-    """
-
-    def __init__(self, camera: CameraArchive, stated_s: float | None) -> None:
-        self._camera, self._stated_s = camera, stated_s
-        self._learned: tuple[datetime, float] | None = None
-
-    def at(self, time: datetime) -> float:
-        """Return it for a moment; asked of the archive at most once an hour."""
-        if self._stated_s is not None:
-            return self._stated_s
-        if self._learned is None or abs(time - self._learned[0]) >= timedelta(hours=1):
-            learned_s = self._of(time)
-            if learned_s is None:
-                return _FIRST_S if self._learned is None else self._learned[1]
-            self._learned = (time, learned_s)
-        return self._learned[1]
-
-    def _of(self, time: datetime) -> float | None:
-        try:
-            times = self._camera.archive.sightings.observation_times(
-                self._camera.name, since=time - _LEARNED_DAYS, until=time
-            )
-        except OutsideError as error:
-            _log.warning("the cadence of the images cannot be learned: %s", error)
-            return None
-        between = np.diff(np.unique(times)) if times is not None else np.zeros(0)
-        between = between[between <= _LONGEST_S]
-        if between.size < _FEWEST:
-            return None
-        return max(float(np.median(between)), 1.0)
 
 
 class _Dated(NamedTuple):

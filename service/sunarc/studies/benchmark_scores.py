@@ -18,10 +18,11 @@ from sunarc.calibration.changes.change_points import calibrate_moved
 from sunarc.calibration.model.options import CalibrationOptions, Method
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.projection_choice import calibrate_unknown_lens
-from sunarc.findings import Finding, Message, Messages, significant
+from sunarc.findings import Finding, significant
 from sunarc.optics.inverse import unproject
 from sunarc.sky.directions import angles_from_direction, angular_distance
 from sunarc.studies.benchmark_cases import FAR_DEG, BenchmarkCase, BenchmarkTruth, sides_of
+from sunarc.studies.messages import MESSAGES
 
 Answer = Literal["answered", "refused", "failed"]
 SHARES = (0.50, 0.68, 0.95)
@@ -33,45 +34,6 @@ BANDS: Mapping[str, tuple[float, float]] = {
 }  # fmt: skip
 """Zenith angles, degrees, from and below."""
 _ZERO_DEG = 1e-12
-
-_SCORED = "The rows are scored as they are."
-MESSAGES = Messages(
-    benchmark_case_missing=Message(
-        "case {case}: neither an answer nor a refusal", "The case counts as lost.", "answer it, or refuse it"
-    ),
-    benchmark_case_unknown=Message("{case}: not a case of this round", "The file is not scored.", "remove it"),
-    benchmark_entry_unreadable=Message(
-        "case {case}: {problem}", "The case counts as lost.", "write the format of docs/benchmark/README.md"
-    ),
-    benchmark_rows_missing=Message(
-        "case {case}: {n} of {of} pixels are missing", "They cost what having no calibration costs.", "answer all"
-    ),
-    benchmark_rows_reordered=Message(
-        "case {case}: rows in another order than the queries", "They are matched by their pixels."
-    ),
-    benchmark_rows_repeated=Message(
-        "case {case}: {n:pixel} answered more than once", "The first answer counts.", "answer each once"
-    ),
-    benchmark_rows_undefined=Message(
-        "case {case}: {n} of {of} directions are not numbers",
-        "They cost what having no calibration costs.",
-        "answer all, or refuse the case",
-    ),
-    benchmark_rows_unknown=Message("case {case}: {n:row} of pixels that are not asked for", "They are left out."),
-    benchmark_sigma_undefined=Message(
-        "case {case}: {n} of {of} stated errors are negative or no numbers",
-        "The truth counts as outside of them.",
-        "state all errors, or none",
-    ),
-    benchmark_sigma_zero=Message(
-        "case {case}: {n} of {of} stated errors are zero", "Only an exact answer lies within. " + _SCORED
-    ),
-    benchmark_truth_differs=Message(
-        "the truth is not the one whose hash the round published",
-        "The scores are of another truth.",
-        "make the round again with its seed and this version",
-    ),
-)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -177,3 +177,16 @@ def test_few_sightings_have_no_change_within(count: int) -> None:
     noise = np.full(count, 0.6)
     found = change_within(some, camera, SITE, noise)
     assert found is None or 8 <= found.row <= count - 8
+
+
+@pytest.mark.parametrize("count", [16, 24, 48, 120])
+@pytest.mark.parametrize("sigma_px", [0.3, 5.0])
+def test_the_noise_of_a_day_is_told_by_few_sightings_too(count: int, sigma_px: float) -> None:
+    times = START + 6.0 * 3600.0 + np.linspace(0.0, 9.0 * 3600.0, count)
+    true = equidistant(times, np.full(count, FIRST), turn_deg=20.0)
+    told = []
+    for seed in range(20):
+        noise = sigma_px * np.random.default_rng(seed).standard_normal((count, 2))
+        told.append(float(np.median(noise_of_days(Sightings.of(unix_s=times, pixels=true + noise), SITE))))
+    assert 0.75 * sigma_px < float(np.median(told)) < 1.25 * sigma_px
+    assert min(told) > 0.3 * sigma_px
