@@ -219,7 +219,8 @@ def score_entries(
     Example: sunarc study benchmark score round/cases entries/sunarc --truth round/truth
     """
     from sunarc.studies.benchmark_files import read_entry, read_round, read_truth, truth_hash
-    from sunarc.studies.benchmark_scores import MESSAGES, as_object, score, tables_of
+    from sunarc.studies.benchmark_scores import as_object, score, tables_of
+    from sunarc.studies.messages import MESSAGES
 
     truths, published = read_truth(truth), read_round(cases)[1]
     scores = [score(entry.resolve().name, truths, read_entry(entry, truths)) for entry in entries]
