@@ -219,16 +219,16 @@ def _seen(
     return found, np.where(thin, 1.0, 0.5)
 
 
-class Told(NamedTuple):
-    """What was said of the changes, of the accepted epochs, and the z² (n,) of the sky by zenith angle (n,)."""
+class Outcome(NamedTuple):
+    """Counts of what was found, accepted epochs that are wrong, and the z² (n,) of the sky by zenith angle (n,)."""
 
-    said: Counter[str]
+    counts: Counter[str]
     wrong: list[str]
     square: FloatArray
     zenith_deg: FloatArray
 
 
-def judged(archive: Archive) -> Told:
+def judged(archive: Archive) -> Outcome:
     """Return what the analysis of an archive says, against the truth."""
     camera = ArchiveCamera(
         Site(latitude=archive.place.latitude, longitude=archive.place.longitude, altitude=archive.place.altitude),
@@ -238,7 +238,7 @@ def judged(archive: Archive) -> Told:
     given = CameraSightings(archive.points, camera)
     rough = first_analysis(given)
     if not rough.states:
-        return Told(Counter({f"no epochs: {rough.findings[0].code}": 1}), [], np.zeros(0), np.zeros(0))
+        return Outcome(Counter({f"no epochs: {rough.findings[0].code}": 1}), [], np.zeros(0), np.zeros(0))
     final = final_analysis(given._replace(states=rough.states))
     said, wrong, square, zenith = _changes(archive, final), list[str](), [np.zeros(0)], [np.zeros(0)]
     for n, epoch in enumerate(final.epochs):
@@ -258,7 +258,7 @@ def judged(archive: Archive) -> Told:
         zenith.append(at)
         if ratio > 3.0:
             wrong.append(f"epoch {n + 1} of {len(final.epochs)} ({epoch.cause}): {ratio:.1f}")
-    return Told(said, wrong, np.concatenate(square), np.concatenate(zenith))
+    return Outcome(said, wrong, np.concatenate(square), np.concatenate(zenith))
 
 
 def _changes(archive: Archive, final: Final) -> Counter[str]:
@@ -300,13 +300,13 @@ def _errors(archive: Archive, numbers: NDArray[np.int64], calibration: object) -
     return squares[most][seen], zenith[seen], max(ratios)
 
 
-def rows_of(cases: list[str], seeds: range) -> Iterator[tuple[str, int, Told, float]]:
+def rows_of(cases: list[str], seeds: range) -> Iterator[tuple[str, int, Outcome, float]]:
     """Yield what was said of each archive, and the seconds that it took."""
     for case in cases:
         for seed in seeds:
             begun = time.process_time()
-            told = judged(draw(np.random.default_rng((seed, list(CASES).index(case))), case))
-            yield case, seed, told, time.process_time() - begun
+            outcome = judged(draw(np.random.default_rng((seed, list(CASES).index(case))), case))
+            yield case, seed, outcome, time.process_time() - begun
 
 
 def main() -> None:
@@ -318,13 +318,13 @@ def main() -> None:
     asked = parser.parse_args()
     total: dict[str, Counter[str]] = {case: Counter() for case in asked.cases}
     squares, zeniths = [], []
-    for case, seed, told, took in rows_of(asked.cases, range(asked.first, asked.first + asked.seeds)):
-        told.said["wrong"] += len(told.wrong)
-        total[case] += told.said
-        squares.append(told.square)
-        zeniths.append(told.zenith_deg)
-        said = ", ".join(f"{n} {one}" for one, n in sorted(told.said.items()) if n)
-        print(f"{case} {seed}: {said} {'; '.join(told.wrong)} ({took:.0f} s)", flush=True)
+    for case, seed, outcome, took in rows_of(asked.cases, range(asked.first, asked.first + asked.seeds)):
+        outcome.counts["wrong"] += len(outcome.wrong)
+        total[case] += outcome.counts
+        squares.append(outcome.square)
+        zeniths.append(outcome.zenith_deg)
+        said = ", ".join(f"{n} {one}" for one, n in sorted(outcome.counts.items()) if n)
+        print(f"{case} {seed}: {said} {'; '.join(outcome.wrong)} ({took:.0f} s)", flush=True)
     for case, counted in total.items():
         print(f"| {case} | {', '.join(f'{one} {n}' for one, n in counted.most_common() if n)} |")
     square, zenith = np.concatenate(squares), np.concatenate(zeniths)

@@ -21,7 +21,8 @@ ENGINES = ("sqlite", "postgresql")
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Run every test of an archive on both engines, but for those of SQLite's file."""
-    if "archive" in metafunc.fixturenames and "path" not in metafunc.fixturenames:
+    names = metafunc.fixturenames
+    if "hub" in names or ("archive" in names and "path" not in names):
         metafunc.parametrize("engine", ENGINES, indirect=True)
 
 
@@ -55,3 +56,10 @@ def archive(store: Path | URL) -> Iterator[Archive]:
     archive.epochs.open("roof", at=datetime(2013, 5, 1, tzinfo=UTC), reason="installed")
     yield archive
     archive.close()
+
+
+@pytest.fixture
+def hub(store: Path | URL) -> Iterator[Archive]:
+    """Yield an archive that has no camera yet."""
+    with open_archive(store) as archive:
+        yield archive

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,34 +12,20 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from jsonschema_rs import Draft202012Validator
-from sqlalchemy import URL
 from tests.fixtures.feed_cases import good_rows, has_whole_floats, spoilt
 from tests.fixtures.fleet import NOW, batch_of, sighting
 
-from sunarc.archive.archive import Archive, open_archive
+from sunarc.archive.archive import Archive
 from sunarc.archive.database.schema import head_revision
 from sunarc.archive.fleet.feed_rows import FED, REMOVED, STATUS, FeedRow, Refusal, feed_lines, read_feed_lines
 from sunarc.archive.fleet.feed_schema import feed_schema, problem_of, typed
 from sunarc.errors import InputError
-
-from .conftest import ENGINES
 
 CASES = int(os.environ.get("SUNARC_FEED_CASES", "40"))
 """Batches of each engine; `tests/long feed-cases` has more."""
 slowly = settings(
     max_examples=CASES, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
 )
-
-
-def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    if "hub" in metafunc.fixturenames:
-        metafunc.parametrize("engine", ENGINES, indirect=True)
-
-
-@pytest.fixture
-def hub(store: Path | URL) -> Iterator[Archive]:
-    with open_archive(store) as archive:
-        yield archive
 
 
 def test_every_column_is_described() -> None:

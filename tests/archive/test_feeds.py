@@ -11,30 +11,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from sqlalchemy import URL
 from tests.archive.test_calibrations import document
 from tests.fixtures.fleet import NOON, NOW, batch_of, feed, new_imager, next_batch, sighting
 from tests.fixtures.nights import judged, whole_night
 
-from sunarc.archive.archive import Archive, open_archive
+from sunarc.archive.archive import Archive
 from sunarc.archive.fleet.feed_rows import FED, FeedBatch, FeedRow, Refusal, read_feed_lines
 from sunarc.archive.fleet.feeds import FUTURE, KEPT
 from sunarc.archive.values import Day, DayAir, Event, Refit, fields_of
 from sunarc.errors import NotFoundError
 from sunarc.findings import Finding, uncoded
-
-from .conftest import ENGINES
-
-
-def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    if "hub" in metafunc.fixturenames:
-        metafunc.parametrize("engine", ENGINES, indirect=True)
-
-
-@pytest.fixture
-def hub(store: Path | URL) -> Iterator[Archive]:
-    with open_archive(store) as archive:
-        yield archive
 
 
 @pytest.fixture

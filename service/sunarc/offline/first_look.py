@@ -44,7 +44,7 @@ MESSAGES = Messages(
         "{given!r} is beyond {most} degrees", "Nothing was written.", "correct it; were the two swapped?"
     ),
     answer_not_number=Message("{given!r} is no number", "Nothing was written.", "give one, as 318"),
-    answer_missing=Message("is not given, and nobody can be asked here", "Nothing was written.", "give {option}"),
+    answer_missing=Message("is not given, and standard input is no terminal", "Nothing was written.", "give {option}"),
     answer_unknown=Message("{given!r} is unknown", "Nothing was written.", "give one of {choices}"),
     answer_contradicts=Message(
         "given with --source {source}", "Nothing was written.", "give {option} or another source"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import math
 import threading
@@ -24,14 +23,14 @@ from sunarc.cameras.options import FolderOptions
 from sunarc.errors import InputError, OutsideError
 from sunarc.findings import Finding
 from sunarc.reanalysis.folder_files import FolderListing, FolderWatch, Settling, is_image, source_file
-from sunarc.reanalysis.image_files import MOST_BYTES, SourceFile, image_of, image_size
+from sunarc.reanalysis.image_files import MOST_BYTES, MOST_PIXELS, SourceFile, image_of, image_size
 from sunarc.reanalysis.image_times import TimedFrame, TimeRules, time_in_name, timed_frames, utc_offset_of
 from sunarc.reanalysis.index import at_night
 from sunarc.reanalysis.live_images import LiveImage, LiveImages
 from sunarc.reanalysis.messages import MESSAGES, RefusedImageError
 from sunarc.reanalysis.nights import frame_of
 from sunarc.reanalysis.passes import MOST_EXPOSURES
-from sunarc.reanalysis.sources import Folder
+from sunarc.reanalysis.sources import Folder, hash_of
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.loop import DropOldestQueue, Loop
 from sunarc.runtime.status import CameraStatus, CaptureStatus, Reason, StatusRegistry
@@ -154,7 +153,6 @@ _MANY = 500
 _LIVE = timedelta(minutes=15)
 _AGAIN_S = 30.0
 _SIZES = 15
-_MOST_PIXELS = 100_000_000
 _LATE_S = 600.0
 """After the last late image of a day that day is judged."""
 _GONE = timedelta(days=30)
@@ -365,7 +363,7 @@ class FolderWorker:
     def _register(self, files: Sequence[SourceFile]) -> None:
         if self.images.size is None and files:
             found = (image_size(self._source, file.name) for file in files[-_SIZES:])
-            self.images.register([one for one in found if one is not None and one[0] * one[1] <= _MOST_PIXELS])
+            self.images.register([one for one in found if one is not None and one[0] * one[1] <= MOST_PIXELS])
 
     # What is done with a file.
 
@@ -418,7 +416,7 @@ class FolderWorker:
         name = file.name
         try:
             frame = self._timed(file)
-            content = hashlib.blake2b(self._source.read(name), digest_size=16).hexdigest()
+            content = hash_of(self._source.read(name))
         except RefusedImageError as error:
             self._refuse(file, self._as_latest(name, error.finding))
             return None

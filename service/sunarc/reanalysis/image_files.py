@@ -181,6 +181,8 @@ _KINDS: dict[str, Kind] = {
 }
 MOST_BYTES = 1 << 30
 """Size of a file that is still read: larger ones are no images, and would take a worker's memory."""
+MOST_PIXELS = 100_000_000
+"""Of an image that a running service decodes: its camera has the size that it always has."""
 _HEAD_BYTES = 1 << 17
 
 

@@ -9,6 +9,7 @@ from sunarc.workers.messages import MESSAGES as OF_WORKERS
 
 _LEFT_OUT = "The image was left out; nothing is stored of it."
 
+_LAST_LEFT_OUT = "{n} of the last images were left out, as {file}: {why}"
 _NO_SIGHTINGS = "Most of the last images gave no sighting."
 
 _NO_PICTURE = "No picture is taken; it is tried again at the next slot."
@@ -154,31 +155,31 @@ MESSAGES = Messages(
     ),
     file_latest=Message("a file without a time that is written over again and again", _LEFT_OUT, "none"),
     images_without_zone=Message(
-        "{n} of the last images were left out, as {file}: {why}",
+        _LAST_LEFT_OUT,
         _NO_SIGHTINGS,
         "set folder.utc_offset: the hours that the times are ahead of UTC, 0, or a zone as Europe/Berlin",
     ),
     images_without_time=Message(
-        "{n} of the last images were left out, as {file}: {why}",
+        _LAST_LEFT_OUT,
         _NO_SIGHTINGS,
         "have the camera write the time into the names, or set folder.time_pattern",
     ),
     images_of_another_size=Message(
-        "{n} of the last images were left out, as {file}: {why}",
+        _LAST_LEFT_OUT,
         _NO_SIGHTINGS,
         "set the camera's size and crop as they were; or begin anew under another `name`",
     ),
     images_of_two_cameras=Message(
-        "{n} of the last images were left out, as {file}: {why}",
+        _LAST_LEFT_OUT,
         "The images of one camera are used.",
         "set folder.files to the names of one camera, and run a service for each",
     ),
     images_in_future=Message(
-        "{n} of the last images were left out, as {file}: {why}",
+        _LAST_LEFT_OUT,
         _NO_SIGHTINGS,
         "correct folder.utc_offset, or the clock of the camera or of this machine",
     ),
-    images_left_out=Message("{n} of the last images were left out, as {file}: {why}", _NO_SIGHTINGS, "{remedy}"),
+    images_left_out=Message(_LAST_LEFT_OUT, _NO_SIGHTINGS, "{remedy}"),
     image_times_offset=Message(
         "images come {hours:+.2f} h after the times that they state",
         "The sun stood elsewhere at those times: no calibration can come of them.",

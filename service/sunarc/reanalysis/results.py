@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import hashlib
 import io
 import json
 import shutil
@@ -30,6 +29,7 @@ from sunarc.reanalysis.look import IN_STACK, NamedStars
 from sunarc.reanalysis.messages import MESSAGES, sentence_of
 from sunarc.reanalysis.nights import NightsLooked
 from sunarc.reanalysis.passes import PREDICTED, SEARCHED, Found, FoundSun, Looked, id_of, kept
+from sunarc.reanalysis.sources import hash_of
 from sunarc.reanalysis.states import Epoch
 from sunarc.sky.sun import sun_directions
 from sunarc.utc import DAY_S, rfc3339, utc_time
@@ -425,7 +425,7 @@ def _write_exports(
         shutil.rmtree(folder / name, ignore_errors=True)
         for file, content in files.items():
             _write(folder / name / file, content)
-        kept[name] = {"files": {file: _hash(content) for file, content in files.items()}, "refused": refused}
+        kept[name] = {"files": {file: hash_of(content) for file, content in files.items()}, "refused": refused}
         if one is not None:
             ledger.keep_result(f"exports {folder.absolute()} {name}", keys[name], kept[name])
     return {name: kept[name]["refused"] for name in accepted if kept[name]["refused"]}
@@ -433,11 +433,7 @@ def _write_exports(
 
 def _is_there(folder: Path, files: Mapping[str, str]) -> bool:
     """Return whether a folder's files have the content that they were written with."""
-    return all((path := folder / name).is_file() and _hash(path.read_bytes()) == one for name, one in files.items())
-
-
-def _hash(content: bytes) -> str:
-    return hashlib.blake2b(content, digest_size=16).hexdigest()
+    return all((path := folder / name).is_file() and hash_of(path.read_bytes()) == one for name, one in files.items())
 
 
 def exports_of(document: Document) -> tuple[dict[str, bytes], dict[str, str]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import hashlib
 import io
 import logging
 import ssl
@@ -25,12 +24,12 @@ from sunarc.cameras.frame import Frame
 from sunarc.cameras.options import SnapshotOptions
 from sunarc.errors import ConfigurationError, InputError, OutsideError
 from sunarc.findings import Finding
-from sunarc.reanalysis.image_files import image_of, image_size
+from sunarc.reanalysis.image_files import MOST_PIXELS, image_of, image_size
 from sunarc.reanalysis.image_times import exif_time
 from sunarc.reanalysis.live_images import LiveImage, LiveImages
 from sunarc.reanalysis.messages import MESSAGES
 from sunarc.reanalysis.nights import frame_of
-from sunarc.reanalysis.sources import Folder
+from sunarc.reanalysis.sources import Folder, hash_of
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.loop import DropOldestQueue, Loop
 from sunarc.runtime.status import CameraStatus, CaptureStatus, Reason, StatusRegistry
@@ -38,11 +37,10 @@ from sunarc.workers.clock_watch import FrameTime
 from sunarc.workers.http_exchange import HttpAnswer, HttpRequest, Limit, UnfinishedError, fetch
 from sunarc.workers.messages import condition
 from sunarc.workers.night.exposures import DARK_ZENITH_DEG
-from sunarc.workers.options import CaptureOptions
+from sunarc.workers.options import CaptureOptions, read_login
 
 _log = logging.getLogger(__name__)
 _MOST_BYTES = 32_000_000
-_MOST_PIXELS = 100_000_000
 _MOST_REDIRECTS = 3
 _SUFFIXES = {"JPEG": "jpg", "MPO": "jpg", "PNG": "png"}
 _REDIRECTS = frozenset({301, 302, 303, 307, 308})
@@ -75,7 +73,7 @@ class SnapshotClient:
     def __init__(self, options: SnapshotOptions, clock: Clock) -> None:
         self._options, self._clock = options, clock
         self._url = urllib.parse.urlsplit(options.url)
-        self._login = _login(options.token_file)
+        self._login = read_login(options.token_file, setting="http.token_file")
         self._context = _context(options) if self._url.scheme == "https" else None
         self.host = self._url.hostname or ""
 
@@ -150,24 +148,12 @@ class SnapshotClient:
         except (OSError, ValueError, SyntaxError, KeyError):
             kind = answer.headers.get("content-type", "no content type").partition(";")[0]
             return Finding("http_no_picture", {"host": self.host, "why": f"{len(content)} bytes of {kind}"})
-        if width * height > _MOST_PIXELS:
-            return Finding("http_too_many_pixels", {"width": width, "height": height, "most": _MOST_PIXELS})
+        if width * height > MOST_PIXELS:
+            return Finding("http_too_many_pixels", {"width": width, "height": height, "most": MOST_PIXELS})
         age_s = _age_s(answer.headers, content, time)
         if age_s > _STALE_S:
             return Finding("http_stale", {"age_s": age_s})
         return Snapshot(content, suffix, time, half_s)
-
-
-def _login(file: Path | None) -> tuple[str, str] | None:
-    if file is None:
-        return None
-    try:
-        user, colon, password = file.read_text("utf-8").strip().partition(":")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"http.token_file {file}: {error}") from error
-    if not user or not colon:
-        raise ConfigurationError(f"http.token_file {file}: is not USER:PASSWORD in one line")
-    return user, password
 
 
 def _context(options: SnapshotOptions) -> ssl.SSLContext:
@@ -290,7 +276,7 @@ class SnapshotWorker:
         self.newest_picture = path
         source, zenith = Folder(str(path.parent)), self.apparent_zenith(found.time)
         if zenith < self.capture.sun_zenith_deg:
-            content = hashlib.blake2b(found.content, digest_size=16).hexdigest()
+            content = hash_of(found.content)
             try:
                 size = image_size(source, path.name)
                 self.images.register([] if size is None else [size])

@@ -76,6 +76,11 @@ _HASH_BYTES = 16
 """Two of 1e9 files have the same hash by chance with a probability of 1e-21."""
 
 
+def hash_of(content: bytes) -> str:
+    """Return the hash of a file's content, 32 hexadecimal digits."""
+    return hashlib.blake2b(content, digest_size=_HASH_BYTES).hexdigest()
+
+
 class HashedSource:
     """Another source, which keeps the content and hash of the file that was read last; see `ImageSource`."""
 
@@ -97,7 +102,7 @@ class HashedSource:
         if self._last is None or self._last[0] != name:
             self._last = None  # two large files are not in memory at once
             content = self._source.read(name)
-            self._last = (name, content, hashlib.blake2b(content, digest_size=_HASH_BYTES).hexdigest())
+            self._last = (name, content, hash_of(content))
         return self._last[1]
 
     def path(self, name: str) -> Path | None:

@@ -150,7 +150,7 @@ class MqttBroker:
 
     def _new_client(self) -> Client:
         self._mqtt = extra_module("paho.mqtt.client", extra="mqtt")
-        login = read_login(self._login_file)
+        login = read_login(self._login_file, setting="push.mqtt_login_file")
         client: Client = self._mqtt.Client(self._mqtt.CallbackAPIVersion.VERSION2, protocol=self._mqtt.MQTTv311)
         client.connect_timeout = _WITHIN_S
         if login is not None:

@@ -76,13 +76,13 @@ def _refusal(field: str, value: str, remedy: str) -> InputError:
     return InputError(field=field, problem=f"{value!r} is not an address", remedy=remedy)
 
 
-def read_login(path: Path | None) -> tuple[str, str] | None:
-    """Return user and password of a broker; None without a file."""
+def read_login(path: Path | None, *, setting: str) -> tuple[str, str] | None:
+    """Return user and password of a file that a setting names; None without a file."""
     if path is None:
         return None
-    user, colon, password = _line("push.mqtt_login_file", path).partition(":")
+    user, colon, password = _line(setting, path).partition(":")
     if not user or not colon:
-        raise ConfigurationError(f"push.mqtt_login_file {path}: is not USER:PASSWORD in one line")
+        raise ConfigurationError(f"{setting} {path}: is not USER:PASSWORD in one line")
     return user, password
 
 

@@ -181,12 +181,12 @@ def test_few_sightings_have_no_change_within(count: int) -> None:
 
 @pytest.mark.parametrize("count", [16, 24, 48, 120])
 @pytest.mark.parametrize("sigma_px", [0.3, 5.0])
-def test_the_noise_of_a_day_is_told_by_few_sightings_too(count: int, sigma_px: float) -> None:
+def test_few_sightings_of_a_day_show_its_noise_too(count: int, sigma_px: float) -> None:
     times = START + 6.0 * 3600.0 + np.linspace(0.0, 9.0 * 3600.0, count)
     true = equidistant(times, np.full(count, FIRST), turn_deg=20.0)
-    told = []
+    found = []
     for seed in range(20):
         noise = sigma_px * np.random.default_rng(seed).standard_normal((count, 2))
-        told.append(float(np.median(noise_of_days(Sightings.of(unix_s=times, pixels=true + noise), SITE))))
-    assert 0.75 * sigma_px < float(np.median(told)) < 1.25 * sigma_px
-    assert min(told) > 0.3 * sigma_px
+        found.append(float(np.median(noise_of_days(Sightings.of(unix_s=times, pixels=true + noise), SITE))))
+    assert 0.75 * sigma_px < float(np.median(found)) < 1.25 * sigma_px
+    assert min(found) > 0.3 * sigma_px
