@@ -32,6 +32,7 @@ def test_counts_take_a_plural_and_what_is_not_finite_is_unknown() -> None:
     room = Messages(fit=Message("{n:sighting}, {days:day}, {sigma:~2}, {rmse:.3f}", "Fit."))
     text = room.text_of(Finding("fit", {"n": 434, "days": 1, "sigma": 0.27849, "rmse": math.nan}))
     assert text.split(", ") == ["434 sightings", "1 day", "0.28", "unknown"]
+    assert "inf" not in room.text_of(Finding("fit", {"n": 434, "days": 1, "sigma": math.inf, "rmse": -math.inf}))
 
 
 @pytest.mark.parametrize("data", [{}, {"what": "sensor", "value": "hot", "limit": 1.0}])

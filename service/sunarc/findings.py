@@ -38,7 +38,7 @@ class _Words(string.Formatter):
     """`str.format`, with a count of things as `{n:day}` (1 day, 2 days) and two significant digits as `{x:~2}`."""
 
     def format_field(self, value: object, format_spec: str) -> str:
-        if isinstance(value, float) and math.isnan(value):
+        if isinstance(value, float) and not math.isfinite(value):
             return "unknown"
         if format_spec.startswith("~") and isinstance(value, int | float):
             return significant(value, int(format_spec[1:]))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 import json
+import math
+import re
 from functools import cache
 from pathlib import Path
 from string import Formatter
@@ -16,6 +18,7 @@ from sunarc.archive.messages import code_of_event
 from sunarc.archive.values import RefitState
 from sunarc.calibration.changes.values import ChangeKind
 from sunarc.cli.codes import all_codes, codes_as_markdown
+from sunarc.findings import Finding, Message, Messages
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc
@@ -181,3 +184,21 @@ def test_the_command_prints_the_same_as_json(sunarc: Sunarc) -> None:
     printed = json.loads(sunarc("codes", "--json").out)
     assert [row["code"] for row in printed] == [one.code for one in all_codes()]
     assert set(printed[0]) == {"code", "room", "text", "meaning", "action"}
+
+
+def numbers_in(*texts: str) -> set[str]:
+    """Return the names of the data in sentences that may be numbers: what is converted (`{x!r}`) is a word."""
+    fields = [(name, conversion) for text in texts for _, name, _, conversion in Formatter().parse(text) if name]
+    return {name for name, _ in fields} - {name for name, conversion in fields if conversion is not None}
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_no_message_shows_what_is_not_a_number(value: float) -> None:
+    tables = Messages({one.code: Message(one.text, one.meaning, one.action) for one in all_codes()})
+    for code, message in tables.items():
+        words = {name: "word" for _, name, _, _ in Formatter().parse(message.text + message.action) if name}
+        numbers = dict.fromkeys(numbers_in(message.text, message.action), value)
+        finding = Finding(code, {**words, **numbers})
+        text, remedy = tables.text_of(finding), tables.remedy_of(finding)
+        assert not re.search(r"\b(nan|inf)\b", f"{text} {remedy}"), code
+        assert "unknown" in text or not numbers_in(message.text) & set(numbers), code

@@ -166,6 +166,17 @@ MESSAGES = Messages(
         "In addition to the reason for which the fit is refused; of the day with most sightings.",
         "collect sightings in these hours, or on further clear days",
     ),
+    sightings_determine=Message(
+        "the sightings determine directions along their arc to {arc_deg:~2}° (1-sigma per axis), and the camera's pose "
+        "to {pose_deg:~2}° (1-sigma about the least certain axis)",
+        "In addition to the reason for which the fit is refused; with the projection that was fitted.",
+    ),
+    declinations_alike=Message(
+        "on {days:day} of sightings the sun's declination is {least_deg:.1f} to {most_deg:.1f}° (a range of "
+        "{limit_deg:g}° is wanted): the sun runs over one band of the sky",
+        "In addition to the reason for which the fit is refused.",
+        "collect sightings on days a month or more apart; at the solstices, further apart",
+    ),
     image_size_doubtful=Message(
         "the principal point is {off_px:.0f} px, {share:.0%} of the image's shorter side, from the image's centre",
         "The fit is used.",

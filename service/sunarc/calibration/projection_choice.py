@@ -29,7 +29,7 @@ from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import STRONG_EVIDENCE, Verdict
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.noise import NoiseGroups, measured_noise
-from sunarc.calibration.quality.fit_checks import before_fit, missing_hours
+from sunarc.calibration.quality.fit_checks import before_fit, determined
 from sunarc.calibration.robust_loss import robust_sigma, tukey_loss
 from sunarc.calibration.solve.problem import Bins, FitProblem, observations
 from sunarc.calibration.start.initial_guess import single_problem
@@ -126,8 +126,7 @@ def calibrate_unknown_lens(
     moved = calibrate_moved(points, site=site, image_size=image_size, options=options, circle=circle, solved=solved)
     verdict = moved.calibration.verdict
     if finding.code == "projection_ambiguous" and verdict.accepted:
-        hours = missing_hours(job.usable, site)
-        verdict = Verdict(accepted=False, findings=(finding, *hours))
+        verdict = Verdict(accepted=False, findings=(finding, *determined(moved.calibration, job.usable)))
     elif choice.compared:
         verdict = replace(verdict, findings=(*verdict.findings, finding))
     return moved._replace(calibration=replace(moved.calibration, verdict=verdict))

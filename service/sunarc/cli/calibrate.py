@@ -133,7 +133,7 @@ def print_joint(spec: Path, folder: Path | None, *, as_json: bool) -> None:
             document["camera"],
             document["pose_epoch"],
             "accepted" if document["verdict"]["accepted"] else "refused",
-            f"{document['uncertainty']['sky_rms_deg']:.4f}°",
+            f"{significant(document['uncertainty']['sky_rms_deg'], 2)}°",
             document["verdict"]["reasons"][-1 if document["verdict"]["accepted"] else 0],
         ]
         for document in documents

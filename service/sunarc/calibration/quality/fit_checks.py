@@ -8,13 +8,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sunarc.calibration.answers.covariance import sigma_deg
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration, Verdict, proves
 from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.calibration.quality.day_quality import arc_length_deg, unexplained_days
 from sunarc.calibration.quality.site_checks import tilt_question
 from sunarc.findings import Finding
-from sunarc.optics.pose import rotation_matrix
+from sunarc.optics.camera import PARAMETER_NAMES, POSE
+from sunarc.optics.pose import right_jacobian, rotation_matrix
 from sunarc.sky.days import date_of_day, day_bounds_unix_s
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles
@@ -34,6 +36,8 @@ _KNOWN_LENS_SKY_DEG = 2.0
 _HOUR_S = 3600.0
 _FEW_HOURS = 0.2
 """Share of the hours of sun that a whole day may lack."""
+_ALIKE_DEG = 5.0
+"""Range of declinations up to which the sun runs over one band of the sky: two days a fortnight apart in spring."""
 _LOW_SUN_DEG = 85.0
 """Zenith angle, degrees, up to which a sun is expected to be seen."""
 _OFF_CENTER = 0.04
@@ -186,7 +190,42 @@ def _against_scatter(calibration: Calibration, usable: Sightings, options: Calib
         limits = {"sigma_deg": sigma, "limit_deg": largest_deg}
         yield Finding("direction_sigma_too_large", {**limits, **seen, **scatter})
     if not sigma <= largest_deg:
-        yield from missing_hours(usable, calibration.site)
+        yield from determined(calibration, usable)
+
+
+def determined(calibration: Calibration, usable: Sightings) -> Iterator[Finding]:
+    """Yield what the sightings determine of a camera that is too uncertain, and which hours and days are missing."""
+    if len(usable) == 0:
+        return
+    latest = usable.directions[usable.epoch == np.max(usable.epoch)]
+    along = sigma_deg(calibration, latest)
+    seen = along[np.isfinite(along)]
+    arc = math.sqrt(float(np.mean(seen**2))) if seen.size else math.nan
+    places = [calibration.parameter_names.index(name) for name in PARAMETER_NAMES[POSE]]
+    turn = right_jacobian(calibration.camera.rotation_cam_enu)
+    spread = turn @ calibration.covariance[np.ix_(places, places)] @ turn.T
+    pose = math.sqrt(max(float(np.max(np.linalg.eigvalsh(spread))), 0.0)) if np.all(np.isfinite(spread)) else math.nan
+    if math.isfinite(arc) and math.isfinite(pose):
+        yield Finding("sightings_determine", {"arc_deg": arc, "pose_deg": min(math.degrees(pose), 180.0)})
+    yield from missing_hours(usable, calibration.site)
+    if calibration.evidence.options.get("free", "all") == "all":
+        yield from _alike_days(usable, calibration.site)
+
+
+def _alike_days(usable: Sightings, site: Site) -> Iterator[Finding]:
+    """Yield that the sun runs over one band of the sky on all days of the sightings; nothing of other bodies."""
+    of_sun = usable.kind == Kind.SUN
+    if not np.any(of_sun):
+        return
+    _, north, up = usable.directions[of_sun].T
+    latitude = math.radians(site.latitude)
+    # the refraction lifts a low sun by half a degree
+    declination = np.degrees(np.arcsin(np.clip(up * math.sin(latitude) + north * math.cos(latitude), -1.0, 1.0)))
+    days = np.unique(usable.day[of_sun])
+    daily = [float(np.median(declination[usable.day[of_sun] == day])) for day in days]
+    if max(daily) - min(daily) < _ALIKE_DEG:
+        data = {"days": days.size, "least_deg": min(daily), "most_deg": max(daily), "limit_deg": _ALIKE_DEG}
+        yield Finding("declinations_alike", data)
 
 
 def missing_hours(usable: Sightings, site: Site) -> Iterator[Finding]:

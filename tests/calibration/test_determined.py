@@ -1,0 +1,93 @@
+"""What a fit that is refused for its uncertainty says: what the sightings determine, and which hours and days lack."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from tests.calibration.conftest import times_of
+from tests.finding_codes import codes
+from tests.fixtures.calibration import current_document
+
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.document import from_document
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import Sightings
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.inverse import unproject
+from sunarc.optics.pose import rotation_matrix
+from sunarc.simulation.truth import SGP, true_camera
+from sunarc.sky.sun import sun_directions
+
+N = 23
+STRICT = CalibrationOptions(max_sky_deg=0.05)
+"""Refuses all of these fits for their uncertainty, and for nothing else."""
+OF_UNCERTAINTY = {"direction_sigma_too_large", "sightings_determine", "hours_missing", "declinations_alike"}
+
+
+def _fit(seed: int, days: tuple[float, ...], *, options: CalibrationOptions = STRICT) -> tuple[Camera, Calibration]:
+    """Return a camera, and its fit to 23 sightings of mornings with errors of 0.25 to 2.3 px."""
+    truth, rng = true_camera(seed), np.random.default_rng(2000 + seed)
+    times = times_of(days, site=SGP, cadence_s=60.0)
+    directions = sun_directions(times, SGP)
+    pixels = project(truth, directions)
+    morning = (directions[:, 0] > 0.0) & np.all((pixels > 0.0) & (pixels < truth.width), axis=-1)
+    some = np.sort(rng.choice(np.flatnonzero(morning), N, replace=False))
+    errors = rng.normal(size=(N, 2)) * rng.uniform(0.25, 2.3, (N, 1)) / math.sqrt(2.0)
+    points = Sightings.of(unix_s=times[some], pixels=pixels[some] + errors)
+    return truth, calibrate(points, site=SGP, image_size=(truth.width, truth.height), options=options)
+
+
+def _data(fit: Calibration, code: str) -> dict[str, float]:
+    (found,) = [one for one in fit.verdict.findings if one.code == code]
+    return {name: float(value) for name, value in found.data.items() if not isinstance(value, str)}
+
+
+def test_what_is_stated_of_arc_and_pose_holds() -> None:
+    of_arc, of_pose = [], []
+    for seed in range(6):
+        truth, fit = _fit(seed, (0.0,))
+        assert set(codes(fit.verdict.findings)) == OF_UNCERTAINTY
+        stated = _data(fit, "sightings_determine")
+        # the middle of the morning, by the pixel that the true camera has there
+        times = times_of((0.0,), site=SGP, cadence_s=600.0)
+        sun = sun_directions(times, SGP)
+        sun = sun[(sun[:, 0] > 0.0) & (sun[:, 2] > 0.3)]
+        off = np.degrees(np.linalg.norm(unproject(fit.camera, project(truth, sun)) - sun, axis=-1)) / math.sqrt(2.0)
+        of_arc.append(float(np.sqrt(np.mean(off**2))) / stated["arc_deg"])
+        between = rotation_matrix(fit.camera.rotation_cam_enu) @ rotation_matrix(truth.rotation_cam_enu).T
+        of_pose.append(math.degrees(math.acos(min((np.trace(between) - 1.0) / 2.0, 1.0))) / stated["pose_deg"])
+        assert stated["arc_deg"] < fit.sky_rms_deg
+    for ratios in (of_arc, of_pose):
+        assert 0.1 < np.sqrt(np.mean(np.square(ratios))) < 1.8
+        assert max(ratios) < 3.5
+
+
+def test_the_hours_and_the_days_that_lack_are_named() -> None:
+    _, fit = _fit(1, (0.0,))
+    hours, days = _data(fit, "hours_missing"), _data(fit, "declinations_alike")
+    assert hours["covered_h"] < 0.7 * hours["up_h"]
+    assert days["days"] == 1
+    assert days["least_deg"] == days["most_deg"]
+
+
+def test_the_stored_document_has_them() -> None:
+    _, fit = _fit(1, (0.0,))
+    stored = from_document(current_document(fit)).verdict
+    assert set(codes(stored.findings)) == OF_UNCERTAINTY
+
+
+@pytest.mark.parametrize(("apart", "alike"), [(-10.0, True), (-20.0, False)])
+def test_days_whose_tracks_are_apart_are_not_called_alike(apart: float, alike: bool) -> None:  # noqa: FBT001
+    _, fit = _fit(2, (apart, 0.0))
+    assert ("declinations_alike" in codes(fit.verdict.findings)) is alike
+    assert "sightings_determine" in codes(fit.verdict.findings)
+
+
+def test_an_accepted_fit_does_not_speak_of_what_lacks() -> None:
+    _, fit = _fit(3, (-90.0, 0.0), options=CalibrationOptions(max_sky_deg=30.0))
+    assert fit.verdict.accepted
+    assert not OF_UNCERTAINTY & set(codes(fit.verdict.findings))
