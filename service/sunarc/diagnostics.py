@@ -42,7 +42,7 @@ from sunarc.reanalysis.folder_files import is_image
 from sunarc.reanalysis.folder_worker import time_rules
 from sunarc.reanalysis.image_files import image_of
 from sunarc.reanalysis.messages import MESSAGES as OF_FILES
-from sunarc.reanalysis.snapshots import SnapshotClient
+from sunarc.reanalysis.rtsp import client_of
 from sunarc.reanalysis.sources import Folder, open_source
 from sunarc.runtime.clock import Clock, SystemClock, host_clock_state
 from sunarc.runtime.host import listen, prepare_state
@@ -177,6 +177,9 @@ def run_checks(settings: Settings, *, clock: Clock) -> Iterator[CheckResult]:
     elif settings.http is not None and settings.source == "http":
         with _rights_of_owner(settings.state):
             yield _checked("picture at http.url", lambda: _snapshot(settings, None)[:2])
+    elif settings.rtsp is not None and settings.source == "rtsp":
+        with _rights_of_owner(settings.state):
+            yield _checked("picture at rtsp.url", lambda: _snapshot(settings, None)[:2])
     else:
         yield _checked("camera", lambda: _camera(settings, clock) if running is None else _camera_in_use(running))
 
@@ -298,9 +301,10 @@ def _pictures(options: FolderOptions, site: Site, picture: Path | None) -> Itera
 
 def _snapshot(settings: Settings, shown: Path | None) -> tuple[Outcome, str, str]:
     """Ask a camera for its picture as the service does; return the code, too, of what is wrong."""
-    if settings.http is None:
-        return "fail", "setting http is missing", ""
-    found = SnapshotClient(settings.http, SystemClock()).picture()
+    options = settings.rtsp if settings.source == "rtsp" else settings.http
+    if options is None:
+        return "fail", f"setting {settings.source} is missing", ""
+    found = client_of(options, SystemClock()).picture()
     if isinstance(found, Finding):
         return "fail", f"{OF_FILES.text_of(found)}; {OF_FILES.remedy_of(found)} [{found.code}]", found.code
     with tempfile.TemporaryDirectory() as place:

@@ -30,7 +30,7 @@ def camera_opener(settings: Settings, clock: Clock) -> Callable[[], SkyCamera]:
         return lambda: open_aravis(camera, clock)
     if settings.source == "replay" and replay is not None:
         return lambda: open_replay(replay)
-    if settings.source in {"folder", "http"} and getattr(settings, settings.source) is not None:
+    if settings.source in {"folder", "http", "rtsp"} and getattr(settings, settings.source) is not None:
         return _no_camera
     section = "camera" if settings.source == "aravis" else settings.source
     raise ConfigurationError(

@@ -22,6 +22,7 @@ from sunarc.archive.sightings import ELSEWHERE
 from sunarc.archive.values import Refit
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
 from sunarc.cameras.frame import Frame, SkyCamera
+from sunarc.cameras.options import SnapshotOptions
 from sunarc.detection.values import Detection
 from sunarc.errors import OutsideError
 from sunarc.extras import extra_module
@@ -277,11 +278,13 @@ class Service:
         return follower, behind
 
     def _snapshot_worker(self) -> SnapshotWorker | None:
-        """Return what asks a camera for pictures by HTTP; None where the source is another one."""
-        settings, options = self.settings, self.settings.http
-        if settings.source != "http" or options is None:
+        """Return what asks a camera for pictures by HTTP or RTSP; None where the source is another one."""
+        settings = self.settings
+        options = {"http": settings.http, "rtsp": settings.rtsp}.get(settings.source)
+        if options is None:
             return None
         from sunarc.reanalysis.live_images import LiveImages  # noqa: PLC0415
+        from sunarc.reanalysis.rtsp import client_of  # noqa: PLC0415
         from sunarc.reanalysis.snapshots import SnapshotWorker  # noqa: PLC0415
 
         images = LiveImages(
@@ -293,7 +296,9 @@ class Service:
             board=self.board,
         )
         worker = SnapshotWorker(
-            options,
+            client_of(options, self.clock),
+            kind=settings.source,
+            keep_images=isinstance(options, SnapshotOptions) and options.keep_images,
             capture=settings.capture,
             name=settings.name,
             images=images,

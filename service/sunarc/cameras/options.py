@@ -156,6 +156,30 @@ class SnapshotOptions:
         _require_url("http.url", self.url, ("http", "https"))
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RtspOptions:
+    """A camera that streams by RTSP.
+
+    Attributes
+    ----------
+    url : of the stream, as "rtsp://camera.example/stream1"; without user and password.
+    token_file : a file whose one line is USER:PASSWORD (Basic or Digest, as the camera asks).
+    clock_error_s : bound of the time from a frame's exposure to its arrival, which no stream states; sightings whose
+        whole bound is above 2 s are not calibrated with.
+    timeout_s : of connecting, of opening the stream and of waiting for a key frame, s each.
+    """
+
+    url: str
+    token_file: Path | None = None
+    clock_error_s: Annotated[float, Ge(0.0), Le(3600.0)] = 1.5
+    timeout_s: Annotated[float, Gt(0.0), Le(30.0)] = 15.0
+
+    def __post_init__(self) -> None:
+        """Refuse an address that is none."""
+        require_bounds(self, section_path="rtsp")
+        _require_url("rtsp.url", self.url, ("rtsp",))
+
+
 def _require_url(field: str, url: str, schemes: tuple[str, ...]) -> None:
     remedy = f"give one as {schemes[0]}://camera.example/…"
     try:

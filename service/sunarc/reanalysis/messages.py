@@ -240,6 +240,28 @@ MESSAGES = Messages(
         "ask the camera itself, without a cache between; give the address of a live picture",
     ),
     http_refused=Message("the picture cannot be used: {why}", _NO_PICTURE, "{remedy}"),
+    rtsp_unreachable=Message(
+        "{host} does not answer by RTSP: {error}",
+        _NO_PICTURE,
+        "check rtsp.url (its port, mostly 554), the camera's power and network, and a firewall between",
+    ),
+    rtsp_denied=Message(
+        "{host} answers {status}: it asks for another user or password",
+        _NO_PICTURE,
+        "write USER:PASSWORD in one line of rtsp.token_file, readable by the service",
+    ),
+    rtsp_status=Message(
+        "{host} answers {status}", _NO_PICTURE, "check the path of rtsp.url; an address that redirects is not followed"
+    ),
+    rtsp_no_frame=Message(
+        "the stream of {host} gives {why} within {within_s:g} s",
+        _NO_PICTURE,
+        "have the camera send H.264, H.265 or MJPEG by TCP, with a key frame (I-frame) every few seconds",
+    ),
+    rtsp_too_many_pixels=Message(
+        "the stream has {width}x{height} px, more than {most} in all", _NO_PICTURE, "have the camera send smaller ones"
+    ),
+    rtsp_refused=Message("the frame cannot be used: {why}", _NO_PICTURE, "{remedy}"),
     archive_in_work=Message(
         "{n} older images of the folder are analysed behind the live ones; {stored} sightings so far",
         "Their days are judged afterwards.",

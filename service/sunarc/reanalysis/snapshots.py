@@ -14,7 +14,7 @@ from dataclasses import KW_ONLY, dataclass
 from datetime import datetime, timedelta
 from email.utils import parsedate_to_datetime
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import h11
 from PIL import Image as Pictures
@@ -101,7 +101,8 @@ class SnapshotClient:
             answer = fetch(request, context=self._context, limit=limit, most_bytes=_MOST_BYTES + 1)
             if answer.status == 401 and self._login is not None and not asked:
                 challenges = answer.headers.get("www-authenticate", "").splitlines()
-                login, asked = {"authorization": self._authorization(url, challenges)}, True
+                answered = authorization(self._login, url.geturl(), challenges)
+                login, asked = {"authorization": answered}, True
             elif answer.status in _REDIRECTS:
                 target = urllib.parse.urlsplit(urllib.parse.urljoin(url.geturl(), answer.headers.get("location", "")))
                 if (target.scheme, target.netloc) != (url.scheme, url.netloc):
@@ -121,22 +122,6 @@ class SnapshotClient:
             return Finding("http_too_large", {"host": self.host, "most": _MOST_BYTES})
         return answer
 
-    def _authorization(self, url: urllib.parse.SplitResult, challenges: Sequence[str]) -> str:
-        """Return the answer to the challenges of a camera: Digest (RFC 7616, MD5 or SHA) before Basic."""
-        user, password = self._login or ("", "")
-        digest = next((one for one in challenges if one.lower().startswith("digest ")), None)
-        if digest is None:
-            return f"Basic {base64.b64encode(f'{user}:{password}'.encode()).decode()}"
-        manager = urllib.request.HTTPPasswordMgrWithDefaultRealm()
-        manager.add_password(None, url.geturl(), user, password)
-        handler = urllib.request.HTTPDigestAuthHandler(manager)
-        parts = urllib.request.parse_keqv_list(urllib.request.parse_http_list(digest.partition(" ")[2]))
-        request = urllib.request.Request(url.geturl())  # noqa: S310 - it is not opened
-        try:
-            return f"Digest {handler.get_authorization(request, parts)}"
-        except (ValueError, KeyError) as error:
-            raise OSError(f"its challenge is not understood ({error})") from None
-
     def _checked(self, answer: HttpAnswer, time: datetime, half_s: float) -> Snapshot | Finding:
         content = answer.body
         try:
@@ -154,6 +139,39 @@ class SnapshotClient:
         if age_s > _STALE_S:
             return Finding("http_stale", {"age_s": age_s})
         return Snapshot(content, suffix, time, half_s)
+
+
+def authorization(
+    login: tuple[str, str], url: str, challenges: Sequence[str], *, method: str = "GET", uri: str | None = None
+) -> str:
+    """Return the answer to the challenges of a camera: Digest (RFC 7616, MD5 or SHA) before Basic.
+
+    Parameters
+    ----------
+    login : user and password.
+    url : what is asked for.
+    challenges : of the camera's answer.
+    method, uri : of the request; unset: the path of `url`.
+
+    Raises
+    ------
+    OSError : the challenge is not understood.
+    """
+    user, password = login
+    digest = next((one for one in challenges if one.lower().startswith("digest ")), None)
+    if digest is None:
+        return f"Basic {base64.b64encode(f'{user}:{password}'.encode()).decode()}"
+    manager = urllib.request.HTTPPasswordMgrWithDefaultRealm()
+    manager.add_password(None, url, user, password)
+    handler = urllib.request.HTTPDigestAuthHandler(manager)
+    parts = urllib.request.parse_keqv_list(urllib.request.parse_http_list(digest.partition(" ")[2]))
+    request = urllib.request.Request(url, method=method)  # noqa: S310 - it is not opened
+    if uri is not None:
+        request.selector = uri
+    try:
+        return f"Digest {handler.get_authorization(request, parts)}"
+    except (ValueError, KeyError) as error:
+        raise OSError(f"its challenge is not understood ({error})") from None
 
 
 def _context(options: SnapshotOptions) -> ssl.SSLContext:
@@ -194,10 +212,20 @@ def _http_date(text: str | None) -> datetime | None:
 
 CODES = (
     *("http_unreachable", "http_certificate", "http_denied", "http_redirected", "http_status", "http_no_picture"),
-    *("http_too_large", "http_too_many_pixels", "http_stale", "http_refused"),
+    *("http_too_large", "http_too_many_pixels", "http_stale", "http_refused", "rtsp_unreachable", "rtsp_denied"),
+    *("rtsp_status", "rtsp_no_frame", "rtsp_too_many_pixels", "rtsp_refused"),
 )
 """Conditions of a camera that gives no picture, one at a time."""
-_LEAD_S = 0.05
+
+
+class PictureClient(Protocol):
+    """Gets a camera's picture of now; `host` is the camera's."""
+
+    host: str
+
+    def picture(self, heartbeat: Callable[[], None] = ...) -> Snapshot | Finding:
+        """Return the picture, or the finding why there is none."""
+        ...
 
 
 @dataclass(eq=False)
@@ -206,7 +234,9 @@ class SnapshotWorker:
 
     Parameters
     ----------
-    options : the camera's address.
+    client : gets the pictures.
+    kind : what the conditions' codes begin with: "http" or "rtsp".
+    keep_images : keep the pictures in the store; otherwise the last one alone.
     capture : the cadences, and down to where the sun is looked for.
     name : the camera's, on the board.
     images : looks for the sun.
@@ -218,8 +248,10 @@ class SnapshotWorker:
     night : takes the pictures of the night; None: they are a sign of life.
     """
 
-    options: SnapshotOptions
+    client: PictureClient
     _: KW_ONLY
+    kind: str
+    keep_images: bool
     capture: CaptureOptions
     name: str
     images: LiveImages
@@ -233,7 +265,6 @@ class SnapshotWorker:
 
     def __post_init__(self) -> None:
         """Begin without a picture."""
-        self._client = SnapshotClient(self.options, self.clock)
         self._n_frames = 0
         self.within_s = 0.0
         self.newest_picture: Path | None = None
@@ -251,12 +282,12 @@ class SnapshotWorker:
 
     def take(self, heartbeat: Callable[[], None] = lambda: None) -> None:
         """Take a picture, look at it and store what is found."""
-        found = self._client.picture(heartbeat)
+        found = self.client.picture(heartbeat)
         if isinstance(found, Finding):
             self._show(found)
-            self.board.note(camera=CameraStatus(name=self.name, connected=False, address=self._client.host))
+            self.board.note(camera=CameraStatus(name=self.name, connected=False, address=self.client.host))
             return
-        self.board.note(camera=CameraStatus(name=self.name, connected=True, address=self._client.host))
+        self.board.note(camera=CameraStatus(name=self.name, connected=True, address=self.client.host))
         try:
             left_out = self._look_at(found)
         except OutsideError as error:
@@ -265,7 +296,7 @@ class SnapshotWorker:
             return
         self.board.set_condition("sightings_not_stored", None)
         repeated = left_out is not None and left_out.code == "frame_repeated"
-        self._show(None if left_out is None or repeated else _refused(left_out))
+        self._show(None if left_out is None or repeated else self._refused(left_out))
 
     def _look_at(self, found: Snapshot) -> Finding | None:
         """Look at a picture, and return why it is left out; None where it is not."""
@@ -293,7 +324,7 @@ class SnapshotWorker:
     def _written(self, found: Snapshot) -> Path:
         """Write a picture where it is kept, or where the next one takes its place; return its path."""
         kind = f"hdr.{found.suffix}"
-        if self.options.keep_images:
+        if self.keep_images:
             return self.store.write(found.time, found.content, kind=kind)
         path = self.last / self.store.path(found.time, kind=kind).name
         try:
@@ -308,6 +339,8 @@ class SnapshotWorker:
     def _show(self, finding: Finding | None) -> None:
         self.board.set_one_condition(CODES, None if finding is None else Reason.of(finding, MESSAGES))
 
-
-def _refused(finding: Finding) -> Finding:
-    return Finding("http_refused", {"why": MESSAGES.text_of(finding), "remedy": MESSAGES.remedy_of(finding)})
+    def _refused(self, finding: Finding) -> Finding:
+        why, remedy = MESSAGES.text_of(finding), MESSAGES.remedy_of(finding)
+        if self.kind == "rtsp":
+            return Finding("rtsp_refused", {"why": why, "remedy": remedy})
+        return Finding("http_refused", {"why": why, "remedy": remedy})

@@ -22,7 +22,7 @@ _PREFIX = "SUNARC_"
 _CONFIG_VARIABLE = "SUNARC_CONFIG"
 _KNOWN = {setting.name: setting for setting in all_settings()}
 _SECTIONS = {name.partition(".")[0] for name in _KNOWN if "." in name}
-_SECTION_OF_SOURCE = {"aravis": "camera", "folder": "folder", "http": "http", "replay": "replay"}
+_SECTION_OF_SOURCE = {"aravis": "camera", "folder": "folder", "http": "http", "replay": "replay", "rtsp": "rtsp"}
 _FORMER_SECTIONS = {"calibration.paper", "calibration.tolerances", "days", "refit.selection"}
 """Sections whose settings are all commented out in the example of 0.2.0, and went away."""
 

@@ -12,7 +12,7 @@ from sunarc.api.options import ApiOptions
 from sunarc.archive.database.connections import server_url
 from sunarc.archive.images import DiskOptions
 from sunarc.calibration.model.options import CalibrationOptions, WatchOptions
-from sunarc.cameras.options import AravisOptions, FolderOptions, ReplayOptions, SnapshotOptions
+from sunarc.cameras.options import AravisOptions, FolderOptions, ReplayOptions, RtspOptions, SnapshotOptions
 from sunarc.detection.values import DiscOptions
 from sunarc.imaging.exposure import SunExposureOptions
 from sunarc.runtime.supervisor import SupervisorOptions
@@ -68,6 +68,7 @@ class Settings(_WithStore):
     camera : the GigE Vision camera.
     folder, http : the folder that another program fills, the picture at an address.
     replay : the folder to replay.
+    rtsp : the camera that streams.
     sensor, detection : the sensor's properties, and limits of the detection.
     capture, sun_exposure : the cycle, and the control of its sun exposures.
     clock : how the time of the frames is watched.
@@ -88,12 +89,13 @@ class Settings(_WithStore):
     name: str = "imager"
     state: Path = Path("/var/lib/sunarc")
     store: str | None = None
-    source: Literal["aravis", "folder", "http", "replay"] = "aravis"
+    source: Literal["aravis", "folder", "http", "replay", "rtsp"] = "aravis"
     site: Site
     camera: AravisOptions | None = None
     folder: FolderOptions | None = None
     http: SnapshotOptions | None = None
     replay: ReplayOptions | None = None
+    rtsp: RtspOptions | None = None
     sensor: options.SensorOptions = options.SensorOptions()
     detection: DiscOptions = DiscOptions()
     capture: options.CaptureOptions = options.CaptureOptions()
@@ -117,7 +119,7 @@ class Settings(_WithStore):
 
         The times of a folder's images come late, and out of order; those of a simulation are the only clock there is.
         """
-        if self.source in {"folder", "http"}:
+        if self.source in {"folder", "http", "rtsp"}:
             return self.source == "folder" and self.capture.speed != 1.0
         return self.camera is None or self.camera.timestamps == "camera"
 
@@ -138,7 +140,7 @@ class Settings(_WithStore):
 
     @property
     def snapshots(self) -> Path:
-        """The folder of the last picture of a camera that is asked by HTTP."""
+        """The folder of the last picture of a camera that is asked by HTTP or RTSP."""
         return self.state / "snapshots"
 
     @property

@@ -36,6 +36,7 @@ _FOR_PYTHON = (
     "folder.poll_s",
     "folder.settle_s",
     "http.timeout_s",
+    "rtsp.timeout_s",
     "supervisor.max_restarts",
     "supervisor.within_s",
 )

@@ -81,7 +81,7 @@ def read_login(path: Path | None, *, setting: str) -> tuple[str, str] | None:
     if path is None:
         return None
     user, colon, password = _line(setting, path).partition(":")
-    if not user or not colon:
+    if not user or not colon or "\n" in password:
         raise ConfigurationError(f"{setting} {path}: is not USER:PASSWORD in one line")
     return user, password
 
