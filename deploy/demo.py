@@ -1,4 +1,4 @@
-"""The whole chain on one machine: a simulated GigE Vision imager on loopback, the service, an embedded database."""
+"""The whole chain on one machine: a simulated imager (GigE Vision) on loopback, the service, an embedded database."""
 
 from __future__ import annotations
 
@@ -76,10 +76,13 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--clouds", default="clear", help="clear, veil, broken, overcast; several by commas: one a day")
     parser.add_argument("--keep", action="store_true", help="with --headless: go on serving")
     parser.add_argument("--nights", action="store_true", help="look at the stars in the nights, too")
-    parser.add_argument("--folder", action="store_true", help="a program writes pictures into a folder instead")
+    other = parser.add_mutually_exclusive_group()
+    for source, what in (("folder", "a program writes pictures into a folder"), ("http", "a camera gives its picture")):
+        other.add_argument(f"--{source}", dest="source", action="store_const", const=source, help=f"{what} instead")
     parser.add_argument("--archive", action="store_true", help="make a small archive of images and analyse it instead")
     parser.add_argument("--setup-only", action="store_true", help="set up and stop")
     options = parser.parse_args()
+    options.camera_port = free_port() if options.source == "http" else None
     bounded = 1.0 <= options.speed <= 2000.0 and 30.0 <= options.cadence <= 600.0
     if options.days < 1 or not bounded or not 0 < options.port < 65536:
         parser.error("--days must be 1 or more, --speed 1 to 2000, --cadence 30 to 600, --port 1 to 65535")
@@ -91,13 +94,12 @@ def run(options: argparse.Namespace) -> int:
     state = prepare_state(options.state)
     if options.archive:
         return analyse_archive(state)
-    if not options.folder:
+    if options.source is None:
         require_free_camera_port()
         allow_whole_frames()
     config = write_config(state, options)
     with ExitStack() as stack:
-        where = f"writes pictures into {state / 'pictures'}" if options.folder else f"imager at {CAMERA_ADDRESS}"
-        print(f"demo: simulated: {where}, {options.speed:g} times faster than real; state in {state}")
+        print(f"demo: simulated imager: {place_of(state, options)}, {options.speed:g} times faster; state in {state}")
         stack.enter_context(running("imager", simulate_command(state, options), log=state / "imager.log"))
         wait_for((state / "truth.json").exists, what="the simulated imager", log=state / "imager.log")
         stack.enter_context(running("service", serve_command(config), log=state / "service.log"))
@@ -179,7 +181,7 @@ def write_config(state: Path, options: argparse.Namespace) -> Path:
         f"""\
 name = "demo"
 state = "{state}"
-source = "{"folder" if options.folder else "aravis"}"
+source = "{options.source or "aravis"}"
 
 [site]
 latitude = {SITE["latitude"]}
@@ -210,10 +212,14 @@ port = {options.port}
 
 def source_sections(state: Path, options: argparse.Namespace) -> str:
     """Return the settings of the source."""
-    if options.folder:
+    if options.source == "folder":
         return f"""[folder]
-path = "{state / "pictures"}"
+path = "{place_of(state, options)}"
 utc_offset = "0"
+"""
+    if options.source == "http":
+        return f"""[http]
+url = "http://{place_of(state, options)}/record/current.jpg"
 """
     return f"""[camera]
 address = "{CAMERA_ADDRESS}"
@@ -224,12 +230,24 @@ timestamps = "camera"
 """
 
 
+def place_of(state: Path, options: argparse.Namespace) -> str:
+    """Return where the simulated camera is: its folder, or its address."""
+    places = {"folder": str(state / "pictures"), "http": f"{CAMERA_ADDRESS}:{options.camera_port}"}
+    return places.get(options.source, CAMERA_ADDRESS)
+
+
+def free_port() -> int:
+    """Return a port of loopback that is not in use."""
+    with socket.socket() as trial:
+        trial.bind((CAMERA_ADDRESS, 0))
+        return int(trial.getsockname()[1])
+
+
 def simulate_command(state: Path, options: argparse.Namespace) -> list[str]:
     """Return the command line of the simulated imager."""
-    pictures = ["--folder", str(state / "pictures"), "--cadence", str(options.cadence)] if options.folder else []
     return [
-        *("simulate", *pictures),
-        *("--address", CAMERA_ADDRESS, "--start", f"{FIRST_DAY}T11:00:00Z"),
+        *("simulate", f"--{options.source or 'address'}", place_of(state, options), "--cadence", str(options.cadence)),
+        *("--start", f"{FIRST_DAY}T11:00:00Z"),
         *("--latitude", str(SITE["latitude"]), "--longitude", str(SITE["longitude"])),
         *("--altitude", str(SITE["altitude"]), "--speed", str(options.speed)),
         *("--lens-seed", str(options.lens_seed), "--clouds", options.clouds, "--truth", str(state / "truth.json")),

@@ -1,6 +1,6 @@
 """The first hour of a newcomer, done as docs/first-hour.md says it: from an installed `sunarc` to a served calibration.
 
-    python -m tests.first_hour folder|gige [--sunarc COMMAND] [--speed X] [--wheel]
+    python -m tests.first_hour folder|http|gige [--sunarc COMMAND] [--speed X] [--wheel]
 
 A simulated camera stands for the real one, and a day passes in minutes. Each step is timed, and what the newcomer sees
 is printed. With --wheel the project's wheel is built first, and installed into a clean environment.
@@ -91,7 +91,7 @@ class Newcomer:
 def main() -> int:
     """Run one of the ways."""
     parser = argparse.ArgumentParser(prog="tests.first_hour", description=__doc__)
-    parser.add_argument("way", choices=("folder", "gige"))
+    parser.add_argument("way", choices=("folder", "http", "gige"))
     parser.add_argument("--sunarc", default=shutil.which("sunarc") or "sunarc")
     parser.add_argument("--speed", type=float, default=240.0)
     parser.add_argument("--wheel", action="store_true")
@@ -101,7 +101,7 @@ def main() -> int:
         home = Path(place)
         sunarc = installed_wheel(home) if options.wheel else options.sunarc
         newcomer = Newcomer(sunarc, home, options.speed)
-        way = {"folder": follow_folder, "gige": follow_camera}[options.way]
+        way = {"folder": follow_folder, "http": ask_camera, "gige": follow_camera}[options.way]
         way(newcomer, options.speed)
     print(f"first hour: {options.way}: all steps, {time.monotonic() - begin:.0f} s")
     return 0
@@ -135,6 +135,26 @@ def follow_folder(newcomer: Newcomer, speed: float) -> None:
     made = newcomer.do("ls", str(home / "again"))
     if "report.html" not in made:
         raise SystemExit("first hour: reanalyse wrote no report")
+
+
+def ask_camera(newcomer: Newcomer, speed: float) -> None:
+    """Ask a camera for its picture, with a login: init, check, serve."""
+    sunarc, home = newcomer.sunarc, newcomer.home
+    login, address = home / "login", f"127.0.0.1:{free_port()}"
+    login.write_text("viewer:of the sky\n")
+    newcomer.environment["SUNARC_CAPTURE__CADENCE_S"] = "120.0"
+    with ExitStack() as running:
+        simulate = ("simulate", "--http", address, "--token-file", str(login), "--truth", str(home / "truth.json"))
+        running.enter_context(
+            newcomer.runs(sunarc, *simulate, "--speed", str(speed), "--start", "2013-05-13T11:00:00Z")
+        )
+        while not (home / "truth.json").exists():
+            time.sleep(0.5)
+        source = ("--url", f"http://{address}/record/current.jpg", "--token-file", str(login))
+        newcomer.do(
+            sunarc, "init", *SITE, *source, "--state", str(home / "state"), "--port", str(newcomer.port)
+        )  # fmt: skip
+        serve_until_calibrated(newcomer, running)
 
 
 def follow_camera(newcomer: Newcomer, speed: float) -> None:

@@ -304,7 +304,7 @@ def _snapshot(settings: Settings, shown: Path | None) -> tuple[Outcome, str, str
     options = settings.rtsp if settings.source == "rtsp" else settings.http
     if options is None:
         return "fail", f"setting {settings.source} is missing", ""
-    found = client_of(options, SystemClock()).picture()
+    found = client_of(options, SystemClock(), dated_by_camera=settings.dated_by_camera).picture()
     if isinstance(found, Finding):
         return "fail", f"{OF_FILES.text_of(found)}; {OF_FILES.remedy_of(found)} [{found.code}]", found.code
     with tempfile.TemporaryDirectory() as place:
@@ -313,7 +313,8 @@ def _snapshot(settings: Settings, shown: Path | None) -> tuple[Outcome, str, str
         image = image_of(Folder(place), name)
     if isinstance(image, Finding):
         return "fail", f"{OF_FILES.text_of(image)}; {OF_FILES.remedy_of(image)} [{image.code}]", image.code
-    tried = look_for_sun(TriedPicture(name=name, time=found.time, rule="this host's clock"), image)
+    rule = "its Last-Modified" if settings.dated_by_camera else "this host's clock"
+    tried = look_for_sun(TriedPicture(name=name, time=found.time, rule=rule), image)
     if shown is not None:
         with errors.disk_errors(shown):
             shown.write_bytes(small_picture(image, tried.found))

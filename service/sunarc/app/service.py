@@ -296,7 +296,7 @@ class Service:
             board=self.board,
         )
         worker = SnapshotWorker(
-            client_of(options, self.clock),
+            client_of(options, self.clock, dated_by_camera=settings.dated_by_camera),
             kind=settings.source,
             keep_images=isinstance(options, SnapshotOptions) and options.keep_images,
             capture=settings.capture,

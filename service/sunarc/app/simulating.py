@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import signal
 import threading
+from pathlib import Path
 
 from sunarc.runtime.clock import SystemClock
 from sunarc.simulation.fake_camera import FakeCamera
 from sunarc.simulation.imager import ImagerOptions, halve_speed, run_imager
-from sunarc.simulation.made_archive import PictureOptions, write_pictures
 from sunarc.simulation.options import SceneOptions, SensorModel, SimulatedNight
+from sunarc.simulation.pictures import PictureOptions, PictureServer, PresentPicture, serve_pictures, write_pictures
+from sunarc.workers.options import read_login
 
-__all__ = ["ImagerOptions", "PictureOptions", "SceneOptions", "SensorModel", "SimulatedNight", "simulate_imager",
-           "simulate_pictures"]  # fmt: skip
+__all__ = ["ImagerOptions", "PictureOptions", "SceneOptions", "SensorModel", "SimulatedNight", "simulate_http",
+           "simulate_imager", "simulate_pictures"]  # fmt: skip
 
 
 def simulate_imager(options: ImagerOptions) -> None:
@@ -20,9 +22,15 @@ def simulate_imager(options: ImagerOptions) -> None:
     run_imager(options, _stopping(), running=_slow_on_signal)
 
 
-def simulate_pictures(options: PictureOptions) -> None:
+def simulate_pictures(options: PictureOptions, folder: Path) -> None:
     """Write the pictures of a simulated camera into a folder until SIGTERM or SIGINT."""
-    write_pictures(options, SystemClock(), _stopping())
+    write_pictures(options, folder, SystemClock(), _stopping())
+
+
+def simulate_http(options: PictureOptions, address: tuple[str, int], *, login: Path | None) -> None:
+    """Give the present picture of a simulated camera by HTTP until SIGTERM or SIGINT, to whom has the file's login."""
+    server = PictureServer(PresentPicture(options, SystemClock()), login=read_login(login, setting="--token-file"))
+    serve_pictures(server, address, _stopping())
 
 
 def _stopping() -> threading.Event:

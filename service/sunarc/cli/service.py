@@ -11,6 +11,7 @@ import typer
 from rich.markup import escape
 
 from sunarc.cli.options import Altitude, AsJson, Config, Latitude, Longitude, choice_of, print_json, print_rows
+from sunarc.errors import InputError
 from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.log_to_journal import start_log
 from sunarc.settings.load import load_hub_settings, load_settings
@@ -61,26 +62,35 @@ def simulate(
     folder: Annotated[
         Path | None, typer.Option(help="Write a picture a minute here instead, as another program's camera does.")
     ] = None,
+    http: Annotated[
+        str | None, typer.Option(help="Give the present picture at ADDRESS:PORT instead, as Mobotix and Axis do.")
+    ] = None,
+    token_file: Annotated[
+        Path | None, typer.Option(help="With --http: ask for the USER:PASSWORD in this file, as Digest or Basic.")
+    ] = None,
     cadence: Annotated[float, typer.Option(help="Simulated seconds between the pictures of --folder.")] = 60.0,
     truth: Annotated[Path | None, typer.Option(help="Write the true camera here, a calibration document.")] = None,
 ) -> None:
     """Run a simulated imager that speaks GigE Vision on loopback; SIGUSR1 halves the speed of its clock.
 
-    With --folder a camera whose program writes its pictures into a folder, in UTC; the nights are skipped.
+    With --folder a camera whose program writes its pictures into a folder, in UTC; with --http one that answers with
+    its present picture at /record/current.jpg and /axis-cgi/jpg/image.cgi; the nights are skipped.
 
     Example: sunarc simulate --address 127.0.0.1 --speed 60 --truth truth.json
     """
     from sunarc.app import simulating
     from sunarc.app.simulating import ImagerOptions, SceneOptions, SensorModel, SimulatedNight
 
+    answers_at = None if http is None else _address_of(http, other=folder)
     start_log(os.environ)
+    site = Site(latitude=latitude, longitude=longitude, altitude=altitude)
+    first = parse_time(start, where="--start")
+    pictures = simulating.PictureOptions(start=first, speed=speed, cadence_s=cadence, site=site, truth=truth)
     if folder is not None:
-        site = Site(latitude=latitude, longitude=longitude, altitude=altitude)
-        first = parse_time(start, where="--start")
-        made = simulating.PictureOptions(
-            folder=folder, start=first, speed=speed, cadence_s=cadence, site=site, truth=truth
-        )
-        simulating.simulate_pictures(made)
+        simulating.simulate_pictures(pictures, folder)
+        return
+    if answers_at is not None:
+        simulating.simulate_http(pictures, answers_at, login=token_file)
         return
     scene = SceneOptions(
         nd_transmission=nd_transmission,
@@ -91,10 +101,10 @@ def simulate(
     )
     options = ImagerOptions(
         address=address,
-        start=parse_time(start, where="--start"),
+        start=first,
         speed=speed,
         skip_nights=not nights,
-        site=Site(latitude=latitude, longitude=longitude, altitude=altitude),
+        site=site,
         lens_seed=lens_seed,
         clouds=clouds,
         scene=scene,
@@ -102,6 +112,15 @@ def simulate(
         truth=truth,
     )
     simulating.simulate_imager(options)
+
+
+def _address_of(text: str, *, other: Path | None) -> tuple[str, int]:
+    if other is not None:
+        raise InputError(field="--http", problem="stands beside --folder", remedy="give one of them")
+    host, _, port = text.rpartition(":")
+    if not host or not (port.isascii() and port.isdigit() and 0 < int(port) < 65536):
+        raise InputError(field="--http", problem=f"{text!r} is not ADDRESS:PORT", remedy="give one as 127.0.0.1:8090")
+    return host, int(port)
 
 
 def check(

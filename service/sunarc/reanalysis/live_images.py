@@ -164,9 +164,17 @@ class LiveImages:
                 self._add_elsewhere(address, images, suns)
             number = SEARCHED if model is None else PREDICTED
             self._store([self._point(one, suns[one.file], number) for one in images if one.file in suns])
+            if accepted:
+                self._show_sighting(time)
         self._notice(time, suns.values())
         self._learn(record, model)
         return [one.found if isinstance(one.found, Finding) else None for one in answers]
+
+    def _show_sighting(self, time: datetime) -> None:
+        """Show the newest sighting: images may come late, and out of order."""
+        shown = self.board.snapshot().last_sighting_at
+        if shown is None or time > shown:
+            self.board.note(last_sighting_at=time)
 
     def _notice(self, time: datetime, suns: Iterable[Detection]) -> None:
         """Pass on the sun of an image that is later than those before: in another order it would seem to go back."""

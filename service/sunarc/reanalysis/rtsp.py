@@ -137,9 +137,13 @@ class RtspClient:
         return Finding("rtsp_no_frame", {"host": self.host, "why": why, "within_s": self.options.timeout_s})
 
 
-def client_of(options: SnapshotOptions | RtspOptions, clock: Clock) -> PictureClient:
-    """Return what gets pictures from the camera of a section of the settings."""
-    return RtspClient(options, clock) if isinstance(options, RtspOptions) else SnapshotClient(options, clock)
+def client_of(
+    options: SnapshotOptions | RtspOptions, clock: Clock, *, dated_by_camera: bool = False
+) -> PictureClient:
+    """Return what gets pictures from the camera of a section of the settings; see `SnapshotClient`."""
+    if isinstance(options, RtspOptions):
+        return RtspClient(options, clock)
+    return SnapshotClient(options, clock, dated_by_camera=dated_by_camera)
 
 
 @contextmanager

@@ -64,14 +64,15 @@ class SnapshotClient:
     ----------
     options : the address, and how it is asked.
     clock : dates the request, and limits it.
+    dated_by_camera : take a picture's time from its Last-Modified: a simulated camera's time is the only one there is.
 
     Raises
     ------
     ConfigurationError : a file of the options cannot be read, or is none.
     """
 
-    def __init__(self, options: SnapshotOptions, clock: Clock) -> None:
-        self._options, self._clock = options, clock
+    def __init__(self, options: SnapshotOptions, clock: Clock, *, dated_by_camera: bool = False) -> None:
+        self._options, self._clock, self._dated_by_camera = options, clock, dated_by_camera
         self._url = urllib.parse.urlsplit(options.url)
         self._login = read_login(options.token_file, setting="http.token_file")
         self._context = _context(options) if self._url.scheme == "https" else None
@@ -138,7 +139,13 @@ class SnapshotClient:
         age_s = _age_s(answer.headers, content, time)
         if age_s > _STALE_S:
             return Finding("http_stale", {"age_s": age_s})
-        return Snapshot(content, suffix, time, half_s)
+        if not self._dated_by_camera:
+            return Snapshot(content, suffix, time, half_s)
+        stated = _http_date(answer.headers.get("last-modified"))
+        if stated is None:
+            why = "no Last-Modified, which dates it where capture.speed is set"
+            return Finding("http_no_picture", {"host": self.host, "why": why})
+        return Snapshot(content, suffix, stated, 0.0)
 
 
 def authorization(
@@ -240,7 +247,7 @@ class SnapshotWorker:
     capture : the cadences, and down to where the sun is looked for.
     name : the camera's, on the board.
     images : looks for the sun.
-    clock, frame_time : the host's, which dates the pictures.
+    clock, frame_time : the host's, which date the pictures; a simulated camera's are dated by it.
     apparent_zenith : the sun's, degrees.
     store : keeps pictures where they are to be kept.
     last : folder of the last picture, where they are not.
@@ -288,6 +295,8 @@ class SnapshotWorker:
             self.board.note(camera=CameraStatus(name=self.name, connected=False, address=self.client.host))
             return
         self.board.note(camera=CameraStatus(name=self.name, connected=True, address=self.client.host))
+        if self.frame_time.follows_camera:
+            self.frame_time.note(found.time)
         try:
             left_out = self._look_at(found)
         except OutsideError as error:

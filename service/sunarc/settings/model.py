@@ -117,10 +117,11 @@ class Settings(_WithStore):
     def dated_by_camera(self) -> bool:
         """Whether the time of the frames is taken from them; else it is the host's, also where files state theirs.
 
-        The times of a folder's images come late, and out of order; those of a simulation are the only clock there is.
+        The times of a folder's images come late, and out of order, those of a camera asked by HTTP are whole seconds of
+        its own clock; those of a simulation are the only clock there is.
         """
         if self.source in {"folder", "http", "rtsp"}:
-            return self.source == "folder" and self.capture.speed != 1.0
+            return self.source != "rtsp" and self.capture.speed != 1.0
         return self.camera is None or self.camera.timestamps == "camera"
 
     @property

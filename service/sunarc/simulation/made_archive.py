@@ -6,10 +6,8 @@ Each camera has what years do to one: cloud, a bump, another lens, a clock that 
 from __future__ import annotations
 
 import io
-import json
 import math
 import tarfile
-import threading
 import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
@@ -24,8 +22,6 @@ from sunarc.array_types import FloatArray
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles
-from sunarc.runtime.clock import Clock
-from sunarc.simulation.imager import truth_document
 from sunarc.simulation.options import Bump
 from sunarc.simulation.scene import bumped_camera
 from sunarc.simulation.truth import SGP
@@ -253,84 +249,3 @@ def _written(path: Path, container: Container, files: Iterator[tuple[str, bytes]
     for name, content in files:
         (path / name).write_bytes(content)
     return path
-
-
-# A camera whose program writes a picture a minute into a folder, named as allsky names its own.
-
-_LOWEST_PICTURE_DEG = 88.0
-_LATEST = "image.jpg"
-"""The copy of the newest picture that such programs write over, for a web page."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PictureOptions:
-    """A simulated camera that writes files.
-
-    Attributes
-    ----------
-    folder : where they are written, in a folder a day.
-    start : time of the first picture, aware.
-    speed : times faster than real.
-    cadence_s : simulated seconds from one picture to the next.
-    size : side of the pictures, px.
-    site : where the camera stands.
-    cloudy_share : share of the pictures in which a cloud hides the sun.
-    seed : of clouds and noise.
-    truth : file for the true camera, a calibration document; None writes none.
-    """
-
-    folder: Path
-    start: datetime
-    speed: float = 1.0
-    cadence_s: float = 60.0
-    size: int = 640
-    site: Site = field(default_factory=lambda: SGP)
-    cloudy_share: float = 0.2
-    seed: int = 1
-    truth: Path | None = None
-
-
-def write_pictures(options: PictureOptions, clock: Clock, stop: threading.Event) -> None:
-    """Write picture after picture until stopped; the nights are skipped."""
-    camera = _camera_of(options)
-    options.folder.mkdir(parents=True, exist_ok=True)
-    if options.truth is not None:
-        document = truth_document(camera, options.site, name="pictures", created_at=options.start)
-        options.truth.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-    began_s = clock.monotonic()
-    for written, (unix_s, picture) in enumerate(_pictures(options, camera)):
-        due_s = began_s + written * options.cadence_s / options.speed
-        if clock.wait(stop, max(0.0, due_s - clock.monotonic())):
-            return
-        _write_picture(options.folder, utc_time(unix_s), picture)
-
-
-def _camera_of(options: PictureOptions) -> Camera:
-    made = MadeArchive(cameras=(), size=options.size, site=options.site)
-    return camera_at(made, MadeCamera(name="pictures", naming=""), options.start.timestamp())
-
-
-def _pictures(options: PictureOptions, camera: Camera) -> Iterator[tuple[float, bytes]]:
-    rng = np.random.default_rng(options.seed)
-    for unix_s in _picture_times(options):
-        pixel = project(camera, sun_directions([unix_s], options.site)[0])
-        hidden = bool(rng.random() < options.cloudy_share)
-        yield unix_s, encoded(photograph(options.size, pixel, rng, hidden=hidden))
-
-
-def _picture_times(options: PictureOptions) -> Iterator[float]:
-    """Yield the times of the pictures, seconds since 1970-01-01 UTC, for ever: the sun is up in all."""
-    unix_s = options.start.timestamp()
-    while True:
-        day = unix_s + options.cadence_s * np.arange(math.ceil(DAY_S / options.cadence_s))
-        up = np.asarray(sun_angles(day, options.site).apparent_zenith) < _LOWEST_PICTURE_DEG
-        yield from day[up].tolist()
-        unix_s = float(day[-1]) + options.cadence_s
-
-
-def _write_picture(folder: Path, time: datetime, picture: bytes) -> None:
-    """Write a picture as such programs do: into place, and over the newest one."""
-    day = folder / f"{time:%Y%m%d}"
-    day.mkdir(exist_ok=True)
-    for path in (day / f"image-{time:%Y%m%d%H%M%S}.jpg", folder / _LATEST):
-        path.write_bytes(picture)

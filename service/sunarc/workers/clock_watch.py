@@ -49,6 +49,11 @@ class FrameTime:
         self._offsets_s: deque[float] = deque(maxlen=_COMPARED)
 
     @property
+    def follows_camera(self) -> bool:
+        """Whether the time is taken from the frames."""
+        return self._follows_camera
+
+    @property
     def speed(self) -> float:
         """Seconds of frame time in a real second."""
         return self._speed

@@ -65,6 +65,18 @@ def test_images_are_taken_as_they_come_and_once(followed: Followed, tmp_path: Pa
     again.close()
 
 
+def test_the_last_sighting_is_shown_whatever_comes_late_and_without_sun(followed: Followed) -> None:
+    assert followed.service.board.snapshot().last_sighting_at is None
+    first, last = take(followed, 2)
+    late, cloudy = first + timedelta(seconds=20), followed.clock.now().replace(microsecond=0)
+    followed.write(allsky(late), shot(late))
+    followed.write(allsky(cloudy), shot(cloudy, cloud=True))
+    followed.turn()
+    assert len(followed.points()) == 4
+    assert followed.verdicts()[-1] != "clear"
+    assert followed.service.board.snapshot().last_sighting_at == last
+
+
 def test_a_half_written_file_is_awaited_and_a_truncated_one_left_out_in_the_end(followed: Followed) -> None:
     time = followed.clock.now()
     content = shot(time)

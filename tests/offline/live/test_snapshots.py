@@ -26,6 +26,8 @@ from sunarc.archive.archive import open_archive
 from sunarc.archive.database.schema import upgrade
 from sunarc.cameras.options import SnapshotOptions
 from sunarc.errors import InputError
+from sunarc.findings import Finding
+from sunarc.reanalysis.snapshots import Snapshot, SnapshotClient
 from sunarc.runtime.clock import VirtualClock
 
 MORNING = datetime(2025, 5, 13, 15, 0, tzinfo=UTC)
@@ -203,6 +205,20 @@ def test_what_is_no_picture_of_now_is_a_condition_until_there_is_one(
     asked.take()
     assert asked.codes() == set()
     assert [point.verdict for point in asked.service.archive.sightings.find("roof")] == ["clear"]
+
+
+def test_where_the_cameras_clock_is_followed_a_picture_without_its_time_is_none(camera: Camera) -> None:
+    options = SnapshotOptions(url=f"http://127.0.0.1:{camera.port}/")
+    client = SnapshotClient(options, VirtualClock(MORNING), dated_by_camera=True)
+    camera.answer = sent(shot(MORNING))
+    refused = client.picture()
+    assert isinstance(refused, Finding)
+    assert refused.code == "http_no_picture"
+    stated = "Mon, 13 May 2013 15:00:00 GMT"
+    camera.answer = sent(shot(MORNING), Date=stated, Last_Modified=stated)
+    found = client.picture()
+    assert isinstance(found, Snapshot)
+    assert (found.time, found.within_s) == (datetime(2013, 5, 13, 15, tzinfo=UTC), 0.0)
 
 
 def test_a_camera_that_serves_one_picture_for_an_hour_is_frozen(asked: Asked, camera: Camera) -> None:
