@@ -174,12 +174,9 @@ def run_checks(settings: Settings, *, clock: Clock) -> Iterator[CheckResult]:
     if settings.source == "folder" and settings.folder is not None:
         with _rights_of_owner(settings.state):
             yield from (CheckResult(*tried[:3]) for tried in _pictures(settings.folder, settings.site, None))
-    elif settings.http is not None and settings.source == "http":
+    elif settings.source in {"http", "rtsp"}:
         with _rights_of_owner(settings.state):
-            yield _checked("picture at http.url", lambda: _snapshot(settings, None)[:2])
-    elif settings.rtsp is not None and settings.source == "rtsp":
-        with _rights_of_owner(settings.state):
-            yield _checked("picture at rtsp.url", lambda: _snapshot(settings, None)[:2])
+            yield _checked(f"picture at {settings.source}.url", lambda: _snapshot(settings, None)[:2])
     else:
         yield _checked("camera", lambda: _camera(settings, clock) if running is None else _camera_in_use(running))
 
@@ -205,6 +202,7 @@ _QUESTIONS = {
     "folder": "--folder",
     "picture": "--utc-offset, --time-pattern",
     "picture at http.url": "--url, --token-file",
+    "picture at rtsp.url": "--url, --token-file",
     "site": "--latitude, --longitude",
     "clock": "no option: it looks again",
 }
@@ -230,7 +228,7 @@ def try_first(settings: Settings, *, addresses: Sequence[str], picture: Path) ->
         yield from (TriedResult(*result) for result in _cameras_that_answer(settings, addresses, clock))
     elif settings.folder is not None and settings.source == "folder":
         yield from _pictures(settings.folder, settings.site, picture)
-    elif settings.http is not None and settings.source == "http":
+    elif settings.source in {"http", "rtsp"}:
         codes: list[str] = []
 
         def try_it() -> tuple[Outcome, str]:
@@ -238,7 +236,7 @@ def try_first(settings: Settings, *, addresses: Sequence[str], picture: Path) ->
             codes.extend([code] if code else [])
             return outcome, text
 
-        yield TriedResult(*_checked("picture at http.url", try_it), codes=tuple(codes))
+        yield TriedResult(*_checked(f"picture at {settings.source}.url", try_it), codes=tuple(codes))
     yield TriedResult(*_checked("clock", check_clock))
     yield TriedResult(*_checked("disk", lambda: _room_for(settings.state)))
 

@@ -8,6 +8,7 @@ import pty
 import subprocess
 import sys
 import threading
+from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from functools import partial
@@ -20,6 +21,7 @@ import numpy as np
 import pandas as pd
 import pvlib
 import pytest
+from tests.fixtures.rtsp_camera import RtspCamera
 
 from sunarc.detection.values import Detection
 from sunarc.diagnostics import CheckResult, question_of, run_checks
@@ -216,6 +218,24 @@ def test_an_address_without_a_picture_fails_with_its_code(sunarc: Sunarc, tmp_pa
     (failed,) = [check for check in json.loads(answer.out) if check["what"] == "picture at http.url"]
     assert failed["outcome"] == "fail"
     assert "--url" in failed["question"]
+
+
+def test_a_stream_is_opened_once_and_a_wrong_login_fails_with_its_code(sunarc: Sunarc, tmp_path: Path) -> None:
+    file, login = tmp_path / "sunarc.toml", tmp_path / "login"
+    login.write_text("owner:secret\n")
+    with closing(RtspCamera(login="owner:secret")) as camera:
+        camera.image = np.asarray(photograph(SIZE, np.array([120.0, 90.0]), np.random.default_rng(1)))
+        answer = init(sunarc, file, *SITE, "--url", camera.url, "--token-file", str(login), "--json")
+        assert answer.code == 0, answer.out
+        found = load_settings(file)
+        assert (found.source, found.rtsp and found.rtsp.token_file) == ("rtsp", login)
+        (picture,) = [check for check in record_of(answer)["checks"] if check["what"] == "picture at rtsp.url"]
+        assert "240x240" in picture["text"]
+        assert (tmp_path / "a.png").exists()
+        login.write_text("owner:other\n")
+        answer = init(sunarc, file, "--json")
+        assert (answer.code, codes_in(answer)) == (1, {"rtsp_denied"})
+        assert record_of(answer)["changed"] == {}
 
 
 def test_on_a_terminal_what_is_missing_is_asked_again_until_it_is_right(tmp_path: Path, pictures: Path) -> None:

@@ -22,7 +22,7 @@ from sunarc.offline.first_look import RefusedAnswerError, parse_angle
 from sunarc.settings.file_text import NEW_FILE, Value, read_text, value_in, with_values
 from sunarc.settings.load import settings_of
 
-_SOURCES = ("aravis", "folder", "http")
+_SOURCES = ("aravis", "folder", "http", "rtsp")
 _TRIES = 5
 """Answers to a question that may be wrong, one after the other."""
 
@@ -65,6 +65,7 @@ _OF_SOURCE = {
     "aravis": _SettingQuestion("camera.address", "--camera", "The camera's IP address", str.strip),
     "folder": _SettingQuestion("folder.path", "--folder", "The folder that another program fills", str.strip),
     "http": _SettingQuestion("http.url", "--url", "The address of the camera's picture", str.strip),
+    "rtsp": _SettingQuestion("rtsp.url", "--url", "The address of the camera's stream", str.strip),
 }
 _OFFSET = _SettingQuestion(
     "folder.utc_offset",
@@ -85,12 +86,14 @@ def init(
     latitude: Annotated[str | None, typer.Option(help="Decimal degrees, north positive, or as 36°36'14\"N.")] = None,
     longitude: Annotated[str | None, typer.Option(help="Decimal degrees, east positive, or as 97°29'05\"W.")] = None,
     altitude: Annotated[str | None, typer.Option(help="Metres above sea level.")] = None,
-    source: Annotated[str | None, typer.Option(help="aravis (a GenICam camera), folder or http.")] = None,
+    source: Annotated[str | None, typer.Option(help="aravis (a GenICam camera), folder, http or rtsp.")] = None,
     camera: Annotated[
         list[str] | None, typer.Option(help="Address of a GigE camera; may be given often, none is searched for.")
     ] = None,
     folder: Annotated[Path | None, typer.Option(help="Folder that another program fills with images.")] = None,
-    url: Annotated[str | None, typer.Option(help="Address of the camera's picture, JPEG or PNG.")] = None,
+    url: Annotated[
+        str | None, typer.Option(help="Address of the camera's picture (JPEG, PNG), or of its RTSP stream.")
+    ] = None,
     token_file: Annotated[Path | None, typer.Option(help="File with USER:PASSWORD for --url.")] = None,
     utc_offset: Annotated[
         str | None, typer.Option(help="How far times in names are ahead of UTC: hours, or a zone as Europe/Berlin.")
@@ -119,6 +122,7 @@ def init(
         "camera.address": camera[0] if camera else None,
         "folder.path": None if folder is None else str(folder.absolute()),
         "http.url": url,
+        "rtsp.url": url,
         "folder.utc_offset": utc_offset,
         "folder.time_pattern": time_pattern,
     }
@@ -135,8 +139,8 @@ def init(
     kind = str(answers.value("source") or "aravis")
     _require_source(kind, camera=camera, folder=folder, url=url)
     answers.answer(_OF_SOURCE[kind])
-    if token_file is not None and kind == "http":
-        answers.set({"http.token_file": str(token_file.absolute())})
+    if token_file is not None and kind in {"http", "rtsp"}:
+        answers.set({f"{kind}.token_file": str(token_file.absolute())})
     for optional in (_OFFSET, _PATTERN):
         answers.answer(optional, needed=False)
     results = _tried(answers, file, addresses=camera or [], picture=picture)
@@ -150,7 +154,8 @@ def init(
 
 def _source_of(camera: list[str] | None, folder: Path | None, url: str | None) -> str | None:
     """Return the source that the other options mean; None where there are none, or several."""
-    given = {"aravis": camera, "folder": folder, "http": url}
+    asked = "rtsp" if url is not None and url.lower().startswith("rtsp") else "http"
+    given = {"aravis": camera, "folder": folder, asked: url}
     meant = [source for source, value in given.items() if value]
     return meant[0] if len(meant) == 1 else None
 

@@ -137,9 +137,7 @@ class RtspClient:
         return Finding("rtsp_no_frame", {"host": self.host, "why": why, "within_s": self.options.timeout_s})
 
 
-def client_of(
-    options: SnapshotOptions | RtspOptions, clock: Clock, *, dated_by_camera: bool = False
-) -> PictureClient:
+def client_of(options: SnapshotOptions | RtspOptions, clock: Clock, *, dated_by_camera: bool = False) -> PictureClient:
     """Return what gets pictures from the camera of a section of the settings; see `SnapshotClient`."""
     if isinstance(options, RtspOptions):
         return RtspClient(options, clock)

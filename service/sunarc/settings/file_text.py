@@ -31,7 +31,7 @@ state = "/var/lib/sunarc"     # folder of the database and the images
 """The head of a new file; its sections follow."""
 
 _COMMENTS = {
-    "source": "where the images come from: aravis (a GenICam camera), folder, http",
+    "source": "where the images come from: aravis (a GenICam camera), folder, http, rtsp",
     "site.latitude": "degrees, north positive",
     "site.longitude": "degrees, east positive",
     "site.altitude": "metres above sea level",
