@@ -96,6 +96,8 @@ def test_a_hub_takes_its_own_settings_and_refuses_unknown_ones(sunarc: Sunarc, c
 def test_the_schema_that_is_published_is_the_one_that_is_checked_by(sunarc: Sunarc) -> None:
     published = json.loads((ROOT / "docs" / "feed.schema.json").read_text())
     assert published == feed_schema(head_revision()), "run: sunarc hub schema > docs/feed.schema.json"
+    assert f"Sunarc-Revision: {head_revision()}\n" in (ROOT / "docs" / "feed.md").read_text()
+    assert f'REVISION = "{head_revision()}"\n' in (ROOT / "deploy" / "hub" / "sender.py").read_text()
     assert json.loads(sunarc("hub", "schema").out) == published
 
 

@@ -89,9 +89,11 @@ class Imager:
 def feed_worker(archive: Archive, name: str, options: HubOptions) -> FeedWorker:
     """Return the worker that sends an imager's archive, without waiting between."""
     clock = SystemClock()
+    hub = HubConnection(options, camera=name, clock=clock)
     return FeedWorker(
         camera=CameraArchive(archive, name=name, site=Site(latitude=36.6, longitude=-97.5)),
-        send=HubConnection(options, camera=name, clock=clock).send,
+        send=hub.send,
+        asked_s=hub.wait_s,
         clock=clock,
         board=StatusRegistry(version="1", started_at=clock.now(), monotonic=clock.monotonic),
         every_s=0.05,

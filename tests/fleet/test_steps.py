@@ -9,6 +9,7 @@ import hashlib
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 from contextlib import ExitStack
@@ -16,6 +17,7 @@ from datetime import timedelta
 from pathlib import Path
 from typing import Any, cast
 
+import psycopg
 import pytest
 from tests.archive.test_calibrations import document
 from tests.fixtures.feed_cases import STATUS_ROW, good_rows
@@ -97,17 +99,35 @@ def test_the_steps_of_the_page_lead_to_a_camera_that_is_ready_on_two_hubs(tmp_pa
 
 
 def cut_off(server: Server) -> None:
-    """Let a restore fail in its middle: nothing is there of it, and the next one puts all back."""
+    """Kill a restore in its middle, and the server under another: nothing is left, and the next one is whole."""
     folder = server.folder / "copies"
     options = ("-h", str(server.folder), "-U", "sunarc_owner")
     name = server.carry_out(HUB / "backup", str(folder), "3", *options).strip()
     server.sql("postgres", "CREATE DATABASE again OWNER sunarc_owner TEMPLATE template0")
-    server.sql("again", "CREATE TABLE public.refit (id int)")  # where the restore comes to late
-    with pytest.raises(AssertionError):
-        server.carry_out(HUB / "restore", name, "again", *options)
+    server.sql("again", WAITING)
     tables = "SELECT count(*) FROM pg_tables WHERE schemaname = 'public'"
-    assert server.sql("again", tables).strip() == "1"
-    server.sql("again", "DROP TABLE public.refit")
+    for kill_server in (False, True):
+        with psycopg.connect(host=str(server.folder), user="test", dbname="again", autocommit=True) as holding:
+            holding.execute("SELECT pg_advisory_lock(1)")
+            with server.begin(HUB / "restore", name, "again", *options) as restoring:
+                while not server.sql("again", "SELECT 1 FROM pg_locks WHERE locktype = 'advisory' AND NOT granted"):
+                    assert restoring.poll() is None
+                if kill_server:
+                    server.stop()
+                    server.start()
+                else:
+                    os.killpg(restoring.pid, signal.SIGKILL)
+        server.sql("again", "SELECT pg_advisory_lock(1)")  # until the restore's own session has ended
+        assert server.sql("again", tables).strip() == "0"
     server.carry_out(HUB / "restore", name, "again", *options)
     with open_archive(server.url("again", user="sunarc_owner")) as again:
         assert len(again.sightings.find("roof")) == 1
+
+
+WAITING = """
+CREATE SCHEMA waiting;
+CREATE FUNCTION waiting.here() RETURNS event_trigger LANGUAGE plpgsql
+    AS 'BEGIN PERFORM pg_advisory_xact_lock(1); END';
+CREATE EVENT TRIGGER waiting ON ddl_command_start WHEN TAG IN ('CREATE INDEX') EXECUTE FUNCTION waiting.here();
+"""
+"""Makes a restore wait where all rows are in, and no index is made yet."""

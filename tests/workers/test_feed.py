@@ -281,9 +281,9 @@ def head_of(channel: socket.socket) -> list[str]:
 def connected(bench: Bench, url: str, folder: Path) -> FeedWorker:
     (folder / "token").write_text("a token\n")
     clock = SystemClock()
-    send = HubConnection(HubOptions(url=url, token_file=folder / "token"), camera="roof", clock=clock).send
+    hub = HubConnection(HubOptions(url=url, token_file=folder / "token"), camera="roof", clock=clock)
     camera = CameraArchive(bench.imager, name="roof", site=Site(latitude=36.6, longitude=-97.5))
-    return FeedWorker(camera=camera, send=send, clock=clock, board=bench.board)
+    return FeedWorker(camera=camera, send=hub.send, clock=clock, board=bench.board, asked_s=hub.wait_s)
 
 
 def test_a_hub_that_answers_a_byte_a_second_holds_up_neither_the_worker_nor_the_watchdog(
@@ -329,26 +329,59 @@ def test_a_thousand_rows_drain_through_two_kilobytes_a_second(
     assert bench.hub.feeds.quarantine() == ()
 
 
-@pytest.mark.parametrize("status", [408, 504])
-def test_an_answer_that_it_took_too_long_makes_batches_smaller(bench: Bench, tmp_path: Path, status: int) -> None:
-    bench.imager.sightings.add(sighting(n) for n in range(7))
+@contextmanager
+def answering(answer: str) -> Iterator[str]:
+    """Yield the address of a hub that answers once, whatever it is sent."""
     with socket.create_server(("127.0.0.1", 0)) as listening:
 
-        def refuse() -> None:
+        def say() -> None:
             channel, _ = listening.accept()
             with channel:
                 channel.recv(65_536)
-                channel.sendall(f"HTTP/1.1 {status} No\r\ncontent-length: 0\r\n\r\n".encode())
+                channel.sendall(f"HTTP/1.1 {answer}".encode())
 
-        thread = threading.Thread(target=refuse)
+        thread = threading.Thread(target=say)
         thread.start()
-        worker = connected(bench, f"http://127.0.0.1:{listening.getsockname()[1]}", tmp_path)
-        assert step(worker) == 5.0
+        yield f"http://127.0.0.1:{listening.getsockname()[1]}"
         thread.join()
+
+
+@pytest.mark.parametrize("status", [408, 504])
+def test_an_answer_that_it_took_too_long_makes_batches_smaller(bench: Bench, tmp_path: Path, status: int) -> None:
+    bench.imager.sightings.add(sighting(n) for n in range(7))
+    with answering(f"{status} No\r\ncontent-length: 0\r\n\r\n") as url:
+        worker = connected(bench, url, tmp_path)
+        assert step(worker) == 5.0
     waiting = bench.imager.outbox.waiting()
     worker.send = bench.wire
     step(worker)
     assert bench.imager.outbox.waiting() == waiting - waiting // 2
+
+
+@pytest.mark.parametrize(
+    ("status", "asked", "least_s", "most_s"),
+    [
+        ("429 No", "33", 32.0, 33.0),
+        ("503 No", "40", 39.0, 40.0),
+        ("503 No", "2", 5.0, 5.0),
+        ("503 No", "86400", 599.0, 600.0),
+        ("503 No", "Thu, 26 Nov 2026 09:00:00 GMT", 5.0, 5.0),
+        ("200 OK", "21", 20.0, 21.0),
+    ],
+)
+def test_a_worker_waits_as_long_as_the_hub_asks(  # noqa: PLR0917 - of an answer
+    bench: Bench, tmp_path: Path, status: str, asked: str, least_s: float, most_s: float
+) -> None:
+    bench.imager.sightings.add([sighting(1)])
+    body = json.dumps({"committed": 1})
+    head = f"{status}\r\nretry-after: {asked}\r\ncontent-length: {len(body)}\r\n\r\n{body}"
+    with answering(head) as url:
+        worker = connected(bench, url, tmp_path)
+        assert least_s <= step(worker) <= most_s
+    worker.asked_s = lambda: 0.0  # the time has passed
+    worker.send = bench.wire
+    send_all(worker)
+    assert bench.hub.sightings.find("roof") == bench.imager.sightings.find("roof")
 
 
 def test_one_row_has_as_long_as_its_size_needs(bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

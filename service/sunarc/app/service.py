@@ -536,13 +536,8 @@ class Service:
 
     def feed_worker(self) -> FeedWorker:
         """Return the worker that sends the archive's rows to the hub."""
-        hub = self.settings.hub
-        return FeedWorker(
-            camera=self.camera,
-            send=HubConnection(hub, camera=self.settings.name, clock=self.clock).send,
-            clock=self.clock,
-            board=self.board,
-        )
+        hub = HubConnection(self.settings.hub, camera=self.settings.name, clock=self.clock)
+        return FeedWorker(camera=self.camera, send=hub.send, clock=self.clock, board=self.board, asked_s=hub.wait_s)
 
     def refit_worker(self) -> RefitWorker:
         """Return the worker that solves the camera anew."""

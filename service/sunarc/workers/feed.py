@@ -29,7 +29,7 @@ from sunarc.runtime.clock import Clock
 from sunarc.runtime.loop import Attempts, Loop, Pauses
 from sunarc.runtime.status import StatusRegistry
 from sunarc.utc import rfc3339
-from sunarc.workers.http_exchange import HttpRequest, Limit, UnfinishedError, exchange
+from sunarc.workers.http_exchange import HttpRequest, Limit, UnfinishedError, fetch
 from sunarc.workers.messages import condition
 from sunarc.workers.options import HubOptions
 
@@ -38,6 +38,8 @@ _WITHIN_S = 30.0
 _LEAST_BYTES_PER_S = 500.0
 """One row can be sent in no parts: it has the time that it takes at this rate besides."""
 _MOST_READ_BYTES = 65_536
+_LONGEST_ASKED_S = 600.0
+"""No answer makes a sender wait for longer: a proxy's own may name hours."""
 _COMPRESSION_LEVEL = 4  # rows become a tenth; higher levels cost more time than they save
 
 
@@ -83,6 +85,11 @@ class HubConnection:
         self._token = _token(options.token_file)
         self._context = ssl.create_default_context() if self._url.startswith("https:") else None
         self._clock = clock
+        self._asked_until_s = -math.inf
+
+    def wait_s(self) -> float:
+        """Return for how many seconds more the hub's last answer asks to wait (Retry-After)."""
+        return max(self._asked_until_s - self._clock.monotonic(), 0.0)
 
     def send(self, position: OutboxPosition, rows: Sequence[FeedRow], heartbeat: Callable[[], None]) -> int:
         """Send rows that follow a position, and return the number up to which the hub has them.
@@ -112,14 +119,17 @@ class HubConnection:
         within_s = _WITHIN_S + (len(request.body) / _LEAST_BYTES_PER_S if len(rows) == 1 else 0.0)
         limit = Limit(within_s, monotonic=self._clock.monotonic, heartbeat=heartbeat)
         try:
-            status, body = exchange(request, context=self._context, limit=limit, most_bytes=_MOST_READ_BYTES)
-            if HTTPStatus.OK <= status < HTTPStatus.MULTIPLE_CHOICES:
-                return int(json.loads(body)["committed"])
+            answer = fetch(request, context=self._context, limit=limit, most_bytes=_MOST_READ_BYTES)
+            asked = answer.headers.get("retry-after", "")
+            asked_s = float(asked) if asked.isdecimal() else 0.0  # a date is no hub's
+            self._asked_until_s = self._clock.monotonic() + min(asked_s, _LONGEST_ASKED_S)
+            if HTTPStatus.OK <= answer.status < HTTPStatus.MULTIPLE_CHOICES:
+                return int(json.loads(answer.body)["committed"])
         except (UnfinishedError, h11.RemoteProtocolError) as error:
             raise HubUnfinishedError(f"the hub {self._url}: {error}") from error
         except (OSError, ValueError, KeyError, TypeError, h11.LocalProtocolError) as error:
             raise OutsideError(f"the hub {self._url}: {error}") from error
-        raise _failure(status, body)
+        raise _failure(answer.status, answer.body)
 
 
 def _failure(status: int, body: bytes) -> HubRefusal | OutsideError:
@@ -173,6 +183,7 @@ class FeedWorker:
     clock : real time.
     board : whose status the hub gets, and where a hub that does not answer is shown.
     every_s : seconds between two looks at the outbox.
+    asked_s : returns for how many seconds more the hub asks to wait.
     """
 
     camera: CameraArchive
@@ -180,6 +191,7 @@ class FeedWorker:
     clock: Clock
     board: StatusRegistry
     every_s: float = 5.0
+    asked_s: Callable[[], float] = lambda: 0.0
 
     def __post_init__(self) -> None:
         """Begin with as many rows as are ever sent at once."""
@@ -200,13 +212,14 @@ class FeedWorker:
         Loop(self.clock, stop, heartbeat).repeat(partial(self.step, heartbeat))
 
     def step(self, heartbeat: Callable[[], None]) -> float:
-        """Send once, and return the seconds until the next time."""
+        """Send once, and return the seconds until the next time: no less than the hub asks for."""
         try:
-            return self._attempts.attempt(partial(self._send_some, heartbeat))
+            pause_s = self._attempts.attempt(partial(self._send_some, heartbeat))
         except HubRefusal as refusal:  # the hub answers, and an operator has to do something; it is tried all the same
             self._attempts.answered()
             self.board.set_condition(_REFUSED, condition(_REFUSED, status=refusal.status, error=str(refusal)))
-            return self._attempts.failed(str(refusal))
+            pause_s = self._attempts.failed(str(refusal))
+        return max(pause_s, self.asked_s())
 
     def _send_some(self, heartbeat: Callable[[], None]) -> float | None:
         more = self._send_next(heartbeat)

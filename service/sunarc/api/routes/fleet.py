@@ -72,8 +72,9 @@ def fleet_routes(
 
     @routes.get("/readyz", response_model=Readiness, responses=answers(503))
     def readyz(request: Request) -> Readiness | JSONResponse:
-        """Return whether the database answers and has room (503 if not), and which of the hub's jobs fail."""
+        """Return whether rows of every kind can be stored (503 if not), and which of the hub's jobs fail."""
         archive.cameras.all()
+        archive.feeds.require_privileges()
         snapshot = status()
         if snapshot.health != "not_ready":
             archive.require_room(now=now())

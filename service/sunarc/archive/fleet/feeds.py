@@ -24,6 +24,7 @@ from sqlalchemy import (
     literal,
     or_,
     select,
+    text,
     update,
 )
 from sqlalchemy.exc import DataError, DBAPIError, IntegrityError, StatementError
@@ -54,7 +55,7 @@ from sunarc.archive.fleet.feed_rows import (
 )
 from sunarc.archive.fleet.feed_schema import LATEST_US, problem_of, typed
 from sunarc.calibration.model.document import READ_SCHEMAS
-from sunarc.errors import InputError, NotFoundError
+from sunarc.errors import InputError, NotFoundError, OutsideError
 from sunarc.utc import from_microseconds
 
 FUTURE = timedelta(minutes=10)
@@ -81,6 +82,12 @@ _REFERENCES: Mapping[str, Mapping[str, Table]] = {
 _MOST_UNKNOWN, _MOST_KEPT, _MOST_OWN = 100, 100, 100_000
 _LONGEST_DATA, _LONGEST_TEXT = 10_000, 500
 _NOT_ALLOWED = "permission denied"  # of a table: it is so for every row
+_LACKING = """
+SELECT name FROM unnest(CAST(:tables AS text[])) name WHERE NOT coalesce(
+    has_table_privilege(to_regclass(name), 'INSERT') AND has_table_privilege(to_regclass(name), 'UPDATE')
+    AND has_table_privilege(to_regclass(name), 'SELECT'), false)
+UNION ALL SELECT 'new months' WHERE NOT has_function_privilege('sunarc_require_month(bigint)', 'EXECUTE')
+"""
 KEPT = timedelta(days=90)
 """What did not come again for so long leaves the quarantine."""
 _OTHERS = "(others)"
@@ -182,6 +189,24 @@ class FeedStore(Part):
         with self._database.writing() as connection:
             old = or_(quarantine.c.last_at < now - KEPT, ~_standing())
             return connection.execute(delete(quarantine).where(old)).rowcount
+
+    def require_privileges(self) -> None:
+        """Find out whether this role may store rows of every kind; on SQLite every user of the file may.
+
+        Raises
+        ------
+        OutsideError : it may not; each table is named.
+        """
+        with self._database.reading() as connection:
+            if connection.dialect.name != "postgresql":
+                return
+            tables = sorted({table.name for table, _ in FED.values()} | {feed.name, fleet.name, quarantine.name})
+            lacking = connection.execute(text(_LACKING), {"tables": tables}).scalars().all()
+        if lacking:
+            raise OutsideError(
+                f"rows of {', '.join(lacking)} cannot be stored: the role may not insert and update them; "
+                "as their owner run deploy/hub/grants.sql"
+            )
 
     def quarantine(self, camera: str | None = None, *, limit: int | None = None) -> tuple[Quarantined, ...]:
         """Return what was refused or set apart, the newest first."""
