@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -17,7 +19,7 @@ from sunarc.calibration.model.options import CalibrationOptions, WatchOptions
 from sunarc.calibration.quality.site_checks import site_contradiction
 from sunarc.cameras.frame import Frame
 from sunarc.optics.forward import project
-from sunarc.runtime.status import StatusRegistry
+from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.simulation.truth import SGP
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles, sun_directions
@@ -70,6 +72,18 @@ def test_a_mirrored_image_goes_the_other_way_unless_that_is_known() -> None:
     assert codes == {"no": "sun_contradicts_site", "yes": None, "auto": None}
 
 
+@pytest.mark.parametrize("begin", [datetime(2013, 3, 21, 13, tzinfo=UTC), datetime(2013, 12, 21, 23, tzinfo=UTC)])
+def test_a_lens_that_compresses_the_rim_does_not_contradict_a_right_site(begin: datetime) -> None:
+    """A level orthographic camera in the tropics, by its formula; the sun is 73 to 84 degrees from the zenith."""
+    site = replace(SGP, latitude=10.0)
+    unix_s = np.asarray(begin.timestamp() + 300.0 * np.arange(10), dtype=np.float64)
+    east, north, _ = np.moveaxis(sun_directions(unix_s, site), -1, 0)
+    pixels = np.column_stack([500.0 - 480.0 * east, 500.0 - 480.0 * north])
+    for stated, contradicted in ((site, False), (replace(site, longitude=-site.longitude), True)):
+        found = site_contradiction(unix_s, pixels, site=stated, image_size=(1001, 1001), mirrored="no")
+        assert (found is not None) == contradicted
+
+
 @pytest.mark.parametrize("false", [1, 3])
 def test_a_few_false_sightings_neither_hide_nor_make_a_contradiction(false: int) -> None:
     unix_s, pixels = seen_from(EVENING)
@@ -83,23 +97,47 @@ def test_a_few_false_sightings_neither_hide_nor_make_a_contradiction(false: int)
 def test_a_first_start_with_the_wrong_sign_of_the_longitude_is_said(
     tmp_path: Path, board: StatusRegistry, *, site: Site, said: bool
 ) -> None:
-    archive = new_archive(tmp_path)
+    with watched(tmp_path, board, site) as watch:
+        after = [show(watch, *one) for one in zip(*seen_from(EVENING), strict=True)][-1]
+    assert ("sun_contradicts_site" in after) == said
+    if said:
+        assert "site.longitude" in after["sun_contradicts_site"].remedy
+
+
+@pytest.mark.parametrize("site", [SGP, EAST])
+def test_what_an_evening_shows_holds_until_the_next_morning_shows_something(
+    tmp_path: Path, board: StatusRegistry, site: Site
+) -> None:
+    codes = []
+    with watched(tmp_path, board, site) as watch:
+        for begin in (EVENING, MORNING + timedelta(days=1)):
+            codes += [set(show(watch, *one)) for one in zip(*seen_from(begin), strict=True)]
+    if site == SGP:
+        assert codes == [set()] * 20
+    else:
+        assert codes[9:13] == [{"sun_contradicts_site"}] * 4
+        assert codes[13:] == [{"sun_seen_below_horizon"}] * 7
+
+
+@contextmanager
+def watched(base: Path, board: StatusRegistry, site: Site) -> Iterator[WatchWorker]:
+    archive = new_archive(base)
     archive.cameras.save(CameraRecord.at(site, name="roof", width=SIZE[0], height=SIZE[1]))
     camera = CameraArchive(archive, name="roof", site=site)
 
     def now() -> datetime:
-        return EVENING + timedelta(hours=1)
+        return EVENING + timedelta(days=2)
 
     reposer = ProvisionalPoseEstimator(camera, options=CalibrationOptions(), wander_deg=0.0, now=now)
-    watch = WatchWorker(camera=camera, options=WatchOptions(), reposer=reposer, now=now, board=board)
-    for unix_s, (x, y) in zip(*(values.tolist() for values in seen_from(EVENING)), strict=True):
-        watch.notice(datetime.fromtimestamp(unix_s, UTC), x_px=x, y_px=y, sigma_px=0.3)
-        assert watch.process_next()
-    reasons = {reason.code: reason for reason in board.snapshot().reasons}
-    assert ("sun_contradicts_site" in reasons) == said
-    if said:
-        assert "site.longitude" in reasons["sun_contradicts_site"].remedy
+    yield WatchWorker(camera=camera, options=WatchOptions(), reposer=reposer, now=now, board=board)
     archive.close()
+
+
+def show(watch: WatchWorker, unix_s: float, pixel: np.ndarray) -> dict[str, Reason]:
+    """Show the watch a sighting; return the conditions after it."""
+    watch.notice(datetime.fromtimestamp(unix_s, UTC), x_px=float(pixel[0]), y_px=float(pixel[1]), sigma_px=0.3)
+    assert watch.process_next()
+    return {reason.code: reason for reason in watch.board.snapshot().reasons}
 
 
 def lit(level: float, exposure_us: float) -> Frame:

@@ -126,11 +126,13 @@ _BELOW_DEG = 91.0
 _TILT_DEG, _CENTRE_SHARE = 15.0, 0.05
 """What a camera is tilted by, and its principal point is off the image's centre by (of the longer side), at most."""
 _LENS_DEG = 25.0
-"""By which projections turn the direction of the motion: their scales along and across the radius differ."""
+"""By which the direction of the motion is off at most where the camera's tilt turns what the lens does to it."""
 _NEAR_ZENITH = 0.9
 """Sine of the doubt about which way is outwards, from which on it says nothing."""
 _ELEVATION_DEG = 50.0
-"""By which the zenith angle from the scale of the motion is off at most, for all projections and that tilt."""
+"""By which the zenith angle from the scale of the motion is off at most, for that tilt; see `_Due` for the lens."""
+_PROJECTIONS = np.linspace(0.0, 1.0, 5)
+"""From orthographic, whose scale along the radius falls to none at the horizon, to stereographic, where it does not."""
 
 
 def site_contradiction(
@@ -140,7 +142,8 @@ def site_contradiction(
 
     Parameters
     ----------
-    unix_s, pixels : (n,) and (n, 2) px, of one pose; a few may be false.
+    unix_s, pixels : (n,) and (n, 2) px, of one pose and within two hours: the motion is taken as straight; a few may
+        be false.
     site : where the camera is said to stand.
     image_size : width and height, px.
     mirrored : what is known of the handedness.
@@ -159,10 +162,11 @@ def site_contradiction(
     if doubt >= _NEAR_ZENITH:
         return None
     seen = _seen_angles(outwards / radius, motion.velocity, mirrored)
-    off = min(abs(float(wrapped_deg(one - due.way_deg))) for one in seen)
+    off = min(float(np.min(np.abs(wrapped_deg(one - due.ways_deg)))) for one in seen)
     allowed = math.degrees(math.asin(doubt)) + _LENS_DEG
     seen_zenith = math.degrees(radius / px_per_rad)
-    if off <= allowed and abs(seen_zenith - due.zenith_deg) <= _ELEVATION_DEG:
+    lowest, highest = due.zenith_deg - _ELEVATION_DEG, max(due.zenith_deg + _ELEVATION_DEG, due.farthest_deg)
+    if off <= allowed and lowest <= seen_zenith <= highest:
         return None
     data: dict[str, float | str] = {
         "off_deg": off,
@@ -170,7 +174,7 @@ def site_contradiction(
         "seen_zenith_deg": seen_zenith,
         "zenith_deg": due.zenith_deg,
         "seen": _word(seen[0]),
-        "expected": _word(due.way_deg),
+        "expected": _word(float(due.ways_deg[-1])),
     }
     return Finding("sun_contradicts_site", data)
 
@@ -184,14 +188,16 @@ class _Motion(NamedTuple):
 
 
 class _Due(NamedTuple):
-    """The sun over the stated site: zenith angle, the direction of its way, and its speed.
+    """The sun over the stated site: zenith angle, the direction of its way by projection, and its speed.
 
-    The direction is from outwards (away from the zenith) towards a growing azimuth.
+    The direction is from outwards (away from the zenith) towards a growing azimuth; the last one is that in the sky. A
+    lens that compresses the rim makes the sun slow there, and so its zenith angle large: `farthest_deg` at most.
     """
 
     zenith_deg: float
-    way_deg: float
+    ways_deg: FloatArray
     rad_per_s: float
+    farthest_deg: float
 
 
 def _motion(unix_s: FloatArray, pixels: FloatArray) -> _Motion | None:
@@ -215,9 +221,14 @@ def _due(unix_s: float, site: Site) -> _Due:
     angles, (before, after) = sun_angles(times, site), sun_directions(times, site)
     first, last = np.radians(angles.apparent_zenith).tolist()
     turned = math.radians(float(wrapped_deg(angles.azimuth[1] - angles.azimuth[0])))
-    way = math.atan2(math.sin(0.5 * (first + last)) * turned, last - first)
+    zenith = 0.5 * (first + last)
+    least = max(math.cos(zenith), 0.0)
+    along = least + (1.0 - least) * _PROJECTIONS
+    ways = np.degrees(np.arctan2(math.sin(zenith) * turned, along * (last - first)))
     apart = 2.0 * math.asin(0.5 * float(np.linalg.norm(after - before)))
-    return _Due(math.degrees(0.5 * (first + last)), math.degrees(way), apart / 60.0)
+    lowest = zenith + math.radians(_TILT_DEG)
+    farthest = math.degrees(math.tan(lowest)) if lowest < 0.5 * math.pi else math.inf
+    return _Due(math.degrees(zenith), ways, apart / 60.0, farthest)
 
 
 def _word(way_deg: float) -> str:

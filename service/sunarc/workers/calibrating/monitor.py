@@ -25,7 +25,7 @@ from sunarc.calibration.model.options import WatchOptions
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
 from sunarc.calibration.quality.day_quality import DOUBTFUL_CLOCK_SHARE, decide_day, measure_day
-from sunarc.calibration.quality.site_checks import site_contradiction
+from sunarc.calibration.quality.site_checks import FEWEST_IN_MOTION, site_contradiction
 from sunarc.errors import InputError, OutsideError
 from sunarc.findings import Finding
 from sunarc.runtime.loop import DropOldestQueue, turns
@@ -46,7 +46,9 @@ _JITTER = timedelta(seconds=1)
 _POSE_CODES = ("provisional_pose", "first_pose_provisional")
 _SITE_CODES = ("sun_seen_below_horizon", "sun_contradicts_site")
 _FIRST = 10
-"""The last sightings of a camera without a calibration, whose motion is compared with the stated site's sun."""
+_FIRST_WITHIN_S = 7200.0
+"""The last sightings of a camera without a calibration, whose motion is compared with the stated site's sun: an evening
+and the next morning are none."""
 _FUTURE_EPOCH = "epoch_in_future"
 _RECOVERED_AFTER = 4
 """Consecutive sightings that agree again before a fault of the clock, the image or the site is cleared."""
@@ -207,7 +209,11 @@ class WatchWorker:
 
     def _compare_with_site(self, sighting: Sighting) -> None:
         """Set or clear the conditions of a sun that goes otherwise than it does over the stated site."""
+        while self._first and abs(sighting.unix_s - self._first[0].unix_s) > _FIRST_WITHIN_S:
+            self._first.popleft()
         self._first.append(sighting)
+        if len(self._first) < FEWEST_IN_MOTION:  # what the evening showed stands until the morning shows something
+            return
         record = self.camera.archive.cameras.get(self.camera.name)
         if record is None:
             return
