@@ -27,7 +27,7 @@ from sunarc.app.cameras import camera_opener, require_stored_site
 from sunarc.app.pushing import receivers
 from sunarc.app.service import night_capture
 from sunarc.app.serving import with_credentials
-from sunarc.archive.archive import open_archive
+from sunarc.archive.archive import Archive, open_archive
 from sunarc.archive.database.backup import newest_sound_copy
 from sunarc.archive.database.schema import check, head_revision
 from sunarc.archive.fleet.outbox import OutboxPosition
@@ -462,6 +462,17 @@ def _state(settings: Settings) -> tuple[Outcome, str]:
     return ("ok", text) if free > _LEAST_FREE_BYTES else ("warn", f"only {text}; free some space")
 
 
+def _answering(archive: Archive, camera: str, kept: str) -> tuple[Outcome, str]:
+    """Return what a database keeps, and that a provisional calibration is served from it."""
+    current = archive.calibrations.current_model(camera)
+    if current is None or current.sigma_limit_deg is None:
+        return "ok", kept
+    return (
+        "warn",
+        f"{kept}; a provisional calibration answers where its 1-sigma is at most {current.sigma_limit_deg:g}°",
+    )
+
+
 def _database(settings: Settings) -> tuple[Outcome, str]:
     if settings.store is not None:
         with open_archive(settings.archive) as archive:
@@ -476,7 +487,9 @@ def _database(settings: Settings) -> tuple[Outcome, str]:
     if found.sound:
         with open_archive(settings.database) as archive:
             require_stored_site(archive, settings)
-        return "ok", f"revision {found.revision}, {found.rows.get('sun_point', 0)} sightings"
+            return _answering(
+                archive, settings.name, f"revision {found.revision}, {found.rows.get('sun_point', 0)} sightings"
+            )
     if found.revision != found.head:
         return "warn", f"revision {found.revision}, not {found.head}; run sunarc db upgrade --state {settings.state}"
     what = (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,11 +11,16 @@ from tests.calibration.conftest import times_of
 from tests.finding_codes import codes
 from tests.fixtures.calibration import current_document
 
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance, sigma_deg, unproject_with_sigma
+from sunarc.calibration.answers.direction_table import lookup
 from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.backward import camera_sees
 from sunarc.calibration.model.document import from_document
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.calibration.quality.fit_checks import provisional
+from sunarc.exports.formats import calibration_view
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.inverse import unproject
@@ -85,6 +91,85 @@ def test_days_whose_tracks_are_apart_are_not_called_alike(apart: float, alike: b
     _, fit = _fit(2, (apart, 0.0))
     assert ("declinations_alike" in codes(fit.verdict.findings)) is alike
     assert "sightings_determine" in codes(fit.verdict.findings)
+
+
+LIMIT_DEG = 0.5
+
+
+@pytest.fixture(scope="module")
+def morning() -> tuple[Camera, Calibration]:
+    """Return a camera, and its fit to the sightings of one morning, kept as provisional."""
+    truth, fit = _fit(2, (0.0,))
+    assert not fit.verdict.accepted
+    return truth, provisional(fit, limit_deg=LIMIT_DEG)
+
+
+def test_a_provisional_fit_answers_where_it_is_sure_and_is_right_there(morning: tuple[Camera, Calibration]) -> None:
+    truth, kept = morning
+    assert (kept.verdict.accepted, kept.verdict.marginal) == (False, True)
+    sky = hemisphere(600)
+    at = project(truth, sky)
+    seen = camera_sees(truth, at)
+    found, sigma, inside = unproject_with_sigma(kept, at[seen])
+    off = np.degrees(np.linalg.norm(found - sky[seen], axis=-1))
+    assert _data(kept, "provisional_where_sure")["share"] == pytest.approx(np.mean(inside), abs=0.05)
+    assert 0.05 < np.mean(inside) < 0.95
+    assert np.all(sigma[inside] <= LIMIT_DEG)
+    assert np.all(np.isnan(found[~inside]))
+    assert np.mean(off[inside] < 2.45 * sigma[inside]) > 0.9
+    pixels, covariance = project_with_covariance(kept, sky)
+    whole = sigma_deg(kept, sky)
+    assert np.array_equal(np.isfinite(pixels[:, 0]), whole <= LIMIT_DEG)
+    assert np.array_equal(np.isfinite(covariance[:, 0, 0]), whole <= LIMIT_DEG)
+
+
+def test_maps_and_comparisons_have_the_same_limit(morning: tuple[Camera, Calibration]) -> None:
+    truth, kept = morning
+    sky = hemisphere(600)
+    sky = sky[camera_sees(truth, project(truth, sky))]
+    clear = np.abs(sigma_deg(kept, sky) - LIMIT_DEG) > 0.02  # beside the edge the table may decide otherwise
+    sure = sigma_deg(kept, sky) <= LIMIT_DEG
+    ready, pixels = lookup(kept), project(kept.camera, sky)
+    for rows in (ready.project(sky), ready.back_project(pixels)):
+        assert np.array_equal((rows[:, -1] == 1.0)[clear], sure[clear])
+        assert np.array_equal(np.isfinite(rows[:, 0])[clear], sure[clear])
+    view = calibration_view(kept)
+    assert np.array_equal(np.isfinite(view.project(sky)[:, 0]), sure)
+    assert np.array_equal(np.isfinite(view.unproject(pixels)[:, 0])[clear], sure[clear])
+
+
+def test_the_limit_is_in_the_document_and_none_is_in_those_without(morning: tuple[Camera, Calibration]) -> None:
+    stored = current_document(morning[1])
+    assert from_document(stored).sigma_limit_deg == LIMIT_DEG
+    del stored["uncertainty"]["sigma_limit_deg"]
+    assert from_document(stored).sigma_limit_deg is None
+    assert "sigma_limit_deg" not in current_document(from_document(stored))["uncertainty"]
+
+
+def test_a_fit_that_sightings_contradict_is_refused_all_the_same() -> None:
+    truth, rng = true_camera(1), np.random.default_rng(5)
+    times = times_of((0.0,), site=SGP, cadence_s=600.0)[:N]
+    pixels = project(truth, sun_directions(times, SGP)) + rng.normal(0.0, 0.7, (N, 2))
+    late = times + np.where(np.arange(N) < N // 2, 0.0, 3600.0)
+    size = (truth.width, truth.height)
+    fit = calibrate(Sightings.of(unix_s=late, pixels=pixels), site=SGP, image_size=size, options=STRICT)
+    kept = provisional(fit, limit_deg=30.0)
+    assert (kept.verdict.accepted, kept.verdict.marginal, kept.sigma_limit_deg) == (False, False, None)
+
+
+def test_a_tilt_must_be_stated() -> None:
+    _, fit = _fit(1, (0.0,))  # the true camera is tilted by more than 5 degrees
+    assert codes(provisional(fit, limit_deg=1.0).verdict.findings)[0] == "provisional_tilted"
+    stated = replace(STRICT, level_within_deg=20.0)
+    _, fit = _fit(1, (0.0,), options=stated)
+    assert provisional(fit, limit_deg=1.0).sigma_limit_deg == 1.0
+
+
+def test_a_fit_that_is_sure_of_nothing_or_accepted_stays_as_it_is() -> None:
+    _, fit = _fit(2, (0.0,))
+    assert provisional(fit, limit_deg=1e-3) is fit
+    good = replace(fit, verdict=replace(fit.verdict, accepted=True))
+    assert provisional(good, limit_deg=LIMIT_DEG) is good
 
 
 def test_an_accepted_fit_does_not_speak_of_what_lacks() -> None:

@@ -111,6 +111,29 @@ def test_a_refused_fit_exits_1_and_still_prints_its_document(sunarc: Sunarc, poi
     assert verdict["reasons"]
 
 
+def test_few_suns_of_a_morning_are_kept_where_they_are_sure(sunarc: Sunarc, tmp_path: Path) -> None:
+    file = write_day(tmp_path / "morning.csv", CAMERA)
+    rows = file.read_text(encoding="utf-8").splitlines()
+    head, morning = rows[0], rows[20:64:2]
+    file.write_text("\n".join([head, *(row.replace(",0.02,", ",0.5,") for row in morning)]) + "\n", encoding="utf-8")
+    refused = sunarc("calibrate", str(file), *AT_SGP)
+    assert refused.code == 1
+    kept = sunarc("calibrate", str(file), *AT_SGP, "--provisional", "--json")
+    assert kept.code == 0, kept.err
+    document = json.loads(kept.out)
+    assert (document["state"], document["verdict"]["accepted"], document["verdict"]["marginal"]) == (
+        "candidate",
+        False,
+        True,
+    )
+    assert document["verdict"]["findings"][0]["code"] == "provisional_where_sure"
+    assert document["uncertainty"]["sigma_limit_deg"] == 1.5
+    calibration = tmp_path / "provisional.json"
+    calibration.write_text(kept.out, encoding="utf-8")
+    compared = sunarc("compare", str(calibration), str(calibration), "--json")
+    assert json.loads(compared.out)["sigma_limits_deg"] == [1.5, 1.5]
+
+
 @pytest.mark.real
 @pytest.mark.skipif(not REAL.exists(), reason="the real sun tracks are not beside the repository")
 def test_real_detections_of_a_consumer_fisheye_fit_to_less_than_a_pixel(sunarc: Sunarc) -> None:

@@ -94,6 +94,40 @@ def test_the_scatter_about_an_accepted_fit_becomes_the_stated_sigma(
     assert 0.6 < float(learned.pop() or 0.0) < 1.1
 
 
+UNDETERMINED = replace(
+    GOOD,
+    verdict=Verdict(accepted=False, findings=(Finding("direction_sigma_too_large", {"sigma_deg": 2.0}),)),
+    covariance=9.0 * GOOD.covariance,
+)
+
+
+@pytest.mark.parametrize("asked", [False, True])
+def test_what_lacks_days_is_kept_where_asked_and_gives_way_to_an_accepted_fit(
+    settings: Settings, solve: Callable[[Calibration], None], *, asked: bool
+) -> None:
+    solve(UNDETERMINED)
+    refit, document = calibrate_archive(settings, clock=VirtualClock(NOW), keep_provisional=asked)
+    assert refit.state == ("marginal" if asked else "refused")
+    assert document is not None
+    with open_archive(settings.database) as archive:
+        assert archive.calibrations.current("roof") is None
+        assert archive.calibrations.get(document["id"]).state == ("candidate" if asked else "refused")
+        if not asked:
+            return
+        archive.calibrations.reinstate(document["id"], at=MORNING, reason="the first pictures")
+        served = archive.calibrations.current_model("roof")
+        assert served is not None
+        assert served.sigma_limit_deg == settings.calibration.max_sky_deg
+    solve(GOOD)
+    refit, better = calibrate_archive(settings, clock=VirtualClock(NOW))
+    assert refit.state == "accepted"
+    assert better is not None
+    with open_archive(settings.database) as archive:
+        current = archive.calibrations.current("roof")
+        assert current is not None
+        assert current.id == better["id"]
+
+
 def test_a_refused_fit_is_stored_served_to_nobody_and_teaches_nothing(
     settings: Settings, solve: Callable[[Calibration], None]
 ) -> None:

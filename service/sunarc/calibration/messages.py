@@ -91,6 +91,17 @@ MESSAGES = Messages(
         "The pose was estimated from few sightings.",
         "none: a full fit replaces it after the day",
     ),
+    provisional_where_sure=Message(
+        "provisional, as was asked: directions are answered where their 1-sigma is at most {limit_deg:.2g}° per axis, "
+        "{share:.0%} of the sky in the image",
+        "The sightings contradict nothing, and determine no more: the fit is kept as a candidate, with this limit.",
+        "`sunarc calibrations activate ID` serves it until a fit is accepted; collect sightings on further clear days",
+    ),
+    provisional_tilted=Message(
+        "not kept as provisional: a camera tilted by {tilt_deg:.1f}°, which may stand for a wrong time or place",
+        "The fit is refused.",
+        "check clock and site; where the camera is tilted, give --level-within",
+    ),
     mirrored=Message("the image is mirrored", "Both were tried, and one fits."),
     not_mirrored=Message("the image is not mirrored", "Both were tried, and one fits."),
     pose_changed=Message(

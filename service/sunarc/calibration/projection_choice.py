@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.array_types import FloatArray
+from sunarc.calibration.answers.covariance import hemisphere, sigma_deg, sky_sigma_deg
 from sunarc.calibration.calibrate import Start, calibration_of, most_plausible_start, robust_fit
 from sunarc.calibration.changes.change_points import Moved, calibrate_moved
 from sunarc.calibration.fit.assemble import Job
@@ -25,8 +26,9 @@ from sunarc.calibration.fit.marginal_likelihood import (
 )
 from sunarc.calibration.fit.normal_equations import linear_system
 from sunarc.calibration.fit.robust_fit import RobustFit, grid_of
+from sunarc.calibration.model.backward import camera_sees
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
-from sunarc.calibration.model.result import STRONG_EVIDENCE, Verdict
+from sunarc.calibration.model.result import STRONG_EVIDENCE, Calibration, Verdict
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.noise import NoiseGroups, measured_noise
 from sunarc.calibration.quality.fit_checks import before_fit, determined
@@ -36,7 +38,10 @@ from sunarc.calibration.start.initial_guess import single_problem
 from sunarc.calibration.start.multistart import SMALLEST_SIGMA_PX, distance_sigmas
 from sunarc.findings import Finding
 from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.optics.inverse import unproject
 from sunarc.optics.projections import PROJECTIONS, Projection
+from sunarc.sky.directions import angular_distance
 from sunarc.sky.site import Site
 
 _IMPOSSIBLE = -1e4
@@ -44,6 +49,8 @@ _IMPOSSIBLE = -1e4
 _NEAR = 20.0
 """Log evidence at the start, beside the best, within which a projection is fitted. Of 200 it rose by 44 at most by the
 fit, and never changed which one is the best."""
+_POSSIBLE = 10.0
+"""Log evidence beside the best's within which a projection is possible where sightings do not decide."""
 _FEWEST = 60
 """Usable sightings that a choice needs: of 35, a third of them drawn aside by cloud, a wrong lens was made by far the
 most probable one."""
@@ -124,12 +131,36 @@ def calibrate_unknown_lens(
         of_lens = fits[choice.projection]
         solved = calibration_of(of_lens.fit, job._replace(options=options, parts=True), of_lens.start)
     moved = calibrate_moved(points, site=site, image_size=image_size, options=options, circle=circle, solved=solved)
+    if finding.code == "projection_ambiguous":
+        moved = moved._replace(calibration=_with_others(moved.calibration, choice, fits))
     verdict = moved.calibration.verdict
     if finding.code == "projection_ambiguous" and verdict.accepted:
         verdict = Verdict(accepted=False, findings=(finding, *determined(moved.calibration, job.usable)))
     elif choice.compared:
         verdict = replace(verdict, findings=(*verdict.findings, finding))
     return moved._replace(calibration=replace(moved.calibration, verdict=verdict))
+
+
+def _with_others(calibration: Calibration, choice: ProjectionChoice, fits: dict[Projection, Fitted]) -> Calibration:
+    """Return a calibration whose uncertainty holds its mean square distance to the fits with other projections, too.
+
+    Those that are not out of the question count alike: few sightings do not weigh them.
+    """
+    directions = hemisphere()
+    directions = directions[camera_sees(calibration.camera, project(calibration.camera, directions))]
+    sigma, squares = sigma_deg(calibration, directions), [0.0]
+    for name, fitted in fits.items():
+        if name != choice.projection and choice.log_evidence[name] > -_POSSIBLE:
+            other = fitted.fit.problem.camera(fitted.fit.unknowns)
+            off = angular_distance(unproject(calibration.camera, project(other, directions)), directions)
+            square = 0.5 * (np.degrees(off) / sigma) ** 2
+            squares.append(float(np.mean(square[np.isfinite(square)])) if np.any(np.isfinite(square)) else 0.0)
+    factor = math.sqrt(1.0 + float(np.mean(squares)))
+    if not factor > 1.0:
+        return calibration
+    wider = replace(calibration, covariance=factor**2 * calibration.covariance, field=calibration.field.widened(factor))
+    rms, most = sky_sigma_deg(wider)
+    return replace(wider, sky_rms_deg=rms, sky_max_deg=most)
 
 
 def compare_projections(job: Job) -> tuple[ProjectionChoice, dict[Projection, Fitted]]:

@@ -204,6 +204,12 @@ def calibrate(
     unit_spread: SpreadText = None,
     joint: JointFile = None,
     output: JointFolder = None,
+    provisional: Annotated[
+        bool,
+        typer.Option(
+            "--provisional", help="Keep a fit that lacks only hours or days; it answers where its 1-sigma is small."
+        ),
+    ] = False,
     plots: Annotated[Path | None, typer.Option(help="Folder for residuals.png and sky.png.")] = None,
     again: Annotated[
         str | None, typer.Option("--again", metavar="ID", help="Solve a past calibration of the archive again.")
@@ -212,6 +218,8 @@ def calibrate(
     as_json: AsJson = False,
 ) -> None:
     """Fit the camera to sightings; exit 1 when the fit is refused, or --again leads to another camera.
+
+    With --provisional a fit is kept that is refused only for what its sightings do not determine.
 
     Without POINTS the accepted sightings of the archive are taken, and the result is stored there: site, lens and
     limits come from the settings (--config).
@@ -233,7 +241,7 @@ def calibrate(
         _require_settings_only(*of_points, lens_within, pose_within, focal_within, lens_prior)
         from sunarc.settings.load import load_settings
 
-        calibrate_stored(load_settings(config), as_json=as_json)
+        calibrate_stored(load_settings(config), provisional=provisional, as_json=as_json)
         return
     if pose_only and start is None:
         raise InputError(field="--pose-only", problem="no lens to keep", remedy="name a calibration with --start")
@@ -255,6 +263,7 @@ def calibrate(
         within=_prior_tolerances(lens_within, pose_within, focal_within, usable=start is not None and not pose_only),
         lens=known_lens(lens_prior, start=start, writes=write_lens_prior is not None),
         plots=plots,
+        keep_provisional=provisional,
     )
     to_write.write([document])
     _print_result(document, plots, as_json=as_json)
@@ -281,8 +290,19 @@ def _print_result(document: dict[str, Any], plots: Path | None, *, as_json: bool
         _print_calibration(document)
         if plots is not None:
             print(f"drawn: {plots / 'residuals.png'}, {plots / 'sky.png'}")
-    if not document["verdict"]["accepted"]:
+    if verdict_of(document) not in _KEPT:
         raise typer.Exit(1)
+
+
+_KEPT = ("accepted", "provisional")
+
+
+def verdict_of(document: dict[str, Any]) -> str:
+    """Return the verdict on a calibration in a word."""
+    verdict = document["verdict"]
+    if verdict["marginal"] and document["uncertainty"].get("sigma_limit_deg") is not None:
+        return "provisional"
+    return "accepted" if verdict["accepted"] else "marginal" if verdict["marginal"] else "refused"
 
 
 def _prior_tolerances(
@@ -314,19 +334,19 @@ def _require_settings_only(*options: object) -> None:
         )
 
 
-def calibrate_stored(settings: Settings, *, as_json: bool) -> None:
+def calibrate_stored(settings: Settings, *, provisional: bool, as_json: bool) -> None:
     """Fit the camera to the archive's sightings, store and print the result; exit 1 when it is refused."""
     from sunarc.offline.calibrate_archive import calibrate_archive
 
-    refit, document = calibrate_archive(settings, clock=SystemClock())
+    refit, document = calibrate_archive(settings, clock=SystemClock(), keep_provisional=provisional)
     if as_json:
         print_json({"state": refit.state, "message": refit.message, "calibration": document})
     elif document is None:
         print(f"no calibration: {refit.message}")
     else:
         _print_calibration(document)
-        print(f"{refit.state}: stored as {document['id']}")
-    if refit.state != "accepted":
+        print(f"{verdict_of(document)}: stored as {document['id']}")
+    if refit.state != "accepted" and (document is None or verdict_of(document) not in _KEPT):
         raise typer.Exit(1)
 
 
@@ -366,7 +386,7 @@ def _print_calibration(document: dict[str, Any]) -> None:
             f"{significant(sky['sky_rms_deg'], 2)}° RMS, {significant(sky['sky_max_deg'], 2)}° at most",
         ],
         ["field beside the lens", field_text(sky["field"])],
-        ["verdict", "accepted" if verdict["accepted"] else "marginal" if verdict["marginal"] else "refused"],
+        ["verdict", verdict_of(document)],
         *(["", reason] for reason in verdict["reasons"]),
         *(["remedy", remedy] for remedy in _remedies(verdict)),
     ]

@@ -134,6 +134,9 @@ def compare(
     )
     if found["rotated_before"]:
         print("one of the two has no pose: the differences are those after this rotation")
+    for file, limit in zip((first, second), found["sigma_limits_deg"], strict=True):
+        if limit is not None:
+            print(f"{file.name} is provisional: compared where its 1-sigma is at most {limit:g}°")
     if found["undescribed"]:
         print(
             f"{second.name} cannot describe {100.0 * found['undescribed']:.2f} % of the sky in the image, "

@@ -44,6 +44,9 @@ def ingest(
     calibrate: Annotated[
         bool, typer.Option("--calibrate", help="Then fit the camera, as sunarc calibrate --config FILE does.")
     ] = False,
+    provisional: Annotated[
+        bool, typer.Option("--provisional", help="With --calibrate: as sunarc calibrate --provisional.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Find the sun in a folder of archived images and fill the archive; images that are in it are skipped.
@@ -74,7 +77,7 @@ def ingest(
         return
     _print_summary(summary)
     if calibrate:
-        calibrate_stored(settings, as_json=False)
+        calibrate_stored(settings, provisional=provisional, as_json=False)
     else:
         print(_next_command(summary, config))
 

@@ -208,8 +208,9 @@ class Exported:
 
 def notes_of(document: Mapping[str, Any]) -> list[str]:
     """Return what every file says at its top: who made it of which calibration, and the conventions."""
-    software = document["software"]
+    software, limit = document["software"], document["uncertainty"].get("sigma_limit_deg")
     return [
         f"{software['name']} {software['version']}: camera {document['camera']}, calibration {document['id']}",
         f"conventions of the service: {PIXELS}",
+        *([] if limit is None else [f"provisional: use no direction with a 1-sigma above {limit:g} degrees"]),
     ]

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal, Protocol, get_args
 
 import numpy as np
 
+from sunarc.calibration.answers.covariance import project_with_covariance, unproject_with_sigma
 from sunarc.calibration.answers.direction_table import BackProjectionMap, back_projection_map, lookup
 from sunarc.calibration.answers.error_model import draw_ensemble
 from sunarc.calibration.model.document import from_document
@@ -143,7 +144,20 @@ def _read_json(content: bytes, /, *, name: str, beside: Beside) -> View:
     except ValueError:
         known = ", ".join(one.name for one in FORMATS.values() if one.read is not None)
         raise FormatError(name, Finding("file_format_unknown", {"known": known})) from None
-    return camera_view(from_document(document).camera)
+    return calibration_view(from_document(document))
+
+
+def calibration_view(calibration: Calibration) -> View:
+    """Return the view of a calibration: that of its camera, as far as it answers."""
+    view = camera_view(calibration.camera)
+    if calibration.sigma_limit_deg is None:
+        return view
+    return replace(
+        view,
+        project=lambda directions: project_with_covariance(calibration, directions)[0],
+        unproject=lambda pixels: unproject_with_sigma(calibration, pixels)[0],
+        sigma_limit_deg=calibration.sigma_limit_deg,
+    )
 
 
 def _read_npz(content: bytes, *, name: str) -> View:

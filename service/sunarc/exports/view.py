@@ -44,6 +44,7 @@ class View:
     camera : the model itself, where the file is a calibration document.
     has_pose : whether the file says how the camera stands; without, its frame (x right, y down, z out of the lens) is
         taken for east-north-up.
+    sigma_limit_deg : of a provisional calibration, the 1-sigma up to which it answers.
     """
 
     form: str
@@ -53,6 +54,7 @@ class View:
     unproject: Convert
     camera: Camera | None = None
     has_pose: bool = True
+    sigma_limit_deg: float | None = None
 
 
 def camera_view(camera: Camera) -> View:

@@ -26,7 +26,9 @@ from sunarc.workers.calibrating.refit import RefitWorker
 from sunarc.workers.calibrating.solver_process import points_of
 
 
-def calibrate_archive(settings: Settings, *, clock: Clock) -> tuple[Refit, dict[str, Any] | None]:
+def calibrate_archive(
+    settings: Settings, *, clock: Clock, keep_provisional: bool = False
+) -> tuple[Refit, dict[str, Any] | None]:
     """Fit the camera to the accepted sightings of the archive, as a refit of the service does.
 
     The result is stored with its sightings, and becomes the current calibration where it is accepted.
@@ -35,6 +37,7 @@ def calibrate_archive(settings: Settings, *, clock: Clock) -> tuple[Refit, dict[
     ----------
     settings : camera, site, state folder, and how to fit.
     clock : dates the calibration.
+    keep_provisional : see `provisional`.
 
     Returns
     -------
@@ -56,7 +59,7 @@ def calibrate_archive(settings: Settings, *, clock: Clock) -> tuple[Refit, dict[
                     problem=f"missing, and the archive has no camera {settings.name!r}",
                     remedy="fill it with sunarc ingest or sunarc points import",
                 )
-            refit = _carried_out(archive, settings, clock)
+            refit = _carried_out(archive, settings, clock, keep_provisional=keep_provisional)
             if refit.calibration is None:
                 return refit, None
             if refit.state == "accepted":
@@ -66,7 +69,7 @@ def calibrate_archive(settings: Settings, *, clock: Clock) -> tuple[Refit, dict[
             return refit, dict(archive.calibrations.get(refit.calibration).document)
 
 
-def _carried_out(archive: Archive, settings: Settings, clock: Clock) -> Refit:
+def _carried_out(archive: Archive, settings: Settings, clock: Clock, *, keep_provisional: bool) -> Refit:
     """Return a refit that was requested and is finished; one that is interrupted has failed, and is not begun again."""
     refit = Refit(id=uuid.uuid4().hex, camera=settings.name, requested_at=clock.now(), reason="sunarc calibrate")
     archive.refits.add(refit)
@@ -79,6 +82,7 @@ def _carried_out(archive: Archive, settings: Settings, clock: Clock) -> Refit:
         clock=clock,
         now=clock.now,
         board=StatusRegistry(version=sunarc.__version__, started_at=started_at, monotonic=clock.monotonic),
+        keep_provisional=keep_provisional,
     )
     try:
         worker.carry_out(refit, threading.Event(), lambda: None)

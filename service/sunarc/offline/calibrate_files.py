@@ -25,6 +25,7 @@ from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.pose import estimate_pose
 from sunarc.calibration.projection_choice import calibrate_unknown_lens
+from sunarc.calibration.quality.fit_checks import provisional
 from sunarc.calibration.start.initial_guess import find_image_circle
 from sunarc.calibration.stated_prior import PriorTolerances, calibrate_with_prior
 from sunarc.errors import InputError
@@ -125,12 +126,13 @@ def calibrate_file(
     within: PriorTolerances | None = None,
     lens: LensType | None = None,
     plots: Path | None = None,
+    keep_provisional: bool = False,
 ) -> dict[str, Any]:
     """Fit a file of sightings, draw the result into a folder where one is named, and return the document.
 
     `start` is of any format that is read; `pose_only` keeps its lens, see `_posed`; `within` makes it a prior of these
     tolerances; `lens` is the camera's type of lens, in place of `start`. A projection that is not known comes from
-    `start`, or is chosen by the sightings.
+    `start`, or is chosen by the sightings. `keep_provisional`: see `provisional`.
     """
     if plots is not None:
         extra_module("matplotlib", extra="studies")  # before the fit, which takes minutes
@@ -154,6 +156,8 @@ def calibrate_file(
         )
     if start is not None or lens is not None:
         solved = _explained(solved, points, options=options, circle=circle)
+    if keep_provisional:
+        solved = provisional(solved, limit_deg=options.max_sky_deg)
     if plots is not None:
         from sunarc.studies.reports import write_calibration_plots  # noqa: PLC0415 - the plot library is slow to load
 
@@ -165,7 +169,7 @@ def calibrate_file(
         solved,
         id=uuid.uuid4().hex,
         camera=path.stem,
-        state="candidate" if solved.verdict.accepted else "refused",
+        state="candidate" if solved.verdict.accepted or solved.sigma_limit_deg is not None else "refused",
         created_at=now,
         valid_from=first,
         valid_until=None,

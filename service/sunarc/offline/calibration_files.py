@@ -119,6 +119,7 @@ def compare_files(first: Path, second: Path, *, differences: Path | None = None)
         "rotated_before": not all(view.has_pose for view in views),
         "undescribed": found.undescribed,
         "described_to_deg": found.described_to_deg,
+        "sigma_limits_deg": [view.sigma_limit_deg for view in views],
     }
 
 

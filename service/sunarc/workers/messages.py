@@ -38,6 +38,12 @@ MESSAGES = Messages(
         "The stated uncertainty includes that of the pose.",
         "wait: every sighting improves it, and the fit after the day replaces it",
     ),
+    provisional_calibration=Message(
+        "provisional calibration from {n} sightings: directions are answered where their 1-sigma is at most "
+        "{limit_deg:.2g}°",
+        "Served since it was activated by hand. Elsewhere the answer is that of a direction beyond the camera's field.",
+        "wait: the first fit that is accepted replaces it",
+    ),
     first_sun=Message(
         "first sightings of the sun: {n} of {least} that a first pose needs, the last at x {x_px:.0f}, y {y_px:.0f}",
         "Directions cannot be given yet.",

@@ -53,6 +53,10 @@ class Uncertain(Protocol):
     def field(self) -> Field:
         """The discrepancy field."""
 
+    @property
+    def sigma_limit_deg(self) -> float | None:
+        """The 1-sigma per axis up to which directions are answered; None: all are."""
+
 
 def project_with_covariance(calibration: Uncertain, directions: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Project directions and say how sure one is of the pixels.
@@ -64,12 +68,15 @@ def project_with_covariance(calibration: Uncertain, directions: ArrayLike) -> tu
 
     Returns
     -------
-    pixels : (..., 2) px; NaN beyond the camera's field.
+    pixels : (..., 2) px; NaN beyond the camera's field, and where its 1-sigma is beyond its limit.
     covariance : (..., 2, 2) px²; NaN there too.
     """
     direction = np.asarray(directions, dtype=np.float64)
     flat, shape = direction.reshape(-1, 3), direction.shape[:-1]
-    pixels, covariance, _ = _predicted(calibration, flat)
+    pixels, covariance, by_direction = _predicted(calibration, flat)
+    if calibration.sigma_limit_deg is not None:
+        unsure = ~(_per_axis_deg(covariance, by_direction, flat) <= calibration.sigma_limit_deg)
+        pixels[unsure], covariance[unsure] = np.nan, np.nan
     return pixels.reshape(*shape, 2), covariance.reshape(*shape, 2, 2)
 
 
@@ -135,7 +142,8 @@ def unproject_with_sigma(calibration: Uncertain, pixels: ArrayLike) -> tuple[Flo
 
     Returns
     -------
-    directions : (..., 3) unit vectors, east-north-up; NaN where no direction lands on the pixel.
+    directions : (..., 3) unit vectors, east-north-up; NaN where no direction lands on the pixel, or its 1-sigma is
+        beyond the calibration's limit.
     sigma_deg : (...) 1-sigma per axis on the sphere: the root of half the trace of the 2×2 covariance, degrees.
     inside : (...) whether the pixel lies within the image and the camera's field.
     """
@@ -146,6 +154,10 @@ def unproject_with_sigma(calibration: Uncertain, pixels: ArrayLike) -> tuple[Flo
     valid = np.all(np.isfinite(directions), axis=-1)
     if np.any(valid):
         sigma[valid] = sigma_deg(calibration, directions[valid])
+    if calibration.sigma_limit_deg is not None:
+        unsure = ~(sigma <= calibration.sigma_limit_deg)
+        directions[unsure], sigma[unsure] = np.nan, np.nan
+        inside = inside & ~unsure
     return directions, sigma, inside
 
 
@@ -157,10 +169,15 @@ def sigma_deg(calibration: Uncertain, directions: FloatArray) -> FloatArray:
 def uncertainties(calibration: Uncertain, directions: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return covariances (n, 2, 2) in px² and 1-sigma per axis on the sphere (n,) in degrees of directions (n, 3)."""
     _, covariance, by_direction = _predicted(calibration, directions)
+    return covariance, _per_axis_deg(covariance, by_direction, directions)
+
+
+def _per_axis_deg(covariance: FloatArray, by_direction: FloatArray, directions: FloatArray) -> FloatArray:
+    """Return (n,) degrees: 1-sigma per axis of directions (n, 3), whose pixels have covariances (n, 2, 2) px²."""
     on_sky = _on_sky(covariance, by_direction @ tangent_basis(directions))
     with np.errstate(invalid="ignore"):
         half_trace = np.maximum(0.5 * np.trace(on_sky, axis1=-2, axis2=-1), 0.0)
-    return covariance, np.degrees(np.sqrt(half_trace))
+    return np.asarray(np.degrees(np.sqrt(half_trace)))
 
 
 def direction_covariance(camera: Camera, directions: FloatArray, covariance: FloatArray) -> FloatArray:

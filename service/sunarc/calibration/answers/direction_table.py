@@ -55,6 +55,7 @@ class Lookup:
     slope : (rings) of the slope of the radius over the angle off the axis, focal lengths per radian.
     log_factor : (rings, spokes, 3) of the pixel covariance's Cholesky factor, px: log xx, yx / xx, log yy.
     rings_per_radian : rings per radian off the axis.
+    sigma_limit_deg : what is less sure is answered as beyond the camera's field; None: all is answered.
     """
 
     camera: Camera
@@ -63,6 +64,7 @@ class Lookup:
     slope: FloatArray
     log_factor: FloatArray
     rings_per_radian: float
+    sigma_limit_deg: float | None = None
 
     def back_project(self, pixels: Rows) -> Rows:
         """Return what pixels (n, 2) look at: (n, 7), the columns `BACK_PROJECTED`, in the precision of the pixels.
@@ -82,14 +84,27 @@ class Lookup:
         return direction_covariance(self.camera, directions, covariance)
 
     def _back_project(self, pixels: FloatArray) -> FloatArray:
-        directions, camera, table = self.table.directions(pixels), self.camera, self.table
-        sheets = (self.log_sigma, self.slope, self.rings_per_radian)
-        return _kernels.back_projected(table.rotation, *sheets, camera.width, camera.height, pixels, directions)
+        found = self._looked_at(pixels, self.table.directions(pixels))
+        return found if self.sigma_limit_deg is None else _bounded(found, found, self.sigma_limit_deg)
+
+    def _looked_at(self, pixels: FloatArray, directions: FloatArray) -> FloatArray:
+        sheets, camera = (self.log_sigma, self.slope, self.rings_per_radian), self.camera
+        return _kernels.back_projected(self.table.rotation, *sheets, camera.width, camera.height, pixels, directions)
 
     def _project(self, directions: FloatArray) -> FloatArray:
         pixels, camera, sheets = project_fast(self.camera, directions), self.camera, self.log_factor
         size = (camera.width, camera.height)
-        return _kernels.projected(self.table.rotation, sheets, self.rings_per_radian, *size, pixels, directions)
+        found = _kernels.projected(self.table.rotation, sheets, self.rings_per_radian, *size, pixels, directions)
+        if self.sigma_limit_deg is None:
+            return found
+        return _bounded(found, self._looked_at(pixels, directions), self.sigma_limit_deg)
+
+
+def _bounded(rows: FloatArray, back_projected: FloatArray, limit_deg: float) -> FloatArray:
+    """Return rows (n, 7), the last column of which is `inside`, without those whose 1-sigma is beyond a limit."""
+    unsure = ~(back_projected[:, BACK_PROJECTED.index("sigma_deg")] <= limit_deg)
+    rows[unsure] = np.r_[np.full(rows.shape[1] - 1, np.nan), 0.0]
+    return rows
 
 
 def lookup(calibration: Uncertain) -> Lookup:
@@ -114,6 +129,7 @@ def lookup(calibration: Uncertain) -> Lookup:
         slope=polar_spline(np.repeat(slope[:, None], 2, axis=1))[:, 0].copy(),
         log_factor=np.ascontiguousarray(splines[..., :3]),
         rings_per_radian=float(1.0 / angle[1]),
+        sigma_limit_deg=calibration.sigma_limit_deg,
     )
 
 

@@ -178,6 +178,7 @@ def _uncertainty(calibration: Calibration) -> Document:
         "mixture": None if calibration.mixture is None else _mixture_document(calibration.mixture),
         "sky_rms_deg": _number(calibration.sky_rms_deg),
         "sky_max_deg": _number(calibration.sky_max_deg),
+        **({} if calibration.sigma_limit_deg is None else {"sigma_limit_deg": calibration.sigma_limit_deg}),
     }
 
 
@@ -300,7 +301,14 @@ def from_document(document: object) -> Calibration:
         site=Site(**read.numbers_of("site", Site)),
         mixture=_read_mixture(read),
         night=_read_night(read),
+        sigma_limit_deg=_read_limit(read),
     )
+
+
+def _read_limit(read: DocumentReader) -> float | None:
+    """Return the 1-sigma up to which a provisional calibration answers; None where it has no limit."""
+    found = read.number("uncertainty.sigma_limit_deg", needed=False)
+    return found if math.isfinite(found) else None
 
 
 def _read_findings(read: DocumentReader) -> tuple[Finding, ...]:

@@ -307,6 +307,7 @@ class Calibration:
     mixture : how the errors are spread about covariance and field; None: as a Gaussian's.
     used : (n,) which of the sightings supplied counted; None where they are not at hand (a calibration that was read).
     night : how the night differs from the day, of which the calibration is; None without sightings of a night.
+    sigma_limit_deg : directions of a larger 1-sigma per axis are answered as beyond the camera's field; None: none are.
     """
 
     camera: Camera
@@ -326,6 +327,7 @@ class Calibration:
     mixture: ErrorMixture | None = None
     used: BoolArray | None = None
     night: NightDifference | None = None
+    sigma_limit_deg: float | None = None
 
 
 def residuals_by_pose(camera: Camera, poses: Sequence[tuple[float, float, float]], usable: Sightings) -> FloatArray:

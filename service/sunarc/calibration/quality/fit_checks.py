@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.calibration.answers.covariance import sigma_deg
+from sunarc.calibration.answers.covariance import hemisphere, sigma_deg
+from sunarc.calibration.model.backward import camera_sees
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.calibration.model.result import Calibration, Verdict, proves
+from sunarc.calibration.model.result import Calibration, Verdict, proves, refused_for
 from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.calibration.quality.day_quality import arc_length_deg, unexplained_days
 from sunarc.calibration.quality.site_checks import tilt_question
 from sunarc.findings import Finding
 from sunarc.optics.camera import PARAMETER_NAMES, POSE
+from sunarc.optics.forward import project
 from sunarc.optics.pose import right_jacobian, rotation_matrix
 from sunarc.sky.days import date_of_day, day_bounds_unix_s
 from sunarc.sky.site import Site
@@ -38,6 +41,15 @@ _FEW_HOURS = 0.2
 """Share of the hours of sun that a whole day may lack."""
 _ALIKE_DEG = 5.0
 """Range of declinations up to which the sun runs over one band of the sky: two days a fortnight apart in spring."""
+_UNDETERMINED = frozenset(
+    {
+        *("direction_sigma_too_large", "projection_ambiguous", "projection_chosen"),
+        *("sightings_determine", "hours_missing", "declinations_alike"),
+    }
+)
+"""What a fit is refused for that contradicts nothing."""
+_LEAST_SHARE = 0.05
+"""Share of the sky in the image that a provisional calibration answers for at least."""
 _LOW_SUN_DEG = 85.0
 """Zenith angle, degrees, up to which a sun is expected to be seen."""
 _OFF_CENTER = 0.04
@@ -210,6 +222,28 @@ def determined(calibration: Calibration, usable: Sightings) -> Iterator[Finding]
     yield from missing_hours(usable, calibration.site)
     if calibration.evidence.options.get("free", "all") == "all":
         yield from _alike_days(usable, calibration.site)
+
+
+def provisional(calibration: Calibration, *, limit_deg: float) -> Calibration:
+    """Return a refused fit as provisional where it is refused for what its sightings do not determine, and that alone.
+
+    It is then marginal, and answers for directions whose 1-sigma per axis is within a limit. All others are returned
+    as they are; a tilt that nobody stated is refused, too: few sightings that contradict each other fit such a camera.
+    """
+    verdict = calibration.verdict
+    if verdict.accepted or verdict.marginal or not {one.code for one in verdict.findings} <= _UNDETERMINED:
+        return calibration
+    question = tilt_question(calibration.camera, calibration.site)
+    if question is not None and calibration.evidence.options.get("level_within_deg") is None:
+        return refused_for(calibration, Finding("provisional_tilted", {"tilt_deg": question.data["tilt_deg"]}))
+    directions = hemisphere()
+    seen = directions[camera_sees(calibration.camera, project(calibration.camera, directions))]
+    share = float(np.mean(sigma_deg(calibration, seen) <= limit_deg)) if len(seen) else 0.0
+    if share < _LEAST_SHARE:
+        return calibration
+    found = Finding("provisional_where_sure", {"limit_deg": limit_deg, "share": share})
+    kept = Verdict(accepted=False, marginal=True, findings=(found, *verdict.findings))
+    return replace(calibration, verdict=kept, sigma_limit_deg=limit_deg)
 
 
 def _alike_days(usable: Sightings, site: Site) -> Iterator[Finding]:

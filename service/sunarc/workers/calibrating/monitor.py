@@ -43,7 +43,7 @@ _POLL_S = 0.5
 _WAITING = 256
 _JITTER = timedelta(seconds=1)
 """A camera that dates its frames may be ahead of the time carried on from its last one by its own jitter."""
-_POSE_CODES = ("provisional_pose", "first_pose_provisional")
+_POSE_CODES = ("provisional_pose", "first_pose_provisional", "provisional_calibration")
 _SITE_CODES = ("sun_seen_below_horizon", "sun_contradicts_site")
 _FIRST = 10
 _FIRST_WITHIN_S = 7200.0
@@ -381,6 +381,8 @@ def waiting_condition(n: int, pixel: tuple[float, float]) -> Reason:
 
 def pose_condition(current: Calibration) -> Reason | None:
     """Return the condition of a pose that is provisional; None for that of a full fit."""
+    if current.sigma_limit_deg is not None:
+        return condition("provisional_calibration", limit_deg=current.sigma_limit_deg, n=current.evidence.n_used)
     if not is_provisional(current):
         return None
     if not is_first_pose(current):

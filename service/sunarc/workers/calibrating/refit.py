@@ -26,6 +26,7 @@ from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
 from sunarc.calibration.quality.acceptance import accept, pose_spread_deg, unseen_points, with_pose_spread
 from sunarc.calibration.quality.day_quality import days_left_out
+from sunarc.calibration.quality.fit_checks import provisional
 from sunarc.calibration.selection import Selection, SelectionOptions, select_sightings, surest_of_epochs
 from sunarc.errors import InputError, NotFoundError
 from sunarc.findings import Data, Finding
@@ -293,6 +294,7 @@ class RefitWorker:
     board : where the lack of a calibration is shown.
     may_solve : whether a refit may begin now; the others wait.
     solve, search : how a problem is solved, and searched for pose epochs; see `solve_in_child`, `search_in_child`.
+    keep_provisional : whether a fit that its sightings do not determine is kept as a candidate, see `provisional`.
     """
 
     camera: CameraArchive
@@ -306,6 +308,7 @@ class RefitWorker:
     may_solve: Callable[[], bool] = lambda: True
     solve: Callable[..., Calibration | None] = solver_process.solve_in_child
     search: Callable[..., tuple[PoseStep, ...] | None] = solver_process.search_in_child
+    keep_provisional: bool = False
 
     def __post_init__(self) -> None:
         """Begin without a refit that waits."""
@@ -416,6 +419,8 @@ class RefitWorker:
         current = self.camera.archive.calibrations.current(self.camera.name)
         epoch = self.camera.archive.epochs.current(self.camera.name, at=self.now())
         solved = with_pose_spread(solved, self._pose_spread(epoch))
+        if self.keep_provisional:
+            solved = provisional(solved, limit_deg=self.calibration.max_sky_deg)
         if epoch is not None and task.pose_epoch != epoch.id:
             moved = Finding("moved_since", {"time": epoch.started_at.isoformat()})
             solved = replace(solved, verdict=Verdict(accepted=False, findings=(moved,)))
@@ -446,6 +451,8 @@ class RefitWorker:
         except InputError as error:
             unreadable = Finding("active_unreadable", {"calibration": current.id, "error": str(error)})
             return Verdict(accepted=False, marginal=True, findings=(unreadable,))
+        if before.sigma_limit_deg is not None and solved.verdict.accepted:
+            return accept(solved)  # what is provisional gives way
         same = current.pose_epoch == task.pose_epoch
         verdict = accept(solved, before, same_pose=same, unseen=unseen_points(task.problem.points, before))
         if verdict.marginal and self.camera.archive.calibrations.damaged(self.camera.name) is not None:
