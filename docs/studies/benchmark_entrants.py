@@ -35,6 +35,8 @@ _FEWEST = 30
 _NEWTON_STEPS = 12
 _STEPS = {True: 60, False: 20}
 """Of a fit, without slopes and with them."""
+_SPLINED_TO = {"perspective": 1.3, "orthographic": 1.57}
+"""Angle off the axis to which a spline is that of the data sheet."""
 _SHAPES: dict[str, Callable[[FloatArray], FloatArray]] = {
     "equidistant": lambda angle: angle,
     "equisolid": lambda angle: 2.0 * np.sin(angle / 2.0),
@@ -63,7 +65,7 @@ class Fit(NamedTuple):
 
 
 class Prepared(NamedTuple):
-    """A model for a case, the numbers that it starts at, the scale of each, and what holds each at 0, 1-sigma.
+    """A model for a case, the numbers that it starts at, the scale of each, and what holds each there, 1-sigma.
 
     slopes: the derivatives (n, 2, k) of its pixels by its numbers, where it has many.
     """
@@ -128,7 +130,7 @@ def fitted(case: Case, ready: Prepared, turn: FloatArray) -> Fit:
     def residuals(numbers: FloatArray) -> FloatArray:
         rays = Rotation.from_rotvec(numbers[:3]).apply(case.directions)
         off = np.nan_to_num(ready.model(numbers[3:], rays) - case.pixels, nan=1e3).ravel() / _SOFT_PX
-        return off if ready.held is None else np.r_[off, numbers[3:] / ready.held]
+        return off if ready.held is None else np.r_[off, (numbers[3:] - ready.start) / ready.held]
 
     def jacobian(numbers: FloatArray) -> FloatArray:
         ends = [residuals(numbers + sign * 1e-6 * axis) for axis in np.eye(3, numbers.size) for sign in (1.0, -1.0)]
@@ -307,7 +309,10 @@ def mrcal_opencv8(case: Case, focal: float, mrcal: Any) -> Prepared:  # noqa: AN
 
 
 def mrcal_splined(case: Case, focal: float, mrcal: Any) -> Prepared:  # noqa: ANN401
-    """Return mrcal's splined stereographic model with 6 by 6 knots, its core locked as mrcal advises."""
+    """Return mrcal's splined stereographic model with 6 by 6 knots, its core locked as mrcal advises.
+
+    It starts as the lens of the data sheet, in which the pixels are linear in its numbers.
+    """
     kind = "LENSMODEL_SPLINED_STEREOGRAPHIC_order=3_Nx=6_Ny=6_fov_x_deg=220"
     core = np.array([0.62 * focal, 0.62 * focal, *middle(case)])
     count = int(mrcal.lensmodel_num_params(kind)) - 4
@@ -318,8 +323,16 @@ def mrcal_splined(case: Case, focal: float, mrcal: Any) -> Prepared:  # noqa: AN
     def slopes(n: FloatArray, rays: FloatArray) -> FloatArray:
         return np.asarray(mrcal.project(rays, kind, np.r_[core, n[:count]], get_gradients=True)[2][..., 4:])
 
+    rays = lattice(3000)
+    angle, cosine, sine = polar(rays)
+    used = angle < _SPLINED_TO.get(case.projection, 1.9)
+    radius = focal * _SHAPES[case.projection](angle[used])
+    sheet = core[2:] + radius[:, None] * np.stack([cosine[used], sine[used]], axis=-1)
+    missing = sheet - model(np.zeros(count), rays[used])
+    weak = np.r_[slopes(np.zeros(count), rays[used]).reshape(-1, count), 1e-3 * core[0] * np.eye(count)]
+    start = np.linalg.lstsq(weak, np.r_[missing.ravel(), np.zeros(count)], rcond=None)[0]
     # as in mrcal's own optimizer, knots that nothing is seen through are held, here to 20 px
-    return Prepared(model, np.zeros(count), np.full(count, 0.01), np.full(count, 20.0 / core[0]), slopes)
+    return Prepared(model, start, np.full(count, 0.01), np.full(count, 20.0 / core[0]), slopes)
 
 
 def ocam(case: Case, focal: float, _: object) -> Prepared:

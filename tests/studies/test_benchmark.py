@@ -163,6 +163,24 @@ def with_text(rows: Rows) -> Rows:
     return [{**row, "azimuth_deg": "north"} if k < 10 else row for k, row in enumerate(rows)]
 
 
+def infinite(rows: Rows) -> Rows:
+    return [{**row, "zenith_deg": "inf", "azimuth_deg": "1e400"} if k < 10 else row for k, row in enumerate(rows)]
+
+
+def impossible(rows: Rows) -> Rows:
+    stated = {"sigma_zenith_deg": 1.0, "sigma_azimuth_deg": 1.0}
+    return [{**row, **stated, "correlation": 2.0 if k < 10 else 0.0} for k, row in enumerate(rows)]
+
+
+def infinite_sigma(rows: Rows) -> Rows:
+    return [{**row, "sigma_deg": "inf" if k < 10 else 1.0} for k, row in enumerate(rows)]
+
+
+def zero_scale(rows: Rows) -> Rows:
+    scales = {"scale_50": 1.0, "scale_68": 1.0}
+    return [{**row, "sigma_deg": 1.0, **scales, "scale_95": 0.0 if k < 10 else 1.0} for k, row in enumerate(rows)]
+
+
 def fewer(rows: Rows) -> Rows:
     return rows[10:]
 
@@ -192,6 +210,10 @@ def no_sigma(rows: Rows) -> Rows:
     [
         (with_nan, "benchmark_rows_undefined", 10, math.nan),
         (with_text, "benchmark_rows_undefined", 10, math.nan),
+        (infinite, "benchmark_rows_undefined", 10, math.nan),
+        (impossible, "benchmark_sigma_undefined", 0, 0.8),
+        (infinite_sigma, "benchmark_sigma_undefined", 0, 0.8),
+        (zero_scale, "benchmark_sigma_zero", 0, 0.8),
         (fewer, "benchmark_rows_missing", 10, math.nan),
         (backwards, "benchmark_rows_reordered", 0, math.nan),
         (repeated, "benchmark_rows_repeated", 0, math.nan),

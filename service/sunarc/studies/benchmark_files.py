@@ -352,8 +352,9 @@ def _numbers(path: Path, columns: Sequence[str]) -> FloatArray:
 
 
 def _number(text: str) -> float:
-    """Return a number; NaN for what is none."""
+    """Return a number; NaN for what is none, or infinite."""
     try:
-        return float(text)
+        number = float(text)
     except ValueError:
         return math.nan
+    return number if math.isfinite(number) else math.nan

@@ -224,15 +224,17 @@ def _within(name: str, offset: FloatArray, given: Answered, known: BoolArray) ->
         return within, []
     covariance = given.covariance[known]
     (a, b), (_, c) = np.moveaxis(covariance, 0, -1)
+    scales = np.ones((offset.shape[0], len(SHARES))) if given.scales is None else given.scales
+    scales = scales[known]
     determinant = a * c - b * b
-    zero = (a == 0.0) & (c == 0.0)
+    zero = ((a == 0.0) & (c == 0.0)) | np.any(scales == 0.0, axis=-1)
     usable = np.isfinite(determinant) & (a > 0.0) & (c > 0.0) & (determinant > 0.0)
+    usable &= ~zero & np.all(np.isfinite(scales) & (scales > 0.0), axis=-1)
     x, y = offset[known].T
     with np.errstate(divide="ignore", invalid="ignore"):
         square = np.where(usable, (c * x * x - 2.0 * b * x * y + a * y * y) / determinant, np.inf)
     square = np.where(zero & (np.hypot(x, y) < _ZERO_DEG), 0.0, square)
-    scales = np.ones((offset.shape[0], len(SHARES))) if given.scales is None else given.scales
-    limits = scales[known] ** 2 * np.array([-2.0 * math.log1p(-share) for share in SHARES])
+    limits = scales**2 * np.array([-2.0 * math.log1p(-share) for share in SHARES])
     within[known] = square[:, None] <= limits
     found = []
     for code, which in (("benchmark_sigma_zero", zero), ("benchmark_sigma_undefined", ~usable & ~zero)):
