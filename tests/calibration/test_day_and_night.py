@@ -169,6 +169,8 @@ def test_a_fit_of_both_is_reproduced() -> None:
     again = reproduce_calibration(of_both(night), both(night))
     np.testing.assert_array_equal(again.camera.to_vector(), of_both(night).camera.to_vector())
     assert again.night == of_both(night).night
+    assert again.evidence.pose_spread_deg in (None, (0.0, 0.0, 0.0))
+    assert again.sky_rms_deg == of_both(night).sky_rms_deg
 
 
 def test_the_sun_is_of_no_night_and_stars_after_dusk_are() -> None:

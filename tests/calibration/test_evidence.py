@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -13,6 +14,7 @@ from sunarc.array_types import FloatArray
 from sunarc.calibration.evidence import (
     Weighed,
     bounded_cost,
+    likeliest_path,
     log_marginal,
     matern_3_2,
     matern_5_2,
@@ -73,3 +75,15 @@ def test_the_most_probable_is_the_likeliest_less_its_rarity_and_the_first_of_equ
 
 def test_a_false_sighting_costs_as_much_however_far_off_it_is() -> None:
     assert bounded_cost(np.array([0.0, 1.0, 2.0, 5.0, 1e6]), 0.5).tolist() == [0.0, 2.0, 8.0, 8.0, 8.0]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_likeliest_path_costs_least_of_all_paths(seed: int) -> None:
+    costs = np.random.default_rng(seed).exponential(1.0, (6, 3))
+
+    def cost(path: tuple[int, ...]) -> float:
+        return float(costs[np.arange(6), path].sum()) + 0.8 * np.count_nonzero(np.diff(path))
+
+    least = min(itertools.product(range(3), repeat=6), key=cost)
+    assert tuple(likeliest_path(costs, change_cost=0.8).tolist()) == least
+    assert likeliest_path(costs[:0], change_cost=0.8).size == 0

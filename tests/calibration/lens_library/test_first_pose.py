@@ -24,6 +24,7 @@ from sunarc.calibration.model.result import Calibration
 from sunarc.errors import InputError
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
+from sunarc.optics.inverse import unproject
 from sunarc.optics.pose import rotation_matrix, rotation_vector
 
 if TYPE_CHECKING:
@@ -160,6 +161,12 @@ def test_a_level_camera_looks_at_the_zenith_and_its_top_at_the_azimuth(lens: Len
         assert np.cos(np.radians(top_azimuth_deg(camera) - azimuth)) == pytest.approx(1.0, abs=1e-12)
         assert np.linalg.norm(levelling(camera)) < 1e-9
         assert rotation_matrix(camera.rotation_cam_enu) @ [0.0, 0.0, 1.0] == pytest.approx([0.0, 0.0, 1.0])
+        # left and right exchanged, and the axis beside the middle: the top of the picture is above the axis still
+        x, y = ideal.principal_point_px
+        off = replace(camera, principal_point_px=(x + 40.0, y), mirrored=True)
+        middle = project(off, rotation_matrix(off.rotation_cam_enu)[2])
+        east, north, _ = unproject(off, middle - [0.0, 0.5 * off.focal_length_px[1]])
+        assert np.cos(np.radians(top_azimuth_deg(off)) - np.arctan2(east, north)) == pytest.approx(1.0, abs=1e-9)
     # north at the top: east is at the left of an image of the sky
     east = project(level(ideal, 0.0), np.array([1.0, 0.0, 1.0]) / np.sqrt(2.0))
     assert east[0] < ideal.principal_point_px[0] - 100.0

@@ -17,7 +17,7 @@ from tests.detection.stars.rendering import (
     spread_places,
 )
 
-from sunarc.detection.stars.detect import axes_of, clipped_cores, detect_stars
+from sunarc.detection.stars.detect import Background, axes_of, clipped_cores, detect_stars, maxima_of
 from sunarc.detection.values import Stars
 from sunarc.errors import InputError
 
@@ -226,3 +226,15 @@ def test_a_clipped_core_is_a_star_s_unless_it_is_too_large_or_long(
         assert cores.radius[0] == pytest.approx(np.sqrt(rows * columns / np.pi))
         assert cores.flux[0] == pytest.approx(light[clipped].sum())
         assert cores.like_star[0] == like_star
+
+
+@pytest.mark.parametrize("width", [1.1, 3.0])
+@pytest.mark.parametrize(("snr", "expected_maxima"), [(4.5, 0), (5.5, 1)])
+def test_a_maximum_is_weighed_over_all_of_a_star_s_width(width: float, snr: float, expected_maxima: int) -> None:
+    y, x = np.mgrid[:200, :200]
+    # of the matched filter: a Gaussian's squares sum to pi width^2
+    height = snr / (np.sqrt(np.pi) * width)
+    plane = (height * np.exp(-0.5 * ((x - 80.0) ** 2 + (y - 120.0) ** 2) / width**2)).astype(np.float32)
+    ground = Background(level=np.zeros_like(plane), noise=np.ones_like(plane))
+    none, every = np.zeros(x.shape, dtype=bool), np.ones(x.shape, dtype=bool)
+    assert maxima_of(plane, ground, none, every, width).tolist() == [[80.0, 120.0]] * expected_maxima
