@@ -20,8 +20,9 @@ import yaml
 from tests.exports.conftest import LENS, FloatArray, document_of
 
 from sunarc.errors import InputError
-from sunarc.exports.asi_core import asi_core_set, matlab_bytes
+from sunarc.exports.asi_core import asi_core_set
 from sunarc.exports.formats import export
+from sunarc.exports.matlab import matlab_bytes
 from sunarc.optics.camera import Camera
 from sunarc.optics.inverse import unproject
 

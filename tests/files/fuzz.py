@@ -55,10 +55,6 @@ TOKENS = (
 """What is set into a file."""
 
 
-APART = {"matlab": "scipy's reader of MATLAB files ends the process (segmentation fault) on some damaged ones"}
-"""Formats that are not asked, each with its reason."""
-
-
 @dataclass(frozen=True)
 class Reader:
     """A reader of files: `read` takes a file's bytes and a folder of its own; `sound` are files that it reads."""
@@ -188,7 +184,7 @@ def readers() -> list[Reader]:
         Reader("lens", (b'{"units": [], "lens": {"projection": "equisolid"}}',), of_json(lens_type_from_json)),
     ]
     for form in FORMATS.values():
-        if form.read is not None and form.name not in APART:
+        if form.read is not None:
             try:
                 made = form.write(solved, document)
             except (InputError, ModuleNotFoundError):

@@ -15,9 +15,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-import scipy.io
 from numpy.typing import NDArray
-from scipy.io.matlab import MatReadError
 from scipy.spatial.transform import Rotation
 
 from sunarc.array_types import FloatArray
@@ -26,12 +24,11 @@ from sunarc.calibration.model.document import from_document
 from sunarc.calibration.model.result import Calibration
 from sunarc.errors import InputError
 from sunarc.exports.exported import FAR_FUTURE, FAR_PAST, Exported, notes_of
+from sunarc.exports.matlab import matlab_bytes, read_variables
 from sunarc.exports.ocam import OcamModel, ocam_model, ocam_view
 from sunarc.exports.view import View, camera_view, compare
 from sunarc.extras import extra_module
 
-_MATLAB_HEADER = b"MATLAB 5.0 MAT-file, written by sunarc".ljust(116)
-"""Text of a version 5 file: the first 116 bytes (MathWorks, "MAT-File Format")."""
 _HORIZON_DEG = 90.0
 _NEEDED = ("ss", "xc", "yc", "c", "d", "e", "width", "height")
 _SCHEMA = "give a camera file of asi_core's schema of 2025 (camera_data.schema.yaml)"
@@ -130,23 +127,14 @@ def _require_mask_size(mask: bytes | None, size: tuple[int, int], *, name: str) 
     if mask is None:
         return
     try:
-        shape = scipy.io.loadmat(io.BytesIO(mask))["Mask"][0][0][0].shape  # type: ignore[arg-type]
-    except (ValueError, KeyError, IndexError, TypeError, NotImplementedError, MatReadError) as error:
+        found = read_variables(mask, ("Mask",))["Mask"]
+        shape = np.shape(found[0] if isinstance(found, list) else found[0][0][0])
+    except (ValueError, IndexError) as error:
         problem = f"its mask is not a MATLAB array Mask ({error})"
         raise InputError(field=name, problem=problem, remedy="write it again") from None
     if shape != size:
         problem = f"its mask is {shape[-1]}x{shape[0]} px, its images {size[1]}x{size[0]}"
         raise InputError(field=name, problem=problem, remedy="give the mask of these images")
-
-
-def matlab_bytes(content: Mapping[str, Any]) -> bytes:
-    """Return a MATLAB file (version 5) of variables by name; a mapping is written as a struct.
-
-    The same variables give the same bytes: the header's text, which has the time of writing, is replaced.
-    """
-    target = io.BytesIO()
-    scipy.io.savemat(target, dict(content), do_compression=True)  # type: ignore[arg-type]
-    return _MATLAB_HEADER + target.getvalue()[len(_MATLAB_HEADER) :]
 
 
 def mask_of(found: BackProjectionMap) -> NDArray[np.uint8]:

@@ -6,22 +6,18 @@ circle in 64,000 steps, a right angle in 64,000); the FITS standard 4.0, section
 
 from __future__ import annotations
 
-import io
 import math
-import zlib
 from collections.abc import Callable
 from typing import Any
 
 import cv2
 import numpy as np
-import scipy.io
 from numpy.typing import NDArray
-from scipy.io.matlab import MatReadError
 
 from sunarc.array_types import FloatArray
 from sunarc.calibration.answers.direction_table import BackProjectionMap
 from sunarc.errors import InputError
-from sunarc.exports.asi_core import matlab_bytes
+from sunarc.exports.matlab import matlab_bytes, read_variables
 from sunarc.exports.tables import require_directions
 from sunarc.exports.view import View, grid_view
 from sunarc.sky.directions import direction_from_angles
@@ -85,9 +81,9 @@ def matlab_file(found: BackProjectionMap, notes: list[str]) -> bytes:
 def read_matlab(content: bytes, *, name: str) -> View:
     """Return the view of a MATLAB file with `azimuth` and `zenith` in degrees."""
     try:
-        file = scipy.io.loadmat(io.BytesIO(content))  # type: ignore[arg-type]
-        azimuth, zenith = (np.asarray(file[key], dtype=np.float64) for key in ("azimuth", "zenith"))
-    except (KeyError, ValueError, TypeError, OverflowError, NotImplementedError, MatReadError, zlib.error) as error:
+        found = read_variables(content, ("azimuth", "zenith"))
+        azimuth, zenith = (np.asarray(found[key], dtype=np.float64) for key in ("azimuth", "zenith"))
+    except (ValueError, TypeError) as error:
         problem = f"no azimuth and zenith of MATLAB's version 5 ({error})"
         raise InputError(field=name, problem=problem, remedy="give a file of sunarc export") from None
     return _angle_view("matlab", azimuth, zenith, name=name)
