@@ -255,6 +255,36 @@ def test_a_set_clock_leaves_the_calibration_alone_until_it_is_right_again(imager
     assert imager.archive.sightings.columns("roof").unix_s.max() >= NOON + 16 * 60.0
 
 
+@pytest.fixture
+def unwatched(imager: Imager) -> Imager:
+    """Have the images dated by another machine, as those of a folder."""
+    imager.watch = replace(imager.watch, host_dates=False)
+    return imager
+
+
+@pytest.mark.parametrize("step_s", [-12.0, 420.0])
+def test_a_step_of_a_clock_that_nothing_watches_turns_no_camera(unwatched: Imager, step_s: float) -> None:
+    unwatched.see_many(TRUTH, range(-15, 0))
+    unwatched.see_many(TRUTH, range(12), clock_s=step_s, verdict="clear" if abs(step_s) < 60.0 else "elsewhere")
+    assert [event.kind for event in unwatched.events()] == ["clock"]
+    assert len(unwatched.archive.epochs.find("roof")) == 1
+    unwatched.see_many(TRUTH, range(12, 20))
+    assert "changed_clock" not in unwatched.codes()
+
+
+def test_a_turn_that_began_like_a_step_of_the_clock_is_found_by_more_sightings(unwatched: Imager) -> None:
+    pole = np.array([0.0, np.cos(np.radians(SGP.latitude)), np.sin(np.radians(SGP.latitude))])
+    sun = sun_directions(NOON + 120.0, SGP)  # a turn about it shows hours later
+    moved = turned(TRUTH, tuple(0.3 * rotation_matrix(TRUTH.rotation_cam_enu) @ (pole + sun)))
+    unwatched.see_many(TRUTH, range(-15, 0))
+    unwatched.see_many(moved, range(5))
+    assert [event.kind for event in unwatched.events()] == ["clock"]
+    unwatched.see_many(moved, range(5, 100, 8))
+    assert [event.kind for event in unwatched.events()] == ["bump", "clock"]
+    assert "changed_clock" not in unwatched.codes()
+    assert off_in_sigmas(unwatched.served(), moved) < 2.0
+
+
 def test_a_mirrored_image_moves_nothing(imager: Imager) -> None:
     imager.see_many(TRUTH, range(-15, 0))
     for minute in range(8):

@@ -532,6 +532,7 @@ class Service:
             ),
             now=self.frame_time.now,
             board=self.board,
+            host_dates=settings.source != "folder",
         )
 
     def feed_worker(self) -> FeedWorker:

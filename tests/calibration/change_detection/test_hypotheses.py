@@ -241,10 +241,13 @@ def test_refocus_and_shift_are_read_back(calibration: Calibration) -> None:
         ("clock", 5.1, False, "clock"),
         ("clock", -5.9, True, "clock"),
         ("clock", -6.1, True, "bump"),
+        ("clock", -0.1, None, "bump"),
+        ("clock", 0.1, None, "clock"),
+        ("lens", 5.9, None, "bump"),
     ],
 )
 def test_a_rarer_change_must_be_clearly_more_probable(
-    rival: ChangeKind, lead: float, *, clock_stepped: bool, expected: str
+    rival: ChangeKind, lead: float, *, clock_stepped: bool | None, expected: str
 ) -> None:
     """Prior odds as Bayes factors in natural logarithms (Kass and Raftery 1995: 5 is very strong)."""
     other = Weighed(rival, 100.0 + lead, rarity(rival, clock_stepped=clock_stepped))

@@ -187,7 +187,7 @@ class ScoredHypothesis:
 
 
 def best_hypothesis(
-    window: ResidualModel, *, site: Site, small: bool, clock_stepped: bool, posed_from_few: bool
+    window: ResidualModel, *, site: Site, small: bool, clock_stepped: bool | None, posed_from_few: bool
 ) -> Change | None:
     """Return the change that explains the last sightings far better than none does; None where there is none.
 
@@ -378,11 +378,14 @@ def _lens_alone(window: ResidualModel) -> list[ScoredHypothesis]:
     return [_weigh(window, lens_hypothesis(window, of_rotation))]
 
 
-def rarity(kind: ChangeKind, *, clock_stepped: bool) -> float:
-    """Return by how many powers of e a kind of change is rarer than a turn; a clock that the host set is not."""
-    if kind == "clock":
-        return -RARER if clock_stepped else _CLOCK_RARER
-    return RARER
+def rarity(kind: ChangeKind, *, clock_stepped: bool | None) -> float:
+    """Return by how many powers of e a kind of change is rarer than a turn.
+
+    A clock that the host set is not rarer, and one that nothing watches (None) is set as often as a camera is turned.
+    """
+    if kind != "clock":
+        return RARER
+    return 0.0 if clock_stepped is None else -RARER if clock_stepped else _CLOCK_RARER
 
 
 # Evidence of an episode of cloud: detections that drift away smoothly while camera, clock and lens are as they were.
@@ -580,7 +583,7 @@ def update_window(
     calibration: Calibration,
     site: Site,
     options: WatchOptions,
-    clock_stepped: bool = False,
+    clock_stepped: bool | None = False,
     posed_from_few: bool = False,
 ) -> tuple[SightingWindow, Change | None]:
     """Return what is remembered after one more sighting, and the change that it makes plain, if any.
@@ -592,7 +595,8 @@ def update_window(
     calibration : what it is held to.
     site : where the camera is said to stand.
     options : what is not reported as a change.
-    clock_stepped : whether the host says that its clock was set while these sightings were made.
+    clock_stepped : whether the host says that its clock was set while these sightings were made; None where it dates
+        none of them.
     posed_from_few : whether the calibration was posed from these very sightings: then its lens is in question too.
     """
     before = watch.last(REMEMBERED - 1)

@@ -52,6 +52,8 @@ and the next morning are none."""
 _FUTURE_EPOCH = "epoch_in_future"
 _RECOVERED_AFTER = 4
 """Consecutive sightings that agree again before a fault of the clock, the image or the site is cleared."""
+_MANY_AGREEING = 8
+"""Sightings that agree with a turn before it takes the place of a step of a clock that nothing watches."""
 
 
 @dataclass(eq=False)
@@ -65,6 +67,7 @@ class WatchWorker:
     reposer : poses the camera anew.
     now : frame time; sightings and pose epochs dated later are not used.
     board : where a change degrades the service.
+    host_dates : whether the sightings' times are of the host's clock, whose steps are known.
     """
 
     camera: CameraArchive
@@ -73,6 +76,7 @@ class WatchWorker:
     reposer: ProvisionalPoseEstimator
     now: Callable[[], datetime]
     board: StatusRegistry
+    host_dates: bool = True
 
     def __post_init__(self) -> None:
         """Begin with an empty window."""
@@ -188,6 +192,8 @@ class WatchWorker:
             clock_stepped=self._clock_stepped(),
             posed_from_few=is_provisional(current),
         )
+        if self._is_turn_after_all(change):
+            self._end_fault()
         if self._fault is not None:
             self._wait_for_recovery(sighting)
         elif change is not None:
@@ -278,6 +284,17 @@ class WatchWorker:
         else:
             self._watch = self._watch.since(change.at_unix_s)
 
+    def _is_turn_after_all(self, change: Change | None) -> bool:
+        """Return whether what a few sightings showed as a step of an unwatched clock is a turn by many."""
+        if change is None or self._fault is None or self.host_dates:
+            return False
+        return (self._fault.kind, change.kind) == ("clock", "bump") and change.agreeing >= _MANY_AGREEING
+
+    def _end_fault(self) -> None:
+        if self._fault is not None:
+            self.board.set_condition(self._fault.finding.code, None)
+            self._fault = None
+
     def _wait_for_recovery(self, sighting: Sighting) -> None:
         """Leave out what comes in while the clock, the image or the site is wrong."""
         fault = self._fault
@@ -285,8 +302,7 @@ class WatchWorker:
             return
         self._agreeing = self._agreeing + 1 if self._watch.trusted[-1] else 0
         if self._agreeing >= _RECOVERED_AFTER:
-            self._fault = None
-            self.board.set_condition(fault.finding.code, None)
+            self._end_fault()
             return
         time = utc_time(sighting.unix_s)
         self.camera.archive.sightings.exclude(self.camera.name, fault.finding, since=time, until=time + MICROSECOND)
@@ -331,8 +347,10 @@ class WatchWorker:
             self._publish_pose()
         return model
 
-    def _clock_stepped(self) -> bool:
-        """Return whether the host's clock was set while the sightings in question were made."""
+    def _clock_stepped(self) -> bool | None:
+        """Return whether the clock was set while the sightings in question were made; None where nothing watches it."""
+        if not self.host_dates:
+            return None
         if not len(self._watch):
             return False
         since = utc_time(float(self._watch.unix_s[max(len(self._watch) - 12, 0)]))
