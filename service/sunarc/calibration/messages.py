@@ -75,6 +75,12 @@ MESSAGES = Messages(
         "The fit is used, its covariance widened.",
         _MORE_DAYS,
     ),
+    parts_disagree=Message(
+        "the camera of a half or a third of the sightings lies {sigmas:.1f} stated sigmas from that of all of them (at "
+        "most {limit:g})",
+        _REFUSED,
+        _MORE_DAYS,
+    ),
     sigma_of_thinned_set=Message(
         "every second sighting alone gives {factor:.2g} times the uncertainty that its number explains; the larger one "
         "is stated",
@@ -209,6 +215,17 @@ MESSAGES = Messages(
         "the clock is not within its bound, or drifts on a day (log odds {log_odds:.0f})",
         "The fit is used, with what the clock may be off in its uncertainty.",
         "synchronise the camera's clock (NTP, PTP), and state its bound",
+    ),
+    mount_drifts=Message(
+        "the camera turns all the time, by {turn_deg:.2f}° in {days:.1f} days (log odds {log_odds:.0f})",
+        "The epoch is refused: no camera holds for all of its days.",
+        "fix the mount; calibrate a few days alone",
+    ),
+    clock_drifts_on=Message(
+        "the clock gains {s_per_day:.1f} s a day, or the camera turns about the celestial pole, by {turn_deg:.2f}° in "
+        "{days:.1f} days (log odds {log_odds:.0f}): the sun does not tell which",
+        "The epoch is refused: no camera holds for all of its days.",
+        "synchronise the camera's clock (NTP, PTP), or fix the mount",
     ),
     detections_biased=Message(
         "the sun is detected inwards or outwards of its place (log odds {log_odds:.0f})",

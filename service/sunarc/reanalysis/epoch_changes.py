@@ -1,16 +1,16 @@
-"""What a state of a camera does not explain of its sightings: a change among them, by the noise of the days themselves.
+"""What a state of a camera does not explain of its sightings: a change or drift among them, by the days' own noise.
 
 A sun's track runs smoothly over the image whatever the camera is: its scatter about a smooth arc is the day's own
 noise, known before any camera is. By it a state's residuals are explained by a change of the clock, of the pose, or of
-the lens from one sighting on, or by none: the evidences are compared (`calibration.evidence`). What detectors in
-photographs do wrong all through a half-day (cloud, glare) is no noise that many sightings average out, and is allowed
-for by half-days.
+the lens from one sighting on, or by none: the evidences are compared (`calibration.evidence`). So is that of a mount or
+a clock that drifts all the time, which no step explains as well. What detectors in photographs do wrong all through a
+half-day (cloud, glare) is no noise that many sightings average out, and is allowed for by half-days.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -23,10 +23,11 @@ from sunarc.calibration.evidence import SEQUENCE_GAIN, Weighed, most_probable
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.quality.day_quality import smooth_arc
 from sunarc.calibration.robust_loss import robust_sigma
+from sunarc.findings import Finding
 from sunarc.optics.camera import POSE, Camera, Param
-from sunarc.optics.forward import project_fast, project_with_rows_fast
+from sunarc.optics.forward import by_direction, project_fast, project_with_rows_fast
 from sunarc.sky.days import solar_days
-from sunarc.sky.site import Site
+from sunarc.sky.site import Site, pole_enu
 from sunarc.sky.sun import hour_angle, sun_directions
 
 Cause = Literal["start", "moved", "lens", "clock", "unexplained"]
@@ -51,6 +52,16 @@ _STEP_S = 30.0
 _AGREES_PX, _AGREES_SIGMAS, _FEWEST_OF_HALF = 0.3, 1.5, 4
 """How far off the middle of half a day may lie: px, and in the day's noise; fewer sightings have no middle."""
 _LENS = (Param.FOCAL_LENGTH_X_PX, Param.PRINCIPAL_POINT_X_PX, Param.PRINCIPAL_POINT_Y_PX, Param.K2)
+_DRIFT_DEG = (0.05, 0.2, 0.8)
+"""1-sigma of what a camera has drifted at either end of an epoch, about each axis or the pole: all equally likely."""
+_DRIFT_GAIN = 10.0
+"""Powers of e by which a drift must explain an epoch better than none: it is asked for once. Of 24 archives of cameras
+that stood still none reached 0."""
+_DRIFT_STATED_DEG = 0.05
+"""Root mean square of a drift up to which it is allowed for by the uncertainty; every mount leans within a decade."""
+_ONE_VIEW = 0.1
+"""Of the focal length: how far off one camera's predictions the days of its drift lie, at most."""
+_DEG_PER_S = 360.0 / 86_400.0
 
 
 class ChangeWithin(NamedTuple):
@@ -59,6 +70,35 @@ class ChangeWithin(NamedTuple):
     row: int
     cause: Cause
     gain: float
+
+
+class DriftWithin(NamedTuple):
+    """What sightings say of a drift of the mount, or of the clock: the sun does not tell that from one about the pole.
+
+    clock: whether it is about the pole. log_odds: by how many powers of e it is likelier than no drift and no change.
+    over_steps: by how many it is likelier than the changes that were found, and by less than they are rarer.
+    turn_deg: of the camera from the first sighting to the last, about the pole where it is one of the clock; days
+    between them. spread_deg: root mean square of the turn between two times about east, north and up, weighted by how
+    probable a drift is.
+    """
+
+    clock: bool
+    log_odds: float
+    over_steps: float
+    turn_deg: float
+    days: float
+    spread_deg: tuple[float, float, float]
+
+    @property
+    def finding(self) -> Finding | None:
+        """That the sightings are of no one camera; None where they may be."""
+        if self.log_odds < _DRIFT_GAIN or max(self.spread_deg) < _DRIFT_STATED_DEG:
+            return None
+        said = {"turn_deg": self.turn_deg, "days": self.days, "log_odds": self.log_odds}
+        if not self.clock:
+            return Finding("mount_drifts", said)
+        # where the clock is ahead the sun stands farther east than predicted, as in a camera turned clockwise
+        return Finding("clock_drifts_on", {**said, "s_per_day": -self.turn_deg / _DEG_PER_S / max(self.days, 1.0)})
 
 
 def noise_of_days(points: Sightings, site: Site) -> FloatArray:
@@ -105,11 +145,15 @@ def _noise_beside_neighbours(pixels: FloatArray, angle: FloatArray) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Linear:
-    """Residuals of n sightings and what moves them, whitened: values (2 n,), columns (2 n, p) of prior variance 1."""
+    """Residuals of n sightings and what moves them, whitened: values (2 n,), columns (2 n, p) of prior variance 1.
+
+    turns: (2 n, 3) by a degree about east, north and up.
+    """
 
     values: FloatArray
     common: FloatArray
     steps: dict[Cause, FloatArray]
+    turns: FloatArray
 
 
 def change_within(points: Sightings, camera: Camera, site: Site, noise_px: FloatArray) -> ChangeWithin | None:
@@ -121,15 +165,9 @@ def change_within(points: Sightings, camera: Camera, site: Site, noise_px: Float
     camera, site : see there.
     noise_px : (n,) see `noise_of_days`.
     """
-    directions = sun_directions(points.unix_s, site)
-    predicted = project_fast(camera, directions)
-    seen = np.all(np.isfinite(predicted), axis=-1)
-    index = np.flatnonzero(seen)
-    if index.size <= 2 * _FEWEST_BESIDE:
+    linear, index = _seen(points, camera, site, noise_px)
+    if linear is None:
         return None
-    some = points.select(index)
-    residual = some.pixels - predicted[index]
-    linear = _linear(some, camera, residual, _with_gross(residual, noise_px[index]), site=site)
     weighed = [Weighed(ChangeWithin(0, "start", 0.0), _log_evidence(linear.common, linear.values))]
     none = weighed[0].log_evidence
     for cause, columns in linear.steps.items():
@@ -142,6 +180,85 @@ def change_within(points: Sightings, camera: Camera, site: Site, noise_px: Float
     return None if best.cause == "start" else best
 
 
+def _seen(points: Sightings, camera: Camera, site: Site, noise_px: FloatArray) -> tuple[_Linear | None, IntArray]:
+    """Return the linear problem of the sightings that a camera sees, and their rows; None of too few."""
+    predicted = project_fast(camera, sun_directions(points.unix_s, site))
+    index = np.flatnonzero(np.all(np.isfinite(predicted), axis=-1))
+    if index.size <= 2 * _FEWEST_BESIDE:
+        return None, index
+    some = points.select(index)
+    residual = some.pixels - predicted[index]
+    return _linear(some, camera, residual, _with_gross(residual, noise_px[index]), site=site), index
+
+
+def drift_within(
+    points: Sightings, camera: Camera, site: Site, noise_px: FloatArray, *, changes: Sequence[tuple[int, Cause]] = ()
+) -> DriftWithin | None:
+    """Return what sightings say of a drift instead of changes; None where they are too few or of another camera.
+
+    Parameters
+    ----------
+    points : of the sun, in the order of time, at the times of the camera's clock.
+    camera, site : see there.
+    noise_px : (n,) see `noise_of_days`.
+    changes : the first sighting after each change that was found among them, and its cause.
+    """
+    linear, index = _seen(points, camera, site, noise_px)
+    if linear is None or not _are_of(camera, points, site, [row for row, _ in changes]):
+        return None
+    times = points.unix_s[index]
+    half_s = 0.5 * float(times[-1] - times[0])
+    along = np.repeat((times - times[0]) / half_s - 1.0, 2)[:, None]
+    none = _log_evidence(linear.common, linear.values)
+    found = dict[bool, float]()
+    for clock, turns in ((True, linear.turns @ pole_enu(site)[:, None]), (False, linear.turns)):
+        each = [
+            _log_evidence(np.concatenate([linear.common, _drifting(one * turns, along)], axis=1), linear.values)
+            for one in _DRIFT_DEG
+        ]
+        found[clock] = float(np.logaddexp.reduce(each)) - math.log(len(each)) - none
+    clock = found[True] >= found[False] - 1.0
+    log_odds = max(found.values())
+    stepped, rarer = [linear.common], 0.0
+    for row, cause in changes:
+        kind: Cause = cause if cause in linear.steps else "moved"
+        stepped.append(linear.steps[kind] * np.repeat(index >= row, 2)[:, None])
+        rarer += SEQUENCE_GAIN + (
+            0.0 if kind == "moved" else rarity("clock" if kind == "clock" else "lens", clock_stepped=False)
+        )
+    steps = _log_evidence(np.concatenate(stepped, axis=1), linear.values) - none
+    over_steps = log_odds - SEQUENCE_GAIN - (steps - rarer)
+    mean_deg, product = _posterior_turn(linear, along)
+    pole = pole_enu(site)
+    turn_deg = 2.0 * float(mean_deg @ pole if clock else np.linalg.norm(mean_deg))
+    # between two times of the epoch, twice the mean square from its middle, which is a third of that at its ends
+    probable = 1.0 / (1.0 + math.exp(-min(log_odds, 50.0)))
+    east, north, up = np.sqrt(2.0 / 3.0 * probable * np.diag(product)).tolist()
+    return DriftWithin(clock, log_odds, over_steps, turn_deg, 2.0 * half_s / 86_400.0, (east, north, up))
+
+
+def _are_of(camera: Camera, points: Sightings, site: Site, begins: Sequence[int]) -> bool:
+    """Return whether sightings between changes all lie near a camera's predictions: so they are linear in turns."""
+    off = np.linalg.norm(points.pixels - project_fast(camera, sun_directions(points.unix_s, site)), axis=-1)
+    parts = np.split(off, list(begins))
+    return all(float(np.nanmedian(part)) < _ONE_VIEW * camera.focal_length_px[0] for part in parts if part.size)
+
+
+def _drifting(turns: FloatArray, along: FloatArray) -> FloatArray:
+    """Return the columns of a drift that is steady, and of one that begins or ends, by times (n, 1) from -1 to 1."""
+    return np.concatenate([turns * along, 0.5 * turns * (along**2 - 1.0 / 3.0)], axis=1)
+
+
+def _posterior_turn(linear: _Linear, along: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the turn (3,) at the end of a steady drift, degrees, and the mean product (3, 3) of it with itself."""
+    middle = _DRIFT_DEG[len(_DRIFT_DEG) // 2]
+    columns = np.concatenate([linear.common, _drifting(middle * linear.turns, along)], axis=1)
+    covariance = np.linalg.inv(columns.T @ columns + np.eye(columns.shape[1]))
+    place = slice(linear.common.shape[1], linear.common.shape[1] + 3)
+    mean = middle * (covariance @ (columns.T @ linear.values))[place]
+    return mean, np.outer(mean, mean) + middle**2 * covariance[place, place]
+
+
 def _with_gross(residual: FloatArray, noise_px: FloatArray) -> FloatArray:
     """Return the noise (n,), larger where a residual (n, 2) lies far beside those of its neighbours."""
     padded = np.pad(residual, ((_NEIGHBOURS, _NEIGHBOURS), (0, 0)), mode="reflect")
@@ -152,7 +269,10 @@ def _with_gross(residual: FloatArray, noise_px: FloatArray) -> FloatArray:
 
 def _linear(points: Sightings, camera: Camera, residual: FloatArray, noise_px: FloatArray, *, site: Site) -> _Linear:
     """Return the linear problem of residuals (n, 2) of noise (n,)."""
-    rows = project_with_rows_fast(camera, sun_directions(points.unix_s, site))[1]
+    directions = sun_directions(points.unix_s, site)
+    rows = project_with_rows_fast(camera, directions)[1]
+    about = -math.radians(1.0) * np.cross(np.eye(3), directions[:, None, :])
+    turns = np.einsum("nai,nki->nak", by_direction(camera, rows), about)
     alike = np.floor((points.unix_s + 240.0 * site.longitude) / _HALF_DAY_S).astype(np.int64)
     _, member, count = np.unique(alike, return_inverse=True, return_counts=True)
     usual = np.median(noise_px)
@@ -174,6 +294,7 @@ def _linear(points: Sightings, camera: Camera, residual: FloatArray, noise_px: F
         values=(residual * root[:, None]).ravel(),
         common=white(np.concatenate([pose, _COMMON_LENS * lens], axis=-1)),
         steps={"clock": white(clock), "moved": white(pose), "lens": white(np.concatenate([pose, lens], axis=-1))},
+        turns=white(turns),
     )
 
 

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 import sunarc
-from sunarc.array_types import IntArray, stacked
+from sunarc.array_types import FloatArray, IntArray, stacked
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.document import to_document
-from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.calibration.quality.acceptance import apart_sigmas, with_larger_errors, with_pose_spread
 from sunarc.calibration.quality.site_checks import tilt_question
 from sunarc.calibration.robust_loss import finite, robust_sigma
 from sunarc.calibration.selection import select_sightings, surest_of_epochs
 from sunarc.findings import Finding
 from sunarc.optics.forward import project_fast
-from sunarc.reanalysis.epoch_changes import agreeing_days, change_within, noise_of_days
+from sunarc.reanalysis.epoch_changes import DriftWithin, agreeing_days, change_within, drift_within, noise_of_days
 from sunarc.reanalysis.look import key_of
 from sunarc.reanalysis.states import (
     ArchiveCamera,
@@ -150,12 +151,20 @@ def better_of(fitted: Mapping[int, FittedPose], both: Mapping[int, FittedPose]) 
     both : by suns and stars.
     """
     return {
-        pose: both[pose] if pose in both and not _is_worse(both[pose], one) else one for pose, one in fitted.items()
+        pose: _as_steady(both[pose], one) if pose in both and not _is_worse(both[pose], one) else one
+        for pose, one in fitted.items()
     }
 
 
 def _is_worse(both: FittedPose, one: FittedPose) -> bool:
-    return one.calibration.verdict.accepted and not both.calibration.verdict.accepted
+    accepted = one.calibration.verdict.accepted and not both.calibration.verdict.accepted
+    return accepted or _drifts(one.calibration)
+
+
+def _as_steady(both: FittedPose, one: FittedPose) -> FittedPose:
+    """Return a calibration that allows for the drift of the pose that another one does."""
+    spread = one.calibration.evidence.pose_spread_deg
+    return both if spread is None else both._replace(calibration=with_pose_spread(both.calibration, spread))
 
 
 def document_of(
@@ -252,7 +261,124 @@ def final_analysis(given: CameraSightings) -> Final:
     held = [(state, points.select(path == number)) for number, state in enumerate(states) if np.any(path == number)]
     refined = [_refined(state, fitted, of_state, camera) for state, of_state in held]
     epochs, path = find_epochs(points, refined, camera)
-    return _held_to_days(Final(tuple(refined), tuple(epochs), path, fitted), given)
+    found = _without_drifts(Final(tuple(refined), tuple(epochs), path, fitted), given)
+    return _held_to_parts(_allowing_for_drift(_held_to_days(found, given), given), given)
+
+
+_DRIFTS = {"mount_drifts", "clock_drifts_on"}
+
+
+def _drifts(calibration: Calibration) -> bool:
+    return any(one.code in _DRIFTS for one in calibration.verdict.findings)
+
+
+def _drift_of(final: Final, given: CameraSightings, noise: FloatArray, run: Sequence[Epoch]) -> DriftWithin | None:
+    """Return what the sightings of consecutive epochs say of a drift, about the camera of the longest of them."""
+    state = final.states[_longest(run).state]
+    rows = slice(run[0].first, run[-1].last + 1)
+    seen = given.camera.shifted(given.points.select(rows), state.clock_offset_s)
+    changes = [(one.first - run[0].first, one.cause) for one in run[1:]]
+    return drift_within(seen, state.calibration.camera, given.camera.site, noise[rows], changes=changes)
+
+
+def _without_drifts(final: Final, given: CameraSightings) -> Final:
+    """Return epochs, those in which mount or clock drifted taken together and refused: no camera holds for them."""
+    epochs, noise = final.epochs[:_MOST_CHANGES], noise_of_days(given.points, given.camera.site)
+    states, path, fitted = list(final.states), final.path.copy(), dict(final.fitted)
+    taken = set[int]()
+    for count in range(len(epochs), 0, -1):
+        for begin in range(len(epochs) - count + 1):
+            run = epochs[begin : begin + count]
+            drift = None if taken & set(range(begin, begin + count)) else _drift_of(final, given, noise, run)
+            if drift is None or drift.finding is None or (count > 1 and drift.over_steps < 0.0):
+                continue
+            taken |= set(range(begin, begin + count))
+            longest = states[_longest(run).state]
+            pose = 1 + max(one.pose for one in states)
+            fitted[pose] = _refused(fitted[longest.pose], drift.finding)
+            path[run[0].first : run[-1].last + 1] = len(states)
+            states.append(longest._replace(pose=pose))
+    return _of_path(final, Final(tuple(states), (), path, fitted), given.points)
+
+
+def _longest(run: Sequence[Epoch]) -> Epoch:
+    return max(run, key=lambda one: one.last - one.first)
+
+
+def _refused(fitted: FittedPose, finding: Finding) -> FittedPose:
+    """Return a calibration that is refused for a finding."""
+    solved = fitted.calibration
+    others = () if solved.verdict.accepted else solved.verdict.findings
+    return fitted._replace(calibration=replace(solved, verdict=Verdict(accepted=False, findings=(finding, *others))))
+
+
+def _of_path(former: Final, final: Final, points: Sightings) -> Final:
+    """Return epochs by the states of sightings, with the causes of former ones."""
+    causes = {one.first: one.cause for one in former.epochs}
+    epochs = epochs_of(final.path, final.states, points)
+    return final._replace(epochs=tuple(one._replace(cause=causes.get(one.first, "unexplained")) for one in epochs))
+
+
+def _allowing_for_drift(final: Final, given: CameraSightings) -> Final:
+    """Return calibrations whose uncertainty allows for what their epochs' sightings say of a drift."""
+    noise, fitted = noise_of_days(given.points, given.camera.site), dict(final.fitted)
+    spread = {pose: np.zeros(3) for pose, one in fitted.items() if one.calibration.verdict.accepted}
+    for epoch in final.epochs:
+        pose = final.states[epoch.state].pose
+        drift = _drift_of(final, given, noise, [epoch]) if pose in spread else None
+        if drift is None:
+            continue
+        spread[pose] = np.maximum(spread[pose], drift.spread_deg)
+        if drift.finding is not None:
+            fitted[pose] = _refused(fitted[pose], drift.finding)
+    for pose, largest in spread.items():
+        fitted[pose] = fitted[pose]._replace(calibration=with_pose_spread(fitted[pose].calibration, largest.tolist()))
+    return final._replace(fitted=fitted)
+
+
+_FEWEST_OF_PART = 30
+"""Sightings of a part of an epoch that a camera of its own is fitted to."""
+_PARTS_APART = 2.5
+"""Stated sigmas between the camera of a part and that of all: of 37 right ones at most 2.1, of those with pixels that
+are not square, which make up for a drift, 5 and 10."""
+
+
+def _held_to_parts(final: Final, given: CameraSightings) -> Final:
+    """Return calibrations held to those of their halves, thirds and alternate suns: with larger errors, or refused.
+
+    What all days share (a bias of detection, a wrong lens) no part of them shows; what differs among them does.
+    """
+    fitted, camera = dict(final.fitted), given.camera
+    together = joined(given.points, final.path, final.states)
+    for pose, one in fitted.items():
+        whole = one.calibration
+        of_pose = together.select(one.rows[together.epoch[one.rows] == pose])
+        if not whole.verdict.accepted or len(of_pose) < 2 * _FEWEST_OF_PART:
+            continue
+        options = replace(camera.options, mirrored="yes" if whole.camera.mirrored else "no")
+        apart = [0.0]
+        for part in _parts_of(replace(of_pose, epoch=np.zeros(len(of_pose), dtype=np.int64))):
+            alone = calibrate(
+                part, site=camera.site, image_size=camera.size, options=options, circle=camera.circle, parts=False
+            )
+            apart.append(apart_sigmas(alone, whole) if alone.verdict.accepted else 0.0)
+        fitted[pose] = _held_to(one, max(apart))
+    return final._replace(fitted=fitted)
+
+
+def _parts_of(points: Sightings) -> Iterator[Sightings]:
+    """Yield the halves and thirds of sightings in the order of time, and those by turns, where they are enough."""
+    rows = np.arange(len(points))
+    for part in (*np.array_split(rows, 2), *np.array_split(rows, 3), rows[::2], rows[1::2]):
+        if part.size >= _FEWEST_OF_PART:
+            yield points.select(part)
+
+
+def _held_to(fitted: FittedPose, sigmas: float) -> FittedPose:
+    """Return a calibration from which that of some part lies so many stated sigmas."""
+    if sigmas > _PARTS_APART:
+        return _refused(fitted, Finding("parts_disagree", {"sigmas": sigmas, "limit": _PARTS_APART}))
+    return fitted if sigmas <= 1.0 else fitted._replace(calibration=with_larger_errors(fitted.calibration, sigmas))
 
 
 _OF_DAYS = {"epoch_does_not_explain_its_days", "held_out_contradicts", "too_many_rejected", "rmse_too_large"}
@@ -270,7 +396,8 @@ def _held_to_days(final: Final, given: CameraSightings) -> Final:
     for epoch in final.epochs:
         state = states[epoch.state]
         refused = final.fitted[state.pose].calibration
-        if refused.verdict.accepted or not _OF_DAYS & {one.code for one in refused.verdict.findings}:
+        of_days = _OF_DAYS & {one.code for one in refused.verdict.findings}
+        if refused.verdict.accepted or _drifts(refused) or not of_days:
             continue
         rows = slice(epoch.first, epoch.last + 1)
         seen = camera.shifted(points.select(rows), state.clock_offset_s)
@@ -283,9 +410,7 @@ def _held_to_days(final: Final, given: CameraSightings) -> Final:
             path[epoch.first + run[0] : epoch.first + run[-1] + 1] = len(states)
             fitted[pose] = FittedPose(alone, epoch.first + run)
             states.append(state._replace(calibration=alone, pose=pose, lens=lens))
-    causes = {one.first: one.cause for one in final.epochs}
-    epochs = [one._replace(cause=causes.get(one.first, "unexplained")) for one in epochs_of(path, states, points)]
-    return Final(tuple(states), tuple(epochs), path, fitted)
+    return _of_path(final, Final(tuple(states), (), path, fitted), points)
 
 
 class Starry(NamedTuple):

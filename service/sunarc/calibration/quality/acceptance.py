@@ -74,6 +74,22 @@ def with_pose_spread(calibration: Calibration, spread_deg: Sequence[float]) -> C
     return replace(_widened(calibration, 1.0, evidence.pose_spread_deg), evidence=evidence)
 
 
+def with_larger_errors(calibration: Calibration, factor: float) -> Calibration:
+    """Return a calibration whose stated errors are larger by a factor, which its provenance states."""
+    held_out = {
+        **calibration.evidence.held_out,
+        "widening": factor * calibration.evidence.held_out.get("widening", 1.0),
+    }
+    return replace(
+        calibration,
+        covariance=factor**2 * calibration.covariance,
+        field=calibration.field.widened(factor),
+        sky_rms_deg=factor * calibration.sky_rms_deg,
+        sky_max_deg=factor * calibration.sky_max_deg,
+        evidence=replace(calibration.evidence, held_out=held_out),
+    )
+
+
 def fit_direction_sigma_rms_deg(calibration: Calibration) -> float:
     """Return the stated 1-sigma over the sky without what is allowed for the spread of daily poses, degrees."""
     spread = calibration.evidence.pose_spread_deg
@@ -250,6 +266,15 @@ def disagreement(first: Calibration, second: Calibration) -> tuple[float, float]
         return 1.0, math.inf
     square = squared_sigmas(difference, a_covariance + b_covariance + 1e-12 * np.eye(2))
     return float(np.mean(square > _FAR_SIGMAS**2)), float(np.max(np.linalg.norm(difference, axis=-1)))
+
+
+def apart_sigmas(first: Calibration, second: Calibration) -> float:
+    """Return the root mean square distance of two calibrations over the sky per axis, in their joint sigmas."""
+    difference, a_covariance, b_covariance = _over_the_sky(first, second)
+    if difference.size == 0:
+        return math.inf
+    square = squared_sigmas(difference, a_covariance + b_covariance + 1e-12 * np.eye(2))
+    return math.sqrt(0.5 * float(np.mean(square)))
 
 
 def _over_the_sky(first: Calibration, second: Calibration) -> tuple[FloatArray, FloatArray, FloatArray]:
