@@ -21,8 +21,10 @@ _log = logging.getLogger(__name__)
 logging.getLogger("watchfiles").setLevel(logging.WARNING)  # else each image is a line of the journal
 _KINDS = frozenset({"picture", "fits"})
 """Of files that hold one image; others (NetCDF, videos) are archives, which `ingest` reads."""
-DERIVED = frozenset({"thumbnails", "thumbs", "keogram", "keograms", "startrails", "timelapse", "panoramas", "@eadir"})
-"""Subfolders of what allsky, indi-allsky and file servers make of the images."""
+DERIVED = frozenset(
+    {"thumbnails", "thumbs", "keogram", "keograms", "startrails", "timelapse", "panoramas", "@eadir", "lost+found"}
+)
+"""Subfolders of what allsky, indi-allsky, file servers and file systems make beside the images."""
 _WITHOUT_EVENTS = frozenset(
     {"nfs", "nfs4", "cifs", "smb3", "smbfs", "9p", "afs", "ncpfs", "fuse.sshfs", "fuse.rclone", "fuse.s3fs", "virtiofs"}
 )
@@ -50,8 +52,18 @@ class _Folder(NamedTuple):
     subfolders: tuple[str, ...]
 
 
+class DeniedFolder(NamedTuple):
+    """A subfolder that may not be read, when it last changed, and what the system says."""
+
+    name: str
+    changed_ns: int
+    error: str
+
+
 class FolderListing:
     """Lists a folder, and later only what changed: subfolders with other names in them, and the newest ones.
+
+    `denied` is what the last listing could not read.
 
     Parameters
     ----------
@@ -63,6 +75,7 @@ class FolderListing:
         self._root, self._pattern = root, pattern
         self._known: dict[str, _Folder] = {}
         self._device: tuple[int, int] | None = None
+        self.denied: DeniedFolder | None = None
 
     def files(self, *, now_ns: int) -> Iterator[SourceFile]:
         """Yield files that may be new or changed, with their stamps; all of them the first time and after a remount.
@@ -75,6 +88,7 @@ class FolderListing:
         if self._device != (state.st_dev, state.st_ino):
             self._known, self._device = {}, (state.st_dev, state.st_ino)
         os.scandir(self._root).close()
+        self.denied = None
         newest = sorted(self._known, key=lambda name: self._known[name].changed_ns)[-_NEWEST_FOLDERS:]
         yield from self._below("", {"", *newest}, set(), now_ns)
 
@@ -100,18 +114,33 @@ class FolderListing:
         except OSError as error:
             if not folder:
                 raise
+            if isinstance(error, PermissionError):
+                self._note_denied(folder, error)
             _log.warning("%s/%s cannot be listed: %s", self._root, folder, error.strerror)
             return
         for one in known.subfolders:
             yield from self._below(one, again, above | {here}, now_ns)
 
+    def _note_denied(self, folder: str, error: PermissionError) -> None:
+        """Keep the subfolder that changed last of those that may not be read."""
+        with suppress(OSError):
+            changed_ns = (self._root / folder).stat().st_mtime_ns
+            if self.denied is None or changed_ns > self.denied.changed_ns:
+                self.denied = DeniedFolder(folder, changed_ns, error.strerror or str(error))
+
     def _images(self, folder: str, entries: list[os.DirEntry[str]]) -> Iterator[SourceFile]:
         for entry in entries:
             name = folder + entry.name
             if is_image(name, self._pattern):
-                with suppress(OSError):  # it is gone again
-                    if entry.is_file():
-                        yield source_file(name, entry.stat())
+                try:
+                    found = source_file(name, entry.stat()) if entry.is_file() else None
+                except PermissionError as error:  # its folder may be listed and not entered
+                    self._note_denied(folder, error)
+                    return
+                except OSError:  # it is gone again
+                    continue
+                if found is not None:
+                    yield found
 
 
 def _is_folder(entry: os.DirEntry[str]) -> bool:

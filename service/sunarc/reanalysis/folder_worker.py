@@ -23,7 +23,15 @@ from sunarc.cameras.options import FolderOptions
 from sunarc.errors import InputError, OutsideError
 from sunarc.findings import Finding
 from sunarc.reanalysis.folder_files import FolderListing, FolderWatch, Settling, is_image, source_file
-from sunarc.reanalysis.image_files import MOST_BYTES, MOST_PIXELS, SourceFile, image_of, image_size
+from sunarc.reanalysis.image_files import (
+    MOST_BYTES,
+    MOST_PIXELS,
+    NOT_READ,
+    SourceFile,
+    content_of,
+    image_of,
+    image_size,
+)
 from sunarc.reanalysis.image_times import TimedFrame, TimeRules, time_in_name, timed_frames, utc_offset_of
 from sunarc.reanalysis.index import at_night
 from sunarc.reanalysis.live_images import LiveImage, LiveImages
@@ -80,15 +88,18 @@ class LeftOut:
 
     def __init__(self, board: StatusRegistry) -> None:
         self._board = board
-        self._last: deque[str | None] = deque(maxlen=_RECENT)
+        self._last: dict[str, str | None] = {}
 
     def note(self, file: str, finding: Finding | None) -> None:
         """Take note of an image that was used (None), or why it was not."""
         if finding is not None and finding.code in _EXPECTED:
             return
         cause = None if finding is None else _LEFT_OUT_CODES.get(finding.code, "images_left_out")
-        self._last.append(cause)
-        counts = Counter(one for one in self._last if one is not None)
+        self._last.pop(file, None)  # one that is tried again counts once
+        self._last[file] = cause
+        if len(self._last) > _RECENT:
+            del self._last[next(iter(self._last))]
+        counts = Counter(one for one in self._last.values() if one is not None)
         worst, n = counts.most_common(1)[0] if counts else ("", 0)
         if finding is not None and cause == worst and n >= _LEAST and n >= _SHARE * len(self._last):
             shown = Finding(
@@ -146,6 +157,8 @@ _STACK_S = 20.0
 _NO_IMAGE_S, _NO_IMAGE_CADENCES = 600.0, 5.0
 _NO_IMAGE = "no_new_image"
 _FOLDER_CODES = ("folder_missing", "folder_not_permitted")
+_WRITTEN = timedelta(days=1)
+"""For so long after its last change a subfolder is one that images are written into."""
 _SILENT_ZENITH_DEG = 85.0
 """Images are expected while the sun is higher."""
 _MANY = 500
@@ -250,7 +263,7 @@ class FolderWorker:
             _log.warning("the files that were seen cannot be read from the archive: %s", error)
             return False
         self._listed_s = now_s
-        self.board.set_one_condition(_FOLDER_CODES, None)
+        self._show_denied()
         self.board.note(camera=CameraStatus(name=self.camera.name, connected=True, address=str(self._root)))
         new = [file for file in listed if self._is_new(file)]
         if not self._reads:
@@ -416,13 +429,12 @@ class FolderWorker:
         name = file.name
         try:
             frame = self._timed(file)
-            content = hash_of(self._source.read(name))
+            content = hash_of(content_of(self._source, name))
         except RefusedImageError as error:
             self._refuse(file, self._as_latest(name, error.finding))
             return None
         except OSError as error:
-            self._again[name] = self.clock.monotonic() + _AGAIN_S
-            self._left_out.note(name, Finding("file_not_image", {"error": error.strerror or str(error)}))
+            self._refuse(file, Finding(NOT_READ, {"error": error.strerror or str(error)}))
             return None
         return _Dated(file, frame, content)
 
@@ -559,6 +571,9 @@ class FolderWorker:
             self._again[file.name] = self.clock.monotonic() + _AGAIN_S
             return
         self._left_out.note(file.name, finding)
+        if finding.code == NOT_READ:
+            self._again[file.name] = self.clock.monotonic() + _AGAIN_S
+            return
         self._write(file, dated, finding.code)
 
     def _seen(self, one: _Dated) -> None:
@@ -591,6 +606,14 @@ class FolderWorker:
         self.board.set_one_condition(_FOLDER_CODES, Reason.of(found, MESSAGES, severity="not_ready"))
         self.board.note(camera=CameraStatus(name=self.camera.name, connected=False, address=str(self._root)))
         self._listing.forget()
+
+    def _show_denied(self) -> None:
+        """Set or clear the condition of a subfolder that the program still writes, and the service may not read."""
+        one, reason = self._listing.denied, None
+        if one is not None and self.clock.now() - utc_time(one.changed_ns / 1e9) < _WRITTEN:
+            found = Finding("folder_not_permitted", {"folder": str(self._root / one.name), "error": one.error})
+            reason = Reason.of(found, MESSAGES)
+        self.board.set_one_condition(_FOLDER_CODES, reason)
 
     def _check_arrival(self, now_s: float) -> None:
         """Set or clear the condition of a folder into which no image comes by day."""

@@ -101,6 +101,14 @@ def _unreadable(name: str, error: str) -> RefusedImageError:
     return RefusedImageError(name, Finding("file_not_image", {"error": error}))
 
 
+def _not_read(name: str, error: OSError) -> RefusedImageError:
+    """Return the refusal of a file that cannot be read: one that is there may be readable later."""
+    text = error.strerror or str(error)
+    if isinstance(error, FileNotFoundError | IsADirectoryError | NotADirectoryError):
+        return _unreadable(name, text)
+    return RefusedImageError(name, Finding(NOT_READ, {"error": text}))
+
+
 def _opaque(image: Image, name: str) -> Image:
     """Return an image without its alpha channel; one that is not opaque everywhere is refused."""
     if image.ndim == 2 or image.shape[2] == 3:
@@ -183,6 +191,7 @@ MOST_BYTES = 1 << 30
 """Size of a file that is still read: larger ones are no images, and would take a worker's memory."""
 MOST_PIXELS = 100_000_000
 """Of an image that a running service decodes: its camera has the size that it always has."""
+NOT_READ = "file_not_read"
 _HEAD_BYTES = 1 << 17
 
 
@@ -283,7 +292,7 @@ def content_of(source: ImageSource, name: str) -> bytes:
     try:
         return source.read(name)
     except OSError as error:
-        raise _unreadable(name, error.strerror or str(error)) from None
+        raise _not_read(name, error) from None
 
 
 def document_in(source: ImageSource, name: str) -> Mapping[str, Any]:
@@ -298,7 +307,7 @@ def document_in(source: ImageSource, name: str) -> Mapping[str, Any]:
         with io.BytesIO(source.read(name)) if path is None else path.open("rb") as file:
             document = document_of(file.read(_HEAD_BYTES)) or {}
     except OSError as error:
-        raise _unreadable(name, error.strerror or str(error)) from None
+        raise _not_read(name, error) from None
     if document.get("preview"):
         raise RefusedImageError(name, Finding("file_preview"))
     return document

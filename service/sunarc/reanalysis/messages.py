@@ -10,12 +10,14 @@ from sunarc.workers.messages import MESSAGES as OF_WORKERS
 _LEFT_OUT = "The image was left out; nothing is stored of it."
 
 _LAST_LEFT_OUT = "{n} of the last images were left out, as {file}: {why}"
+_RIGHT_TO_READ = "give the user of the service the right to read it (a group, or setfacl -m u:sunarc:rX)"
 _NO_SIGHTINGS = "Most of the last images gave no sighting."
 
 _NO_PICTURE = "No picture is taken; it is tried again at the next slot."
 
 MESSAGES = Messages(
     file_not_image=Message("{error}", _LEFT_OUT, "give a whole PNG, JPEG, TIFF or JPEG 2000 file of 8 or 16 bits"),
+    file_not_read=Message("it cannot be read: {error}", _LEFT_OUT, f"{_RIGHT_TO_READ}; or check its disk or share"),
     file_truncated=Message("the file ends before its image does", _LEFT_OUT, "copy it again from its source"),
     file_animated=Message("the file has {frames} frames", _LEFT_OUT, "write each frame to a file of its own"),
     file_cmyk=Message("its colours are CMYK, for print", _LEFT_OUT, "convert it to RGB or grey"),
@@ -192,8 +194,8 @@ MESSAGES = Messages(
     ),
     folder_not_permitted=Message(
         "{folder} may not be read: {error}",
-        "No image comes; it is tried again every few seconds.",
-        "give the user of the service the right to read it (a group, or setfacl -m u:sunarc:rX)",
+        "No image of it is taken; it is tried every few seconds.",
+        _RIGHT_TO_READ,
     ),
     no_new_image=Message(
         "no image for {minutes} minutes; the newest is {file} of {time}",

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from tests.offline.live.sky_pictures import Lens, jpeg, picture, sun_at
 
 MORNING = datetime(2025, 5, 13, 15, 0, tzinfo=UTC)
 LENS = Lens()
+NOBODY = 65534
 
 
 def shot(time: datetime, *, seed: int = 0, cloud: bool = False, lens: Lens = LENS) -> bytes:
@@ -232,6 +234,66 @@ def test_images_of_another_size_and_of_another_camera_are_left_out_and_the_right
         followed.clock.advance(57.0)
     assert followed.verdicts() == ["clear"] * (6 + 5)
     assert followed.service.archive.seen_files.refused("roof") == {"file_other_camera": 3, "file_size_differs": 4}
+    assert "images_of_another_size" in followed.codes()
+
+
+@pytest.fixture
+def as_nobody(tmp_path: Path) -> Iterator[Callable[[], AbstractContextManager[None]]]:
+    """Return what takes this process's rights away meanwhile, in a folder that nobody owns."""
+    if os.geteuid() != 0:
+        pytest.skip("root alone can try what another user may not read")
+    above = [one for one in (tmp_path, *tmp_path.parents) if not one.stat().st_mode & 0o001]
+    modes = {one: one.stat().st_mode for one in above}
+    for one in above:
+        one.chmod(modes[one] | 0o011)
+
+    @contextmanager
+    def as_nobody() -> Iterator[None]:
+        for one in (tmp_path, *tmp_path.rglob("*")):
+            if one.stat().st_uid == 0 and "images" not in one.parts:
+                os.chown(one, NOBODY, NOBODY)
+        os.setegid(NOBODY)
+        os.seteuid(NOBODY)
+        try:
+            yield
+        finally:
+            os.seteuid(0)
+            os.setegid(0)
+
+    yield as_nobody
+    for one, mode in modes.items():
+        one.chmod(mode)
+
+
+def test_what_may_not_be_read_is_said_and_taken_once_it_may(
+    as_nobody: Callable[[], AbstractContextManager[None]], tmp_path: Path
+) -> None:
+    followed = Followed(tmp_path, MORNING + timedelta(minutes=9))
+    times = [MORNING + timedelta(minutes=n) for n in range(6)]
+    paths = [followed.write(f"day{n // 3}/image-{time:%Y%m%d%H%M%S}.jpg", shot(time)) for n, time in enumerate(times)]
+    folders = [followed.root / name for name in ("day0", "day1")]
+    for folder in folders:
+        os.utime(folder, (MORNING.timestamp(), MORNING.timestamp()))
+    (followed.root / "not written for long").mkdir(mode=0o700)
+    os.utime(followed.root / "not written for long", (0.0, 0.0))
+
+    def turned(*modes: tuple[Path, int]) -> tuple[set[str], int]:
+        for path, mode in modes:
+            path.chmod(mode)
+        with as_nobody():
+            followed.clock.advance(31.0)
+            followed.turn()
+        return followed.codes() & {"folder_not_permitted", "images_left_out"}, len(followed.points())
+
+    assert turned((followed.root, 0o700)) == ({"folder_not_permitted"}, 0)
+    assert followed.service.board.snapshot().health == "not_ready"
+    assert turned((followed.root, 0o755), (folders[0], 0o700)) == ({"folder_not_permitted"}, 3)
+    (reason,) = [one for one in followed.service.board.snapshot().reasons if one.code == "folder_not_permitted"]
+    assert reason.data["folder"] == str(folders[0])
+    assert turned((folders[0], 0o744)) == ({"folder_not_permitted"}, 3)  # listed, and not entered
+    assert turned((folders[0], 0o755), *((path, 0o600) for path in paths[:3])) == ({"images_left_out"}, 3)
+    assert turned(*((path, 0o644) for path in paths[:3])) == (set(), 6)
+    followed.close()
 
 
 def test_html_in_a_picture_and_a_huge_one_are_left_out(followed: Followed) -> None:
