@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from io import StringIO
 from pathlib import Path
@@ -18,14 +19,16 @@ from tests.fixtures.calibrations import SITE, chosen_calibration
 from tests.fixtures.command_line import Sunarc
 
 from sunarc.archive.csv_files import read_sightings
+from sunarc.calibration.answers.covariance import hemisphere, unproject_with_sigma
 from sunarc.calibration.model.document import from_document, to_document
 from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.quality.acceptance import with_clock_error
 from sunarc.calibration.selection import MOST_STARS
 from sunarc.errors import InputError
 from sunarc.offline.stars import StarOptions, find_stars, read_stars, write_star_sightings
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
-from sunarc.sky.directions import angles_from_direction
+from sunarc.sky.directions import angles_from_direction, angular_distance
 from sunarc.sky.night import STAR, night_sky
 from sunarc.sky.site import relative_air_mass
 
@@ -214,6 +217,27 @@ def test_one_image_is_enough_and_hot_pixels_are_none_of_its_stars(
         wrong = sunarc(*usual, *options)
         assert wrong.code == 1
         assert not json.loads(wrong.out)["accepted"]
+
+
+def test_a_pose_by_the_stars_is_as_sure_as_the_clock(images: list[Path], tmp_path: Path, sunarc: Sunarc) -> None:
+    target = tmp_path / "roof.json"
+    site = ["--latitude", str(SITE.latitude), "--longitude", str(SITE.longitude), "--altitude", str(SITE.altitude)]
+    late = ["--to-middle", "120", "--clock-error", "120", "--write-calibration", str(target)]
+    done = sunarc("stars", str(images[0]), "--blind", "--full-scale", "4095", "--json", *late, *site)
+    assert done.code == 0, done.err
+    found = from_document(json.loads(target.read_text()))
+    assert found.evidence.clock_error_s == 120.0
+    (said,) = [one.data for one in found.verdict.findings if one.code == "pose_or_clock"]
+    assert said["turn_deg"] == pytest.approx(120.0 * 360.0 / 86164.0, rel=1e-4)
+    sky = hemisphere(200)
+    sky = sky[sky[:, 2] > 0.3]
+    looked, sigma, _ = unproject_with_sigma(found, project(CAMERA, sky))
+    off = np.degrees(angular_distance(looked, sky))
+    assert 0.3 < np.sqrt(np.mean(off**2) / np.mean(2.0 * sigma**2)) < 1.5
+    sure = with_clock_error(replace(found, covariance=1e-12 * found.covariance), 10.0, limit_deg=1.5)
+    assert sure.sky_rms_deg < 0.2 * found.sky_rms_deg
+    unsure = with_clock_error(found, 3600.0, limit_deg=1.5)
+    assert unsure.verdict.findings[0].code == "direction_sigma_too_large"
 
 
 def test_an_image_of_another_year_is_said_to_be_one(images: list[Path], tmp_path: Path, sunarc: Sunarc) -> None:

@@ -407,6 +407,12 @@ MESSAGES = Messages(
         "the camera is that of the pattern of bright stars in one image (by chance: 10^{log10_chance:.0f})",
         "The camera is used.",
     ),
+    pose_or_clock=Message(
+        "stars do not tell a clock that is wrong from a camera that is turned about the pole: within {clock_error_s:g} "
+        "s by {turn_deg:~2}° (north {north_deg:~2}°, tilt {tilt_deg:~2}°), which the stated uncertainty holds",
+        "The lens does not depend on it; directions are as right as the times.",
+        "state the bound of the clock (--clock-error); sightings of the sun by a clock that is right give the pose",
+    ),
     blind_no_pattern=Message(
         "no camera matches the bright stars with the {n} detections of one image better than chance would (10^"
         "{log10_chance:.0f} expected, at most 10^{limit:.0f})",

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration.answers.covariance import hemisphere, sigma_deg, sky_sigma_deg
+from sunarc.calibration.answers.covariance import hemisphere, sigma_deg
 from sunarc.calibration.calibrate import Start, calibration_of, most_plausible_start, robust_fit
 from sunarc.calibration.changes.change_points import Moved, calibrate_moved
 from sunarc.calibration.fit.assemble import Job
@@ -31,6 +31,7 @@ from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import STRONG_EVIDENCE, Calibration, Verdict
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.noise import NoiseGroups, measured_noise
+from sunarc.calibration.quality.acceptance import with_larger_errors
 from sunarc.calibration.quality.fit_checks import before_fit, determined
 from sunarc.calibration.robust_loss import robust_sigma, tukey_loss
 from sunarc.calibration.solve.problem import Bins, FitProblem, observations
@@ -156,11 +157,7 @@ def _with_others(calibration: Calibration, choice: ProjectionChoice, fits: dict[
             square = 0.5 * (np.degrees(off) / sigma) ** 2
             squares.append(float(np.mean(square[np.isfinite(square)])) if np.any(np.isfinite(square)) else 0.0)
     factor = math.sqrt(1.0 + float(np.mean(squares)))
-    if not factor > 1.0:
-        return calibration
-    wider = replace(calibration, covariance=factor**2 * calibration.covariance, field=calibration.field.widened(factor))
-    rms, most = sky_sigma_deg(wider)
-    return replace(wider, sky_rms_deg=rms, sky_max_deg=most)
+    return with_larger_errors(calibration, factor) if factor > 1.0 else calibration
 
 
 def compare_projections(job: Job) -> tuple[ProjectionChoice, dict[Projection, Fitted]]:

@@ -54,6 +54,10 @@ def stars(
         str, typer.Option(help="How far times without a zone are ahead of UTC: hours, or a zone as Europe/Berlin.")
     ] = "0",
     to_middle: Annotated[float, typer.Option(help="Seconds from the stated time to mid-exposure.")] = 0.0,
+    clock_error: Annotated[
+        float,
+        typer.Option(help="Bound of the clock's error, s; it turns the pose.", rich_help_panel=BLIND),
+    ] = 10.0,
     within: Annotated[float, typer.Option(help="1-sigma of the prediction beside the calibration's own, px.")] = 0.0,
     full_scale: Annotated[int | None, typer.Option(help="Largest count; judged from the file unless given.")] = None,
     bayer: Annotated[str | None, typer.Option(help="Colours of a raw mosaic: RGGB, BGGR, GRBG or GBRG.")] = None,
@@ -68,7 +72,7 @@ def stars(
 
     With --blind no calibration is needed, for cameras within 20 degrees of the zenith: what turns in images of one
     night (an hour or more apart) gives lens and pole, and the bright stars the rest; of one image their pattern all.
-    North is then right as the images' clock is.
+    North is then right as the images' clock is: within --clock-error, which the stated uncertainty holds.
 
     Example: sunarc stars night/*.png --calibration calibration.json --beside sun.csv -o sightings.csv
 
@@ -76,7 +80,12 @@ def stars(
     """
     extra_module("ephem", extra="night")  # before the images, which take seconds each
     electrons = 1.0 if gain is None else gain
-    for name, value, least in (("--within", within, 0.0), ("--most", float(most), 1.0), ("--gain", electrons, 1e-9)):
+    for name, value, least in (
+        ("--within", within, 0.0),
+        ("--most", float(most), 1.0),
+        ("--gain", electrons, 1e-9),
+        ("--clock-error", clock_error, 0.0),
+    ):
         if not least <= value < 1e6:
             raise InputError(field=name, problem=f"{value:g} is out of range", remedy="give a positive number")
     options = StarOptions(
@@ -86,6 +95,7 @@ def stars(
         full_scale=full_scale,
         bayer=None if bayer is None else choice_of("--bayer", bayer, BAYERS),
         gain_e_per_count=gain,
+        clock_error_s=clock_error,
     )
     sun = None if beside is None else read_sightings(read_lines(beside), name=beside.name)
     if blind:

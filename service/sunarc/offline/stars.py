@@ -22,6 +22,7 @@ from sunarc.calibration.model.document import to_document
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.calibration.quality.acceptance import with_clock_error
 from sunarc.calibration.selection import MOST_STARS, image_parts, sky_parts, surest_of_parts
 from sunarc.calibration.start.blind_start import BlindOptions, BlindStart, NightDetections, blind_start
 from sunarc.detection.messages import reason_of
@@ -54,6 +55,7 @@ class StarOptions:
     within_px : 1-sigma that is added to the calibration's own uncertainty, px.
     bayer, full_scale : of raw frames; full scale is judged from the file where None.
     gain_e_per_count : electrons per count of a linear camera; None where not known.
+    clock_error_s : bound of the error of their times, s; a camera that they give is turned about the pole with it.
     """
 
     rules: TimeRules = field(default_factory=lambda: TimeRules(offset=timedelta(0), documents=True))
@@ -62,6 +64,7 @@ class StarOptions:
     bayer: Bayer | None = None
     full_scale: int | None = None
     gain_e_per_count: float | None = None
+    clock_error_s: float = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -427,7 +430,8 @@ def find_stars_blind(
     if len(images) == 1:  # hot pixels are left out by the start: there is no other image to tell them by
         seen = [replace(one, stars=start.stars[0]) if one is night[0] else one for one in seen]
     named = named_stars(seen, fitted, within_px=options.within_px)
-    return BlindResult(start=start, images=[_dated(one, images[0].unix_s) for one in named], calibration=fitted)
+    stated = with_clock_error(fitted, options.clock_error_s, limit_deg=choice.max_sky_deg)
+    return BlindResult(start=start, images=[_dated(one, images[0].unix_s) for one in named], calibration=stated)
 
 
 def _dated(image: StarImage, unix_s: float) -> StarImage:

@@ -14,19 +14,21 @@ from numpy.typing import ArrayLike
 from sunarc.array_types import FloatArray
 from sunarc.calibration.answers.covariance import (
     hemisphere,
+    pose_error,
     project_with_covariance,
     rotation_covariance,
     sky_sigma_deg,
     with_covariance,
 )
 from sunarc.calibration.evidence import squared_sigmas
-from sunarc.calibration.model.result import Calibration, Verdict
+from sunarc.calibration.model.result import Calibration, Verdict, refused_for, with_finding
 from sunarc.calibration.model.sightings import Sightings, apparent_directions
 from sunarc.findings import Finding
 from sunarc.optics.camera import POSE
 from sunarc.optics.forward import project
 from sunarc.robust_statistics import MAD_TO_SIGMA
 from sunarc.sky.days import day_of_date, solar_days
+from sunarc.sky.site import EARTH_RATE
 
 # How much a camera turns to and fro from day to day, and what that does to how sure one is of it.
 #
@@ -88,6 +90,36 @@ def with_larger_errors(calibration: Calibration, factor: float) -> Calibration:
         sky_max_deg=factor * calibration.sky_max_deg,
         evidence=replace(calibration.evidence, held_out=held_out),
     )
+
+
+def with_clock_error(calibration: Calibration, clock_error_s: float, *, limit_deg: float) -> Calibration:
+    """Return a calibration by stars alone whose uncertainty holds an error of the clock, which its verdict states.
+
+    A clock that is wrong turns the sky about the pole, and the fit the camera: nothing in images tells the two apart.
+    One that is then less sure than a limit is refused.
+
+    Parameters
+    ----------
+    calibration : by sightings without any error of the clock.
+    clock_error_s : the bound of the clock's error, s.
+    limit_deg : of the 1-sigma over the sky, degrees.
+    """
+    camera, site = calibration.camera, calibration.site
+    covariance = calibration.covariance.copy()
+    covariance[POSE, POSE] += pose_error(camera, site, clock_error_s=clock_error_s, site_error_m=0.0)
+    wider = with_covariance(calibration, covariance)
+    rms, most = sky_sigma_deg(wider)
+    latitude, turn = math.radians(site.latitude), math.degrees(EARTH_RATE * clock_error_s)
+    turns = {"turn_deg": turn, "north_deg": turn * abs(math.sin(latitude)), "tilt_deg": turn * math.cos(latitude)}
+    evidence = replace(wider.evidence, clock_error_s=clock_error_s)
+    wider = replace(wider, sky_rms_deg=rms, sky_max_deg=most, evidence=evidence)
+    wider = with_finding(wider, Finding("pose_or_clock", {"clock_error_s": clock_error_s, **turns}))
+    if rms <= limit_deg or not wider.verdict.accepted:
+        return wider
+    of_sigma = {"sigma_deg": rms, "limit_deg": limit_deg, "scatter_px": wider.evidence.sigma_px}
+    counts = {"n": wider.metrics.n, "days": len(wider.evidence.days)}
+    clock = next(one for one in wider.verdict.findings if one.code == "pose_or_clock")
+    return refused_for(wider, Finding("direction_sigma_too_large", {**of_sigma, **counts}), clock)
 
 
 def fit_direction_sigma_rms_deg(calibration: Calibration) -> float:
