@@ -352,6 +352,13 @@ def test_a_seed_that_is_no_number_is_refused(tmp_path: Path, sunarc: Sunarc, see
     assert sunarc("study", "benchmark", "make", "--seed", seed, "-o", str(tmp_path)).code == 2
 
 
+def test_a_search_that_tries_a_camera_far_off_ends_with_a_verdict(tmp_path: Path) -> None:
+    # days left out of such a fit had a negative variance: the fit ended with an error
+    (tmp_path / "truth").mkdir()
+    name, _ = made(28, 20261125, tmp_path / "cases", tmp_path / "truth")
+    assert calibrate_case(read_case(tmp_path / "cases" / name), "robust").verdict.findings
+
+
 def test_the_second_generator_shares_no_code_with_the_package(tmp_path: Path) -> None:
     for name in ("benchmark_second", "independent_world"):
         tree = ast.parse((STUDIES / f"{name}.py").read_text())

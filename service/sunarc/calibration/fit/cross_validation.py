@@ -102,7 +102,8 @@ def held_out(fit: RobustFit, usable: Sightings) -> HeldOut | None:
         found += float(np.sum((fit.residual[counted] - (rows @ step)[bin_of]) ** 2))
         # two axes
         noise = 2.0 * (fit.noise_px * usable.sigma_px)[counted] ** 2
-        expected += float(np.sum(variance[bin_of] + noise))
+        # of a camera that is far off, the part's share of the normal equations may not be separable from the whole
+        expected += float(np.sum(np.maximum(variance, 0.0)[bin_of] + noise))
         count += int(counted.sum())
     return HeldOut(math.sqrt(found / count), math.sqrt(expected / count)) if count else None
 
