@@ -123,6 +123,16 @@ def test_a_frame_is_no_older_than_the_bound_of_its_time(camera: RtspCamera) -> N
     assert abs(late_s) < found.within_s + 0.35  # the server sends a picture up to 0.1 s after it was made
 
 
+@pytest.mark.parametrize("codec", ["H264", "H265"])
+def test_of_a_stream_of_changes_a_key_frame_is_taken(camera: RtspCamera, codec: str) -> None:
+    camera.codec = codec
+    found = client(camera).picture()
+    assert not isinstance(found, Finding)
+    assert _mean(found.content) == pytest.approx(40.0, abs=4.0)  # the frames between are 60 to 180
+    early_s = min(abs((found.time - sent).total_seconds()) for sent, frame in camera.sent if frame == 0)
+    assert early_s < found.within_s + 0.35
+
+
 def _mean(content: bytes) -> float:
     return float(np.asarray(Image.open(io.BytesIO(content))).mean())
 
