@@ -1,13 +1,13 @@
-"""Cross-checks of neighbouring cameras: false alarms in a camera-year, and what is found of what was injected.
+"""Cross-checks of neighbouring cameras: who is named, rightly and wrongly, of what was injected, and where nothing was.
 
-    python docs/studies/cross_checks.py [--networks N] [--injected N]
+    python docs/studies/cross_checks.py [--networks N] [--cameras N...]
 
-Three cameras have daily rotations against one calibration, on 60 % of the days: white noise of 3, 2 and 4 thousandths
-of a degree, a bias by the season, and what each case adds. Every night the last 60 days are compared, as the hub does.
-A change that is reported again within 10 days of its day counts once. A slow turn is no alarm.
-
-What is injected steps in one of the cameras on day 200, beside what each case adds. Within 20 days that camera is named
-with the right cause, or as `moved` alone, and an alarm of another camera, day or cause comes, or does not.
+A network is made by nothing of sunarc's: each camera's daily rotation is white noise of 3, 2 and 4 thousandths of a
+degree and a season of a hundredth, on 60 % of 90 days, and what the case adds. On day 60 the first camera changes, or
+several do. On five nights until day 80 the last 60 days are compared, as the hub does. Of each network is counted who
+was named in any of these nights, slow turns apart: the right camera with its cause, as `moved` alone, with another
+cause, on another day, or another camera. `unconfirmed` is a change that too few neighbours show: of no camera by name;
+`alone:` is what would be named without them.
 """
 
 from __future__ import annotations
@@ -16,88 +16,93 @@ import argparse
 import json
 from collections import Counter
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
-from sunarc.array_types import FloatArray
 from sunarc.calibration.changes.daily_rotations import DailyRotations
-from sunarc.calibration.changes.values import Cause
-from sunarc.cross_checks.rotation_steps import explain_step, find_steps, rotation_of_site
-from sunarc.sky.days import SECONDS_PER_DEGREE
-from sunarc.sky.site import Site, pole_enu
+from sunarc.cross_checks.rotation_steps import FEWEST_AGREEING, agreeing, explain_step, find_steps
+from sunarc.sky.site import Site
 
-SITE = Site(latitude=36.6, longitude=-97.5)
-COVARIANCE = np.diag([0.003, 0.002, 0.004]) ** 2
-CAMERAS, DAYS, WINDOW = 3, 365, 60
-WHITE_DEG = np.sqrt(np.diag(COVARIANCE))
+Array = NDArray[np.float64]
 Random = np.random.Generator
+LATITUDE = 36.6
+SITE = Site(latitude=LATITUDE, longitude=-97.5)
+SIGMA = np.array([0.003, 0.002, 0.004])
+DAYS, CHANGED, WINDOW, NIGHTS = 90, 60, 60, (64, 68, 72, 76, 80)
 
 
-def plain(_rng: Random) -> FloatArray:
+def plain(_rng: Random, cameras: int) -> Array:
     """Return nothing beside noise and season."""
-    return np.zeros((CAMERAS, DAYS, 3))
+    return np.zeros((cameras, DAYS, 3))
 
 
-def heavy(rng: Random) -> FloatArray:
+def heavy(rng: Random, cameras: int) -> Array:
     """Return days of cloud that draws the sightings aside: one in ten, five times the noise."""
-    return (rng.random((CAMERAS, DAYS, 1)) < 0.1) * rng.normal(0.0, 5.0 * WHITE_DEG, (CAMERAS, DAYS, 3))
+    return (rng.random((cameras, DAYS, 1)) < 0.1) * rng.normal(0.0, 5.0 * SIGMA, (cameras, DAYS, 3))
 
 
-def drifting(rng: Random) -> FloatArray:
+def drifting(rng: Random, cameras: int) -> Array:
     """Return a bias with a memory of a week, as large as the noise."""
-    bias = np.zeros((CAMERAS, DAYS, 3))
+    made = rng.normal(0.0, 0.5 * SIGMA, (cameras, DAYS, 3))
     for day in range(1, DAYS):
-        bias[:, day] = 0.87 * bias[:, day - 1] + rng.normal(0.0, 0.5 * WHITE_DEG, (CAMERAS, 3))
-    return bias
-
-
-def common(rng: Random) -> FloatArray:
-    """Return what all have alike: a bias of twice the noise with a memory, and three steps in the year."""
-    one = 4.0 * drifting(rng)[:1]
-    for day in rng.integers(0, DAYS, 3).tolist():
-        one[:, day:] += rng.normal(0.0, 0.02, 3)
-    return np.repeat(one, CAMERAS, axis=0)
-
-
-def settling(rng: Random) -> FloatArray:
-    """Return masts that settle by 0.1 degrees about any axis, within weeks from a day in the year on."""
-    made = np.zeros((CAMERAS, DAYS, 3))
-    for camera in range(CAMERAS):
-        axis = rng.normal(size=3)
-        since = np.maximum(np.arange(DAYS) - rng.integers(0, DAYS), 0)
-        made[camera] = np.outer(0.1 * (1.0 - np.exp(-since / 20.0)), axis / np.linalg.norm(axis))
+        made[:, day] += 0.87 * made[:, day - 1]
     return made
 
 
-def walking(rng: Random) -> FloatArray:
+def common(rng: Random, cameras: int) -> Array:
+    """Return what all have alike: a large bias with a memory, and a step near the day of the change."""
+    one = 4.0 * drifting(rng, 1)
+    one[:, CHANGED + int(rng.integers(-9, 9)) :] += rng.normal(0.0, 0.05, 3)
+    return np.repeat(one, cameras, axis=0)
+
+
+def settling(rng: Random, cameras: int) -> Array:
+    """Return masts that settle by 0.1 degrees about any axis, within weeks from a day on, every second camera."""
+    made = np.zeros((cameras, DAYS, 3))
+    for camera in range(1, cameras, 2):
+        since = np.maximum(np.arange(DAYS) - rng.integers(0, CHANGED), 0)
+        made[camera] = np.outer(0.1 * (1.0 - np.exp(-since / 20.0)), direction(rng))
+    return made
+
+
+def walking(rng: Random, cameras: int) -> Array:
     """Return mounts that walk by 0.002 degrees a day."""
-    return np.cumsum(rng.normal(0.0, 0.002, (CAMERAS, DAYS, 3)), axis=1)
+    return np.cumsum(rng.normal(0.0, 0.002, (cameras, DAYS, 3)), axis=1)
 
 
-CASES: dict[str, Callable[[Random], FloatArray]] = {
+def direction(rng: Random) -> Array:
+    """Return any axis."""
+    axis = rng.normal(size=3)
+    return np.asarray(axis / np.linalg.norm(axis))
+
+
+POLE = np.array([0.0, np.cos(np.radians(LATITUDE)), np.sin(np.radians(LATITUDE))])
+CASES: dict[str, Callable[[Random, int], Array]] = {
     one.__name__: one for one in (plain, heavy, drifting, common, settling, walking)
+}
+CHANGES: dict[str, Callable[[Random], Array] | None] = {
+    "none": None,
+    "clock": lambda _rng: -POLE * 4.0 * 15.0 / 3600.0,  # 4 s ahead
+    "north": lambda _rng: np.array([0.0, 0.0, 0.1]),
+    "moved": lambda rng: 0.05 * direction(rng),
 }
 
 
-def network(rng: Random, extra: FloatArray) -> list[DailyRotations]:
-    """Return the rotations of three cameras over a year."""
-    days = np.arange(DAYS)
-    made = []
-    for camera in range(CAMERAS):
-        season = np.outer(np.sin(2.0 * np.pi * (days / DAYS + rng.random())), rng.normal(0.0, 0.01, 3))
-        rotation = season + extra[camera] + rng.normal(0.0, WHITE_DEG, (DAYS, 3))
+def network(rng: Random, extra: Array, *, understated: float) -> list[DailyRotations]:
+    """Return the rotations of cameras whose days state a sigma that is too small by a factor."""
+    made, days = [], np.arange(DAYS)
+    for of_camera in extra:
+        season = np.outer(np.sin(2.0 * np.pi * (days / 365.0 + rng.random())), rng.normal(0.0, 0.01, 3))
+        rotation = season + of_camera + rng.normal(0.0, SIGMA, (DAYS, 3))
         shown = rng.random(DAYS) < 0.6
-        made.append(
-            DailyRotations(
-                day=days[shown].astype(np.float64),
-                rotation_deg=rotation[shown],
-                covariance_deg2=np.broadcast_to(COVARIANCE, (int(shown.sum()), 3, 3)).copy(),
-            )
-        )
+        stated = np.broadcast_to(np.diag(SIGMA**2) / understated**2, (int(shown.sum()), 3, 3)).copy()
+        made.append(DailyRotations(day=days[shown].astype(float), rotation_deg=rotation[shown], covariance_deg2=stated))
     return made
 
 
-def window(one: DailyRotations, night: int) -> DailyRotations:
+def until(one: DailyRotations, night: int) -> DailyRotations:
     """Return the days that are compared in a night."""
     near = (one.day > night - WINDOW) & (one.day <= night)
     return DailyRotations(
@@ -105,75 +110,62 @@ def window(one: DailyRotations, night: int) -> DailyRotations:
     )
 
 
-def alarms(cameras: list[DailyRotations]) -> Counter[str]:
-    """Return how many different steps are reported in the year, by cause."""
-    last = [-99.0] * CAMERAS
-    counts: Counter[str] = Counter()
-    for night in range(20, DAYS):
-        for number, step in enumerate(find_steps([window(one, night) for one in cameras])):
-            if step is not None:
-                if abs(step.day - last[number]) > 10.0:
-                    counts[explain_step(step, before=SITE, after=SITE).cause] += 1
-                last[number] = step.day
-    return counts
-
-
-INJECTED_DAY, WITHIN = 200, 20
-RESTATED = Site(latitude=36.6, longitude=-97.48)
-INJECTED: dict[Cause, tuple[FloatArray, Site]] = {
-    "clock": (-pole_enu(SITE) * 4.0 / SECONDS_PER_DEGREE, SITE),
-    "longitude": (rotation_of_site(SITE, RESTATED), RESTATED),
-    "north": (np.array([0.0, 0.0, 0.1]), SITE),
-}
-"""4 s of a clock, 0.02 degrees of a stated longitude, 0.1 degrees of north."""
-
-
-def decided(cameras: list[DailyRotations], cause: Cause, after: Site) -> set[str]:
-    """Return what was said in the nights after the first camera changed: `right`, `moved` of it, `wrong`."""
-    found = set()
-    for night in range(INJECTED_DAY + 3, INJECTED_DAY + WITHIN + 1):
-        for number, step in enumerate(find_steps([window(one, night) for one in cameras])):
-            if step is None:
+def named(cameras: list[DailyRotations], changed: int, cause: str) -> tuple[set[str], list[tuple[float, bool]]]:
+    """Return what was said in the nights, with and without agreement (`alone:`), and each confidence with its truth."""
+    said, sure = set[str](), list[tuple[float, bool]]()
+    for night in NIGHTS:
+        compared = [until(one, night) for one in cameras]
+        for number, step in enumerate(find_steps(compared)):
+            explained = None if step is None else explain_step(step, before=SITE, after=SITE)
+            if step is None or explained is None or explained.cause == "slow_turn":
                 continue
-            near = number == 0 and abs(step.day - INJECTED_DAY) < 5.0
-            named = explain_step(step, before=SITE, after=after if near else SITE).cause
-            if named != "slow_turn":
-                found.add("right" if near and named == cause else "moved" if near and named == "moved" else "wrong")
-    return found
-
-
-def injections(name: str, case: Callable[[Random], FloatArray], n: int) -> None:
-    """Print in which share of the networks what was injected was named rightly, and else."""
-    for cause, (size, after) in INJECTED.items():
-        rng = np.random.default_rng(2)
-        counts: Counter[str] = Counter()
-        for _ in range(n):
-            extra = case(rng)
-            extra[0, INJECTED_DAY:] += size
-            found = decided(network(rng, extra), cause, after)
-            counts["right"] += "right" in found
-            counts["moved alone"] += "moved" in found and "right" not in found
-            counts["wrong beside"] += "wrong" in found
-        shares = {word: round(count / n, 2) for word, count in counts.items()}
-        print(json.dumps({"case": name, "injected": cause, "networks": n, "shares": shares}), flush=True)
+            what = "wrong camera" if number >= changed else "right"
+            if what == "right" and abs(step.day - CHANGED) >= 5.0:
+                what = "other day"
+            elif what == "right" and explained.cause != cause:
+                what = "moved" if explained.cause == "moved" else "other cause"
+            agreed = agreeing(compared, number, step) >= FEWEST_AGREEING
+            said |= {f"alone: {what}", what if agreed else "unconfirmed"}
+            if agreed:
+                sure.append((explained.confidence, what == "right"))
+    return said, sure
 
 
 def main() -> None:
-    """Print false alarms in a camera-year by case, and what was found of what was injected, as JSON lines."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--networks", type=int, default=20, help="of three cameras and a year, each case")
-    parser.add_argument("--injected", type=int, default=100, help="networks of each case and each injected change")
+    """Print shares of networks, as JSON lines."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--networks", type=int, default=20, help="of each case, change and number of cameras")
+    parser.add_argument("--cameras", type=int, nargs="+", default=[3, 4, 6])
+    parser.add_argument("--changed", type=int, default=1, help="how many cameras change alike on the same day")
+    parser.add_argument("--understated", type=float, default=1.0, help="by how much days state too small a sigma")
+    parser.add_argument("--seed", type=int, default=1)
     asked = parser.parse_args()
-    for name, case in CASES.items():
-        rng = np.random.default_rng(1)
-        total: Counter[str] = Counter()
-        for _ in range(asked.networks):
-            total += alarms(network(rng, case(rng)))
-        years = asked.networks * CAMERAS
-        rates = {cause: round(count / years, 3) for cause, count in sorted(total.items())}
-        false = round(sum(rate for cause, rate in rates.items() if cause != "slow_turn"), 2)
-        print(json.dumps({"case": name, "camera_years": years, "a_camera_year": rates, "alarms": false}), flush=True)
-        injections(name, case, asked.injected)
+    pooled, sure = Counter[tuple[int, str, str]](), list[tuple[float, bool]]()
+    for cameras in asked.cameras:
+        for case, extra_of in CASES.items():
+            for change, size_of in CHANGES.items():
+                rng = np.random.default_rng([asked.seed, cameras])
+                counts = Counter[str]()
+                for _ in range(asked.networks):
+                    extra = extra_of(rng, cameras)
+                    if size_of is not None:
+                        extra[: asked.changed, CHANGED:] += size_of(rng)
+                    changed = asked.changed if size_of is not None else 0
+                    said, of_network = named(network(rng, extra, understated=asked.understated), changed, change)
+                    counts.update(said)
+                    sure += of_network
+                shares = {what: round(n / asked.networks, 2) for what, n in sorted(counts.items())}
+                print(json.dumps({"cameras": cameras, "case": case, "change": change} | shares), flush=True)
+                which = "none" if size_of is None else "one"
+                pooled.update({(cameras, which, what): n for what, n in counts.items()})
+                pooled[cameras, which, "networks"] += asked.networks
+    for (cameras, which, what), n in sorted(pooled.items()):
+        print(json.dumps({"cameras": cameras, "changed": which, what: n}))
+    edges = (0.0, 0.5, 0.8, 0.95, 0.99, 1.01)
+    for low, high in pairwise(edges):
+        right = [truth for stated, truth in sure if low <= stated < high]
+        if right:
+            print(json.dumps({"confidence": [low, high], "named": len(right), "cause right": round(np.mean(right), 2)}))
 
 
 if __name__ == "__main__":

@@ -70,12 +70,14 @@ def test_an_alarm_of_a_cross_check_is_in_the_headline_the_table_and_its_own_rows
     shown = [(row[0], row[9]) for row in cells(page.page, "cameras")]
     assert shown == [("roof", "! clock, clock by clouds"), ("mast", "✓ nothing"), ("gate", "· slow turn")]
     assert page.page.locator("#map .degraded").count() == 1
+    assert "clock 2.12 ± 0.11 s ahead since 2026-05-09: 3 neighbours agree" in cells(page.page, "cameras")[0][2]
     wrong, slow = cells(page.page, "checks")
     assert wrong == [
-        "roof", "! clock, clock by clouds", "2026-05-09", "2.12 ± 0.11 s", "0.00883 ± 0.00047°", "0.0009 ± 0.002°",
-        "2.4 ± 0.4 s", "gate",
+        "roof", "! clock, clock by clouds", "2026-05-09", "3 of 4, 0.98", "2.12 ± 0.11 s",
+        "0.00883 ± 0.00047°", "0.0009 ± 0.002°",
+        "2.4 ± 0.4 s", "gate, mast, yard, pole",
     ]  # fmt: skip
-    assert (slow[0], slow[1], slow[6]) == ("gate", "· slow turn", "–")
+    assert (slow[0], slow[1], slow[7]) == ("gate", "· slow turn", "–")
     assert re.findall(r"\d+", page.page.inner_text("#checks-about")) == ["2026", "05", "14", "3", "1"]
     assert page.complaints == []
     assert all(asked.startswith(address) for asked in page.asked)

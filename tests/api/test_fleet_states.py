@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, date, datetime, timedelta
 from typing import Any
 
 import pytest
 
 from sunarc.api.fleet_states import LARGEST_DRIFT_DEG, LARGEST_SIGMA_DEG, LEAST_DISK_BYTES, SILENT, members
 from sunarc.archive.fleet.feed_rows import FleetCamera
+from sunarc.archive.fleet.nightly import CrossCheck, CrossChecks
 
 NOON = datetime(2026, 6, 1, 18, 30, tzinfo=UTC)  # at 97.5° west
 GOOD = FleetCamera(
@@ -65,6 +66,36 @@ def test_a_camera_at_all_limits_is_ready() -> None:
 )
 def test_each_thing_that_is_wrong_is_named(changes: dict[str, Any], state: str, codes: list[str]) -> None:
     assert judged(**changes) == (state, codes)
+
+
+CHECK = CrossCheck(camera="roof", neighbours=("gate", "mast", "yard"), n_days=40, found=(), since=date(2026, 5, 20))
+OF_CLOUDS: dict[str, Any] = {"found": ("clock_by_clouds",), "cloud_clock_s": 45.0, "cloud_clock_sigma_s": 8.0}
+
+
+@pytest.mark.parametrize(
+    ("shown", "days_ago", "codes", "words"),
+    [
+        ({"found": ()}, 0, [], ()),
+        ({"found": ("slow_turn",)}, 0, [], ()),
+        ({"found": ("unconfirmed",), "agreeing": 2}, 0, [], ()),
+        ({"found": ("clock",), "clock_s": 2.1, "clock_sigma_s": 0.2}, 0, ["clock"], ("2.1 ± 0.2 s", "3", "0.98")),
+        ({"found": ("longitude",), "longitude_deg": 0.01, "longitude_sigma_deg": 0.001}, 3, ["longitude"], ("0.01 ±",)),
+        ({"found": ("north",), "north_deg": 0.1, "north_sigma_deg": 0.002}, 0, ["north"], ("0.1 ± 0.002°",)),
+        ({"found": ("moved",), "rotation_deg": (0.03, 0.0, 0.04)}, 0, ["moved"], ("0.05°", "2026-05-20")),
+        (OF_CLOUDS, 0, ["clock_by_clouds"], ("45 ± 8 s",)),
+        ({"found": ("north",), "north_deg": 0.1, "north_sigma_deg": 0.002}, 4, [], ()),
+        ({"found": ("north",), "north_deg": 0.1, "north_sigma_deg": 0.002, "camera": "gate"}, 0, [], ()),
+    ],
+)
+def test_what_neighbours_agree_on_is_a_reason_with_its_size_and_probability(
+    shown: dict[str, Any], days_ago: int, codes: list[str], words: tuple[str, ...]
+) -> None:
+    check = replace(CHECK, **{"agreeing": 3, "confidence": 0.98} | shown)
+    crossed = CrossChecks(night=date(2026, 5, 30), time=NOON - timedelta(days=days_ago), checks=(check,))
+    (member,) = members((GOOD,), NOON, crossed)
+    assert [one.code for one in member.why] == [f"neighbours_{code}" for code in codes]
+    assert member.state == ("degraded" if codes else "ready")
+    assert all(word in member.why[0].text for word in words)
 
 
 @pytest.mark.parametrize(

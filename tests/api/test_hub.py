@@ -350,8 +350,10 @@ CHECKS = (
     CrossCheck(camera="mast", neighbours=("roof", "gate"), n_days=34, found=()),
     CrossCheck(
         camera="roof",
-        neighbours=("gate",),
+        neighbours=("gate", "mast", "yard", "pole"),
         n_days=33,
+        agreeing=3,
+        confidence=0.98,
         found=("clock", "clock_by_clouds"),
         since=date(2026, 5, 9),
         clock_s=2.12,
@@ -391,12 +393,15 @@ def test_cross_checks_of_the_newest_night_that_made_some_are_answered_alarms_fir
         2.12,
         0.113,
         "2026-05-09",
-        ["gate"],
+        ["gate", "mast", "yard", "pole"],
     )
     assert [one["camera"] for one in hub.client.get("/v1/cross-checks?camera=mast").json()["checks"]] == ["mast"]
     assert hub.archive.nightly.cross_checks().checks == (CHECKS[2], CHECKS[0], CHECKS[1])
     assert [one.alarms for one in hub.archive.nightly.cross_checks().checks] == [("clock", "clock_by_clouds"), (), ()]
     assert 'sunarc_fleet_cross_check{camera="roof",found="clock"} 1.0' in hub.client.get("/metrics").text
+    (listed,) = hub.client.get("/v1/fleet").json()["cameras"]
+    assert listed["state"] == "silent"
+    assert [one["code"] for one in listed["why"]] == ["silent", "neighbours_clock", "neighbours_clock_by_clouds"]
 
 
 def test_a_failed_night_is_a_reason_in_readyz(tmp_path: Path) -> None:

@@ -69,6 +69,8 @@ def test_what_neighbours_show_is_printed(sunarc: Sunarc, config: Path, monkeypat
         neighbours=("gate", "mast"),
         n_days=34,
         found=("clock",),
+        agreeing=3,
+        confidence=0.97,
         since=date(2026, 6, 26),
         clock_s=2.1,
         clock_sigma_s=0.2,
@@ -81,6 +83,7 @@ def test_what_neighbours_show_is_printed(sunarc: Sunarc, config: Path, monkeypat
     shown = sunarc("hub", "cross-checks", *options)
     assert shown.code == 1
     assert "2.1 ± 0.2" in shown.out
+    assert "0.97" in shown.out
 
 
 def test_a_hub_takes_its_own_settings_and_refuses_unknown_ones(sunarc: Sunarc, config: Path) -> None:

@@ -9,9 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 from tests.cross_checks.cameras import Wrong, neighbours
 
-from sunarc.array_types import FloatArray
+from sunarc.array_types import FloatArray, picked
 from sunarc.calibration.changes.daily_rotations import DailyRotations, RotationStep, daily_rotations
-from sunarc.cross_checks.rotation_steps import StepSize, explain_step, find_steps, rotation_of_site
+from sunarc.calibration.evidence import DAYS_GAIN
+from sunarc.cross_checks.rotation_steps import StepSize, agreeing, explain_step, find_steps, rotation_of_site
 from sunarc.sky.site import Site, pole_enu
 from sunarc.sky.sun import sun_directions
 
@@ -124,6 +125,43 @@ def test_what_drifts_is_no_step() -> None:
         steps = [find_steps([days_of(noise(rng, DAYS) + drift, DAYS)])[0] for drift in (slow, walk)]
         found += sum(explain_step(step, before=SITE, after=SITE).cause != "slow_turn" for step in steps if step)
     assert found <= 2  # of 80
+
+
+@pytest.mark.parametrize(
+    ("changed", "cameras", "agree"),
+    [
+        ({0}, 2, 0),
+        ({0}, 3, 2),
+        ({0}, 4, 3),
+        ({0}, 6, 5),
+        ({0, 1, 2}, 6, 0),  # half of all: which half is not known
+        ({0, 1}, 6, 4),
+        ({1}, 6, 0),  # another's change
+        ({1, 2, 3}, 4, 3),  # all others alike: that is not told from its own
+    ],
+)
+def test_a_change_is_the_cameras_own_where_most_others_show_it_each_by_itself(
+    changed: set[int], cameras: int, agree: int
+) -> None:
+    rng = np.random.default_rng(14)
+    size = (DAYS >= 25)[:, None] * np.array([0.0, 0.03, 0.04])
+    days = [days_of(noise(rng, DAYS) + (size if k in changed else 0.0), DAYS) for k in range(cameras)]
+    step = find_steps([days_of(noise(rng, DAYS) + size * (1.0 if 0 in changed else -1.0), DAYS)])[0]
+    assert step is not None
+    assert agreeing(days, 0, step) == agree
+    few = [picked(one, one.day >= 22.0) for one in days[1:]]
+    assert agreeing([days[0], *few], 0, step) == 0  # three days before it
+
+
+def test_the_confidence_falls_where_causes_are_alike() -> None:
+    clear, alike = step_of([0.0, 0.0, 0.1]), step_of([0.0, 0.0, 0.1])
+    polar = Site(latitude=75.0, longitude=0.0)
+    sure = explain_step(clear, before=SITE, after=SITE)
+    unsure = explain_step(replace(alike, covariance_deg2=100.0 * COVARIANCE), before=polar, after=polar)
+    assert sure.confidence > 0.99
+    assert 0.2 < unsure.confidence < 0.9
+    faint = explain_step(replace(step_of([0.06, 0.05, -0.06]), gain=DAYS_GAIN), before=SITE, after=SITE)
+    assert faint.confidence < 0.5
 
 
 def test_what_all_cameras_do_is_none_of_them() -> None:

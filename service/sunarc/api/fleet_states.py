@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, get_args
 import numpy as np
 
 from sunarc.archive.fleet.feed_rows import FleetCamera
+from sunarc.archive.fleet.nightly import CrossCheck, CrossChecks
 from sunarc.json_fields import Returned, described
 from sunarc.sky.days import solar_date
 from sunarc.sky.site import Site
@@ -25,6 +26,9 @@ LARGEST_DRIFT_DEG = 0.25
 """Of a camera against its calibration."""
 LEAST_DISK_BYTES = 100e6
 """Of a disk that is not full: imagers remove images when 1200 MB are left."""
+_CROSSED = timedelta(days=3)
+"""What neighbours showed in a night before is no reason any more."""
+NO_CHECKS = CrossChecks(night=None, time=None, checks=())
 _SUN_UP = math.sin(math.radians(10.0))
 """From this elevation on a camera is to have looked at the sun, seen or not."""
 _SOONEST_S = 2 * 3600.0
@@ -52,14 +56,23 @@ class FleetMember(FleetCamera):
     why: Annotated[tuple[FleetReason, ...], described("Why it is not ready, the worst first; empty: it is.")] = ()
 
 
-def members(cameras: tuple[FleetCamera, ...], now: datetime) -> list[FleetMember]:
-    """Return cameras with their states, the worst first; of one state, the most uncertain first."""
+def members(cameras: tuple[FleetCamera, ...], now: datetime, crossed: CrossChecks = NO_CHECKS) -> list[FleetMember]:
+    """Return cameras with their states, the worst first; of one state, the most uncertain first.
+
+    Parameters
+    ----------
+    cameras, now : what the hub knows of them, and real time.
+    crossed : what neighbours showed in the last night.
+    """
     names = [one.name for one in fields(FleetCamera)]
+    is_new = crossed.time is not None and now - crossed.time <= _CROSSED
+    checks = {one.camera: one for one in crossed.checks} if is_new else {}
     found = []
     for camera in cameras:
-        of_state = list(_reasons(camera, now))
+        check = checks.get(camera.camera)
+        of_state = [*_reasons(camera, now), *(_shown(check) if check is not None else ())]
         order = sorted(of_state, key=lambda one: get_args(State).index(one[0]))
-        state = order[0][0] if order else "ready"
+        state: State = order[0][0] if order else "ready"
         values = {name: getattr(camera, name) for name in names}
         found.append(FleetMember(**values, state=state, why=tuple(reason for _, reason in order)))
     order_of = get_args(State).index
@@ -120,6 +133,28 @@ def _found(camera: FleetCamera, now: datetime) -> Iterator[tuple[State, FleetRea
         seen = "none" if newest is None else f"{newest:%Y-%m-%d}"
         text = f"newest sighting {seen}, the sun was up on {since.isoformat()}"
         yield "degraded", FleetReason(code="no_sighting", text=text)
+
+
+def _shown(check: CrossCheck) -> Iterator[tuple[State, FleetReason]]:
+    """Yield what neighbours show of a camera: a cause with its size and its probability."""
+    for cause in check.alarms:
+        if cause == "clock_by_clouds":
+            text = f"clock {_measured(check.cloud_clock_s, check.cloud_clock_sigma_s, ' s')} ahead by edges of clouds"
+        else:
+            clock = _measured(check.clock_s, check.clock_sigma_s, " s")
+            longitude = _measured(check.longitude_deg, check.longitude_sigma_deg, "°")
+            size = {
+                "clock": f"clock {clock} ahead",
+                "longitude": f"longitude stated {longitude} too far east",
+                "north": f"north turned by {_measured(check.north_deg, check.north_sigma_deg, '°')}",
+            }.get(cause, f"{cause.replace('_', ' ')} by {math.hypot(*(check.rotation_deg or ())):.3g}°")
+            sure = "" if check.confidence is None else f", probability {check.confidence:.2f}"
+            text = f"{size} since {check.since}: {check.agreeing} neighbours agree{sure}"
+        yield "degraded", FleetReason(code=f"neighbours_{cause}", text=text)
+
+
+def _measured(size: float | None, sigma: float | None, unit: str) -> str:
+    return "" if size is None or sigma is None else f"{size:.3g} ± {sigma:.2g}{unit}"
 
 
 def _solar_date(time: datetime, longitude: float) -> date:

@@ -101,7 +101,7 @@ def fleet_states(archive: Archive, now: Callable[[], datetime]) -> Callable[[], 
                 calibrated_at=camera.calibrated_at,
                 sky_rms_deg=camera.sky_rms_deg,
             )
-            for camera in members(tuple(known), now())
+            for camera in members(tuple(known), now(), archive.nightly.cross_checks())
         }
 
     return states

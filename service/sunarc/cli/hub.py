@@ -127,10 +127,11 @@ def _line(one: CrossCheck) -> str:
         ("north", one.north_deg, one.north_sigma_deg, "°"),
         ("clock by clouds", one.cloud_clock_s, one.cloud_clock_sigma_s, " s"),
     )
+    sure = "" if one.confidence is None else f", {one.agreeing} neighbours agree, probability {one.confidence:.2f}"
     shown = [
         f"{name} {size:.3g} ± {sigma:.2g}{unit}"
         for name, size, sigma, unit in sizes
         if size is not None and sigma is not None
     ]
     beside = f"{one.n_days} days beside {', '.join(one.neighbours)}"
-    return f"{one.camera}: {', '.join(one.found) or 'nothing'}{since}; " + "; ".join([*shown, beside])
+    return f"{one.camera}: {', '.join(one.found) or 'nothing'}{since}{sure}; " + "; ".join([*shown, beside])

@@ -13,7 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sunarc.array_types import FloatArray, picked
-from sunarc.calibration.changes.daily_rotations import DailyRotations, RotationStep, find_change, is_recent
+from sunarc.calibration.changes.daily_rotations import (
+    DailyRotations,
+    RotationStep,
+    as_shown,
+    find_change,
+    is_recent,
+)
 from sunarc.calibration.changes.values import Cause
 from sunarc.calibration.evidence import DAYS_GAIN, RARER, Weighed, log_marginal, most_probable
 from sunarc.sky.days import SECONDS_PER_DEGREE
@@ -23,6 +29,10 @@ from sunarc.sky.site import Site, pole_enu
 _UP = np.array([0.0, 0.0, 1.0])
 _FEWEST_OTHERS = 2
 """Of two cameras that differ none is the one that is wrong."""
+FEWEST_AGREEING = 3
+"""Others that must show a camera's change, each by itself, for the camera to be named."""
+_SHARE, _LEAST_SHOWN = 0.5, 3.0
+"""By how much of its size a change may be another one beside another camera, and its least gain there."""
 _SIZE_DEG = 0.1
 """1-sigma of a change about each axis before it is seen: a blow, a camera put straight, 24 s of a clock."""
 _RARER_MOVED, _RARER_NAMED = 2.0, 3.0
@@ -36,12 +46,14 @@ class StepSize:
 
     Attributes
     ----------
+    confidence : the probability of that cause among all that were weighed, no change among them.
     change : what was explained: the step, or the slow turn in its place.
     clock_s, longitude_deg : by how much the clock went ahead, or the stated longitude to the east: the same rotation.
     north_deg : by how much the camera turned about the vertical, counter-clockwise as seen from above.
     """
 
     cause: Cause
+    confidence: float
     change: RotationStep
     clock_s: float
     clock_sigma_s: float
@@ -70,13 +82,18 @@ def explain_step(step: RotationStep, *, before: Site, after: Site) -> StepSize:
     """
     changes = [step] if step.slower is None else [step, step.slower]
     weighed = [one for change in changes for one in _explanations(change, before, after)]
-    cause, change = most_probable(weighed).explanation
+    best = most_probable(weighed)
+    cause, change = best.explanation
+    of_cause = [one.log_evidence - one.rarer for one in weighed if one.explanation[0] == cause]
+    of_others = [one.log_evidence - one.rarer for one in weighed if one.explanation[0] != cause]
+    against = np.logaddexp.reduce([*of_others, DAYS_GAIN]) - np.logaddexp.reduce(of_cause)
     size = change.rotation_deg
     information = np.asarray(np.linalg.inv(change.covariance_deg2), dtype=np.float64)
     pole, pole_sigma = _about(size, information, pole_enu(before))
     north, north_sigma = _about(size, information, _UP)
     return StepSize(
         cause=cause,
+        confidence=float(np.exp(-np.logaddexp(0.0, against))),
         change=change,
         clock_s=-SECONDS_PER_DEGREE * pole,
         clock_sigma_s=SECONDS_PER_DEGREE * pole_sigma,
@@ -147,6 +164,34 @@ def find_steps(cameras: Sequence[DailyRotations], *, min_gain: float = DAYS_GAIN
         found[first] = clear[first]
         remaining[first] = _without(remaining[first], clear[first])
     return tuple(None if step is None or is_recent(step) else step for step in found)
+
+
+def agreeing(cameras: Sequence[DailyRotations], number: int, change: RotationStep) -> int:
+    """Return how many others show a camera's change, each by itself; 0 where they are no more than half of all.
+
+    What differs between two cameras is either's: a change is the camera's own where its difference from others has it
+    in about its whole size. What many cameras do alike, others than this one, is not told from it.
+    """
+    n_shown, n_compared = 0, 0
+    change = change.likeliest
+    weighed = np.linalg.solve(change.covariance_deg2, change.rotation_deg)
+    for one in [other for k, other in enumerate(cameras) if k != number]:
+        shown = as_shown(_difference(cameras[number], one), change)
+        if shown is not None:
+            share = float(weighed @ shown.rotation_deg) / float(weighed @ change.rotation_deg)
+            n_shown += abs(share - 1.0) < _SHARE and shown.gain > _LEAST_SHOWN
+            n_compared += 1
+    return n_shown if 2 * n_shown > n_compared + 1 else 0
+
+
+def _difference(one: DailyRotations, other: DailyRotations) -> DailyRotations:
+    """Return by how much more one camera stood turned than another, on the days that both show."""
+    day, here, there = np.intersect1d(one.day, other.day, return_indices=True)
+    return DailyRotations(
+        day=day,
+        rotation_deg=one.rotation_deg[here] - other.rotation_deg[there],
+        covariance_deg2=one.covariance_deg2[here] + other.covariance_deg2[there],
+    )
 
 
 def _without(one: DailyRotations, step: RotationStep) -> DailyRotations:

@@ -20,7 +20,7 @@ from sunarc.calibration.changes.daily_rotations import DailyRotations, RotationS
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
 from sunarc.cross_checks.clocks import ClockOffsets, Lag, clock_offsets
 from sunarc.cross_checks.cloud_edges import SunSeries, cloud_lag
-from sunarc.cross_checks.rotation_steps import StepSize, explain_step, find_steps
+from sunarc.cross_checks.rotation_steps import FEWEST_AGREEING, StepSize, agreeing, explain_step, find_steps
 from sunarc.optics.inverse import unproject
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import StatusRegistry
@@ -102,10 +102,12 @@ class _Reading:
         return [sites[index] for index in np.searchsorted(since, unix_s, side="right").tolist()]
 
     def _rotations(self, camera: CameraRecord) -> DailyRotations:
-        """Return how a camera stood turned on each day against its current calibration."""
+        """Return how a camera stood turned on each day of its pose epoch against its current calibration."""
         model = self.archive.calibrations.current_model(camera.name)
+        epochs = self.archive.epochs.find(camera.name)  # a turn that the imager found itself is nobody else's to find
+        since = max([self.now - _DAYS, *(one.started_at for one in epochs)])
         columns = self.archive.sightings.columns(
-            camera.name, since=self.now - _DAYS, until=self.now, largest_clock_error_s=MAX_CLOCK_ERROR_S
+            camera.name, since=since, until=self.now, largest_clock_error_s=MAX_CLOCK_ERROR_S
         )
         day = solar_days(columns.unix_s, longitude=camera.longitude)
         expected = np.full((len(day), 3), np.nan)
@@ -160,13 +162,16 @@ def _check(reading: _Reading, group: Sequence[CameraRecord]) -> CrossCheck:
     rotations = [reading.rotations(one) for one in group]
     step = find_steps(rotations)[0]
     clocks = _clocks(reading, group)
-    found = _step_fields(reading, group[0], step) if step is not None else {}
-    causes: list[Found] = [found.pop("cause")] if step is not None else []
+    found, causes = dict[str, Any](), list[Found]()
+    if step is not None:
+        found = _step_fields(reading, group[0], step) | {"agreeing": agreeing(rotations, 0, step)}
+        cause: Found = found.pop("cause")
+        causes.append(cause if found["agreeing"] >= FEWEST_AGREEING else "unconfirmed")
     offset, sigma = float(clocks.offset_s[0]), float(clocks.sigma_s[0])
     if math.isfinite(offset):
         found |= {"cloud_clock_s": offset, "cloud_clock_sigma_s": sigma}
         sigmas = np.nan_to_num(np.abs(clocks.offset_s / clocks.sigma_s))
-        if sigmas[0] > _CLOCK_SIGMAS and np.argmax(sigmas) == 0:
+        if sigmas[0] > _CLOCK_SIGMAS and np.argmax(sigmas) == 0 and _shown_by_clouds(reading, group, offset):
             causes.append("clock_by_clouds")
     return CrossCheck(
         camera=group[0].name,
@@ -175,6 +180,14 @@ def _check(reading: _Reading, group: Sequence[CameraRecord]) -> CrossCheck:
         found=tuple(causes),
         **found,
     )
+
+
+def _shown_by_clouds(reading: _Reading, group: Sequence[CameraRecord], offset_s: float) -> bool:
+    """Return whether enough others, and more than half of the group, have lags of about the offset."""
+    lags = [reading.lags(group[0], one) for one in group[1:]]
+    shares = [-float(np.median([lag_s for _, lag_s, _ in of_pair])) / offset_s for of_pair in lags if of_pair]
+    n_shown = sum(abs(share - 1.0) < 0.5 for share in shares)
+    return n_shown >= FEWEST_AGREEING and 2 * n_shown > len(shares) + 1
 
 
 def _clocks(reading: _Reading, group: Sequence[CameraRecord]) -> ClockOffsets:

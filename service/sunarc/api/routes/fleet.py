@@ -55,7 +55,7 @@ def fleet_routes(
     def fleet() -> Fleet:
         """Return every camera of the fleet: its site, when it last sent something, and its state."""
         time = now()
-        return Fleet(time=time, cameras=members(archive.feeds.fleet(), time))
+        return Fleet(time=time, cameras=members(archive.feeds.fleet(), time, archive.nightly.cross_checks()))
 
     @routes.get("/v1/quarantine")
     def quarantine(
@@ -149,11 +149,11 @@ class FleetCollector(Collector):
         for name, meaning, value_of in _NUMBERS:
             known: Labelled = {(one.camera,): value for one in cameras if (value := value_of(one)) is not None}
             yield labelled(f"sunarc_fleet_{name}", meaning, ("camera",), known)
-        states: Labelled = {(one.camera, one.state): 1.0 for one in members(cameras, now)}
+        crossed = self._archive.nightly.cross_checks()
+        states: Labelled = {(one.camera, one.state): 1.0 for one in members(cameras, now, crossed)}
         yield labelled("sunarc_fleet_state", "1 for the camera's state.", ("camera", "state"), states)
-        checks = self._archive.nightly.cross_checks().checks
-        crossed: Labelled = {(check.camera, found): 1.0 for check in checks for found in check.found}
-        yield labelled("sunarc_fleet_cross_check", "1 for what neighbours show of it.", ("camera", "found"), crossed)
+        shown: Labelled = {(check.camera, found): 1.0 for check in crossed.checks for found in check.found}
+        yield labelled("sunarc_fleet_cross_check", "1 for what neighbours show of it.", ("camera", "found"), shown)
         yield from push_metrics(self._archive)
 
 

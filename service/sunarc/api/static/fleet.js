@@ -8,11 +8,9 @@ const MANY = 20;
 const SIGNS = { silent: "✕", not_ready: "✕", degraded: "!", quarantine: "!", uncalibrated: "…", ready: "✓" };
 const [WIDTH, HEIGHT, MARGIN] = [400, 300, 30];
 
-// States that are worse than what neighbours show.
-const FIRST = ["silent", "not_ready", "degraded"];
 // What neighbours show and nobody has to correct; the other words are alarms.
-const NO_ALARM = "slow_turn";
-const alarmed = (check) => check.found.some((word) => word !== NO_ALARM);
+const NO_ALARMS = ["slow_turn", "unconfirmed"];
+const alarmed = (check) => check.found.some((word) => !NO_ALARMS.includes(word));
 
 function row(...cells) {
   const line = node("tr");
@@ -22,6 +20,7 @@ function row(...cells) {
 
 // A value that is zero within its error is shown all the same: an absence is an answer.
 const measured = (value, sigma, unit) => (value === null ? "–" : `${telling(value)} ± ${Number(sigma.toPrecision(2))}${unit}`);
+const agreed = (check) => (check.since ? `${check.agreeing} of ${check.neighbours.length}, ${fixed(check.confidence, 2)}` : "–");
 const words = (check) => check.found.join(", ").replaceAll("_", " ");
 
 function mark(check) {
@@ -33,7 +32,7 @@ function ofCheck(c) {
   const name = node("th", c.camera);
   name.scope = "row";
   return row(
-    name, mark(c), c.since ?? "–", measured(c.clock_s, c.clock_sigma_s, " s"), measured(c.longitude_deg, c.longitude_sigma_deg, "°"),
+    name, mark(c), c.since ?? "–", agreed(c), measured(c.clock_s, c.clock_sigma_s, " s"), measured(c.longitude_deg, c.longitude_sigma_deg, "°"),
     measured(c.north_deg, c.north_sigma_deg, "°"), measured(c.cloud_clock_s, c.cloud_clock_sigma_s, " s"), c.neighbours.join(", "),
   );
 }
@@ -50,7 +49,7 @@ function ofCamera(c, now, check) {
 }
 
 // Cameras by longitude and latitude, one scale for both at their mean latitude.
-function drawMap(cameras, wrong) {
+function drawMap(cameras) {
   const placed = cameras.filter((c) => c.latitude !== null && c.longitude !== null);
   const east = (c) => c.longitude * Math.cos((placed[0].latitude * Math.PI) / 180);
   const xs = placed.map(east), ys = placed.map((c) => c.latitude);
@@ -58,18 +57,15 @@ function drawMap(cameras, wrong) {
   const scale = (WIDTH - 2 * MARGIN) / span;
   $("map").replaceChildren(...placed.flatMap((c, i) => {
     const x = MARGIN + (xs[i] - Math.min(...xs)) * scale, y = HEIGHT - MARGIN - (ys[i] - Math.min(...ys)) * scale;
-    const [kind, sign] = wrong(c) && !FIRST.includes(c.state) ? ["degraded", "!"] : [c.state, SIGNS[c.state]];
-    const named = placed.length <= MANY || kind !== "ready";
-    return [element("circle", { class: kind, cx: x, cy: y, r: 5 }), ...(named ? [element("text", { x: x + 7, y: y + 4 }, `${sign} ${c.camera}`)] : [])];
+    const named = placed.length <= MANY || c.state !== "ready";
+    return [element("circle", { class: c.state, cx: x, cy: y, r: 5 }), ...(named ? [element("text", { x: x + 7, y: y + 4 }, `${SIGNS[c.state]} ${c.camera}`)] : [])];
   }));
 }
 
 function showAll(fleet, quarantine, crossed) {
   const checks = new Map(crossed.checks.map((check) => [check.camera, check]));
-  const wrong = (c) => checks.has(c.camera) && alarmed(checks.get(c.camera));
-  const rank = (c) => (FIRST.includes(c.state) ? 0 : wrong(c) ? 1 : c.state !== "ready" ? 2 : 3);
-  const cameras = [...fleet.cameras].sort((a, b) => rank(a) - rank(b));
-  const bad = cameras.filter((c) => c.state !== "ready" || wrong(c)).length;
+  const cameras = fleet.cameras;
+  const bad = cameras.filter((c) => c.state !== "ready").length;
   $("health").dataset.health = bad ? "degraded" : "ready";
   $("verdict").textContent = bad ? `! ${bad} of ${fleet.cameras.length} need a look` : `✓ ${fleet.cameras.length} cameras`;
   $("headline").textContent = `at ${moment(fleet.time)} UTC`;
@@ -80,7 +76,7 @@ function showAll(fleet, quarantine, crossed) {
     ? `night of ${crossed.night}: ${crossed.checks.length} cameras compared with neighbours, ${crossed.checks.filter(alarmed).length} with an alarm` : "none yet";
   $("quarantine").replaceChildren(...quarantine.rows.map((q) => row(q.camera, q.reason, q.text, String(q.n), moment(q.last_at))));
   ["cameras", "checks", "quarantine"].forEach(nameCells);
-  drawMap(cameras, wrong);
+  drawMap(cameras);
 }
 
 // On a phone a row is a list of its cells, each with the heading of its column.

@@ -19,8 +19,8 @@ from sunarc.json_fields import EXAMPLE_TIME, Returned, SolarDate, Time, describe
 from sunarc.sky.days import day_bounds_unix_s
 from sunarc.utc import to_microseconds, utc_time
 
-Found = Cause | Literal["clock_by_clouds"]
-NO_ALARMS: frozenset[Found] = frozenset({"slow_turn"})
+Found = Cause | Literal["clock_by_clouds", "unconfirmed"]
+NO_ALARMS: frozenset[Found] = frozenset({"slow_turn", "unconfirmed"})
 """What is found and is nothing that somebody has to correct."""
 
 
@@ -35,9 +35,14 @@ class CrossCheck(Returned):
         tuple[Found, ...],
         described(
             "What is wrong or changed; empty: nothing. `clock_by_clouds`: edges of clouds come early or late. "
-            "`slow_turn` alone is no alarm."
+            "`unconfirmed`: a change that fewer than three neighbours show, or no more than half of all. This and "
+            "`slow_turn` are no alarms."
         ),
     ]
+    agreeing: Annotated[int, described("Neighbours of which each shows it by itself, a count.", 5)] = 0
+    confidence: Annotated[
+        float | None, described("Probability of the cause among all that were weighed, no change among them.", 0.98)
+    ] = None
     since: Annotated[date | None, described("First solar date after a step of its rotation.", "2026-06-26")] = None
     clock_s: Annotated[float | None, described("The step, as a clock that is ahead, s; the same as:", 2.1)] = None
     clock_sigma_s: Annotated[float | None, described("Its 1-sigma, s.", 0.2)] = None
@@ -216,10 +221,11 @@ class NightlyStore(Part):
 
     def cross_checks(self) -> CrossChecks:
         """Return the cross-checks of the newest night that made some."""
-        for run in self.runs(limit=_NIGHTS):
-            checks = checks_from_json(run.results.get("cross_checks"))
-            if checks is not None:
-                return CrossChecks(night=run.night, time=run.started_at, checks=checks)
+        for limit in (1, _NIGHTS):  # the newest has them, but while it runs, or where it failed
+            for run in self.runs(limit=limit):
+                checks = checks_from_json(run.results.get("cross_checks"))
+                if checks is not None:
+                    return CrossChecks(night=run.night, time=run.started_at, checks=checks)
         return CrossChecks(night=None, time=None, checks=())
 
 

@@ -12,7 +12,7 @@ turn that goes on for days, as that of a mast that settles.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_solve, cholesky
@@ -194,9 +194,7 @@ def find_change(days: DailyRotations, min_gain: float) -> RotationStep | None:
             day=float(days.day[first]),
             last_day=float(days.day[-1]),
             settling_days=float(tried.settling_days[best]),
-            rotation_deg=axes @ np.array([fit.size[best] for fit in fits]),
-            covariance_deg2=axes @ np.diag([fit.variance[best] for fit in fits]) @ axes.T,
-            gain=float(gain[best]),
+            **_size(axes, fits, best),
             n_before=first,
             n_after=n - first,
         )
@@ -209,6 +207,16 @@ def find_change(days: DailyRotations, min_gain: float) -> RotationStep | None:
     if step.gain >= min_gain:
         return replace(step, slower=turn)
     return turn if turn.gain >= min_gain else None
+
+
+def as_shown(days: DailyRotations, change: RotationStep) -> RotationStep | None:
+    """Return a change that was found elsewhere, with its size and gain by these days; None where they are too few."""
+    n_before = int(np.searchsorted(days.day, change.day))
+    n_after = len(days.day) - n_before
+    if min(n_before, n_after) < _FEWEST_AFTER:
+        return None
+    axes, fits = _fitted(days, change.progress(days.day)[:, None])
+    return replace(change, **_size(axes, fits, 0), n_before=n_before, n_after=n_after, slower=None)
 
 
 def step_gains(days: DailyRotations) -> FloatArray:
@@ -289,6 +297,15 @@ def _component(day: FloatArray, rotation: FloatArray, variance: FloatArray, prog
     column = np.arange(progress.shape[1])
     gain = likelihood[best, column] - max(none)
     return _Fits(gain, np.array(sizes)[best, column], np.array(spreads)[best, column])
+
+
+def _size(axes: FloatArray, fits: list[_Fits], number: int) -> dict[str, Any]:
+    """Return size, covariance and gain of one of the changes that were fitted, by name."""
+    return {
+        "rotation_deg": axes @ np.array([fit.size[number] for fit in fits]),
+        "covariance_deg2": axes @ np.diag([fit.variance[number] for fit in fits]) @ axes.T,
+        "gain": float(sum(fit.gain[number] for fit in fits)),
+    }
 
 
 def _limited(rotations: FloatArray) -> FloatArray:
