@@ -1,7 +1,7 @@
 """What was found already: an answer for each image and pass, so that a run goes on where it was.
 
 A database of its own, in the output folder or at an address of SQLAlchemy: it is a cache of what workers answered.
-Another version of the software looks at the images again, so that nothing has to be migrated. Results that rest on many
+Other code of this software looks at the images again, so that nothing has to be migrated. Results that rest on many
 images (states, fits, exports) are kept by a hash of what they were made of.
 """
 
@@ -36,11 +36,10 @@ from sqlalchemy import (
 )
 from sqlalchemy.exc import SQLAlchemyError
 
-import sunarc
 from sunarc.detection.values import Detection
 from sunarc.errors import OutsideError
 from sunarc.findings import Finding, from_json
-from sunarc.reanalysis.look import NamedStars, PackedMask
+from sunarc.reanalysis.look import NamedStars, PackedMask, software
 
 _METADATA = MetaData()
 _ANSWER = Table(
@@ -238,7 +237,7 @@ class Ledger:
         names : of the values: a result takes the place of the former one of its name.
         """
         function = getattr(run, "__name__", "")
-        keys = [content_key((sunarc.__version__, function, one)) for one in given]
+        keys = [content_key((software(), function, one)) for one in given]
         found = [self.result(f"{function} {name}", key) for name, key in zip(names, keys, strict=True)]
         missing = [number for number, one in enumerate(found) if one is None]
         for number, made in zip(missing, make(run, [given[n] for n in missing]) if missing else [], strict=True):

@@ -8,13 +8,14 @@ import math
 import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from functools import partial
-from pathlib import PurePosixPath
+from functools import cache, partial
+from pathlib import Path, PurePosixPath
 from typing import Final, Literal, NamedTuple
 
 import cv2
 import numpy as np
 
+import sunarc
 from sunarc.array_types import BoolArray, Image
 from sunarc.calibration.model.result import Calibration
 from sunarc.detection.exposure_stack import detect_sun_in_stack
@@ -241,6 +242,21 @@ def _as_reflection(found: Detection, item: Item) -> Detection:
     distance = math.hypot(item.found[0] - item.expectation.x_px, item.found[1] - item.expectation.y_px)
     displaced = (Finding("blob_displaced", {"distance_px": distance}),)
     return replace(found, verdict="reflection", findings=displaced)
+
+
+@cache
+def software() -> str:
+    """Return the version of this software with a hash of its code, by which answers are kept."""
+    return f"{sunarc.__version__}+{code_hash(Path(sunarc.__file__).parent)}"
+
+
+def code_hash(folder: Path) -> str:
+    """Return a hash of a package's code: versions in development are many of one name."""
+    hashed = hashlib.blake2b(digest_size=6)
+    for path in sorted(one for one in folder.rglob("*") if one.suffix in {".py", ".so"}):
+        content = path.read_bytes()
+        hashed.update(f"{path.relative_to(folder).as_posix()} {len(content)} ".encode() + content)
+    return hashed.hexdigest()
 
 
 def key_of(parts: Iterable[object]) -> str:

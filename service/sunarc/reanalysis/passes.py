@@ -11,7 +11,6 @@ from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-import sunarc
 from sunarc.array_types import FloatArray
 from sunarc.calibration.answers.covariance import project_with_covariance
 from sunarc.calibration.model.result import Calibration
@@ -22,7 +21,18 @@ from sunarc.findings import Finding
 from sunarc.optics.forward import local_stretch, project
 from sunarc.reanalysis.index import ArchiveImage, CameraImages
 from sunarc.reanalysis.ledger import ANY, ImageId, KeptMask, Known
-from sunarc.reanalysis.look import IN_STACK, Answer, Chunk, Done, Item, NamedStars, PackedMask, key_of, look_at
+from sunarc.reanalysis.look import (
+    IN_STACK,
+    Answer,
+    Chunk,
+    Done,
+    Item,
+    NamedStars,
+    PackedMask,
+    key_of,
+    look_at,
+    software,
+)
 from sunarc.reanalysis.states import Epoch, State
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles, sun_directions
@@ -134,13 +144,13 @@ class Passes(NamedTuple):
 
     def masks(self, cameras: Sequence[CameraImages]) -> list[PackedMask | None]:
         """Return what stands still in each camera's images; what was seen once is kept: all answers rest on it."""
-        kept = [self.ledger.mask(camera.plan.name, version=sunarc.__version__) for camera in cameras]
+        kept = [self.ledger.mask(camera.plan.name, version=software()) for camera in cameras]
         new = [camera for camera, mask in zip(cameras, kept, strict=True) if mask is None]
         moving = [camera for camera in new if _motion_deg(camera) >= _LEAST_MOTION_DEG]
         masks = self.cluster.compute_static_masks(list(map(_spread, moving)))
         found = dict(zip((one.plan.name for one in moving), masks, strict=True))
         for camera in new:
-            self.ledger.keep_mask(camera.plan.name, found.get(camera.plan.name), version=sunarc.__version__)
+            self.ledger.keep_mask(camera.plan.name, found.get(camera.plan.name), version=software())
         return [found.get(one.plan.name) if k is None else k.mask for one, k in zip(cameras, kept, strict=True)]
 
     def search(self, cameras: Sequence[CameraImages], masks: Sequence[PackedMask | None]) -> list[Looked]:
@@ -211,7 +221,7 @@ class Passes(NamedTuple):
         def keep(chunk: Chunk, answers: Sequence[Answer]) -> None:
             nonlocal done
             rows = asked[chunk.camera].answered(chunk, answers)
-            self.ledger.store(chunk.camera, pass_number, rows, version=sunarc.__version__)
+            self.ledger.store(chunk.camera, pass_number, rows, version=software())
             done += len(rows)
             self.progress(title, done, total)
 
@@ -269,9 +279,9 @@ class _Question:
     def _key(self, row: int, item: Item) -> str:
         """Return the hash of all that an answer rests on beside the file."""
         if self._keys is not None:
-            return key_of((sunarc.__version__, self._keys[row]))
+            return key_of((software(), self._keys[row]))
         plan, size = self._camera.plan, self._camera.size
-        return key_of((sunarc.__version__, plan.method, size, item._replace(content=None), self._of_mask))
+        return key_of((software(), plan.method, size, item._replace(content=None), self._of_mask))
 
 
 def kept(found: Detection | NamedStars | Finding) -> Found:

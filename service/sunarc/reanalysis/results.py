@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-import sunarc
 from sunarc.detection.values import Expectation
 from sunarc.errors import InputError, disk_errors
 from sunarc.extras import extra_module, is_installed
@@ -25,7 +24,7 @@ from sunarc.reanalysis.fit import Final, Rough, document_of
 from sunarc.reanalysis.index import CameraImages, Failure, Indexed
 from sunarc.reanalysis.learned_sigma import sigma_factor
 from sunarc.reanalysis.ledger import Ledger, ParallelMap, content_key
-from sunarc.reanalysis.look import IN_STACK, NamedStars
+from sunarc.reanalysis.look import IN_STACK, NamedStars, software
 from sunarc.reanalysis.messages import MESSAGES, sentence_of
 from sunarc.reanalysis.nights import NightsLooked
 from sunarc.reanalysis.passes import PREDICTED, SEARCHED, Found, FoundSun, Looked, id_of, kept
@@ -199,7 +198,7 @@ def _write_detections(folder: Path, results: Sequence[CameraResult], ledger: Led
     for name, one in made.items():
         path, kept_as = folder / name / "detections.parquet", f"detections {folder.absolute()} {name}"
         times = np.array([image.time_us for image in one.looked.images], dtype=np.int64)
-        key = content_key((sunarc.__version__, times, ledger.chunks()))
+        key = content_key((software(), times, ledger.chunks()))
         if not path.is_file() or ledger.result(kept_as, key) is None:
             _write(path, _parquet(_detections(one, ledger)))
             ledger.keep_result(kept_as, key, True)
@@ -416,7 +415,7 @@ def _write_exports(
     for former in folder.glob("*/*"):
         if former.relative_to(folder).as_posix() not in accepted:
             shutil.rmtree(former)
-    keys = {name: content_key((sunarc.__version__, json.dumps(one))) for name, one in accepted.items()}
+    keys = {name: content_key((software(), json.dumps(one))) for name, one in accepted.items()}
     kept = {name: ledger.result(f"exports {folder.absolute()} {name}", key) for name, key in keys.items()}
     new = [name for name, one in kept.items() if one is None or not _is_there(folder / name, one["files"])]
     made = each(exports_of, [accepted[name] for name in new]) if each is not None else []

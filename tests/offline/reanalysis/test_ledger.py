@@ -16,7 +16,7 @@ from sunarc.detection.values import Detection
 from sunarc.errors import OutsideError
 from sunarc.findings import Finding
 from sunarc.reanalysis.ledger import ImageId, KeptMask, Known, Ledger, content_key
-from sunarc.reanalysis.look import pack_mask
+from sunarc.reanalysis.look import code_hash, pack_mask, software
 from sunarc.sky.site import Site
 
 __all__ = ["postgresql"]
@@ -175,3 +175,24 @@ def test_a_ledger_that_others_wrote_runs_nothing_of_theirs(tmp_path: Path, monke
         assert ledger.result("fits roof", "k")["sun"] == SUN
         assert ledger.result("fits roof", "other") is None
     assert not (tmp_path / "ran").exists()
+
+
+def test_the_hash_of_code_differs_with_each_file_of_it_and_with_nothing_else(tmp_path: Path) -> None:
+    package = tmp_path / "package"
+    (package / "room").mkdir(parents=True)
+    (package / "room" / "detector.py").write_text("LIMIT = 3")
+    (package / "kernels.so").write_bytes(b"\x7fELF")
+    before = code_hash(package)
+    (package / "room" / "notes.txt").write_text("nothing")
+    assert code_hash(package) == before
+    found = {before}
+    for change in ("LIMIT = 4", "LIMIT = 3 "):
+        (package / "room" / "detector.py").write_text(change)
+        found.add(code_hash(package))
+    (package / "room" / "detector.py").write_text("LIMIT = 3")
+    (package / "kernels.so").write_bytes(b"\x7fELG")
+    found.add(code_hash(package))
+    (package / "room" / "detector.py").rename(package / "detector.py")
+    found.add(code_hash(package))
+    assert len(found) == 5
+    assert len(software()) <= 40  # of the ledger's column
