@@ -143,7 +143,27 @@ def find_states(points: Sightings, camera: ArchiveCamera, known: Sequence[State]
             refusal = finding or refusal
         else:
             states.append(state)
-    return Found(tuple(states), None if states else refusal)
+    return Found(tuple(_simplified(states, len(known), thin, camera)), None if states else refusal)
+
+
+def _simplified(states: Sequence[State], n_known: int, points: Sightings, camera: ArchiveCamera) -> list[State]:
+    """Return states, those with a lens of their own which a former one explains after all taken as that.
+
+    A state is sought in days among which are those of others: what explains these in part may not explain them all.
+    """
+    found = list(states[:n_known])
+    if len(states) < 2:
+        return list(states)
+    _, path = find_epochs(points, states, camera)
+    for number, state in enumerate(states[n_known:], n_known):
+        own = points.select(np.flatnonzero(path == number))
+        if found and len(own) >= _FEWEST and all(state.lens != one.lens for one in found):
+            posed = _in_other_pose(found, own, camera)
+            free = 1 + max(one.pose for one in (*states, *found))
+            simpler = _with_other_clock(found, own, camera) or (posed and posed._replace(pose=free))
+            state = simpler or state  # noqa: PLW2901 - the same state, said otherwise
+        found.append(state)
+    return found
 
 
 def _thinned(points: Sightings, site: Site) -> tuple[Sightings, IntArray]:

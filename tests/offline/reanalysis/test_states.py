@@ -171,3 +171,17 @@ def test_sightings_anywhere_have_no_state() -> None:
     rough = first_analysis(CameraSightings(anywhere, known(STILL.made.site)))
     assert rough.states == ()
     assert len(rough.findings) == 1
+
+
+def test_a_lens_that_explains_days_of_two_states_in_part_is_that_of_former_ones() -> None:
+    """Of the days that a state is sought in, a known lens by another clock explains two thirds: no other lens is."""
+    changes = (
+        CameraChange(day=5, hour=1.0, turn_deg=(3.0, 0.0, 0.0)),
+        CameraChange(day=7, hour=1.0, turn_deg=(3.0, 0.0, 0.0), focal_scale=1.08),
+    )
+    mixed = truth(changes=changes, wrong_days=tuple(range(3, 11)))
+    mixed = replace(mixed, made=replace(mixed.made, days=11, step_days=1, per_day=18))
+    points, _ = mixed.sightings()
+    rough = first_analysis(CameraSightings(points, known(mixed.made.site)))
+    assert [one.cause for one in rough.epochs] == ["start", "clock", "moved", "lens"]
+    assert len({one.lens for one in rough.states}) == 2
