@@ -3,7 +3,8 @@
 The rule: a sighting is stored with what its detector states times the factor in force, which is that of the method's
 last event `sigma_learned` (1 without). After a run, and after an accepted calibration, all stored sightings and the
 factor in force are multiplied by scatter over stated sigma where these differ by more than 15 %; the factor never falls
-below 1 nor rises above 5.
+below 1 nor rises above 5. The table of sightings of `reanalyse`, where nothing is stored, has a factor for each kind of
+sky (`sigma_of_series`).
 """
 
 from __future__ import annotations
@@ -93,3 +94,40 @@ def sigma_factor(residual: FloatArray, sigma_px: FloatArray, *, in_force: float 
     change = max(robust_sigma(ratio), 1.0 / in_force)
     is_right = 1.0 / _AS_STATED <= change <= _AS_STATED
     return None if is_right or in_force * change > _LARGEST_FACTOR else change
+
+
+_TAILS = 6.0
+"""Robust sigmas that a residual counts as, at most: beyond are false sightings."""
+
+
+def sigma_of_series(residual: FloatArray, sigma_px: FloatArray, sky: Sequence[str]) -> FloatArray:
+    """Return (n,): 1-sigma per axis of the sightings of a series, by what those of their kind of sky scatter.
+
+    It is what is stated times the root mean square of the residuals of all sightings with one verdict and about the
+    same stated sigma (an octave), tails included; of kinds with few sightings, of all of them. It is never made
+    smaller than the detector states: what all sightings of a series have in common does not scatter.
+
+    Parameters
+    ----------
+    residual : (n, 2) px; NaN where no accepted camera says where the sun was.
+    sigma_px : (n,) stated 1-sigma per axis; NaN where not known.
+    sky : (n,) their verdicts.
+    """
+    ratio = np.hypot(residual[:, 0], residual[:, 1]) / sigma_px
+    known = np.isfinite(ratio)
+    factor = np.full(ratio.size, _of_tails(ratio[known]))
+    octave = np.floor(np.log2(np.where(np.isfinite(sigma_px), sigma_px, 1.0)))
+    kinds = np.unique([f"{one} {size}" for one, size in zip(sky, octave, strict=True)], return_inverse=True)[1]
+    for kind in np.unique(kinds):
+        of_kind = kinds == kind
+        if np.count_nonzero(of_kind & known) >= _LEAST_SIGHTINGS:
+            factor[of_kind] = _of_tails(ratio[of_kind & known])
+    return np.asarray(sigma_px * factor)
+
+
+def _of_tails(ratio: FloatArray) -> float:
+    """Return the root mean square of 2-D distances (n,) per axis, 1 at least and of few."""
+    if ratio.size < _LEAST_SIGHTINGS:
+        return 1.0
+    bounded = np.minimum(ratio, _TAILS * robust_sigma(ratio))
+    return max(math.sqrt(0.5 * float(np.mean(bounded**2))), 1.0)

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
+from sunarc.array_types import FloatArray
 from sunarc.detection.values import Expectation
 from sunarc.errors import InputError, disk_errors
 from sunarc.extras import extra_module, is_installed
@@ -22,7 +23,7 @@ from sunarc.findings import Finding
 from sunarc.optics.forward import project
 from sunarc.reanalysis.fit import Final, Rough, document_of
 from sunarc.reanalysis.index import CameraImages, Failure, Indexed
-from sunarc.reanalysis.learned_sigma import sigma_factor
+from sunarc.reanalysis.learned_sigma import sigma_of_series
 from sunarc.reanalysis.ledger import Ledger, ParallelMap, content_key
 from sunarc.reanalysis.look import IN_STACK, NamedStars, software
 from sunarc.reanalysis.messages import MESSAGES, sentence_of
@@ -277,18 +278,18 @@ def _document(result: CameraResult, number: int) -> Document:
 
 def _sightings(result: CameraResult) -> list[tuple[object, ...]]:
     """Return the accepted sightings, at the times that their epoch's clock is corrected to."""
-    _, rows = result.looked.points()
+    points, rows = result.looked.points()
     if result.final is None:
-        epochs, offsets, factor = [""] * len(rows), [0.0] * len(rows), 1.0
+        epochs, offsets, sigmas = [""] * len(rows), [0.0] * len(rows), points.sigma_px.tolist()
     else:
         epochs = [epoch_name(n) for n, one in enumerate(result.epochs) for _ in range(one.first, one.last + 1)]
         offsets = [result.final.states[number].clock_offset_s for number in result.final.path.tolist()]
-        factor = _sigma_factor(result, offsets)
+        sigmas = _sigmas(result, offsets).tolist()
     table = []
-    for row, epoch, offset_s in zip(rows, epochs, offsets, strict=True):
+    for row, epoch, offset_s, sigma_px in zip(rows, epochs, offsets, sigmas, strict=True):
         image, found = result.looked.images[row], result.looked.found[row]
         assert isinstance(found, FoundSun)  # noqa: S101 - it was accepted
-        sigma = None if found.sigma_px is None else round(found.sigma_px * factor, 4)
+        sigma = None if found.sigma_px is None else round(sigma_px, 4)
         time = rfc3339(utc_time(image.unix_s - offset_s))
         pixel = (round(found.x_px or 0.0, 4), round(found.y_px or 0.0, 4))
         table.append((result.name, time, image.name, *pixel, sigma, "sun", found.verdict, epoch))
@@ -307,16 +308,19 @@ def _stars(result: CameraResult) -> list[tuple[object, ...]]:
     return sorted(table, key=lambda one: (str(one[1]), str(one[2]), str(one[6])))
 
 
-def _sigma_factor(result: CameraResult, offsets: Sequence[float]) -> float:
-    """Return by what the stated sigma has to be multiplied to be the scatter about the calibrations."""
+def _sigmas(result: CameraResult, offsets: Sequence[float]) -> FloatArray:
+    """Return (n,): the sigma of each accepted sighting by those of its kind of sky about the accepted calibrations."""
     assert result.final is not None  # noqa: S101 - it has offsets
-    points, _ = result.looked.points()
-    residual = points.pixels.copy()
+    points, rows = result.looked.points()
+    residual = np.full_like(points.pixels, np.nan)
     directions = sun_directions(points.unix_s - offsets, result.camera.plan.site)
     for number, state in enumerate(result.final.states):
-        rows = result.final.path == number
-        residual[rows] -= project(state.calibration.camera, directions[rows])
-    return sigma_factor(residual, points.sigma_px) or 1.0
+        calibration = result.final.fitted[state.pose].calibration
+        if calibration.verdict.accepted:
+            held = result.final.path == number
+            residual[held] = points.pixels[held] - project(calibration.camera, directions[held])
+    sky = [one.verdict for one in map(result.looked.found.__getitem__, rows) if isinstance(one, FoundSun)]
+    return sigma_of_series(residual, points.sigma_px, sky)
 
 
 def _failures(results: Sequence[CameraResult], indexed: Indexed) -> list[tuple[str, str, str]]:
