@@ -231,7 +231,11 @@ def words_of_documents() -> dict[str, int]:
     counts = {"by hand": 0, "decisions": 0, "generated": 0}
     for path in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]:
         kind = "decisions" if path.parent.name == "decisions" else "by hand"
-        kind = "generated" if path.name in {"codes.md", "settings.md", "metrics.md", "results.md"} else kind
+        kind = (
+            "generated"
+            if path.name in {"codes.md", "settings.md", "metrics.md", "results.md", "booted.md", "campaign.md"}
+            else kind
+        )
         counts[kind] += len(path.read_text("utf-8").split())
     return counts
 

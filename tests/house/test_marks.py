@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-APPLIED = re.compile(r"\bmark\.(?:gige|system|browser)\b")
+APPLIED = re.compile(r"\bmark\.(?:gige|system|browser|waits)\b")
 
 
 def test_marks_of_processes_stand_in_test_files_as_tests_run_looks_for_them() -> None:

@@ -33,7 +33,7 @@ from sunarc.sky.sun import sun_angles, sun_directions
 from sunarc.workers.calibrating.refit import RefitWorker
 from sunarc.workers.options import CaptureOptions, SensorOptions
 
-CADENCE_S = 1200.0
+CADENCE_S = 1800.0
 
 LIMA = Site(latitude=-12.05, longitude=-77.04, altitude=150.0)
 WELLINGTON = Site(latitude=-41.29, longitude=174.78, altitude=10.0)

@@ -196,8 +196,9 @@ def test_no_flipped_bit_in_a_text_column_ends_a_part_of_the_service(
         path = Path(shutil.copy(filled, tmp_path / f"bit{bit}.sqlite"))
         with closing(sqlite3.connect(path)) as connection:
             empty = connection.execute(f"SELECT 1 FROM {table} WHERE {column} != ''").fetchone() is None  # noqa: S608
-        if not empty:
-            flip(path, table, column, where=f"{column} != ''", bit=bit)
+        if empty:
+            return  # there is nothing to flip
+        flip(path, table, column, where=f"{column} != ''", bit=bit)
         run_every_part(path, board, clock)
 
 

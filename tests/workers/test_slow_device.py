@@ -9,6 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from sqlalchemy import event
 from tests.fixtures.archive import new_archive
 from tests.fixtures.calibrations import SITE
@@ -31,6 +32,7 @@ FRAME = Frame(image=np.zeros((6, 8), np.uint16), time=NOON, exposure_us=20.0, ga
               full_scale=4095, frame_id=1)  # fmt: skip
 
 
+@pytest.mark.waits
 def test_commits_that_stall_cost_no_frame_and_no_heartbeat_and_are_told(tmp_path: Path, board: StatusRegistry) -> None:
     archive, clock = new_archive(tmp_path), SystemClock()
     stalls, never = [True], threading.Event()

@@ -1,0 +1,49 @@
+"""The pages of the booted set and of the campaign, of the files that their runs leave."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+from tests import last_run
+
+XML = """<testsuites><testsuite>
+<testcase classname="tests.booted.test_power" name="test_a_cut" time="90.0" />
+<testcase classname="tests.booted.test_power" name="test_many_cuts[1|2]" time="30.0">
+<failure message="two&#10;lines | of it">long</failure></testcase>
+<testcase classname="tests.booted.test_upgrade" name="test_old" time="0"><skipped message="no package" /></testcase>
+</testsuite></testsuites>"""
+
+
+def test_the_booted_sets_page_has_every_test_with_its_outcome() -> None:
+    lines = last_run.booted(XML)
+    assert lines[0] == "1 passed, 1 failed, 1 skipped, in 2 minutes."
+    assert "| test_power | test_a_cut | passed |" in lines
+    assert "| test_upgrade | test_old | skipped: no package |" in lines
+    (failed,) = [line for line in lines if "**failed**" in line]
+    assert failed.endswith("two lines \\| of it |")
+
+
+def test_the_campaigns_page_has_every_fault_and_what_was_found() -> None:
+    report = {"seed": 22, "faults": {"kill": 30, "full_disk": 12}, "lost": [], "worst_px": 0.03, "good": False}
+    lines = last_run.campaign(json.dumps(report))
+    assert lines[0] == "42 faults of seed 22: **not good**."
+    assert "| kill | 30 |" in lines
+    assert "| worst_px | 0.03 |" in lines
+
+
+def test_a_page_says_when_and_of_which_commit() -> None:
+    text = last_run.page("campaign", ["a"], commit="abc-dirty", moment=datetime(2026, 11, 26, 3, 4, tzinfo=UTC))
+    assert "2026-11-26 03:04 UTC, commit abc-dirty" in text
+
+
+@pytest.mark.parametrize(("kind", "content"), [("booted", "<testsuites />"), ("booted", "x"), ("campaign", "{}")])
+def test_a_run_that_left_nothing_gives_no_page(root: Path, tmp_path: Path, kind: str, content: str) -> None:
+    (tmp_path / "file").write_text(content)
+    command: list[str | Path] = [sys.executable, "-m", "tests.last_run", kind, tmp_path / "file", tmp_path / "page.md"]
+    assert subprocess.run(command, cwd=root, capture_output=True, check=False).returncode == 1
+    assert not (tmp_path / "page.md").exists()
