@@ -50,7 +50,7 @@ def booted(text: str) -> list[str]:
 
 
 def campaign(text: str) -> list[str]:
-    """Return the lines of a page on a campaign of faults.
+    """Return the lines of a page on a campaign of faults, one source after the other.
 
     Parameters
     ----------
@@ -61,16 +61,19 @@ def campaign(text: str) -> list[str]:
     ValueError
         Where it states no faults.
     """
-    found: dict[str, Any] = json.loads(text)
-    faults: dict[str, int] = found.pop("faults", {})
-    if not faults:
+    reports: list[dict[str, Any]] = json.loads(text)
+    if not reports:
         raise ValueError("no fault was done")
-    lines = [
-        f"{sum(faults.values())} faults of seed {found.pop('seed')}: {'good' if found.pop('good') else '**not good**'}."
-    ]
+    return [line for report in reports for line in _of_source(report)]
+
+
+def _of_source(found: dict[str, Any]) -> list[str]:
+    faults: dict[str, int] = found.pop("faults")
+    good = "good" if found.pop("good") else "**not good**"
+    lines = [f"{found.pop('source')}: {sum(faults.values())} faults of seed {found.pop('seed')}: {good}."]
     lines += ["", "| fault | times |", "|---|---|", *(f"| {name} | {n} |" for name, n in sorted(faults.items()))]
     lines += ["", "| found | |", "|---|---|"]
-    return lines + [f"| {name} | {_cell(json.dumps(value))} |" for name, value in found.items()]
+    return [*lines, *(f"| {name} | {_cell(json.dumps(value))} |" for name, value in found.items()), ""]
 
 
 def page(kind: str, lines: list[str], *, commit: str, moment: datetime) -> str:

@@ -1,10 +1,12 @@
 """A random campaign of faults on the whole chain, judged against the simulator's truth; a short form is a test.
 
-    tests/campaign --seed 1 --faults 300 [--json FILE] [--keep FOLDER]
+    tests/campaign --seed 1 --faults 300 [--sources gige folder http] [--json FILE] [--keep FOLDER]
 
-A simulated GigE Vision imager and the service run as processes, 200 times faster than real time. Faults are drawn with
-a seed: kills, stops (also while a refit is solved), camera faults, wrong clocks, frozen and black frames, a locked, a
-deleted and a full database, a damaged row, backups, a second service. In the end nothing may be lost or doubled, no
+A simulated camera and the service run as processes, faster than real time; the faults are divided among the sources.
+They are drawn with a seed: kills, stops (also while a refit is solved), camera faults, wrong clocks, frozen and black
+frames, a locked, a deleted and a full database, a damaged row, flipped bits in what the service writes, backups, a
+second service, receivers that drip; of a folder uploads that are late, cut off, damaged or doubled, a folder that
+vanishes; of an address pages, drips, bodies without end, redirects. In the end nothing may be lost or doubled, no
 accepted sighting farther from the truth than it states, no calibration served worse than stated, and in 100 faults
 or more one has to be served; the service must not have ended by itself, nor reported "ready" while no sighting was
 stored for 10 slots of clear sun. Needs port 3956 of 127.0.0.1 (a network namespace of its own is best); the full disk
@@ -25,10 +27,15 @@ from tests.fixtures.ports import free_port
 
 from .campaign_faults import Faults
 from .campaign_judge import Findings
+from .campaign_pictures import PictureFaults
 from .campaign_processes import SLOT_S, now
 
+SOURCES = ("gige", "folder", "http")
 
-def campaign(*, seed: int, faults: int, folder: Path, most_s: float = float("inf")) -> tuple[Findings, dict[str, int]]:
+
+def campaign(
+    *, seed: int, faults: int, folder: Path, most_s: float = float("inf"), source: str = "gige"
+) -> tuple[Findings, dict[str, int]]:
     """Run a campaign; return what was found wrong and how often each fault was done.
 
     Parameters
@@ -37,19 +44,26 @@ def campaign(*, seed: int, faults: int, folder: Path, most_s: float = float("inf
     faults : how many.
     folder : empty; keeps state and logs.
     most_s : real seconds after the start of both processes from which no further fault is begun, but one always is.
+    source : one of `SOURCES`.
     """
-    with Faults(folder, port=free_port(), seed=seed) as run:
+    with _run_of(source, folder, seed) as run:
         began = now()
         run.wait(15.0 * SLOT_S)
         kinds = run.drawn()
         while sum(run.counts.values()) < faults and (not run.counts or now() - began < most_s):
             run.disturb(next(kinds))
         run.wait(15.0 * SLOT_S)
+        forgotten = run.end()
     assert run.judge is not None
     found = run.judge.end(n_faults=sum(run.counts.values()))
-    found.own_exits = run.exits
-    found.left_out = run.left_out
+    found.own_exits, found.left_out, found.forgotten = run.exits, run.left_out, forgotten
     return found, run.counts
+
+
+def _run_of(source: str, folder: Path, seed: int) -> Faults:
+    if source == "gige":
+        return Faults(folder, port=free_port(), seed=seed)
+    return PictureFaults(folder, port=free_port(), seed=seed, source="folder" if source == "folder" else "http")
 
 
 def main() -> int:
@@ -58,18 +72,30 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--faults", type=int, default=300)
     parser.add_argument("--most-s", type=float, default=float("inf"), help="begin no fault after so many real seconds")
+    parser.add_argument("--sources", nargs="+", choices=SOURCES, default=SOURCES)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--keep", type=Path, help="an empty folder for state and logs (default: a temporary one)")
     options = parser.parse_args()
+    reports = []
+    n = len(options.sources)
     with contextlib.ExitStack() as stack:
-        folder = options.keep or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="sunarc-campaign-")))
-        folder.mkdir(parents=True, exist_ok=True)
-        found, counts = campaign(seed=options.seed, faults=options.faults, folder=folder, most_s=options.most_s)
-    report = {"seed": options.seed, "faults": counts, **asdict(found), "good": found.good}
-    print(json.dumps(report, indent=1))  # noqa: T201 - a script that prints what it found
+        kept = options.keep or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="sunarc-campaign-")))
+        for source in options.sources:
+            folder = kept / source
+            folder.mkdir(parents=True)
+            found, counts = campaign(
+                seed=options.seed,
+                faults=-(-options.faults // n),
+                folder=folder,
+                most_s=options.most_s / n,
+                source=source,
+            )
+            report = {"source": source, "seed": options.seed, "faults": counts, **asdict(found), "good": found.good}
+            reports.append(report)
+            print(json.dumps(report, indent=1), flush=True)  # noqa: T201 - a script that prints what it found
     if options.json:
-        options.json.write_text(json.dumps(report, indent=1) + "\n")
-    return 0 if found.good else 1
+        options.json.write_text(json.dumps(reports, indent=1) + "\n")
+    return 0 if all(report["good"] for report in reports) else 1
 
 
 if __name__ == "__main__":

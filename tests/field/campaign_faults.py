@@ -14,7 +14,7 @@ from pathlib import Path
 
 from tests.fixtures.ports import free_port
 
-from .campaign_processes import SHIM, SLOT_S, START_WITHIN_S, Processes, now, pause
+from .campaign_processes import SHIM, SLOT_S, START_WITHIN_S, Processes, Setting, now, pause
 
 FAULTS = (
     "kill",
@@ -49,12 +49,12 @@ class Faults(Processes):
 
     Parameters
     ----------
-    folder, port : of `Processes`.
+    folder, port, setting : of `Processes`.
     seed : of the faults and their durations.
     """
 
-    def __init__(self, folder: Path, *, port: int, seed: int) -> None:
-        super().__init__(folder, port=port)
+    def __init__(self, folder: Path, *, port: int, seed: int, setting: Setting | None = None) -> None:
+        super().__init__(folder, port=port, setting=setting)
         self.random = random.Random(seed)
         self.counts: dict[str, int] = {}
         self.left_out: list[str] = []
@@ -80,6 +80,10 @@ class Faults(Processes):
         self.clear_from = now() + 12.0 * SLOT_S
         self._log(f"{fault} ends")
         self.wait(self.random.uniform(1.0, 10.0) * SLOT_S)
+
+    def end(self) -> list[str]:
+        """Return the images that were handed on whole and have no sighting; a camera hands on no file."""
+        return []
 
     def _log(self, text: str) -> None:
         with (self.folder / "faults.log").open("a") as log:

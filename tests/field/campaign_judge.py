@@ -17,6 +17,7 @@ import numpy as np
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.model.document import from_document
 from sunarc.optics.forward import project
+from sunarc.reanalysis.passes import SEARCHED
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles, sun_directions
 
@@ -33,6 +34,7 @@ _SILENT_SLOTS = 10
 _GRACE_S = 3.0
 """Real seconds for which /readyz may still say "ready" then: the service looks every second, on a busy host later."""
 _CLEAR_ZENITH_DEG = 78.0
+_GAPS = 0.05
 _LONGEST_LOOK_SLOTS = 30
 """Time that goes on by more between two looks has jumped over a night, or another imager has begun."""
 _CALIBRATED_AFTER_FAULTS = 100
@@ -46,11 +48,15 @@ class Findings:
     Attributes
     ----------
     lost, doubled : sightings that were stored once and are gone; times and exposures stored twice.
+    forgotten : images of a folder that were handed on whole and have no sighting.
     wrong_sightings : accepted ones farther from the truth than they state.
     worse_than_stated : served calibrations with a larger error over the sky than stated.
     silent : times at which /readyz was "ready" while no sighting had been stored for 10 slots of clear sun.
     copies : accepted sightings in a repeated image whose first delivery was never evaluated (the service was down, or
         too busy); nothing in the image shows that it is a copy, so up to one in each of those faults is no fault.
+    gaps : accepted sightings of pictures that were searched before there was a calibration, farther from the truth
+        than they state: a round gap in cloud cannot be told from the sun then. One in twenty is no fault: a fit leaves
+        them out.
     own_exits : exit codes of the service's unexpected exits.
     served : every calibration that was served, its true and its stated error.
     not_calibrated : why a calibration was due and none was served; empty where that is not so.
@@ -61,13 +67,16 @@ class Findings:
     n_accepted: int = 0
     n_served: int = 0
     n_repeating: int = 0
+    n_searched: int = 0
     lost: list[str] = field(default_factory=list)
+    forgotten: list[str] = field(default_factory=list)
     doubled: list[str] = field(default_factory=list)
     wrong_sightings: list[str] = field(default_factory=list)
     worse_than_stated: list[str] = field(default_factory=list)
     silent: list[str] = field(default_factory=list)
     own_exits: list[str] = field(default_factory=list)
     copies: list[str] = field(default_factory=list)
+    gaps: list[str] = field(default_factory=list)
     served: list[str] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
     not_calibrated: str = ""
@@ -76,9 +85,15 @@ class Findings:
     @property
     def good(self) -> bool:
         """Whether nothing was found wrong."""
-        lists = (self.lost, self.doubled, self.wrong_sightings, self.worse_than_stated, self.silent, self.own_exits)
-        too_many = len(self.copies) > self.n_repeating
-        return not any(lists) and not too_many and not self.not_calibrated and self.integrity == "ok"
+        lists = (self.lost, self.forgotten, self.doubled, self.wrong_sightings, self.worse_than_stated, self.silent)
+        too_many = len(self.copies) > self.n_repeating or len(self.gaps) > _GAPS * self.n_searched
+        return (
+            not any(lists)
+            and not self.own_exits
+            and not too_many
+            and not self.not_calibrated
+            and self.integrity == "ok"
+        )
 
 
 class Judge:
@@ -114,7 +129,7 @@ class Judge:
         simulated_unix_s : the imager's time; None while it is not known.
         clear : whether the imager shows a clear sun, and has for 10 slots.
         """
-        stored = self._sightings()
+        stored = self.stored()
         if stored is not None:
             self.found.lost += [f"{time / 1e6:.3f} {exposure:g}" for time, exposure in sorted(self._stored - stored)]
             self._stored = stored
@@ -150,15 +165,21 @@ class Judge:
         with sqlite3.connect(f"file:{self._database}?mode=ro", uri=True) as connection:
             found.integrity = str(connection.execute("PRAGMA integrity_check").fetchone()[0])
             rows = connection.execute(
-                "SELECT time, exposure_us, accepted, x_px, y_px, sigma_px, clock_error_s FROM sun_point ORDER BY time"
+                "SELECT time, exposure_us, accepted, x_px, y_px, sigma_px, clock_error_s, ingest_pass FROM sun_point "
+                "ORDER BY time"
             ).fetchall()
         keys = [(row[0], row[1]) for row in rows]
         found.doubled = [str(key) for key, other in pairwise(keys) if key == other]
         found.n_sightings = len(rows)
-        accepted = np.array([row for row in rows if row[2]], dtype=np.float64).reshape(-1, 7)
+        accepted = np.array([row for row in rows if row[2]], dtype=np.float64).reshape(-1, 8)
         found.n_accepted = len(accepted)
+        searched = {float(row[0]) / 1e6 for row in accepted if row[7] == SEARCHED}
+        found.n_searched = len(searched)
         for moment, text in self._wrong(accepted):
-            (found.copies if self._is_copy(moment) else found.wrong_sightings).append(text)
+            if self._is_copy(moment):
+                found.copies.append(text)
+            else:
+                (found.gaps if moment in searched else found.wrong_sightings).append(text)
         found.n_repeating = len(self._repeated)
         found.n_served = len(self._served)
         for document in self._served.values():
@@ -169,6 +190,8 @@ class Judge:
                 found.worse_than_stated.append(text)
         if not found.served and n_faults >= _CALIBRATED_AFTER_FAULTS:
             found.not_calibrated = f"no calibration was served in {n_faults} faults"
+        if not rows:
+            found.not_calibrated = "no sighting was stored: the host may be too slow"
         return found
 
     def repeated(self, begin: float, end: float) -> None:
@@ -201,7 +224,8 @@ class Judge:
         error_deg = float(np.degrees(np.sqrt(np.mean(np.sum(off**2, axis=-1))) / max(self._truth.focal_length_px)))
         return error_deg, float(document["uncertainty"]["sky_rms_deg"]) * np.sqrt(2.0)
 
-    def _sightings(self) -> set[tuple[int, float]] | None:
+    def stored(self) -> set[tuple[int, float]] | None:
+        """Return time and exposure of each sighting; None while the database cannot be read."""
         if not self._database.exists():
             return None
         try:

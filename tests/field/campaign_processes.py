@@ -44,18 +44,13 @@ TOKEN = "a-token-of-the-campaign-0123456789"  # noqa: S105 - of a service on loo
 _CLONE_NEWNS, _MS_REC, _MS_PRIVATE = 0x20000, 0x4000, 1 << 18
 SETTINGS = """\
 name = "roof"
+source = "{source}"
 state = "{state}"
 [site]
 latitude = {latitude}
 longitude = {longitude}
 altitude = {altitude}
-[camera]
-address = "127.0.0.1"
-pixel_format = "Mono12"
-packet_size = 60000
-packet_socket = false
-timestamps = "camera"
-[capture]
+{section}[capture]
 cadence_s = {cadence}
 night_cadence_s = {cadence}
 speed = {speed}
@@ -69,6 +64,14 @@ keep_free_mb = 100.0
 [api]
 port = {port}
 token_file = "{token}"
+"""
+CAMERA = """\
+[camera]
+address = "127.0.0.1"
+pixel_format = "Mono12"
+packet_size = 60000
+packet_socket = false
+timestamps = "camera"
 """
 
 
@@ -110,6 +113,8 @@ class Processes:
     setting : of the imager.
     """
 
+    source: str = "aravis"
+
     def __init__(self, folder: Path, *, port: int, setting: Setting | None = None) -> None:
         self.setting = setting or Setting()
         self.folder = folder
@@ -149,6 +154,8 @@ class Processes:
         token.chmod(0o600)
         site = self.setting.site
         text = SETTINGS.format(
+            source=self.source,
+            section=self.source_section(),
             state=self.state,
             latitude=site.latitude,
             longitude=site.longitude,
@@ -160,6 +167,13 @@ class Processes:
         )
         (self.folder / name).write_text(text)
         return self.folder / name
+
+    def source_section(self) -> str:
+        """Return the settings of the source."""
+        return CAMERA
+
+    def tend(self) -> None:
+        """Do what is to be done again and again while time passes."""
 
     def frame_time(self) -> float | None:
         """Return the imager's time as the service has it, unix seconds; None while it has none."""
@@ -247,6 +261,7 @@ class Processes:
         end = now() + seconds
         while now() < end:
             pause(min(0.5, end - now()))
+            self.tend()
             if self.service is not None and self.service.poll() is not None:
                 self.exits.append(f"code {self.service.returncode} at {self._known[0]:.0f}")
                 self.start_service()

@@ -6,15 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from .campaign import campaign
+from .campaign import SOURCES, campaign
 
 
 @pytest.mark.gige
 @pytest.mark.system
 @pytest.mark.release  # five faults show little beside what each kind's own test does
 @pytest.mark.timeout(240)
-def test_a_short_campaign_of_faults_finds_nothing_wrong(tmp_path: Path) -> None:
-    found, counts = campaign(seed=3, faults=5, folder=tmp_path, most_s=20.0)
+@pytest.mark.parametrize("source", SOURCES)
+def test_a_short_campaign_of_faults_finds_nothing_wrong(tmp_path: Path, source: str) -> None:
+    found, counts = campaign(seed=3, faults=5, folder=tmp_path, most_s=20.0, source=source)
     assert counts
     assert found.n_sightings >= 5
     assert found.good, found

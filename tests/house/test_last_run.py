@@ -29,9 +29,12 @@ def test_the_booted_sets_page_has_every_test_with_its_outcome() -> None:
 
 
 def test_the_campaigns_page_has_every_fault_and_what_was_found() -> None:
-    report = {"seed": 22, "faults": {"kill": 30, "full_disk": 12}, "lost": [], "worst_px": 0.03, "good": False}
-    lines = last_run.campaign(json.dumps(report))
-    assert lines[0] == "42 faults of seed 22: **not good**."
+    faults = {"kill": 30, "full_disk": 12}
+    bad = {"source": "gige", "seed": 22, "faults": faults, "lost": [], "worst_px": 0.03, "good": False}
+    good = {"source": "folder", "seed": 23, "faults": {"late_uploads": 2}, "lost": [], "good": True}
+    lines = last_run.campaign(json.dumps([bad, good]))
+    assert lines[0] == "gige: 42 faults of seed 22: **not good**."
+    assert "folder: 2 faults of seed 23: good." in lines
     assert "| kill | 30 |" in lines
     assert "| worst_px | 0.03 |" in lines
 
