@@ -132,7 +132,11 @@ def licences(site: Path) -> str:
 
 
 def bill_of_materials(site: Path, version: str) -> str:
-    """Return the CycloneDX document (JSON) of what is installed in a folder; the same bytes for the same content."""
+    """Return the CycloneDX document (JSON) of what is installed in a folder; the same bytes for the same content.
+
+    Libraries that wheels bring (FFmpeg, OpenSSL, OpenBLAS, …) are listed as files with their sums.
+    """
+    from cyclonedx.model import HashAlgorithm, HashType  # noqa: PLC0415 - of the development's environment
     from cyclonedx.model.bom import Bom  # noqa: PLC0415 - of the development's environment
     from cyclonedx.model.component import Component, ComponentType  # noqa: PLC0415 - same
     from cyclonedx.model.license import DisjunctiveLicense  # noqa: PLC0415 - same
@@ -157,6 +161,15 @@ def bill_of_materials(site: Path, version: str) -> str:
             bom.metadata.component = component
         else:
             bom.components.add(component)
+    for path in sorted(path for path in site.glob("*.libs/*") if path.is_file() and not path.is_symlink()):
+        bom.components.add(
+            Component(
+                name=path.name,
+                type=ComponentType.FILE,
+                bom_ref=str(path.relative_to(site)),
+                hashes=[HashType(alg=HashAlgorithm.SHA_256, content=sha256(path))],
+            )
+        )
     epoch = int(os.environ.get("SOURCE_DATE_EPOCH", "0"))
     bom.metadata.timestamp = dt.datetime.fromtimestamp(epoch, dt.UTC)
     if bom.metadata.component is not None:

@@ -99,11 +99,16 @@ def test_the_bill_of_materials_names_all_and_is_the_same_again(
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1764000000")
     for name in ("sunarc", "alpha", "beta_b"):
         installed(tmp_path, name, licence="MIT")
+    (tmp_path / "alpha.libs").mkdir()
+    (tmp_path / "alpha.libs" / "libc-1.so").write_bytes(b"library")
     text = release.bill_of_materials(tmp_path, "0.4.0")
     assert text == release.bill_of_materials(tmp_path, "0.4.0")
     read = Bom.from_json(json.loads(text))  # type: ignore[attr-defined] # its serializer makes it
-    assert {one.name for one in read.components} == {"alpha", "beta_b"}
-    assert {str(one.purl) for one in read.components} == {"pkg:pypi/alpha@1.0", "pkg:pypi/beta-b@1.0"}
+    assert {one.name for one in read.components} == {"alpha", "beta_b", "libc-1.so"}
+    assert {str(one.purl) for one in read.components if one.purl is not None} == {
+        "pkg:pypi/alpha@1.0",
+        "pkg:pypi/beta-b@1.0",
+    }
     assert read.metadata.component.name == "sunarc"
     installed(tmp_path, "delta", licence="MIT")
     assert json.loads(text)["serialNumber"] != json.loads(release.bill_of_materials(tmp_path, "0.4.0"))["serialNumber"]
