@@ -77,7 +77,8 @@ def reanalyse_archive(
 ) -> None:
     """Find the sun in an archive of images, the pose epochs of its cameras, and a calibration for each.
 
-    Exits 1 where a camera has no image that can be used or no epoch, and where the calibration of an epoch is refused.
+    Exits 1 where a camera has no image that can be used or no epoch, where the calibration of an epoch is refused, and
+    where a FITS file has no time.
 
     Example: sunarc reanalyse images/ --latitude 36.6 --longitude -97.5 --altitude 318 --utc-offset 0 -o result
     """
@@ -108,7 +109,11 @@ def reanalyse_archive(
     else:
         _print(summary, target)
     epochs = [one["epochs"] for one in summary.report["cameras"]]
-    if indexed.refused or not all(of_camera and all(one["accepted"] for one in of_camera) for of_camera in epochs):
+    if (
+        indexed.refused
+        or indexed.untimed
+        or not all(of_camera and all(one["accepted"] for one in of_camera) for of_camera in epochs)
+    ):
         raise typer.Exit(1)
 
 

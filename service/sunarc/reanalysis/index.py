@@ -147,6 +147,12 @@ class Indexed(NamedTuple):
     failures: list[Failure]
     refused: list[Failure]
 
+    @property
+    def untimed(self) -> list[Failure]:
+        """Frames that state no time where they have to: FITS. Other pictures in a folder may have none by right."""
+        unknown = [one for one in self.failures if one.finding.code == "file_time_unknown"]
+        return [one for one in unknown if kind_of(one.file) == "fits"]
+
 
 class _Found(NamedTuple):
     image: ArchiveImage

@@ -46,6 +46,17 @@ def test_images_of_one_camera_are_in_the_order_of_time_whatever_their_names(tmp_
     assert camera.example == ("a/q/20130513T184600Z.png", "2013-05-13T18:46:00Z")
 
 
+def test_a_fits_file_without_a_time_is_named_beside_pictures_that_need_none(tmp_path: Path) -> None:
+    fits = pytest.importorskip("astropy.io.fits")
+    folder = folder_of({**named(DAY), "latest.png": PICTURE}, tmp_path / "all")
+    assert indexed(folder).untimed == []
+    fits.PrimaryHDU(GREY).writeto(folder / "frame.fits")
+    found = indexed(folder)
+    assert [len(one.images) for one in found.cameras] == [len(DAY)]
+    assert [one.file for one in found.untimed] == ["all/frame.fits"]
+    assert ("all/latest.png", "file_time_unknown") in codes(found)
+
+
 def test_two_cameras_in_one_folder_are_told_apart_by_their_names(tmp_path: Path) -> None:
     names = [f"{camera}_{name}" for camera in ("ccd1", "ccd2") for name in DAY]
     found = indexed(folder_of(named(names), tmp_path))
