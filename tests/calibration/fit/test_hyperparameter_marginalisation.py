@@ -93,7 +93,7 @@ def test_with_one_amplitude_it_is_the_mixture_s_covariance(
 ) -> None:
     one = _one_amplitude(grid)
     found = _posterior(system, one, problem)
-    expected = _mixture(system.normal(), one, at) + module.of_products(problem, system, SCALES)
+    expected = _mixture(system.normal(), one, at) + module.of_products(problem, system, SCALES, grid)
     factor = _factor(found, one)
     assert factor == pytest.approx(1.0, abs=0.1)
     # 1.5 % of the probability is left out
@@ -116,7 +116,7 @@ def test_with_one_choice_it_is_that_fit_s_own(
     scales = Scales(float(grid.amplitudes[5]), float(grid.lengths[1]), *map(float, grid.lens_scales[1]))
     fit = marginal_fit(system.normal(), grid.basis, scales)
     found = _posterior(system, single, problem, fit.unknowns)
-    beside = module.of_products(problem, system, SCALES)
+    beside = module.of_products(problem, system, SCALES, single)
     factor = _factor(found, single)
     assert factor == pytest.approx(1.0, abs=1e-6)
     np.testing.assert_allclose(found.covariance / factor**2, fit.covariance + beside, rtol=1e-6, atol=1e-12)
@@ -148,7 +148,9 @@ def test_the_stated_95_percent_hold_95_percent_of_the_mixture(
     system: LinearSystem, grid: HyperparameterGrid, problem: FitProblem, posterior: PosteriorCovariance
 ) -> None:
     """Against draws from every choice, at places over the sky; and 50, 68 and 99 % by the mixture's own factors."""
-    choices = module.plausible(system.normal(), grid, system.at, None, module.of_products(problem, system, SCALES))
+    choices = module.plausible(
+        system.normal(), grid, system.at, None, module.of_products(problem, system, SCALES, grid)
+    )
     rows, values = module.sky_rows(problem, system.at, grid.basis)
     moments = module.at_probes(choices, rows, values)
     stated = rows @ posterior.covariance @ rows.swapaxes(1, 2) + posterior.field.covariance(rows, values)

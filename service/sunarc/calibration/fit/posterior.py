@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import ndtri
 
 from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.answers.covariance import hemisphere
@@ -26,6 +27,7 @@ from sunarc.calibration.fit.marginal_likelihood import (
     inverses,
     normal_sums,
     normalised,
+    prior_precision,
 )
 from sunarc.calibration.fit.normal_equations import LinearSystem
 from sunarc.calibration.model.residual_field import Field, WaveBasis
@@ -180,6 +182,7 @@ class _Choices:
 
     share (k,): probabilities. amplitude, length (k,): px. fields: with the covariances; `field` (k,) is each choice's.
     shift (k, p): from the fit that is doubted; field_shift (k, 2, m): that of the field's mean, where it is predicted.
+    beside (p, p): what the covariance of the unknowns has in addition, whatever the choice.
     """
 
     share: FloatArray
@@ -189,6 +192,7 @@ class _Choices:
     field: IntArray
     shift: FloatArray
     field_shift: FloatArray | None
+    beside: FloatArray
 
     def mean_covariances(self) -> tuple[FloatArray, FloatArray]:
         """Return the mean covariance of the unknowns, (p, p), and theirs with the field's coefficients, (2, p, m)."""
@@ -201,7 +205,7 @@ class _Choices:
         cross = np.sum([part @ transforms[length].T for length, part in in_axes.items()], axis=0)
         if self.field_shift is not None:
             cross = cross + np.einsum("k,kp,kam->apm", self.share, self.shift, self.field_shift, optimize=True)
-        return total + (self.shift.T * self.share) @ self.shift, cross
+        return total + self.beside + (self.shift.T * self.share) @ self.shift, cross
 
 
 def stated_posterior(
@@ -225,7 +229,7 @@ def stated_posterior(
         are those before any sighting.
     """
     normal = system.normal()
-    choices = plausible(normal, grid, unknowns, mean, of_products(problem, system, scales))
+    choices = plausible(normal, grid, unknowns, mean, of_products(problem, system, scales, grid))
     power = choices.share * choices.amplitude**2
     amplitude = math.sqrt(float(power.sum()))
     length = math.exp(float(power @ np.log(choices.length) / power.sum()))
@@ -240,7 +244,7 @@ def stated_posterior(
     field = Field(amplitude_px=amplitude, length_px=length, basis=grid.basis, cross=cross)
     if mean is not None:
         field = seen_field(field, normal, covariance)
-    pixels, rows = _shown_sky(problem, unknowns)
+    _, pixels, rows = _shown_sky(problem, unknowns)
     if pixels.shape[0] == 0:
         return PosteriorCovariance(covariance, field)
     values = grid.basis.values(pixels)
@@ -262,7 +266,7 @@ def plausible(
     grid: HyperparameterGrid,
     unknowns: FloatArray,
     mean: FloatArray | None = None,
-    beside: FloatArray | float = 0.0,
+    beside: FloatArray | None = None,
 ) -> _Choices:
     """Return the scales that hold nearly all of the probability.
 
@@ -270,7 +274,7 @@ def plausible(
     ----------
     normal : sums over the sightings, about the unknowns.
     grid, unknowns, mean : see `stated_posterior`.
-    beside : (p, p) what each covariance of the unknowns has in addition.
+    beside : (p, p) what each covariance of the unknowns has in addition; None: nothing.
     """
     tried = choices_of(normal, grid)
     weight = normalised(grid.log_prior + tried.log_evidence)
@@ -293,7 +297,7 @@ def plausible(
         if mean is not None:
             coefficients.append(turned.coefficients(shrink, fitted[-1]) - mean)
         scales = float(grid.amplitudes[amplitude]), float(grid.lengths[length])
-        fields.append(_Field(turned, shrink, *scales, known + beside, back, reduced[here]))
+        fields.append(_Field(turned, shrink, *scales, known, back, reduced[here]))
     share = weight.ravel()[retained]
     return _Choices(
         share=share / share.sum(),
@@ -303,6 +307,7 @@ def plausible(
         field=field.ravel(),
         shift=normal.at - unknowns + np.concatenate(fitted),
         field_shift=np.concatenate(coefficients) if coefficients else None,
+        beside=np.zeros((normal.at.size,) * 2) if beside is None else beside,
     )
 
 
@@ -322,7 +327,8 @@ def at_probes(choices: _Choices, rows: FloatArray, values: FloatArray) -> FloatA
     if choices.field_shift is not None:
         moved = moved + choices.field_shift.swapaxes(0, 1) @ values.T
     x, y = moved
-    moments = np.stack([x * x, x * y, y * y], axis=1)
+    in_addition = rows @ choices.beside @ rows.swapaxes(1, 2)
+    moments = np.stack([x * x, x * y, y * y], axis=1) + in_addition[:, [0, 0, 1], [0, 1, 1]].T
     axes = {field.length_px: field.turned.axes for field in choices.fields}
     in_axes = {length: values @ one.transform for length, one in axes.items()}
     for number, field in enumerate(choices.fields):
@@ -338,26 +344,23 @@ def at_probes(choices: _Choices, rows: FloatArray, values: FloatArray) -> FloatA
     return moments
 
 
-def _shown_sky(problem: FitProblem, unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return pixels (n, 2) and their derivatives (n, 2, p) of sky that the last epoch's camera shows."""
-    sky = hemisphere(PROBES)
-    minus, rows = problem.linearised(
-        unknowns,
-        Sightings(
-            directions=sky,
-            pixels=np.zeros((PROBES, 2)),
-            information=np.ones(PROBES),
-            epoch=np.full(PROBES, problem.n_epochs - 1),
-            systematic_px=np.zeros((1, 2, problem.n_unit)),
-        ),
+def _shown_sky(problem: FitProblem, unknowns: FloatArray) -> tuple[Sightings, FloatArray, FloatArray]:
+    """Return sky that the last epoch's camera shows, its pixels (n, 2) and their derivatives (n, 2, p)."""
+    sky = Sightings(
+        directions=hemisphere(PROBES),
+        pixels=np.zeros((PROBES, 2)),
+        information=np.ones(PROBES),
+        epoch=np.full(PROBES, problem.n_epochs - 1),
+        systematic_px=np.zeros((PROBES, 2, problem.n_unit)),
     )
+    minus, rows = problem.linearised(unknowns, sky)
     shown = np.all((minus < 0.5) & (-minus < [problem.template.width - 0.5, problem.template.height - 0.5]), axis=-1)
-    return -minus[shown], rows[shown]
+    return sky.select(shown), -minus[shown], rows[shown]
 
 
 def sky_rows(problem: FitProblem, unknowns: FloatArray, basis: WaveBasis) -> tuple[FloatArray, FloatArray]:
     """Return derivatives (n, 2, p) and basis values (n, m) of sky that the last epoch's camera shows."""
-    pixels, rows = _shown_sky(problem, unknowns)
+    _, pixels, rows = _shown_sky(problem, unknowns)
     return rows, basis.values(pixels)
 
 
@@ -383,37 +386,151 @@ def _mixture(share: FloatArray, moments: FloatArray, stated: FloatArray, pixels:
     return ErrorMixture(shares=SHARES, pixels_px=pixels, scales=np.sqrt(np.diff(upto, axis=1) / SHARES))
 
 
-def of_products(problem: FitProblem, system: LinearSystem, scales: Scales) -> FloatArray:
+_DECENTERED = np.r_[DECENTERING, HIGHER]
+_DRAWN = 96
+_EVENLY = np.array([0.7548776662466927, 0.5698402909980532])
+"""Steps of Roberts's sequence, which fills the unit square evenly."""
+_FEW_PX = 1e-3
+"""Weight of the prior beside the squares over the sky, where unknowns are to move it as the products do."""
+
+
+class _Six(NamedTuple):
+    """What sightings say of p1, p2, p1 p3, p2 p3, p1 p4 and p2 p4, all else eliminated.
+
+    information (6, 6), pull (6,): about 0. at (4,), values (6,): p1 to p4 of the fit, and the six.
+    others (o,), by_six (o, 6): the places of all else, and by how much it changes with the six.
+    scales_px, log_prior (s,): of the decentering.
+    """
+
+    information: FloatArray
+    pull: FloatArray
+    at: FloatArray
+    values: FloatArray
+    others: IntArray
+    by_six: FloatArray
+    scales_px: FloatArray
+    log_prior: FloatArray
+
+    @classmethod
+    def of(cls, problem: FitProblem, system: LinearSystem, scales: Scales, grid: HyperparameterGrid) -> _Six:
+        """Return what the sightings of a fit say."""
+        at, others = system.at, np.setdiff1d(np.arange(system.at.size), _DECENTERED)
+        columns, n = _by_six(problem, system.observed, at), others.size
+        values = np.outer(np.r_[1.0, at[HIGHER]], at[DECENTERING]).ravel()
+        normal = normal_sums(
+            np.concatenate([system.rows[..., others], columns], axis=-1),
+            system.basis_values,
+            system.residual + columns @ values,
+            system.observed.information,
+            at=np.concatenate([at[others], np.zeros(6)]),
+            ff=system.basis_products,
+        )
+        turned = Turned.of(normal, system.basis, scales.length_px)
+        shrink = turned.axes.posterior_variances(np.array([scales.amplitude_px]))[0]
+        known, pull = normal.jj - turned.absorbed(shrink), normal.jr - turned.explained(shrink)
+        prior = prior_precision(at.size, scales.radial_px, scales.decentering_px, n_unit=system.n_unit)[others]
+        by_six = -inverses(known[:n, :n] + np.diag(prior + ROUNDING * np.diag(normal.jj)[:n])) @ known[:n, n:]
+        size, axes = np.linalg.eigh(known[n:, n:] + known[n:, :n] @ by_six)
+        scales_px, first = np.unique(grid.lens_scales[:, 1], return_index=True)
+        return cls(
+            information=(axes * np.maximum(size, 0.0)) @ axes.T,  # below 0 is rounding
+            pull=pull[n:] + by_six.T @ (pull[:n] - prior * at[others]),
+            at=at[_DECENTERED],
+            values=values,
+            others=others,
+            by_six=by_six,
+            scales_px=scales_px,
+            log_prior=grid.log_prior[0, 0, first],
+        )
+
+    def slope(self) -> FloatArray:
+        """Return (6, 4): the derivatives of the six by p1 to p4 at the fit."""
+        p, higher = self.at[:2], np.r_[1.0, self.at[2:]]
+        return np.concatenate([np.kron(higher[:, None], np.eye(2)), np.kron(np.eye(3)[:, 1:], p[:, None])], axis=1)
+
+    def second_moment(self) -> FloatArray:
+        """Return (6, 6): that of the six about the fit, p1 and p2 being integrated out where p3 and p4 are known."""
+        drawn, log_share = self._drawn_higher()
+        by_p = np.concatenate([np.ones((len(drawn), 1)), drawn], axis=1)
+        to_six = (by_p[:, :, None, None] * np.eye(2)).reshape(-1, 6, 2)
+        information, pull = to_six.swapaxes(1, 2) @ self.information @ to_six, to_six.swapaxes(1, 2) @ self.pull
+        prior = np.repeat(self.scales_px[:, None] ** -2, 2, axis=1)
+        return self._moment(to_six, information, pull[:, None], prior, log_share[:, None], self.values)
+
+    def of_gaussian(self) -> FloatArray:
+        """Return (6, 6): the same where the six are linear in p1 to p4."""
+        slope = self.slope()
+        prior = np.concatenate(
+            [np.repeat(self.scales_px[:, None] ** -2, 2, axis=1), np.ones((len(self.scales_px), 2))], 1
+        )
+        pull = slope.T @ (self.pull - self.information @ self.values) - prior * self.at
+        log_share = -0.5 * prior @ self.at**2
+        return self._moment(slope[None], (slope.T @ self.information @ slope)[None], pull[None], prior, log_share, 0.0)
+
+    def _moment(  # noqa: PLR0917 - a Gaussian, piece by piece
+        self,
+        to_six: FloatArray,
+        information: FloatArray,
+        pull: FloatArray,
+        prior: FloatArray,
+        log_share: FloatArray,
+        about: FloatArray | float,
+    ) -> FloatArray:
+        """Return (6, 6) of g Gaussians (g, 6, u) under s prior precisions (s, u), by their evidence."""
+        covariance = np.linalg.inv(information[:, None] + prior[:, None] * np.eye(prior.shape[1]))
+        mean = (covariance @ pull[..., None])[..., 0]
+        log_weight = 0.5 * (np.sum(mean * pull, axis=-1) + np.linalg.slogdet(covariance)[1])
+        log_weight = log_weight + log_share + self.log_prior - 2.0 * np.log(self.scales_px)
+        weight = np.exp(log_weight - log_weight.max())
+        weight /= weight.sum()
+        off = (to_six[:, None] @ mean[..., None])[..., 0] - about
+        within = to_six @ np.einsum("gs,gsuv->guv", weight, covariance) @ to_six.swapaxes(1, 2)
+        return np.asarray(np.sum(within, axis=0) + np.einsum("gs,gsi,gsj->ij", weight, off, off, optimize=True))
+
+    def _drawn_higher(self) -> tuple[FloatArray, FloatArray]:
+        """Return p3 and p4 (g, 2), half of their prior and half of the Gaussian, and the log of the prior over both."""
+        normal = ndtri((0.5 + np.arange(1, _DRAWN + 1)[:, None] * _EVENLY) % 1.0)
+        slope, widest = self.slope(), self.scales_px.max() ** -2
+        precision = slope.T @ self.information @ slope + np.diag([widest, widest, 1.0, 1.0])
+        root = np.linalg.cholesky(np.linalg.inv(precision)[2:, 2:])
+        drawn = np.concatenate([normal, self.at[2:] + normal @ root.T])
+        near = np.linalg.solve(root, (drawn - self.at[2:]).T)
+        of_prior = -0.5 * np.sum(drawn**2, axis=1)
+        of_gaussian = -0.5 * np.sum(near**2, axis=0) - np.sum(np.log(np.diag(root)))
+        return drawn, of_prior - np.logaddexp(of_prior, of_gaussian)
+
+
+def of_products(problem: FitProblem, system: LinearSystem, scales: Scales, grid: HyperparameterGrid) -> FloatArray:
     """Return (p, p): what the unknowns' covariance has because the decentering is not linear in p1 to p4.
 
-    It is (p1, p2) × (1 + p3 θ² + p4 θ⁴). With e the errors about the fit, the products e₁e₃, e₁e₄, e₂e₃ and e₂e₄ have
-    the variances of their factors' products, and are four more unknowns, whose share in the errors of the others this
-    is. A part of a day's arc leaves p3 and p4 open, and the Gaussian of p1 to p4 alone is then too narrow.
+    It is (p1, p2) × (1 + p3 θ² + p4 θ⁴): linear in six numbers, and in p1 and p2 where p3 and p4 are known. Where p1
+    and p2 are near 0 the other two are not seen, nor what other p1 and p2 would do beside them: a Gaussian about the
+    fit is then far too narrow. By how much the second moment of the six is larger than its own is returned, as that
+    of unknowns that move the sky alike.
     """
-    at, size = system.at, system.at.size
-    rows = np.concatenate([system.rows, *_by_products(problem, system)], axis=-1)
-    information = system.observed.information
-    normal = normal_sums(
-        rows, system.basis_values, system.residual, information, at=at, ff=system.basis_products, n_unit=system.n_unit
-    )
-    turned = Turned.of(normal, system.basis, scales.length_px)
-    known = normal.jj - turned.absorbed(turned.axes.posterior_variances(np.array([scales.amplitude_px]))[0])
-    precision = normal.prior_precision(scales.radial_px, scales.decentering_px)
-    covariance = inverses(known[:size, :size] + np.diag(precision + ROUNDING * np.diag(normal.jj)[:size]))
-    by_products = covariance @ known[:size, size:]
-    variance = np.kron(covariance[DECENTERING, DECENTERING], covariance[HIGHER, HIGHER])
-    informed = known[size:, size:] - known[size:, :size] @ by_products
-    left = np.linalg.solve(np.eye(len(variance)) + variance @ informed, variance)
-    return np.asarray(0.5 * by_products @ (left + left.T) @ by_products.T)
+    six, at = _Six.of(problem, system, scales, grid), system.at
+    sky, _, rows = _shown_sky(problem, at)
+    if not len(sky):
+        return np.zeros((at.size, at.size))
+    own, columns = rows.reshape(-1, at.size), _by_six(problem, sky, at).reshape(-1, 6)
+    moved = own[:, six.others] @ six.by_six + columns
+    size, axes = np.linalg.eigh(moved.T @ moved)
+    root = np.sqrt(np.maximum(size, _RIDGE * size[-1]))
+    larger, turned = np.linalg.eigh((axes * root).T @ (six.second_moment() - six.of_gaussian()) @ (axes * root))
+    factor = (axes / root) @ turned * np.sqrt(np.maximum(larger, 0.0))
+    prior = prior_precision(at.size, scales.radial_px, scales.decentering_px, n_unit=system.n_unit)
+    alike = np.linalg.solve(own.T @ own + _FEW_PX * np.diag(prior), own.T @ columns @ factor)
+    alike[six.others] += six.by_six @ factor
+    return np.asarray(alike @ alike.T)
 
 
-def _by_products(problem: FitProblem, system: LinearSystem) -> list[FloatArray]:
-    """Return two times (b, 2, 2): derivatives of the prediction by p1 p3 and p1 p4, and by p2 p3 and p2 p4."""
+def _by_six(problem: FitProblem, observed: Sightings, at: FloatArray) -> FloatArray:
+    """Return (n, 2, 6): derivatives of the prediction by p1, p2, p1 p3, p2 p3, p1 p4 and p2 p4."""
     found = []
     for one in range(DECENTERING.start, DECENTERING.stop):
         # those by p3 and p4 are linear in p1 and p2: where one of them is 1 and the other 0, they are those sought
-        unit = system.at.copy()
-        unit[DECENTERING] = 0.0
+        unit = at.copy()
+        unit[_DECENTERED] = 0.0
         unit[one] = 1.0
-        found.append(problem.linearised(unit, system.observed)[1][..., HIGHER])
-    return found
+        found.append(problem.linearised(unit, observed)[1][..., [one, HIGHER.start, HIGHER.start + 1]])
+    return np.stack(found, axis=-1).reshape(*found[0].shape[:2], 6)
