@@ -98,6 +98,21 @@ def test_nights_wait_for_a_calibration_and_are_looked_at_once(sunarc: Sunarc, co
     replaced_where_named_again(sunarc, config, stars)
 
 
+def test_nights_that_are_stored_upside_down_are_named_as_such(sunarc: Sunarc, config: Path) -> None:
+    written(config)
+    for name in NIGHT:
+        file = config.parent / "images" / f"{name}.jpg"
+        image = cv2.imread(str(file))
+        assert image is not None
+        cv2.imwrite(str(file), image[::-1])
+    ingested(sunarc, config)
+    serve(config)
+    found = ingested(sunarc, config)
+    assert [night["accepted"] for night in found["nights"]] == [0]
+    flips = [one["data"]["flip"] for one in found["camera_findings"] if one["code"] == "stars_flipped"]
+    assert flips == ["its rows in reverse order"]
+
+
 def replaced_where_named_again(sunarc: Sunarc, config: Path, before: SunPointColumns) -> None:
     """Look at the night once more, with one image in cloud and sightings of another detector in the archive."""
     rng, database = np.random.default_rng(2), config.parent / "state" / "sunarc.sqlite"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -15,7 +15,7 @@ import numpy as np
 import sunarc
 from sunarc.archive.csv_files import write_sightings
 from sunarc.array_types import FloatArray, Image, IntArray, evenly_spread
-from sunarc.calibration.answers.stars import StarView, match_views, predict_stars
+from sunarc.calibration.answers.stars import StarView, match_views, matching_flip, predict_stars
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.messages import text_of
 from sunarc.calibration.model.document import to_document
@@ -124,41 +124,23 @@ def find_stars(paths: Sequence[Path], calibration: Calibration, options: StarOpt
     camera = calibration.camera
     size = (camera.width, camera.height)
     seen = [read_stars(path, calibration.site, options, size=size) for path in paths]
-    return _with_flips(named_stars(seen, calibration, within_px=options.within_px), seen, calibration, options)
+    return _with_flips(named_stars(seen, calibration, within_px=options.within_px), seen, calibration)
 
 
-def _with_flips(
-    named: list[StarImage], seen: Sequence[StarImage], calibration: Calibration, options: StarOptions
-) -> list[StarImage]:
+def _with_flips(named: list[StarImage], seen: Sequence[StarImage], calibration: Calibration) -> list[StarImage]:
     """Return images; where no image's stars match, and those of flipped ones do, their findings say which flip."""
     if any(one.matches is not None and one.matches.accepted for one in named):
         return named
-    width, height = calibration.camera.width, calibration.camera.height
-    last = np.array([width - 1.0, height - 1.0])
-    found = {
-        "its rows in reverse order": _flipped(seen, lambda xy: np.stack([xy[:, 0], last[1] - xy[:, 1]], axis=-1)),
-        "its columns in reverse order": _flipped(seen, lambda xy: np.stack([last[0] - xy[:, 0], xy[:, 1]], axis=-1)),
-    }
-    if width == height:
-        found["x and y swapped"] = _flipped(seen, lambda xy: np.ascontiguousarray(xy[:, ::-1]))
-    counts = {}
-    for name, images in found.items():
-        matches = [one.matches for one in named_stars(images, calibration, within_px=options.within_px)]
-        counts[name] = [len(one.detection) if one is not None and one.accepted else 0 for one in matches]
-    best = max(counts, key=lambda name: sum(counts[name]))
+    read = [_view(replace(one, stars=as_read.stars)) for one, as_read in zip(named, seen, strict=True)]
+    size = (calibration.camera.width, calibration.camera.height)
+    flip, counts = matching_flip([view for view in read if view is not None], size)
+    count_of = iter(counts)
+    found = [0 if view is None else next(count_of) for view in read]
     return [
         replace(one, findings=findings, reason=reason_of(findings))
-        if n and (findings := (*one.findings, Finding("stars_flipped", {"flip": best, "n": n})))
+        if n and (findings := (*one.findings, Finding("stars_flipped", {"flip": flip, "n": n})))
         else one
-        for one, n in zip(named, counts[best], strict=True)
-    ]
-
-
-def _flipped(images: Sequence[StarImage], flip: Callable[[FloatArray], FloatArray]) -> list[StarImage]:
-    """Return images whose detections are elsewhere."""
-    return [
-        one if one.stars is None else replace(one, stars=replace(one.stars, pixels=flip(one.stars.pixels)))
-        for one in images
+        for one, n in zip(named, found, strict=True)
     ]
 
 

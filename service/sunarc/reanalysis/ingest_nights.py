@@ -60,7 +60,7 @@ class FolderNights:
     looked_at : those of this run.
     known : images of nights that were looked at before.
     failures : images that could not be used, with the reason.
-    findings : why none could.
+    findings : why none could, and that they are stored otherwise than those of the calibration.
     """
 
     looked_at: tuple[NightOutcome, ...] = ()
@@ -99,6 +99,7 @@ def ingest_nights(
         return FolderNights(failures=_left_out(images), findings=(without,))
     seen = {} if reprocess else {night.date: night.n_images for night in camera.archive.nights.find(camera.name)}
     found, known, failures, done = list[NightOutcome](), 0, list[Failure](), 0
+    flips = dict[str, Finding]()
     for night, every in by_night(images.nights, longitude=settings.site.longitude):
         some = evenly(every)
         if seen.get(night, -1) >= _KNOWN_SHARE * len(some) - 1.0:
@@ -119,8 +120,10 @@ def ingest_nights(
             done += 1
             progress("naming stars", done, len(images.nights))
         if n_read:
-            found.append(_outcome(worker.finish()))
-    return FolderNights(looked_at=tuple(found), known=known, failures=tuple(failures))
+            judged = worker.finish()
+            found.append(_outcome(judged))
+            flips.update({str(one.data["flip"]): one for one in judged.findings if one.code == "stars_flipped"})
+    return FolderNights(looked_at=tuple(found), known=known, failures=tuple(failures), findings=tuple(flips.values()))
 
 
 def _worker(camera: CameraArchive, settings: Settings, *, now: datetime, replaces: bool) -> NightWorker:

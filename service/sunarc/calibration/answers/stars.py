@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -102,6 +102,24 @@ class MatchedView:
 def match_views(views: Sequence[StarView]) -> list[MatchedView]:
     """Return the matches of each image, without the detections that stand still between it and another of the night."""
     return [_matched(view, views) for view in views]
+
+
+def matching_flip(views: Sequence[StarView], image_size: tuple[int, int]) -> tuple[str, list[int]]:
+    """Return the flip of images by which most of their stars match, and how many do in each: 0 where none does."""
+    last = np.array(image_size) - 1.0
+    flips: dict[str, Callable[[FloatArray], FloatArray]] = {
+        "its rows in reverse order": lambda xy: np.stack([xy[:, 0], last[1] - xy[:, 1]], axis=-1),
+        "its columns in reverse order": lambda xy: np.stack([last[0] - xy[:, 0], xy[:, 1]], axis=-1),
+    }
+    if image_size[0] == image_size[1]:
+        flips["x and y swapped"] = lambda xy: np.ascontiguousarray(xy[:, ::-1])
+    counts = {}
+    for name, flip in flips.items():
+        flipped = [replace(view, stars=replace(view.stars, pixels=flip(view.stars.pixels))) for view in views]
+        matches = [one.matches for one in match_views(flipped)]
+        counts[name] = [one.detection.size if one.accepted else 0 for one in matches]
+    best = max(counts, key=lambda name: sum(counts[name]))
+    return best, counts[best]
 
 
 def _matched(view: StarView, every: Sequence[StarView]) -> MatchedView:

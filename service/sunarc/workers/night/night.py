@@ -16,7 +16,7 @@ import numpy as np
 from sunarc.archive.archive import CameraArchive
 from sunarc.archive.images import ImageStore
 from sunarc.archive.values import Event, Night, NightVerdict, Refit, SunPoint, unusable_night
-from sunarc.calibration.answers.stars import MatchedView, StarView, match_views
+from sunarc.calibration.answers.stars import MatchedView, StarView, match_views, matching_flip
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
 from sunarc.cameras.frame import Frame
@@ -84,6 +84,21 @@ class NightSummary:
     limiting_magnitude: float
     star_fwhm_px: float
     cloud_fraction: float
+
+
+_MOST_FLIPPED = 4
+"""Images, those with most detections, in which flips are looked for where no image's stars match."""
+
+
+def _flipped(
+    views: Sequence[StarView], matched: Sequence[MatchedView], calibration: Calibration
+) -> tuple[Finding, ...]:
+    """Return the finding of images that are stored otherwise than those of the calibration."""
+    lit = sorted((view for view in views if len(view.stars)), key=lambda view: -len(view.stars))[:_MOST_FLIPPED]
+    if not lit or any(found.matches.accepted for found in matched):
+        return ()
+    flip, counts = matching_flip(lit, (calibration.camera.width, calibration.camera.height))
+    return (Finding("stars_flipped", {"flip": flip, "n": max(counts)}),) if any(counts) else ()
 
 
 def summary_of(views: Sequence[StarView], matched: Sequence[MatchedView]) -> NightSummary:
@@ -362,7 +377,7 @@ class NightWorker:
             camera=self.camera.name,
             date=evening,
             verdict=verdict,
-            findings=(*findings, *refused[:1], *moon.refused[:1], *frozen),
+            findings=(*findings, *refused[:1], *_flipped(views, matched, calibration), *moon.refused[:1], *frozen),
             decided_at=self.now(),
             n_images=summary.n_images,
             n_accepted=summary.n_accepted,
