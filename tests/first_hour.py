@@ -118,7 +118,7 @@ def installed_wheel(home: Path) -> str:
 
 
 def follow_folder(newcomer: Newcomer, speed: float) -> None:
-    """Follow a folder that another program fills: init, check, serve; then analyse the same pictures as an archive."""
+    """Follow a folder that another program fills: init, check, serve; then calibrate and reanalyse by hand."""
     sunarc, home = newcomer.sunarc, newcomer.home
     pictures = home / "pictures"
     simulate = ("simulate", "--folder", str(pictures), "--speed", str(speed), "--cadence", "120")
@@ -131,6 +131,8 @@ def follow_folder(newcomer: Newcomer, speed: float) -> None:
             sunarc, "init", *SITE, *source, "--state", str(home / "state"), "--port", str(newcomer.port)
         )  # fmt: skip
         serve_until_calibrated(newcomer, running)
+    (home / "points.csv").write_text(newcomer.do(sunarc, "points", "export", "--config", "sunarc.toml"))
+    newcomer.do(sunarc, "calibrate", "points.csv", *decimal(), "--image-size", "640,640")
     newcomer.do(sunarc, "reanalyse", str(pictures), *decimal(), "--utc-offset", "0", "--yes", "-o", str(home / "again"))
     made = newcomer.do("ls", str(home / "again"))
     if "report.html" not in made:
