@@ -133,7 +133,9 @@ def _header_fault(encoded: bytes, size: tuple[int, int] | None) -> Finding | Non
     """Return what is wrong with an image, by its header and its end."""
     try:
         header = _header_of(encoded)
-    except (OSError, ValueError, TypeError, SyntaxError, Pictures.DecompressionBombError) as error:
+    except Pictures.DecompressionBombError:
+        return Finding("file_too_many_pixels", {"most": 2 * (Pictures.MAX_IMAGE_PIXELS or 0)})
+    except (OSError, ValueError, TypeError, SyntaxError) as error:
         return Finding("file_not_image", {"error": f"no PNG, JPEG, TIFF or JPEG 2000 image ({type(error).__name__})"})
     width, height = header.size
     wanted = size or header.size

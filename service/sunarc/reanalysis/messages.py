@@ -18,6 +18,9 @@ _NO_PICTURE = "No picture is taken; it is tried again at the next slot."
 MESSAGES = Messages(
     file_not_image=Message("{error}", _LEFT_OUT, "give a whole PNG, JPEG, TIFF or JPEG 2000 file of 8 or 16 bits"),
     file_not_read=Message("it cannot be read: {error}", _LEFT_OUT, f"{_RIGHT_TO_READ}; or check its disk or share"),
+    file_too_many_pixels=Message(
+        "its header states more than {most} pixels", _LEFT_OUT, "delete it, or set the camera to fewer pixels"
+    ),
     file_truncated=Message("the file ends before its image does", _LEFT_OUT, "copy it again from its source"),
     file_animated=Message("the file has {frames} frames", _LEFT_OUT, "write each frame to a file of its own"),
     file_cmyk=Message("its colours are CMYK, for print", _LEFT_OUT, "convert it to RGB or grey"),

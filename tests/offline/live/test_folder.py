@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from tests.offline.live.followed import Followed
 from tests.offline.live.sky_pictures import Lens, jpeg, picture, sun_at
+from tests.offline.live.test_snapshots import bomb
 
 MORNING = datetime(2025, 5, 13, 15, 0, tzinfo=UTC)
 LENS = Lens()
@@ -305,8 +306,11 @@ def test_html_in_a_picture_and_a_huge_one_are_left_out(followed: Followed) -> No
         for _ in range(6):
             followed.clock.advance(31.0)
             followed.turn()
+    followed.write("image-20250513150330.png", bomb(60_000))
+    followed.turn()
     assert followed.verdicts() == ["clear"]
-    assert sum(followed.service.archive.seen_files.refused("roof").values()) == 3
+    refused = followed.service.archive.seen_files.refused("roof")
+    assert (sum(refused.values()), refused["file_too_many_pixels"]) == (4, 1)
     assert "images_left_out" in followed.codes()
 
 
