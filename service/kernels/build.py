@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
+import shutil
 import subprocess
 import sys
 import sysconfig
 import tempfile
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +19,8 @@ PYTHON = f"{sys.version_info.major}.{sys.version_info.minor}"
 MULTIARCH = sysconfig.get_config_var("MULTIARCH")
 OTHER = os.environ.get("SUNARC_KERNELS_FOR", "")
 """An architecture to compile for that is not this computer's, as GNU names it: aarch64."""
+KEPT = os.environ.get("SUNARC_KERNELS_KEPT", "")
+"""A folder where what was compiled is kept for the next time that the same is asked: tests build four times."""
 
 
 class CompiledModule(BuildHookInterface[Any]):
@@ -47,13 +52,21 @@ class CompiledModule(BuildHookInterface[Any]):
 
 
 def _compiled(sources: Path, folder: Path) -> Path:
-    """Return the module, compiled in a folder."""
+    """Return the module, compiled in a folder, or as it was kept."""
+    sums = [hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(sources.iterdir()) if path.is_file()]
+    asked = " ".join([*sums, version("nanobind"), sys.version, OTHER])
+    kept = Path(KEPT, hashlib.sha256(asked.encode()).hexdigest()) if KEPT else folder
+    for module in kept.glob("_kernels*.so"):
+        return module
     options = ["-DCMAKE_BUILD_TYPE=Release", f"-DPython_EXECUTABLE={sys.executable}"]
     if OTHER:
         options += _for_other(folder)
     subprocess.run(["cmake", "-S", sources, "-B", folder, *options], check=True, stdout=sys.stderr)
     subprocess.run(["cmake", "--build", folder, "--parallel", "2"], check=True, stdout=sys.stderr)
     (module,) = folder.glob("_kernels*.so")
+    if KEPT:
+        kept.mkdir(parents=True, exist_ok=True)
+        os.replace(shutil.copy(module, kept / f"new-{os.getpid()}"), kept / module.name)  # noqa: PTH105 - at once, whole
     return module
 
 
