@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from sunarc.api.options import ApiOptions
 from sunarc.api.routes.feed import token_digest
 from sunarc.archive.archive import open_archive
 from sunarc.archive.fleet.feed_rows import FleetCamera, Refusal
-from sunarc.archive.fleet.feeds import FeedStore
+from sunarc.archive.fleet.feeds import FeedStore, HubRun
 from sunarc.runtime.status import StatusSnapshot
 
 pytestmark = [pytest.mark.browser, in_a_browser]
@@ -70,7 +71,7 @@ def test_an_alarm_of_a_cross_check_is_in_the_headline_the_table_and_its_own_rows
     shown = [(row[0], row[9]) for row in cells(page.page, "cameras")]
     assert shown == [("roof", "! clock, clock by clouds"), ("mast", "✓ nothing"), ("gate", "· slow turn")]
     assert page.page.locator("#map .degraded").count() == 1
-    assert "clock 2.12 ± 0.11 s ahead since 2026-05-09: 3 neighbours agree" in cells(page.page, "cameras")[0][2]
+    assert "clock 2.12 ± 0.11 s ahead since 2026-05-09: by 3 neighbours" in cells(page.page, "cameras")[0][2]
     wrong, slow = cells(page.page, "checks")
     assert wrong == [
         "roof", "! clock, clock by clouds", "2026-05-09", "3 of 4, 0.98", "2.12 ± 0.11 s",
@@ -104,7 +105,7 @@ ILL: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "quarantine": ({"n_quarantined": 3}, {}),
     "uncalibrated": ({"calibration": None, "calibrated_at": None, "sky_rms_deg": None}, {}),
 }
-"""Codes of eight that are ill in eight ways, and what of them is not as it is to be."""
+"""Codes of eight that are ill in eight ways, and what of them is not as it is to be; neighbours show a ninth."""
 
 
 def of_fleet(number: int, changes: dict[str, Any], reported: dict[str, Any]) -> FleetCamera:
@@ -126,19 +127,24 @@ def of_fleet(number: int, changes: dict[str, Any], reported: dict[str, Any]) -> 
 
 @pytest.fixture
 def fifty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """Serve a hub of fifty cameras, every sixth of the first of which is ill."""
+    """Serve a hub of fifty cameras: every sixth of the first ones is ill, and by its neighbours the last."""
     ill = {6 * n + 1: changes for n, changes in enumerate(ILL.values())}
     cameras = tuple(of_fleet(number, *ill.get(number, ({}, {}))) for number in range(50))
+    hubs = tuple(HubRun(address=f"fleet:{port}", version="0.4.0", started_at=NOW) for port in (8080, 8081))
     monkeypatch.setattr(FeedStore, "fleet", lambda _self: cameras)
+    monkeypatch.setattr(FeedStore, "hubs", lambda _self: hubs)
     make_empty(tmp_path / "hub.sqlite")
     with open_archive(tmp_path / "hub.sqlite") as archive:
+        save_checks(
+            archive, *(replace(one, camera=f"station-{n}") for one, n in zip(CHECKS, (47, 48, 49), strict=True))
+        )
         status = StatusSnapshot(version="1", started_at=NOW)
         app = create_hub_app(archive=archive, status=lambda: status, now=lambda: NOW, options=ApiOptions())
         with serving_app(app) as served:
             yield served
 
 
-def test_of_fifty_cameras_eight_that_are_ill_in_eight_ways_are_named_first_on_one_screen(
+def test_of_fifty_cameras_nine_that_are_ill_in_nine_ways_are_named_first_on_one_screen(
     chromium: Browser, fifty: str, tmp_path: Path
 ) -> None:
     for width in (1440, 390):
@@ -147,10 +153,11 @@ def test_of_fifty_cameras_eight_that_are_ill_in_eight_ways_are_named_first_on_on
         assert page.page.evaluate("document.documentElement.scrollWidth") <= width
         page.page.screenshot(path=tmp_path / f"fleet-{width}.png", full_page=True)
         if width == 1440:
-            assert "8 of 50" in page.page.inner_text("#verdict")
+            assert "9 of 50" in page.page.inner_text("#verdict")
+            assert "2 hubs" in page.page.inner_text("#headline")
             rows = cells(page.page, "cameras")
-            assert [bool(row[2] != "–") for row in rows] == [True] * 8 + [False] * 42
-            assert {row[1].split(" ", 1)[1] for row in rows[8:]} == {"ready"}
+            assert [bool(row[2] != "–") for row in rows] == [True] * 9 + [False] * 41
+            assert {row[1].split(" ", 1)[1] for row in rows[9:]} == {"ready"}
             bottom = page.page.evaluate("document.querySelector('#cameras').getBoundingClientRect().bottom")
             assert bottom <= 900.0
         assert page.complaints == []

@@ -24,6 +24,7 @@ from tests.fixtures.feed_cases import STATUS_ROW, good_rows
 from tests.fixtures.postgresql import Server, programs, running_server
 from tests.fleet.hub_process import HubProcess
 
+import sunarc
 from sunarc.archive.archive import open_archive
 from sunarc.runtime.clock import SystemClock
 from sunarc.utc import to_microseconds
@@ -93,7 +94,11 @@ def test_the_steps_of_the_page_lead_to_a_camera_that_is_ready_on_two_hubs(tmp_pa
         for hub in hubs:
             (listed,) = cast("dict[str, Any]", hub.ask("/v1/fleet"))["cameras"]
             assert (listed["state"], listed["why"]) == ("ready", [])
-            assert cast("dict[str, Any]", hub.ask("/readyz"))["status"] == "ready"
+            ready = cast("dict[str, Any]", hub.ask("/readyz"))
+            assert ready["status"] == "ready"
+            ports = {int(one["address"].rpartition(":")[2]) for one in ready["hubs"]}
+            assert ports == {one.address[1] for one in hubs}
+            assert {one["version"] for one in ready["hubs"]} == {sunarc.__version__}
         assert [hub.stop() for hub in hubs] == [0, 0]
         cut_off(server)
 

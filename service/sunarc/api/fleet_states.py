@@ -149,7 +149,7 @@ def _shown(check: CrossCheck) -> Iterator[tuple[State, FleetReason]]:
                 "north": f"north turned by {_measured(check.north_deg, check.north_sigma_deg, '°')}",
             }.get(cause, f"{cause.replace('_', ' ')} by {math.hypot(*(check.rotation_deg or ())):.3g}°")
             sure = "" if check.confidence is None else f", probability {check.confidence:.2f}"
-            text = f"{size} since {check.since}: {check.agreeing} neighbours agree{sure}"
+            text = f"{size} since {check.since}: by {check.agreeing} neighbours{sure}"
         yield "degraded", FleetReason(code=f"neighbours_{cause}", text=text)
 
 

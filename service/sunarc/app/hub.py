@@ -12,6 +12,7 @@ from sunarc.app.pushing import fleet_states, push_workers
 from sunarc.app.service import hub_recording
 from sunarc.app.serving import LOOP_STALE_S, new_server, running, stop_on_signals, supervised, with_credentials
 from sunarc.archive.archive import Archive, open_archive
+from sunarc.archive.fleet.feeds import HubRun
 from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.daily_job import Schedule
 from sunarc.runtime.host import listen, notifier_from
@@ -34,7 +35,10 @@ def serve_hub(settings: HubSettings) -> int:
     OutsideError : the database does not answer; the port is taken.
     """
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    with listen(settings.api.host, settings.api.port) as listening, open_archive(settings.archive) as archive:
+    address = f"{socket.gethostname()}:{settings.api.port}"
+    run = HubRun(address=address, version=sunarc.__version__, started_at=SystemClock().now())
+    store = run.store(settings.archive)
+    with listen(settings.api.host, settings.api.port) as listening, open_archive(store) as archive:
         return _serve_at(listening, archive, settings)
 
 

@@ -25,6 +25,7 @@ from sunarc.api.routes.metrics import Labelled, labelled, push_metrics, service_
 from sunarc.api.schemas import Alive, Readiness
 from sunarc.archive.archive import Archive
 from sunarc.archive.fleet.feed_rows import FleetCamera, Quarantined
+from sunarc.archive.fleet.feeds import HubRun
 from sunarc.archive.fleet.nightly import CrossChecks, DaySummary, NightlyRun
 from sunarc.errors import InputError, OutsideError
 from sunarc.geolocation.pair_height import PairView, pair_height
@@ -37,6 +38,13 @@ class Fleet(BaseModel):
 
     time: Time
     cameras: Annotated[list[FleetMember], described("The worst first.")]
+    hubs: Annotated[list[HubRun], described("Hubs beside each other on this database; empty where it is a file.")]
+
+
+class HubReadiness(Readiness):
+    """Whether a hub can be relied on, and which hubs work beside it."""
+
+    hubs: Annotated[list[HubRun], described("Hubs beside each other on this database; empty where it is a file.")]
 
 
 class Quarantine(BaseModel):
@@ -55,7 +63,8 @@ def fleet_routes(
     def fleet() -> Fleet:
         """Return every camera of the fleet: its site, when it last sent something, and its state."""
         time = now()
-        return Fleet(time=time, cameras=members(archive.feeds.fleet(), time, archive.nightly.cross_checks()))
+        cameras = members(archive.feeds.fleet(), time, archive.nightly.cross_checks())
+        return Fleet(time=time, cameras=cameras, hubs=list(archive.feeds.hubs()))
 
     @routes.get("/v1/quarantine")
     def quarantine(
@@ -70,15 +79,18 @@ def fleet_routes(
         """Return 200 while the process answers."""
         return Alive()
 
-    @routes.get("/readyz", response_model=Readiness, responses=answers(503))
-    def readyz(request: Request) -> Readiness | JSONResponse:
+    @routes.get("/readyz", response_model=HubReadiness, responses=answers(503))
+    def readyz(request: Request) -> HubReadiness | JSONResponse:
         """Return whether rows of every kind can be stored (503 if not), and which of the hub's jobs fail."""
         archive.cameras.all()
         archive.feeds.require_privileges()
         snapshot = status()
         if snapshot.health != "not_ready":
             archive.require_room(now=now())
-        return readiness(snapshot, request.url.path)
+        found = readiness(snapshot, request.url.path)
+        if isinstance(found, JSONResponse):
+            return found
+        return HubReadiness(**dict(found), hubs=list(archive.feeds.hubs()))
 
     @routes.get(
         "/metrics",

@@ -62,13 +62,20 @@ function drawMap(cameras) {
   }));
 }
 
+// Hubs that share the database; those of two versions are not to.
+function beside(hubs) {
+  const shown = hubs.map((hub) => `${hub.address} (${hub.version}) since ${moment(hub.started_at)}`).join(", ");
+  const differ = new Set(hubs.map((hub) => hub.version)).size > 1 ? " ! of different versions" : "";
+  return hubs.length ? ` · ${hubs.length === 1 ? "hub" : `${hubs.length} hubs`}${differ}: ${shown}` : "";
+}
+
 function showAll(fleet, quarantine, crossed) {
   const checks = new Map(crossed.checks.map((check) => [check.camera, check]));
   const cameras = fleet.cameras;
   const bad = cameras.filter((c) => c.state !== "ready").length;
   $("health").dataset.health = bad ? "degraded" : "ready";
   $("verdict").textContent = bad ? `! ${bad} of ${fleet.cameras.length} need a look` : `✓ ${fleet.cameras.length} cameras`;
-  $("headline").textContent = `at ${moment(fleet.time)} UTC`;
+  $("headline").textContent = `at ${moment(fleet.time)} UTC${beside(fleet.hubs)}`;
   $("cameras").replaceChildren(...cameras.map((c) => ofCamera(c, fleet.time, checks.get(c.camera))));
   document.body.classList.toggle("many", cameras.length > MANY);
   $("checks").replaceChildren(...crossed.checks.filter((check) => check.found.length).map(ofCheck));

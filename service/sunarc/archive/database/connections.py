@@ -342,8 +342,8 @@ def require_writable(connection: Connection) -> None:
 
 
 def name_of(url: URL) -> str:
-    """Return the address of a database, without its password."""
-    return url.render_as_string(hide_password=True)
+    """Return the address of a database, without its password and the name of the connections."""
+    return url.difference_update_query(["application_name"]).render_as_string(hide_password=True)
 
 
 _BUSY_TIMEOUT_MS = 30_000

@@ -12,10 +12,23 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from datetime import datetime, timedelta
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-from sqlalchemy import Column, ColumnElement, Connection, Engine, QueuePool, Select, Table, TypeDecorator, insert, text
+from sqlalchemy import (
+    Column,
+    ColumnElement,
+    Connection,
+    Engine,
+    QueuePool,
+    Select,
+    Table,
+    TextClause,
+    TypeDecorator,
+    insert,
+    text,
+)
 from sqlalchemy.dialects import postgresql, sqlite
 
 from sunarc.archive.database.connections import (
@@ -348,14 +361,19 @@ def upsert_records(
     the first.
     """
     last = {tuple(row.get(name) for name in key): row for row in rows}
+    statement = _of_records(table.name, tuple(columns), tuple(key))
+    connection.execute(statement, {"rows": json_text(list(last.values()))})
+
+
+@cache
+def _of_records(table: str, columns: tuple[str, ...], key: tuple[str, ...]) -> TextClause:
     names = ", ".join(columns)
     written = ", ".join(f"{name} = excluded.{name}" for name in columns if name not in key)
-    statement = text(
-        f"INSERT INTO {table.name} ({names}) "  # noqa: S608 - names of the table's own columns
-        f"SELECT {names} FROM json_populate_recordset(NULL::{table.name}, CAST(:rows AS json)) "
+    return text(
+        f"INSERT INTO {table} ({names}) "  # noqa: S608 - names of the table's own columns
+        f"SELECT {names} FROM json_populate_recordset(NULL::{table}, CAST(:rows AS json)) "
         f"ON CONFLICT ({', '.join(key)}) DO UPDATE SET {written}"
     )
-    connection.execute(statement, {"rows": json_text(list(last.values()))})
 
 
 _TRIED_EVERY, _TRIED_AGAIN_AFTER = timedelta(minutes=1), timedelta(seconds=5)

@@ -10,12 +10,15 @@ from contextlib import nullcontext
 from dataclasses import KW_ONLY, dataclass, replace
 from datetime import datetime, timedelta
 from itertools import groupby
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
 from sqlalchemy import (
+    URL,
     ColumnElement,
     Connection,
     Table,
+    bindparam,
     case,
     delete,
     exists,
@@ -56,7 +59,8 @@ from sunarc.archive.fleet.feed_rows import (
 from sunarc.archive.fleet.feed_schema import LATEST_US, problem_of, typed
 from sunarc.calibration.model.document import READ_SCHEMAS
 from sunarc.errors import InputError, NotFoundError, OutsideError
-from sunarc.utc import from_microseconds
+from sunarc.json_fields import EXAMPLE_TIME, Returned, Time, described
+from sunarc.utc import from_microseconds, utc_time
 
 FUTURE = timedelta(minutes=10)
 """A row dated later than now by more than this is set apart: clocks differ by seconds, time zones by hours."""
@@ -101,6 +105,27 @@ WHOLE = 0
 
 Tokens = Mapping[str, Sequence[tuple[str, datetime | None]]]
 """Digests by camera, each with when it ends."""
+
+
+_HUB = re.compile(r"sunarc hub (\S+) (\S+) (\d{10})")
+"""Name of a hub's connections: its host and port, version and start; PostgreSQL keeps 63 characters."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HubRun(Returned):
+    """A process of a hub that has the database open."""
+
+    address: Annotated[str, described("Its host and port.", "fleet:8080")]
+    version: Annotated[str, described("The software's version.", "0.4.0")]
+    started_at: Annotated[Time, described("When it started.", EXAMPLE_TIME)]
+
+    def store(self, store: Path | URL) -> Path | URL:
+        """Return the address of a database whose connections will name this process; a file's is as it was."""
+        if isinstance(store, Path):
+            return store
+        host, _, port = self.address.rpartition(":")
+        name = f"sunarc hub {host[:20]}:{port} {self.version[:14]} {self.started_at.timestamp():.0f}"
+        return store.update_query_dict({"application_name": name})
 
 
 class _RowError(Exception):
@@ -214,6 +239,23 @@ class FeedStore(Part):
         statement = select(quarantine).where(_standing(), *given((c.camera.__eq__, camera)))
         return self._database.values(statement.order_by(c.last_at.desc(), c.camera, c.seq).limit(limit), Quarantined)
 
+    def hubs(self) -> tuple[HubRun, ...]:
+        """Return the hubs that have the database open, the oldest first; of a file none is known."""
+        names = text(
+            "SELECT DISTINCT application_name FROM pg_stat_activity WHERE datname = current_database() "
+            "AND application_name LIKE 'sunarc hub %'"
+        )
+        with self._database.reading() as connection:
+            if connection.dialect.name != "postgresql":
+                return ()
+            found = [_HUB.fullmatch(name) for name in connection.execute(names).scalars()]
+        hubs = [
+            HubRun(address=one[1], version=one[2], started_at=utc_time(float(one[3])))
+            for one in found
+            if one is not None
+        ]
+        return tuple(sorted(hubs, key=lambda hub: (hub.started_at, hub.address)))
+
     def fleet(self) -> tuple[FleetCamera, ...]:
         """Return every camera that was registered or fed, with how many things of it are in quarantine."""
         counted = select(quarantine.c.camera, func.count().label("n")).where(_standing())
@@ -325,10 +367,24 @@ def _position(connection: Connection, batch: FeedBatch, now: datetime) -> int | 
 
 def _moved_on(connection: Connection, batch: FeedBatch, now: datetime) -> bool:
     """Move the number of an installation that is accepted from where the batch begins to where it ends."""
-    c = feed.c
-    here = (c.camera == batch.camera, c.installation == batch.installation, c.accepted, c.committed == batch.after)
     committed = batch.rows[-1].seq if batch.rows else batch.after
-    return connection.execute(update(feed).where(*here).values(committed=committed, last_at=now)).rowcount == 1
+    values = {
+        "of": batch.camera,
+        "by": batch.installation,
+        "after": batch.after,
+        "committed": committed,
+        "last_at": now,
+    }
+    return connection.execute(_MOVE_ON, values).rowcount == 1
+
+
+_MOVE_ON = update(feed).where(
+    feed.c.camera == bindparam("of"),
+    feed.c.installation == bindparam("by"),
+    feed.c.accepted,
+    feed.c.committed == bindparam("after"),
+)
+"""Made once: a small PUT is few statements."""
 
 
 def _standing() -> ColumnElement[bool]:
