@@ -240,8 +240,9 @@ def drift_within(
 def _are_of(camera: Camera, points: Sightings, site: Site, begins: Sequence[int]) -> bool:
     """Return whether sightings between changes all lie near a camera's predictions: so they are linear in turns."""
     off = np.linalg.norm(points.pixels - project_fast(camera, sun_directions(points.unix_s, site)), axis=-1)
-    parts = np.split(off, list(begins))
-    return all(float(np.nanmedian(part)) < _ONE_VIEW * camera.focal_length_px[0] for part in parts if part.size)
+    # what the camera does not see is far from all that it does
+    parts = np.split(np.where(np.isfinite(off), off, np.inf), list(begins))
+    return all(float(np.median(part)) < _ONE_VIEW * camera.focal_length_px[0] for part in parts if part.size)
 
 
 def _drifting(turns: FloatArray, along: FloatArray) -> FloatArray:

@@ -127,6 +127,17 @@ def test_too_few_sightings_say_nothing_of_a_drift() -> None:
     assert drift_within(some, fit.camera, SITE, noise_of_days(some, SITE)) is None
 
 
+def test_days_that_a_camera_does_not_see_are_of_no_drift_of_it() -> None:
+    points = archive(0, Drift())
+    fit = calibrate(points, site=SITE, image_size=SIZE, options=OPTIONS)
+    narrow, noise = replace(fit.camera, max_angle=np.radians(55.0)), noise_of_days(points, SITE)
+    low = sun_angles(points.unix_s, SITE).apparent_zenith > 60.0
+    order = np.argsort(low, kind="stable")
+    sorted_points = points.select(order)
+    change = int(np.count_nonzero(~low))
+    assert drift_within(sorted_points, narrow, SITE, noise[order], changes=[(change, "moved")]) is None
+
+
 def test_cameras_are_apart_by_their_stated_errors() -> None:
     fit = calibrate(archive(0, Drift()), site=SITE, image_size=SIZE, options=OPTIONS)
     assert apart_sigmas(fit, fit) == 0.0
