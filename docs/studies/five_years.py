@@ -83,17 +83,17 @@ def main() -> None:
     measure(path)
 
 
-def make(path: Path) -> None:
-    """Write five years into a new database."""
+def make(path: Path, *, days: int = DAYS, cadence_s: float = _CADENCE_S, most: int = SIGHTINGS) -> None:
+    """Write days into a new database: by default five years."""
     upgrade(path)
     archive = open_archive(path)
     camera = true_camera()
     archive.cameras.save(CameraRecord.at(SGP, name="roof", width=camera.width, height=camera.height))
     first = archive.epochs.at("roof", START, reason="installed")
     rng = np.random.default_rng(5)
-    times = START.timestamp() + np.arange(0.0, DAYS * 86_400.0, _CADENCE_S)
+    times = START.timestamp() + np.arange(0.0, days * 86_400.0, cadence_s)
     times = np.concatenate([part[sun_angles(part, SGP).apparent_zenith < 88.0] for part in np.array_split(times, 200)])
-    times = times[np.sort(rng.permutation(times.size)[:SIGHTINGS])]
+    times = times[np.sort(rng.permutation(times.size)[:most])]
     with closing(sqlite3.connect(path)) as connection, connection:
         for part in np.array_split(times, 50):
             pixels = project_fast(camera, sun_directions(part, SGP)) + rng.normal(0.0, _SIGMA_PX, (part.size, 2))
@@ -106,14 +106,14 @@ def make(path: Path) -> None:
                     for t, (x, y) in zip(part.tolist(), pixels.tolist(), strict=True)
                 ),
             )
-    for year in range(1, round(DAYS / 365)):
+    for year in range(1, round(days / 365)):
         archive.epochs.open("roof", at=START + timedelta(days=365 * year), reason="moved")
-    _remember_days(archive)
+    _remember_days(archive, days)
     archive.close()
 
 
-def _remember_days(archive: Archive) -> None:
-    for number in range(DAYS):
+def _remember_days(archive: Archive, days: int) -> None:
+    for number in range(days):
         moment = START + timedelta(days=number + 1)
         day = (START + timedelta(days=number)).date()
         archive.days.save(
