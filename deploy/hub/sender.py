@@ -7,6 +7,7 @@ Ends when the hub has all rows, or with the hub's words where it refuses them.
 """
 
 import gzip
+import http.client
 import json
 import sys
 import time
@@ -50,7 +51,7 @@ class Feed:
                 if error.code not in AGAIN_LATER:
                     sys.exit(f"the hub refuses ({error.code}): {error.read().decode(errors='replace')}")
                 pause_s = float(error.headers.get("retry-after", wait_s))
-            except OSError:
+            except (OSError, http.client.HTTPException, ValueError):  # no answer, or not all of it
                 pause_s = wait_s
             time.sleep(pause_s)
             wait_s = min(2.0 * wait_s, 60.0)

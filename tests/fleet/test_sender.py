@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import socket
 import subprocess
 import sys
 import threading
@@ -69,3 +70,21 @@ def test_the_example_sends_every_row_once_while_the_hub_is_killed(tmp_path: Path
             assert listed.status == STATUS_ROW
         finally:
             hub.kill()
+
+
+def test_an_answer_that_is_cut_off_is_asked_for_again(tmp_path: Path) -> None:
+    """A hub that is killed may have sent the head of its answer."""
+    whole = b'{"committed": 0}'
+    head = b"HTTP/1.1 200 OK\r\ncontent-length: %d\r\nconnection: close\r\n\r\n" % len(whole)
+    (tmp_path / "rows").write_text("")
+    (tmp_path / "token").write_text("a token")
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        url = f"http://127.0.0.1:{listening.getsockname()[1]}"
+        command = [sys.executable, str(SENDER), url, "roof", str(tmp_path / "token"), str(tmp_path / "rows")]
+        with subprocess.Popen(command) as sending:
+            for body in (b"", whole[:5], whole):
+                channel, _ = listening.accept()
+                with channel:
+                    channel.recv(65_536)
+                    channel.sendall(head + body)
+            assert sending.wait(30.0) == 0
