@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import logging
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import replace
-from datetime import datetime
+from datetime import date, datetime
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
@@ -201,7 +201,7 @@ class Service:
             sun_zenith_deg=settings.capture.sun_zenith_deg,
             now=self.frame_time.now,
             request_refit=self.request_refit,
-            waiting=lambda: frozenset() if self.folder is None else self.folder.waiting_days,
+            waiting=self._waiting_days,
         )
         self.cadence = self._cadence()
         self.folder, self.folder_archive = self._followed_folder()
@@ -252,6 +252,7 @@ class Service:
             clock=self.clock,
             frame_time=self.frame_time,
             board=self.board,
+            look_back=self.days.look_back,
         )
         images = LiveImages(
             self.camera,
@@ -381,9 +382,14 @@ class Service:
             Refit(id=uuid.uuid4().hex, camera=self.settings.name, requested_at=self.frame_time.now(), reason=reason)
         )
 
+    def _waiting_days(self) -> Container[date]:
+        if self.folder is None or self.folder_archive is None:
+            return frozenset()
+        return self.folder_archive.waiting_days(self.folder.waiting_days)
+
     def judge_completed_days(self) -> None:
         """Judge the days that have ended, while the time that dates them is known."""
-        if self.folder_archive is not None and self.folder_archive.is_busy:
+        if self.folder_archive is not None and self.folder_archive.holds_all_days:
             return
         if self.frame_time.is_known and self.clock_watch.trusted():
             self.days.judge_ended_days()

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
+from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass
 from datetime import date, timedelta
 from functools import partial
@@ -14,6 +15,7 @@ from sunarc.archive.seen_files import SeenFile
 from sunarc.cameras.options import FolderOptions
 from sunarc.errors import OutsideError
 from sunarc.findings import Finding
+from sunarc.reanalysis.folder_files import changed_s
 from sunarc.reanalysis.image_files import SourceFile
 from sunarc.reanalysis.image_times import TimeRules
 from sunarc.reanalysis.ingest import IngestOptions, ingest_folder
@@ -33,8 +35,26 @@ _LOOK_S = 2.0
 _COUNT_S = 30.0
 _AGAIN_S = 3600.0
 _LONGEST_S = 14 * 86_400.0
-"""Of one analysis: 100,000 images of 12 MP on a small computer take days."""
+"""Of one analysis: a year's images of 12 MP on a small computer take days."""
+_PORTION = 2000
+"""Older images that are analysed at once, the newest first: their days are judged before those of the rest."""
 _IN_WORK, _FAILED = "archive_in_work", "archive_failed"
+
+
+class DaysUntil:
+    """All days until one, and other ones.
+
+    Parameters
+    ----------
+    last, others : of the days.
+    """
+
+    def __init__(self, last: date, others: Container[date]) -> None:
+        self._last, self._others = last, others
+
+    def __contains__(self, day: object) -> bool:
+        """Return whether a day is one of them."""
+        return isinstance(day, date) and (day <= self._last or day in self._others)
 
 
 @dataclass(eq=False)
@@ -52,6 +72,7 @@ class FolderArchiveWorker:
     camera : its archive.
     clock, frame_time : real time, and that of the images.
     board : where the progress is shown.
+    look_back : called once sightings of earlier days are stored: these may be judged.
     """
 
     options: FolderOptions
@@ -62,6 +83,7 @@ class FolderArchiveWorker:
     clock: Clock
     frame_time: FrameTime
     board: StatusRegistry
+    look_back: Callable[[], None] = lambda: None
 
     def __post_init__(self) -> None:
         """Begin without a reason."""
@@ -73,14 +95,26 @@ class FolderArchiveWorker:
         self._failed_s: float | None = None
 
     def analyse(self, files: Sequence[SourceFile]) -> None:
-        """Have older files of the folder analysed."""
+        """Have older files of the folder analysed, and all of it once they led to a calibration."""
         with self._lock:
-            self._older = (*self._older, *files)
+            self._older = tuple(sorted((*self._older, *files), key=changed_s, reverse=True))
+        with suppress(OutsideError):  # the database refuses for a while
+            self._remember()
 
     @property
     def is_busy(self) -> bool:
-        """Whether an analysis is going on or due: days are judged afterwards."""
+        """Whether an analysis is going on or due."""
         return self._working or (not self._rests and (bool(self._older) or self._is_due()))
+
+    @property
+    def holds_all_days(self) -> bool:
+        """Whether an analysis is going on or due that any day waits for."""
+        return self.is_busy and not self._older
+
+    def waiting_days(self, others: Container[date]) -> Container[date]:
+        """Return the days of which older images are still to be analysed, and other ones that wait."""
+        older = self._older
+        return others if self._rests or not older else DaysUntil(self._day_of(changed_s(older[0])), others)
 
     @property
     def _rests(self) -> bool:
@@ -98,17 +132,16 @@ class FolderArchiveWorker:
         """Analyse the folder if there is a reason to; return whether that was done."""
         if self._rests or not (self._older or self._is_due()):
             return False
-        with self._lock:
-            files, self._older = self._older, ()
+        files = self._older[:_PORTION]
         self._working = True
         try:
             answer = self._analyse(files, stop, heartbeat)
             if isinstance(answer, IngestSummary):
                 self._succeeded(files)
             elif answer is not None:
-                self._fail(files, str(answer))
+                self._fail(str(answer))
         except (OutsideError, SolverDiedError, SolveFailedError) as error:
-            self._fail(files, str(error))
+            self._fail(str(error))
         finally:
             self._working = False
             self.board.set_condition(_IN_WORK, None)
@@ -116,28 +149,36 @@ class FolderArchiveWorker:
 
     def _is_due(self) -> bool:
         """Return whether a day has ended without a calibration, or the first one is there."""
+        self._remember()
         today = self._today()
-        if self._analysed is None:
-            self._analysed, self._calibrated = today, self._has_calibration()
         if self._calibrated and self._has_calibration():
             self._analysed = today
             return False
         known = self.camera.archive.cameras.get(self.camera.name) is not None
         return known and (today != self._analysed or self._calibrated != self._has_calibration())
 
+    def _remember(self) -> None:
+        """Take note of the day and of whether there is a calibration, the first time."""
+        if self._analysed is None:
+            self._analysed, self._calibrated = self._today(), self._has_calibration()
+
     def _today(self) -> date:
-        return solar_date(self.frame_time.now().timestamp(), longitude=self.camera.site.longitude)
+        return self._day_of(self.frame_time.now().timestamp())
+
+    def _day_of(self, unix_s: float) -> date:
+        return solar_date(unix_s, longitude=self.camera.site.longitude)
 
     def _has_calibration(self) -> bool:
         return self.camera.archive.calibrations.current(self.camera.name) is not None
 
     def _analyse(self, files: Sequence[SourceFile], stop: threading.Event, heartbeat: Callable[[], None]) -> object:
-        call = partial(
-            ingest_folder,
-            self.settings,
-            self.options.path,
-            options=IngestOptions(method=self.options.method, rules=self.rules, files=self.options.files),
+        options = IngestOptions(
+            method=self.options.method,
+            rules=self.rules,
+            files=self.options.files,
+            only=frozenset(file.name for file in files) if files else None,
         )
+        call = partial(ingest_folder, self.settings, self.options.path, options=options)
         before, next_s = self._stored(), self.clock.monotonic()
 
         def show() -> None:
@@ -145,7 +186,7 @@ class FolderArchiveWorker:
             heartbeat()
             if files and self.clock.monotonic() >= next_s:
                 next_s = self.clock.monotonic() + _COUNT_S
-                found = Finding(_IN_WORK, {"n": len(files), "stored": self._stored() - before})
+                found = Finding(_IN_WORK, {"n": len(self._older), "stored": self._stored() - before})
                 self.board.set_condition(_IN_WORK, Reason.of(found, MESSAGES))
 
         return in_child(call, ChildControl(self.clock, _LONGEST_S, stop, show))
@@ -158,12 +199,16 @@ class FolderArchiveWorker:
         """Write the files down as seen: a run that is broken off begins again with what it had not stored."""
         seen = (SeenFile(camera=self.camera.name, file=one.name, stamp=one.stamp) for one in files)
         self.camera.archive.seen_files.add(seen)
-        self._analysed, self._calibrated = self._today(), self._has_calibration()
+        with self._lock:
+            done = {one.name for one in files}
+            self._older = tuple(one for one in self._older if one.name not in done)
+        self.look_back()
+        if not files:
+            self._analysed, self._calibrated = self._today(), self._has_calibration()
         self._failed_s = None
         self.board.set_condition(_FAILED, None)
 
-    def _fail(self, files: Sequence[SourceFile], error: str) -> None:
-        self.analyse(files)
+    def _fail(self, error: str) -> None:
         self._failed_s = self.clock.monotonic()
         _log.warning("the older images of %s could not be analysed: %s", self.options.path, error)
         self.board.set_condition(_FAILED, Reason.of(Finding(_FAILED, {"error": error}), MESSAGES))

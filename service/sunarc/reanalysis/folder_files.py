@@ -154,6 +154,11 @@ def source_file(name: str, state: os.stat_result) -> SourceFile:
     return SourceFile(name, state.st_size, f"{state.st_size}-{state.st_mtime_ns}")
 
 
+def changed_s(file: SourceFile) -> float:
+    """Return when a file of a folder was last changed, s since 1970-01-01."""
+    return int(file.stamp.partition("-")[2]) / 1e9
+
+
 class Settling:
     """Files that came, until they have not changed for a while.
 

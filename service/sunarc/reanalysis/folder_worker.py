@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 import logging
 import math
 import threading
@@ -22,7 +23,7 @@ from sunarc.cameras.frame import Frame
 from sunarc.cameras.options import FolderOptions
 from sunarc.errors import InputError, OutsideError
 from sunarc.findings import Finding
-from sunarc.reanalysis.folder_files import FolderListing, FolderWatch, Settling, is_image, source_file
+from sunarc.reanalysis.folder_files import FolderListing, FolderWatch, Settling, changed_s, is_image, source_file
 from sunarc.reanalysis.image_files import (
     MOST_BYTES,
     MOST_PIXELS,
@@ -171,6 +172,8 @@ _LATE_S = 600.0
 _GONE = timedelta(days=30)
 _PREFIXES = 12
 """So many images in a row with other names are those of a camera that was renamed."""
+_AT_ONCE = 32
+"""Complete files that are dated before others are looked for."""
 _NEWEST = 60
 _SHOWN = frozenset({".jpg", ".jpeg", ".png"})
 
@@ -296,16 +299,23 @@ class FolderWorker:
             if now_s >= due_s:
                 del self._again[name]
                 self.note_names([name])
-        ready, self._ready = self._ready, {}
+        ready = self._newest_ready()
         if ready:
             self._came_s = now_s
+            waits = bool(self._ready)
             self._take_files([file for file, _ in ready.values()], heartbeat, live=True, since_s=ready)
-            return bool(self._late)
+            return waits or bool(self._late)
         if self._late:
             some = [self._late.pop(name) for name in list(self._late)[:1]]
             self._take_files(some, heartbeat, live=False)
             return True
         return False
+
+    def _newest_ready(self) -> dict[str, tuple[SourceFile, float]]:
+        """Return some complete files, those that came last first: a live one does not wait for thousands of others."""
+        names = heapq.nsmallest(_AT_ONCE, self._ready, key=lambda name: (-self._ready[name][1], name))
+        names.sort(key=lambda name: (self._ready[name][1], name))
+        return {name: self._ready.pop(name) for name in names}
 
     @property
     def newest_picture(self) -> Path | None:
@@ -346,11 +356,11 @@ class FolderWorker:
     def _first_listing(self, listed: Sequence[SourceFile], new: Sequence[SourceFile]) -> None:
         """Divide what is there at the start: the newest are live, few are late, many are an archive."""
         now = self.clock.now().timestamp()
-        recent = [file for file in new if now - _changed_s(file) < _LIVE.total_seconds()]
+        recent = [file for file in new if now - changed_s(file) < _LIVE.total_seconds()]
         for file in recent:
             self._settling.add(file, self.clock.monotonic())
-        older = [file for file in new if now - _changed_s(file) >= _LIVE.total_seconds()]
-        self._register(sorted(listed, key=_changed_s))
+        older = [file for file in new if now - changed_s(file) >= _LIVE.total_seconds()]
+        self._register(sorted(listed, key=changed_s))
         if len(older) > _MANY:
             self.archive_of(older)
             for file in older:
@@ -393,7 +403,7 @@ class FolderWorker:
         for file in files:
             dated = self._dated(file)
             if dated is not None and live:
-                self._arrivals.note(dated.frame.time, utc_time(_changed_s(file)))
+                self._arrivals.note(dated.frame.time, utc_time(changed_s(file)))
             if dated is not None and live and not self._is_recent(dated.frame.time):
                 self._late[file.name] = file
             elif dated is not None:
@@ -543,7 +553,7 @@ class FolderWorker:
             self._usual = prefix
 
     def _may_grow(self, file: SourceFile) -> bool:
-        return self.clock.now().timestamp() - _changed_s(file) < _HALF_WRITTEN_S
+        return self.clock.now().timestamp() - changed_s(file) < _HALF_WRITTEN_S
 
     def _noted(self, time: datetime, new: Sequence[_Dated], *, live: bool) -> None:
         """Show the newest image, and take the time from it where images are the only clock."""
@@ -642,8 +652,3 @@ def _live(one: _Dated) -> LiveImage:
 def _mono(image: Image) -> Image:
     """Return the mean of an image's colours: the night's detector takes one channel."""
     return image if image.ndim == 2 else image.mean(axis=2).astype(image.dtype)
-
-
-def _changed_s(file: SourceFile) -> float:
-    """Return when a file was last changed, s since 1970-01-01."""
-    return int(file.stamp.partition("-")[2]) / 1e9

@@ -76,10 +76,19 @@ class Failure(NamedTuple):
 
 
 class Selector(NamedTuple):
-    """Which files are a camera's: those of some sources whose names match a pattern of `fnmatch`."""
+    """Which files are a camera's: those of some sources whose names match a pattern of `fnmatch`.
+
+    only: their paths below the source, where some are chosen of them; None for all.
+    """
 
     sources: tuple[str, ...]
     files: str = "*"
+    only: frozenset[str] | None = None
+
+    def takes(self, name: str) -> bool:
+        """Return whether a file is the camera's, by its path below its source."""
+        chosen = self.only is None or name in self.only
+        return chosen and fnmatch(PurePosixPath(name).name, self.files)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -201,7 +210,7 @@ def index_folder(plan: CameraPlan) -> tuple[CameraImages, list[Failure]]:
     if not Path(folder).is_dir():
         raise InputError(field=folder, problem="is no folder", remedy="name a folder of images")
     found, failed = _found(plan)
-    if not found and not failed:
+    if not found and not failed and plan.selector.only is None:
         raise InputError(field=folder, problem="has no images", remedy="name a folder of PNG, JPEG or TIFF files")
     images, copies = _single(sorted(one.image for one in found))
     parts = _by_sun(images, plan, nights=True)
@@ -223,7 +232,7 @@ def _found(plan: CameraPlan) -> tuple[list[_Found], list[tuple[str, str, Finding
         files = list(source.files())
         names = {file.name for file in files}
         for file in files:
-            if kind_of(file.name) is None or not fnmatch(PurePosixPath(file.name).name, plan.selector.files):
+            if kind_of(file.name) is None or not plan.selector.takes(file.name):
                 continue
             try:
                 found += list(_timed(source, file, plan, names))

@@ -67,6 +67,7 @@ class IngestOptions:
     method : see `detect_in_image`.
     rules : how times are read.
     files : which files are the camera's, a pattern of `fnmatch` for their names.
+    only : of these the ones to be looked at, by their paths below the folder; None for all.
     reprocess : look at images again that are known, in place of their former sightings.
     processes : how many images are looked at at once.
     contact_sheet : file of the contact sheet; None for `ingest/contact-sheet.png` in the state folder.
@@ -75,6 +76,7 @@ class IngestOptions:
     method: Method = "auto"
     rules: TimeRules = field(default_factory=lambda: TimeRules(offset=timedelta(0), documents=True))
     files: str = "*"
+    only: frozenset[str] | None = None
     reprocess: bool = False
     processes: int = 1
     contact_sheet: Path | None = None
@@ -140,7 +142,7 @@ def _plan(settings: Settings, folder: Path, options: IngestOptions, size: tuple[
     return CameraPlan(
         name=settings.name,
         site=settings.site,
-        selector=Selector((str(folder),), options.files),
+        selector=Selector((str(folder),), options.files, options.only),
         rules=options.rules,
         image_size=size,
         method=options.method,

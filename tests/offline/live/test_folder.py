@@ -298,6 +298,21 @@ def test_what_may_not_be_read_is_said_and_taken_once_it_may(
     followed.close()
 
 
+def test_a_live_image_is_taken_before_the_hundreds_that_came_with_it(followed: Followed) -> None:
+    """They are dated a few at a time; what is no image costs the test nothing."""
+    for n in range(200):
+        followed.write(f"old/image-20240513{n // 60:02d}{n % 60:02d}00.jpg", b"%d" % n)
+    followed.worker.list_new()
+    followed.clock.advance(1.5)
+    assert followed.worker.work()
+    live = followed.clock.now().replace(microsecond=0)
+    followed.write(allsky(live), shot(live))
+    followed.worker.list_new()
+    followed.clock.advance(1.5)
+    followed.worker.work()
+    assert [point.time for point in followed.points()] == [live]
+
+
 def test_html_in_a_picture_and_a_huge_one_are_left_out(followed: Followed) -> None:
     take(followed, 1)
     for n, content in enumerate([b"<html>401</html>", b"", shot(MORNING)[:2]]):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
+from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -52,6 +53,40 @@ def test_many_older_images_wait_for_the_archive_and_live_ones_do_not(
     assert not again.service.folder_archive.is_busy
     assert len(again.points()) == 9
     again.close()
+
+
+def test_the_newest_portion_comes_first_and_its_days_are_judged_before_the_rest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(folder_worker, "_MANY", 5)
+    monkeypatch.setattr(folder_archive, "_PORTION", 6)
+    looked_at = list[tuple[str, ...]]()
+
+    def in_this_process(call: Callable[[], object], _: object) -> object:
+        looked_at.append(tuple(sorted(call.keywords["options"].only)))  # type: ignore[attr-defined]
+        return call()
+
+    monkeypatch.setattr(folder_archive, "in_child", in_this_process)
+    followed = Followed(tmp_path, MORNING)
+    older = [MORNING - timedelta(days=days, minutes=-10 * n) for days in (3, 2, 1) for n in range(3)]
+    for time in older:
+        os.utime(followed.write(allsky(time), shot(time)), (time.timestamp(), time.timestamp()))
+    followed.turn()
+    live = followed.clock.now().replace(microsecond=0)
+    followed.write(allsky(live), shot(live))
+    followed.turn()
+    behind = followed.service.folder_archive
+    assert behind is not None
+    assert behind.step(threading.Event(), lambda: None)
+    followed.service.judge_completed_days()
+    assert [(day.date.day, day.n_observed) for day in followed.service.archive.days.find("roof")] == [(12, 3), (11, 3)]
+    assert behind.step(threading.Event(), lambda: None)
+    assert looked_at == [tuple(map(allsky, older[3:])), tuple(map(allsky, older[:3]))]
+    followed.service.judge_completed_days()
+    assert [day.date.day for day in followed.service.archive.days.find("roof")] == [12, 11, 10]
+    assert [point.time for point in followed.points()] == [*older, live]
+    assert not behind.is_busy
+    followed.close()
 
 
 def test_an_analysis_that_fails_does_not_keep_days_from_being_judged(

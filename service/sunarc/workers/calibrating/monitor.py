@@ -492,13 +492,15 @@ class DayJudge:
     waiting: Callable[[], Container[date]] = frozenset
     _judged_before: date | None = field(default=None, init=False)
     _again: set[date] = field(default_factory=set, init=False)
+    _looks_back: bool = field(default=False, init=False)
 
     def judge_ended_days(self) -> list[Day]:
         """Judge what is due and return the verdicts; one refit is asked for, however many days were clear."""
         longitude = self.camera.site.longitude
         today = solar_date(self.now().timestamp(), longitude=longitude)
-        if self._judged_before is not None and self._judged_before > today:
-            self._judged_before = None  # the time went back
+        looks_back, self._looks_back = self._looks_back, False
+        if looks_back or (self._judged_before is not None and self._judged_before > today):
+            self._judged_before = None  # or the time went back
         archive, name, waiting = self.camera.archive, self.camera.name, self.waiting()
         again = {day for day in set(self._again) if day < today and day not in waiting}
         since = min([self._judged_before, *again]) if self._judged_before is not None else None
@@ -518,6 +520,10 @@ class DayJudge:
     def judge_again(self, day: date) -> None:
         """Judge a day once more where it is judged already: sightings of it came late."""
         self._again.add(day)
+
+    def look_back(self) -> None:
+        """Have every day looked for that is not judged: sightings of earlier ones came."""
+        self._looks_back = True
 
     def _stands(self, day: Day) -> bool:
         """Return whether a verdict was given after its day had ended and before now: else a wrong clock gave it."""
