@@ -60,6 +60,12 @@ def test_reflections_cloud_and_lamps_are_no_sun(what: Series) -> None:
     assert not detect_sun_in_stack(stack(what)).accepted
 
 
+def test_a_lamp_by_day_as_bright_as_the_sun_is_none() -> None:
+    what = Series(sun=None, lamp=(399.0, 135.0), cloud=0.5, lamp_level=0.6, lamp_radius=1.2)
+    found = detect_sun_in_stack(stack(what, seed=7))  # a long exposure has a round glare about it
+    assert (found.accepted, codes(found.findings)) == (False, ["disc_without_glare"])
+
+
 def test_short_exposures_alone_are_not_believed() -> None:
     found = detect_sun_in_stack(stack(Series(sun=SUN), of=EXPOSURES_US[:4]))
     assert (found.accepted, codes(found.findings)) == (False, ["disc_without_glare"])

@@ -81,6 +81,13 @@ _SAME_PX = 1.0
 _FEWEST = 2
 _TIMES_SKY = 60.0
 """Light of the disc over that of the sky: the sun has 1e5 without cloud; a reflection has less than the cloud's rim."""
+_WIDE_GLARE, _SMALLEST_RING_PX = 3.0, 2.0
+"""Radius of a clipped glare over the disc's that no lamp without a halo has; least radius for that and the rings."""
+_NEAR_RING, _FAR_RING, _CLIPPED_RING = (2.5, 4.0), (6.0, 8.0), 0.9
+"""Of radii of the disc; light of full scale from which on a ring is clipped."""
+_FALLS_OFF = 1.11
+"""Light of the near ring over the far one's: of drawn lamps mostly below 1.08, more in a bright cloud; suns behind
+cloud that lets a third through have 1.04 to 1.15."""
 
 
 def _disc_in(ordered: Sequence[Photo], expectation: Expectation | None) -> _DiscOfStack | None:
@@ -122,7 +129,7 @@ def _by_disc(disc: _DiscOfStack, ordered: Sequence[Photo], accepted: Sequence[De
             at, accepted=False, verdict="reflection", findings=(Finding("blob_displaced", {"distance_px": far}),)
         )
     glare = [near for each in ordered if (near := _glare_about(each, at)) is not None]
-    if not accepted and not (glare and _outshines(disc.shortest, ordered)):
+    if not accepted and not (glare and _outshines(disc.shortest, ordered) and _has_halo(disc, glare, ordered)):
         return replace(at, accepted=False, verdict="hidden", findings=(Finding("disc_without_glare"),))
     diameter = 2.0 * (glare[0].rim.radius if glare else accepted[0].radius_px or 0.0)
     share = glare[0].rim.share if glare else 1.0
@@ -147,12 +154,37 @@ def _glare_about(photo: Photo, disc: Detection) -> Candidate | None:
     )
 
 
+def _has_halo(disc: _DiscOfStack, glare: Sequence[Candidate], ordered: Sequence[Photo]) -> bool:
+    """Return whether light falls off about the disc as the sun's does in air and lens, beyond what is clipped.
+
+    A lamp of the sun's radiance on a bright sky has an edge and then the sky; one whose light the lens scatters as the
+    sun's is like it in a single stack, and stands still in the next one.
+    """
+    radius = max(disc.shortest.radius_px or 0.0, _SMALLEST_RING_PX)
+    if any(one.rim.radius >= _WIDE_GLARE * radius for one in glare):
+        return True
+    rows, columns = np.mgrid[: ordered[0].image.shape[0], : ordered[0].image.shape[1]]
+    away = np.hypot(columns - disc.x, rows - disc.y) / radius
+    rings = [(away >= least) & (away < most) for least, most in (_NEAR_RING, _FAR_RING)]
+    for each in ordered:
+        if not is_short(each):
+            near, far = (_median_light(each.image[ring][None], each.full_scale) for ring in rings)
+            if near < _CLIPPED_RING:  # the longest exposure of these has the least noise
+                return near >= _FALLS_OFF * far
+    return False
+
+
+def _median_light(image: Image, full_scale: int) -> float:
+    """Return the median of the linear light of a colour image, of full scale; NaN where it has no pixel."""
+    return float(np.median(linear_sum(image, full_scale))) / (3 * _LINEAR_SCALE) if image.size else math.nan
+
+
 def _outshines(dot: Detection, ordered: Sequence[Photo]) -> bool:
     """Return whether the disc is so much lighter than the sky as the sun is; True where the exposures are not known."""
     if dot.exposure_us is None or dot.peak_fraction is None:
         return True
     skies = [
-        float(np.median(linear_sum(each.image[::8, ::8], each.full_scale))) / (3 * _LINEAR_SCALE) / each.exposure_us
+        _median_light(each.image[::8, ::8], each.full_scale) / each.exposure_us
         for each in ordered
         if each.exposure_us is not None and not is_short(each)
     ]

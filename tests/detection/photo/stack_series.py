@@ -22,7 +22,7 @@ class Series(NamedTuple):
     """What the thirteen images are of.
 
     sun: centre of the disc, px; None: overcast without a sun. radius: of the disc, px. glint: a reflection's place.
-    dimmed: share of the sun's light that passes a thin cloud. quality: of JPEG.
+    dimmed: share of the sun's light that passes a thin cloud. quality: of JPEG. lamp: a place without haloes about it.
     """
 
     sun: tuple[float, float] | None
@@ -34,6 +34,8 @@ class Series(NamedTuple):
     quality: int = 92
     night: bool = False
     lamp: tuple[float, float] | None = None
+    lamp_level: float = 0.5
+    lamp_radius: float = 1.5
 
 
 def series(what: Series, seed: int) -> dict[int, NDArray[np.uint8]]:
@@ -50,7 +52,7 @@ def _light(what: Series, rng: np.random.Generator) -> Light:
     sky = np.full((height, width), 0.0 if what.night else 6e-4)
     texture = gaussian_filter(rng.standard_normal((height, width)), 14.0)
     sky *= 1.0 + what.cloud * np.clip(texture / texture.std(), 0.0, 3.0)
-    for place, level, radius in ((what.glint, 0.02, 1.2), (what.lamp, 0.5, 1.5)):
+    for place, level, radius in ((what.glint, 0.02, 1.2), (what.lamp, what.lamp_level, what.lamp_radius)):
         if place is not None:
             sky += level * _disc(columns - place[0], rows - place[1], radius)
     if what.sun is None:
