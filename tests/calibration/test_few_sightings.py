@@ -21,13 +21,13 @@ DRAWN = 5
 _CHI_SQUARE_95 = 5.991
 
 
-def _drawn(seed: int, days: int, sigma_px: float) -> tuple[Camera, Sightings]:
+def _drawn(seed: int, days: int, sigma_px: float, n: int = N) -> tuple[Camera, Sightings]:
     truth, rng = true_camera(seed), np.random.default_rng(1000 + seed)
     times = times_of(tuple(7.0 * day for day in range(days)), site=SGP, cadence_s=60.0)
     pixels = project(truth, sun_directions(times, SGP))
     inside = np.all((pixels > 0.0) & (pixels < truth.width), axis=-1)
-    some = np.sort(rng.choice(np.flatnonzero(inside), N, replace=False))
-    return truth, Sightings.of(unix_s=times[some], pixels=pixels[some] + rng.normal(0.0, sigma_px, (N, 2)))
+    some = np.sort(rng.choice(np.flatnonzero(inside), n, replace=False))
+    return truth, Sightings.of(unix_s=times[some], pixels=pixels[some] + rng.normal(0.0, sigma_px, (n, 2)))
 
 
 def _covered(fit: Calibration, truth: Camera) -> float:
@@ -75,3 +75,12 @@ def test_a_day_of_one_sighting_does_not_tell_how_the_camera_is_turned() -> None:
     truth, points = _drawn(37, 4, 0.05)
     fit = calibrate(points, site=SGP, image_size=(truth.width, truth.height))
     assert 0.0 < fit.evidence.held_out["excess"] < 1.0
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_forty_sightings_of_two_days_and_a_start_are_a_calibration(seed: int) -> None:
+    truth, points = _drawn(seed, 2, 0.5, n=40)
+    fit = calibrate(points, site=SGP, image_size=(truth.width, truth.height), start=truth)
+    assert fit.verdict.accepted
+    assert "epoch_does_not_explain_its_days" not in codes(fit.verdict.findings)
+    assert _covered(fit, truth) > 0.8
