@@ -170,7 +170,7 @@ def agreeing(cameras: Sequence[DailyRotations], number: int, change: RotationSte
     """Return how many others show a camera's change, each by itself; 0 where they are no more than half of all.
 
     What differs between two cameras is either's: a change is the camera's own where its difference from others has it
-    in about its whole size. What many cameras do alike, others than this one, is not told from it.
+    in about its whole size. What many cameras do alike, others than this one, is not distinguished from it.
     """
     n_shown, n_compared = 0, 0
     change = change.likeliest
