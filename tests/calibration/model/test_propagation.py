@@ -202,6 +202,26 @@ def test_the_sky_s_sigma_is_the_root_mean_square_over_what_the_image_shows() -> 
     assert rms < most
 
 
+def test_what_lands_in_the_image_a_second_time_is_no_sky_that_it_shows() -> None:
+    level = replace(
+        small_camera(),
+        projection="perspective",
+        focal_length_px=(136.0, 136.0),
+        principal_point_px=(319.5, 239.5),
+        skew_px=0.0,
+        rotation_cam_enu=(0.0, 0.0, 0.0),
+        radial=(0.0,) * 8,
+        max_angle=math.radians(89.9),
+    )
+    bent = replace(level, decentering=(0.0, -0.02, 0.0, 0.0))
+    directions = hemisphere()
+    low, pixels = directions[:, 2] < math.cos(math.radians(80.0)), project(bent, directions)
+    assert np.any(low & np.all((pixels >= -0.5) & (pixels <= [639.5, 479.5]), axis=-1))
+    (rms, most), (plain, _) = (sky_sigma_deg(stated_calibration(one, amplitude_px=0.3)) for one in (bent, level))
+    assert most < 10.0 * rms
+    assert rms == pytest.approx(plain, rel=0.3)
+
+
 def test_a_camera_that_shows_no_sky_has_no_sigma() -> None:
     below = replace(small_camera(), rotation_cam_enu=(math.pi, 0.0, 0.0), max_angle=math.radians(30.0))
     assert np.all(np.isnan(sky_sigma_deg(stated_calibration(below))))

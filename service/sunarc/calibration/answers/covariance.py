@@ -213,6 +213,10 @@ def hemisphere(count: int = _HEMISPHERE) -> FloatArray:
     return np.stack([horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), up], axis=-1)
 
 
+_SAME = 1e-6
+"""1 minus the cosine of directions that are the same."""
+
+
 def sky_sigma_deg(calibration: Uncertain) -> tuple[float, float]:
     """Return the root mean square and the maximum 1-sigma over the part of the sky that the camera sees, degrees.
 
@@ -221,7 +225,10 @@ def sky_sigma_deg(calibration: Uncertain) -> tuple[float, float]:
     directions = hemisphere()
     pixels = project(calibration.camera, directions)
     visible = np.all(np.isfinite(pixels), axis=-1) & camera_sees(calibration.camera, pixels)
-    sigma = sigma_deg(calibration, directions[visible]) if np.any(visible) else np.array([np.nan])
+    # beyond the angle at which decentering outgrows the radius, directions land in the image a second time
+    shown = unproject(calibration.camera, pixels[visible])
+    seen = directions[visible][np.sum(shown * directions[visible], axis=-1) > 1.0 - _SAME]
+    sigma = sigma_deg(calibration, seen) if seen.size else np.array([np.nan])
     sigma = sigma[np.isfinite(sigma)]
     if sigma.size == 0:
         return math.nan, math.nan
