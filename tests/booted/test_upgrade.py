@@ -30,13 +30,18 @@ MOMENTS = (
 )
 
 
+def lay(field: Field, package: Path) -> None:
+    """Install a package over what is there, as deploy/install does."""
+    shutil.copy(package, field.path("/srv/sunarc.deb"))
+    dpkg = [part for name in ("confold", "unsafe-io") for part in ("-o", f"Dpkg::Options::=--force-{name}")]
+    options = ("--yes", "--allow-downgrades", "--reinstall", *dpkg)
+    field.do("apt-get", "install", *options, "/srv/sunarc.deb", timeout_s=600.0)
+
+
 def install(field: Field, package: Path) -> float:
     """Install a package over what is there, wait until the service is ready; return the processor seconds of both."""
-    shutil.copy(package, field.path("/srv/sunarc.deb"))
     begun, used = time.monotonic(), children_processor_s()
-    dpkg = [part for name in ("confold", "unsafe-io") for part in ("-o", f"Dpkg::Options::=--force-{name}")]
-    options = ("--yes", "--allow-downgrades", "--reinstall", *dpkg)  # as deploy/install does
-    field.do("apt-get", "install", *options, "/srv/sunarc.deb", timeout_s=600.0)
+    lay(field, package)
     installed = time.monotonic()
     used = children_processor_s() - used
     field.wait_until_ready()
@@ -77,6 +82,45 @@ def test_a_year_of_data_is_upgraded_in_a_minute_of_processor_and_can_go_back(
     assert field.sightings() >= n
     field.wait_for_sightings(1)
     assert processor_s < 60.0
+
+
+@pytest.mark.smoke
+def test_a_machine_is_upgraded_killed_taken_back_and_purged_and_loses_nothing(
+    new_field: Fields, installed_before: Path, work: Path
+) -> None:
+    """Of each once, on one machine that has no network: what tests/run does where a machine is kept."""
+    field = new_field(installed_before)
+    field.configure(binning=None)  # which the version before did not know
+    field.image()
+    field.machine.boot()
+    field.wait_until_ready()
+    n, revision = field.wait_for_sightings(2), field.sql("SELECT version_num FROM alembic_version")
+
+    install(field, work / "sunarc.deb")
+    assert field.sql("SELECT version_num FROM alembic_version") >= revision
+    upgraded = field.wait_for_sightings(1)
+    assert upgraded > n
+
+    restarts = field.restarts()
+    field.do("systemctl", "kill", "-s", "KILL", "--kill-whom=main", "sunarc")
+    wait_for(lambda: field.restarts() > restarts, within_s=60.0, what="the restart")
+    field.wait_until_ready()
+    assert field.sql("PRAGMA integrity_check") == "ok"
+    restarted = field.wait_for_sightings(1)
+    assert restarted > upgraded
+
+    field.do("systemctl", "stop", "sunarc")
+    field.do(*SUNARC, "db", "downgrade", "--to", revision, "--state", "/var/lib/sunarc")
+    install(field, work / "previous.deb")
+    taken_back = field.wait_for_sightings(1)
+    assert taken_back > restarted
+
+    field.do("apt-get", "purge", "--yes", "sunarc")
+    assert not field.path("/usr/lib/sunarc").exists()
+    lay(field, work / "sunarc.deb")  # as on a new computer, beside the measurements of the one before
+    field.configure(binning=None)
+    field.wait_until_ready()
+    assert field.wait_for_sightings(1) > taken_back
 
 
 def test_an_older_version_on_a_newer_database_says_what_to_do_and_touches_nothing(field_computer: Field) -> None:
