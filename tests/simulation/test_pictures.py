@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import io
+import socket
 import threading
 from base64 import b64encode
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime, timedelta
 from email.utils import parsedate_to_datetime
 from pathlib import Path
@@ -95,6 +96,10 @@ def answering(camera: PictureServer) -> Iterator[str]:
     thread = threading.Thread(target=serve_pictures, args=(camera, ("127.0.0.1", port), stop))
     thread.start()
     try:
+        for _ in range(500):
+            with suppress(OSError), socket.create_connection(("127.0.0.1", port), 0.1):
+                break
+            thread.join(0.02)
         yield f"127.0.0.1:{port}"
     finally:
         stop.set()
@@ -142,10 +147,8 @@ def test_a_wrong_password_gives_no_picture(tmp_path: Path) -> None:
 
 
 def test_an_address_that_is_taken_or_none_is_said(sunarc: Sunarc) -> None:
-    with answering(server(VirtualClock(NOON))) as address:
-        host, _, port = address.partition(":")
-        with pytest.raises(OutsideError):
-            serve_pictures(server(VirtualClock(NOON)), (host, int(port)), threading.Event())
+    with socket.create_server(("127.0.0.1", 0)) as taken, pytest.raises(OutsideError):
+        serve_pictures(server(VirtualClock(NOON)), taken.getsockname(), threading.Event())
     for text in ("127.0.0.1", "8090", "127.0.0.1:0", "127.0.0.1:99999", ":8090"):
         assert sunarc("simulate", "--http", text).code == 2
     assert sunarc("simulate", "--http", "127.0.0.1:8090", "--folder", "pictures").code == 2
