@@ -109,6 +109,9 @@ NOTHING = io.BytesIO()
 np.savez(NOTHING, x=np.arange(4), y=np.arange(3), direction=np.full((3, 4, 3), np.nan))
 OTHER = io.BytesIO()
 np.savez(OTHER, x=np.arange(4), y=np.arange(3), direction=np.ones((4, 3, 3)))
+TWICE = io.BytesIO()
+np.savez_compressed(TWICE, x=np.array([0, 1, 1, 2]), y=np.arange(3), direction=np.ones((3, 4, 3)))
+DEFLATED = TWICE.getvalue().replace(TWICE.getvalue()[40:60], b"\xff" * 20)
 TEN = YAML.replace(b"  ss: [", b"  ss: [" + b"0.0, " * 6)
 
 
@@ -138,6 +141,9 @@ TEN = YAML.replace(b"  ss: [", b"  ss: [" + b"0.0, " * 6)
         (json.dumps(with_nan("uncertainty", "covariance")).encode(), "not finite"),
         (json.dumps(with_nan("model", "radial")).encode(), "not finite"),
         (OTHER.getvalue(), "shape"),
+        (TWICE.getvalue(), "ascend"),
+        (DEFLATED, "no map"),
+        (OCAM.replace(b";", b" "), "rotation"),
     ],
 )  # fmt: skip
 def test_what_is_not_what_it_says_is_refused(content: bytes, problem: str) -> None:

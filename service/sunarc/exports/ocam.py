@@ -249,6 +249,8 @@ def read_ocamcalib(content: bytes, *, name: str) -> View:
         rotation = np.array([row.split() for row in turn.split(";")], dtype=np.float64) if turn else FRAME
     except ValueError as error:
         raise InputError(field=name, problem=f"no OCamCalib text ({error})", remedy=_REMEDY) from None
+    if rotation.shape != (3, 3):
+        raise InputError(field=name, problem="its rotation is not of 3 by 3 numbers", remedy=_REMEDY)
     if len(blocks) < 5 or [len(one) for one in blocks[2:5]] != [2, 3, 2]:
         raise InputError(field=name, problem="not the five blocks of OCamCalib", remedy=_REMEDY)
     if any(one[0] != len(one) - 1 or len(one) < 3 for one in blocks[:2]):

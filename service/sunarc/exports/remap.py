@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import zlib
 from collections.abc import Mapping
 from typing import Any, Literal
 from zipfile import BadZipFile
@@ -166,7 +167,7 @@ def read_remap(content: bytes, *, name: str) -> View:
         size = tables.shape[0]
         if said["grid"] != "sky" or tables.shape != (size, size, 2):
             raise ValueError("its grid is not the sky")  # noqa: TRY301 - one message for all that is wrong
-    except (KeyError, ValueError, TypeError, OSError, BadZipFile) as error:
+    except (KeyError, ValueError, TypeError, OSError, BadZipFile, zlib.error) as error:
         raise InputError(
             field=name,
             problem=f"no remap tables of the sky ({error})",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import zlib
 from collections.abc import Mapping
 from typing import Any, Literal, get_args
 from zipfile import BadZipFile
@@ -93,10 +94,13 @@ def read_table(content: bytes, *, name: str) -> View:
             h5netcdf = extra_module("h5netcdf", extra="netcdf")
             with h5netcdf.File(io.BytesIO(content), "r") as file:
                 x, y, directions = (np.asarray(file.variables[key][...]) for key in ("x", "y", "direction"))
-    except (KeyError, ValueError, OSError, RuntimeError, BadZipFile) as error:  # RuntimeError: of HDF5's library
+    # RuntimeError, OverflowError: of HDF5's library
+    except (KeyError, ValueError, OSError, RuntimeError, OverflowError, BadZipFile, zlib.error) as error:
         raise InputError(
             field=name, problem=f"no map of directions ({error})", remedy="give a NetCDF or npz file of sunarc export"
         ) from None
+    if any(axis.ndim != 1 or not np.all(np.diff(axis) > 0) for axis in (x, y)):
+        raise InputError(field=name, problem="x or y does not ascend", remedy="write the file again")
     require_directions(directions, (len(y), len(x)), name=name)
     size = (int(x[-1]) + 1, int(y[-1]) + 1)
     return grid_view("netcdf", size=size, x=x, y=y, directions=directions.astype(np.float64))
