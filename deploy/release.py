@@ -220,7 +220,7 @@ def built_twice(work: Path, version: str) -> tuple[Path, Path]:
 
 def files_of(out: Path, reports: Path | None) -> None:
     """Make the files of HEAD's version."""
-    os.environ.pop("SUNARC_KERNELS_KEPT", None)  # what is built twice is compiled twice
+    os.environ.pop("KERNELS_KEPT", None)  # what is built twice is compiled twice
     os.environ["SOURCE_DATE_EPOCH"] = run("git", "log", "-1", "--format=%ct")
     if run("git", "status", "--porcelain", "--untracked-files=no"):
         raise ReleaseError("what is changed and not committed would be missing: commit it, or put it away")

@@ -19,7 +19,7 @@ PYTHON = f"{sys.version_info.major}.{sys.version_info.minor}"
 MULTIARCH = sysconfig.get_config_var("MULTIARCH")
 OTHER = os.environ.get("SUNARC_KERNELS_FOR", "")
 """An architecture to compile for that is not this computer's, as GNU names it: aarch64."""
-KEPT = os.environ.get("SUNARC_KERNELS_KEPT", "")
+KEPT = os.environ.get("KERNELS_KEPT", "")
 """A folder where what was compiled is kept for the next time that the same is asked: tests build four times."""
 
 
