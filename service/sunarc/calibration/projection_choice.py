@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration.answers.covariance import hemisphere, sigma_deg
+from sunarc.calibration.answers.covariance import seen_sky, sigma_deg
 from sunarc.calibration.calibrate import Start, calibration_of, most_plausible_start, robust_fit
 from sunarc.calibration.changes.change_points import Moved, calibrate_moved
 from sunarc.calibration.fit.assemble import Job
@@ -26,7 +26,6 @@ from sunarc.calibration.fit.marginal_likelihood import (
 )
 from sunarc.calibration.fit.normal_equations import linear_system
 from sunarc.calibration.fit.robust_fit import RobustFit, grid_of
-from sunarc.calibration.model.backward import camera_sees
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import STRONG_EVIDENCE, Calibration, Verdict
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
@@ -147,8 +146,7 @@ def _with_others(calibration: Calibration, choice: ProjectionChoice, fits: dict[
 
     Those that are not out of the question count alike: few sightings do not weigh them.
     """
-    directions = hemisphere()
-    directions = directions[camera_sees(calibration.camera, project(calibration.camera, directions))]
+    directions = seen_sky(calibration.camera)
     sigma, squares = sigma_deg(calibration, directions), [0.0]
     for name, fitted in fits.items():
         if name != choice.projection and choice.log_evidence[name] > -_POSSIBLE:

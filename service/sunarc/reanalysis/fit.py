@@ -12,7 +12,7 @@ import sunarc
 from sunarc.array_types import FloatArray, IntArray, stacked
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.document import to_document
-from sunarc.calibration.model.result import Calibration, Verdict
+from sunarc.calibration.model.result import Calibration, refused_for
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.quality.acceptance import apart_sigmas, with_larger_errors, with_pose_spread
 from sunarc.calibration.quality.site_checks import tilt_question
@@ -261,8 +261,9 @@ def final_analysis(given: CameraSightings) -> Final:
     held = [(state, points.select(path == number)) for number, state in enumerate(states) if np.any(path == number)]
     refined = [_refined(state, fitted, of_state, camera) for state, of_state in held]
     epochs, path = find_epochs(points, refined, camera)
-    found = _without_drifts(Final(tuple(refined), tuple(epochs), path, fitted), given)
-    return _held_to_parts(_allowing_for_drift(_held_to_days(found, given), given), given)
+    noise = noise_of_days(points, camera.site)
+    found = _without_drifts(Final(tuple(refined), tuple(epochs), path, fitted), given, noise)
+    return _held_to_parts(_allowing_for_drift(_held_to_days(found, given, noise), given, noise), given)
 
 
 _DRIFTS = {"mount_drifts", "clock_drifts_on"}
@@ -281,9 +282,9 @@ def _drift_of(final: Final, given: CameraSightings, noise: FloatArray, run: Sequ
     return drift_within(seen, state.calibration.camera, given.camera.site, noise[rows], changes=changes)
 
 
-def _without_drifts(final: Final, given: CameraSightings) -> Final:
+def _without_drifts(final: Final, given: CameraSightings, noise: FloatArray) -> Final:
     """Return epochs, those in which mount or clock drifted taken together and refused: no camera holds for them."""
-    epochs, noise = final.epochs[:_MOST_CHANGES], noise_of_days(given.points, given.camera.site)
+    epochs = final.epochs[:_MOST_CHANGES]
     states, path, fitted = list(final.states), final.path.copy(), dict(final.fitted)
     taken = set[int]()
     for count in range(len(epochs), 0, -1):
@@ -306,10 +307,7 @@ def _longest(run: Sequence[Epoch]) -> Epoch:
 
 
 def _refused(fitted: FittedPose, finding: Finding) -> FittedPose:
-    """Return a calibration that is refused for a finding."""
-    solved = fitted.calibration
-    others = () if solved.verdict.accepted else solved.verdict.findings
-    return fitted._replace(calibration=replace(solved, verdict=Verdict(accepted=False, findings=(finding, *others))))
+    return fitted._replace(calibration=refused_for(fitted.calibration, finding))
 
 
 def _of_path(former: Final, final: Final, points: Sightings) -> Final:
@@ -319,9 +317,9 @@ def _of_path(former: Final, final: Final, points: Sightings) -> Final:
     return final._replace(epochs=tuple(one._replace(cause=causes.get(one.first, "unexplained")) for one in epochs))
 
 
-def _allowing_for_drift(final: Final, given: CameraSightings) -> Final:
+def _allowing_for_drift(final: Final, given: CameraSightings, noise: FloatArray) -> Final:
     """Return calibrations whose uncertainty allows for what their epochs' sightings say of a drift."""
-    noise, fitted = noise_of_days(given.points, given.camera.site), dict(final.fitted)
+    fitted = dict(final.fitted)
     spread = {pose: np.zeros(3) for pose, one in fitted.items() if one.calibration.verdict.accepted}
     for epoch in final.epochs:
         pose = final.states[epoch.state].pose
@@ -385,13 +383,12 @@ _OF_DAYS = {"epoch_does_not_explain_its_days", "held_out_contradicts", "too_many
 """Findings by which the sightings of an epoch are not of one camera."""
 
 
-def _held_to_days(final: Final, given: CameraSightings) -> Final:
+def _held_to_days(final: Final, given: CameraSightings, noise: FloatArray) -> Final:
     """Return epochs, those that do not explain their days shortened to the days that agree, where these give a camera.
 
     What is left of such an epoch keeps the calibration that was refused.
     """
     points, camera = given.points, given.camera
-    noise = noise_of_days(points, camera.site)
     states, path, fitted = list(final.states), final.path.copy(), dict(final.fitted)
     for epoch in final.epochs:
         state = states[epoch.state]

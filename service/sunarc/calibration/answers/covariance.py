@@ -217,17 +217,24 @@ _SAME = 1e-6
 """1 minus the cosine of directions that are the same."""
 
 
+def seen_sky(camera: Camera) -> FloatArray:
+    """Return directions (n, 3) spread evenly over the part of the upper hemisphere that a camera sees.
+
+    Beyond the angle at which decentering outgrows the radius directions land in the image a second time: such are none.
+    """
+    directions = hemisphere()
+    pixels = project(camera, directions)
+    visible = camera_sees(camera, pixels)
+    shown, directions = unproject(camera, pixels[visible]), directions[visible]
+    return np.asarray(directions[np.sum(shown * directions, axis=-1) > 1.0 - _SAME])
+
+
 def sky_sigma_deg(calibration: Uncertain) -> tuple[float, float]:
     """Return the root mean square and the maximum 1-sigma over the part of the sky that the camera sees, degrees.
 
     Neither is above 180: no direction can be further off, and a linear error may say so.
     """
-    directions = hemisphere()
-    pixels = project(calibration.camera, directions)
-    visible = np.all(np.isfinite(pixels), axis=-1) & camera_sees(calibration.camera, pixels)
-    # beyond the angle at which decentering outgrows the radius, directions land in the image a second time
-    shown = unproject(calibration.camera, pixels[visible])
-    seen = directions[visible][np.sum(shown * directions[visible], axis=-1) > 1.0 - _SAME]
+    seen = seen_sky(calibration.camera)
     sigma = sigma_deg(calibration, seen) if seen.size else np.array([np.nan])
     sigma = sigma[np.isfinite(sigma)]
     if sigma.size == 0:

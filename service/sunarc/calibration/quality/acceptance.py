@@ -105,20 +105,15 @@ def with_clock_error(calibration: Calibration, clock_error_s: float, *, limit_de
     limit_deg : of the 1-sigma over the sky, degrees.
     """
     camera, site = calibration.camera, calibration.site
-    covariance = calibration.covariance.copy()
-    covariance[POSE, POSE] += pose_error(camera, site, clock_error_s=clock_error_s, site_error_m=0.0)
-    wider = with_covariance(calibration, covariance)
-    rms, most = sky_sigma_deg(wider)
+    wider = _with_pose_errors(calibration, pose_error(camera, site, clock_error_s=clock_error_s, site_error_m=0.0))
     latitude, turn = math.radians(site.latitude), math.degrees(EARTH_RATE * clock_error_s)
     turns = {"turn_deg": turn, "north_deg": turn * abs(math.sin(latitude)), "tilt_deg": turn * math.cos(latitude)}
-    evidence = replace(wider.evidence, clock_error_s=clock_error_s)
-    wider = replace(wider, sky_rms_deg=rms, sky_max_deg=most, evidence=evidence)
-    wider = with_finding(wider, Finding("pose_or_clock", {"clock_error_s": clock_error_s, **turns}))
-    if rms <= limit_deg or not wider.verdict.accepted:
-        return wider
-    of_sigma = {"sigma_deg": rms, "limit_deg": limit_deg, "scatter_px": wider.evidence.sigma_px}
+    wider = replace(wider, evidence=replace(wider.evidence, clock_error_s=clock_error_s))
+    clock = Finding("pose_or_clock", {"clock_error_s": clock_error_s, **turns})
+    if wider.sky_rms_deg <= limit_deg or not wider.verdict.accepted:
+        return with_finding(wider, clock)
+    of_sigma = {"sigma_deg": wider.sky_rms_deg, "limit_deg": limit_deg, "scatter_px": wider.evidence.sigma_px}
     counts = {"n": wider.metrics.n, "days": len(wider.evidence.days)}
-    clock = next(one for one in wider.verdict.findings if one.code == "pose_or_clock")
     return refused_for(wider, Finding("direction_sigma_too_large", {**of_sigma, **counts}), clock)
 
 
@@ -130,8 +125,13 @@ def fit_direction_sigma_rms_deg(calibration: Calibration) -> float:
 
 def _widened(calibration: Calibration, sign: float, spread_deg: Sequence[float] | None) -> Calibration:
     enu_covariance = np.diag(np.radians(np.asarray(spread_deg, dtype=np.float64)) ** 2)
+    return _with_pose_errors(calibration, sign * rotation_covariance(calibration.camera, enu_covariance))
+
+
+def _with_pose_errors(calibration: Calibration, more: FloatArray) -> Calibration:
+    """Return a calibration whose pose has more covariance (3, 3), with its 1-sigma over the sky."""
     covariance = calibration.covariance.copy()
-    covariance[POSE, POSE] += sign * rotation_covariance(calibration.camera, enu_covariance)
+    covariance[POSE, POSE] += more
     widened = with_covariance(calibration, covariance)
     rms, most = sky_sigma_deg(widened)
     return replace(widened, sky_rms_deg=rms, sky_max_deg=most)
@@ -293,20 +293,22 @@ def disagreement(first: Calibration, second: Calibration) -> tuple[float, float]
 
     They contradict where their distance is beyond five of their joint sigmas.
     """
-    difference, a_covariance, b_covariance = _over_the_sky(first, second)
+    difference, square = _in_joint_sigmas(first, second)
     if difference.size == 0:
         return 1.0, math.inf
-    square = squared_sigmas(difference, a_covariance + b_covariance + 1e-12 * np.eye(2))
     return float(np.mean(square > _FAR_SIGMAS**2)), float(np.max(np.linalg.norm(difference, axis=-1)))
 
 
 def apart_sigmas(first: Calibration, second: Calibration) -> float:
     """Return the root mean square distance of two calibrations over the sky per axis, in their joint sigmas."""
+    _, square = _in_joint_sigmas(first, second)
+    return math.sqrt(0.5 * float(np.mean(square))) if square.size else math.inf
+
+
+def _in_joint_sigmas(first: Calibration, second: Calibration) -> tuple[FloatArray, FloatArray]:
+    """Return how far two calibrations are apart over the sky, (n, 2) px, and its square (n,) in their joint sigmas."""
     difference, a_covariance, b_covariance = _over_the_sky(first, second)
-    if difference.size == 0:
-        return math.inf
-    square = squared_sigmas(difference, a_covariance + b_covariance + 1e-12 * np.eye(2))
-    return math.sqrt(0.5 * float(np.mean(square)))
+    return difference, squared_sigmas(difference, a_covariance + b_covariance + 1e-12 * np.eye(2))
 
 
 def _over_the_sky(first: Calibration, second: Calibration) -> tuple[FloatArray, FloatArray, FloatArray]:

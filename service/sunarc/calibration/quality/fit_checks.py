@@ -9,8 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.calibration.answers.covariance import hemisphere, sigma_deg
-from sunarc.calibration.model.backward import camera_sees
+from sunarc.calibration.answers.covariance import seen_sky, sigma_deg
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration, Verdict, proves, refused_for
 from sunarc.calibration.model.sightings import Kind, Sightings
@@ -18,7 +17,6 @@ from sunarc.calibration.quality.day_quality import arc_length_deg, unexplained_d
 from sunarc.calibration.quality.site_checks import tilt_question
 from sunarc.findings import Finding
 from sunarc.optics.camera import PARAMETER_NAMES, POSE
-from sunarc.optics.forward import project
 from sunarc.optics.pose import right_jacobian, rotation_matrix
 from sunarc.sky.days import date_of_day, day_bounds_unix_s
 from sunarc.sky.site import Site
@@ -236,8 +234,7 @@ def provisional(calibration: Calibration, *, limit_deg: float) -> Calibration:
     question = tilt_question(calibration.camera, calibration.site)
     if question is not None and calibration.evidence.options.get("level_within_deg") is None:
         return refused_for(calibration, Finding("provisional_tilted", {"tilt_deg": question.data["tilt_deg"]}))
-    directions = hemisphere()
-    seen = directions[camera_sees(calibration.camera, project(calibration.camera, directions))]
+    seen = seen_sky(calibration.camera)
     share = float(np.mean(sigma_deg(calibration, seen) <= limit_deg)) if len(seen) else 0.0
     if share < _LEAST_SHARE:
         return calibration
