@@ -13,6 +13,7 @@ import urllib.request
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import partialmethod
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Literal
@@ -295,23 +296,12 @@ class PictureFaults(Faults):
         self.wait(self.random.uniform(2.0, 8.0) * SLOT_S)
         self.other.mode = "picture"
 
-    def _unavailable(self) -> None:
-        self._answers("unavailable")
-
-    def _page(self) -> None:
-        self._answers("page")
-
-    def _drip(self) -> None:
-        self._answers("drip")
-
-    def _endless(self) -> None:
-        self._answers("endless")
-
-    def _stale(self) -> None:
-        self._answers("stale")
-
-    def _redirect(self) -> None:
-        self._answers("redirect")
+    _unavailable = partialmethod(_answers, "unavailable")
+    _page = partialmethod(_answers, "page")
+    _drip = partialmethod(_answers, "drip")
+    _endless = partialmethod(_answers, "endless")
+    _stale = partialmethod(_answers, "stale")
+    _redirect = partialmethod(_answers, "redirect")
 
     def _refused(self) -> None:
         assert self.imager is not None

@@ -103,6 +103,26 @@ def wrong_counts(server: Server, names: list[str], rows: int) -> dict[str, str]:
     return {name: found.get(name, "0") for name in names if found.get(name) != f"{rows + 1}|{rows + 1}"}
 
 
+def allow(server: Server, names: list[str]) -> None:
+    """Register a token of each sender."""
+    with open_archive(server.url(TEMPLATE)) as archive:
+        now = SystemClock().now()
+        for name in names:
+            archive.feeds.add_token(name, token_digest(f"a token of {name}"), now=now, former_until=now)
+
+
+def running_hubs(folder: Path, server: Server, count: int, stack: ExitStack) -> list[HubProcess]:
+    """Return hubs that answer, beside each other on one database."""
+    hubs = []
+    for n in range(count):
+        (folder / f"hub{n}").mkdir()
+        hubs.append(HubProcess(folder / f"hub{n}", server.url(TEMPLATE)))
+        stack.callback(hubs[-1].kill)
+    for hub in hubs:
+        hub.wait_until_it_answers()
+    return hubs
+
+
 def run(asked: argparse.Namespace, stack: ExitStack) -> dict[str, object]:
     folder = Path(tempfile.mkdtemp(prefix="senders"))
     stack.callback(shutil.rmtree, folder, ignore_errors=True)
@@ -110,17 +130,8 @@ def run(asked: argparse.Namespace, stack: ExitStack) -> dict[str, object]:
     honest = [f"c{n:02d}" for n in range(asked.senders)]
     hostile = [f"x{n:02d}" for n in range(asked.hostile)]
     first = {name: sightings_of(folder, name)[0] for name in honest + hostile}
-    with open_archive(server.url(TEMPLATE)) as archive:
-        now = SystemClock().now()
-        for name in honest + hostile:
-            archive.feeds.add_token(name, token_digest(f"a token of {name}"), now=now, former_until=now)
-    hubs = []
-    for n in range(asked.hubs):
-        (folder / f"hub{n}").mkdir()
-        hubs.append(HubProcess(folder / f"hub{n}", server.url(TEMPLATE)))
-        stack.callback(hubs[-1].kill)
-    for hub in hubs:
-        hub.wait_until_it_answers()
+    allow(server, honest + hostile)
+    hubs = running_hubs(folder, server, asked.hubs, stack)
     fork = multiprocessing.get_context("fork")
     ended, each = fork.Event(), asked.rows // asked.senders
     rate, options = asked.rate / asked.senders, {"rows": each, "rate": asked.rate / asked.senders}
