@@ -92,7 +92,7 @@ def test_whatever_a_row_is_it_is_stored_or_set_apart_and_the_next_one_is_stored(
         every = [rows[0], *batch, rows[0], ("pose_epoch", epoch), ("sun_point", last)]
         lines = feed_lines([FeedRow(seq=after + n, kind=kind, data=data) for n, (kind, data) in enumerate(every, 1)])
         made = replace(batch_of(after=after), rows=read_feed_lines(lines, after=after))
-        committed = hub.feeds.take(made, now=NOW)
+        committed = hub.feeds.take(made, now=max(NOW, moment))
         assert not isinstance(committed, Refusal)
         assert committed == after + len(every)
         assert len(hub.sightings.find("roof", since=moment, until=moment.replace(microsecond=1))) >= 1
