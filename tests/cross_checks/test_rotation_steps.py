@@ -158,7 +158,7 @@ def test_the_confidence_falls_where_causes_are_alike() -> None:
     polar = Site(latitude=75.0, longitude=0.0)
     sure = explain_step(clear, before=SITE, after=SITE)
     unsure = explain_step(replace(alike, covariance_deg2=100.0 * COVARIANCE), before=polar, after=polar)
-    assert sure.confidence > 0.99
+    assert 0.94 < sure.confidence <= 0.95  # in one case of twenty it is none of the causes weighed
     assert 0.2 < unsure.confidence < 0.9
     faint = explain_step(replace(step_of([0.06, 0.05, -0.06]), gain=DAYS_GAIN), before=SITE, after=SITE)
     assert faint.confidence < 0.5
