@@ -41,8 +41,10 @@ function ofCamera(c, now, check) {
   const status = c.status ?? {};
   const name = node("th", c.camera);
   name.scope = "row";
+  const why = node("td", c.why.map((one) => one.text).join("; ") || "–", "why");
+  why.title = why.textContent; // the row may be too short for it
   return row(
-    name, `${SIGNS[c.state]} ${c.state.replace("_", " ")}`, node("td", c.why.map((one) => one.text).join("; ") || "–", "why"), c.received_at ? ago(c.received_at, now) : "never", moment(c.last_sighting_at),
+    name, `${SIGNS[c.state]} ${c.state.replace("_", " ")}`, why, c.received_at ? ago(c.received_at, now) : "never", moment(c.last_sighting_at),
     telling(c.sky_rms_deg, "°"), telling(status.drift_deg, "°"), status.disk_free_bytes == null ? "–" : fixed(status.disk_free_bytes / 1e9, 1, " GB"),
     telling(status.clock_error_s, " s"), mark(check), String(c.n_quarantined),
   );
@@ -55,11 +57,11 @@ function drawMap(cameras) {
   const xs = placed.map(east), ys = placed.map((c) => c.latitude);
   const span = Math.max(Math.max(...xs) - Math.min(...xs), (Math.max(...ys) - Math.min(...ys)) * (WIDTH / HEIGHT), 1e-3);
   const scale = (WIDTH - 2 * MARGIN) / span;
-  $("map").replaceChildren(...placed.flatMap((c, i) => {
-    const x = MARGIN + (xs[i] - Math.min(...xs)) * scale, y = HEIGHT - MARGIN - (ys[i] - Math.min(...ys)) * scale;
-    const named = placed.length <= MANY || c.state !== "ready";
-    return [element("circle", { class: c.state, cx: x, cy: y, r: 5 }), ...(named ? [element("text", { x: x + 7, y: y + 4 }, `${SIGNS[c.state]} ${c.camera}`)] : [])];
-  }));
+  const at = placed.map((_, i) => [MARGIN + (xs[i] - Math.min(...xs)) * scale, HEIGHT - MARGIN - (ys[i] - Math.min(...ys)) * scale]);
+  const dots = placed.map((c, i) => element("circle", { class: c.state, cx: at[i][0], cy: at[i][1], r: 5 }));
+  const names = placed.flatMap((c, i) => (placed.length <= MANY || c.state !== "ready"
+    ? [element("text", { x: at[i][0], y: at[i][1] - 8 }, `${SIGNS[c.state]} ${c.camera}`)] : []));
+  $("map").replaceChildren(...dots, ...names);
 }
 
 // Hubs that share the database; those of two versions are not to.
