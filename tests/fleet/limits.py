@@ -32,7 +32,7 @@ from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.runtime.clock import SystemClock
 
-PUTS = {1: 120, 10: 60, 100: 30, 1000: 8}
+PUTS = {1: 300, 10: 200, 100: 100, 1000: 20}
 """How often a PUT of so many rows is sent."""
 SIGHTINGS, DAYS = (10_000, 40_000, 160_000), (5, 20, 40)
 CAMERAS = 5
