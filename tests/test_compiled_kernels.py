@@ -13,7 +13,7 @@ from tests.fixtures.calibration import observed, small_camera, small_problem, sp
 
 from sunarc import _kernels
 from sunarc.calibration.model.options import PaperOptions
-from sunarc.calibration.paper import penalties_of, unlimited
+from sunarc.calibration.paper import penalties_of
 from sunarc.optics.forward import kernel_optics, project
 from sunarc.optics.inverse import unproject
 from sunarc.optics.inverse_table import inverse_table
@@ -116,7 +116,7 @@ CALLS: dict[str, dict[str, Any]] = {
     | penalties_of(CAMERA.projection, PaperOptions())._asdict()
     | {
         "information": np.ones(N),
-        "start": unlimited(CAMERA).to_vector(),
+        "start": CAMERA.at_every_angle().to_vector(),
         "moving": np.arange(20),
         "most_steps": 2,
         "least_gain": 1e-6,

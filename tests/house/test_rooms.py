@@ -21,6 +21,7 @@ APART = {
     "sunarc.cross_checks.clocks": "of the core, which computes; its reader is a worker",
     "sunarc.cross_checks.cloud_edges": "of the core, which computes; its reader is a worker",
     "sunarc.imaging.hdr": "of the core, which computes; its reader is a worker",
+    "sunarc.imaging.image_circle": "of the core, which computes; its reader is the command line",
     "sunarc.offline.calibrate_archive": "a function on a database; its reader is the command line",
 }
 """Fragments that stay, each with its reason."""

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from sunarc.calibration.model.options import Method
+from sunarc.calibration.solve.priors import precisions
+from sunarc.optics.camera import POSE
 from sunarc.optics.forward import project_with_jacobian
 from sunarc.simulation.truth import true_camera
 from sunarc.studies.trials import Trial, run_trials, synthetic_arc
@@ -32,6 +34,14 @@ def test_the_paper_s_constraints_hold_skew_aspect_and_c1() -> None:
     assert np.allclose(basis[0], basis[1], atol=1e-12)
     assert np.allclose(basis[2], 0.0, atol=1e-12)
     assert np.allclose(basis[8:11], 0.0)
+
+
+def test_the_service_s_priors_hold_the_lens_and_not_the_pose() -> None:
+    basis, precision = prior_of(TRUTH, method="robust")
+    assert basis.shape == (23, 20)
+    assert np.array_equal(basis[POSE, 17:], np.eye(3))
+    assert not np.any(basis[8:11])
+    assert np.array_equal(precision, [*precisions(7.0, 1.2), 0.0, 0.0, 0.0])
 
 
 def test_the_priors_make_the_bound_smaller_and_less_than_proportional() -> None:

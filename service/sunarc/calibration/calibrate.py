@@ -16,18 +16,25 @@ from sunarc.calibration.fit.effects import with_effects
 from sunarc.calibration.fit.marginal_likelihood import HyperparameterGrid, prior_precision
 from sunarc.calibration.fit.robust_fit import RobustFit, fit_robustly, grid_of
 from sunarc.calibration.fit.robust_rounds import robust_camera
-from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances, Mirrored, PaperOptions
+from sunarc.calibration.model.options import (
+    USUAL_OPTIONS,
+    CalibrationOptions,
+    ImageCircle,
+    LensTolerances,
+    Mirrored,
+    PaperOptions,
+)
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.noise import NoiseGroups
 from sunarc.calibration.paper import fit_as_paper
 from sunarc.calibration.quality.acceptance import with_pose_spread
-from sunarc.calibration.quality.fit_checks import Handedness, before_fit, below_horizon
+from sunarc.calibration.quality.fit_checks import before_fit, below_horizon
 from sunarc.calibration.robust_loss import robust_sigma
 from sunarc.calibration.solve.levenberg_marquardt import information, most_probable
-from sunarc.calibration.solve.priors import LensPrior, Whitened, lens_prior
-from sunarc.calibration.solve.problem import FitProblem, observations, problem_for
-from sunarc.calibration.start.initial_guess import camera_from_circle, field_angle, first_cameras, single_problem
+from sunarc.calibration.solve.priors import Whitened
+from sunarc.calibration.solve.problem import FitProblem, observations
+from sunarc.calibration.start.initial_guess import first_cameras, level_camera, single_problem
 from sunarc.calibration.start.multistart import SMALLEST_SIGMA_PX, distance_sigmas
 from sunarc.errors import InputError
 from sunarc.findings import Finding
@@ -41,11 +48,11 @@ _BETTER = 10.0
 
 
 class Start(NamedTuple):
-    """First cameras, one an epoch, what both handednesses said, and how implausible they are, in half squares."""
+    """First cameras, one an epoch, how implausible they are, in half squares, and whether the other hand is as much."""
 
     cameras: list[Camera]
-    handedness: Handedness
     cost: float
+    ambiguous: bool
 
 
 def calibrate(
@@ -53,7 +60,7 @@ def calibrate(
     *,
     site: Site,
     image_size: tuple[int, int],
-    options: CalibrationOptions | None = None,
+    options: CalibrationOptions = USUAL_OPTIONS,
     circle: ImageCircle | None = None,
     start: Camera | None = None,
     parts: bool = True,
@@ -80,17 +87,16 @@ def calibrate(
     """
     if min(image_size) < 16:
         raise InputError(field="image size", problem=f"{image_size} px", remedy="give width and height in px")
-    effective = CalibrationOptions() if options is None else options
     if start is not None:
         start = start.lens_alone()
-        effective = replace(effective, projection=start.projection)
+        options = replace(options, projection=start.projection)
     usable = filter_sightings(points, site=site, image_size=image_size)
     job = Job(
         points=points,
         usable=usable,
         site=site,
         image_size=image_size,
-        options=effective,
+        options=options,
         circle=circle,
         start=start,
         parts=parts,
@@ -110,7 +116,7 @@ def _calibrated(job: Job) -> Calibration:
         return _explained(refused(job, against), job, math.inf)
     if job.options.method == "paper":
         by_paper = fit_as_paper(observed, job.usable, picked.cameras, options=job.options)
-        return _explained(calibration_from_fit(by_paper, job, picked.handedness), job, picked.cost)
+        return _explained(calibration_from_fit(by_paper, job, ambiguous=picked.ambiguous), job, picked.cost)
     return calibration_of(robust_fit(observed, job, picked.cameras), job, picked)
 
 
@@ -133,7 +139,7 @@ def calibration_of(fit: RobustFit, job: Job, picked: Start) -> Calibration:
     if found is not None:
         return _calibrated(job._replace(usable=without_night(job.usable, found)))
     outcome = robust_outcome(fit, job.usable, job.options, parts=job.parts)
-    return _explained(calibration_from_fit(outcome, job, picked.handedness), job, picked.cost)
+    return _explained(calibration_from_fit(outcome, job, ambiguous=picked.ambiguous), job, picked.cost)
 
 
 def robust_fit(observed: Sightings, job: Job, cameras: list[Camera]) -> RobustFit:
@@ -150,17 +156,15 @@ def most_plausible_start(observed: Sightings, job: Job) -> Start | None:
     found = []
     for mirrored in tried:
         tried_options = replace(options, mirrored=mirrored)
-        from_start = None if job.start is None or job.start.mirrored != (mirrored == "yes") else job.start
-        cameras, cost = first_cameras(
-            observed, image_size=job.image_size, options=tried_options, circle=job.circle, start=from_start
-        )
-        found.append((cost, tried_options, cameras))
-    found.sort(key=lambda item: item[0])
-    cost, tried_options, cameras = found[0]
+        guess, known = job.start, True
+        if guess is None or guess.mirrored != (mirrored == "yes"):
+            guess = level_camera(job.circle, image_size=job.image_size, options=tried_options)
+            known = job.circle is not None
+        found.append(first_cameras(observed, guess, known=known, options=tried_options, circle=job.circle))
+    (cameras, cost), *others = sorted(found, key=lambda pair: pair[1])
     if not math.isfinite(cost):
         return None
-    ambiguous = len(found) > 1 and found[1][0] - cost < _AMBIGUOUS
-    return Start(cameras, Handedness(mirrored=tried_options.mirrored == "yes", ambiguous=ambiguous), cost)
+    return Start(cameras, cost, ambiguous=any(other - cost < _AMBIGUOUS for _, other in others))
 
 
 # Many data sets of one geometry: detections at the same moments by cameras like one that is known.
@@ -184,7 +188,7 @@ class Batch:
     usable, observed : the sightings that count in every set; their detections are those of the first set.
     n_supplied : how many detections a set has.
     groups, grid : of the robust rounds.
-    prior : of the lens, about the first image circle.
+    problem : the camera sought, its prior about the first image circle.
     circle : that circle, or None: then no set has one.
     """
 
@@ -195,7 +199,7 @@ class Batch:
     n_supplied: int
     groups: NoiseGroups
     grid: HyperparameterGrid
-    prior: LensPrior
+    problem: FitProblem
     circle: ImageCircle | None
 
     @classmethod
@@ -205,7 +209,7 @@ class Batch:
         points: Sightings,
         *,
         site: Site,
-        options: CalibrationOptions | None = None,
+        options: CalibrationOptions = USUAL_OPTIONS,
         circle: ImageCircle | None = None,
     ) -> Batch:
         """Return what the fits of sightings like these share.
@@ -223,27 +227,20 @@ class Batch:
         InputError
             Where the points are of several poses.
         """
-        effective = CalibrationOptions() if options is None else options
-        effective = replace(effective, projection=camera.projection, mirrored="yes" if camera.mirrored else "no")
+        options = replace(options, projection=camera.projection, mirrored="yes" if camera.mirrored else "no")
         usable = filter_sightings(points, site=site)
         if int(usable.epoch.max(initial=0)) > 0:
             raise InputError(field="epoch", problem="several poses", remedy="fit the sightings of one pose at a time")
-        observed = observations(usable)
-        prior = lens_prior(
-            camera,
-            tolerances=effective.tolerances,
-            circle=circle,
-            field_angle=field_angle(camera, observed, effective),
-        )
+        camera, observed = camera.lens_alone(), observations(usable)
         return cls(
-            camera=camera.lens_alone(),
-            options=effective,
+            camera=camera,
+            options=options,
             usable=usable,
             observed=observed,
             n_supplied=len(points),
             groups=NoiseGroups.of(usable),
-            grid=grid_of(camera, effective),
-            prior=prior,
+            grid=grid_of(camera, options),
+            problem=single_problem(observed, camera, options, circle),
             circle=circle,
         )
 
@@ -275,14 +272,12 @@ class Batch:
         return tidied(found, self.options)
 
     def _problem(self, circle: ImageCircle | None) -> FitProblem:
-        prior = self.prior
-        if circle is not None:
-            size = self.camera.width, self.camera.height
-            first = camera_from_circle(circle, image_size=size, options=self.options)
-            mean = prior.mean.copy()
-            mean[: Whitened.RADIAL] = *first.focal_length_px, 0.0, *first.principal_point_px
-            prior = replace(prior, mean=mean)
-        return problem_for(self.camera, prior, n_epochs=1, max_angle=np.radians(self.options.max_angle_deg))
+        if circle is None:
+            return self.problem
+        size, mean = (self.camera.width, self.camera.height), self.problem.prior.mean.copy()
+        first = level_camera(circle, image_size=size, options=self.options)
+        mean[: Whitened.RADIAL] = *first.focal_length_px, 0.0, *first.principal_point_px
+        return replace(self.problem, prior=replace(self.problem.prior, mean=mean))
 
     def _robust(self, observed: Sightings, problem: FitProblem) -> Camera:
         plain = self._without_field(observed, problem)
@@ -300,10 +295,9 @@ class Batch:
         precision = prior_precision(problem.size, tolerances.radial_px, tolerances.decentering_px)
         at = problem.unknowns([self.camera])
         for _ in range(_SETTLING):
-            residual = problem.residuals(at, observed)
             sigma = robust_sigma(distance_sigmas(problem, observed, at), floor=SMALLEST_SIGMA_PX)
-            gathered, mean = bins.gathered(observed, residual, information(residual, observed, sigma))
-            means = replace(gathered, pixels=gathered.pixels + mean - problem.residuals(at, gathered))
+            weighed = information(problem.residuals(at, observed), observed, sigma)
+            means = bins.observations(observed, problem, at, information=weighed)
             at = most_probable(problem, means, at, precision=precision, iterations=_STEPS, tolerance=1e-4).unknowns
         return at
 

@@ -155,9 +155,10 @@ class NoiseGroups(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Noise:
-    """The noise of each sighting, (n,): its scale for a relative sigma of 1, px; its weight; see `RobustFit`.
+    """The noise of each sighting, (n,): its scale for a relative sigma of 1, px; how much it counts, 0 to 1.
 
-    sigma_px: the scale of the track, which comes first, in the middle of its heights; without a track, of all.
+    inflation (n,): by how much its variance grew because neighbours err alike. sigma_px: the scale of the track, which
+    comes first, in the middle of its heights; without a track, of all.
     """
 
     scale: FloatArray

@@ -20,7 +20,7 @@ from sunarc.optics.camera import PARAMETER_NAMES, RADIAL_ORDERS, TRANSLATION, Ca
 from sunarc.optics.forward import kernel_optics, project_fast
 from sunarc.optics.inverse import unproject
 from sunarc.optics.pose import rotation_vector
-from sunarc.optics.projections import Projection, angle_limit, ideal_radius, ideal_slope
+from sunarc.optics.projections import Projection, ideal_radius, ideal_slope
 
 # The paper's penalties (section 4.2): c1 orthogonality, c2 circularity, c3 monotony.
 
@@ -113,7 +113,7 @@ def fit_as_paper(
     if bins is not None:
         camera, normal = minimised(camera, one, moving, options.paper, _LAST_STEPS)
     residual = np.zeros((len(observed), 2))
-    residual[in_epoch] = finite(one.pixels - project_fast(unlimited(camera), one.directions))
+    residual[in_epoch] = finite(one.pixels - project_fast(camera.at_every_angle(), one.directions))
     variance = float(np.sum(residual**2)) / max(2 * len(one) - moving.size, 1)
     return FitOutcome(
         cameras=[*cameras[:last], camera],
@@ -167,7 +167,7 @@ def minimised(
     """
     most_steps, first_damping = limits
     vector, _, normal = _kernels.paper_fit(
-        **kernel_optics(unlimited(camera))._asdict(),
+        **kernel_optics(camera.at_every_angle())._asdict(),
         directions=np.ascontiguousarray(observed.directions),
         pixels=np.ascontiguousarray(observed.pixels),
         information=np.ascontiguousarray(observed.information),
@@ -179,11 +179,6 @@ def minimised(
         first_damping=first_damping,
     )
     return camera.with_parameters(vector), normal
-
-
-def unlimited(camera: Camera) -> Camera:
-    """Return a camera with the largest angle that its projection allows."""
-    return replace(camera, max_angle=angle_limit(camera.projection) * (1.0 - 1e-6))
 
 
 # The pose by the direct linear transform (Eqs. 23 to 25).

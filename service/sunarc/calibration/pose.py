@@ -17,7 +17,6 @@ from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.answers.error_model import (
     CameraErrorModel,
     Predicted,
-    at_every_angle,
     error_model_of,
     joint_covariance,
     moved,
@@ -36,11 +35,10 @@ from sunarc.calibration.evidence import (
     squared_sigmas,
 )
 from sunarc.calibration.fit.assemble import FitOutcome, Job, calibration_from_fit, refused
-from sunarc.calibration.model.options import CalibrationOptions, Mirrored
+from sunarc.calibration.model.options import USUAL_OPTIONS, CalibrationOptions, Mirrored
 from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
-from sunarc.calibration.quality.fit_checks import Handedness
 from sunarc.calibration.robust_loss import finite, robust_sigma
 from sunarc.calibration.solve.problem import Bins
 from sunarc.calibration.start.initial_guess import ransac_rotation
@@ -130,7 +128,7 @@ def estimate_pose(
     *,
     start: Calibration,
     site: Site,
-    options: CalibrationOptions | None = None,
+    options: CalibrationOptions = USUAL_OPTIONS,
     wander_deg: float = 0.0,
 ) -> Calibration:
     """Return a calibration of the same camera in a new pose; its covariance holds the lens's own uncertainty.
@@ -145,15 +143,15 @@ def estimate_pose(
     options : what makes the answer acceptable.
     wander_deg : 1-sigma per axis by which the pose wanders about its mean (mast, heat); it widens the uncertainty.
     """
-    effective = options_about(start.camera, CalibrationOptions() if options is None else options)
+    options = options_about(start.camera, options)
     size = (start.camera.width, start.camera.height)
     usable = filter_sightings(points, site=site, image_size=size)
-    job = Job(points=points, usable=usable, site=site, image_size=size, options=effective, free="pose")
+    job = Job(points=points, usable=usable, site=site, image_size=size, options=options, free="pose")
     if len(usable) < FEWEST:
         return refused(job, (Finding("too_few_sightings", {"n": len(usable), "least": FEWEST}),))
     fit = fit_pose(start, with_noise(usable, points, start))
     fitted = outcome_of(fit, start, usable, wander_rad=math.radians(wander_deg))
-    return calibration_from_fit(fitted, job, Handedness(mirrored=start.camera.mirrored, ambiguous=False))
+    return calibration_from_fit(fitted, job)
 
 
 def options_about(camera: Camera, options: CalibrationOptions) -> CalibrationOptions:
@@ -204,7 +202,7 @@ def fit_pose(start: Calibration, sightings: Sightings, *, turned_rad: float | No
     turned_rad : 1-sigma of the rotation about each axis since the former pose; None where the camera may have turned
         by any angle.
     """
-    error_model, camera = error_model_of(start), at_every_angle(start.camera)
+    error_model, camera = error_model_of(start), start.camera.at_every_angle()
     apart = sightings.pixels - project_fast(camera, sightings.directions)
     area_px2 = float(camera.width * camera.height)
     sightings = replace(sightings, false_density=false_density(apart, area_px2=area_px2))

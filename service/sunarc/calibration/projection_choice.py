@@ -178,7 +178,8 @@ def compare_projections(job: Job) -> tuple[ProjectionChoice, dict[Projection, Fi
     near = [name for k, name in enumerate(order) if k < 2 or rough[name] > -_NEAR]
     fits = {name: Fitted(starts[name], robust_fit(observed, jobs[name], starts[name].cameras)) for name in near}
     lenses = {n: _Lens(one.fit.problem, one.fit.observed, one.fit.unknowns, one.fit.grid) for n, one in fits.items()}
-    exact = _log_evidences(lenses, groups.bins, fits[_closest(lenses)].fit.information)
+    closest = fits[_closest(lenses)].fit
+    exact = _log_evidences(lenses, groups.bins, closest.noise.information(closest.observed))
     return _choice({**rough, **exact}, job), fits
 
 

@@ -11,7 +11,7 @@ from annotated_types import Gt, Le
 
 from sunarc.array_types import FloatArray
 from sunarc.bounds import require_bounds
-from sunarc.calibration.answers.error_model import at_every_angle, error_model_of
+from sunarc.calibration.answers.error_model import error_model_of
 from sunarc.calibration.fit.assemble import Job, calibration_from_fit, no_field, refused
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances
 from sunarc.calibration.model.result import Calibration, refused_for, with_options
@@ -26,7 +26,6 @@ from sunarc.calibration.pose import (
     tolerance_px,
     with_noise,
 )
-from sunarc.calibration.quality.fit_checks import Handedness
 from sunarc.calibration.robust_loss import finite
 from sunarc.calibration.solve.priors import FREE, LENS, N_LENS, lens_prior, precisions
 from sunarc.findings import Finding
@@ -100,7 +99,7 @@ def calibrate_with_prior(
         return refused(job, (_contradicted(distance),))
     fit = fit_pose(start, sightings, turned_rad=turned_rad)
     fitted = outcome_of(fit, start, usable, wander_rad=0.0)
-    result = calibration_from_fit(fitted, job, Handedness(mirrored=prior.mirrored, ambiguous=False))
+    result = calibration_from_fit(fitted, job)
     result = with_options(result, prior=asdict(tolerances))
     departure = _departure(prior, basis, turned_rad, fit.camera, fit.error_model.covariance)
     return result if departure <= _LARGEST_DEPARTURE else refused_for(result, _contradicted(departure))
@@ -132,7 +131,7 @@ def _distance(start: Calibration, sightings: Sightings, turned_rad: float | None
     """
     if turned_rad is None:
         return 0.0
-    model, camera, some = error_model_of(start), at_every_angle(start.camera), thinned(sightings)
+    model, camera, some = error_model_of(start), start.camera.at_every_angle(), thinned(sightings)
     tolerance = tolerance_px(model.with_free_rotation(np.zeros(3), sigma_rad=turned_rad), camera, some)
     off = np.linalg.norm(finite(some.pixels - project_fast(camera, some.directions)), axis=-1)
     return float(np.median(off / tolerance)) / math.sqrt(2.0)

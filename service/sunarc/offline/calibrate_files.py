@@ -26,12 +26,12 @@ from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.pose import estimate_pose
 from sunarc.calibration.projection_choice import calibrate_unknown_lens
 from sunarc.calibration.quality.fit_checks import provisional
-from sunarc.calibration.start.initial_guess import find_image_circle
 from sunarc.calibration.stated_prior import PriorTolerances, calibrate_with_prior
 from sunarc.errors import InputError
 from sunarc.exports.view import closest_camera
 from sunarc.extras import extra_module
 from sunarc.findings import Finding
+from sunarc.imaging.image_circle import find_image_circle
 from sunarc.offline.calibration_files import read_calibration, read_view_file
 from sunarc.optics.camera import Camera
 from sunarc.reanalysis.files import read_file, read_image, read_lines, require_inside
@@ -282,7 +282,7 @@ def image_circle_of(text: str) -> ImageCircle:
             raise InputError(
                 field="--image-circle", problem=f"{text} shows no image circle", remedy="give X,Y,RADIUS in px"
             ) from None
-        return found
+        x, y, radius = found
     return ImageCircle(x=x, y=y, radius=radius)
 
 

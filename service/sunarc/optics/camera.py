@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from sunarc.array_types import FloatArray
 from sunarc.errors import InputError
 from sunarc.optics.displacement import Displacement
-from sunarc.optics.projections import PROJECTIONS, Projection
+from sunarc.optics.projections import PROJECTIONS, Projection, angle_limit
 
 RADIAL_ORDERS = tuple(range(2, 10))
 """Powers n of the radial coefficients k_n (Eq. 9; a k_1 would be the focal length once more)."""
@@ -106,6 +106,10 @@ class Camera:
     def lens_alone(self) -> Camera:
         """Return this camera without its displacement."""
         return self if self.displacement is None else replace(self, displacement=None)
+
+    def at_every_angle(self) -> Camera:
+        """Return this camera answering at every angle that its projection has."""
+        return replace(self, max_angle=angle_limit(self.projection) * (1.0 - 1e-6))
 
     def to_vector(self) -> FloatArray:
         """Return the 23 parameters in the order of `Param`."""

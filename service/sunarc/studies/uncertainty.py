@@ -12,8 +12,8 @@ from scipy.linalg import null_space, solve_triangular
 from sunarc.array_types import FloatArray
 from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.model.options import ImageCircle, LensTolerances, Method
-from sunarc.calibration.solve.priors import prior_knowledge
-from sunarc.optics.camera import FOCAL_LENGTH, PARAMETER_NAMES, RADIAL, RADIAL_ORDERS, Camera, Param
+from sunarc.calibration.solve.priors import LENS, N_LENS, lens_prior, precisions
+from sunarc.optics.camera import FOCAL_LENGTH, PARAMETER_NAMES, POSE, RADIAL, RADIAL_ORDERS, Camera, Param
 from sunarc.optics.forward import project_with_jacobian
 from sunarc.optics.projections import ideal_radius
 from sunarc.simulation.truth import true_camera
@@ -179,7 +179,11 @@ def _priors(camera: Camera) -> tuple[FloatArray, FloatArray]:
     """Return the lens's whitened coordinates and the rotation, with the priors that the service starts from."""
     x, y = camera.principal_point_px
     circle = ImageCircle(x=x, y=y, radius=camera.focal_length_px[0] * math.sqrt(2.0))
-    return prior_knowledge(camera, tolerances=LensTolerances(), circle=circle)
+    usual = LensTolerances()
+    basis = np.zeros((len(PARAMETER_NAMES), N_LENS + 3))
+    basis[LENS, :N_LENS] = lens_prior(camera, tolerances=usual, circle=circle, field_angle=_RIGHT_ANGLE).basis
+    basis[POSE, N_LENS:] = np.eye(3)
+    return basis, np.concatenate([precisions(usual.radial_px, usual.decentering_px), np.zeros(3)])
 
 
 def _rows(camera: Camera, directions: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
 from tests.fixtures.calibration import SGP, small_camera, stated_calibration
 
-from sunarc.calibration.answers.error_model import at_every_angle, joined, predicted, rotated
+from sunarc.calibration.answers.error_model import joined, predicted, rotated
 from sunarc.calibration.changes import detect_change as module
 from sunarc.calibration.changes.detect_change import (
     ResidualModel,
@@ -69,7 +69,7 @@ def window(
 def changed(calibration: Calibration, directions: FloatArray, after: Camera) -> ResidualModel:
     """Return the sightings of a camera that is another one from the 15th sighting on."""
     before = project(calibration.camera, directions)
-    pixels = np.where(np.arange(N)[:, None] < FIRST, before, project(at_every_angle(after), directions))
+    pixels = np.where(np.arange(N)[:, None] < FIRST, before, project(after.at_every_angle(), directions))
     return window(calibration, directions, pixels)
 
 

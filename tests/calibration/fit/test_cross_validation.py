@@ -16,6 +16,7 @@ from sunarc.calibration.fit.posterior import PosteriorCovariance
 from sunarc.calibration.fit.robust_fit import RobustFit
 from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.calibration.noise import Noise
 from sunarc.calibration.solve.problem import Bins
 
 FloatArray = NDArray[np.float64]
@@ -54,11 +55,7 @@ def _fit(
         grid=grid,
         residual=problem.residuals(unknowns, seen),
         field_mean=fit.coefficients if with_field else None,
-        weight=np.ones(n),
-        sigma_px=stated_px,
-        noise_px=np.full(n, stated_px),
-        inflation=np.ones(n),
-        information=information,
+        noise=Noise(scale=np.full(n, stated_px), weight=np.ones(n), inflation=np.ones(n), sigma_px=stated_px),
         log_odds={},
     )
     usable = Sightings(
@@ -118,7 +115,7 @@ def test_sightings_without_weight_do_not_count() -> None:
     weight[::3] = 0.0
     wild = fit.residual.copy()
     wild[::3] = 1e3
-    found = held_out(replace(fit, weight=weight, residual=wild), usable)
+    found = held_out(replace(fit, noise=replace(fit.noise, weight=weight), residual=wild), usable)
     assert found is not None
     assert found.rmse_px < 1.0
 

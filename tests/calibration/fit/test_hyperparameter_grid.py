@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.special import logsumexp
+from tests.fixtures.calibration import log_evidences
 
 from sunarc.calibration.fit.marginal_likelihood import (
     HyperparameterGrid,
@@ -16,7 +17,6 @@ from sunarc.calibration.fit.marginal_likelihood import (
     Scales,
     likely_scales,
     log_evidence,
-    log_evidences,
     log_odds_of_a_field,
     log_weights,
     normal_sums,

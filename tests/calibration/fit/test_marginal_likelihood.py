@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.stats import multivariate_normal
-from tests.fixtures.calibration import random_covariance
+from tests.fixtures.calibration import log_evidences, penalty, random_covariance
 
 from sunarc.calibration.fit.marginal_likelihood import (
     BasisProducts,
@@ -19,10 +19,8 @@ from sunarc.calibration.fit.marginal_likelihood import (
     NormalEquations,
     Scales,
     inverses,
-    log_evidences,
     marginal_fit,
     normal_sums,
-    penalty,
     prior_precision,
 )
 from sunarc.calibration.model.residual_field import WaveBasis, wave_basis

@@ -8,10 +8,18 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from tests.fixtures.calibration import numerical_derivative, observed, small_camera, small_problem, sun_arc
+from tests.fixtures.calibration import (
+    log_evidences,
+    numerical_derivative,
+    observed,
+    penalty,
+    small_camera,
+    small_problem,
+    sun_arc,
+)
 
 from sunarc.calibration.fit.effects import with_effects
-from sunarc.calibration.fit.marginal_likelihood import Scales, log_evidences, marginal_fit, penalty
+from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit
 from sunarc.calibration.fit.normal_equations import (
     LinearSystem,
     converged_in_axes,

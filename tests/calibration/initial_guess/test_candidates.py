@@ -14,9 +14,8 @@ from tests.fixtures.calibration import ideal_camera, observed, small_camera, spr
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.start.initial_guess import (
     as_far_as_it_rises,
-    camera_from_circle,
-    camera_from_size,
     candidates,
+    level_camera,
     tilt,
     wahba,
 )
@@ -36,7 +35,7 @@ OPTIONS = CalibrationOptions()
 )
 def test_the_circle_s_radius_over_the_projection_s_is_the_focal_length(projection: Projection, radius: float) -> None:
     circle = ImageCircle(x=310.0, y=250.0, radius=300.0)
-    camera = camera_from_circle(circle, image_size=(640, 480), options=replace(OPTIONS, projection=projection))
+    camera = level_camera(circle, image_size=(640, 480), options=replace(OPTIONS, projection=projection))
     np.testing.assert_allclose(camera.focal_length_px, 300.0 / radius)
     assert camera.principal_point_px == (310.0, 250.0)
     assert (camera.width, camera.height, camera.mirrored) == (640, 480, False)
@@ -47,26 +46,26 @@ def test_the_circle_s_radius_over_the_projection_s_is_the_focal_length(projectio
 def test_a_circle_beyond_the_horizon_counts_as_the_horizon_s() -> None:
     circle = ImageCircle(x=310.0, y=250.0, radius=300.0, angle_deg=95.0)
     equidistant = replace(OPTIONS, projection="equidistant")
-    found = camera_from_circle(circle, image_size=(640, 480), options=equidistant)
+    found = level_camera(circle, image_size=(640, 480), options=equidistant)
     assert found.focal_length_px[0] == pytest.approx(300.0 / (math.pi / 2))
-    narrow = camera_from_circle(replace(circle, angle_deg=45.0), image_size=(640, 480), options=equidistant)
+    narrow = level_camera(replace(circle, angle_deg=45.0), image_size=(640, 480), options=equidistant)
     assert narrow.focal_length_px[0] == pytest.approx(300.0 / (math.pi / 4))
-    perspective = camera_from_circle(circle, image_size=(640, 480), options=replace(OPTIONS, projection="perspective"))
+    perspective = level_camera(circle, image_size=(640, 480), options=replace(OPTIONS, projection="perspective"))
     assert perspective.focal_length_px[0] == pytest.approx(300.0 / math.tan(math.radians(80.0)))
 
 
 def test_a_mirrored_circle_s_centre_is_on_the_other_side() -> None:
     circle = ImageCircle(x=310.0, y=250.0, radius=300.0)
-    camera = camera_from_circle(circle, image_size=(640, 480), options=replace(OPTIONS, mirrored="yes"))
+    camera = level_camera(circle, image_size=(640, 480), options=replace(OPTIONS, mirrored="yes"))
     assert camera.mirrored
     assert camera.principal_point_px == (639.0 - 310.0, 250.0)
 
 
 def test_without_a_circle_the_field_is_180_degrees_across_the_shorter_side() -> None:
-    camera = camera_from_size(image_size=(640, 480), options=replace(OPTIONS, projection="equidistant"))
+    camera = level_camera(None, image_size=(640, 480), options=replace(OPTIONS, projection="equidistant"))
     assert camera.focal_length_px[0] == pytest.approx(240.0 / (math.pi / 2))
     assert camera.principal_point_px == (319.5, 239.5)
-    flat = camera_from_size(image_size=(480, 640), options=replace(OPTIONS, projection="perspective"))
+    flat = level_camera(None, image_size=(480, 640), options=replace(OPTIONS, projection="perspective"))
     assert flat.focal_length_px[0] == pytest.approx(240.0 / math.tan(math.radians(60.0)))
 
 

@@ -13,7 +13,13 @@ from tests.fixtures.calibration import ideal_camera, observed, small_camera, sma
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.robust_loss import robust_sigma
-from sunarc.calibration.start.initial_guess import candidate_misfit, field_angle, first_cameras, single_problem
+from sunarc.calibration.start.initial_guess import (
+    candidate_misfit,
+    field_angle,
+    first_cameras,
+    level_camera,
+    single_problem,
+)
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 
@@ -27,6 +33,13 @@ def _misses(camera: Camera, seen: Sightings) -> float:
     return float(np.median(np.linalg.norm(project(camera, seen.directions) - seen.pixels, axis=-1)))
 
 
+def _found(
+    seen: Sightings, *, options: CalibrationOptions = OPTIONS, circle: ImageCircle | None = CIRCLE
+) -> tuple[list[Camera], float]:
+    guess = level_camera(circle, image_size=(640, 480), options=options)
+    return first_cameras(seen, guess, known=circle is not None, options=options, circle=circle)
+
+
 @pytest.fixture(scope="module")
 def seen() -> Sightings:
     return observed(small_camera(), sun_arc(90), sigma_px=0.1)
@@ -34,7 +47,7 @@ def seen() -> Sightings:
 
 @pytest.mark.parametrize("circle", [CIRCLE, None], ids=["circle", "search"])
 def test_the_camera_is_found_from_an_arc(seen: Sightings, circle: ImageCircle | None) -> None:
-    cameras, cost = first_cameras(seen, image_size=(640, 480), options=OPTIONS, circle=circle, start=None)
+    cameras, cost = _found(seen, circle=circle)
     assert len(cameras) == 1
     assert math.isfinite(cost)
     assert _misses(cameras[0], seen) < 0.6
@@ -42,7 +55,7 @@ def test_the_camera_is_found_from_an_arc(seen: Sightings, circle: ImageCircle | 
 
 def test_a_start_is_taken_in_place_of_a_search(seen: Sightings) -> None:
     start = replace(small_camera(), rotation_cam_enu=(0.0, 0.0, 0.0))
-    cameras, _ = first_cameras(seen, image_size=(640, 480), options=OPTIONS, circle=None, start=start)
+    cameras, _ = first_cameras(seen, start, known=True, options=OPTIONS, circle=None)
     assert _misses(cameras[0], seen) < 0.3
 
 
@@ -57,7 +70,7 @@ def test_every_epoch_has_its_pose_with_the_lens_of_the_longest() -> None:
         information=np.ones(100),
         epoch=np.concatenate([first.epoch, second.epoch]),
     )
-    cameras, _ = first_cameras(both, image_size=(640, 480), options=OPTIONS, circle=CIRCLE, start=None)
+    cameras, _ = _found(both)
     assert len(cameras) == 2
     assert cameras[0].focal_length_px == cameras[1].focal_length_px
     assert _misses(cameras[0], first) < 2.0
@@ -68,7 +81,7 @@ def test_nothing_that_fits_is_infinitely_implausible() -> None:
     directions = spread_directions(30)
     nowhere = replace(observed(small_camera(), directions), pixels=np.full((30, 2), 1e6))
     options = replace(OPTIONS, projection="orthographic")
-    cameras, cost = first_cameras(nowhere, image_size=(640, 480), options=options, circle=CIRCLE, start=None)
+    cameras, cost = _found(nowhere, options=options)
     assert cost == math.inf
     assert cameras[0].focal_length_px[0] > 0.0
 

@@ -20,7 +20,6 @@ from sunarc.calibration.solve.priors import (
     Whitened,
     lens_prior,
     precisions,
-    prior_knowledge,
     radial_basis,
 )
 from sunarc.optics.camera import PARAMETER_NAMES, POSE, Camera, Param
@@ -145,17 +144,6 @@ def test_a_smoother_kernel_has_fewer_ways_to_bend() -> None:
         return np.asarray(power / power.sum())
 
     assert shares(60.0)[:2].sum() > shares(15.0)[:2].sum() + 0.05
-
-
-def test_prior_knowledge_holds_the_lens_as_its_prior_does_and_the_pose_not_at_all() -> None:
-    camera = small_camera()
-    basis, precision = prior_knowledge(camera, tolerances=TOLERANCES, circle=CIRCLE)
-    prior = lens_prior(camera, tolerances=TOLERANCES, circle=CIRCLE, field_angle=math.pi / 2)
-    assert basis.shape == (23, 20)
-    np.testing.assert_allclose(basis[np.ix_(LENS, np.arange(17))], prior.basis)
-    np.testing.assert_allclose(basis[POSE, 17:], np.eye(3))
-    np.testing.assert_allclose(basis[8:11], 0.0)
-    np.testing.assert_allclose(precision, [*precisions(7.0, 1.2), 0.0, 0.0, 0.0])
 
 
 def test_the_radius_of_a_drawn_lens_rises() -> None:

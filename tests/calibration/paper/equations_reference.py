@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from sunarc.calibration.model.options import PaperOptions
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.paper import unlimited
 from sunarc.calibration.robust_loss import finite
 from sunarc.optics.camera import DECENTERING, RADIAL, RADIAL_ORDERS, Camera, Param
 from sunarc.optics.forward import decentering_shift, decentering_slopes, project_with_rows_fast
@@ -132,7 +131,7 @@ class Equations(NamedTuple):
 
 def equations(camera: Camera, observed: Sightings, options: PaperOptions) -> Equations:
     """Return the misfit of a camera that answers at any angle, each sighting weighed by its information."""
-    pixels, rows = project_with_rows_fast(unlimited(camera), observed.directions)
+    pixels, rows = project_with_rows_fast(camera.at_every_angle(), observed.directions)
     edge = math.radians(60.0) if camera.projection == "perspective" else _RIGHT_ANGLE
     penalties = Penalties.of(camera.projection, options, largest_angle=edge)
     values, slopes = penalties.values_and_slopes(camera.to_vector())

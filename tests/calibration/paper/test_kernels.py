@@ -13,7 +13,7 @@ from tests.fixtures.calibration import observed, small_camera, spread_directions
 from sunarc import _kernels
 from sunarc.calibration.model.options import EllipseScope, PaperOptions
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.paper import penalties_of, unlimited
+from sunarc.calibration.paper import penalties_of
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import kernel_optics
 from sunarc.optics.projections import Projection
@@ -24,7 +24,7 @@ FALLING = (0.0, 0.0, -0.9, 0.0, 0.0, 0.0, 0.0, 0.0)
 def _fitted(
     camera: Camera, seen: Sightings, options: PaperOptions, *, steps: int, damping: float = 1e-3
 ) -> tuple[np.ndarray, float, np.ndarray]:
-    optics, weighed = kernel_optics(unlimited(camera)), penalties_of(camera.projection, options)
+    optics, weighed = kernel_optics(camera.at_every_angle()), penalties_of(camera.projection, options)
     assert seen.information.flags.c_contiguous
     sightings = seen.directions, seen.pixels, seen.information
     moving, start = np.arange(23), camera.to_vector()

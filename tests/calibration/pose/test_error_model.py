@@ -20,7 +20,6 @@ from tests.fixtures.calibration import (
 
 from sunarc.calibration.answers.covariance import project_with_covariance
 from sunarc.calibration.answers.error_model import (
-    at_every_angle,
     error_model_of,
     joined,
     joint_covariance,
@@ -68,7 +67,7 @@ def test_a_rotation_is_about_the_camera_s_own_axes() -> None:
 def test_every_angle_is_nearly_the_projection_s_limit() -> None:
     camera = replace(small_camera("orthographic"), max_angle=0.2)
     limit = angle_limit("orthographic")
-    assert limit * (1.0 - 1e-5) < at_every_angle(camera).max_angle < limit
+    assert limit * (1.0 - 1e-5) < camera.at_every_angle().max_angle < limit
 
 
 def test_a_changed_camera_has_the_parameters_and_the_rotation(calibration: Calibration) -> None:
@@ -207,5 +206,5 @@ def test_a_camera_turned_as_a_whole_keeps_its_errors() -> None:
     same_rays = directions @ rotation_matrix(calibration.camera.rotation_cam_enu).T
     elsewhere = same_rays @ rotation_matrix(other.rotation_cam_enu)
     first = joint_covariance(model, predicted(model, calibration.camera, directions))
-    second = joint_covariance(model, predicted(model, at_every_angle(other), elsewhere))
+    second = joint_covariance(model, predicted(model, other.at_every_angle(), elsewhere))
     np.testing.assert_allclose(first, second, rtol=1e-6, atol=1e-9)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from tests.fixtures.calibration import ideal_camera, small_camera, spread_directions
 
-from sunarc.calibration.answers.error_model import at_every_angle, rotated
+from sunarc.calibration.answers.error_model import rotated
 from sunarc.calibration.start import initial_guess as module
 from sunarc.calibration.start.initial_guess import ransac_rotation
 from sunarc.optics.forward import project
@@ -18,7 +18,7 @@ FloatArray = NDArray[np.float64]
 
 def _found(turn: FloatArray, directions: FloatArray, *, noise_px: float = 0.0) -> FloatArray:
     start = small_camera()
-    pixels = project(at_every_angle(rotated(start, turn)), directions)
+    pixels = project(rotated(start, turn).at_every_angle(), directions)
     pixels += np.random.default_rng(1).normal(0.0, 1.0, pixels.shape) * noise_px
     return ransac_rotation(start, directions, pixels, np.full(len(directions), max(noise_px, 0.05)))
 
@@ -71,7 +71,7 @@ def test_false_sightings_do_not_turn_the_camera_elsewhere(false: float) -> None:
     camera, turn = small_camera(), np.radians([3.0, -2.0, 7.0])
     directions = spread_directions(40)
     rng = np.random.default_rng(2)
-    pixels = project(at_every_angle(rotated(camera, turn)), directions)
+    pixels = project(rotated(camera, turn).at_every_angle(), directions)
     wrong = rng.random(40) < false
     pixels[wrong] = rng.uniform([0.0, 0.0], [640.0, 480.0], (int(wrong.sum()), 2))
     found = ransac_rotation(camera, directions, pixels, np.full(40, 0.2))

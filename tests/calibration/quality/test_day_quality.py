@@ -10,8 +10,8 @@ import pytest
 
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.quality.day_quality import days_left_out, decide_day, measure_day, smooth_arc
-from sunarc.calibration.start.initial_guess import find_image_circle
 from sunarc.errors import InputError
+from sunarc.imaging.image_circle import find_image_circle
 from sunarc.sky.site import Site
 
 if TYPE_CHECKING:

@@ -11,10 +11,9 @@ from tests.fixtures.calibration import SGP, filtered_sightings, small_camera, st
 
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Filtering, Sightings, filter_sightings
-from sunarc.calibration.quality.fit_checks import Handedness, before_fit, fit_verdict
+from sunarc.calibration.quality.fit_checks import before_fit, fit_verdict
 from sunarc.optics.pose import rotation_matrix
 
-HAND = Handedness(mirrored=False, ambiguous=False)
 NOON = 1_368_469_800.0  # 2013-05-13T18:30:00Z
 
 
@@ -45,7 +44,7 @@ def test_a_scatter_is_refused_beyond_the_limit_and_what_is_stated(
         metrics=replace(calibration.metrics, rmse_px=rmse_px),
         evidence=replace(calibration.evidence, n_used=40),
     )
-    verdict = fit_verdict(calibration, usable, HAND, CalibrationOptions())
+    verdict = fit_verdict(calibration, usable, CalibrationOptions())
     assert ("rmse_too_large" in codes(verdict.findings)) is refused
 
 
@@ -64,7 +63,7 @@ def test_a_sigma_that_cannot_be_computed_is_said_to_be_unknown() -> None:
     calibration = replace(
         calibration, sky_rms_deg=float("nan"), evidence=replace(calibration.evidence, n_used=40, days=())
     )
-    verdict = fit_verdict(calibration, usable, HAND, CalibrationOptions())
+    verdict = fit_verdict(calibration, usable, CalibrationOptions())
     assert not verdict.accepted
     assert "direction_sigma_unknown" in codes(verdict.findings)
     assert "direction_sigma_too_large" not in codes(verdict.findings)
@@ -92,7 +91,7 @@ def test_sightings_of_one_radius_are_refused_where_the_lens_is_sought(
     )
     calibration = stated_calibration(camera)
     evidence = replace(calibration.evidence, n_used=50, options={"free": free})
-    verdict = fit_verdict(replace(calibration, evidence=evidence), seen, HAND, CalibrationOptions())
+    verdict = fit_verdict(replace(calibration, evidence=evidence), seen, CalibrationOptions())
     assert ("sightings_of_one_radius" in codes(verdict.findings)) is refused
     assert not (refused and verdict.accepted)
 

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from sunarc.calibration.evidence import likeliest_path
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.calibration.start.initial_guess import camera_from_size
+from sunarc.calibration.start.initial_guess import level_camera
 from sunarc.optics.camera import Camera
 from sunarc.optics.pose import pose_angles, rotation_vector
 from sunarc.reanalysis.states import State, cause_of, with_true_clock
@@ -23,7 +23,7 @@ SITE = Site(latitude=47.0, longitude=8.0, altitude=500.0)
 
 
 def level() -> Camera:
-    return camera_from_size(image_size=(600, 600), options=CalibrationOptions())
+    return level_camera(None, image_size=(600, 600), options=CalibrationOptions())
 
 
 @dataclass(frozen=True)

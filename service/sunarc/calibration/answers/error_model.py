@@ -24,7 +24,6 @@ from sunarc.optics.camera import PARAMETER_NAMES, POSE, Camera
 from sunarc.optics.forward import project_fast, project_with_rows_fast
 from sunarc.optics.inverse_table import InverseTable, inverse_table
 from sunarc.optics.pose import right_jacobian, rotation_matrix, rotation_vector
-from sunarc.optics.projections import angle_limit
 
 _SHORTEST_LENGTH_PX = 16.0
 
@@ -190,11 +189,6 @@ def _with_field(error_model: CameraErrorModel, prediction: Predicted) -> FloatAr
     """Return (p, 2n): the covariance of the parameters' errors with the field where the sun was seen."""
     both = np.stack([error_model.field.cross[axis] @ prediction.basis_values.T for axis in (0, 1)], axis=-1)
     return both.reshape(both.shape[0], 2 * both.shape[1])
-
-
-def at_every_angle(camera: Camera) -> Camera:
-    """Return the camera answering at every angle that its projection has."""
-    return replace(camera, max_angle=angle_limit(camera.projection) * (1.0 - 1e-6))
 
 
 def moved(camera: Camera, error_model: CameraErrorModel, change: FloatArray) -> Camera:

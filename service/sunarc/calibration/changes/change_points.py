@@ -20,7 +20,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.evidence import RECORD_GAIN, log_marginal, matern_3_2
-from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances
+from sunarc.calibration.model.options import USUAL_OPTIONS, CalibrationOptions, ImageCircle, LensTolerances
 from sunarc.calibration.model.result import Calibration, Move, residuals_by_pose
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.robust_loss import finite, robust_sigma, tukey_loss
@@ -353,7 +353,7 @@ def calibrate_moved(
     *,
     site: Site,
     image_size: tuple[int, int],
-    options: CalibrationOptions | None = None,
+    options: CalibrationOptions = USUAL_OPTIONS,
     circle: ImageCircle | None = None,
     start: Camera | None = None,
     solved: Calibration | None = None,
@@ -371,16 +371,15 @@ def calibrate_moved(
     points, site, image_size, options, circle, start, parts : as `calibrate` takes them.
     solved : what `calibrate` makes of them, where it is known.
     """
-    effective = CalibrationOptions() if options is None else options
 
     def fit(given: Sightings, begin: Camera | None, *, parts: bool = False) -> Calibration:
         return calibrate(
-            given, site=site, image_size=image_size, options=effective, circle=circle, start=begin, parts=parts
+            given, site=site, image_size=image_size, options=options, circle=circle, start=begin, parts=parts
         )
 
     solved = fit(points, start, parts=parts) if solved is None else solved
     no_track = bool(np.any(np.isfinite(points.directions)))
-    if np.any(points.epoch != points.epoch[:1]) or effective.method != "robust" or no_track:
+    if np.any(points.epoch != points.epoch[:1]) or options.method != "robust" or no_track:
         return Moved(solved, points)
     usable = filter_sightings(points, site=site, image_size=image_size)
     begin: Camera | None = None

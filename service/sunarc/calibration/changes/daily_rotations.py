@@ -21,7 +21,6 @@ from scipy.spatial.transform import Rotation
 from sunarc.array_types import BoolArray, FloatArray, IntArray, picked
 from sunarc.calibration.answers.error_model import (
     CameraErrorModel,
-    at_every_angle,
     error_model_of,
     joint_covariance,
     predicted,
@@ -357,7 +356,7 @@ def daily_pose_offset(points: Sightings, *, calibration: Calibration, site: Site
     inlier = fit_pose(calibration, sightings).inlier
     if inlier.sum() < FEWEST:
         return None
-    camera = at_every_angle(calibration.camera)
+    camera = calibration.camera.at_every_angle()
     together = gathered(camera, sightings, inlier, inflation=inflation_of(calibration))
     rotation, covariance = _gls_rotation(error_model_of(calibration), camera, together)
     to_enu = -rotation_matrix(camera.rotation_cam_enu).T  # a camera that turns one way sees the sky turn the other

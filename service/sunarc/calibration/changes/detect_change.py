@@ -20,7 +20,6 @@ from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.calibration.answers.error_model import (
     CameraErrorModel,
     Predicted,
-    at_every_angle,
     error_model_of,
     joined,
     joint_covariance,
@@ -89,7 +88,7 @@ class ResidualModel:
 
 def window_of(watch: SightingWindow, calibration: Calibration, options: WatchOptions) -> ResidualModel:
     """Return the residual model of sightings about a calibration."""
-    error_model, camera = error_model_of(calibration), at_every_angle(calibration.camera)
+    error_model, camera = error_model_of(calibration), calibration.camera.at_every_angle()
     at = predicted(error_model, camera, watch.directions)
     residual = finite(watch.pixels - at.pixels)
     wander = wandering(watch.unix_s, options)

@@ -15,7 +15,7 @@ from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.changes.change_points import best_row, calibrate_moved
 from sunarc.calibration.changes.daily_rotations import DailyRotations, daily_pose_offset, step_gains
 from sunarc.calibration.evidence import DAYS_GAIN
-from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
+from sunarc.calibration.model.options import USUAL_OPTIONS, CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import Calibration, Move
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.sky.site import Site
@@ -45,7 +45,7 @@ def find_pose_steps(
     *,
     site: Site,
     image_size: tuple[int, int],
-    options: CalibrationOptions | None = None,
+    options: CalibrationOptions = USUAL_OPTIONS,
     circle: ImageCircle | None = None,
     lens: Calibration | None = None,
 ) -> tuple[PoseStep, ...]:
@@ -60,10 +60,9 @@ def find_pose_steps(
     -------
     None are found by the paper's method, or where no lens fits any few days.
     """
-    effective = CalibrationOptions() if options is None else options
-    if effective.method != "robust":
+    if options.method != "robust":
         return ()
-    search = StepSearch(site=site, image_size=image_size, options=effective, circle=circle)
+    search = StepSearch(site=site, image_size=image_size, options=options, circle=circle)
     steps: list[PoseStep] = []
     for epoch in np.unique(points.epoch).tolist():
         in_epoch = points.select(points.epoch == epoch)

@@ -30,9 +30,9 @@ from sunarc.calibration.model.result import (
     residual_angles,
 )
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.quality.fit_checks import Handedness, fit_verdict
+from sunarc.calibration.quality.fit_checks import fit_verdict
 from sunarc.calibration.solve.priors import FREE, FREE_NAMES, LENS, N_LENS, lens_prior, precisions
-from sunarc.calibration.start.initial_guess import camera_from_circle, camera_from_size
+from sunarc.calibration.start.initial_guess import level_camera
 from sunarc.findings import Finding
 from sunarc.optics.camera import POSE, Camera, Param
 from sunarc.optics.displacement import Displacement
@@ -82,8 +82,8 @@ class FitOutcome(NamedTuple):
     doubts: Doubts | None = None
 
 
-def calibration_from_fit(fitted: FitOutcome, job: Job, handedness: Handedness) -> Calibration:
-    """Return the calibration that a fit makes."""
+def calibration_from_fit(fitted: FitOutcome, job: Job, *, ambiguous: bool = False) -> Calibration:
+    """Return the calibration that a fit makes; `ambiguous`: whether the other handedness fits as well."""
     usable, options = job.usable, job.options
     cameras = [tidied(camera, options) for camera in fitted.cameras]
     camera = cameras[-1]
@@ -113,7 +113,7 @@ def calibration_from_fit(fitted: FitOutcome, job: Job, handedness: Handedness) -
     calibration = with_covariance(calibration, 0.5 * (covariance + covariance.T))
     rms, most = sky_sigma_deg(calibration)
     calibration = replace(calibration, sky_rms_deg=rms, sky_max_deg=most)
-    return replace(calibration, verdict=fit_verdict(calibration, usable, handedness, options))
+    return replace(calibration, verdict=fit_verdict(calibration, usable, options, ambiguous=ambiguous))
 
 
 def tidied(camera: Camera, options: CalibrationOptions) -> Camera:
@@ -184,12 +184,8 @@ def _evidence(job: Job, fitted: FitOutcome | None = None) -> Provenance:
 
 def refused(job: Job, findings: tuple[Finding, ...]) -> Calibration:
     """Return the calibration without a fit: the ideal lens, level, with its prior uncertainty."""
-    options, circle, image_size = job.options, job.circle, job.image_size
-    if circle is None:
-        camera = camera_from_size(image_size=image_size, options=options)
-    else:
-        camera = camera_from_circle(circle, image_size=image_size, options=options)
-    tolerances = options.tolerances
+    options, circle = job.options, job.circle
+    camera, tolerances = level_camera(circle, image_size=job.image_size, options=options), options.tolerances
     prior = lens_prior(camera, tolerances=tolerances, circle=circle, field_angle=math.pi / 2)
     covariance = np.zeros((FREE.size, FREE.size))
     lens = np.isin(FREE, LENS)
@@ -251,9 +247,9 @@ def robust_outcome(fit: RobustFit, usable: Sightings, options: CalibrationOption
         covariance=widening**2 * covariance,
         field=field.widened(widening),
         residual=fit.residual if displacement is None else _beside(fit.residual, displacement, usable.pixels),
-        used=fit.weight > 0.0,
-        sigma_px=fit.sigma_px,
-        inflation=float(np.mean(fit.inflation)) if fit.inflation.size else math.nan,
+        used=fit.noise.weight > 0.0,
+        sigma_px=fit.noise.sigma_px,
+        inflation=float(np.mean(fit.noise.inflation)) if len(usable) else math.nan,
         radial_px=fit.scales.radial_px,
         held_out=held_out(fit, usable),
         log_odds=fit.log_odds,
@@ -271,7 +267,7 @@ def _night_difference(fit: RobustFit, usable: Sightings) -> NightDifference | No
     turn, sigma = fit.unknowns[pose], np.sqrt(np.diag(fit.posterior.covariance)[pose])
     radial = slice(star.start, min(star.start + N_RADIAL, star.stop))
     return NightDifference(
-        n=int(np.sum((fit.weight > 0.0) & usable.night)),
+        n=int(np.sum((fit.noise.weight > 0.0) & usable.night)),
         pose_difference_deg=_three(POSE_DIFFERENCE_DEG * turn),
         pose_sigma_deg=_three(POSE_DIFFERENCE_DEG * sigma),
         star_offset_px=OFFSET_PX * float(np.sum(fit.unknowns[radial])),

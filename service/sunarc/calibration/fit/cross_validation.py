@@ -97,11 +97,11 @@ def held_out(fit: RobustFit, usable: Sightings) -> HeldOut | None:
             variance += np.einsum("nap,pq,naq->n", rows[..., :size], covariance[:size, size:], rows[..., size:])
             variance += 2.0 * fit.scales.amplitude_px**2
             rows, step = rows[..., :size], step[:size]
-        counted = without.out & (fit.weight > 0.0)
+        counted = without.out & (fit.noise.weight > 0.0)
         bin_of = np.searchsorted(np.flatnonzero(without.bins), fit.system.member[counted])
         found += float(np.sum((fit.residual[counted] - (rows @ step)[bin_of]) ** 2))
         # two axes
-        noise = 2.0 * (fit.noise_px * usable.sigma_px)[counted] ** 2
+        noise = 2.0 * (fit.noise.scale * usable.sigma_px)[counted] ** 2
         # of a camera that is far off, the part's share of the normal equations may not be separable from the whole
         expected += float(np.sum(np.maximum(variance, 0.0)[bin_of] + noise))
         count += int(counted.sum())
@@ -161,7 +161,7 @@ def doubts(fit: RobustFit, usable: Sightings) -> Doubts:
     if fold is None:
         fold = np.concatenate([np.arange(n) * _THIRDS // max(n, 1) for n in np.bincount(usable.epoch)])
     # the sun's track is judged: whether stars agree with it is a question of its own (`night_check`)
-    judged = (usable.kind == Kind.SUN) & (fit.weight > 0.0)
+    judged = (usable.kind == Kind.SUN) & (fit.noise.weight > 0.0)
     parts = [_met(one, fit, usable, judged) for one in _without_parts(fit, usable, fold) if np.any(one.out & judged)]
     if not parts:
         return Doubts(0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0)
@@ -237,7 +237,7 @@ def contradiction(fit: RobustFit, usable: Sightings) -> Finding | None:
     measured = (
         ("pose_difference", float(np.linalg.norm(turn)), _PRIOR_SIGMAS),
         ("star_offset", float(np.linalg.norm(offset)), _PRIOR_SIGMAS),
-        ("rejected", float(np.mean(fit.weight[night] == 0.0)), _MOST_REJECTED),
+        ("rejected", float(np.mean(fit.noise.weight[night] == 0.0)), _MOST_REJECTED),
         ("sun_scatter", _sun_scatter(fit, alone, usable), _SUN_SCATTER),
         ("sky", _change_over_the_sky(fit, alone), _SKY_SIGMAS),
     )

@@ -257,30 +257,11 @@ def inverses(matrices: FloatArray) -> FloatArray:
     return np.asarray(0.5 * (covariance + np.swapaxes(covariance, -1, -2)))
 
 
-def penalty(normal: NormalEquations, basis: WaveBasis, scales: Scales) -> float:
-    """Return what a fit makes small at `normal.at`: twice the negative log posterior, the field at its best."""
-    turned = Turned.of(normal, basis, scales.length_px)
-    shrink = turned.axes.posterior_variances(np.array([scales.amplitude_px]))[0]
-    precision = normal.prior_precision(scales.radial_px, scales.decentering_px)
-    explained = float(np.sum(shrink * turned.residual**2))
-    return normal.rr - explained + float(np.sum(precision * normal.at**2))
-
-
-def log_evidences(
-    normal: NormalEquations, basis: WaveBasis, *, amplitudes: FloatArray, lengths: FloatArray, lens_scales: FloatArray
-) -> FloatArray:
-    """Return the log evidence on a grid, (amplitudes, lengths, lens_scales), but for a constant.
-
-    `lens_scales` (k, 2) holds pairs of the radial distortion's and the decentering's scale.
-    """
-    return FieldChoices.of(normal, basis, amplitudes, lengths, lens_scales).log_evidence
-
-
 class FieldChoices(NamedTuple):
     """The fits on a grid of scales.
 
     turned (j): the sums in the axes of each length. shrink (j): (i, r) of each amplitude. equations: of the i · j
-    fields, a length's together. log_evidence (i, j, k).
+    fields, a length's together. log_evidence (i, j, k): but for a constant.
     """
 
     turned: list[Turned]
@@ -297,7 +278,7 @@ class FieldChoices(NamedTuple):
         lengths: FloatArray,
         lens_scales: FloatArray,
     ) -> FieldChoices:
-        """Return the fits under all choices, see `log_evidences`."""
+        """Return the fits under all choices; `lens_scales` (k, 2): of the radial distortion and of the decentering."""
         turned = [Turned.of(normal, basis, float(length)) for length in lengths]
         shrink = [one.axes.posterior_variances(amplitudes) for one in turned]
         pairs = list(zip(turned, shrink, strict=True))

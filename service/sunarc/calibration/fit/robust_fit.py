@@ -29,7 +29,7 @@ from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.residual_field import WaveBasis
 from sunarc.calibration.model.result import proves
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.noise import NoiseGroups
+from sunarc.calibration.noise import Noise, NoiseGroups
 from sunarc.calibration.robust_loss import robust_sigma, surely_well_behaved
 from sunarc.calibration.solve.levenberg_marquardt import information as information_of
 from sunarc.calibration.solve.priors import DECENTERING, RADIAL, Whitened, with_wide_pixels
@@ -52,11 +52,7 @@ class RobustFit:
     grid : the scales that were tried, and the field's basis functions.
     residual : (n, 2) observed minus modelled by the lens alone, px.
     field_mean : (2, m) coefficients of the most probable field; None where none is more probable.
-    weight : (n,) how much each sighting counted, 0 to 1.
-    sigma_px : the noise's scale, px per axis (for sightings of relative sigma 1), of the sun's track.
-    noise_px : (n,) that of each sighting, by what it is of.
-    inflation : (n,) by how much each sighting's variance grew because neighbours err alike.
-    information : (n,) what each sighting tells of either axis, all of these together, px⁻².
+    noise : of each sighting.
     log_odds : of the parts of the model, see `Provenance`.
     """
 
@@ -69,11 +65,7 @@ class RobustFit:
     grid: HyperparameterGrid
     residual: FloatArray
     field_mean: FloatArray | None
-    weight: FloatArray
-    sigma_px: float
-    noise_px: FloatArray
-    inflation: FloatArray
-    information: FloatArray
+    noise: Noise
     log_odds: dict[str, float]
 
 
@@ -128,11 +120,7 @@ def _fitted(
         grid=grid,
         residual=problem.residuals(unknowns, observed),
         field_mean=mean,
-        weight=found.noise.weight,
-        sigma_px=found.noise.sigma_px,
-        noise_px=found.noise.scale,
-        inflation=found.noise.inflation,
-        information=found.information,
+        noise=found.noise,
         log_odds={**log_odds_of_parts(normal, grid.basis, state.scales), "field": state.field_odds, **state.block_odds},
     )
 

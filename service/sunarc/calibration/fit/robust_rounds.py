@@ -255,7 +255,6 @@ class RobustCamera:
     unknowns : (p,) the most probable ones, brought to what least squares reaches.
     state, noise : as the last round left them.
     grid : the scales that were tried.
-    information : (n,) of each sighting, px⁻².
     last_round : the bins' equations of the last round.
     """
 
@@ -264,12 +263,11 @@ class RobustCamera:
     state: RoundState
     noise: Noise
     grid: HyperparameterGrid
-    information: FloatArray
     last_round: LinearSystem
 
     def system(self, observed: Sightings, bins: Bins) -> LinearSystem:
         """Return the bins' equations about the camera."""
-        weighed = observed.weighted(self.information)
+        weighed = observed.weighted(self.noise.information(observed))
         return system_about(self.problem, weighed, bins, self.last_round, self.unknowns)
 
     def field_mean(self, normal: NormalEquations) -> FloatArray | None:
@@ -300,8 +298,8 @@ def robust_camera(
     """
     plain = np.concatenate([plain, np.zeros(problem.n_unit)])
     state, noise, grid, last_round = _with_field(problem, observed, plain, grid, groups)
-    information = noise.information(observed)
-    problem, state = _with_proven(problem, observed.weighted(information), groups.bins, last_round, state, grid)
+    informed = observed.weighted(noise.information(observed))
+    problem, state = _with_proven(problem, informed, groups.bins, last_round, state, grid)
     weighed = observed.weighted(observed.information * (noise.sigma_px / noise.scale) ** 2)
     unknowns = _as_good_as_least_squares(
         problem, weighed, groups, state, sigma=noise.sigma_px, near_minimum=near_minimum
@@ -312,7 +310,6 @@ def robust_camera(
         state=state,
         noise=noise,
         grid=grid,
-        information=information,
         last_round=last_round,
     )
 

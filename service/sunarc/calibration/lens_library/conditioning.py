@@ -39,7 +39,7 @@ from sunarc.calibration.model.result import (
     with_options,
 )
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
-from sunarc.calibration.quality.fit_checks import Handedness, fit_verdict
+from sunarc.calibration.quality.fit_checks import fit_verdict
 from sunarc.calibration.robust_loss import finite
 from sunarc.calibration.solve.levenberg_marquardt import most_probable
 from sunarc.calibration.solve.priors import FREE, N_LENS, LensPrior
@@ -277,8 +277,8 @@ def _assessed(
     metrics = fit_metrics(residual, used[latest], angle)
     result = replace(changed, metrics=metrics, sky_rms_deg=rms, sky_max_deg=most)
     result = with_options(result, lens_prior=lens.as_evidence())
-    verdict = fit_verdict(result, seen, Handedness(mirrored=result.camera.mirrored, ambiguous=False), options)
-    return with_finding(replace(result, verdict=verdict), lens_finding("lens_prior_used", lens))
+    result = replace(result, verdict=fit_verdict(result, seen, options))
+    return with_finding(result, lens_finding("lens_prior_used", lens))
 
 
 def lens_finding(code: str, lens: LensType) -> Finding:

@@ -18,7 +18,6 @@ import numpy as np
 from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.answers.error_model import (
     CameraErrorModel,
-    at_every_angle,
     error_model_of,
     joint_covariance,
     moved,
@@ -50,7 +49,6 @@ from sunarc.calibration.pose import (
     thinned,
     with_noise,
 )
-from sunarc.calibration.quality.fit_checks import Handedness
 from sunarc.calibration.robust_loss import finite
 from sunarc.calibration.solve.priors import FREE, N_LENS
 from sunarc.calibration.start.initial_guess import ransac_rotation
@@ -138,7 +136,6 @@ def calibrate_with_lens(
     site: Site,
     options: CalibrationOptions,
     circle: ImageCircle | None = None,
-    pose: FirstPoseOptions | None = None,
 ) -> Moved:
     """Return what sightings and a type of lens say of a camera: with a day of sun lens and pose, with few the pose.
 
@@ -146,7 +143,6 @@ def calibrate_with_lens(
     ----------
     points, site, options, circle : as `calibrate_moved` takes them; projection and handedness are those of the lens.
     lens : its type.
-    pose : what is known of the pose, where the sightings alone are not enough for a fit.
     """
     options = options_about(lens.camera, options)
     size = (lens.camera.width, lens.camera.height)
@@ -154,9 +150,8 @@ def calibrate_with_lens(
     solved, points = moved_.calibration, moved_.points
     if solved.verdict.accepted:
         return Moved(with_lens(solved, lens, points=points, options=options), points)
-    known = _usual_pose(options) if pose is None else pose
     latest = points.select(np.flatnonzero(points.epoch == points.epoch.max(initial=0)))
-    return Moved(first_pose(latest, lens=lens, site=site, options=options, pose=known), latest)
+    return Moved(first_pose(latest, lens=lens, site=site, options=options, pose=_usual_pose(options)), latest)
 
 
 def _usual_pose(options: CalibrationOptions) -> FirstPoseOptions:
@@ -201,7 +196,7 @@ def first_pose(
     anywhere = false_density(np.full(usable.pixels.shape, np.inf), area_px2=area_px2)
     sightings = replace(with_noise(usable, points, start), false_density=anywhere)
     # the same sightings for both handednesses, or their evidences could not be compared
-    close = max((_agreeing(at_every_angle(one.camera), thinned(sightings)) for one in both), key=np.sum)
+    close = max((_agreeing(one.camera.at_every_angle(), thinned(sightings)) for one in both), key=np.sum)
     if np.sum(close) < FEWEST_SIGHTINGS:
         close = np.ones(close.size, dtype=bool)
     try:
@@ -209,7 +204,7 @@ def first_pose(
     except np.linalg.LinAlgError:  # no pose is near the sightings: the equations mean nothing
         return refused(job, (Finding("no_camera_fits"),))
     fitted = outcome_of(found.fit, start, usable, wander_rad=0.0)
-    result = calibration_from_fit(fitted, job, Handedness(mirrored=lens.camera.mirrored, ambiguous=False))
+    result = calibration_from_fit(fitted, job)
     return _judged(with_options(result, lens_prior=lens.as_evidence()), found, other, lens, known)
 
 
@@ -237,7 +232,7 @@ def _agreeing(camera: Camera, thin: Sightings) -> BoolArray:
 
 def _most_probable(start: Calibration, sightings: Sightings, close: BoolArray, tilt_rad: float) -> _FoundPose:
     """Return the most probable pose at any azimuth of a camera that is level within a 1-sigma per axis."""
-    error_model, camera = error_model_of(start), at_every_angle(start.camera)
+    error_model, camera = error_model_of(start), start.camera.at_every_angle()
     some = np.flatnonzero(close)
     coarse = thinned(sightings).select(some[np.unique(np.linspace(0, some.size - 1, _COARSE).astype(int))])
     spread = np.array([tilt_rad, tilt_rad, _CELL_RAD])

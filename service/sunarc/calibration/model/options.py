@@ -118,6 +118,9 @@ class CalibrationOptions:
         require_bounds(self, section_path="calibration")
 
 
+USUAL_OPTIONS = CalibrationOptions()
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImageCircle:
     """The circle that the lens draws on the sensor.

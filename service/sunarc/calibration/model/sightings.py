@@ -165,30 +165,6 @@ class Filtering(NamedTuple):
     n_below_horizon: int = 0
 
 
-def _unknown() -> FloatArray:
-    return np.array([np.nan])
-
-
-def _zero() -> FloatArray:
-    return np.array([0.0])
-
-
-def _one() -> FloatArray:
-    return np.array([1.0])
-
-
-def _first() -> IntArray:
-    return np.array([0])
-
-
-def _sun() -> IntArray:
-    return np.array([int(Kind.SUN)])
-
-
-def _no() -> BoolArray:
-    return np.array([False])
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sightings:
     """Sightings of the sun, of stars and of the moon: one row each; a column of one row counts for all.
@@ -225,23 +201,23 @@ class Sightings:
     """
 
     pixels: FloatArray
-    unix_s: FloatArray = field(default_factory=_unknown)
+    unix_s: FloatArray = field(default_factory=lambda: np.full(1, np.nan))
     directions: FloatArray = field(default_factory=lambda: np.full((1, 3), np.nan))
-    sigma_px: FloatArray = field(default_factory=_unknown)
-    epoch: IntArray = field(default_factory=_first)
+    sigma_px: FloatArray = field(default_factory=lambda: np.full(1, np.nan))
+    epoch: IntArray = field(default_factory=lambda: np.zeros(1, np.int64))
     body: NameArray = field(default_factory=lambda: np.array([SUN]))
-    kind: IntArray = field(default_factory=_sun)
-    clock_error_s: FloatArray = field(default_factory=_unknown)
-    temperature: FloatArray = field(default_factory=_unknown)
-    pressure: FloatArray = field(default_factory=_unknown)
-    index: IntArray = field(default_factory=_first)
-    day: IntArray = field(default_factory=_first)
-    alone: BoolArray = field(default_factory=_no)
-    night: BoolArray = field(default_factory=_no)
-    information: FloatArray = field(default_factory=_one)
+    kind: IntArray = field(default_factory=lambda: np.zeros(1, np.int64))
+    clock_error_s: FloatArray = field(default_factory=lambda: np.full(1, np.nan))
+    temperature: FloatArray = field(default_factory=lambda: np.full(1, np.nan))
+    pressure: FloatArray = field(default_factory=lambda: np.full(1, np.nan))
+    index: IntArray = field(default_factory=lambda: np.zeros(1, np.int64))
+    day: IntArray = field(default_factory=lambda: np.zeros(1, np.int64))
+    alone: BoolArray = field(default_factory=lambda: np.zeros(1, np.bool_))
+    night: BoolArray = field(default_factory=lambda: np.zeros(1, np.bool_))
+    information: FloatArray = field(default_factory=lambda: np.ones(1))
     refraction_sd: FloatArray = field(default_factory=lambda: np.zeros((1, 1)))
     motion: FloatArray = field(default_factory=lambda: np.zeros((1, 3)))
-    false_density: FloatArray = field(default_factory=_zero)
+    false_density: FloatArray = field(default_factory=lambda: np.zeros(1))
     systematic_px: FloatArray = field(default_factory=lambda: np.zeros((1, 2, 0)))
     filtering: Filtering = field(default_factory=Filtering)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -68,13 +67,6 @@ _TURNED = 20.0
 """Chi-square of the turn of one part's camera from which on it is named: three numbers reach it once in 6,000."""
 
 
-class Handedness(NamedTuple):
-    """Whether the camera is mirrored, and whether the other handedness fits as well."""
-
-    mirrored: bool
-    ambiguous: bool
-
-
 def before_fit(usable: Sightings, options: CalibrationOptions) -> tuple[Finding, ...]:
     """Return what makes a fit pointless: too few sightings, too short an arc, a sun below the horizon or still."""
     n_static = sum(position.n for position in usable.filtering.static)
@@ -111,16 +103,16 @@ def _positions(usable: Sightings) -> str:
 
 
 def fit_verdict(
-    calibration: Calibration, usable: Sightings, handedness: Handedness, options: CalibrationOptions
+    calibration: Calibration, usable: Sightings, options: CalibrationOptions, *, ambiguous: bool = False
 ) -> Verdict:
-    """Return whether a fit may be used, judged by itself."""
+    """Return whether a fit may be used, judged by itself; `ambiguous`: whether the other handedness fits as well."""
     below = below_horizon(usable, options)
     question = tilt_question(calibration.camera, calibration.site)
     against = [*below, *_against_scatter(calibration, usable, options), *_against_camera(calibration, options)]
     against += _against_ring(calibration, usable)
     if below and question is not None:
         against.insert(1, question)  # what it names would bring the sun above the horizon, too
-    if handedness.ambiguous:
+    if ambiguous:
         against.append(Finding("mirroring_ambiguous"))
     if against:
         return Verdict(accepted=False, findings=tuple(against))
@@ -137,7 +129,7 @@ def fit_verdict(
     if calibration.evidence.options.get("free") == "pose":
         found.append(Finding("provisional"))
     if options.mirrored == "auto":
-        found.append(Finding("mirrored" if handedness.mirrored else "not_mirrored"))
+        found.append(Finding("mirrored" if calibration.camera.mirrored else "not_mirrored"))
     found += [*_off_center(calibration), *_proven_effects(calibration)]
     if question is None or options.level_within_deg is not None:
         return Verdict(accepted=True, findings=tuple(found))

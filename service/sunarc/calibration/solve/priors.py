@@ -142,24 +142,6 @@ def lens_prior(
     return LensPrior(mean=mean, basis=basis)
 
 
-def prior_knowledge(
-    camera: Camera, *, tolerances: LensTolerances, circle: ImageCircle
-) -> tuple[FloatArray, FloatArray]:
-    """Return B (23, 20) and precisions (20,): the parameters are B u, u of zero mean but for the camera's own.
-
-    Parameters
-    ----------
-    camera : where the parameters are looked at.
-    tolerances : how far the lens may be from the ideal; radial distortion and decentering at their usual scales.
-    circle : the image circle.
-    """
-    prior = lens_prior(camera, tolerances=tolerances, circle=circle, field_angle=_RIGHT_ANGLE)
-    basis = np.zeros((len(Param), N_LENS + 3))
-    basis[LENS, :N_LENS] = prior.basis
-    basis[POSE, N_LENS:] = np.eye(3)
-    return basis, np.concatenate([precisions(tolerances.radial_px, tolerances.decentering_px), np.zeros(3)])
-
-
 def _center_and_focal(
     camera: Camera, focal: float, tolerances: LensTolerances, circle: ImageCircle | None
 ) -> tuple[tuple[float, float, float], float]:

@@ -17,7 +17,6 @@ from sunarc.calibration.solve.priors import LENS, N_LENS, LensPrior
 from sunarc.optics.camera import POSE, Camera, Param
 from sunarc.optics.forward import Optics, by_direction, kernel_optics
 from sunarc.optics.pose import rotation_matrix
-from sunarc.optics.projections import angle_limit
 from sunarc.sky.refraction import upward
 
 _RIGHT_ANGLE = math.pi / 2
@@ -239,9 +238,8 @@ def problem_for(template: Camera, prior: LensPrior, *, n_epochs: int, max_angle:
     ----------
     max_angle : rad, see `FitProblem`; the sun is always allowed to be a right angle off the axis.
     """
-    widest = angle_limit(template.projection) * (1.0 - 1e-6)
-    template = replace(template, max_angle=widest)
-    return FitProblem(template=template, prior=prior, n_epochs=n_epochs, max_angle=max(max_angle, _RIGHT_ANGLE))
+    widest, max_angle = template.at_every_angle(), max(max_angle, _RIGHT_ANGLE)
+    return FitProblem(template=widest, prior=prior, n_epochs=n_epochs, max_angle=max_angle)
 
 
 # Neighbouring sightings taken together: the solve sees their mean residual, at their mean direction.

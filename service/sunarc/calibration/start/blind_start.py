@@ -24,20 +24,18 @@ from sunarc.calibration.start.sky_turn import (
     Turning,
     Turns,
     count_on_detections,
-    nearest_projection,
     pairs_of,
-    radial_for,
     turnings,
     unmirrored,
 )
-from sunarc.calibration.start.star_pattern import Bright, bright_stars, camera_of, log10_chance, patterns
+from sunarc.calibration.start.star_pattern import Bright, Pattern, bright_stars, camera_of, log10_chance, patterns
 from sunarc.detection.stars.matching import StarMatches, on_cloud
 from sunarc.detection.values import PredictedStars, Stars
 from sunarc.findings import Finding
 from sunarc.optics.camera import Camera, Param
 from sunarc.optics.forward import project, project_with_jacobian
 from sunarc.optics.inverse import unproject
-from sunarc.optics.pose import pose_angles, rotation_matrix, rotation_vector
+from sunarc.optics.pose import pose_angles, rotation_matrix
 from sunarc.optics.projections import ideal_radius
 from sunarc.robust_statistics import biweights, mad_sigma
 from sunarc.sky.directions import angular_distance
@@ -253,13 +251,15 @@ def blind_start(
     turns = turnings(pairs, _field(site, image_size, known))
     if not turns or turns[0].share < _LEAST_SHARE:
         share = turns[0].share if turns else 0.0
-        return BlindStart(
-            accepted=False, findings=(Finding("blind_no_turning", {"share": share, "limit": _LEAST_SHARE}),)
-        )
+        return _no_camera(Finding("blind_no_turning", {"share": share, "limit": _LEAST_SHARE}))
     found = _hypotheses(turns, moving, images, site, image_size)
     if not found:
-        return BlindStart(accepted=False, findings=(Finding("blind_no_stars", {"share": turns[0].share}),))
+        return _no_camera(Finding("blind_no_stars", {"share": turns[0].share}))
     return _decided(found, site, known)
+
+
+def _no_camera(*findings: Finding) -> BlindStart:
+    return BlindStart(accepted=False, findings=findings)
 
 
 # One image, or several between which the sky hardly turned: the pattern of the bright stars, all of the sky at once.
@@ -285,17 +285,17 @@ def _by_pattern(
     if not lit:
         turn = math.degrees(SIDEREAL_RATE * float(np.ptp([image.unix_s for image in images]))) if images else 0.0
         few = {"n": len(images), "turn_deg": turn, "limit": _LEAST_TURN_DEG}
-        return BlindStart(accepted=False, findings=(Finding("blind_few_images", few),))
+        return _no_camera(Finding("blind_few_images", few))
     found = [one for image in lit[:_MOST_TRIED] for one in _of_pattern(image, images, site, image_size, known)]
     found.sort(key=lambda one: one.log10_chance)
     if not found or found[0].log10_chance > _MOST_LOG10_CHANCE:
         chance = found[0].log10_chance if found else 0.0
         data = {"log10_chance": chance, "limit": _MOST_LOG10_CHANCE, "n": len(lit[0].stars)}
-        return BlindStart(accepted=False, findings=(Finding("blind_no_pattern", data),))
+        return _no_camera(Finding("blind_no_pattern", data))
     if found[0].stars == 0:
         unnamed = {"log10_chance": found[0].log10_chance}
         why = tuple(finding for one in found[0].matched for finding in one.matches.findings)
-        return BlindStart(accepted=False, findings=(Finding("blind_pattern_not_named", unnamed), *why))
+        return _no_camera(Finding("blind_pattern_not_named", unnamed), *why)
     return _decided(found, site, known)
 
 
@@ -323,7 +323,9 @@ def _of_pattern(
         up = _of_image(camera, sky)
         return log10_chance(camera, up.directions, seen_magnitude(up), clear.pixels)
 
-    nearer = [refined(camera_of(one, field.centre, image_size), alone, _FIRST_ROUNDS) for one in rough]
+    x, y = field.centre
+    centres = {False: (x, y), True: (image_size[0] - 1.0 - x, y)}
+    nearer = [refined(camera_of(one, centres[one.mirrored], image_size), alone, _FIRST_ROUNDS) for one in rough]
     first = [one.camera for one in nearer if one is not None]
     first.sort(key=chance)
     found: list[_Hypothesis] = []
@@ -486,7 +488,9 @@ def phases(
         if min(apart, default=360.0) > _APART_DEG:
             taken.append(row * _STEP_DEG)
             turn = rotation_matrix(angles[row] * turning.pole)
-            found.append((float(share[row]), _camera(turning, turn @ first, image_size)))
+            best, (x, y) = float(share[row]), turning.centre.tolist()
+            pattern = Pattern(best, turning.mirrored, turning.focal_px, turning.shape, turn @ first)
+            found.append((best, camera_of(pattern, (x, y), image_size)))
         if len(found) == _KEPT:
             break
     return found
@@ -516,19 +520,3 @@ def _frame(axis: FloatArray) -> FloatArray:
     first = np.cross(other, axis)
     first /= np.linalg.norm(first)
     return np.stack([first, np.cross(axis, first), axis])
-
-
-def _camera(turning: Turning, rotation: FloatArray, image_size: tuple[int, int]) -> Camera:
-    projection = nearest_projection(turning.shape)
-    x, y = turning.centre.tolist()
-    return Camera(
-        width=image_size[0],
-        height=image_size[1],
-        projection=projection,
-        focal_length_px=(turning.focal_px, turning.focal_px),
-        principal_point_px=(x, y),
-        rotation_cam_enu=rotation_vector(rotation),
-        radial=radial_for(turning.shape, projection),
-        mirrored=turning.mirrored,
-        max_angle=math.radians(100.0),
-    )

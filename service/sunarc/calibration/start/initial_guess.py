@@ -10,9 +10,7 @@ import itertools
 import math
 from dataclasses import replace
 
-import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from sunarc.array_types import FloatArray, IntArray
@@ -22,7 +20,6 @@ from sunarc.calibration.robust_loss import robust_sigma
 from sunarc.calibration.solve.levenberg_marquardt import most_probable
 from sunarc.calibration.solve.priors import N_LENS, Whitened, lens_prior, precisions
 from sunarc.calibration.solve.problem import FitProblem, problem_for
-from sunarc.errors import InputError
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import rising_limit
 from sunarc.optics.inverse import calibrated, unproject
@@ -35,35 +32,23 @@ _SEARCHED_SIGHTINGS = 160
 _FOCAL_FACTORS = np.geomspace(0.35, 4.0, 22)
 
 
-def camera_from_circle(circle: ImageCircle, *, image_size: tuple[int, int], options: CalibrationOptions) -> Camera:
-    """Return K0 (Eqs. 21, 22): a level camera, its x axis to the east, from the image circle."""
-    mirrored = options.mirrored == "yes"
-    angle = math.radians(circle.angle_deg)
-    limit = math.radians(80.0) if options.projection == "perspective" else math.pi / 2
-    focal = circle.radius / float(ideal_radius(options.projection, min(angle, limit) if angle > limit else angle))
-    x = image_size[0] - 1.0 - circle.x if mirrored else circle.x
-    return _level(image_size, options, focal, (x, circle.y), mirrored=mirrored)
+def level_camera(circle: ImageCircle | None, *, image_size: tuple[int, int], options: CalibrationOptions) -> Camera:
+    """Return a level camera, its x axis to the east: K0 of the image circle (Eqs. 21, 22).
 
-
-def camera_from_size(*, image_size: tuple[int, int], options: CalibrationOptions) -> Camera:
-    """Return a level camera whose field is 180 degrees (perspective: 120) across the image's shorter side."""
-    angle = math.radians(60.0) if options.projection == "perspective" else math.pi / 2
-    focal = 0.5 * min(image_size) / float(ideal_radius(options.projection, angle))
-    center = ((image_size[0] - 1) / 2.0, (image_size[1] - 1) / 2.0)
-    return _level(image_size, options, focal, center, mirrored=options.mirrored == "yes")
-
-
-def _level(
-    image_size: tuple[int, int],
-    options: CalibrationOptions,
-    focal: float,
-    center: tuple[float, float],
-    *,
-    mirrored: bool,
-) -> Camera:
+    Without a circle its field is 180 degrees (perspective: 120) across the image's shorter side.
+    """
+    width, height = image_size
+    mirrored, flat = options.mirrored == "yes", options.projection == "perspective"
+    if circle is None:
+        angle, radius = math.radians(60.0) if flat else math.pi / 2, 0.5 * min(image_size)
+        center = ((width - 1) / 2.0, (height - 1) / 2.0)
+    else:
+        angle, radius = min(math.radians(circle.angle_deg), math.radians(80.0) if flat else math.pi / 2), circle.radius
+        center = (width - 1.0 - circle.x if mirrored else circle.x, circle.y)
+    focal = radius / float(ideal_radius(options.projection, angle))
     return Camera(
-        width=image_size[0],
-        height=image_size[1],
+        width=width,
+        height=height,
         projection=options.projection,
         focal_length_px=(focal, focal),
         principal_point_px=center,
@@ -185,22 +170,17 @@ _SEARCH_DECENTERING_PX = 3.0
 
 
 def first_cameras(
-    observed: Sightings,
-    *,
-    image_size: tuple[int, int],
-    options: CalibrationOptions,
-    circle: ImageCircle | None,
-    start: Camera | None,
+    observed: Sightings, guess: Camera, *, known: bool, options: CalibrationOptions, circle: ImageCircle | None
 ) -> tuple[list[Camera], float]:
     """Return a camera for every epoch, one lens, and the cost of the epoch that the lens was found from.
 
-    The epoch with the most sightings gives the lens; the others' poses follow from it.
+    The epoch with the most sightings gives the lens; the others' poses follow from it. The guess is searched around,
+    see `candidates`.
     """
     epochs = np.unique(observed.epoch)
     counts = [int(np.sum(observed.epoch == e)) for e in epochs]
     main = int(epochs[int(np.argmax(counts))])
-    one = _of_epoch(observed, main)
-    lens, cost = _best_single(one, image_size=image_size, options=options, circle=circle, start=start)
+    lens, cost = _best_single(_of_epoch(observed, main), guess, known=known, options=options, circle=circle)
     cameras = [lens if e == main else wahba(lens, _of_epoch(observed, int(e)))[0] for e in range(int(epochs[-1]) + 1)]
     return cameras, cost
 
@@ -211,19 +191,8 @@ def _of_epoch(observed: Sightings, epoch: int) -> Sightings:
 
 
 def _best_single(
-    observed: Sightings,
-    *,
-    image_size: tuple[int, int],
-    options: CalibrationOptions,
-    circle: ImageCircle | None,
-    start: Camera | None,
+    observed: Sightings, guess: Camera, *, known: bool, options: CalibrationOptions, circle: ImageCircle | None
 ) -> tuple[Camera, float]:
-    if start is not None:
-        guess, known = start, True
-    elif circle is not None:
-        guess, known = camera_from_circle(circle, image_size=image_size, options=options), True
-    else:
-        guess, known = camera_from_size(image_size=image_size, options=options), False
     tried = candidates(observed, guess, known=known, best=_TRIED)
     if not tried:
         return guess, math.inf
@@ -299,91 +268,6 @@ def field_angle(camera: Camera, observed: Sightings, options: CalibrationOptions
     if camera.projection == "perspective":
         return min(max(furthest * 1.05, math.radians(20.0)), math.radians(80.0))
     return min(max(furthest, math.pi / 2), limit)
-
-
-# The circle that a fisheye draws on the sensor, found in a daytime frame by a Hough transform (section 4.1.1).
-
-_WORKING_SIZE = 480
-_RAYS = 360
-_ROUNDS = 8
-
-
-def find_image_circle(image: ArrayLike, *, angle_deg: float = 90.0) -> ImageCircle | None:
-    """Return the image circle, or None where the frame shows none.
-
-    Parameters
-    ----------
-    image : (h, w) or (h, w, channels), any unsigned type; bright sky inside, dark outside.
-    angle_deg : the angle off the axis that the lens shows at the circle's edge.
-
-    Returns
-    -------
-    The circle to about a pixel: the Hough transform's, then a least-squares circle through the edge's steepest points.
-    """
-    grey = as_grey(image)
-    shrink = min(1.0, _WORKING_SIZE / min(grey.shape))
-    small = cv2.resize(grey, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
-    blurred = cv2.medianBlur(small, 5)
-    least, most = 0.3 * min(small.shape), 0.75 * max(small.shape)
-    circles = cv2.HoughCircles(
-        blurred,
-        cv2.HOUGH_GRADIENT,
-        dp=2,
-        minDist=float(max(small.shape)),
-        param1=60,
-        param2=30,
-        minRadius=int(least),
-        maxRadius=int(most),
-    )
-    if circles is None:
-        return None
-    x, y, radius = (float(v) / shrink for v in np.asarray(circles).reshape(-1, 3)[0])
-    x, y, radius = refined_circle(grey.astype(np.float64), x, y, radius)
-    return ImageCircle(x=x, y=y, radius=radius, angle_deg=angle_deg)
-
-
-def as_grey(image: ArrayLike) -> NDArray[np.uint8]:
-    """Return a frame as 8 bit grey values; InputError where it is not a frame."""
-    array = np.asarray(image)
-    if array.ndim not in (2, 3) or array.size == 0 or min(array.shape[:2]) < 32:
-        raise InputError(field="image", problem=f"shape {array.shape}", remedy="give a frame of at least 32 × 32 px")
-    values = array.astype(np.float64)
-    values = values.mean(axis=-1) if values.ndim == 3 else values
-    top = max(float(np.percentile(values, 99.0)), 1.0)
-    return np.asarray(np.clip(255.0 * np.sqrt(np.clip(values, 0.0, None) / top), 0.0, 255.0), dtype=np.uint8)
-
-
-def refined_circle(grey: FloatArray, x: float, y: float, radius: float) -> tuple[float, float, float]:
-    """Fit a circle through the steepest outward drop along rays, those that lie off counting less and less."""
-    angle = np.linspace(0.0, 2.0 * np.pi, _RAYS, endpoint=False)
-    offset = np.arange(-0.06 * radius, 0.06 * radius, 0.5)
-    for _ in range(_ROUNDS):
-        reach = radius + offset
-        px = x + np.cos(angle)[:, None] * reach
-        py = y + np.sin(angle)[:, None] * reach
-        inside = (px > 1) & (px < grey.shape[1] - 2) & (py > 1) & (py < grey.shape[0] - 2)
-        values = cv2.remap(grey.astype(np.float32), px.astype(np.float32), py.astype(np.float32), cv2.INTER_LINEAR)
-        # a drop within 2 px: lens flare and vignetting fall more slowly
-        drop = np.where(inside[:, 4:] & inside[:, :-4], values[:, :-4] - values[:, 4:], 0.0)
-        best = np.argmax(drop, axis=1)
-        strong = drop[np.arange(_RAYS), best] > 0.25 * float(np.max(drop, initial=0.0))
-        if strong.sum() < 24:
-            break
-        edge = reach[best + 2][strong]
-        x, y, radius = circle_through(x + np.cos(angle[strong]) * edge, y + np.sin(angle[strong]) * edge)
-    return x, y, radius
-
-
-def circle_through(px: FloatArray, py: FloatArray) -> tuple[float, float, float]:
-    """Return centre and radius of the circle through points."""
-    weight = np.ones_like(px)
-    for _ in range(10):
-        rows = np.stack([2.0 * px, 2.0 * py, np.ones_like(px)], axis=-1) * weight[:, None]
-        cx, cy, c = np.linalg.lstsq(rows, (px**2 + py**2) * weight)[0]
-        radius = float(np.sqrt(max(c + cx**2 + cy**2, 1.0)))
-        off = np.abs(np.hypot(px - cx, py - cy) - radius)
-        weight = cauchy_weights(off, scale=max(float(np.median(off)), 0.1))
-    return float(cx), float(cy), radius
 
 
 # The turn that most sightings agree on, when the camera may look anywhere and many sightings are false.

@@ -244,7 +244,8 @@ def _of_handedness(pairs: Sequence[Pair], field: SearchRange, *, mirrored: bool)
     ]
     centre = np.array([field.width - 1.0 - field.centre[0] if mirrored else field.centre[0], field.centre[1]])
     poles = _poles(field, step=min(0.5 * _REACH / math.sin(0.5 * min(one.turn for one in pairs)), math.radians(5.0)))
-    grid = [(focal, shape) for shape in _SHAPES_TRIED for focal in _focal_lengths(field, shape)]
+    radius = field.radius_px
+    grid = [(focal, shape) for shape in _SHAPES_TRIED for focal in focal_lengths(radius, shape, step=_FOCAL_STEP)]
     share = np.stack([_shares(flipped, centre, focal, shape, poles) for focal, shape in grid])
     kept: list[tuple[FloatArray, float, float]] = []
     for place in np.argsort(-share, axis=None, kind="stable")[:400].tolist():
@@ -270,9 +271,10 @@ def unmirrored(pixels: FloatArray, width: int, *, mirrored: bool) -> FloatArray:
     return np.stack([width - 1.0 - pixels[:, 0], pixels[:, 1]], axis=-1) if mirrored else pixels
 
 
-def _focal_lengths(field: SearchRange, shape: float) -> list[float]:
-    least, greatest = (radius / float(radius_of_angle(np.array(0.5 * math.pi), shape)) for radius in field.radius_px)
-    count = max(math.ceil(math.log(greatest / least) / math.log(_FOCAL_STEP)), 1) + 1
+def focal_lengths(radius_px: tuple[float, float], shape: float, *, step: float) -> list[float]:
+    """Return focal lengths, px, a factor apart, from the least to the greatest radius of 90 degrees off the axis."""
+    least, greatest = (radius / float(radius_of_angle(np.array(0.5 * math.pi), shape)) for radius in radius_px)
+    count = max(math.ceil(math.log(greatest / least) / math.log(step)), 1) + 1
     values: list[float] = np.geomspace(least, greatest, count).tolist()
     return values
 

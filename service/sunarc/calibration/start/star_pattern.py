@@ -20,9 +20,9 @@ from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.start.sky_turn import (
     MAX_ANGLE,
     angle_of_radius,
+    focal_lengths,
     nearest_projection,
     radial_for,
-    radius_of_angle,
 )
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project_fast
@@ -98,7 +98,7 @@ def patterns(bright: Bright, *, radius_px: tuple[float, float], max_tilt: float,
     if min(bright.stars.shape[0], bright.away.shape[0]) < 3:
         return []
     turned = _turned(bright.stars, _tilts(max_tilt))
-    lenses = [(focal, shape) for shape in _SHAPES for focal in _focal_lengths(radius_px, shape)]
+    lenses = [(focal, shape) for shape in _SHAPES for focal in focal_lengths(radius_px, shape, step=_FOCAL_STEP)]
     found = [one for focal, shape in lenses for one in _of_lens(bright.away, turned, focal, shape)]
     found.sort(key=lambda one: -one.score)
     kept: list[Pattern] = []
@@ -136,13 +136,6 @@ def _bin_of(angle: FloatArray) -> IntArray:
     return np.floor(angle * (_BINS / (2.0 * math.pi))).astype(np.int64) % _BINS
 
 
-def _focal_lengths(radius_px: tuple[float, float], shape: float) -> list[float]:
-    least, greatest = (radius / float(radius_of_angle(np.array(0.5 * math.pi), shape)) for radius in radius_px)
-    count = max(math.ceil(math.log(greatest / least) / math.log(_FOCAL_STEP)), 1) + 1
-    values: list[float] = np.geomspace(least, greatest, count).tolist()
-    return values
-
-
 def _of_lens(away: FloatArray, turned: _Turned, focal: float, shape: float) -> Iterator[Pattern]:
     """Yield the best hypotheses of one lens, of either handedness."""
     angle = angle_of_radius(np.hypot(*away.T) / focal, shape)
@@ -164,15 +157,14 @@ def _of_lens(away: FloatArray, turned: _Turned, focal: float, shape: float) -> I
 
 
 def camera_of(pattern: Pattern, centre: tuple[float, float], image_size: tuple[int, int]) -> Camera:
-    """Return a hypothesis as a camera whose axis is at a place of the image."""
+    """Return a hypothesis as a camera whose axis is at a place of the image as a camera that is not mirrored has it."""
     projection = nearest_projection(pattern.shape)
-    x, y = centre
     return Camera(
         width=image_size[0],
         height=image_size[1],
         projection=projection,
         focal_length_px=(pattern.focal_px, pattern.focal_px),
-        principal_point_px=(image_size[0] - 1.0 - x if pattern.mirrored else x, y),
+        principal_point_px=centre,
         rotation_cam_enu=rotation_vector(pattern.rotation),
         radial=radial_for(pattern.shape, projection),
         mirrored=pattern.mirrored,
