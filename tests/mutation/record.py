@@ -1,6 +1,6 @@
-"""A pytest plugin: which lines of the package each test runs, written to the file that SUNARC_LINES names.
+"""A pytest plugin: which lines of some rooms each test runs, written to the file that SUNARC_LINES names.
 
-The compiled kernels (service/kernels) leave no lines, and are not mutated.
+SUNARC_LINES_ROOMS names the rooms. The compiled kernels (service/kernels) leave no lines, and are not mutated.
 """
 
 from __future__ import annotations
@@ -14,20 +14,23 @@ from types import CodeType, FrameType
 
 import pytest
 
+Line = tuple[str, int]
 TraceFunction = Callable[[FrameType, str, object], "TraceFunction | None"]
 _FILE = Path(os.environ["SUNARC_LINES"])
 _PACKAGE = f"{os.sep}sunarc{os.sep}"
-_lines: dict[str, set[str]] = {}
+_ROOMS = tuple(f"{room}/" for room in os.environ["SUNARC_LINES_ROOMS"].split())
+_lines: dict[str, set[Line]] = {}
 _seconds: dict[str, float] = {}
-_ours: dict[CodeType, str | None] = {}
-_executed: set[str] = set()
-_fixtures: dict[int, set[str]] = {}
+_ours: dict[CodeType, str] = {}
+_executed: set[Line] = set()
+_fixtures: dict[int, set[Line]] = {}
 
 
-def _name(code: CodeType) -> str | None:
+def _name(code: CodeType) -> str:
+    """Return a code's file from the package on; empty where it is of no such room."""
     if code not in _ours:
-        place = code.co_filename.rpartition(_PACKAGE)
-        _ours[code] = place[2] if place[1] else None
+        name = code.co_filename.rpartition(_PACKAGE)[2]
+        _ours[code] = name if name.startswith(_ROOMS) else ""
     return _ours[code]
 
 
@@ -38,7 +41,7 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
 
     def local(frame: FrameType, event: str, _: object) -> TraceFunction:
         if event == "line":
-            _executed.add(f"{_name(frame.f_code)}:{frame.f_lineno}")
+            _executed.add((_ours[frame.f_code], frame.f_lineno))
         return local
 
     def every(frame: FrameType, _event: str, _: object) -> TraceFunction | None:
@@ -71,5 +74,5 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
 
 def pytest_sessionfinish() -> None:
     """Write what was noted."""
-    lines = {test: sorted(executed) for test, executed in _lines.items()}
+    lines = {test: sorted(f"{file}:{line}" for file, line in executed) for test, executed in _lines.items()}
     _FILE.write_text(json.dumps({"lines": lines, "seconds": _seconds}))

@@ -1,4 +1,8 @@
-"""Where a source file can be mutated: one constant or one operator at a time, as positions in its text."""
+"""Where a source file can be mutated: one constant or one operator at a time, as positions in its text.
+
+A number only grows: a float and an integer from 10 on by half, a smaller integer by one. Numbers whose growth leaves
+every result within what it is known to, by their place, are no sites (`idle.py`).
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,8 @@ import ast
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+
+from tests.mutation.idle import idle_numbers
 
 _BINARY: dict[type[ast.operator], tuple[str, str]] = {
     ast.Add: ("+", "-"),
@@ -22,6 +28,7 @@ _COMPARISON: dict[type[ast.cmpop], tuple[str, str]] = {
     ast.Eq: ("==", "!="),
     ast.NotEq: ("!=", "=="),
 }
+_BY_HALF_FROM = 10
 _BOOLEAN: dict[type[ast.boolop], tuple[str, str]] = {ast.And: ("and", "or"), ast.Or: ("or", "and")}
 
 
@@ -39,10 +46,12 @@ def sites(text: str) -> list[Site]:
     """Return every change of a source text that the rules know, in the order of the text.
 
     Mutated are numbers, arithmetic, comparisons and `and`/`or`. Left alone are texts, annotations, decorators, plain
-    integers as subscripts (`shape[0]`), and what only makes a message: `raise` statements.
+    integers as subscripts (`shape[0]`), what only makes a message: `raise` statements, and the idle numbers.
     """
     lines = text.encode().split(b"\n")
-    found = {site for node in _mutable(ast.parse(text)) for site in _sites_of(node, lines)}
+    tree = ast.parse(text)
+    idle = idle_numbers(tree)
+    found = {site for node in _mutable(tree) if node not in idle for site in _sites_of(node, lines)}
     return sorted(found)
 
 
@@ -91,7 +100,10 @@ def _number(node: ast.Constant, lines: list[bytes]) -> Iterator[Site]:
         return
     if node.lineno != node.end_lineno:
         return
-    changed = value + 1 if isinstance(value, int) else (1.0 if value == 0.0 else value * 1.5)
+    if isinstance(value, int):
+        changed: float = value + (value // 2 if value >= _BY_HALF_FROM else 1)
+    else:
+        changed = 1.0 if value == 0.0 else value * 1.5
     old = lines[node.lineno - 1][node.col_offset : node.end_col_offset].decode()
     yield Site(node.lineno, node.col_offset, old, repr(changed))
 
