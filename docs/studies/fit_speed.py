@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -25,7 +26,7 @@ from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.solve.levenberg_marquardt import most_probable
 from sunarc.calibration.solve.priors import lens_prior
-from sunarc.calibration.solve.problem import observations, problem_for
+from sunarc.calibration.solve.problem import problem_for
 from sunarc.optics.camera import Camera
 
 FloatArray = NDArray[np.float64]
@@ -75,8 +76,8 @@ def whole_fits(repeats: int) -> None:
 def solver_alone(repeats: int) -> None:
     """Print what the solver costs beside scipy's."""
     camera, points, circle = drawn((0,))
-    seen = observations(filter_sightings(points, site=pop.SGP))
-    seen = seen.weighted(seen.information / _SIGMA_PX**2)
+    seen = filter_sightings(points, site=pop.SGP)
+    seen = replace(seen, information=seen.information / _SIGMA_PX**2)
     prior = lens_prior(camera, tolerances=CalibrationOptions().tolerances, circle=circle, field_angle=np.pi / 2)
     problem = problem_for(camera, prior, n_epochs=1)
     precision = prior_precision(problem.size, 2.0, 0.7)

@@ -18,7 +18,7 @@ from sunarc.calibration.fit.normal_equations import linear_system, most_probable
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.residual_field import wave_basis
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
-from sunarc.calibration.solve.problem import FitProblem, observations, time_bins
+from sunarc.calibration.solve.problem import FitProblem, time_bins
 from sunarc.calibration.start.initial_guess import single_problem
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
@@ -58,7 +58,7 @@ class _Task:
 
     def __init__(self, points: Sightings) -> None:
         self.usable: Sightings = filter_sightings(points, site=SGP)
-        self.seen: Sightings = observations(self.usable).weighted(np.full(len(self.usable), 4.0))
+        self.seen: Sightings = replace(self.usable, information=np.full(len(self.usable), 4.0))
         start = replace(TRUTH, focal_length_px=(605.0, 605.0), principal_point_px=(876.0, 880.0), radial=(0.0,) * 8)
         start = replace(start, decentering=(1e-5, 1e-5, 0.0, 0.0), rotation_cam_enu=(0.02, -0.01, 0.81))
         self.problem: FitProblem = single_problem(self.seen, start, CalibrationOptions(), None)

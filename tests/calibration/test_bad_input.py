@@ -129,8 +129,8 @@ def test_sightings_beside_the_image_are_left_out(clear_day: Simulated) -> None:
     found = calibrate(Sightings.of(unix_s=times, pixels=pixels), site=clear_day.site, image_size=SIZE)
     assert found.verdict.accepted
     assert {one.code: one.data for one in found.verdict.findings}["dropped_outside_image"] == {"n": 1}
-    assert found.used is not None
-    assert not found.used[7]
+    assert found.left_out is not None
+    assert 7 in found.left_out
 
 
 @pytest.mark.parametrize(

@@ -146,8 +146,8 @@ def test_a_night_that_contradicts_the_day_is_left_out(night: Night) -> None:
     found = of_both(night)
     assert [one.code for one in found.verdict.findings].count("night_contradicts_day") == 1
     assert found.night is None
-    assert found.used is not None
-    assert not np.any(found.used[TIMES.size :])
+    assert found.left_out is not None
+    assert set(range(TIMES.size, found.evidence.n_supplied)) <= set(found.left_out)
     np.testing.assert_allclose(found.camera.to_vector(), of_the_day().camera.to_vector(), rtol=1e-6)
 
 

@@ -22,7 +22,7 @@ from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.noise import NoiseGroups
 from sunarc.calibration.solve.priors import lens_prior
-from sunarc.calibration.solve.problem import FitProblem, observations, problem_for
+from sunarc.calibration.solve.problem import FitProblem, problem_for
 from sunarc.calibration.start.multistart import lowest
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix
@@ -106,7 +106,7 @@ def _problem(track_seed: int) -> tuple[FitProblem, Sightings, NoiseGroups, NDArr
     prior = lens_prior(fit.camera, tolerances=track.options.tolerances, circle=None, field_angle=np.pi / 2)
     problem = problem_for(fit.camera, prior, n_epochs=1)
     usable = filter_sightings(track.points, site=track.site)
-    return problem, observations(usable), NoiseGroups.of(usable), problem.unknowns([fit.camera])
+    return problem, usable, NoiseGroups.of(usable), problem.unknowns([fit.camera])
 
 
 def test_a_camera_that_misses_the_sightings_is_brought_back_and_a_good_one_stays() -> None:

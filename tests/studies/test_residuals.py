@@ -123,7 +123,7 @@ def test_sightings_that_are_not_finite_or_below_the_horizon_are_left_out(
 
 
 def test_of_other_sightings_the_nearest_count_as_used(cloudy_fit: Calibration, cloudy_points: Sightings) -> None:
-    found = residuals_of(replace(cloudy_fit, used=None), cloudy_points)
+    found = residuals_of(replace(cloudy_fit, left_out=None), cloudy_points)
     distance = np.linalg.norm(found.offset_px, axis=-1)
     assert found.used.sum() == cloudy_fit.evidence.n_used
     assert distance[found.used].max() <= distance[~found.used].min()

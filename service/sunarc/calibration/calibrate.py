@@ -33,7 +33,7 @@ from sunarc.calibration.quality.fit_checks import before_fit, below_horizon
 from sunarc.calibration.robust_loss import robust_sigma
 from sunarc.calibration.solve.levenberg_marquardt import information, most_probable
 from sunarc.calibration.solve.priors import Whitened
-from sunarc.calibration.solve.problem import FitProblem, observations
+from sunarc.calibration.solve.problem import FitProblem
 from sunarc.calibration.start.initial_guess import first_cameras, level_camera, single_problem
 from sunarc.calibration.start.multistart import SMALLEST_SIGMA_PX, distance_sigmas
 from sunarc.errors import InputError
@@ -109,15 +109,15 @@ def _calibrated(job: Job) -> Calibration:
     problems = before_fit(job.usable, job.options)
     if problems:
         return refused(job, problems)
-    observed = observations(job.usable)
-    picked = most_plausible_start(observed, job)
+    picked = most_plausible_start(job)
     if picked is None:
         against = (*below_horizon(job.usable, job.options), Finding("no_camera_fits"))
         return _explained(refused(job, against), job, math.inf)
     if job.options.method == "paper":
-        by_paper = fit_as_paper(observed, job.usable, picked.cameras, options=job.options)
+        by_paper = fit_as_paper(job.usable, picked.cameras, options=job.options)
         return _explained(calibration_from_fit(by_paper, job, ambiguous=picked.ambiguous), job, picked.cost)
-    return calibration_of(robust_fit(observed, job, picked.cameras), job, picked)
+    fit = fit_robustly(job.usable, picked.cameras, job.options, job.circle)
+    return calibration_of(fit, job, picked)
 
 
 def _explained(calibration: Calibration, job: Job, cost: float) -> Calibration:
@@ -126,7 +126,7 @@ def _explained(calibration: Calibration, job: Job, cost: float) -> Calibration:
     if verdict.accepted or known == "auto" or job.start is not None or not job.parts:
         return calibration
     other: Mirrored = "no" if known == "yes" else "yes"
-    tried = most_plausible_start(observations(job.usable), job._replace(options=replace(job.options, mirrored=other)))
+    tried = most_plausible_start(job._replace(options=replace(job.options, mirrored=other)))
     if tried is None or cost - tried.cost < _BETTER:
         return calibration
     found = Finding("other_handedness_fits", {"mirrored": other, "stated": known})
@@ -142,13 +142,7 @@ def calibration_of(fit: RobustFit, job: Job, picked: Start) -> Calibration:
     return _explained(calibration_from_fit(outcome, job, ambiguous=picked.ambiguous), job, picked.cost)
 
 
-def robust_fit(observed: Sightings, job: Job, cameras: list[Camera]) -> RobustFit:
-    """Return the robust fit of a job from first cameras, one an epoch."""
-    problem = single_problem(observed, cameras[0], job.options, job.circle, n_epochs=len(cameras))
-    return fit_robustly(problem, observed, problem.unknowns(cameras), options=job.options)
-
-
-def most_plausible_start(observed: Sightings, job: Job) -> Start | None:
+def most_plausible_start(job: Job) -> Start | None:
     """Return the start for the handedness that is set, or for the more plausible of both; None where none is found."""
     options = job.options
     both: tuple[Mirrored, Mirrored] = ("no", "yes")
@@ -160,7 +154,7 @@ def most_plausible_start(observed: Sightings, job: Job) -> Start | None:
         if guess is None or guess.mirrored != (mirrored == "yes"):
             guess = level_camera(job.circle, image_size=job.image_size, options=tried_options)
             known = job.circle is not None
-        found.append(first_cameras(observed, guess, known=known, options=tried_options, circle=job.circle))
+        found.append(first_cameras(job.usable, guess, known=known, options=tried_options, circle=job.circle))
     (cameras, cost), *others = sorted(found, key=lambda pair: pair[1])
     if not math.isfinite(cost):
         return None
@@ -185,7 +179,7 @@ class Batch:
     ----------
     camera : where all fits begin: the true camera of a simulation, or the first fit.
     options : of the fits.
-    usable, observed : the sightings that count in every set; their detections are those of the first set.
+    usable : the sightings that count in every set; their detections are those of the first set.
     n_supplied : how many detections a set has.
     groups, grid : of the robust rounds.
     problem : the camera sought, its prior about the first image circle.
@@ -195,7 +189,6 @@ class Batch:
     camera: Camera
     options: CalibrationOptions
     usable: Sightings
-    observed: Sightings
     n_supplied: int
     groups: NoiseGroups
     grid: HyperparameterGrid
@@ -231,16 +224,15 @@ class Batch:
         usable = filter_sightings(points, site=site)
         if int(usable.epoch.max(initial=0)) > 0:
             raise InputError(field="epoch", problem="several poses", remedy="fit the sightings of one pose at a time")
-        camera, observed = camera.lens_alone(), observations(usable)
+        camera = camera.lens_alone()
         return cls(
             camera=camera,
             options=options,
             usable=usable,
-            observed=observed,
             n_supplied=len(points),
             groups=NoiseGroups.of(usable),
             grid=grid_of(camera, options),
-            problem=single_problem(observed, camera, options, circle),
+            problem=single_problem(usable, camera, options, circle),
             circle=circle,
         )
 
@@ -263,10 +255,9 @@ class Batch:
             )
         if circle is not None and self.circle is None:
             raise InputError(field="image circle", problem="only of this set", remedy="give the first set one, too")
-        observed = replace(self.observed, pixels=np.asarray(pixels, dtype=np.float64)[self.usable.index])
+        observed = replace(self.usable, pixels=np.asarray(pixels, dtype=np.float64)[self.usable.index])
         if self.options.method == "paper":
-            usable = replace(self.usable, pixels=observed.pixels)
-            found = fit_as_paper(observed, usable, [self.camera], options=self.options, quickly=True).cameras[0]
+            found = fit_as_paper(observed, [self.camera], options=self.options, quickly=True).cameras[0]
         else:
             found = self._robust(observed, self._problem(circle))
         return tidied(found, self.options)

@@ -18,7 +18,7 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
-from sunarc.array_types import BoolArray, FloatArray, IntArray, Rows, picked
+from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.calibration.robust_loss import finite
 
 _LARGEST_COST = 8.0
@@ -166,10 +166,6 @@ class PixelResiduals:
     residual: FloatArray
     variance: FloatArray
     false_density: FloatArray
-
-    def select(self, which: Rows) -> PixelResiduals:
-        """Return those that a slice, an index or a mask picks."""
-        return picked(self, which)
 
 
 def false_density(distance_px: FloatArray, *, area_px2: float) -> FloatArray:

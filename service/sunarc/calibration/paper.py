@@ -77,19 +77,13 @@ hundredths of a sigma."""
 
 
 def fit_as_paper(
-    observed: Sightings,
-    usable: Sightings,
-    cameras: list[Camera],
-    *,
-    options: CalibrationOptions,
-    quickly: bool = False,
+    observed: Sightings, cameras: list[Camera], *, options: CalibrationOptions, quickly: bool = False
 ) -> FitOutcome:
     """Return the paper's fit of the latest pose epoch's sightings: all of them, none weighted.
 
     Parameters
     ----------
     observed : sightings; those of other epochs are left aside, for the paper knows one pose.
-    usable : the same sightings' times.
     cameras : first cameras, one an epoch.
     options : `options.paper` says what the paper leaves open.
     quickly : whether the stages' minima are sought on the means of neighbouring sightings, each as heavy as its members
@@ -97,9 +91,9 @@ def fit_as_paper(
         that hardly count), another one may be found.
     """
     last = len(cameras) - 1
-    in_epoch = usable.epoch == last
-    one = observed.select(in_epoch).weighted(np.ones(int(np.sum(in_epoch))))
-    bins = time_bins(usable).select(in_epoch) if quickly else None
+    in_epoch = observed.epoch == last
+    one = replace(observed.select(in_epoch), information=np.ones(1))
+    bins = time_bins(observed).select(in_epoch) if quickly else None
     camera = start_camera(cameras[last], one, options)
     last_of_stage = (Param.TRANSLATION_Z, Param.K9, Param.P4)
     for last_moving in last_of_stage:

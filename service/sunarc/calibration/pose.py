@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_solve
 
-from sunarc.array_types import BoolArray, FloatArray
+from sunarc.array_types import BoolArray, FloatArray, picked
 from sunarc.calibration.answers.error_model import (
     CameraErrorModel,
     Predicted,
@@ -206,7 +206,7 @@ def fit_pose(start: Calibration, sightings: Sightings, *, turned_rad: float | No
     apart = sightings.pixels - project_fast(camera, sightings.directions)
     area_px2 = float(camera.width * camera.height)
     sightings = replace(sightings, false_density=false_density(apart, area_px2=area_px2))
-    thin = thinned(sightings)
+    thin = sightings.thinned(MOST)
     tolerance = tolerance_px(error_model, camera, thin)
     rotation = ransac_rotation(camera, thin.directions, thin.pixels, tolerance)
     scales = _scales_for(float(np.linalg.norm(rotation))) if turned_rad is None else np.array([turned_rad])
@@ -215,11 +215,6 @@ def fit_pose(start: Calibration, sightings: Sightings, *, turned_rad: float | No
     # how far the camera turned is a hyperparameter: each scale is conditioned, then all are averaged
     priors = [error_model.with_free_rotation(-rotation, sigma_rad=float(scale)) for scale in scales]
     return conditioned_pose(priors, np.log(scales), base, sightings, close, inflation=inflation_of(start))
-
-
-def thinned(sightings: Sightings) -> Sightings:
-    """Return at most `MOST` sightings, spread over time."""
-    return sightings.select(np.unique(np.linspace(0, len(sightings) - 1, MOST).astype(int)))
 
 
 def conditioned_pose(
@@ -239,10 +234,10 @@ def conditioned_pose(
     log_prior : (k,) log probability of each.
     base : the camera that the equations are first made about.
     sightings : all of them, in the order of time.
-    close : of `thinned(sightings)`, which are taken to be inliers at first.
+    close : of `MOST` of them, which are taken to be inliers at first.
     inflation : by how much a sighting's variance grows because its neighbours err alike.
     """
-    rough, mixture = settled(priors[min(1, len(priors) - 1)], base, thinned(sightings), close)
+    rough, mixture = settled(priors[min(1, len(priors) - 1)], base, sightings.thinned(MOST), close)
     worse = _excess_noise(mixture)
     stated_px = float(np.median(sightings.sigma_px))
     sightings = replace(sightings, sigma_px=sightings.sigma_px * worse)
@@ -279,7 +274,7 @@ def settled(
         at, unchanged, about = _linearised(error_model, base, sightings, after.mean)
         mixture = fit_inlier_mixture(joint_covariance(error_model, at), about, inlier)
         inlier = mixture.inlier
-        after = conditioned(error_model, at.select(inlier), unchanged.select(inlier))
+        after = conditioned(error_model, picked(at, inlier), picked(unchanged, inlier))
     return after, mixture
 
 
@@ -305,7 +300,7 @@ def _inliers(after: CameraErrorModel, camera: Camera, sightings: Sightings) -> B
     at = predicted(after, camera, sightings.directions)
     square, variance = np.empty(len(sightings)), sightings.variance
     for part in np.array_split(np.arange(square.size), max(square.size // MOST, 1)):
-        blocks = joint_covariance(after, at.select(part)).reshape(part.size, 2, part.size, 2)
+        blocks = joint_covariance(after, picked(at, part)).reshape(part.size, 2, part.size, 2)
         row = np.arange(part.size)
         spread = blocks[row, :, row] + variance[part, None, None] * np.eye(2)
         gap = finite(sightings.pixels[part] - at.pixels[part])

@@ -16,7 +16,7 @@ import numpy as np
 
 from sunarc.array_types import FloatArray
 from sunarc.calibration.answers.covariance import seen_sky, sigma_deg
-from sunarc.calibration.calibrate import Start, calibration_of, most_plausible_start, robust_fit
+from sunarc.calibration.calibrate import Start, calibration_of, most_plausible_start
 from sunarc.calibration.changes.change_points import Moved, calibrate_moved
 from sunarc.calibration.fit.assemble import Job
 from sunarc.calibration.fit.marginal_likelihood import (
@@ -25,7 +25,7 @@ from sunarc.calibration.fit.marginal_likelihood import (
     log_weights,
 )
 from sunarc.calibration.fit.normal_equations import linear_system
-from sunarc.calibration.fit.robust_fit import RobustFit, grid_of
+from sunarc.calibration.fit.robust_fit import RobustFit, fit_robustly, grid_of
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import STRONG_EVIDENCE, Calibration, Verdict
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
@@ -33,7 +33,7 @@ from sunarc.calibration.noise import NoiseGroups, measured_noise
 from sunarc.calibration.quality.acceptance import with_larger_errors
 from sunarc.calibration.quality.fit_checks import before_fit, determined
 from sunarc.calibration.robust_loss import robust_sigma, tukey_loss
-from sunarc.calibration.solve.problem import Bins, FitProblem, observations
+from sunarc.calibration.solve.problem import Bins, FitProblem
 from sunarc.calibration.start.initial_guess import single_problem
 from sunarc.calibration.start.multistart import SMALLEST_SIGMA_PX, distance_sigmas
 from sunarc.findings import Finding
@@ -164,28 +164,31 @@ def compare_projections(job: Job) -> tuple[ProjectionChoice, dict[Projection, Fi
     The job's projection has no effect but where no fit is possible: it is then the answer. The fits are those with the
     most probable projections.
     """
-    observed, groups = observations(job.usable), NoiseGroups.of(job.usable)
+    observed, groups = job.usable, NoiseGroups.of(job.usable)
     jobs = {name: job._replace(options=replace(job.options, projection=name)) for name in PROJECTIONS}
-    tried = {} if before_fit(job.usable, job.options) else {n: most_plausible_start(observed, jobs[n]) for n in jobs}
+    tried = {} if before_fit(job.usable, job.options) else {n: most_plausible_start(jobs[n]) for n in jobs}
     starts = {name: start for name, start in tried.items() if start is not None}
     if not starts:
-        return _choice({job.options.projection: 0.0}, job), {}
+        return _choice({job.options.projection: 0.0}, len(observed)), {}
     lenses = {name: _lens_at(start.cameras, observed, jobs[name]) for name, start in starts.items()}
     best = lenses[_closest(lenses)]
     noise = measured_noise(best.problem.residuals(best.unknowns, observed), observed, groups)
     rough = _log_evidences(lenses, groups.bins, noise.information(observed))
     order = sorted(rough, key=lambda name: -rough[name])
     near = [name for k, name in enumerate(order) if k < 2 or rough[name] > -_NEAR]
-    fits = {name: Fitted(starts[name], robust_fit(observed, jobs[name], starts[name].cameras)) for name in near}
+    fits = {
+        name: Fitted(starts[name], fit_robustly(observed, starts[name].cameras, jobs[name].options, job.circle))
+        for name in near
+    }
     lenses = {n: _Lens(one.fit.problem, one.fit.observed, one.fit.unknowns, one.fit.grid) for n, one in fits.items()}
     closest = fits[_closest(lenses)].fit
     exact = _log_evidences(lenses, groups.bins, closest.noise.information(closest.observed))
-    return _choice({**rough, **exact}, job), fits
+    return _choice({**rough, **exact}, len(observed)), fits
 
 
-def _choice(evidence: dict[Projection, float], job: Job) -> ProjectionChoice:
+def _choice(evidence: dict[Projection, float], n: int) -> ProjectionChoice:
     best = max(evidence, key=lambda name: evidence[name])
-    return ProjectionChoice(best, {name: evidence.get(name, -math.inf) for name in PROJECTIONS}, len(job.usable))
+    return ProjectionChoice(best, {name: evidence.get(name, -math.inf) for name in PROJECTIONS}, n)
 
 
 def _lens_at(cameras: list[Camera], observed: Sightings, job: Job) -> _Lens:

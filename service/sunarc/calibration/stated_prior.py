@@ -18,11 +18,11 @@ from sunarc.calibration.model.result import Calibration, refused_for, with_optio
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.pose import (
     FEWEST,
+    MOST,
     fit_pose,
     options_about,
     outcome_of,
     stated_calibration,
-    thinned,
     tolerance_px,
     with_noise,
 )
@@ -131,7 +131,7 @@ def _distance(start: Calibration, sightings: Sightings, turned_rad: float | None
     """
     if turned_rad is None:
         return 0.0
-    model, camera, some = error_model_of(start), start.camera.at_every_angle(), thinned(sightings)
+    model, camera, some = error_model_of(start), start.camera.at_every_angle(), sightings.thinned(MOST)
     tolerance = tolerance_px(model.with_free_rotation(np.zeros(3), sigma_rad=turned_rad), camera, some)
     off = np.linalg.norm(finite(some.pixels - project_fast(camera, some.directions)), axis=-1)
     return float(np.median(off / tolerance)) / math.sqrt(2.0)

@@ -56,8 +56,8 @@ def residuals_of(calibration: Calibration, points: Sightings) -> Residuals:
 
 def used_sightings(calibration: Calibration, points: Sightings, offset: FloatArray) -> BoolArray:
     """Return which sightings the fit used; of one made from other sightings, the nearest that are as many."""
-    if calibration.used is not None and calibration.used.size == len(points):
-        return calibration.used
+    if calibration.left_out is not None and calibration.evidence.n_supplied == len(points):
+        return ~np.isin(np.arange(len(points)), calibration.left_out)
     has_sigma = np.isfinite(points.sigma_px) & (points.sigma_px > 0.0)
     typical = float(np.median(points.sigma_px[has_sigma])) if np.any(has_sigma) else 1.0
     distance = np.linalg.norm(offset, axis=-1) / np.where(has_sigma, points.sigma_px, typical)

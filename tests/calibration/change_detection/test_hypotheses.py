@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
 from tests.fixtures.calibration import SGP, small_camera, stated_calibration
 
-from sunarc.calibration.answers.error_model import joined, predicted, rotated
+from sunarc.array_types import picked, stacked
+from sunarc.calibration.answers.error_model import predicted, rotated
 from sunarc.calibration.changes import detect_change as module
 from sunarc.calibration.changes.detect_change import (
     ResidualModel,
@@ -163,7 +164,7 @@ def test_the_evidence_of_a_rotation_is_the_gaussian_integral_over_it(
     after = predicted(model.error_model, of.camera, of.sightings.directions)
     residual = model.sightings.residual.copy()
     residual[FIRST:] = of.sightings.pixels - after.pixels - after.rows @ of.mean
-    at = joined(model.at.select(np.arange(FIRST)), after)
+    at = stacked([picked(model.at, np.arange(FIRST)), after])
     free = np.zeros((2 * N, 3))
     free[2 * FIRST :] = (after.rows @ of.free).reshape(-1, 3)
     noise = np.diag(np.repeat(model.sightings.variance, 2))

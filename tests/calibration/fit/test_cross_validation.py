@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibration import observed, small_camera, small_problem, spread_directions
 
-from sunarc.calibration.fit.cross_validation import doubts, held_out
+from sunarc.calibration.fit.cross_validation import Doubts, HeldOut, doubts, held_out, without_parts
 from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit, scale_grid
 from sunarc.calibration.fit.normal_equations import linear_system, most_probable_with_field
 from sunarc.calibration.fit.posterior import PosteriorCovariance
@@ -45,6 +45,7 @@ def _fit(
     robust = RobustFit(
         problem=problem,
         observed=seen,
+        member=bins.member,
         system=system,
         unknowns=unknowns,
         posterior=PosteriorCovariance(
@@ -71,12 +72,20 @@ def _fit(
     return robust, usable
 
 
+def _held_out(fit: RobustFit, usable: Sightings) -> HeldOut | None:
+    return held_out(fit, usable, without_parts(fit, usable))
+
+
+def _doubts(fit: RobustFit, usable: Sightings) -> Doubts:
+    return doubts(fit, usable, without_parts(fit, usable))
+
+
 def test_one_day_cannot_be_left_out() -> None:
-    assert held_out(*_fit(1)) is None
+    assert _held_out(*_fit(1)) is None
 
 
 def test_days_left_out_are_met_as_expected() -> None:
-    found = [held_out(*_fit(4, seed=seed)) for seed in range(8)]
+    found = [_held_out(*_fit(4, seed=seed)) for seed in range(8)]
     ratios = [one.rmse_px / one.expected_px for one in found if one is not None]
     assert len(ratios) == 8
     # 320 numbers each: the relative error of one is about 4 %
@@ -88,22 +97,22 @@ def test_days_left_out_are_met_as_expected() -> None:
 
 
 def test_noise_that_is_larger_than_stated_shows() -> None:
-    found = held_out(*_fit(4, sigma_px=0.6, stated_px=0.2))
+    found = _held_out(*_fit(4, sigma_px=0.6, stated_px=0.2))
     assert found is not None
     assert 2.5 < found.rmse_px / found.expected_px < 3.5
 
 
 def test_two_days_are_each_predicted_by_a_fit_of_the_other() -> None:
     fit, usable = _fit(2)
-    found = held_out(fit, usable)
+    found = _held_out(fit, usable)
     assert found is not None
     squares = 0.0
     for day in (0, 1):
         other = usable.day != day
-        which = np.isin(np.arange(PER_DAY), fit.system.member[other])
+        which = np.isin(np.arange(PER_DAY), fit.member[other])
         without = marginal_fit(fit.system.normal_of(which), fit.grid.basis, SCALES)
         rows = np.flatnonzero(usable.day == day)
-        shift = fit.system.rows[fit.system.member[rows]] @ (without.unknowns - fit.system.at)
+        shift = fit.system.rows[fit.member[rows]] @ (without.unknowns - fit.system.at)
         squares += float(np.sum((fit.residual[rows] - shift) ** 2))
     # a field of 0.002 px is left out
     assert found.rmse_px == pytest.approx(np.sqrt(squares / (2 * PER_DAY)), rel=1e-4)
@@ -115,7 +124,7 @@ def test_sightings_without_weight_do_not_count() -> None:
     weight[::3] = 0.0
     wild = fit.residual.copy()
     wild[::3] = 1e3
-    found = held_out(replace(fit, noise=replace(fit.noise, weight=weight), residual=wild), usable)
+    found = _held_out(replace(fit, noise=replace(fit.noise, weight=weight), residual=wild), usable)
     assert found is not None
     assert found.rmse_px < 1.0
 
@@ -123,17 +132,17 @@ def test_sightings_without_weight_do_not_count() -> None:
 def test_a_pose_that_no_other_day_has_is_not_predicted() -> None:
     fit, usable = _fit(3)
     alone = replace(usable, epoch=np.where(usable.day == 2, 1, 0))
-    found, plain = held_out(fit, alone), held_out(fit, usable)
+    found, plain = _held_out(fit, alone), _held_out(fit, usable)
     assert found is not None
     assert plain is not None
     assert found.rmse_px != plain.rmse_px
     each = replace(usable, epoch=usable.day)
-    assert held_out(fit, each) is None
+    assert _held_out(fit, each) is None
 
 
 def test_more_than_five_days_are_left_out_in_five_parts() -> None:
     fit, usable = _fit(7)
-    found = held_out(fit, usable)
+    found = _held_out(fit, usable)
     assert found is not None
     assert found.rmse_px / found.expected_px == pytest.approx(1.0, abs=0.15)
 
@@ -144,7 +153,7 @@ def test_the_field_of_the_other_days_is_part_of_the_prediction() -> None:
     bent = 0.6 * np.stack([np.sin(usable.pixels[:, 0] / 90.0), np.cos(usable.pixels[:, 1] / 90.0)], axis=-1)
     moved = replace(fit.system, residual=fit.system.residual + bent)
     fit = replace(fit, system=moved, scales=larger, residual=fit.residual + bent)
-    with_field, camera_alone = held_out(fit, usable), held_out(replace(fit, field_mean=None), usable)
+    with_field, camera_alone = _held_out(fit, usable), _held_out(replace(fit, field_mean=None), usable)
     assert with_field is not None
     assert camera_alone is not None
     # 0.28 px are the noise; 120 sightings tell most of the field
@@ -154,14 +163,14 @@ def test_the_field_of_the_other_days_is_part_of_the_prediction() -> None:
 
 def test_parts_are_predicted_within_chance_and_a_part_from_elsewhere_is_not() -> None:
     fit, usable = _fit(4)
-    found = doubts(fit, usable)
+    found = _doubts(fit, usable)
     assert found.n == PER_DAY
     assert found.excess < 1.0
     assert found.widening < 1.2
     assert found.rmse_px == pytest.approx(found.stated_px, rel=0.3)
     last = usable.day == 3
-    moved = fit.system.residual + np.where(np.bincount(fit.system.member[last], minlength=80) > 0, 5.0, 0.0)[:, None]
-    elsewhere = doubts(replace(fit, system=replace(fit.system, residual=moved)), usable)
+    moved = fit.system.residual + np.where(np.bincount(fit.member[last], minlength=80) > 0, 5.0, 0.0)[:, None]
+    elsewhere = _doubts(replace(fit, system=replace(fit.system, residual=moved)), usable)
     assert elsewhere.excess > 3.0
     assert elsewhere.rmse_px > 5.0
 
@@ -170,17 +179,17 @@ def test_a_day_whose_camera_is_turned_shows_by_how_much() -> None:
     fit, usable = _fit(4)
     pose, last = fit.problem.pose_slice(0), usable.day == 3
     of_turn = fit.system.rows[..., pose] @ np.radians([0.3, 0.0, 0.0])
-    moved = np.where((np.bincount(fit.system.member[last], minlength=80) > 0)[:, None], of_turn, 0.0)
-    turned = doubts(replace(fit, system=replace(fit.system, residual=fit.system.residual + moved)), usable)
+    moved = np.where((np.bincount(fit.member[last], minlength=80) > 0)[:, None], of_turn, 0.0)
+    turned = _doubts(replace(fit, system=replace(fit.system, residual=fit.system.residual + moved)), usable)
     assert turned.turned > 30.0
     assert turned.excess > 1.0
-    plain = doubts(fit, usable)
+    plain = _doubts(fit, usable)
     assert plain.turned < 15.0
     assert plain.turn_deg < 0.1 < turned.turn_deg < 0.6
 
 
 def test_one_day_is_left_out_in_thirds_and_a_pose_of_its_own_is_not_left_out() -> None:
     fit, usable = _fit(1)
-    assert doubts(fit, usable).n == pytest.approx(PER_DAY / 3, abs=1)
+    assert _doubts(fit, usable).n == pytest.approx(PER_DAY / 3, abs=1)
     fit, usable = _fit(3)
-    assert doubts(fit, replace(usable, epoch=usable.day)).n == 0
+    assert _doubts(fit, replace(usable, epoch=usable.day)).n == 0

@@ -70,7 +70,7 @@ def test_a_sighting_beyond_the_angle_that_the_camera_answers_is_missed(
 
 
 def test_distances_are_in_relative_sigmas(problem: FitProblem, truth: FloatArray, seen: Sightings) -> None:
-    heavier = seen.weighted(np.full(120, 4.0))
+    heavier = replace(seen, information=np.full(120, 4.0))
     expected = 2.0 * np.linalg.norm(problem.residuals(truth, seen), axis=-1)
     np.testing.assert_allclose(distance_sigmas(problem, heavier, truth), expected)
 
@@ -172,7 +172,9 @@ def test_the_sign_of_the_decentering_is_found(problem: FitProblem, precision: Fl
     begin = truth.copy()
     begin[DECENTERING] *= -1.0
     begin[HIGHER] = 0.0
-    exact = observed(problem.camera(truth), sun_arc(60, widest_deg=70.0), sigma_px=0.01).weighted(np.full(60, 1e4))
+    exact = replace(
+        observed(problem.camera(truth), sun_arc(60, widest_deg=70.0), sigma_px=0.01), information=np.full(60, 1e4)
+    )
     found = best_of_starts(problem, exact, begin, precision=precision)
     residual = problem.residuals(found, exact)
     assert float(np.sqrt(np.mean(residual**2))) < 0.03

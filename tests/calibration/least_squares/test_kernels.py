@@ -126,6 +126,8 @@ def test_a_sighting_where_the_lens_sees_nothing_costs_its_bound_and_pulls_nowher
 
 def test_equations_that_cannot_be_solved_end_where_they_began() -> None:
     problem, seen, start = _case()
-    found = most_probable(problem, seen.weighted(np.full(50, math.nan)), start, precision=loose_precision(problem))
+    found = most_probable(
+        problem, replace(seen, information=np.full(50, math.nan)), start, precision=loose_precision(problem)
+    )
     np.testing.assert_array_equal(found.unknowns, start)
     assert found.cost == math.inf

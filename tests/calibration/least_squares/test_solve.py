@@ -53,12 +53,12 @@ def test_equations_that_cannot_be_solved_give_no_step() -> None:
 
 
 def test_information_is_that_of_the_observations_without_a_loss() -> None:
-    seen = observed(small_camera(), spread_directions(4)).weighted(np.array([1.0, 2.0, 3.0, 4.0]))
+    seen = replace(observed(small_camera(), spread_directions(4)), information=np.array([1.0, 2.0, 3.0, 4.0]))
     np.testing.assert_allclose(information(np.ones((4, 2)), seen, None), [1.0, 2.0, 3.0, 4.0])
 
 
 def test_information_with_a_loss_is_the_weight_over_the_variance() -> None:
-    seen = observed(small_camera(), spread_directions(3)).weighted(np.array([1.0, 4.0, 1.0]))
+    seen = replace(observed(small_camera(), spread_directions(3)), information=np.array([1.0, 4.0, 1.0]))
     residual = np.array([[0.3, 0.4], [0.3, 0.4], [30.0, 40.0]])
     found = information(residual, seen, 0.5)
     # distances 0.5, 1.0 and 50 in relative sigmas
@@ -137,7 +137,7 @@ def test_no_iteration_leaves_the_start_with_its_cost() -> None:
 
 def test_the_relative_information_weighs_the_squares() -> None:
     problem, seen, start, precision = _case()
-    heavier = seen.weighted(np.full(60, 4.0))
+    heavier = replace(seen, information=np.full(60, 4.0))
     one = most_probable(problem, seen, start, precision=precision, iterations=0)
     other = most_probable(problem, heavier, start, precision=precision, iterations=0)
     prior = 0.5 * float(np.sum(precision * start**2))
@@ -187,7 +187,7 @@ def test_coverage_of_the_inverse_normal_matrix() -> None:
     inside = []
     for seed in range(40):
         seen = observed(camera, directions, sigma_px=0.2, seed=seed)
-        seen = seen.weighted(np.full(60, 0.2**-2))
+        seen = replace(seen, information=np.full(60, 0.2**-2))
         found = most_probable(problem, seen, truth, precision=0.0 * precision, free=free, iterations=4)
         rows = problem.linearised(found.unknowns, seen)[1][..., free].reshape(-1, 6)
         off = (found.unknowns - truth)[free]

@@ -49,8 +49,8 @@ def test_an_overlay_among_true_sightings_is_left_out_and_named(
     assert sum(position.n for position in usable.filtering.static) == still.sum()
     found = calibrate(points, site=seen.site, image_size=SIZE)
     assert found.verdict.accepted, found.verdict.reasons
-    assert found.used is not None
-    assert not np.any(found.used[still])
+    assert found.left_out is not None
+    assert set(np.flatnonzero(still)) <= set(found.left_out)
     assert {"dropped_static", "static_positions"} <= set(codes(found.verdict.findings))
     assert seen.track_error_px(found.camera) < 0.2
 

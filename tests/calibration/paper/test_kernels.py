@@ -42,7 +42,7 @@ def test_the_cost_and_a_step_are_those_of_the_rows(
     options = PaperOptions(ellipse_scope=scope, monotony_weight=50.0)
     camera = replace(small_camera(projection, mirrored=mirrored), radial=radial, translation=(0.01, -0.02, 0.005))
     seen = observed(small_camera(projection, mirrored=mirrored), spread_directions(150, widest_deg=55.0), sigma_px=0.5)
-    seen = seen.weighted(np.linspace(0.5, 3.0, 150))
+    seen = replace(seen, information=np.linspace(0.5, 3.0, 150))
     rows = equations_in_numpy(camera, seen, options)
     start, cost, normal = _fitted(camera, seen, options, steps=0)
     np.testing.assert_array_equal(start, camera.to_vector())

@@ -29,20 +29,6 @@ FloatArray = NDArray[np.float64]
 OPTIONS = CalibrationOptions(method="paper")
 
 
-def _usable(seen: Sightings) -> Sightings:
-    n = len(seen)
-    return Sightings(
-        index=np.arange(n),
-        unix_s=np.arange(n, dtype=np.float64),
-        pixels=seen.pixels,
-        directions=seen.directions,
-        sigma_px=np.ones(n),
-        epoch=seen.epoch,
-        day=np.zeros(n, dtype=np.int64),
-        refraction_sd=np.zeros((n, 1)),
-    )
-
-
 @pytest.fixture(scope="module")
 def seen() -> Sightings:
     round_lens = replace(small_camera(), focal_length_px=(220.0, 220.0), skew_px=0.0)
@@ -52,7 +38,7 @@ def seen() -> Sightings:
 @pytest.fixture(scope="module")
 def fitted(seen: Sightings) -> FitOutcome:
     start = replace(small_camera(), focal_length_px=(215.0, 215.0), radial=(0.0,) * 8, decentering=(0.0,) * 4)
-    return fit_as_paper(seen, _usable(seen), [start], options=OPTIONS)
+    return fit_as_paper(seen, [start], options=OPTIONS)
 
 
 def test_the_residuals_are_those_of_the_camera(fitted: FitOutcome, seen: Sightings) -> None:
@@ -99,7 +85,7 @@ def test_only_the_latest_pose_counts(seen: Sightings) -> None:
     epoch = (np.arange(80) >= 20).astype(np.int64)
     parted = replace(seen, epoch=epoch)
     start = replace(small_camera(), focal_length_px=(215.0, 215.0))
-    found = fit_as_paper(parted, _usable(parted), [start, start], options=OPTIONS)
+    found = fit_as_paper(parted, [start, start], options=OPTIONS)
     assert found.used.tolist() == (epoch == 1).tolist()
     np.testing.assert_array_equal(found.residual[:20], 0.0)
     assert found.cameras[0] is start

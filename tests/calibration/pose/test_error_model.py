@@ -21,7 +21,6 @@ from tests.fixtures.calibration import (
 from sunarc.calibration.answers.covariance import project_with_covariance
 from sunarc.calibration.answers.error_model import (
     error_model_of,
-    joined,
     joint_covariance,
     moved,
     predicted,
@@ -187,15 +186,6 @@ def test_a_free_rotation_widens_the_pose_and_nothing_else(calibration: Calibrati
     np.testing.assert_array_equal(difference, 0.0)
     np.testing.assert_allclose(wider.mean[model.rotation], TURN)
     assert np.count_nonzero(wider.mean) == 3
-
-
-def test_predictions_are_picked_and_joined_in_order(calibration: Calibration) -> None:
-    model = error_model_of(calibration)
-    at = predicted(model, calibration.camera, spread_directions(5))
-    again = joined(at.select(np.arange(5) < 2), at.select(np.array([2, 3, 4])))
-    np.testing.assert_array_equal(again.pixels, at.pixels)
-    np.testing.assert_array_equal(again.rows, at.rows)
-    np.testing.assert_array_equal(again.basis_values, at.basis_values)
 
 
 def test_a_camera_turned_as_a_whole_keeps_its_errors() -> None:

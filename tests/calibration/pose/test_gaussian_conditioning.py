@@ -11,6 +11,7 @@ from scipy.integrate import dblquad
 from scipy.stats import multivariate_normal
 from tests.fixtures.calibration import random_covariance, small_camera, spread_directions, stated_calibration
 
+from sunarc.array_types import picked
 from sunarc.calibration.answers.error_model import CameraErrorModel, error_model_of, joint_covariance, predicted
 from sunarc.calibration.evidence import PixelResiduals, false_density, fit_inlier_mixture, log_evidence, log_normal
 from sunarc.calibration.model.result import Calibration
@@ -136,7 +137,7 @@ def test_a_selection_keeps_the_columns_together() -> None:
         variance=np.array([1.0, 2.0, 3.0]),
         false_density=np.array([4.0, 5.0, 6.0]),
     )
-    some = seen.select(np.array([True, False, True]))
+    some = picked(seen, np.array([True, False, True]))
     assert some.residual.tolist() == [[0.0, 1.0], [4.0, 5.0]]
     assert some.variance.tolist() == [1.0, 3.0]
     assert some.false_density.tolist() == [4.0, 6.0]
@@ -186,7 +187,7 @@ def test_conditioning_twice_is_conditioning_on_both(model: CameraErrorModel) -> 
     first = np.arange(6) < 4
     at_once = conditioned(plain, at, seen)
     in_turn = conditioned(
-        conditioned(plain, at.select(first), seen.select(first)), at.select(~first), seen.select(~first)
+        conditioned(plain, picked(at, first), picked(seen, first)), picked(at, ~first), picked(seen, ~first)
     )
     np.testing.assert_allclose(in_turn.mean, at_once.mean, rtol=1e-6, atol=1e-12)
     np.testing.assert_allclose(in_turn.covariance, at_once.covariance, rtol=1e-6, atol=1e-14)

@@ -128,8 +128,8 @@ def test_outliers_do_not_pull(clear_day: Simulated, simulator: Simulator) -> Non
     pixels = seen.points.pixels.copy()
     pixels[::5] += 40.0
     found = with_prior(replace(seen, points=replace(seen.points, pixels=pixels)), clear_day.camera)
-    assert found.used is not None
-    assert found.used.tolist() == [k % 5 != 0 for k in range(20)]
+    assert found.left_out is not None
+    assert found.left_out.tolist() == [0, 5, 10, 15]
     assert error_px(found.camera, clear_day.camera) < 3.0
 
 

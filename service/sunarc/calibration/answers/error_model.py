@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sunarc import _kernels
-from sunarc.array_types import FloatArray, IntArray, Rows, picked
+from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.answers.direction_table import polar_spline
 from sunarc.calibration.model.residual_field import Field, WaveBasis
 from sunarc.calibration.model.result import Calibration
@@ -74,19 +74,6 @@ class Predicted:
     pixels: FloatArray
     rows: FloatArray
     basis_values: FloatArray
-
-    def select(self, which: Rows) -> Predicted:
-        """Return those that a slice, an index or a mask picks."""
-        return picked(self, which)
-
-
-def joined(first: Predicted, second: Predicted) -> Predicted:
-    """Return the one after the other."""
-    return Predicted(
-        pixels=np.concatenate([first.pixels, second.pixels]),
-        rows=np.concatenate([first.rows, second.rows]),
-        basis_values=np.concatenate([first.basis_values, second.basis_values]),
-    )
 
 
 def error_model_of(calibration: Calibration) -> CameraErrorModel:

@@ -16,12 +16,11 @@ import numpy as np
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.special import logsumexp
 
-from sunarc.array_types import BoolArray, FloatArray, IntArray
+from sunarc.array_types import BoolArray, FloatArray, IntArray, picked, stacked
 from sunarc.calibration.answers.error_model import (
     CameraErrorModel,
     Predicted,
     error_model_of,
-    joined,
     joint_covariance,
     predicted,
     rotated,
@@ -247,7 +246,7 @@ def _weigh(window: ResidualModel, explanation: Hypothesis) -> ScoredHypothesis:
     """Return an explanation with its evidence."""
     before = np.arange(explanation.first)
     after = predicted(window.error_model, explanation.camera, explanation.sightings.directions)
-    at = joined(window.at.select(before), after)
+    at = stacked([picked(window.at, before), after])
     residual = np.concatenate([window.sightings.residual[before], finite(explanation.sightings.pixels - after.pixels)])
     residual[explanation.first :] -= after.rows @ explanation.mean
     # free numbers are integrated out by adding their covariance to that of the sightings after the change
@@ -264,16 +263,20 @@ def _weigh(window: ResidualModel, explanation: Hypothesis) -> ScoredHypothesis:
 
 def rotation_from(window: ResidualModel, first: int, *, least: int) -> ScoredHypothesis | None:
     """Return the turn that most sightings from one on agree with; None where fewer than `least` do."""
-    watch = window.watch
-    directions, pixels = watch.directions[first:], watch.pixels[first:]
     spread = np.diag(window.covariance).reshape(-1, 2).mean(axis=1)[first:]
     tolerance = np.sqrt(window.sightings.variance[first:] + np.minimum(spread, _LARGEST_SPREAD_PX2))
-    rotation = ransac_rotation(window.camera, directions, pixels, tolerance)
-    misfit = finite(pixels - project_fast(rotated(window.camera, rotation), directions))
-    if np.sum(np.linalg.norm(misfit, axis=-1) < _CLOSE * tolerance) < least:
-        return None
+    turn = _agreed_turn(window, first, tolerance)
+    misfit = finite(turn.sightings.pixels - project_fast(turn.camera, turn.sightings.directions))
+    agree = np.linalg.norm(misfit, axis=-1) < _CLOSE * tolerance
+    return _weigh(window, turn) if np.sum(agree) >= least else None
+
+
+def _agreed_turn(window: ResidualModel, first: int, tolerance_px: FloatArray) -> Hypothesis:
+    """Return the turn that most sightings from one on agree with, within tolerances (n,)."""
+    since = window.watch.select(slice(first, None))
+    rotation = ransac_rotation(window.camera, since.directions, since.pixels, tolerance_px)
     size = max(float(np.linalg.norm(rotation)), _SMALLEST_ROTATION_RAD)
-    return _weigh(window, rotation_hypothesis(window, first, rotation, size * np.eye(3), kind="bump"))
+    return rotation_hypothesis(window, first, rotation, size * np.eye(3), kind="bump")
 
 
 def rotation_hypothesis(
@@ -370,11 +373,8 @@ def _lens_alone(window: ResidualModel) -> list[ScoredHypothesis]:
     if late.size < _LONG or np.any(late):
         return []
     first = int(np.flatnonzero(window.watch.trusted)[-1]) + 1 if np.any(window.watch.trusted) else 0
-    directions, pixels = window.watch.directions[first:], window.watch.pixels[first:]
-    rotation = ransac_rotation(window.camera, directions, pixels, np.full(pixels.shape[0], _ROUGH_PX))
-    size = max(float(np.linalg.norm(rotation)), _SMALLEST_ROTATION_RAD)
-    of_rotation = rotation_hypothesis(window, first, rotation, size * np.eye(3), kind="bump")
-    return [_weigh(window, lens_hypothesis(window, of_rotation))]
+    turn = _agreed_turn(window, first, np.full(len(window.watch) - first, _ROUGH_PX))
+    return [_weigh(window, lens_hypothesis(window, turn))]
 
 
 def rarity(kind: ChangeKind, *, clock_stepped: bool | None) -> float:
@@ -564,7 +564,7 @@ def _after(window: ResidualModel, explanation: Hypothesis, mixture: MixtureFit) 
     sightings = PixelResiduals(
         residual=finite(explanation.sightings.pixels - at.pixels)[inlier], variance=noise, false_density=0.0 * noise
     )
-    return conditioned(before, at.select(inlier), sightings)
+    return conditioned(before, picked(at, inlier), sightings)
 
 
 REMEMBERED = 56

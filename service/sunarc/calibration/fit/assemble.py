@@ -12,7 +12,7 @@ import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.answers.covariance import pose_error, sky_sigma_deg, with_covariance
-from sunarc.calibration.fit.cross_validation import Doubts, HeldOut, doubts, held_out
+from sunarc.calibration.fit.cross_validation import Doubts, HeldOut, doubts, held_out, without_parts
 from sunarc.calibration.fit.effects import N_RADIAL, OFFSET_PX, POSE_DIFFERENCE_DEG
 from sunarc.calibration.fit.robust_fit import RobustFit
 from sunarc.calibration.model.backward import NO_BACKWARD, fit_backward
@@ -35,7 +35,6 @@ from sunarc.calibration.solve.priors import FREE, FREE_NAMES, LENS, N_LENS, lens
 from sunarc.calibration.start.initial_guess import level_camera
 from sunarc.findings import Finding
 from sunarc.optics.camera import POSE, Camera, Param
-from sunarc.optics.displacement import Displacement
 from sunarc.optics.forward import rising_limit
 from sunarc.optics.pose import pose_angles, right_jacobian, rotation_matrix, rotation_vector
 from sunarc.sky.days import date_of_day
@@ -87,9 +86,9 @@ def calibration_from_fit(fitted: FitOutcome, job: Job, *, ambiguous: bool = Fals
     usable, options = job.usable, job.options
     cameras = [tidied(camera, options) for camera in fitted.cameras]
     camera = cameras[-1]
-    covariance = fitted.covariance.copy()
+    evidence, covariance = _evidence(job, fitted), fitted.covariance.copy()
     covariance[POSE, POSE] += pose_error(
-        camera, job.site, clock_error_s=_clock_error(job.points), site_error_m=options.site_error_m
+        camera, job.site, clock_error_s=evidence.clock_error_s, site_error_m=options.site_error_m
     )
     calibration = Calibration(
         camera=camera,
@@ -102,12 +101,12 @@ def calibration_from_fit(fitted: FitOutcome, job: Job, *, ambiguous: bool = Fals
         metrics=_metrics(fitted, usable, cameras),
         pose=pose_angles(camera.rotation_cam_enu),
         backward=fit_backward(camera),
-        evidence=_evidence(job, fitted),
+        evidence=evidence,
         verdict=Verdict(accepted=False, findings=(Finding("not_evaluated"),)),
         method=options.method,
         site=job.site,
         mixture=fitted.mixture,
-        used=_used(fitted, job),
+        left_out=np.setdiff1d(np.arange(len(job.points)), usable.index[fitted.used]),
         night=fitted.night,
     )
     calibration = with_covariance(calibration, 0.5 * (covariance + covariance.T))
@@ -141,19 +140,9 @@ def _metrics(fitted: FitOutcome, usable: Sightings, cameras: list[Camera]) -> Me
     )
 
 
-def _used(fitted: FitOutcome, job: Job) -> BoolArray:
-    used = np.zeros(len(job.points), dtype=bool)
-    used[job.usable.index] = fitted.used
-    return used
-
-
-def _clock_error(points: Sightings) -> float:
-    known_errors = points.clock_error_s[np.isfinite(points.clock_error_s)]
-    return float(np.max(np.abs(known_errors), initial=0.0))
-
-
 def _evidence(job: Job, fitted: FitOutcome | None = None) -> Provenance:
     """Return what a fit rests on, or what there is without one."""
+    known = job.points.clock_error_s
     none = Provenance(
         days=tuple(date_of_day(int(day)).isoformat() for day in np.unique(job.usable.day)),
         n_supplied=len(job.points),
@@ -163,7 +152,7 @@ def _evidence(job: Job, fitted: FitOutcome | None = None) -> Provenance:
         sigma_px=math.nan,
         inflation=math.nan,
         radial_px=math.nan,
-        clock_error_s=_clock_error(job.points),
+        clock_error_s=float(np.max(np.abs(known[np.isfinite(known)]), initial=0.0)),
         circle=None if job.circle is None else asdict(job.circle),
         start=None if job.start is None else asdict(job.start.lens_alone()),
     )
@@ -208,7 +197,7 @@ def refused(job: Job, findings: tuple[Finding, ...]) -> Calibration:
         verdict=Verdict(accepted=False, findings=findings),
         method=options.method,
         site=job.site,
-        used=np.zeros(len(job.points), dtype=bool),
+        left_out=np.arange(len(job.points)),
     )
 
 
@@ -230,13 +219,17 @@ def robust_outcome(fit: RobustFit, usable: Sightings, options: CalibrationOption
     """
     last = fit.problem.n_epochs - 1
     displacement = None if fit.field_mean is None else fit.grid.basis.displacement(fit.field_mean)
+    residual = fit.residual
+    if displacement is not None:
+        residual = residual - displacement.at(usable.pixels - residual)
     cameras = [replace(fit.problem.camera(fit.unknowns, epoch), displacement=displacement) for epoch in range(last + 1)]
     selected = np.r_[np.arange(N_LENS), np.arange(fit.problem.size)[fit.problem.pose_slice(last)]]
     to_parameters = np.zeros((len(Param), N_LENS + 3))
     to_parameters[LENS, :N_LENS] = fit.problem.prior.basis
     to_parameters[POSE, N_LENS:] = _rotation_derivative(cameras[last], tidied(cameras[last], options))
     to_parameters = to_parameters[FREE]
-    found = doubts(fit, usable) if parts else None
+    without = without_parts(fit, usable) if parts or np.unique(usable.day).size > 1 else []
+    found = doubts(fit, usable, without) if parts else None
     widening = 1.0 if found is None else found.widening
     field = fit.posterior.field
     field = replace(field, cross=np.stack([to_parameters @ part[selected] for part in field.cross]))
@@ -246,12 +239,12 @@ def robust_outcome(fit: RobustFit, usable: Sightings, options: CalibrationOption
         parameter_names=FREE_NAMES,
         covariance=widening**2 * covariance,
         field=field.widened(widening),
-        residual=fit.residual if displacement is None else _beside(fit.residual, displacement, usable.pixels),
+        residual=residual,
         used=fit.noise.weight > 0.0,
         sigma_px=fit.noise.sigma_px,
         inflation=float(np.mean(fit.noise.inflation)) if len(usable) else math.nan,
         radial_px=fit.scales.radial_px,
-        held_out=held_out(fit, usable),
+        held_out=held_out(fit, usable, without),
         log_odds=fit.log_odds,
         night=_night_difference(fit, usable),
         mixture=fit.posterior.mixture,
@@ -262,7 +255,7 @@ def robust_outcome(fit: RobustFit, usable: Sightings, options: CalibrationOption
 def _night_difference(fit: RobustFit, usable: Sightings) -> NightDifference | None:
     """Return the systematic errors of the night, as found."""
     pose, star = (fit.problem.block_slice(name) for name in ("night_pose", "night_offset"))
-    if not fit.problem.has("night_pose"):
+    if "night_pose" not in fit.problem.names:
         return None
     turn, sigma = fit.unknowns[pose], np.sqrt(np.diag(fit.posterior.covariance)[pose])
     radial = slice(star.start, min(star.start + N_RADIAL, star.stop))
@@ -278,11 +271,6 @@ def _night_difference(fit: RobustFit, usable: Sightings) -> NightDifference | No
 def _three(values: FloatArray) -> tuple[float, float, float]:
     x, y, z = values.tolist()
     return x, y, z
-
-
-def _beside(residual: FloatArray, displacement: Displacement, pixels: FloatArray) -> FloatArray:
-    """Return what the lens leaves over (n, 2) without the displacement there."""
-    return np.asarray(residual - displacement.at(pixels - residual))
 
 
 def _rotation_derivative(fitted: Camera, tidy: Camera) -> FloatArray:

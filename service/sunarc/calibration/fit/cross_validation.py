@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtri
 
-from sunarc.array_types import BoolArray, FloatArray, IntArray
+from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.fit.marginal_likelihood import MarginalFit, field_at, inverses, marginal_fit, prior_precision
 from sunarc.calibration.fit.posterior import prediction_variance, sky_rows
 from sunarc.calibration.fit.robust_fit import RobustFit
@@ -50,11 +50,19 @@ class _Without(NamedTuple):
     rows: FloatArray
 
 
-def _without_parts(fit: RobustFit, usable: Sightings, part: IntArray) -> Iterator[_Without]:
-    """Yield the fits without each part (n,) of the sightings; a pose that no other part has cannot be predicted."""
+def without_parts(fit: RobustFit, usable: Sightings) -> list[_Without]:
+    """Return the fits without each part of the sightings; a pose that no other part has cannot be predicted.
+
+    Parts are thirds of a day, or of several days whole ones, in five groups at most.
+    """
+    days = np.unique(usable.day)
+    if days.size > 1:
+        part = (np.arange(days.size) * min(_FOLDS, days.size) // days.size)[np.searchsorted(days, usable.day)]
+    else:
+        part = np.concatenate([np.arange(n) * _THIRDS // max(n, 1) for n in np.bincount(usable.epoch)])
     system, scales, size = fit.system, fit.scales, fit.system.at.size
     part_of_bin = np.zeros(system.rows.shape[0], dtype=np.int64)
-    part_of_bin[system.member] = part  # bins are of one day; one of two thirds goes to the later one
+    part_of_bin[fit.member] = part  # bins are of one day; one of two thirds goes to the later one
     axes = system.basis_products.axes(system.basis, scales.length_px)
     matters = scales.amplitude_px**2 * axes.information > _MATTERS
     waves = scales.amplitude_px * (system.basis_values @ axes.transform[:, matters])
@@ -70,10 +78,13 @@ def _without_parts(fit: RobustFit, usable: Sightings, part: IntArray) -> Iterato
     parts = [(part == one, part_of_bin == one) for one in range(int(part.max(initial=-1)) + 1)]
     of_parts = [sums(bins) for _, bins in parts]
     whole = [sum(column) for column in zip(*of_parts, strict=True)]
+    found = []
     for (out, bins), mine in zip(parts, of_parts, strict=True):
         if not np.setdiff1d(usable.epoch[out], usable.epoch[~out]).size:
             covariance = inverses(whole[0] - mine[0] + np.diag(precision))
-            yield _Without(out, bins, covariance @ (whole[1] - mine[1] - precision * at), covariance, rows[bins])
+            step = covariance @ (whole[1] - mine[1] - precision * at)
+            found.append(_Without(out, bins, step, covariance, rows[bins]))
+    return found
 
 
 class HeldOut(NamedTuple):
@@ -83,13 +94,12 @@ class HeldOut(NamedTuple):
     expected_px: float
 
 
-def held_out(fit: RobustFit, usable: Sightings) -> HeldOut | None:
-    """Return the cross-validation over whole days; None with fewer than two days a pose."""
-    fold, size = _folds_of_days(usable), fit.system.at.size
-    if fold is None:
+def held_out(fit: RobustFit, usable: Sightings, parts: Sequence[_Without]) -> HeldOut | None:
+    """Return the cross-validation over whole days, see `without_parts`; None with fewer than two days a pose."""
+    if np.unique(usable.day).size < 2:
         return None
-    found, expected, count = 0.0, 0.0, 0
-    for without in _without_parts(fit, usable, fold):
+    found, expected, count, size = 0.0, 0.0, 0, fit.system.at.size
+    for without in parts:
         rows, covariance, step = without.rows, without.covariance, without.step
         variance = np.einsum("nap,pq,naq->n", rows, covariance, rows, optimize=True)
         if fit.field_mean is None:  # the prediction is the camera's, and the whole field is unknown
@@ -98,7 +108,7 @@ def held_out(fit: RobustFit, usable: Sightings) -> HeldOut | None:
             variance += 2.0 * fit.scales.amplitude_px**2
             rows, step = rows[..., :size], step[:size]
         counted = without.out & (fit.noise.weight > 0.0)
-        bin_of = np.searchsorted(np.flatnonzero(without.bins), fit.system.member[counted])
+        bin_of = np.searchsorted(np.flatnonzero(without.bins), fit.member[counted])
         found += float(np.sum((fit.residual[counted] - (rows @ step)[bin_of]) ** 2))
         # two axes
         noise = 2.0 * (fit.noise.scale * usable.sigma_px)[counted] ** 2
@@ -106,14 +116,6 @@ def held_out(fit: RobustFit, usable: Sightings) -> HeldOut | None:
         expected += float(np.sum(np.maximum(variance, 0.0)[bin_of] + noise))
         count += int(counted.sum())
     return HeldOut(math.sqrt(found / count), math.sqrt(expected / count)) if count else None
-
-
-def _folds_of_days(usable: Sightings) -> IntArray | None:
-    """Return (n,): the part of each sighting where whole days are left out, five parts at most; None with one day."""
-    days = np.unique(usable.day)
-    if days.size < 2:
-        return None
-    return np.asarray((np.arange(days.size) * min(_FOLDS, days.size) // days.size)[np.searchsorted(days, usable.day)])
 
 
 class Doubts(NamedTuple):
@@ -151,18 +153,15 @@ class _Part(NamedTuple):
     turn_deg: float
 
 
-def doubts(fit: RobustFit, usable: Sightings) -> Doubts:
-    """Return how well fits without a part of the sightings predict it.
+def doubts(fit: RobustFit, usable: Sightings, without: Sequence[_Without]) -> Doubts:
+    """Return how well fits without a part of the sightings predict it, see `without_parts`.
 
-    Parts are thirds of a day, or of several days whole ones, in five groups at most. All that a part says of lens, pose
-    and field are few numbers; where what is stated holds, their errors are independent and of unit variance.
+    All that a part says of lens, pose and field are few numbers; where what is stated holds, their errors are
+    independent and of unit variance.
     """
-    fold = _folds_of_days(usable)
-    if fold is None:
-        fold = np.concatenate([np.arange(n) * _THIRDS // max(n, 1) for n in np.bincount(usable.epoch)])
     # the sun's track is judged: whether stars agree with it is a question of its own (`night_check`)
     judged = (usable.kind == Kind.SUN) & (fit.noise.weight > 0.0)
-    parts = [_met(one, fit, usable, judged) for one in _without_parts(fit, usable, fold) if np.any(one.out & judged)]
+    parts = [_met(one, fit, usable, judged) for one in without if np.any(one.out & judged)]
     if not parts:
         return Doubts(0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0)
     worst = max(parts, key=lambda part: float(np.max(np.abs(part.errors))))
@@ -177,7 +176,7 @@ def doubts(fit: RobustFit, usable: Sightings) -> Doubts:
 
 def _met(without: _Without, fit: RobustFit, usable: Sightings, judged: BoolArray) -> _Part:
     """Return how a fit predicts the judged (n,) sightings of the part that it is without."""
-    sun = np.bincount(fit.system.member[judged], minlength=without.bins.size)[without.bins] > 0
+    sun = np.bincount(fit.member[judged], minlength=without.bins.size)[without.bins] > 0
     rows, information = without.rows[sun], fit.system.observed.information[without.bins][sun]
     off = fit.system.residual[without.bins][sun] - rows @ without.step
     variance = np.einsum("nap,pq,naq->n", rows, without.covariance, rows, optimize=True) + 2.0 / information
@@ -230,7 +229,7 @@ _SUN_SCATTER = 1.15
 def contradiction(fit: RobustFit, usable: Sightings) -> Finding | None:
     """Return what of the night contradicts the day, with value and limit; None where nothing does."""
     night = usable.night
-    if not fit.problem.has("night_pose"):
+    if "night_pose" not in fit.problem.names:
         return None
     turn, offset = (fit.unknowns[fit.problem.block_slice(name)] for name in ("night_pose", "night_offset"))
     alone = _of_the_day(fit, night)
@@ -254,13 +253,14 @@ def without_night(usable: Sightings, finding: Finding) -> Sightings:
     """Return the sightings of the day, with the finding that says why the others were left out."""
     day = usable.select(~usable.night)
     filtering = day.filtering._replace(dropped=(*day.filtering.dropped, finding))
-    return replace(day, sigma_px=day.sigma_px / np.median(day.sigma_px), filtering=filtering)
+    sigma_px = day.sigma_px / np.median(day.sigma_px)
+    return replace(day, sigma_px=sigma_px, information=sigma_px**-2.0, filtering=filtering)
 
 
 def _of_the_day(fit: RobustFit, night: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> MarginalFit:
     """Return the fit of the day's sightings alone: one linear step from the fit of both, with the same scales."""
     system = fit.system
-    of_night = np.bincount(system.member[night], minlength=system.rows.shape[0]) > 0
+    of_night = np.bincount(fit.member[night], minlength=system.rows.shape[0]) > 0
     return marginal_fit(system.normal_of(~of_night), fit.grid.basis, fit.scales)
 
 
@@ -272,7 +272,7 @@ def _sun_scatter(fit: RobustFit, alone: MarginalFit, usable: Sightings) -> float
     step = system.rows @ (alone.unknowns - system.at)
     both = field_at(system.normal(), fit.grid.basis, fit.scales)
     smooth = [system.basis_values @ coefficients.T for coefficients in (both, alone.coefficients)]
-    residuals = [fit.residual - smooth[0][system.member], fit.residual - (step + smooth[1])[system.member]]
+    residuals = [fit.residual - smooth[0][fit.member], fit.residual - (step + smooth[1])[fit.member]]
     scatter = [
         robust_sigma(np.linalg.norm(residual[track], axis=-1) / usable.sigma_px[track], floor=1e-9)
         for residual in residuals

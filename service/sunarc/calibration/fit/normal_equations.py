@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.array_types import BoolArray, FloatArray, IntArray
+from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.fit.marginal_likelihood import (
     RIDGE,
     ROUNDING,
@@ -46,7 +46,6 @@ class LinearSystem:
     rows : (b, 2, p); basis_values: (b, m); residual: (b, 2) px; at: (p,) where it was made.
     basis_products : products of the basis functions over the bins, the same for every camera.
     basis : the field's basis functions.
-    member : (n,) the bin of every sighting.
     n_unit : how many of the last unknowns have unit prior variance: those of shared errors.
     """
 
@@ -57,7 +56,6 @@ class LinearSystem:
     at: FloatArray
     basis_products: BasisProducts
     basis: WaveBasis
-    member: IntArray
     n_unit: int
 
     def normal(self) -> NormalEquations:
@@ -122,7 +120,6 @@ def linear_system(
         at=unknowns,
         basis_products=BasisProducts(matrix=weighed.T @ weighed),
         basis=basis,
-        member=bins.member,
         n_unit=problem.n_unit,
     )
 

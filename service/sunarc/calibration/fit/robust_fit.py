@@ -25,7 +25,7 @@ from sunarc.calibration.fit.marginal_likelihood import (
 from sunarc.calibration.fit.normal_equations import LinearSystem
 from sunarc.calibration.fit.posterior import PosteriorCovariance, stated_posterior
 from sunarc.calibration.fit.robust_rounds import LOOSE_DECENTERING_PX, LOOSE_RADIAL_PX, robust_camera
-from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.residual_field import WaveBasis
 from sunarc.calibration.model.result import proves
 from sunarc.calibration.model.sightings import Sightings
@@ -34,6 +34,7 @@ from sunarc.calibration.robust_loss import robust_sigma, surely_well_behaved
 from sunarc.calibration.solve.levenberg_marquardt import information as information_of
 from sunarc.calibration.solve.priors import DECENTERING, RADIAL, Whitened, with_wide_pixels
 from sunarc.calibration.solve.problem import Bins, FitProblem
+from sunarc.calibration.start.initial_guess import single_problem
 from sunarc.calibration.start.multistart import SMALLEST_SIGMA_PX, best_of_starts, best_start, distance_sigmas, lowest
 from sunarc.optics.camera import Camera
 
@@ -45,6 +46,7 @@ class RobustFit:
     Attributes
     ----------
     observed : the sightings, with what the errors that they share displace them by.
+    member : (n,) the bin of each.
     system : the bins' equations about the fit.
     unknowns : the most probable ones.
     posterior : their covariance and the field's part in it, over all plausible scales.
@@ -58,6 +60,7 @@ class RobustFit:
 
     problem: FitProblem
     observed: Sightings
+    member: IntArray
     system: LinearSystem
     unknowns: FloatArray
     posterior: PosteriorCovariance
@@ -70,24 +73,21 @@ class RobustFit:
 
 
 def fit_robustly(
-    problem: FitProblem,
-    observed: Sightings,
-    start: FloatArray,
-    *,
-    options: CalibrationOptions,
+    observed: Sightings, cameras: list[Camera], options: CalibrationOptions, circle: ImageCircle | None
 ) -> RobustFit:
     """Return the fit of all sightings from the answer of the coarse search.
 
     Parameters
     ----------
-    problem : the camera sought.
     observed : sightings, in the order of time within each epoch.
-    start : (p,) unknowns of the coarse search; other starts are tried beside it.
+    cameras : of the coarse search, one an epoch; other starts are tried beside it.
     options : floor of the field, and tolerances of the lens.
+    circle : the image circle, where it is known.
     """
+    problem = single_problem(observed, cameras[0], options, circle, n_epochs=len(cameras))
     grid = grid_of(problem.template, options)
     groups = NoiseGroups.of(observed)
-    fit = _fitted(problem, observed, start, groups, grid)
+    fit = _fitted(problem, observed, problem.unknowns(cameras), groups, grid)
     if not proves(PIXELS, fit.log_odds.get(PIXELS, 0.0)):
         return fit
     wide = replace(problem, prior=with_wide_pixels(problem.prior))
@@ -113,6 +113,7 @@ def _fitted(
     return RobustFit(
         problem=problem,
         observed=observed,
+        member=groups.bins.member,
         system=system,
         unknowns=unknowns,
         posterior=posterior,

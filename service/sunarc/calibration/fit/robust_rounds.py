@@ -267,7 +267,7 @@ class RobustCamera:
 
     def system(self, observed: Sightings, bins: Bins) -> LinearSystem:
         """Return the bins' equations about the camera."""
-        weighed = observed.weighted(self.noise.information(observed))
+        weighed = replace(observed, information=self.noise.information(observed))
         return system_about(self.problem, weighed, bins, self.last_round, self.unknowns)
 
     def field_mean(self, normal: NormalEquations) -> FloatArray | None:
@@ -298,9 +298,9 @@ def robust_camera(
     """
     plain = np.concatenate([plain, np.zeros(problem.n_unit)])
     state, noise, grid, last_round = _with_field(problem, observed, plain, grid, groups)
-    informed = observed.weighted(noise.information(observed))
+    informed = replace(observed, information=noise.information(observed))
     problem, state = _with_proven(problem, informed, groups.bins, last_round, state, grid)
-    weighed = observed.weighted(observed.information * (noise.sigma_px / noise.scale) ** 2)
+    weighed = replace(observed, information=observed.information * (noise.sigma_px / noise.scale) ** 2)
     unknowns = _as_good_as_least_squares(
         problem, weighed, groups, state, sigma=noise.sigma_px, near_minimum=near_minimum
     )
@@ -344,10 +344,10 @@ def _rounds(
     first = Scales(_FIRST_FIELD_PX, float(grid.lengths[0]), LOOSE_RADIAL_PX, LOOSE_DECENTERING_PX)
     state = RoundState(unknowns=unknowns, residuals=problem.residuals(unknowns, observed), scales=first)
     noise, system = _round(problem, observed, state, grid, groups)
-    state = _judged(problem, observed, system, state)
+    state = _judged(problem, observed, system, state, groups.bins)
     for _ in range(1, _ROUNDS):
         noise, system = _round(problem, observed, state, grid, groups)
-        state = _improved(problem, observed, system, grid)
+        state = _improved(problem, observed, system, grid, groups.bins)
         if state.gain <= 0.0:
             break  # where a round does not move the camera, a further one changes nothing
     return state, noise, system
@@ -388,25 +388,29 @@ def _as_good_as_least_squares(
     return np.concatenate([camera, unknowns[assumed.size :]])
 
 
-def _judged(problem: FitProblem, observed: Sightings, system: LinearSystem, state: RoundState) -> RoundState:
+def _judged(
+    problem: FitProblem, observed: Sightings, system: LinearSystem, state: RoundState, bins: Bins
+) -> RoundState:
     """Return the state with what a large field beside the model leaves over; the camera stays."""
     marginal = marginal_fit(system.normal(), system.basis, state.scales)
     explained = system.rows @ (marginal.unknowns - system.at) + system.basis_values @ marginal.coefficients.T
-    return replace(state, residuals=problem.residuals(state.unknowns, observed) - explained[system.member])
+    return replace(state, residuals=problem.residuals(state.unknowns, observed) - explained[bins.member])
 
 
-def _improved(problem: FitProblem, observed: Sightings, system: LinearSystem, grid: HyperparameterGrid) -> RoundState:
+def _improved(
+    problem: FitProblem, observed: Sightings, system: LinearSystem, grid: HyperparameterGrid, bins: Bins
+) -> RoundState:
     """Return the state after a solve with the scales that the data speak for."""
     log_weight = log_weights(system.normal(), grid)
     scales = likely_scales(normalised(log_weight), grid)
     found = most_probable_with_field(problem, system, scales)
     leverage = None
     few = len(observed) < _FEW_PER_UNKNOWN * (problem.size - problem.n_unit)
-    if problem.has("night_pose") or few:
+    if "night_pose" in problem.names or few:
         there = system.moved(problem, found.unknowns)
         which = few | np.any(there.rows[..., problem.block_slice("night_pose")] != 0.0, axis=(1, 2))
-        leverage = leverage_of(there, there.normal(), found.fit, scales, which=which)
-    unknowns, smooth = found.unknowns, (system.basis_values @ found.fit.coefficients.T)[system.member]
+        leverage = leverage_of(there, there.normal(), found.fit, scales, which=which)[bins.member]
+    unknowns, smooth = found.unknowns, (system.basis_values @ found.fit.coefficients.T)[bins.member]
     return RoundState(
         unknowns=unknowns,
         residuals=problem.residuals(unknowns, observed) - smooth,
@@ -455,7 +459,7 @@ def proven_blocks(
     -------
     The names, the log weights (i, j, k) of the scales with these errors alone, and the log odds of each block.
     """
-    proven = set(SHOWN_BY_STARS & problem.names) if problem.has("night_pose") else set[str]()
+    proven = set(SHOWN_BY_STARS & problem.names) if "night_pose" in problem.names else set[str]()
     log_weight, odds = log_weights(normal.only(problem.only(proven)[1]), grid), dict[str, float]()
     while others := sorted(problem.names - proven):
         tried = {name: log_weights(normal.only(problem.only({*proven, name})[1]), grid) for name in others}
@@ -477,7 +481,7 @@ _LARGEST = 0.8
 def leverage_of(
     system: LinearSystem, normal: NormalEquations, fit: MarginalFit, scales: Scales, *, which: BoolArray
 ) -> FloatArray:
-    """Return (n,): the share of its noise's variance that the fit has taken up, of the sightings of some bins; else 0.
+    """Return (b,): the share of its noise's variance that the fit has taken up, of some bins; else 0.
 
     The variance of a residual is that of the noise less that of the prediction, with the sighting among its data.
 
@@ -493,4 +497,4 @@ def leverage_of(
     leverage = np.zeros(which.size)
     # the trace is of two axes
     leverage[which] = np.clip(0.5 * variance * system.observed.information[which], 0.0, _LARGEST)
-    return np.asarray(leverage[system.member])
+    return leverage

@@ -43,7 +43,7 @@ from sunarc.calibration.quality.fit_checks import fit_verdict
 from sunarc.calibration.robust_loss import finite
 from sunarc.calibration.solve.levenberg_marquardt import most_probable
 from sunarc.calibration.solve.priors import FREE, N_LENS, LensPrior
-from sunarc.calibration.solve.problem import observations, problem_for
+from sunarc.calibration.solve.problem import problem_for
 from sunarc.findings import Finding
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project_fast
@@ -158,7 +158,7 @@ def with_lens(solved: Calibration, lens: LensType, *, points: Sightings, options
     if found.departure.contradicts:
         return contradicted(solved, found.departure)
     seen = filter_sightings(points, site=solved.site, image_size=(solved.camera.width, solved.camera.height))
-    used = np.ones(len(seen), dtype=bool) if solved.used is None else solved.used[seen.index]
+    used = ~np.isin(seen.index, [] if solved.left_out is None else solved.left_out)
     changed = moved_to_lens(solved, lens, found.lens, options)
     latest = used & (seen.epoch == seen.epoch.max(initial=0))
     field_px = solved.field.amplitude_px
@@ -233,8 +233,7 @@ def _most_probable(changed: Calibration, lens: LensType, seen: Sightings, option
     in_units = LensPrior(
         mean=lens.frame.lens(prior.mean), basis=lens.frame.basis @ np.linalg.cholesky(prior.covariance)
     )
-    observed = observations(seen)
-    observed = observed.select(observed.epoch == observed.epoch.max(initial=0))
+    observed = seen.select(seen.epoch == seen.epoch.max(initial=0))
     observed = replace(observed, epoch=np.zeros(len(observed), dtype=np.int64))
     problem = problem_for(changed.camera, in_units, n_epochs=1)
     precision = np.concatenate([np.ones(N_LENS), np.full(3, _UNKNOWN_POSE)])

@@ -40,13 +40,13 @@ from sunarc.calibration.model.residual_field import Field, wave_basis
 from sunarc.calibration.model.result import Calibration, refused_for, with_finding, with_options
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.pose import (
+    MOST,
     PoseFit,
     conditioned_pose,
     options_about,
     outcome_of,
     settled,
     stated_calibration,
-    thinned,
     with_noise,
 )
 from sunarc.calibration.robust_loss import finite
@@ -196,7 +196,7 @@ def first_pose(
     anywhere = false_density(np.full(usable.pixels.shape, np.inf), area_px2=area_px2)
     sightings = replace(with_noise(usable, points, start), false_density=anywhere)
     # the same sightings for both handednesses, or their evidences could not be compared
-    close = max((_agreeing(one.camera.at_every_angle(), thinned(sightings)) for one in both), key=np.sum)
+    close = max((_agreeing(one.camera.at_every_angle(), sightings.thinned(MOST)) for one in both), key=np.sum)
     if np.sum(close) < FEWEST_SIGHTINGS:
         close = np.ones(close.size, dtype=bool)
     try:
@@ -234,7 +234,7 @@ def _most_probable(start: Calibration, sightings: Sightings, close: BoolArray, t
     """Return the most probable pose at any azimuth of a camera that is level within a 1-sigma per axis."""
     error_model, camera = error_model_of(start), start.camera.at_every_angle()
     some = np.flatnonzero(close)
-    coarse = thinned(sightings).select(some[np.unique(np.linspace(0, some.size - 1, _COARSE).astype(int))])
+    coarse = sightings.thinned(MOST).select(some[np.unique(np.linspace(0, some.size - 1, _COARSE).astype(int))])
     spread = np.array([tilt_rad, tilt_rad, _CELL_RAD])
     cell = error_model.with_free_rotation(np.zeros(3), sigma_rad=spread)
     bases = [level(camera, azimuth) for azimuth in np.arange(_AZIMUTHS) * (2.0 * math.pi / _AZIMUTHS)]

@@ -75,9 +75,12 @@ def frame_of(camera: Camera) -> LensPrior:
 def gaussian_of(calibration: Calibration, frame: LensPrior) -> Gaussian:
     """Return a calibration's lens in a frame."""
     indices = [calibration.parameter_names.index(name) for name in LENS_NAMES]
-    in_parameters = calibration.covariance[np.ix_(indices, indices)]
-    covariance = np.linalg.solve(frame.basis, np.linalg.solve(frame.basis, in_parameters).T)
-    return Gaussian(frame.whitened(calibration.camera), 0.5 * (covariance + covariance.T))
+    return _in_frame(calibration.camera, calibration.covariance[np.ix_(indices, indices)], frame)
+
+
+def _in_frame(camera: Camera, covariance: FloatArray, frame: LensPrior) -> Gaussian:
+    whitened = np.linalg.solve(frame.basis, np.linalg.solve(frame.basis, covariance).T)
+    return Gaussian(frame.whitened(camera), 0.5 * (whitened + whitened.T))
 
 
 def usual_precision(radial_px: float) -> FloatArray:
@@ -195,9 +198,7 @@ class LensType:
 
     def in_frame(self) -> Gaussian:
         """Return a unit that was not measured, in the type's own frame."""
-        frame = self.frame
-        covariance = np.linalg.solve(frame.basis, np.linalg.solve(frame.basis, self.covariance).T)
-        return Gaussian(frame.whitened(self.camera), 0.5 * (covariance + covariance.T))
+        return _in_frame(self.camera, self.covariance, self.frame)
 
     def as_evidence(self) -> dict[str, Any]:
         """Return what a fit tells of the type that it was given."""

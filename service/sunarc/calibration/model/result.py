@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sunarc.array_types import BoolArray, FloatArray
+from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.calibration.messages import text_of
 from sunarc.calibration.model.backward import BackwardModel
 from sunarc.calibration.model.options import Method
@@ -305,7 +305,8 @@ class Calibration:
     sky_rms_deg, sky_max_deg : 1-sigma per axis over the upper hemisphere that the camera sees.
     pose : the Table 2 angles.
     mixture : how the errors are spread about covariance and field; None: as a Gaussian's.
-    used : (n,) which of the sightings supplied counted; None where they are not at hand (a calibration that was read).
+    left_out : (k,) rows of the sightings supplied that did not count; None where they are not at hand (of a calibration
+        that was read).
     night : how the night differs from the day, of which the calibration is; None without sightings of a night.
     sigma_limit_deg : directions of a larger 1-sigma per axis are answered as beyond the camera's field; None: none are.
     """
@@ -325,7 +326,7 @@ class Calibration:
     method: Method
     site: Site
     mixture: ErrorMixture | None = None
-    used: BoolArray | None = None
+    left_out: IntArray | None = None
     night: NightDifference | None = None
     sigma_limit_deg: float | None = None
 

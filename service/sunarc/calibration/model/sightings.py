@@ -115,9 +115,9 @@ def static_sightings(pixels: FloatArray, directions: FloatArray, group: IntArray
     return static
 
 
-def static_positions(pixels: FloatArray, is_static: BoolArray) -> tuple[StaticPosition, ...]:
-    """Return the positions of static sightings, the most frequent one first; those within 3 px are one."""
-    remaining, found = pixels[is_static], []
+def static_positions(pixels: FloatArray) -> tuple[StaticPosition, ...]:
+    """Return the positions of static sightings at pixels (n, 2), the most frequent first; those within 3 px are one."""
+    remaining, found = pixels, []
     while remaining.size:
         _, member, count = np.unique(np.floor(remaining), axis=0, return_inverse=True, return_counts=True)
         middle = np.median(remaining[member.ravel() == np.argmax(count)], axis=0)
@@ -282,9 +282,9 @@ class Sightings:
         some = {name: one[:1] if one.strides[0] == 0 and len(self) else one[which] for name, one in columns.items()}
         return replace(self, pixels=self.pixels[which], **some)
 
-    def weighted(self, information: FloatArray) -> Sightings:
-        """Return the same sightings with other information."""
-        return replace(self, information=information)
+    def thinned(self, most: int) -> Self:
+        """Return at most so many of them, spread over their order."""
+        return self.select(np.unique(np.linspace(0, len(self) - 1, most).astype(int)))
 
 
 def _column(name: str, values: ArrayLike, length: int | None) -> FloatArray:
@@ -356,7 +356,7 @@ def filter_sightings(points: Sightings, *, site: Site, image_size: tuple[int, in
     retained = order[single]
     day = solar_days(points.unix_s[retained], longitude=site.longitude)
     still = static_sightings(points.pixels[retained], directions[retained], _groups(points.epoch[retained], day))
-    static = static_positions(points.pixels[retained], still)
+    static = static_positions(points.pixels[retained[still]])
     retained, day = retained[~still], day[~still]
     counts = {
         "dropped_not_finite": (~finite).sum(),
@@ -366,12 +366,14 @@ def filter_sightings(points: Sightings, *, site: Site, image_size: tuple[int, in
         "dropped_static": still.sum(),
     }
     stated_px = points.sigma_px[retained]
+    sigma_px = _relative_sigma(stated_px, alone[retained])
     return Sightings(
         index=retained,
         unix_s=points.unix_s[retained],
         pixels=points.pixels[retained],
         directions=directions[retained],
-        sigma_px=_relative_sigma(stated_px, alone[retained]),
+        sigma_px=sigma_px,
+        information=sigma_px**-2.0,
         alone=alone[retained],
         body=points.body[retained],
         kind=points.kind[retained],

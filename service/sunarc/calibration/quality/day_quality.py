@@ -348,13 +348,13 @@ def unexplained_days(calibration: Calibration, usable: Sightings, limit: float) 
     usable : the sightings that it was given.
     limit : largest share of the sightings of clear days that may be left out, of all and of the last epoch.
     """
-    if calibration.used is None:
+    if calibration.left_out is None:
         return None
     track = (usable.kind == Kind.SUN) & ~usable.alone
     # as far as the lens is defined
     camera = replace(calibration.camera, max_angle=np.pi)
     residual = np.nan_to_num(residuals_by_pose(camera, calibration.poses, usable))
-    used = calibration.used[usable.index]
+    used = ~np.isin(usable.index, calibration.left_out)
     clear, halves = track.copy(), list[_HalfDay]()
     for rows in _days(usable, track):
         if rows.size < _FEWEST_OF_HALF:

@@ -71,11 +71,6 @@ def vectors_of(mean: FloatArray, basis: FloatArray, unknowns: FloatArray, epochs
     return vectors
 
 
-def observations(usable: Sightings) -> Sightings:
-    """Return the usable sightings with their relative information."""
-    return usable.weighted(usable.sigma_px**-2.0)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FitProblem:
     """A camera whose parameters are sought.
@@ -119,10 +114,6 @@ class FitProblem:
         """The names of the blocks."""
         return frozenset(block.name for block in self.blocks)
 
-    def has(self, name: str) -> bool:
-        """Return whether there is a block of this name."""
-        return name in self.names
-
     def only(self, names: Collection[str]) -> tuple[FitProblem, IntArray]:
         """Return the problem with some of its blocks alone, and the places of its unknowns among those of this one."""
         kept = [np.arange(self.size)[self.block_slice(name)] for name in (b.name for b in self.blocks) if name in names]
@@ -136,13 +127,7 @@ class FitProblem:
 
     def camera(self, unknowns: FloatArray, epoch: int = 0) -> Camera:
         """Return the camera of an epoch."""
-        return self.template.with_parameters(self._vector(unknowns, epoch))
-
-    def _vector(self, unknowns: FloatArray, epoch: int) -> FloatArray:
-        vector = np.zeros(len(Param))
-        vector[LENS] = self.prior.lens(unknowns[:N_LENS])
-        vector[POSE] = unknowns[self.pose_slice(epoch)]
-        return vector
+        return self.template.with_parameters(self._vectors(unknowns)[epoch])
 
     def unknowns(self, cameras: list[Camera]) -> FloatArray:
         """Return the unknowns of cameras that share a lens, one an epoch."""
@@ -176,7 +161,7 @@ class FitProblem:
         """Return (n,): which directions lie further off the axis than the fitted camera will answer."""
         cosine = np.empty(len(observed))
         for epoch in range(self.n_epochs):
-            in_epoch = self._of(epoch, observed)
+            in_epoch = observed.epoch == epoch
             axis = rotation_matrix(unknowns[self.pose_slice(epoch)])[2]
             cosine[in_epoch] = observed.directions[in_epoch] @ axis
         return np.asarray(cosine < math.cos(self.max_angle))
@@ -215,10 +200,6 @@ class FitProblem:
     def _vectors(self, unknowns: FloatArray) -> FloatArray:
         at, prior = np.asarray(unknowns, dtype=np.float64), self.prior
         return np.asarray(vectors_of(prior.mean, np.ascontiguousarray(prior.basis), at, self.n_epochs))
-
-    def _of(self, epoch: int, observed: Sightings) -> slice | BoolArray:
-        """Return which observations belong to an epoch."""
-        return slice(None) if self.n_epochs == 1 else observed.epoch == epoch
 
 
 def by_elevation(camera: Camera, directions: FloatArray, by_parameters: FloatArray) -> FloatArray:
@@ -275,10 +256,9 @@ class Bins:
         safe = np.where(total > 0.0, total, 1.0)
         share = information / safe[self.member]
         # the mean of directions within a bin is shorter than 1 by 1e-4 at most; it is made a unit vector below
-        direction = np.stack([self._sums(share * observed.directions[:, i]) for i in range(3)], axis=-1)
+        columns = observed.directions, observed.pixels, residual, observed.systematic_px
+        direction, pixels, mean, systematic = (self._mean_of(one, share) for one in columns)
         norm = np.linalg.norm(direction, axis=-1, keepdims=True)
-        pixels = np.stack([self._sums(share * observed.pixels[:, i]) for i in range(2)], axis=-1)
-        mean = np.stack([self._sums(share * residual[:, i]) for i in range(2)], axis=-1)
         first = np.searchsorted(self.member, np.arange(self.count))
         # a bin of outliers alone still needs a direction: its weight of 0 keeps it out of the sums
         empty = total <= 0.0
@@ -292,7 +272,7 @@ class Bins:
             pixels=pixels,
             information=total,
             epoch=observed.epoch[first],
-            systematic_px=self._mean_of(observed.systematic_px, share),
+            systematic_px=systematic,
         )
         return gathered, mean
 

@@ -120,7 +120,7 @@ def candidates(observed: Sightings, guess: Camera, *, known: bool, best: int) ->
         lengths, all of the guess's centre, which the fit that follows moves.
     best : how many at most.
     """
-    thin = _thinned(observed, _SEARCHED_SIGHTINGS)
+    thin = observed.thinned(_SEARCHED_SIGHTINGS)
     factors = np.ones(1) if known else _FOCAL_FACTORS
     matrices, misfits = _turns(_rays(guess, thin) if known else _ideal_rays(guess, factors, thin), thin.directions)
     upright = np.isfinite(misfits) & (matrices[:, 2, 2] >= math.cos(LARGEST_TILT))
@@ -142,10 +142,6 @@ def _ideal_rays(camera: Camera, factors: FloatArray, observed: Sightings) -> Flo
     around, angle = np.arctan2(y, x), ideal_angle(camera.projection, np.hypot(x, y) / factors[:, None])
     sine = np.sin(angle)
     return np.stack([sine * np.cos(around), sine * np.sin(around), np.cos(angle)])
-
-
-def _thinned(observed: Sightings, most: int) -> Sightings:
-    return observed.select(np.unique(np.linspace(0, len(observed) - 1, most).astype(int)))
 
 
 def tilt(camera: Camera) -> float:
@@ -196,7 +192,7 @@ def _best_single(
     tried = candidates(observed, guess, known=known, best=_TRIED)
     if not tried:
         return guess, math.inf
-    thin = _thinned(observed, _THIN)
+    thin = observed.thinned(_THIN)
     # one problem for all: ideal lenses differ in the focal length alone, which has no prior here
     problem = single_problem(thin, tried[0], options, circle)
     rough = [_polished(problem, thin, camera, stage=1, focal_prior=known) for camera in tried]

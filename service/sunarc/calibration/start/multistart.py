@@ -71,7 +71,8 @@ def least_squares(
     problem: FitProblem, observed: Sightings, start: FloatArray, *, tolerance: float = 1e-6, sigma: float = 0.0
 ) -> FloatArray:
     """Return the unknowns (p,) of least squares over all sightings, none weighted down, hardly any prior."""
-    return _loose_fit(problem, observed, start, loosened(problem, sigma=sigma), tolerance)
+    precision = loosened(problem, sigma=sigma)
+    return most_probable(problem, observed, start, precision=precision, iterations=25, tolerance=tolerance).unknowns
 
 
 def staged_least_squares(
@@ -83,18 +84,13 @@ def staged_least_squares(
     beside a wrong tilt is a local minimum on a tilted camera's short arc.
     """
     unknowns = undistorted(start)
-    precision = loosened(problem, sigma=sigma)
-    precision[RADIAL] = precision[DECENTERING] = _FIXED
-    for freed in (RADIAL, DECENTERING):
-        unknowns = _loose_fit(problem, observed, unknowns, precision, tolerance)
-        precision[freed] = _LOOSENED
-    return least_squares(problem, observed, unknowns, tolerance=tolerance, sigma=sigma)
-
-
-def _loose_fit(
-    problem: FitProblem, observed: Sightings, start: FloatArray, precision: FloatArray, tolerance: float
-) -> FloatArray:
-    return most_probable(problem, observed, start, precision=precision, iterations=25, tolerance=tolerance).unknowns
+    for held in ([RADIAL, DECENTERING], [DECENTERING], []):
+        precision = loosened(problem, sigma=sigma)
+        for part in held:
+            precision[part] = _FIXED
+        found = most_probable(problem, observed, unknowns, precision=precision, iterations=25, tolerance=tolerance)
+        unknowns = found.unknowns
+    return unknowns
 
 
 def loosened(problem: FitProblem, *, sigma: float = 0.0) -> FloatArray:
@@ -122,7 +118,10 @@ def settled(
     problem: FitProblem, observed: Sightings, start: FloatArray, *, precision: FloatArray, tolerance: float = 1e-6
 ) -> FloatArray:
     """Return the robust fit from one start at the scale that it leaves over."""
-    sigma = _widest_scatter(problem, start, observed)
+    distance = np.linalg.norm(problem.residuals(start, observed), axis=-1) * np.sqrt(observed.information)
+    share, epoch = surely_well_behaved(len(observed), problem.size), observed.epoch
+    # that of the pose that fits worst so far: by one that fits already, it would be left out whole
+    sigma = max(robust_sigma(distance[epoch == e], share=share, floor=SMALLEST_SIGMA_PX) for e in np.unique(epoch))
     return most_probable(
         problem, observed, start, precision=precision, sigma=sigma, iterations=20, tolerance=tolerance
     ).unknowns
@@ -177,16 +176,6 @@ def distinct_starts(problem: FitProblem, observed: Sightings, starts: list[Float
     return [starts[k] for k in found]
 
 
-def _widest_scatter(problem: FitProblem, at: FloatArray, observed: Sightings) -> float:
-    """Return the scale of the pose that fits worst so far: by one that fits already, it would be left out whole."""
-    distance = np.linalg.norm(problem.residuals(at, observed), axis=-1) * np.sqrt(observed.information)
-    share = surely_well_behaved(len(observed), problem.size)
-    epochs = np.unique(observed.epoch)
-    return max(
-        robust_sigma(distance[observed.epoch == epoch], share=share, floor=SMALLEST_SIGMA_PX) for epoch in epochs
-    )
-
-
 # A start that half of the sightings may lie about: fits of few, well-spread ones, judged by how many agree closely.
 #
 # Reference: M. Fischler and R. Bolles, "Random sample consensus", Communications of the ACM 24 (1981). The trials are
@@ -214,7 +203,7 @@ def _ransac_starts(
     problem: FitProblem, observed: Sightings, start: FloatArray, precision: FloatArray
 ) -> list[FloatArray]:
     """Return the start, within some tens of px of the truth, and the unknowns near it that most sightings agree on."""
-    thin = observed.select(np.unique(np.linspace(0, len(observed) - 1, _MAX_SIGHTINGS).astype(int)))
+    thin = observed.thinned(_MAX_SIGHTINGS)
     residual, rows = problem.linearised(start, thin)
     steps = sampled_steps(residual, rows, start, precision)
     share, root = surely_well_behaved(len(thin), problem.size), np.sqrt(thin.information)
