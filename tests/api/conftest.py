@@ -6,7 +6,7 @@ import asyncio
 import os
 import shutil
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -46,6 +46,8 @@ LENS = Camera(
     radial=(0.004, -0.009, 0.003, 0.0, 0.0, 0.0, 0.0, 0.0),
     decentering=(1e-4, -5e-5, 0.0, 0.0),
 )
+SMALL = replace(LENS, width=120, height=116, focal_length_px=(41.0, 41.0), principal_point_px=(59.8, 58.1))
+"""A map of it is made in a moment."""
 
 
 def calibration(camera: Camera = LENS) -> Calibration:
@@ -158,12 +160,13 @@ def write_image(folder: Path, name: str = "20130513T183000.000Z_hdr.jpg") -> Pat
 
 @pytest.fixture(scope="session")
 def archives(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Make two archives to copy: one that has seen nothing, and one with a history."""
+    """Make archives to copy: one that has seen nothing, one with a history, and one of a small camera with it."""
     folder = tmp_path_factory.mktemp("archives")
     new_archive(folder / "empty.sqlite").close()
-    filled = new_archive(folder / "filled.sqlite")
-    fill(filled)
-    filled.close()
+    for name, camera in (("filled", LENS), ("small", SMALL)):
+        filled = new_archive(folder / f"{name}.sqlite", camera)
+        fill(filled, camera)
+        filled.close()
     return folder
 
 

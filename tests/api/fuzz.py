@@ -16,12 +16,11 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from threading import Thread
 
 import uvicorn
-from tests.api.conftest import LENS, NOON, TOKEN, fill, new_archive, write_image
+from tests.api.conftest import NOON, SMALL, TOKEN, fill, new_archive, write_image
 from tests.fixtures.calibrations import SITE
 
 from sunarc.api.app import create_app
@@ -32,7 +31,6 @@ from sunarc.runtime.host import listen
 from sunarc.runtime.status import StatusRegistry
 
 CONFIG = Path(__file__).with_name("schemathesis.toml")
-SMALL = replace(LENS, width=120, height=116, focal_length_px=(41.0, 41.0), principal_point_px=(59.8, 58.1))
 
 
 def main() -> int:

@@ -10,7 +10,7 @@ import pvlib
 import pytest
 
 if TYPE_CHECKING:
-    from tests.api.conftest import Made
+    from tests.api.conftest import Made, Make
 
 PATH = "/v1/days/2013-05-12/air"
 WARM = {"temperature_c": 35.0, "pressure_hpa": 960.0}
@@ -101,7 +101,8 @@ def test_the_sun_of_another_day_is_not(made: Made) -> None:
     assert made.client.get("/v1/sun", params=at).json() == before
 
 
-def test_residuals_and_maps_are_of_the_measured_air(made: Made) -> None:
+def test_residuals_and_maps_are_of_the_measured_air(make: Make) -> None:
+    made = make(history="small")
     asked = {"residuals": "true", "accepted": "true", "limit": "1000"}
     tag = made.client.get("/v1/back-projection-map", params={"sun_radius_deg": 5, "at": "2013-05-13T12:00:00Z"})
     before = made.client.get("/v1/sun-points", params=asked).json()["sun_points"][-1]["residual"]
