@@ -3,10 +3,11 @@
     tests/mutants [--rooms calibration optics detection] [--count 200] [--seed 1] [--jobs 2] [--json FILE]
 
 Draws constants and operators of the rooms with a fixed seed, changes one at a time in a copy of the package, and runs
-the rooms' own fast tests that reach the line, then test files of other rooms that import the changed module or what is
-made of it, the nearest first, until one fails. Prints the share that was detected and names the survivors. First the
-rooms' fast tests are run once, traced, to learn which lines they reach; `--lines FILE` keeps that for the next run.
-`--files` limits the changes to files whose name holds one of some texts.
+the rooms' own fast tests that reach the line, then test files of other rooms that import the changed module or what
+is made of it, the nearest first, until one fails. Prints the share that was detected and names the survivors. What
+failed is run once more without a change: a test that fails then has detected nothing. First the rooms' fast tests are
+run once, traced, to learn which lines they reach; `--lines FILE` keeps that for the next run. `--files` limits the
+changes to files whose name holds one of some texts.
 
 Not drawn are texts, messages of errors, annotations and decorators, and the numbers whose growth is without effect by
 their place: guards against zero, conditions of rest, limits of rounds, seeds, finer grids (tests/mutation/idle.py).
@@ -19,6 +20,7 @@ import json
 import multiprocessing
 import os
 import random
+import re
 import resource
 import shutil
 import subprocess
@@ -43,13 +45,14 @@ PACKAGE = ROOT / "service" / "sunarc"
 ROOMS = ("calibration", "optics", "detection")
 FAST = "not slow and not gige and not system and not browser and not waits and not release"
 _SECONDS_OF_TESTS = 40.0
-"""Of processor that the tests which reach one mutant are given, the file's own first, then the fastest; and as much
-again for those of other rooms."""
+"""Of processor that each of three groups of tests is given for one mutant, the fastest first: those named as its file,
+the others that reach it, those of other rooms."""
 _MOST_TESTS = 500
 _SECONDS_AT_MOST = 160
-"""Of processor for either; one that computes without end is detected."""
+"""Of processor for each; one that computes without end is detected."""
 _WAITED_AT_MOST_S = 3600.0
 """One that waits without end is detected, too; a loaded host alone makes none of them late."""
+_FAILED = "failed.txt"
 _PASSED = (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED)
 _WARM = multiprocessing.get_context("forkserver")
 _WARM.set_forkserver_preload(
@@ -67,10 +70,10 @@ class Mutant:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Whether a test failed on a mutant."""
+    """Which test failed on a mutant; None where none did, "" where all ended without a word."""
 
     mutant: Mutant
-    detected: bool
+    failed: str | None
     n_tests: int
 
 
@@ -80,7 +83,11 @@ def main() -> int:
     with TemporaryDirectory(prefix="sunarc-mutants-") as folder:
         reach = _reach(options, Path(folder))
         outcomes = _outcomes(_drawn(options), reach, options, Path(folder))
-    survivors = [outcome for outcome in outcomes if not outcome.detected]
+        failing = _failing(Path(folder) / "0", sorted({one.failed for one in outcomes if one.failed}))
+    for outcome in outcomes:
+        if outcome.failed in failing:
+            print(f"not detected by a test that fails without the change: {outcome.mutant}, {outcome.failed}")
+    survivors = [outcome for outcome in outcomes if outcome.failed is None or outcome.failed in failing]
     share = 1.0 - len(survivors) / max(len(outcomes), 1)
     print(f"{len(outcomes) - len(survivors)} of {len(outcomes)} detected: {100.0 * share:.1f} %")
     if options.json:
@@ -133,14 +140,13 @@ def _outcomes(mutants: list[Mutant], reach: dict[str, Any], options: argparse.Na
     def outcome(mutant: Mutant) -> Outcome:
         copy = copies.get()
         try:
-            tests = _tests_for(mutant, reach)
+            nearest, tests = _tests_for(mutant, reach)
             others = files_elsewhere(mutant.file, _texts(), ROOT, options.rooms)
-            detected = _detected(mutant, tests, copy)
-            if not detected and _detected(mutant, others, copy):
-                detected = _exit_code(copy, others) in _PASSED  # they fail by the change alone
-            if not detected:
-                print(_survivor(mutant, len(tests), len(others)), flush=True)
-            return Outcome(mutant, detected, len(tests))
+            found = (_failed(mutant, group, copy) for group in (nearest, tests, others) if group)
+            failed = next((one for one in found if one is not None), None)
+            if failed is None:
+                print(_survivor(mutant, len(nearest) + len(tests), len(others)), flush=True)
+            return Outcome(mutant, failed, len(nearest) + len(tests))
         finally:
             copies.put(copy)
 
@@ -148,14 +154,19 @@ def _outcomes(mutants: list[Mutant], reach: dict[str, Any], options: argparse.Na
         return list(pool.map(outcome, mutants))
 
 
-def _tests_for(mutant: Mutant, reach: dict[str, Any]) -> list[str]:
-    """Return the tests that reach what a mutant changes, those of the file's own test file first."""
+def _tests_for(mutant: Mutant, reach: dict[str, Any]) -> tuple[list[str], list[str]]:
+    """Return the tests that reach what a mutant changes: those named as its file or of stored answers, and the others.
+
+    The first are run by themselves: to import all test files takes longer than most mutants live.
+    """
     lines, seconds = reach["lines"], reach["seconds"]
     matter = lines_that_matter(mutant.site.line, mutant.file, _texts())
     chosen = [test for test, executed in lines.items() if not matter.isdisjoint(executed)]
-    own = f"test_{Path(mutant.file).name}::"
-    chosen.sort(key=lambda test: (own not in test, float(seconds.get(test, 0.0))))
-    return chosen[:_MOST_TESTS]
+    chosen.sort(key=lambda test: float(seconds.get(test, 0.0)))
+    named = re.compile(rf"/(test_)?{Path(mutant.file).stem}[./]|/test_stored_")
+    nearest = [test for test in chosen if named.search(test)]
+    others = [test for test in chosen if not named.search(test)]
+    return nearest[:_MOST_TESTS], others[:_MOST_TESTS]
 
 
 def _survivor(mutant: Mutant, n_tests: int, n_files: int) -> str:
@@ -168,26 +179,38 @@ def _texts() -> dict[str, str]:
     return {path.relative_to(PACKAGE).as_posix(): path.read_text("utf-8") for path in PACKAGE.rglob("*.py")}
 
 
-def _detected(mutant: Mutant, tests: list[str], copy: Path) -> bool:
-    """Return whether a test fails on the changed copy; it runs in a process that has numpy and scipy already."""
-    if not tests:
-        return False
+def _failed(mutant: Mutant, tests: list[str], copy: Path) -> str | None:
+    """Return which test fails on the changed copy, None where none does; "" where the tests did not come to an end.
+
+    A change that a test module cannot be imported with leaves no test to be found, and so is detected.
+    """
     target = copy / "sunarc" / mutant.file
     original = target.read_text("utf-8")
     target.write_text(mutated(original, mutant.site), "utf-8")
     try:
-        code = _exit_code(copy, tests)
+        code = _exit_code(copy, tests, ["-x"])
     finally:
         target.write_text(original, "utf-8")
-    # A change that a test module cannot be imported with leaves no test to be found, and so is detected.
-    if code == pytest.ExitCode.USAGE_ERROR and _exit_code(copy, tests) == code:
+    if code == pytest.ExitCode.USAGE_ERROR and _exit_code(copy, tests, ["-x"]) == code:
         raise RuntimeError(f"{mutant.file}:{mutant.site.line}: none of {tests} ran; make the file of --lines anew")
-    return code not in _PASSED
+    return None if code in _PASSED else "".join(_failures(copy)[:1])
 
 
-def _exit_code(copy: Path, tests: list[str]) -> int | None:
+def _failing(copy: Path, tests: list[str]) -> list[str]:
+    """Return which of some tests fail without any change."""
+    if tests:
+        _exit_code(copy, tests, [])
+    return _failures(copy) if tests else []
+
+
+def _failures(copy: Path) -> list[str]:
+    return (copy / _FAILED).read_text("utf-8").split("\n")[:-1]
+
+
+def _exit_code(copy: Path, tests: list[str], arguments: list[str]) -> int | None:
     """Return pytest's exit code of tests on the package in a folder; negative where it took too long."""
-    process = _WARM.Process(target=_run_tests, args=(str(copy), tests))
+    (copy / _FAILED).write_text("")
+    process = _WARM.Process(target=_run_tests, args=(str(copy), [*arguments, *tests]))
     process.start()
     process.join(_WAITED_AT_MOST_S)
     if process.exitcode is None:
@@ -196,25 +219,36 @@ def _exit_code(copy: Path, tests: list[str]) -> int | None:
     return process.exitcode
 
 
-def _run_tests(copy: str, tests: list[str]) -> None:
-    """Run tests on the package in a folder, silently, and exit with their result; called in a process of its own."""
-    resource.setrlimit(resource.RLIMIT_CPU, (_SECONDS_AT_MOST, _SECONDS_AT_MOST))
+def _run_tests(copy: str, arguments: list[str]) -> None:
+    """Run tests on the package in a folder, silently, and exit with their result; called in a process of its own.
+
+    Nothing of it hangs on the host's load: no test has a time limit but that of the processor.
+    """
+    once = "-x" in arguments
+    if once:
+        resource.setrlimit(resource.RLIMIT_CPU, (_SECONDS_AT_MOST, _SECONDS_AT_MOST))
     os.chdir(ROOT)
     sys.path[:0] = [copy, str(ROOT)]
     sys.dont_write_bytecode = True
     with Path(os.devnull).open("w", encoding="utf-8") as nothing, redirect_stdout(nothing), redirect_stderr(nothing):
-        stop = _StopInTime()
-        code = pytest.main(["-q", "-x", "-p", "no:cacheprovider", "-m", FAST, *tests], plugins=[stop])
-        sys.exit(0 if stop.stopped and code == pytest.ExitCode.INTERRUPTED else int(code))
+        watch = _Watch(Path(copy) / _FAILED, _SECONDS_OF_TESTS if once else float("inf"))
+        code = pytest.main(["-q", "-p", "no:cacheprovider", "--timeout", "0", "-m", FAST, *arguments], plugins=[watch])
+        sys.exit(0 if watch.stopped and code == pytest.ExitCode.INTERRUPTED else int(code))
 
 
-class _StopInTime:
-    """A pytest plugin: begins no test after so many seconds of processor."""
+class _Watch:
+    """A pytest plugin: writes down which tests fail, and begins none after so many seconds of processor."""
 
-    stopped = False
+    def __init__(self, file: Path, seconds: float) -> None:
+        self.file, self.seconds, self.stopped = file, seconds, False
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        if report.failed:
+            with self.file.open("a", encoding="utf-8") as file:
+                file.write(f"{report.nodeid}\n")
 
     def pytest_runtest_setup(self, item: pytest.Item) -> None:
-        if time.process_time() > _SECONDS_OF_TESTS:
+        if time.process_time() > self.seconds:
             self.stopped = True
             item.session.shouldstop = "no time is left"
             pytest.skip("no time is left")
