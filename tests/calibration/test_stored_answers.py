@@ -185,8 +185,7 @@ def _unexplained(given: Given) -> Numbers:
     points = given.day.points
     bent = replace(points, pixels=points.pixels + np.where(np.arange(len(points))[:, None] > 200, [0.5, 0.2], 0.0))
     usable = filter_sightings(bent, site=SGP)
-    used = np.arange(len(points)) <= 200
-    found = unexplained_days(replace(given.fit, used=used), usable, 0.25)
+    found = unexplained_days(replace(given.fit, left_out=np.arange(201, len(points))), usable, 0.25)
     return said([found])
 
 
@@ -329,7 +328,7 @@ def _selected(_: Given) -> Numbers:
     still = np.concatenate([points.pixels[:300], np.full((60, 2), 500.0) + rng.normal(0.0, 0.05, (60, 2))])
     seen = sun_directions(times[:360], SGP)
     static = static_sightings(still, seen, np.zeros(360, dtype=np.int64))
-    places = static_positions(still, static)
+    places = static_positions(still[static])
     return {
         "codes": [*chosen.counts().values(), int(chosen.index.sum()), int(stars.sum()), int(static.sum()), len(places)],
         "numbers": [float(np.mean(points.sigma_px[chosen.index]))],
