@@ -261,6 +261,7 @@ class Service:
             clock_error_s=self.clock_watch.error_s,
             notice=self._notice_sun,
             board=self.board,
+            looked_at_again=True,
         )
         follower = FolderWorker(
             options,
@@ -275,6 +276,7 @@ class Service:
             night=None if self.night is None else self.night.frames,
             archive_of=behind.analyse,
             judge_again=self.days.judge_again,
+            look_again=self.watch.look_again,
         )
         return follower, behind
 

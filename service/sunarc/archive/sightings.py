@@ -400,6 +400,7 @@ class SightingStore(Part):
         accepted: bool | None = None,
         pose_epoch: str | None = None,
         body: str | None = SUN,
+        ingest_pass: int | None = None,
         largest_clock_error_s: float | None = None,
         newest_first: bool = False,
         limit: int | None = None,
@@ -410,7 +411,8 @@ class SightingStore(Part):
         """
         c = sun_point.c
         filters = _filters(camera, since=since, until=until, accepted=accepted, pose_epoch=pose_epoch)
-        filters += [*_clock_within(largest_clock_error_s), *given((c.body.__eq__, body))]
+        filters += [*_clock_within(largest_clock_error_s)]
+        filters += given((c.body.__eq__, body), (c.ingest_pass.__eq__, ingest_pass))
         fields = [column for column in c if column.name != "id"]
         order = (c.time.desc(), c.id.desc()) if newest_first else (c.time, c.id)
         return self._database.values(select(*fields).where(*filters).order_by(*order).limit(limit), SunPoint)

@@ -168,7 +168,7 @@ _LIVE = timedelta(minutes=15)
 _AGAIN_S = 30.0
 _SIZES = 15
 _LATE_S = 600.0
-"""After the last late image of a day that day is judged."""
+"""After the last late image its day is judged, and a move looked for."""
 _GONE = timedelta(days=30)
 _PREFIXES = 12
 """So many images in a row with other names are those of a camera that was renamed."""
@@ -194,6 +194,7 @@ class FolderWorker:
     night : takes the images of the night; None: they are left out.
     archive_of : asked to analyse the folder's older files as an archive, behind the live images.
     judge_again : called with the day of an image that came late.
+    look_again : called a while after the last late image: a move may be seen in such images alone.
     """
 
     options: FolderOptions
@@ -209,6 +210,7 @@ class FolderWorker:
     night: DropOldestQueue[Frame] | None = None
     archive_of: Callable[[Sequence[SourceFile]], None] = lambda _: None
     judge_again: Callable[[date], None] = lambda _: None
+    look_again: Callable[[], None] = lambda: None
 
     def __post_init__(self) -> None:
         """Begin without a file."""
@@ -225,6 +227,7 @@ class FolderWorker:
         self._late: dict[str, SourceFile] = {}
         self._again: dict[str, float] = {}
         self._late_days: dict[date, float] = {}
+        self._late_s: float | None = None
         self._prefixes: deque[str] = deque(maxlen=_PREFIXES)
         self._usual: str | None = None
         self._stack_size = 1
@@ -309,6 +312,9 @@ class FolderWorker:
             some = [self._late.pop(name) for name in list(self._late)[:1]]
             self._take_files(some, heartbeat, live=False)
             return True
+        if self._late_s is not None and (now_s - self._late_s) * self.frame_time.speed >= _LATE_S:
+            self._late_s = None
+            self.look_again()
         return False
 
     def _newest_ready(self) -> dict[str, tuple[SourceFile, float]]:
@@ -506,7 +512,7 @@ class FolderWorker:
                 self._refuse(one.file, finding, one)
         if not live:
             day = self._day(time.timestamp())
-            self._late_days[day] = self.clock.monotonic()
+            self._late_days[day] = self._late_s = self.clock.monotonic()
             self.judge_again(day)
 
     def _members(self, seen: Sequence[SeenFile], *, without: Container[str]) -> Iterator[_Dated]:

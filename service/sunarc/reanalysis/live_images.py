@@ -22,7 +22,7 @@ from sunarc.reanalysis.cameras import register_camera
 from sunarc.reanalysis.detect_files import Method
 from sunarc.reanalysis.learned_sigma import ValidCamera, factor_in_force, learn_sigma, with_factor
 from sunarc.reanalysis.look import IN_STACK, Answer, Chunk, Item, look_at
-from sunarc.reanalysis.passes import PREDICTED, SEARCHED, as_predicted, expectations
+from sunarc.reanalysis.passes import PREDICTED, SEARCHED, as_predicted, expectations, held_to
 from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.settings.model import Settings
 from sunarc.workers.calibrating.provisional_pose import is_provisional
@@ -108,6 +108,8 @@ class LiveImages:
     clock_error_s : bound of the error of an image's time, s.
     notice : called with the time and place of each sun that was found, for the detection of changes.
     board : where repetitions are reported.
+    looked_at_again : whether the images from before the first calibration are looked at again elsewhere; otherwise
+        their sightings are held to it here.
     """
 
     camera: CameraArchive
@@ -117,6 +119,7 @@ class LiveImages:
     clock_error_s: Callable[[datetime], float]
     notice: Callable[[datetime, Detection], None]
     board: StatusRegistry
+    looked_at_again: bool = False
 
     def __post_init__(self) -> None:
         """Begin without an image."""
@@ -241,10 +244,21 @@ class LiveImages:
         """Learn the sigma of the sightings in images once from each calibration of a full fit."""
         if record is None or model is None or record.id == self._learned_with or is_provisional(model):
             return
+        if not self.looked_at_again:
+            self._hold_to(record, model)
         self._learned_with = record.id
         until = float("inf") if record.valid_until is None else record.valid_until.timestamp()
         valid = ValidCamera(model, record.valid_from.timestamp(), until)
         learn_sigma(self.camera.archive, self.settings, [valid], now=record.created_at)
+
+    def _hold_to(self, record: CalibrationRecord, model: Calibration) -> None:
+        """Refuse sightings of a whole image that are not where a calibration of their pose says the sun was."""
+        searched = self.camera.archive.sightings.find(
+            self.camera.name, accepted=True, pose_epoch=record.pose_epoch, ingest_pass=SEARCHED
+        )
+        times = np.array([one.time.timestamp() for one in searched])
+        expected = expectations(model, times, site=self.camera.site)
+        self._store([held_to(*one) for one in zip(searched, expected, strict=True)])
 
 
 def _frozen(repeated: Finding) -> Detection:

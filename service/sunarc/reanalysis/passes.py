@@ -11,6 +11,7 @@ from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
+from sunarc.archive.values import SunPoint
 from sunarc.array_types import FloatArray
 from sunarc.calibration.answers.covariance import project_with_covariance
 from sunarc.calibration.model.result import Calibration
@@ -492,11 +493,22 @@ def is_consistent(sighting: WithPosition, expected: Expectation | None) -> bool:
 
 def as_predicted(found: Detection, expected: Expectation | None) -> Detection:
     """Return a detection in an ordinary image, refused where it is farther from the prediction than both state."""
+    displaced = _displaced(found, expected)
+    return found if displaced is None else replace(found, accepted=False, verdict="reflection", findings=(displaced,))
+
+
+def held_to(point: SunPoint, expected: Expectation | None) -> SunPoint:
+    """Return a stored sighting of an image that was searched without a prediction, as with it."""
+    displaced = _displaced(point, expected)
+    kept = replace(point, ingest_pass=PREDICTED)
+    return kept if displaced is None else replace(kept, accepted=False, verdict="reflection", findings=(displaced,))
+
+
+def _displaced(found: Detection | SunPoint, expected: Expectation | None) -> Finding | None:
     if not found.accepted or found.method != "paper" or expected is None or is_consistent(found, expected):
-        return found
+        return None
     distance = math.hypot((found.x_px or 0.0) - expected.x_px, (found.y_px or 0.0) - expected.y_px)
-    displaced = (Finding("blob_displaced", {"distance_px": distance}),)
-    return replace(found, accepted=False, verdict="reflection", findings=displaced)
+    return Finding("blob_displaced", {"distance_px": distance})
 
 
 def epoch_at(epochs: Sequence[Epoch], unix_s: float) -> int:

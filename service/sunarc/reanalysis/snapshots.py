@@ -223,6 +223,7 @@ CODES = (
     *("rtsp_status", "rtsp_no_frame", "rtsp_too_many_pixels", "rtsp_refused"),
 )
 """Conditions of a camera that gives no picture, one at a time."""
+_REFUSED = {"http": "http_refused", "rtsp": "rtsp_refused"}
 
 
 class PictureClient(Protocol):
@@ -350,6 +351,4 @@ class SnapshotWorker:
 
     def _refused(self, finding: Finding) -> Finding:
         why, remedy = MESSAGES.text_of(finding), MESSAGES.remedy_of(finding)
-        if self.kind == "rtsp":
-            return Finding("rtsp_refused", {"why": why, "remedy": remedy})
-        return Finding("http_refused", {"why": why, "remedy": remedy})
+        return Finding(_REFUSED[self.kind], {"why": why, "remedy": remedy})

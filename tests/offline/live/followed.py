@@ -1,4 +1,4 @@
-"""A service that follows a folder, in virtual time: its worker is turned by hand."""
+"""A service that follows a folder, in virtual time: its worker is turned by hand. A calibration for such a service."""
 
 from __future__ import annotations
 
@@ -6,12 +6,17 @@ import os
 from datetime import datetime
 from pathlib import Path
 
+import numpy as np
 from tests.fixtures.settings import new_settings
+from tests.offline.live.sky_pictures import Lens, sun_at
 
 from sunarc.app.service import Service
 from sunarc.archive.archive import open_archive
 from sunarc.archive.database.schema import upgrade
 from sunarc.archive.values import SunPoint
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.document import to_document
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.reanalysis.folder_worker import FolderWorker
 from sunarc.runtime.clock import VirtualClock
 
@@ -70,3 +75,30 @@ class Followed:
 
     def close(self) -> None:
         self.service.archive.close()
+
+
+def serve_calibration_of(service: Service, lens: Lens, day: datetime) -> None:
+    """Have a service serve what a day's sightings say of a lens, in the present pose epoch.
+
+    Parameters
+    ----------
+    day : its morning.
+    """
+    suns = {day.timestamp() + 300.0 * n: sun_at(datetime.fromtimestamp(day.timestamp() + 300.0 * n, day.tzinfo))
+            for n in range(100)}  # fmt: skip
+    up = {at: sun for at, sun in suns.items() if sun[0] < 82.0}
+    noise = np.random.default_rng(1).normal(0.0, 0.1, (len(up), 2))
+    points = Sightings.of(unix_s=np.array(list(up)), pixels=np.array([lens.pixel(*sun) for sun in up.values()]) + noise)
+    (epoch,) = service.archive.epochs.find("roof")
+    document = to_document(
+        calibrate(points, site=service.settings.site, image_size=(lens.size, lens.size)),
+        id="full",
+        camera="roof",
+        state="candidate",
+        created_at=service.clock.now(),
+        valid_from=epoch.started_at,
+        valid_until=None,
+        pose_epoch=epoch.id,
+        software_version="1",
+    )
+    service.archive.calibrations.activate(service.archive.calibrations.add(document).id)

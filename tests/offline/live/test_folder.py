@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.offline.live.followed import Followed
+from tests.offline.live.followed import Followed, serve_calibration_of
 from tests.offline.live.sky_pictures import Lens, jpeg, picture, sun_at
 from tests.offline.live.test_snapshots import bomb
 
@@ -138,6 +138,26 @@ def test_an_upload_after_six_hours_is_taken_and_its_day_judged_again(followed: F
     followed.turn()
     assert len(followed.points()) == 35
     assert (len(noticed), noticed) == (30, sorted(noticed))  # in another order the sun would seem to go back
+
+
+def test_a_move_that_late_images_alone_show_is_noticed_and_dated_by_them(followed: Followed) -> None:
+    take(followed, 4, every_s=300.0)
+    serve_calibration_of(followed.service, LENS, MORNING - timedelta(hours=2))
+    turned = Lens(turn_deg=LENS.turn_deg + 3.0)
+    times = [MORNING + timedelta(minutes=40 + 10 * n) for n in range(14)]
+    followed.clock.advance((times[-1] - followed.clock.now()).total_seconds())
+    for time in (times[-1], *np.random.default_rng(1).permutation(times[:-1]).tolist()):  # the last one comes first
+        followed.write(allsky(time), shot(time, lens=LENS if time < times[4] else turned))
+        followed.turn()
+        followed.service.watch.process_next()
+    assert len(followed.service.archive.epochs.find("roof")) == 1  # more may come
+    followed.clock.advance(600.0)
+    followed.turn()
+    followed.service.watch.process_next()
+    began, moved = followed.service.archive.epochs.find("roof")
+    assert (began.ended_at, moved.started_at, moved.reason) == (times[4], times[4], "bump")
+    assert {point.pose_epoch for point in followed.points() if point.time >= times[4]} == {moved.id}
+    assert all(point.accepted for point in followed.points())
 
 
 def test_a_copy_is_known_by_its_content_and_a_picture_that_comes_again_is_frozen(followed: Followed) -> None:

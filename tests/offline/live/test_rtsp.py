@@ -23,7 +23,9 @@ from sunarc.archive.database.schema import upgrade
 from sunarc.cameras.options import RtspOptions
 from sunarc.errors import ConfigurationError, InputError
 from sunarc.findings import Finding
+from sunarc.reanalysis import rtsp
 from sunarc.reanalysis.rtsp import RtspClient
+from sunarc.reanalysis.snapshots import Snapshot
 from sunarc.runtime.clock import ClockState, SystemClock
 
 MORNING = datetime(2025, 5, 13, 15, 0, tzinfo=UTC)
@@ -184,6 +186,13 @@ def test_a_server_that_gives_nothing_is_left_in_time(camera: RtspCamera, fault: 
 def test_a_stream_without_a_frame(camera: RtspCamera) -> None:
     camera.image = None
     assert code_of(camera) == "rtsp_no_frame"
+
+
+def test_a_stream_of_too_many_pixels_is_not_decoded(camera: RtspCamera, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rtsp, "MOST_PIXELS", 320 * 320 - 1)
+    assert code_of(camera) == "rtsp_too_many_pixels"
+    monkeypatch.setattr(rtsp, "MOST_PIXELS", 320 * 320)
+    assert isinstance(client(camera).picture(), Snapshot)
 
 
 def test_a_port_that_is_closed() -> None:

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.fixtures.settings import new_settings
-from tests.offline.live.followed import never
+from tests.offline.live.followed import never, serve_calibration_of
 from tests.offline.live.sky_pictures import Lens, jpeg, picture, sun_at
 
 from sunarc.app.service import Service
@@ -89,10 +89,10 @@ def camera() -> Iterator[Camera]:
 class Asked:
     """A service that asks a camera, in virtual time."""
 
-    def __init__(self, base: Path, url: str, **options: object) -> None:
+    def __init__(self, base: Path, url: str, *, start: datetime = MORNING, **options: object) -> None:
         settings = new_settings(base, source="http", http={"url": url, **options})
         upgrade(settings.database)
-        self.clock = VirtualClock(MORNING)
+        self.clock = VirtualClock(start)
         archive = open_archive(settings.archive)
         self.service = Service(settings, archive=archive, clock=self.clock, open_camera=never)  # type: ignore[arg-type]
 
@@ -129,6 +129,22 @@ def test_pictures_are_dated_by_the_host_and_stored(asked: Asked, camera: Camera,
     assert asked.codes() == set()
     assert [path.name for path in (tmp_path / "state" / "snapshots").iterdir()] == ["20250513T150100.000Z_hdr.jpg"]
     assert not list((tmp_path / "state").glob("images/*/*/*/*"))
+
+
+def test_sightings_from_before_the_first_calibration_are_held_to_it(asked: Asked, camera: Camera) -> None:
+    elsewhere = Lens(turn_deg=60.0)
+    for n in range(6):
+        now = asked.clock.now()
+        camera.answer = sent(jpeg(picture(now, elsewhere if n == 2 else LENS, np.random.default_rng(n))))
+        asked.take()
+    find = asked.service.archive.sightings.find
+    assert [point.accepted for point in find("roof", ingest_pass=1)] == 6 * [True]
+    serve_calibration_of(asked.service, LENS, MORNING - timedelta(hours=2))
+    camera.answer = sent(shot(asked.clock.now()))
+    asked.take()
+    assert [(point.accepted, point.ingest_pass) for point in find("roof")] == [(n != 2, 2) for n in range(7)]
+    (refused,) = find("roof", accepted=False)
+    assert (refused.verdict, [one.code for one in refused.findings]) == ("reflection", ["blob_displaced"])
 
 
 def test_pictures_are_kept_where_that_is_set(camera: Camera, tmp_path: Path) -> None:

@@ -95,7 +95,7 @@ class HeldOut(NamedTuple):
 
 
 def held_out(fit: RobustFit, usable: Sightings, parts: Sequence[_Without]) -> HeldOut | None:
-    """Return the cross-validation over whole days, see `without_parts`; None with fewer than two days a pose."""
+    """Return the cross-validation over whole days, see `without_parts`; None with fewer than two that say something."""
     if np.unique(usable.day).size < 2:
         return None
     found, expected, count, size = 0.0, 0.0, 0, fit.system.at.size
@@ -107,14 +107,17 @@ def held_out(fit: RobustFit, usable: Sightings, parts: Sequence[_Without]) -> He
             variance += np.einsum("nap,pq,naq->n", rows[..., :size], covariance[:size, size:], rows[..., size:])
             variance += 2.0 * fit.scales.amplitude_px**2
             rows, step = rows[..., :size], step[:size]
-        counted = without.out & (fit.noise.weight > 0.0)
+        counted = np.flatnonzero(without.out & (fit.noise.weight > 0.0))
         bin_of = np.searchsorted(np.flatnonzero(without.bins), fit.member[counted])
+        # the other days leave it open by more than the image: a minute of the next morning says nothing of a day
+        is_known = variance[bin_of] < max(fit.problem.template.width, fit.problem.template.height) ** 2
+        counted, bin_of = counted[is_known], bin_of[is_known]
         found += float(np.sum((fit.residual[counted] - (rows @ step)[bin_of]) ** 2))
         # two axes
         noise = 2.0 * (fit.noise.scale * usable.sigma_px)[counted] ** 2
         # of a camera that is far off, the part's share of the normal equations may not be separable from the whole
         expected += float(np.sum(np.maximum(variance, 0.0)[bin_of] + noise))
-        count += int(counted.sum())
+        count += counted.size
     return HeldOut(math.sqrt(found / count), math.sqrt(expected / count)) if count else None
 
 

@@ -81,6 +81,7 @@ class WatchWorker:
     def __post_init__(self) -> None:
         """Begin with an empty window."""
         self._sightings: DropOldestQueue[Sighting] = DropOldestQueue(capacity=_WAITING)
+        self._older_came = threading.Event()
         self._watch = SightingWindow()
         self._epoch: str | None = None
         self._has_future_epochs = False
@@ -130,11 +131,16 @@ class WatchWorker:
         for point in reversed(usable):
             self._process_safely(_of_point(point, self._observed))
 
+    def look_again(self) -> None:
+        """Have the window filled anew: sightings were stored that are older than its last one; never waits."""
+        self._older_came.set()
+
     def process_next(self, *, timeout_s: float = 0.0) -> bool:
         """Look at the next sighting, if there is one within `timeout_s`; return whether there was."""
         sighting = self._sightings.get(timeout_s=timeout_s)
-        if sighting is not None:
+        if sighting is not None or self._older_came.is_set():
             self._begin_anew_if_outdated()
+        if sighting is not None:
             self._process_safely(sighting)
         return sighting is not None
 
@@ -143,7 +149,8 @@ class WatchWorker:
             if self._is_of_another_epoch():
                 self._clear_move()
                 self.remember()
-            elif self._is_ahead():
+            elif self._is_ahead() or (self._older_came.is_set() and self._fault is None):
+                self._older_came.clear()
                 self.remember()
             elif self._has_future_epochs:
                 self._publish_future_epochs()
