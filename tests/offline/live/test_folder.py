@@ -146,7 +146,8 @@ def test_a_move_that_late_images_alone_show_is_noticed_and_dated_by_them(followe
     turned = Lens(turn_deg=LENS.turn_deg + 3.0)
     times = [MORNING + timedelta(minutes=40 + 10 * n) for n in range(14)]
     followed.clock.advance((times[-1] - followed.clock.now()).total_seconds())
-    for time in (times[-1], *np.random.default_rng(1).permutation(times[:-1]).tolist()):  # the last one comes first
+    order = np.random.default_rng(1).permutation(13).tolist()
+    for time in (times[-1], *(times[number] for number in order)):  # the last one comes first
         followed.write(allsky(time), shot(time, lens=LENS if time < times[4] else turned))
         followed.turn()
         followed.service.watch.process_next()

@@ -89,8 +89,10 @@ def camera() -> Iterator[Camera]:
 class Asked:
     """A service that asks a camera, in virtual time."""
 
-    def __init__(self, base: Path, url: str, *, start: datetime = MORNING, **options: object) -> None:
-        settings = new_settings(base, source="http", http={"url": url, **options})
+    def __init__(
+        self, base: Path, url: str, *, start: datetime = MORNING, cadence_s: float = 30.0, **options: object
+    ) -> None:
+        settings = new_settings(base, source="http", http={"url": url, **options}, capture={"cadence_s": cadence_s})
         upgrade(settings.database)
         self.clock = VirtualClock(start)
         archive = open_archive(settings.archive)
@@ -287,9 +289,9 @@ def test_a_certificate_is_verified_and_the_cameras_own_can_be_named(tmp_path: Pa
     camera = Camera(both)
     camera.answer = sent(shot(MORNING))
     codes = []
-    for base, options in (("a", {}), ("b", {"ca_file": tmp_path / "own.pem"})):
+    for base, ca_file in (("a", None), ("b", tmp_path / "own.pem")):
         (tmp_path / base).mkdir()
-        asked = Asked(tmp_path / base, f"https://127.0.0.1:{camera.port}/", **options)
+        asked = Asked(tmp_path / base, f"https://127.0.0.1:{camera.port}/", ca_file=ca_file)
         asked.take()
         codes.append(asked.codes())
         asked.service.archive.close()
