@@ -40,13 +40,21 @@ def booted(text: str) -> list[str]:
         kinds = [(_OUTCOMES[part.tag], part.get("message", "")) for part in case if part.tag in _OUTCOMES]
         outcome, why = kinds[0] if kinds else ("passed", "")
         counts[outcome] += 1
-        seconds += float(case.get("time", "0"))
+        took_s = float(case.get("time", "0"))
+        seconds += took_s
         said = f"{outcome}: {_cell(why)}" if why else outcome
-        rows.append(f"| {case.get('classname', '').rpartition('.')[2]} | {case.get('name')} | {said} |")
+        file = case.get("classname", "").rpartition(".")[2]
+        rows.append(f"| {file} | {_cell(case.get('name', ''))} | {took_s:.0f} | {said} |")
     if not rows:
         raise ValueError("no test was run")
     total = f"{counts['passed']} passed, {counts['**failed**']} failed, {counts['skipped']} skipped"
-    return [f"{total}, in {seconds / 60.0:.0f} minutes.", "", "| file | test | outcome |", "|---|---|---|", *rows]
+    return [
+        f"{total}, in {seconds / 60.0:.0f} minutes.",
+        "",
+        "| file | test | s | outcome |",
+        "|---|---|---|---|",
+        *rows,
+    ]
 
 
 def campaign(text: str) -> list[str]:

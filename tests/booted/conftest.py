@@ -141,6 +141,12 @@ class Field:
                 text=True,
             )
 
+    def begin(self) -> None:
+        """Switch imager and machine on, and wait until the service is ready."""
+        self.image()
+        self.machine.boot()
+        self.wait_until_ready()
+
     def order(self, register: str, value: int) -> None:
         """Write a register of the imager, by its name in `sunarc.simulation.fake_camera`."""
         assert self._imager is not None
@@ -305,7 +311,14 @@ def field_computer(new_field: Fields, installed: Path) -> Field:
     """Return a booted field computer whose service is ready and whose imager is on."""
     made = new_field(installed)
     made.configure()
-    made.image()
-    made.machine.boot()
-    made.wait_until_ready()
+    made.begin()
+    return made
+
+
+@pytest.fixture
+def former_computer(new_field: Fields, installed_before: Path) -> Field:
+    """Return a booted field computer with the previous version, ready, whose imager is on."""
+    made = new_field(installed_before)
+    made.configure(binning=None)  # which the version before did not know
+    made.begin()
     return made

@@ -90,12 +90,8 @@ def test_the_script_installs_on_a_fresh_machine_and_once_more_over_itself(new_fi
     assert field.wait_for_sightings(1) > stored
 
 
-def test_the_script_upgrades_the_previous_version(new_field: Fields, installed_before: Path, work: Path) -> None:
-    field = new_field(installed_before)
-    field.configure(binning=None)  # which the version before did not know
-    field.image()
-    field.machine.boot()
-    field.wait_until_ready()
+def test_the_script_upgrades_the_previous_version(former_computer: Field, work: Path) -> None:
+    field = former_computer
     stored = field.wait_for_sightings(2)
     printed = run_script(field, work / "sunarc.deb")
     assert "install: ready: serving at" in printed

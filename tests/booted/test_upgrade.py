@@ -14,7 +14,7 @@ from .conftest import AS_SUNARC
 from .machine import wait_for
 
 if TYPE_CHECKING:
-    from .conftest import Field, Fields
+    from .conftest import Field
 
 pytestmark = [pytest.mark.booted, pytest.mark.timeout(1800)]
 
@@ -51,6 +51,13 @@ def install(field: Field, package: Path) -> float:
     return used + started
 
 
+def take_back(field: Field, package: Path, revision: str) -> None:
+    """Go back to a former package and its revision of the database, as docs/operating/alerts.md says."""
+    field.do("systemctl", "stop", "sunarc")
+    field.do(*SUNARC, "db", "downgrade", "--to", revision, "--state", "/var/lib/sunarc")
+    install(field, package)
+
+
 def children_processor_s() -> float:
     """Return the processor time of all processes that this one started and that have ended, seconds."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -58,13 +65,9 @@ def children_processor_s() -> float:
 
 
 def test_a_year_of_data_is_upgraded_in_a_minute_of_processor_and_can_go_back(
-    new_field: Fields, installed_before: Path, work: Path
+    former_computer: Field, work: Path
 ) -> None:
-    field = new_field(installed_before)
-    field.configure(binning=None)  # which the version before did not know
-    field.image()
-    field.machine.boot()
-    field.wait_until_ready()
+    field = former_computer
     field.remember(days=DAYS, a_day=A_DAY)
     revision, n = field.sql("SELECT version_num FROM alembic_version"), field.sightings()
     assert n > DAYS * A_DAY * 0.9
@@ -75,9 +78,7 @@ def test_a_year_of_data_is_upgraded_in_a_minute_of_processor_and_can_go_back(
     assert field.path(f"/var/lib/sunarc/sunarc.sqlite.before-{revision}").exists()
     n = field.wait_for_sightings(2)
 
-    field.do("systemctl", "stop", "sunarc")
-    field.do(*SUNARC, "db", "downgrade", "--to", revision, "--state", "/var/lib/sunarc")
-    install(field, work / "previous.deb")
+    take_back(field, work / "previous.deb", revision)
     assert field.sql("SELECT version_num FROM alembic_version") == revision
     assert field.sightings() >= n
     field.wait_for_sightings(1)
@@ -86,14 +87,10 @@ def test_a_year_of_data_is_upgraded_in_a_minute_of_processor_and_can_go_back(
 
 @pytest.mark.smoke
 def test_a_machine_is_upgraded_killed_taken_back_and_purged_and_loses_nothing(
-    new_field: Fields, installed_before: Path, work: Path
+    former_computer: Field, work: Path
 ) -> None:
     """Of each once, on one machine that has no network: what tests/run does where a machine is kept."""
-    field = new_field(installed_before)
-    field.configure(binning=None)  # which the version before did not know
-    field.image()
-    field.machine.boot()
-    field.wait_until_ready()
+    field = former_computer
     n, revision = field.wait_for_sightings(2), field.sql("SELECT version_num FROM alembic_version")
 
     install(field, work / "sunarc.deb")
@@ -109,9 +106,7 @@ def test_a_machine_is_upgraded_killed_taken_back_and_purged_and_loses_nothing(
     restarted = field.wait_for_sightings(1)
     assert restarted > upgraded
 
-    field.do("systemctl", "stop", "sunarc")
-    field.do(*SUNARC, "db", "downgrade", "--to", revision, "--state", "/var/lib/sunarc")
-    install(field, work / "previous.deb")
+    take_back(field, work / "previous.deb", revision)
     taken_back = field.wait_for_sightings(1)
     assert taken_back > restarted
 
@@ -148,13 +143,9 @@ def set_revision(field: Field, revision: str) -> str:
 
 
 def test_the_power_cut_in_the_middle_of_an_upgrade_leaves_a_version_that_works(
-    new_field: Fields, installed_before: Path, work: Path
+    former_computer: Field, work: Path
 ) -> None:
-    field = new_field(installed_before)
-    field.configure(binning=None)  # which the version before did not know
-    field.image()
-    field.machine.boot()
-    field.wait_until_ready()
+    field = former_computer
     field.wait_for_sightings(1)
     shutil.copy(work / "sunarc.deb", field.path("/srv/sunarc.deb"))
     for reached in MOMENTS:

@@ -22,10 +22,10 @@ XML = """<testsuites><testsuite>
 def test_the_booted_sets_page_has_every_test_with_its_outcome() -> None:
     lines = last_run.booted(XML)
     assert lines[0] == "1 passed, 1 failed, 1 skipped, in 2 minutes."
-    assert "| test_power | test_a_cut | passed |" in lines
-    assert "| test_upgrade | test_old | skipped: no package |" in lines
+    assert "| test_power | test_a_cut | 90 | passed |" in lines
+    assert "| test_upgrade | test_old | 0 | skipped: no package |" in lines
     (failed,) = [line for line in lines if "**failed**" in line]
-    assert failed.endswith("two lines \\| of it |")
+    assert failed == "| test_power | test_many_cuts[1\\|2] | 30 | **failed**: two lines \\| of it |"
 
 
 def test_the_campaigns_page_has_every_fault_and_what_was_found() -> None:
