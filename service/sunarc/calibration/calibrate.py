@@ -1,21 +1,15 @@
-"""From sightings to a calibration: one, many of one geometry, or a stored one again."""
+"""From sightings to a calibration: a new one, or a stored one again."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from sunarc.array_types import FloatArray
-from sunarc.calibration.fit.assemble import Job, calibration_from_fit, refused, robust_outcome, tidied
+from sunarc.calibration.fit.assemble import Job, calibration_from_fit, refused, robust_outcome
 from sunarc.calibration.fit.cross_validation import contradiction, without_night
-from sunarc.calibration.fit.effects import with_effects
-from sunarc.calibration.fit.marginal_likelihood import HyperparameterGrid, prior_precision
-from sunarc.calibration.fit.robust_fit import RobustFit, fit_robustly, grid_of
-from sunarc.calibration.fit.robust_rounds import robust_camera
+from sunarc.calibration.fit.robust_fit import RobustFit, fit_robustly
 from sunarc.calibration.model.options import (
     USUAL_OPTIONS,
     CalibrationOptions,
@@ -26,16 +20,10 @@ from sunarc.calibration.model.options import (
 )
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
-from sunarc.calibration.noise import NoiseGroups
 from sunarc.calibration.paper import fit_as_paper
 from sunarc.calibration.quality.acceptance import with_pose_spread
 from sunarc.calibration.quality.fit_checks import before_fit, below_horizon
-from sunarc.calibration.robust_loss import robust_sigma
-from sunarc.calibration.solve.levenberg_marquardt import information, most_probable
-from sunarc.calibration.solve.priors import Whitened
-from sunarc.calibration.solve.problem import FitProblem
-from sunarc.calibration.start.initial_guess import first_cameras, level_camera, single_problem
-from sunarc.calibration.start.multistart import SMALLEST_SIGMA_PX, distance_sigmas
+from sunarc.calibration.start.initial_guess import first_cameras, level_camera
 from sunarc.errors import InputError
 from sunarc.findings import Finding
 from sunarc.optics.camera import Camera
@@ -159,138 +147,6 @@ def most_plausible_start(job: Job) -> Start | None:
     if not math.isfinite(cost):
         return None
     return Start(cameras, cost, ambiguous=any(other - cost < _AMBIGUOUS for _, other in others))
-
-
-# Many data sets of one geometry: detections at the same moments by cameras like one that is known.
-#
-# Monte Carlo, for one: the same arc again and again, other noise. What the sets share is made once (directions, bins,
-# scales to try, the lens's prior), the search for a start is left out, since all begin at the known camera, and so is
-# the uncertainty: what is returned is the camera that `calibrate` returns.
-
-_SETTLING = 3
-_STEPS = 10
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Batch:
-    """What fits of one geometry share.
-
-    Attributes
-    ----------
-    camera : where all fits begin: the true camera of a simulation, or the first fit.
-    options : of the fits.
-    usable : the sightings that count in every set; their detections are those of the first set.
-    n_supplied : how many detections a set has.
-    groups, grid : of the robust rounds.
-    problem : the camera sought, its prior about the first image circle.
-    circle : that circle, or None: then no set has one.
-    """
-
-    camera: Camera
-    options: CalibrationOptions
-    usable: Sightings
-    n_supplied: int
-    groups: NoiseGroups
-    grid: HyperparameterGrid
-    problem: FitProblem
-    circle: ImageCircle | None
-
-    @classmethod
-    def near(
-        cls,
-        camera: Camera,
-        points: Sightings,
-        *,
-        site: Site,
-        options: CalibrationOptions = USUAL_OPTIONS,
-        circle: ImageCircle | None = None,
-    ) -> Batch:
-        """Return what the fits of sightings like these share.
-
-        Parameters
-        ----------
-        camera : near the cameras that are sought: within some px over the sky.
-        points : one set, of one pose.
-        site : where the camera stands.
-        options : how to fit; projection and mirroring are the camera's.
-        circle : the image circle of the first set, where the sets have one.
-
-        Raises
-        ------
-        InputError
-            Where the points are of several poses.
-        """
-        options = replace(options, projection=camera.projection, mirrored="yes" if camera.mirrored else "no")
-        usable = filter_sightings(points, site=site)
-        if int(usable.epoch.max(initial=0)) > 0:
-            raise InputError(field="epoch", problem="several poses", remedy="fit the sightings of one pose at a time")
-        camera = camera.lens_alone()
-        return cls(
-            camera=camera,
-            options=options,
-            usable=usable,
-            n_supplied=len(points),
-            groups=NoiseGroups.of(usable),
-            grid=grid_of(camera, options),
-            problem=single_problem(usable, camera, options, circle),
-            circle=circle,
-        )
-
-    def fitted(self, pixels: FloatArray, *, circle: ImageCircle | None = None) -> Camera:
-        """Return the camera that a set of detections gives.
-
-        Parameters
-        ----------
-        pixels : (n_supplied, 2) px, in the order of the points; finite.
-        circle : the set's own image circle, in place of the first one.
-
-        Raises
-        ------
-        InputError
-            Where the detections are not those of the geometry, or a circle comes without a first one.
-        """
-        if np.shape(pixels) != (self.n_supplied, 2) or not np.all(np.isfinite(pixels)):
-            raise InputError(
-                field="pixels", problem=f"shape {np.shape(pixels)}", remedy=f"give {self.n_supplied} finite x, y"
-            )
-        if circle is not None and self.circle is None:
-            raise InputError(field="image circle", problem="only of this set", remedy="give the first set one, too")
-        observed = replace(self.usable, pixels=np.asarray(pixels, dtype=np.float64)[self.usable.index])
-        if self.options.method == "paper":
-            found = fit_as_paper(observed, [self.camera], options=self.options, quickly=True).cameras[0]
-        else:
-            found = self._robust(observed, self._problem(circle))
-        return tidied(found, self.options)
-
-    def _problem(self, circle: ImageCircle | None) -> FitProblem:
-        if circle is None:
-            return self.problem
-        size, mean = (self.camera.width, self.camera.height), self.problem.prior.mean.copy()
-        first = level_camera(circle, image_size=size, options=self.options)
-        mean[: Whitened.RADIAL] = *first.focal_length_px, 0.0, *first.principal_point_px
-        return replace(self.problem, prior=replace(self.problem.prior, mean=mean))
-
-    def _robust(self, observed: Sightings, problem: FitProblem) -> Camera:
-        plain = self._without_field(observed, problem)
-        problem, observed = with_effects(problem, plain, observed)
-        found = robust_camera(problem, observed, plain, groups=self.groups, grid=self.grid, near_minimum=True)
-        camera = found.problem.camera(found.unknowns)
-        if found.state.field_odds <= 0.0:
-            return camera
-        mean = found.field_mean(found.system(observed, self.groups.bins).normal())
-        return camera if mean is None else replace(camera, displacement=found.grid.basis.displacement(mean))
-
-    def _without_field(self, observed: Sightings, problem: FitProblem) -> FloatArray:
-        """Return the unknowns of the robust fit from the known camera: the weights by turns with the bins' solution."""
-        tolerances, bins = self.options.tolerances, self.groups.bins
-        precision = prior_precision(problem.size, tolerances.radial_px, tolerances.decentering_px)
-        at = problem.unknowns([self.camera])
-        for _ in range(_SETTLING):
-            sigma = robust_sigma(distance_sigmas(problem, observed, at), floor=SMALLEST_SIGMA_PX)
-            weighed = information(problem.residuals(at, observed), observed, sigma)
-            means = bins.observations(observed, problem, at, information=weighed)
-            at = most_probable(problem, means, at, precision=precision, iterations=_STEPS, tolerance=1e-4).unknowns
-        return at
 
 
 # The fit of a past calibration once more, from its own evidence.

@@ -10,7 +10,7 @@ import numpy as np
 
 from sunarc import _kernels
 from sunarc.array_types import FloatArray, IntArray
-from sunarc.calibration.fit.assemble import FitOutcome, no_field
+from sunarc.calibration.fit.assemble import FitOutcome, unseen_field
 from sunarc.calibration.model.options import CalibrationOptions, PaperOptions
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.robust_loss import finite
@@ -113,7 +113,7 @@ def fit_as_paper(
         cameras=[*cameras[:last], camera],
         parameter_names=tuple(PARAMETER_NAMES[i] for i in moving),
         covariance=variance * normal_inverse(normal[np.ix_(moving, moving)]),
-        field=no_field(camera, size=moving.size),
+        field=unseen_field(camera, size=moving.size),
         residual=residual,
         used=in_epoch,
         sigma_px=math.sqrt(variance),

@@ -12,7 +12,7 @@ from annotated_types import Gt, Le
 from sunarc.array_types import FloatArray
 from sunarc.bounds import require_bounds
 from sunarc.calibration.answers.error_model import error_model_of
-from sunarc.calibration.fit.assemble import Job, calibration_from_fit, no_field, refused
+from sunarc.calibration.fit.assemble import Job, calibration_from_fit, refused, unseen_field
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances
 from sunarc.calibration.model.result import Calibration, refused_for, with_options
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
@@ -90,7 +90,7 @@ def calibrate_with_prior(
         return refused(job, (Finding("too_few_sightings", {"n": len(usable), "least": FEWEST}),))
     basis = whitened_basis(prior, tolerances)
     # its pose is free of error: `fit_pose` adds what is not known of it
-    field = no_field(prior, size=FREE.size)
+    field = unseen_field(prior, size=FREE.size)
     start = stated_calibration(job, prior, covariance=basis @ basis.T, field=field)
     sightings = with_noise(usable, points, start)
     turned_rad = None if tolerances.pose_deg is None else math.radians(tolerances.pose_deg)

@@ -25,7 +25,7 @@ from sunarc.bounds import require_bounds
 from sunarc.calibration.model.backward import fit_backward
 from sunarc.calibration.model.document import to_document
 from sunarc.calibration.model.residual_field import Field, WaveBasis
-from sunarc.calibration.model.result import Calibration, Metrics, Provenance, Verdict
+from sunarc.calibration.model.result import NO_METRICS, Calibration, Provenance, Verdict
 from sunarc.cameras.frame import full_scale_of
 from sunarc.cameras.packed import pack, packing_of
 from sunarc.detection.values import bayer_of
@@ -493,7 +493,7 @@ def truth_document(camera: Camera, site: Site, *, name: str, created_at: datetim
         field=_no_field(camera),
         sky_rms_deg=0.0,
         sky_max_deg=0.0,
-        metrics=_no_metrics(),
+        metrics=NO_METRICS,
         pose=pose_angles(camera.rotation_cam_enu),
         backward=fit_backward(camera),
         evidence=_no_evidence(),
@@ -518,19 +518,6 @@ def _no_field(camera: Camera) -> Field:
     center = (camera.width / 2.0, camera.height / 2.0)
     basis = WaveBasis(center_px=center, half_px=center, orders=np.zeros((0, 2), dtype=np.int64))
     return Field(amplitude_px=0.0, length_px=1.0, basis=basis, cross=np.zeros((2, 0, 0)))
-
-
-def _no_metrics() -> Metrics:
-    return Metrics(
-        n=0,
-        rmse_px=math.nan,
-        rmse_all_px=math.nan,
-        mae_px=math.nan,
-        sd_px=math.nan,
-        sd_of_distance_px=math.nan,
-        rmse_deg=math.nan,
-        held_out_rmse_px=None,
-    )
 
 
 def _no_evidence() -> Provenance:

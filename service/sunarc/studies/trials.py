@@ -14,15 +14,28 @@ import numpy as np
 
 from sunarc.array_types import FloatArray
 from sunarc.calibration.answers.covariance import hemisphere
-from sunarc.calibration.calibrate import Batch
+from sunarc.calibration.fit.assemble import tidied
+from sunarc.calibration.fit.effects import with_effects
+from sunarc.calibration.fit.marginal_likelihood import HyperparameterGrid, field_at, prior_precision
+from sunarc.calibration.fit.robust_fit import grid_of
+from sunarc.calibration.fit.robust_rounds import robust_camera
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Method
-from sunarc.calibration.model.sightings import Sightings
+from sunarc.calibration.model.sightings import Sightings, filter_sightings
+from sunarc.calibration.noise import NoiseGroups
+from sunarc.calibration.paper import fit_as_paper
+from sunarc.calibration.robust_loss import robust_sigma
+from sunarc.calibration.solve.levenberg_marquardt import information, most_probable
+from sunarc.calibration.solve.priors import Whitened
+from sunarc.calibration.solve.problem import FitProblem
+from sunarc.calibration.start.initial_guess import level_camera, single_problem
+from sunarc.calibration.start.multistart import SMALLEST_SIGMA_PX, distance_sigmas
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.projections import angle_limit
 from sunarc.runtime.child_process import one_thread_each
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.days import day_bounds_unix_s
+from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles, sun_directions
 
 LARGEST_ZENITH_DEG = 89.6
@@ -41,6 +54,96 @@ def arcs(camera: Camera, days: Sequence[date], *, cadence_s: float = 30.0) -> Si
     times = times[sun_angles(times, SGP).apparent_zenith < LARGEST_ZENITH_DEG]
     directions = sun_directions(times, SGP)
     return Sightings(unix_s=times, directions=directions, pixels=project(camera, directions))
+
+
+_SETTLING = 3
+_STEPS = 10
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Batch:
+    """What fits of one geometry share: detections at the same moments by cameras like one that is known.
+
+    Directions, bins, scales to try and the lens's prior are made once. The search for a start is left out, since all
+    begin at the known camera, and so is the uncertainty: what is returned is the camera that `calibrate` returns.
+
+    Attributes
+    ----------
+    camera : where all fits begin: the true camera of a simulation, or the first fit.
+    options : of the fits.
+    usable : the sightings that count in every set; their detections are those of the first set.
+    groups, grid : of the robust rounds.
+    problem : the camera sought, its prior about the first image circle.
+    """
+
+    camera: Camera
+    options: CalibrationOptions
+    usable: Sightings
+    groups: NoiseGroups
+    grid: HyperparameterGrid
+    problem: FitProblem
+
+    @classmethod
+    def near(
+        cls, camera: Camera, points: Sightings, *, site: Site, options: CalibrationOptions, circle: ImageCircle
+    ) -> Batch:
+        """Return what the fits of sightings like these share.
+
+        Parameters
+        ----------
+        camera : near the cameras that are sought: within some px over the sky.
+        points : one set, of one pose.
+        site : where the camera stands.
+        options : how to fit; projection and mirroring are the camera's.
+        circle : the image circle of the set.
+        """
+        options = replace(options, projection=camera.projection, mirrored="yes" if camera.mirrored else "no")
+        usable, camera = filter_sightings(points, site=site), camera.lens_alone()
+        return cls(
+            camera=camera,
+            options=options,
+            usable=usable,
+            groups=NoiseGroups.of(usable),
+            grid=grid_of(camera, options),
+            problem=single_problem(usable, camera, options, circle),
+        )
+
+    def fitted(self, pixels: FloatArray, circle: ImageCircle) -> Camera:
+        """Return the camera that a set of detections (n, 2), in the order of the points, and its image circle give."""
+        observed = replace(self.usable, pixels=pixels[self.usable.index])
+        if self.options.method == "paper":
+            found = fit_as_paper(observed, [self.camera], options=self.options, quickly=True).cameras[0]
+        else:
+            found = self._robust(observed, self._problem(circle))
+        return tidied(found, self.options)
+
+    def _problem(self, circle: ImageCircle) -> FitProblem:
+        size, prior = (self.camera.width, self.camera.height), self.problem.prior
+        first, mean = level_camera(circle, image_size=size, options=self.options), prior.mean.copy()
+        mean[: Whitened.RADIAL] = *first.focal_length_px, 0.0, *first.principal_point_px
+        return replace(self.problem, prior=replace(prior, mean=mean))
+
+    def _robust(self, observed: Sightings, problem: FitProblem) -> Camera:
+        plain = self._without_field(observed, problem)
+        problem, observed = with_effects(problem, plain, observed)
+        found = robust_camera(problem, observed, plain, groups=self.groups, grid=self.grid, near_minimum=True)
+        camera = found.problem.camera(found.unknowns)
+        if found.state.field_odds <= 0.0:
+            return camera
+        mean = field_at(found.system(observed, self.groups.bins).normal(), found.grid.basis, found.state.scales)
+        return replace(camera, displacement=found.grid.basis.displacement(mean))
+
+    def _without_field(self, observed: Sightings, problem: FitProblem) -> FloatArray:
+        """Return the unknowns of the robust fit from the known camera: the weights by turns with the bins' solution."""
+        tolerances, bins = self.options.tolerances, self.groups.bins
+        precision = prior_precision(problem.size, tolerances.radial_px, tolerances.decentering_px)
+        at = problem.unknowns([self.camera])
+        for _ in range(_SETTLING):
+            sigma = robust_sigma(distance_sigmas(problem, observed, at), floor=SMALLEST_SIGMA_PX)
+            weighed = information(problem.residuals(at, observed), observed, sigma)
+            means = bins.observations(observed, problem, at, information=weighed)
+            at = most_probable(problem, means, at, precision=precision, iterations=_STEPS, tolerance=1e-4).unknowns
+        return at
 
 
 QUANTITIES = (
@@ -80,7 +183,7 @@ def run_trial(trial: Trial) -> tuple[float, ...]:
     rng = np.random.default_rng(trial.seed)
     truth, arc = true_camera(0), synthetic_arc()
     pixels = arc.pixels + rng.normal(0.0, trial.sigma_px, arc.pixels.shape)
-    fit = _batch(trial.method).fitted(pixels, circle=found_circle(rng, truth))
+    fit = _batch(trial.method).fitted(pixels, found_circle(rng, truth))
     on_arc, on_sky = true_error(fit, truth, arc.directions), true_error(fit, truth, hemisphere())
     return on_arc, on_sky, *fit.focal_length_px, *fit.principal_point_px
 

@@ -23,12 +23,19 @@ from sunarc.calibration.fit.marginal_likelihood import (
 )
 from sunarc.calibration.fit.normal_equations import LinearSystem, linear_system
 from sunarc.calibration.fit.posterior import PosteriorCovariance, stated_posterior
+from sunarc.calibration.model.residual_field import WaveBasis
 from sunarc.calibration.solve.problem import Bins, FitProblem
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 
 FloatArray = NDArray[np.float64]
 SCALES = Scales(0.01, 120.0, 2.0, 0.7)
+
+
+def _sky_rows(problem: FitProblem, at: FloatArray, basis: WaveBasis) -> tuple[FloatArray, FloatArray]:
+    """Return derivatives (n, 2, p) and basis values (n, m) of sky that the last epoch's camera shows."""
+    _, pixels, rows = module.shown_sky(problem, at)
+    return rows, basis.values(pixels)
 
 
 @pytest.fixture(scope="module")
@@ -151,7 +158,7 @@ def test_the_stated_95_percent_hold_95_percent_of_the_mixture(
     choices = module.plausible(
         system.normal(), grid, system.at, None, module.of_products(problem, system, SCALES, grid)
     )
-    rows, values = module.sky_rows(problem, system.at, grid.basis)
+    rows, values = _sky_rows(problem, system.at, grid.basis)
     moments = module.at_probes(choices, rows, values)
     stated = rows @ posterior.covariance @ rows.swapaxes(1, 2) + posterior.field.covariance(rows, values)
     rng, mixture = np.random.default_rng(3), posterior.mixture
@@ -203,12 +210,12 @@ def test_the_plausible_choices_hold_nearly_all_probability(
 
 
 def test_probes_are_the_sky_that_the_image_shows(problem: FitProblem, at: FloatArray, grid: HyperparameterGrid) -> None:
-    rows, waves = module.sky_rows(problem, at, grid.basis)
+    rows, waves = _sky_rows(problem, at, grid.basis)
     assert 20 < rows.shape[0] < 60
     assert rows.shape[1:] == (2, at.size)
     assert waves.shape == (rows.shape[0], len(grid.basis.orders))
     narrow = replace(problem, template=replace(problem.template, width=100, height=100))
-    assert module.sky_rows(narrow, at, grid.basis)[0].shape[0] < rows.shape[0]
+    assert _sky_rows(narrow, at, grid.basis)[0].shape[0] < rows.shape[0]
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -229,7 +236,7 @@ def test_probes_are_the_directions_within_the_image_to_its_edges(
     inside = _within(camera, pixels, axis=0) & _within(camera, pixels, axis=1)
     assert inside[nearest] == ((off_px < 0.0) == last)
     problem = small_problem(camera)
-    rows, basis_values = module.sky_rows(problem, problem.unknowns([camera]), grid.basis)
+    rows, basis_values = _sky_rows(problem, problem.unknowns([camera]), grid.basis)
     assert rows.shape == (np.count_nonzero(inside), 2, problem.size)
     np.testing.assert_allclose(basis_values, grid.basis.values(pixels[inside]), atol=1e-9)
 

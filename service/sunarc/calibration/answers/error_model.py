@@ -282,7 +282,9 @@ def draw_ensemble(calibration: Calibration, *, draws: int, seed: int, calibratio
     errors = error_model_of(calibration)
     at = predicted(errors, calibration.camera, _polar_directions(table, radius, azimuth))
     sheets = np.empty((draws, _RINGS + 2, _SPOKES + 3, 2))
-    normal = _normals(calibration_id, seed, draws, errors.mean.size + 2 * errors.variances.size + 1)
+    # more draws begin with the same ones
+    size = errors.mean.size + 2 * errors.variances.size + 1
+    normal = _generator(calibration_id, seed).standard_normal((draws, size))
     parameters, coefficients = draw_errors(errors, normal[:, :-1])
     scales = _drawn_scales(calibration, np.nan_to_num(at.pixels), _generator(calibration_id, seed, 1), draws)
     for k in range(draws):
@@ -305,11 +307,6 @@ def _polar_directions(table: InverseTable, radius: FloatArray, azimuth: FloatArr
     ray[..., 2] = cosine[:, None]
     ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
     return np.asarray(ray.reshape(-1, 3) @ table.rotation)
-
-
-def _normals(calibration_id: str, seed: int, draws: int, size: int) -> FloatArray:
-    """Return (draws, size) standard normal numbers; more draws begin with the same ones."""
-    return _generator(calibration_id, seed).standard_normal((draws, size))
 
 
 def _drawn_scales(

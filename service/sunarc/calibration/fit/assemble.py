@@ -187,7 +187,7 @@ def refused(job: Job, findings: tuple[Finding, ...]) -> Calibration:
         poses=(camera.rotation_cam_enu,),
         parameter_names=FREE_NAMES,
         covariance=covariance,
-        field=no_field(camera, size=FREE.size),
+        field=unseen_field(camera, size=FREE.size),
         sky_rms_deg=180.0,
         sky_max_deg=180.0,
         metrics=NO_METRICS,
@@ -201,12 +201,13 @@ def refused(job: Job, findings: tuple[Finding, ...]) -> Calibration:
     )
 
 
-def no_field(camera: Camera, *, size: int) -> Field:
-    """Return a field of amplitude 0 beside `size` parameters."""
-    length = min(camera.width, camera.height)
-    basis = wave_basis(width=camera.width, height=camera.height, shortest_px=length, longest_px=length)
+def unseen_field(camera: Camera, *, size: int, amplitude_px: float = 0.0, length_px: float = 0.0) -> Field:
+    """Return a field of which nothing is known, beside `size` parameters; of amplitude 0 where it has no length."""
+    if amplitude_px <= 0.0 or length_px <= 0.0:
+        amplitude_px, length_px = 0.0, float(min(camera.width, camera.height))
+    basis = wave_basis(width=camera.width, height=camera.height, shortest_px=length_px, longest_px=length_px)
     cross = np.zeros((2, size, len(basis.orders)))
-    return Field(amplitude_px=0.0, length_px=float(length), basis=basis, cross=cross)
+    return Field(amplitude_px=amplitude_px, length_px=length_px, basis=basis, cross=cross)
 
 
 # From the robust rounds to what every method hands over.

@@ -12,7 +12,7 @@ from scipy.special import chdtri
 
 from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.fit.marginal_likelihood import MarginalFit, field_at, inverses, marginal_fit, prior_precision
-from sunarc.calibration.fit.posterior import prediction_variance, sky_rows
+from sunarc.calibration.fit.posterior import prediction_variance, shown_sky
 from sunarc.calibration.fit.robust_fit import RobustFit
 from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.calibration.robust_loss import robust_sigma
@@ -285,7 +285,8 @@ def _sun_scatter(fit: RobustFit, alone: MarginalFit, usable: Sightings) -> float
 
 def _change_over_the_sky(fit: RobustFit, alone: MarginalFit) -> float:
     """Return how far the two fits are apart over the sky, in units of what the day's states."""
-    rows, basis_values = sky_rows(fit.problem, fit.unknowns, fit.grid.basis)
+    _, pixels, rows = shown_sky(fit.problem, fit.unknowns)
     change = rows @ (alone.unknowns - fit.system.at)
-    stated = prediction_variance(alone, fit.scales, fit.grid.basis, rows=rows, basis_values=basis_values)
+    basis = fit.grid.basis
+    stated = prediction_variance(alone, fit.scales, basis, rows=rows, basis_values=basis.values(pixels))
     return float(np.sqrt(np.sum(change**2) / np.sum(np.maximum(stated, 1e-12))))

@@ -60,15 +60,8 @@ class LinearSystem:
 
     def normal(self) -> NormalEquations:
         """Return the sums over all bins."""
-        return normal_sums(
-            self.rows,
-            self.basis_values,
-            self.residual,
-            self.observed.information,
-            at=self.at,
-            ff=self.basis_products,
-            n_unit=self.n_unit,
-        )
+        every = self.rows, self.basis_values, self.residual, self.observed.information
+        return normal_sums(*every, at=self.at, ff=self.basis_products, n_unit=self.n_unit)
 
     def normal_of(self, which: BoolArray) -> NormalEquations:
         """Return the sums over the bins that are picked."""
@@ -159,12 +152,6 @@ def most_probable_with_field(problem: FitProblem, system: LinearSystem, scales: 
     return found._replace(fit=found.fit.with_coefficients_on(transform))
 
 
-def _spread(system: LinearSystem, scales: Scales) -> FloatArray:
-    """Return (r,): the roots of the posterior variance, px, of each of the field's axes."""
-    axes = system.basis_products.axes(system.basis, scales.length_px)
-    return np.asarray(np.sqrt(axes.posterior_variances(np.array([scales.amplitude_px]))[0]))
-
-
 def converged_in_axes(
     problem: FitProblem,
     system: LinearSystem,
@@ -224,7 +211,8 @@ class _Equations:
     @classmethod
     def of(cls, problem: FitProblem, system: LinearSystem, scales: Scales) -> _Equations:
         """Return those of a system in the field's axes under some scales."""
-        root, spread = np.sqrt(system.observed.information), _spread(system, scales)
+        axes, root = system.basis_products.axes(system.basis, scales.length_px), np.sqrt(system.observed.information)
+        spread = np.sqrt(axes.posterior_variances(np.array([scales.amplitude_px]))[0])
         return cls(
             optics=problem.optics(),
             sighted=problem.sighted(system.observed),

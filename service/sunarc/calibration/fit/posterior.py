@@ -244,7 +244,7 @@ def stated_posterior(
     field = Field(amplitude_px=amplitude, length_px=length, basis=grid.basis, cross=cross)
     if mean is not None:
         field = seen_field(field, normal, covariance)
-    _, pixels, rows = _shown_sky(problem, unknowns)
+    _, pixels, rows = shown_sky(problem, unknowns)
     if pixels.shape[0] == 0:
         return PosteriorCovariance(covariance, field)
     values = grid.basis.values(pixels)
@@ -344,7 +344,7 @@ def at_probes(choices: _Choices, rows: FloatArray, values: FloatArray) -> FloatA
     return moments
 
 
-def _shown_sky(problem: FitProblem, unknowns: FloatArray) -> tuple[Sightings, FloatArray, FloatArray]:
+def shown_sky(problem: FitProblem, unknowns: FloatArray) -> tuple[Sightings, FloatArray, FloatArray]:
     """Return sky that the last epoch's camera shows, its pixels (n, 2) and their derivatives (n, 2, p)."""
     sky = Sightings(
         directions=hemisphere(PROBES),
@@ -356,12 +356,6 @@ def _shown_sky(problem: FitProblem, unknowns: FloatArray) -> tuple[Sightings, Fl
     minus, rows = problem.linearised(unknowns, sky)
     shown = np.all((minus < 0.5) & (-minus < [problem.template.width - 0.5, problem.template.height - 0.5]), axis=-1)
     return sky.select(shown), -minus[shown], rows[shown]
-
-
-def sky_rows(problem: FitProblem, unknowns: FloatArray, basis: WaveBasis) -> tuple[FloatArray, FloatArray]:
-    """Return derivatives (n, 2, p) and basis values (n, m) of sky that the last epoch's camera shows."""
-    _, pixels, rows = _shown_sky(problem, unknowns)
-    return rows, basis.values(pixels)
 
 
 def _mixture(share: FloatArray, moments: FloatArray, stated: FloatArray, pixels: FloatArray) -> ErrorMixture:
@@ -509,7 +503,7 @@ def of_products(problem: FitProblem, system: LinearSystem, scales: Scales, grid:
     of unknowns that move the sky alike.
     """
     six, at = _Six.of(problem, system, scales, grid), system.at
-    sky, _, rows = _shown_sky(problem, at)
+    sky, _, rows = shown_sky(problem, at)
     if not len(sky):
         return np.zeros((at.size, at.size))
     own, columns = rows.reshape(-1, at.size), _by_six(problem, sky, at).reshape(-1, 6)

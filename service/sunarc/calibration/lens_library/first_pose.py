@@ -26,7 +26,7 @@ from sunarc.calibration.answers.error_model import (
 )
 from sunarc.calibration.changes.change_points import Moved, calibrate_moved
 from sunarc.calibration.evidence import PixelResiduals, false_density, fit_inlier_mixture
-from sunarc.calibration.fit.assemble import Job, calibration_from_fit, no_field, refused
+from sunarc.calibration.fit.assemble import Job, calibration_from_fit, refused, unseen_field
 from sunarc.calibration.lens_library.conditioning import (
     Departure,
     contradicted,
@@ -36,7 +36,6 @@ from sunarc.calibration.lens_library.conditioning import (
 )
 from sunarc.calibration.lens_library.lens_type import IN_FREE, PARTS, LensType
 from sunarc.calibration.model.options import CalibrationOptions, FirstPoseOptions, ImageCircle
-from sunarc.calibration.model.residual_field import Field, wave_basis
 from sunarc.calibration.model.result import Calibration, refused_for, with_finding, with_options
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.pose import (
@@ -189,7 +188,9 @@ def first_pose(
     covariance = np.zeros((FREE.size, FREE.size))
     covariance[np.ix_(IN_FREE, IN_FREE)] = lens.covariance
     # its pose is free of error here: what is not known of it is added where it is sought
-    start = stated_calibration(job, lens.camera, covariance=covariance, field=_field(lens))
+    amplitude_px, length_px = lens.field_px, lens.field_length_px
+    field = unseen_field(lens.camera, size=FREE.size, amplitude_px=amplitude_px, length_px=length_px)
+    start = stated_calibration(job, lens.camera, covariance=covariance, field=field)
     both = start, _mirrored(start)
     # a false one may be anywhere in the image
     area_px2 = float(lens.camera.width * lens.camera.height)
@@ -206,16 +207,6 @@ def first_pose(
     fitted = outcome_of(found.fit, start, usable, wander_rad=0.0)
     result = calibration_from_fit(fitted, job)
     return _judged(with_options(result, lens_prior=lens.as_evidence()), found, other, lens, known)
-
-
-def _field(lens: LensType) -> Field:
-    """Return the field of a type: its scales, and nothing known of its groups."""
-    if lens.field_px <= 0.0 or lens.field_length_px <= 0.0:
-        return no_field(lens.camera, size=FREE.size)
-    length = lens.field_length_px
-    basis = wave_basis(width=lens.camera.width, height=lens.camera.height, shortest_px=length, longest_px=length)
-    cross = np.zeros((2, FREE.size, len(basis.orders)))
-    return Field(amplitude_px=lens.field_px, length_px=length, basis=basis, cross=cross)
 
 
 def _mirrored(start: Calibration) -> Calibration:

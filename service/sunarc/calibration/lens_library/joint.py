@@ -8,7 +8,7 @@ its own fit given what all the others say of the type (`further_unit`); no syste
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import NamedTuple
@@ -231,9 +231,7 @@ class Joint(NamedTuple):
     lens: LensType | None
 
 
-def calibrate_jointly(
-    entries: Sequence[Entry], *, spread: UnitSpread | None = None, calibrate: Callable[..., Calibration] = calibrate
-) -> Joint:
+def calibrate_jointly(entries: Sequence[Entry], *, spread: UnitSpread | None = None) -> Joint:
     """Return the calibrations of cameras of one type of lens, and the type.
 
     A camera whose fit is refused, or whose lens contradicts that of the others, is refused and says so; it says nothing
@@ -243,7 +241,6 @@ def calibrate_jointly(
     ----------
     entries : at least one.
     spread : between units, as it is stated; estimated from 3 cameras on.
-    calibrate : the fit of one camera.
 
     Raises
     ------
@@ -253,7 +250,7 @@ def calibrate_jointly(
     _require_shared(entries)
     names = list(dict.fromkeys(entry.camera for entry in entries))
     together = {name: [entry for entry in entries if entry.camera == name] for name in names}
-    alone = {id(entry): _of_epoch(together[entry.camera], entry, calibrate) for entry in entries}
+    alone = {id(entry): _of_epoch(together[entry.camera], entry) for entry in entries}
     # all epochs of a camera have one lens: any of its calibrations states it
     units = {name: Unit(name, alone[id(together[name][-1])]) for name in names}
     accepted = [unit for unit in units.values() if unit.calibration.verdict.accepted]
@@ -299,9 +296,10 @@ def _require_shared(entries: Sequence[Entry]) -> None:
             )
 
 
-def _of_epoch(entries: Sequence[Entry], latest: Entry, fit: Callable[..., Calibration]) -> Calibration:
+def _of_epoch(entries: Sequence[Entry], latest: Entry) -> Calibration:
     """Return the calibration of one epoch of a camera, by the sightings of all."""
-    return fit(_stacked(entries, latest), site=latest.site, image_size=latest.image_size, options=latest.options)
+    points = _stacked(entries, latest)
+    return calibrate(points, site=latest.site, image_size=latest.image_size, options=latest.options)
 
 
 def _stacked(entries: Sequence[Entry], latest: Entry) -> Sightings:

@@ -365,30 +365,26 @@ def filter_sightings(points: Sightings, *, site: Site, image_size: tuple[int, in
         "dropped_duplicate_time": (~single).sum(),
         "dropped_static": still.sum(),
     }
-    stated_px = points.sigma_px[retained]
-    sigma_px = _relative_sigma(stated_px, alone[retained])
-    return Sightings(
+    filtering = Filtering(
+        dropped=tuple(Finding(code, {"n": int(n)}) for code, n in counts.items() if n),
+        static=static,
+        stated_sigma_px=_stated_sigma_px(points.sigma_px[retained], alone[retained]),
+        n_below_horizon=int(np.sum(inside & ~above & ~alone)),
+    )
+    usable, directions, alone = points.select(retained), directions[retained], alone[retained]
+    sigma_px = _relative_sigma(usable.sigma_px, alone)
+    return replace(
+        usable,
         index=retained,
-        unix_s=points.unix_s[retained],
-        pixels=points.pixels[retained],
-        directions=directions[retained],
+        directions=directions,
         sigma_px=sigma_px,
         information=sigma_px**-2.0,
-        alone=alone[retained],
-        body=points.body[retained],
-        kind=points.kind[retained],
-        night=at_night(points.unix_s[retained], points.kind[retained], site),
-        epoch=points.epoch[retained],
+        alone=alone,
+        night=at_night(usable.unix_s, usable.kind, site),
         day=day,
-        refraction_sd=_refraction_sd(np.isfinite(points.temperature[retained]), directions[retained], day, site),
-        motion=np.cross(directions[retained], EARTH_RATE * pole_enu(site)),
-        clock_error_s=points.clock_error_s[retained],
-        filtering=Filtering(
-            dropped=tuple(Finding(code, {"n": int(n)}) for code, n in counts.items() if n),
-            static=static,
-            stated_sigma_px=_stated_sigma_px(stated_px, alone[retained]),
-            n_below_horizon=int(np.sum(inside & ~above & ~alone)),
-        ),
+        refraction_sd=_refraction_sd(np.isfinite(usable.temperature), directions, day, site),
+        motion=np.cross(directions, EARTH_RATE * pole_enu(site)),
+        filtering=filtering,
     )
 
 
