@@ -36,8 +36,6 @@ from sunarc.sky.site import Site
 DAY_S, HOUR_S = 86_400.0, 3600.0
 BANDS_DEG = (0.0, 30.0, 60.0, 75.0, 86.0)
 _WITHIN_S = 1.0 * HOUR_S
-_FEW = 4
-"""Sightings of a spell that an epoch has to hold for."""
 _WITHIN_95 = 5.991
 """Chi-square of two degrees of freedom."""
 
@@ -251,9 +249,9 @@ def judged(archive: Archive) -> Outcome:
             said[f"refused: {calibration.verdict.findings[0].code}"] += 1
             continue
         said["accepted"] += 1
-        numbers, counts = np.unique(archive.of_spell[epoch.first : epoch.last + 1], return_counts=True)
-        # a boundary may be some sightings off: what is beyond it is of a time between two, and not of the epoch's
-        z, at, ratio = _errors(archive, numbers[counts >= min(_FEW, counts.max())], calibration)
+        stated = archive.points.unix_s
+        valid = (stated >= epoch.start_unix_s) & (stated <= epoch.end_unix_s)
+        z, at, ratio = _errors(archive, np.unique(archive.of_spell[valid]), calibration)
         square.append(z)
         zenith.append(at)
         if ratio > 3.0:
@@ -264,7 +262,7 @@ def judged(archive: Archive) -> Outcome:
 def _changes(archive: Archive, final: Final) -> Counter[str]:
     """Return how the changes that were found are to the true ones."""
     said, stated = Counter[str](), archive.points.unix_s
-    found = [(one.cause, float(stated[one.first - 1]), float(stated[one.first])) for one in final.epochs[1:]]
+    found = [(one.cause, before.end_unix_s, one.start_unix_s) for before, one in itertools.pairwise(final.epochs)]
     first = {int(number): int(np.argmax(archive.of_spell == number)) for number in np.unique(archive.of_spell)}
     for number, spell in enumerate(archive.spells):
         if spell.cause not in ("moved", "lens", "clock") or number not in first:

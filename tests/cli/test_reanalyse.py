@@ -68,18 +68,23 @@ def test_what_is_missing_or_wrong_is_named(
 
 
 @pytest.mark.parametrize(
-    ("accepted", "expected"), [(([True, True],), 0), (([True, False],), 1), (([True], []), 1), (([True], [True]), 0)]
-)
+    ("verdicts", "expected"),
+    [((["accepted"] * 2,), 0), ((["accepted", "refused"],), 1), ((["accepted", "provisional"],), 0),
+     ((["accepted"], []), 1), ((["accepted"], ["accepted"]), 0)],
+)  # fmt: skip
 def test_a_refused_epoch_or_a_camera_without_one_exits_1_beside_accepted_ones(
     sunarc: Sunarc,
     *,
-    accepted: tuple[list[bool], ...],
+    verdicts: tuple[list[str], ...],
     expected: int,
     images: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    cameras = [{"camera": "roof", "epochs": [{"accepted": one} for one in of_camera]} for of_camera in accepted]
+    cameras = [
+        {"epochs": [{name: name == one for name in ("accepted", "provisional")} for one in of_camera]}
+        for of_camera in verdicts
+    ]
     monkeypatch.setattr(command, "reanalyse", lambda *_, **__: Summary(report={"cameras": cameras}, documents={}))
     answer = sunarc("reanalyse", str(images), *SITE, "-o", str(tmp_path / "out"), "--yes", "--json")
     assert answer.code == expected

@@ -72,6 +72,7 @@ def reanalyse_archive(
         str | None, typer.Option(help="Address of the ledger; ledger.sqlite in the folder unless given.")
     ] = None,
     exports: Annotated[bool, typer.Option(help="Write the calibrations in all formats, too.")] = True,
+    provisional: Annotated[bool, typer.Option("--provisional", help="As sunarc calibrate --provisional.")] = False,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask whether the times are right.")] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -100,7 +101,11 @@ def reanalyse_archive(
     indexed = index_archive(plans)
     _confirm(indexed, yes=yes)
     options = ReanalysisOptions(
-        target=target, store=store, workers=Workers(scheduler, workers or usable_processors()), exports=exports
+        target=target,
+        store=store,
+        workers=Workers(scheduler, workers or usable_processors()),
+        exports=exports,
+        provisional=provisional,
     )
     with progress_bars() as progress:
         summary = reanalyse(indexed, options, clock=SystemClock(), opened=_report_cluster, progress=progress)
@@ -112,7 +117,9 @@ def reanalyse_archive(
     if (
         indexed.refused
         or indexed.untimed
-        or not all(of_camera and all(one["accepted"] for one in of_camera) for of_camera in epochs)
+        or not all(
+            of_camera and all(one["accepted"] or one["provisional"] for one in of_camera) for of_camera in epochs
+        )
     ):
         raise typer.Exit(1)
 
@@ -213,7 +220,7 @@ def _print(summary: Summary, target: Path) -> None:
                 epoch["sightings"],
                 significant(epoch["rmse_px"], 2),
                 significant(epoch["sky_rms_deg"], 2),
-                "yes" if epoch["accepted"] else "no",
+                "yes" if epoch["accepted"] else "prov." if epoch["provisional"] else "no",
             )
             for epoch in one["epochs"]
         ]

@@ -48,6 +48,8 @@ _FOCAL_SHARE, _CENTER_SHARE, _RADIAL = 0.03, 0.01, 0.02
 """1-sigma of a change: of the clock, of the pose about each axis, of focal length, place (share of the width), k2."""
 _COMMON_LENS = 0.3
 """1-sigma of what the state itself is wrong by, in that of a change of the lens."""
+_LENS_AMONG_CHANGES = 3.0
+"""Powers of e by which a change that is found is rarely one of the lens, too: one in twenty. Turns have -13 to -8."""
 _STEP_S = 30.0
 _AGREES_PX, _AGREES_SIGMAS, _FEWEST_OF_HALF = 0.3, 1.5, 4
 """How far off the middle of half a day may lie: px, and in the day's noise; fewer sightings have no middle."""
@@ -178,6 +180,33 @@ def change_within(points: Sightings, camera: Camera, site: Site, noise_px: Float
         weighed.append(Weighed(change, none + float(gains.max()), rarer + SEQUENCE_GAIN))
     best = most_probable(weighed).explanation
     return None if best.cause == "start" else best
+
+
+class Side(NamedTuple):
+    """Sightings (n,) on one side of a change, at the times of the clock, their noise, and the camera of its state."""
+
+    points: Sightings
+    noise_px: FloatArray
+    camera: Camera
+
+
+def is_of_lens(before: Side, after: Side, site: Site) -> bool:
+    """Return whether a change between two poses that were found for one lens is likelier one of the lens, too.
+
+    Parameters
+    ----------
+    before, after : its sides; each camera is linear about the sightings of its own.
+    site : where the camera stands.
+    """
+    first, second = (_seen(one.points, one.camera, site, one.noise_px)[0] for one in (before, after))
+    if first is None or second is None:
+        return False
+    common, values = np.concatenate([first.common, second.common]), np.concatenate([first.values, second.values])
+    moved, lens = (
+        _log_evidence(np.column_stack([common, np.concatenate([0.0 * first.steps[one], second.steps[one]])]), values)
+        for one in ("moved", "lens")
+    )
+    return lens - moved > _LENS_AMONG_CHANGES
 
 
 def _seen(points: Sightings, camera: Camera, site: Site, noise_px: FloatArray) -> tuple[_Linear | None, IntArray]:

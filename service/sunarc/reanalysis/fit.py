@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -15,12 +16,21 @@ from sunarc.calibration.model.document import to_document
 from sunarc.calibration.model.result import Calibration, refused_for
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.quality.acceptance import apart_sigmas, with_larger_errors, with_pose_spread
+from sunarc.calibration.quality.fit_checks import provisional
 from sunarc.calibration.quality.site_checks import tilt_question
 from sunarc.calibration.robust_loss import finite, robust_sigma
 from sunarc.calibration.selection import select_sightings, surest_of_epochs
 from sunarc.findings import Finding
 from sunarc.optics.forward import project_fast
-from sunarc.reanalysis.epoch_changes import DriftWithin, agreeing_days, change_within, drift_within, noise_of_days
+from sunarc.reanalysis.epoch_changes import (
+    DriftWithin,
+    Side,
+    agreeing_days,
+    change_within,
+    drift_within,
+    is_of_lens,
+    noise_of_days,
+)
 from sunarc.reanalysis.look import key_of
 from sunarc.reanalysis.states import (
     ArchiveCamera,
@@ -32,6 +42,7 @@ from sunarc.reanalysis.states import (
     find_epochs,
     find_states,
     joined,
+    surely_held,
     with_true_clock,
 )
 from sunarc.sky.sun import sun_directions
@@ -76,6 +87,43 @@ def with_changes_within(points: Sightings, states: Sequence[State], camera: Arch
                 split = True
         if not split:
             break
+    return found
+
+
+def with_lenses_apart(
+    points: Sightings, path: IntArray, states: Sequence[State], fitted: Mapping[int, FittedPose], camera: ArchiveCamera
+) -> list[State]:
+    """Return states, those that no one lens explains beside the state before with a lens of their own.
+
+    A state is taken for a known lens in another pose within what is known of that lens, which is little at first.
+
+    Parameters
+    ----------
+    points : accepted sightings in the order of their stated times.
+    path, states, camera : as `fit_poses` takes them.
+    fitted : what it returns, one lens for all poses that are said to have it.
+    """
+    noise, found, epochs = noise_of_days(points, camera.site), list(states), epochs_of(path, states, points)
+    for number, (one, other) in enumerate(itertools.pairwise(epochs), 1):
+        before, after = (found[each.state] for each in (one, other))
+        if before.lens != after.lens or before.pose == after.pose:
+            continue
+        sides = [
+            Side(
+                camera.shifted(points.select(rows), state.clock_offset_s),
+                noise[rows],
+                fitted[state.pose].calibration.camera,
+            )
+            for rows, state in ((slice(one.first, one.last + 1), before), (slice(other.first, other.last + 1), after))
+        ]
+        if not is_of_lens(sides[0], sides[1], camera.site):
+            continue
+        free = 1 + max(state.lens for state in found)
+        earlier = {found[each.state].pose for each in epochs[:number]}
+        later = {each.state for each in epochs[number:]}
+        for place in later:
+            if found[place].lens == before.lens and found[place].pose not in earlier:
+                found[place] = found[place]._replace(lens=free)
     return found
 
 
@@ -185,7 +233,7 @@ def document_of(
         replace(solved, evidence=replace(solved.evidence, selection=selection)),
         id=identity,
         camera=camera,
-        state="candidate" if solved.verdict.accepted else "refused",
+        state="candidate" if solved.verdict.accepted or solved.sigma_limit_deg is not None else "refused",
         created_at=last,
         valid_from=utc_time(epoch.start_unix_s),
         valid_until=last,
@@ -257,13 +305,17 @@ def final_analysis(given: CameraSightings) -> Final:
     states = with_changes_within(points, given.states, camera)
     _, path = find_epochs(points, states, camera)
     fitted = fit_poses(points, path, states, camera)
+    apart = with_lenses_apart(points, path, states, fitted, camera)
+    if [one.lens for one in apart] != [one.lens for one in states]:
+        states, fitted = apart, fit_poses(points, path, apart, camera)
     # a state that no sighting is left to has no calibration that a later one could be given
     held = [(state, points.select(path == number)) for number, state in enumerate(states) if np.any(path == number)]
     refined = [_refined(state, fitted, of_state, camera) for state, of_state in held]
     epochs, path = find_epochs(points, refined, camera)
     noise = noise_of_days(points, camera.site)
     found = _without_drifts(Final(tuple(refined), tuple(epochs), path, fitted), given, noise)
-    return _held_to_parts(_allowing_for_drift(_held_to_days(found, given, noise), given, noise), given)
+    found = _held_to_parts(_allowing_for_drift(_held_to_days(found, given, noise), given, noise), given)
+    return found._replace(epochs=surely_held(found.epochs, points, found.states, camera))
 
 
 _DRIFTS = {"mount_drifts", "clock_drifts_on"}
@@ -423,6 +475,16 @@ def starry_analysis(of: Starry) -> Final:
     final, given = of.final, of.given
     both = fit_poses(given.points, final.path, final.states, given.camera, stars=of.stars)
     return final._replace(fitted=better_of(final.fitted, both))
+
+
+def kept_provisional(final: Final, camera: ArchiveCamera) -> Final:
+    """Return calibrations, those that their sightings do not determine as provisional, see `provisional`."""
+    limit_deg = camera.options.max_sky_deg
+    kept = {
+        pose: one._replace(calibration=provisional(one.calibration, limit_deg=limit_deg))
+        for pose, one in final.fitted.items()
+    }
+    return final._replace(fitted=kept)
 
 
 def _refined(state: State, fitted: dict[int, FittedPose], points: Sightings, camera: ArchiveCamera) -> State:

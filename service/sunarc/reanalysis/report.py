@@ -112,9 +112,13 @@ def _epochs(epochs: Iterable[dict[str, Any]]) -> str:
             _time(one["end"]),
             f"{one['clock_offset_s']:+.1f}",
             one["sightings"],
-            f"{one['rmse_px']:.3f}",
+            _number(one["rmse_px"]),
             _number(one["sky_rms_deg"]),
-            "accepted" if one["accepted"] else "refused: " + "; ".join(one["reasons"]),
+            "accepted"
+            if one["accepted"]
+            else "; ".join(one["reasons"])
+            if one["provisional"]
+            else "refused: " + "; ".join(one["reasons"]),
         )
         for one in epochs
     ]

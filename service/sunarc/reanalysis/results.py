@@ -350,6 +350,7 @@ def _epochs(result: CameraResult, documents: Mapping[tuple[str, str], Document])
                 "clock_offset_s": state.clock_offset_s,
                 "calibration": f"calibrations/{result.name}/{name}.json",
                 "accepted": document["verdict"]["accepted"],
+                "provisional": document["verdict"]["marginal"],
                 "sightings": epoch.last - epoch.first + 1,
             }
         )
@@ -411,18 +412,22 @@ def _refusal(failure: Failure) -> Document:
 def _write_exports(
     folder: Path, documents: Mapping[tuple[str, str], Document], each: ParallelMap | None, ledger: Ledger
 ) -> dict[str, dict[str, str]]:
-    """Write accepted calibrations in all formats; return why some are missing, by calibration and format.
+    """Write calibrations in all formats; return why some are missing, by calibration and format.
 
     Files that were made of the same calibration stay as they are; those of a former run's others are removed.
     """
-    accepted = {f"{camera}/{epoch}": one for (camera, epoch), one in documents.items() if one["verdict"]["accepted"]}
+    usable = {
+        f"{camera}/{epoch}": one
+        for (camera, epoch), one in documents.items()
+        if one["verdict"]["accepted"] or one["verdict"]["marginal"]
+    }
     for former in folder.glob("*/*"):
-        if former.relative_to(folder).as_posix() not in accepted:
+        if former.relative_to(folder).as_posix() not in usable:
             shutil.rmtree(former)
-    keys = {name: content_key((software(), json.dumps(one))) for name, one in accepted.items()}
+    keys = {name: content_key((software(), json.dumps(one))) for name, one in usable.items()}
     kept = {name: ledger.result(f"exports {folder.absolute()} {name}", key) for name, key in keys.items()}
     new = [name for name, one in kept.items() if one is None or not _is_there(folder / name, one["files"])]
-    made = each(exports_of, [accepted[name] for name in new]) if each is not None else []
+    made = each(exports_of, [usable[name] for name in new]) if each is not None else []
     for name, one in zip(new, made, strict=True):
         files, refused = one or ({}, {"all": "the workers that made them died"})
         shutil.rmtree(folder / name, ignore_errors=True)
@@ -431,7 +436,7 @@ def _write_exports(
         kept[name] = {"files": {file: hash_of(content) for file, content in files.items()}, "refused": refused}
         if one is not None:
             ledger.keep_result(f"exports {folder.absolute()} {name}", keys[name], kept[name])
-    return {name: kept[name]["refused"] for name in accepted if kept[name]["refused"]}
+    return {name: kept[name]["refused"] for name in usable if kept[name]["refused"]}
 
 
 def _is_there(folder: Path, files: Mapping[str, str]) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from sunarc.reanalysis.fit import (
     Starry,
     final_analysis,
     first_analysis,
+    kept_provisional,
     starry_analysis,
 )
 from sunarc.reanalysis.index import CameraImages, Indexed
@@ -44,12 +45,14 @@ class ReanalysisOptions:
     store : address of the ledger (SQLAlchemy); None for `ledger.sqlite` in the folder.
     workers : where the images are looked at.
     exports : whether the calibrations are written in all formats, too.
+    provisional : whether a calibration that its sightings do not determine is kept, see `provisional`.
     """
 
     target: Path
     store: str | None = None
     workers: Workers = field(default_factory=Workers)
     exports: bool = True
+    provisional: bool = False
 
 
 def reanalyse(
@@ -90,6 +93,8 @@ def reanalyse(
         ClusterWhenNeeded(partial(open_cluster, options.workers, clock=clock), opened) as cluster,
     ):
         results = _results(indexed.cameras, Passes(ledger, cluster, progress), ledger)
+        if options.provisional:
+            results = [_kept_provisional(one) for one in results]
         summary = write_results(
             options.target, results, indexed, each=cluster.each if options.exports else None, ledger=ledger
         )
@@ -129,6 +134,11 @@ def _results(cameras: Sequence[CameraImages], passes: Passes, ledger: Ledger) ->
         )
         for n, camera in enumerate(cameras)
     ]
+
+
+def _kept_provisional(result: CameraResult) -> CameraResult:
+    final = result.final
+    return result if final is None else replace(result, final=kept_provisional(final, _known(result.camera)))
 
 
 def _nights(cameras: Sequence[CameraImages], final: Mapping[int, Final | None], passes: Passes) -> list[NightsLooked]:

@@ -7,6 +7,7 @@ does.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import Counter
 from collections.abc import Sequence
@@ -22,6 +23,7 @@ from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Mi
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.pose import estimate_pose
+from sunarc.calibration.quality.fit_checks import is_undetermined
 from sunarc.calibration.quality.site_checks import mount_density
 from sunarc.calibration.robust_loss import finite, robust_sigma
 from sunarc.findings import Finding
@@ -143,6 +145,9 @@ def find_states(points: Sightings, camera: ArchiveCamera, known: Sequence[State]
             refusal = finding or refusal
         else:
             states.append(state)
+    if not states and len(thin) >= _FEWEST:  # what they do not determine is said of a camera
+        state, finding = _with_other_lens((), thin, camera, determined=False)
+        states += [] if state is None else [state]
     return Found(tuple(_simplified(states, len(known), thin, camera)), None if states else refusal)
 
 
@@ -309,9 +314,9 @@ def _one_a_lens(states: Sequence[State]) -> list[State]:
 
 
 def _with_other_lens(
-    states: Sequence[State], points: Sightings, camera: ArchiveCamera
+    states: Sequence[State], points: Sightings, camera: ArchiveCamera, *, determined: bool = True
 ) -> tuple[State | None, Finding | None]:
-    """Return a new lens, and why there is none."""
+    """Return a new lens, and why there is none; unless it has to be determined, also one that is not."""
     clock = states[-1].clock_offset_s if states else 0.0
     hand: Mirrored = "auto" if not states else "yes" if states[-1].calibration.camera.mirrored else "no"
     options = replace(camera.loosely(), mirrored=hand)
@@ -323,7 +328,7 @@ def _with_other_lens(
         circle=camera.circle,
         parts=False,
     )
-    if not fitted.verdict.accepted:
+    if not fitted.verdict.accepted and (determined or not is_undetermined(fitted.verdict)):
         return None, fitted.verdict.findings[0]
     scatter = robust_sigma(camera.distances_of(fitted, points, clock), floor=0.05)
     most = _OVER_NOISE * float(np.median(noise_of_days(points, camera.site))) + _OVER_NOISE_PX
@@ -418,6 +423,40 @@ def find_epochs(points: Sightings, states: Sequence[State], camera: ArchiveCamer
     costs = np.stack([bounded_cost(camera.distances(state, points) / noise, 1.0) for state in states], axis=1)
     path = likeliest_path(costs, change_cost=SEQUENCE_GAIN)
     return epochs_of(path, states, points), path
+
+
+_SURE = 0.999
+"""Probability from which on a sighting near a change is of the state before it, or after."""
+
+
+def surely_held(
+    epochs: Sequence[Epoch], points: Sightings, states: Sequence[State], camera: ArchiveCamera
+) -> tuple[Epoch, ...]:
+    """Return epochs without the times about a change at which the sightings do not tell the states apart.
+
+    Where two states see the sun at about one place, a change between them is some sightings off.
+
+    Parameters
+    ----------
+    epochs : one after the other.
+    points, states, camera : as `find_epochs` takes them.
+    """
+    noise = np.hypot(noise_of_days(points, camera.site), _MISFIT_PX)
+    found = list(epochs)
+    for number, (one, other) in enumerate(itertools.pairwise(epochs)):
+        rows = slice(one.first, other.last + 1)
+        of_one, of_other = (
+            bounded_cost(camera.distances(states[each.state], points.select(rows)) / noise[rows], 1.0)
+            for each in (one, other)
+        )
+        cost = np.cumsum(of_one - of_other)[:-1]  # of a change after each sighting but the last
+        changed = np.cumsum(np.exp(np.min(cost) - cost))
+        changed /= changed[-1]
+        last, first = np.searchsorted(changed, 1.0 - _SURE, side="right"), 1 + np.searchsorted(changed, _SURE)
+        end, start = points.unix_s[one.first + int(last)], points.unix_s[one.first + int(first)]
+        found[number] = found[number]._replace(end_unix_s=max(float(end), found[number].start_unix_s))
+        found[number + 1] = other._replace(start_unix_s=float(start))
+    return tuple(found)
 
 
 def alternation(points: Sightings, states: Sequence[State], camera: ArchiveCamera) -> Finding | None:

@@ -18,9 +18,9 @@ from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.optics.forward import project
-from sunarc.reanalysis.epoch_changes import agreeing_days, change_within, noise_of_days
-from sunarc.reanalysis.fit import CameraSightings, final_analysis, first_analysis
-from sunarc.reanalysis.states import ArchiveCamera, State, alternation
+from sunarc.reanalysis.epoch_changes import Cause, Side, agreeing_days, change_within, is_of_lens, noise_of_days
+from sunarc.reanalysis.fit import CameraSightings, final_analysis, first_analysis, kept_provisional
+from sunarc.reanalysis.states import ArchiveCamera, Epoch, State, alternation, surely_held
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles, sun_directions
 
@@ -119,6 +119,64 @@ def test_an_epoch_of_one_lens_is_not_split() -> None:
     final = final_analysis(CameraSightings(points, camera, (state,)))
     assert [(one.first, one.last) for one in final.epochs] == [(0, len(points) - 1)]
     assert final.fitted[0].calibration.verdict.accepted
+
+
+@pytest.mark.parametrize(
+    ("scale", "turn_deg", "of_lens"), [(1.0, 0.6, False), (1.0, 3.0, False), (0.988, 0.6, True), (1.012, 3.0, True)]
+)
+def test_a_change_of_scale_is_told_from_a_turn_though_one_camera_was_fitted_to_both(
+    *, scale: float, turn_deg: float, of_lens: bool
+) -> None:
+    before = archive(5, days=5, per_day=25, first_share=1.0, sigma_px=0.4)
+    camera = fitted(before).camera
+    pose = Rotation.from_euler("xy", [turn_deg, -turn_deg], degrees=True) * Rotation.from_rotvec(
+        camera.rotation_cam_enu
+    )
+    after_focal, between = camera.focal_length_px[0] * scale, camera.focal_length_px[0] * (1.0 + scale) / 2.0
+    turned = replace(camera, rotation_cam_enu=tuple(pose.as_rotvec().tolist()))
+    true = replace(turned, focal_length_px=(after_focal, after_focal))
+    later = replace(before, unix_s=before.unix_s + 16 * 86_400.0)
+    noise = np.random.default_rng(6).normal(0.0, 0.4, later.pixels.shape)
+    later = replace(later, pixels=project(true, sun_directions(later.unix_s, SITE)) + noise)
+    first, second = (
+        Side(points, noise_of_days(points, SITE), replace(of, focal_length_px=(between, between)))
+        for points, of in ((before, camera), (later, turned))
+    )
+    assert is_of_lens(first, second, SITE) is of_lens
+
+
+@pytest.mark.parametrize(("second", "certain"), [(FIRST * 1.004, False), (SECOND, True)])
+def test_an_epoch_ends_where_its_state_is_told_from_the_next(*, second: float, certain: bool) -> None:
+    points = archive(7, days=6, per_day=20, first_share=0.5, second=second, sigma_px=0.3)
+    calibration = fitted(archive(7, days=6, per_day=20, first_share=1.0, sigma_px=0.3))
+    share = second / FIRST
+    focal = (share * calibration.camera.focal_length_px[0], share * calibration.camera.focal_length_px[1])
+    other = replace(calibration, camera=replace(calibration.camera, focal_length_px=focal))
+    states = [
+        State(one, lens=n, pose=n, clock_offset_s=0.0, sigma_px=0.3) for n, one in enumerate((calibration, other))
+    ]
+    times, last = points.unix_s.tolist(), len(points) - 1
+    for late in (0, 2):  # the change is said to be some sightings late
+        ends = ((0, 59 + late), (60 + late, last))
+        causes: tuple[Cause, Cause] = ("start", "lens")
+        epochs = [Epoch(n, causes[n], a, b, times[a], times[b]) for n, (a, b) in enumerate(ends)]
+        before, after = surely_held(epochs, points, states, ArchiveCamera(SITE, SIZE, OPTIONS))
+        assert times[0] <= before.end_unix_s <= times[59]
+        assert times[60] <= after.start_unix_s <= times[last]
+        assert (before.end_unix_s >= times[57] and after.start_unix_s <= times[62]) is certain
+        assert (before.start_unix_s, after.end_unix_s) == (times[0], times[last])
+
+
+def test_a_few_suns_of_a_morning_have_an_epoch_that_may_be_kept_as_provisional() -> None:
+    of_day = archive(8, days=1, per_day=60, first_share=1.0, sigma_px=0.5)
+    points = of_day.select(np.flatnonzero(sun_angles(of_day.unix_s, SITE).azimuth < 180.0)[:22])
+    camera = ArchiveCamera(SITE, SIZE, replace(OPTIONS, max_sky_deg=0.5))
+    given = CameraSightings(points, camera)
+    final = final_analysis(given._replace(states=first_analysis(given).states))
+    (fit,) = (one.calibration for one in final.fitted.values())
+    assert "sightings_determine" in codes(fit.verdict.findings)
+    (kept,) = (one.calibration for one in kept_provisional(final, camera).fitted.values())
+    assert (kept.verdict.accepted, kept.verdict.marginal, kept.sigma_limit_deg) == (False, True, 0.5)
 
 
 @pytest.mark.parametrize(("turn_deg", "cause"), [(0.0, "start"), (0.4, "moved")])

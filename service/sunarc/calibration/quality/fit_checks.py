@@ -214,6 +214,12 @@ def determined(calibration: Calibration, usable: Sightings) -> Iterator[Finding]
         yield from _alike_days(usable, calibration.site)
 
 
+def is_undetermined(verdict: Verdict) -> bool:
+    """Return whether a fit is refused for what its sightings do not determine, and for nothing else."""
+    refused = not verdict.accepted and not verdict.marginal
+    return refused and {one.code for one in verdict.findings} <= _UNDETERMINED
+
+
 def provisional(calibration: Calibration, *, limit_deg: float) -> Calibration:
     """Return a refused fit as provisional where it is refused for what its sightings do not determine, and that alone.
 
@@ -221,7 +227,7 @@ def provisional(calibration: Calibration, *, limit_deg: float) -> Calibration:
     as they are; a tilt that nobody stated is refused, too: few sightings that contradict each other fit such a camera.
     """
     verdict = calibration.verdict
-    if verdict.accepted or verdict.marginal or not {one.code for one in verdict.findings} <= _UNDETERMINED:
+    if not is_undetermined(verdict):
         return calibration
     question = tilt_question(calibration.camera, calibration.site)
     if question is not None and calibration.evidence.options.get("level_within_deg") is None:
