@@ -191,7 +191,7 @@ def first_pose(
     amplitude_px, length_px = lens.field_px, lens.field_length_px
     field = unseen_field(lens.camera, size=FREE.size, amplitude_px=amplitude_px, length_px=length_px)
     start = stated_calibration(job, lens.camera, covariance=covariance, field=field)
-    both = start, _mirrored(start)
+    both = start, replace(start, camera=replace(start.camera, mirrored=not start.camera.mirrored))
     # a false one may be anywhere in the image
     area_px2 = float(lens.camera.width * lens.camera.height)
     anywhere = false_density(np.full(usable.pixels.shape, np.inf), area_px2=area_px2)
@@ -207,10 +207,6 @@ def first_pose(
     fitted = outcome_of(found.fit, start, usable, wander_rad=0.0)
     result = calibration_from_fit(fitted, job)
     return _judged(with_options(result, lens_prior=lens.as_evidence()), found, other, lens, known)
-
-
-def _mirrored(start: Calibration) -> Calibration:
-    return replace(start, camera=replace(start.camera, mirrored=not start.camera.mirrored))
 
 
 def _agreeing(camera: Camera, thin: Sightings) -> BoolArray:

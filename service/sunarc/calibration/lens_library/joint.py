@@ -79,12 +79,14 @@ def lens_type_of(units: Sequence[Unit], *, spread: UnitSpread | None = None) -> 
     stated = UnitSpread() if spread is None else spread
     require_one_type(units)
     first = units[0].calibration.camera
-    frame, known = frame_of(first), informations(units)
+    frame = frame_of(first)
+    fits = [one.calibration for one in units]
+    known = [information_of(gaussian_of(fit, frame), fit.evidence.radial_px) for fit in fits]
     focal = float(np.mean(first.focal_length_px))
     spreads = estimated_spread(known, stated, focal_px=focal) if len(units) >= ENOUGH_UNITS else stated
     unit = further_unit(known, spreads.scales(focal), radial_px=_radial_px(units))
-    camera = type_camera(frame, unit.mean, first, max_angle=min(one.calibration.camera.max_angle for one in units))
-    fields = [one.calibration.field for one in units]
+    camera = type_camera(frame, unit.mean, first, max_angle=min(fit.camera.max_angle for fit in fits))
+    fields = [fit.field for fit in fits]
     return LensType(
         camera=camera,
         covariance=frame.basis @ unit.covariance @ frame.basis.T,
@@ -92,7 +94,7 @@ def lens_type_of(units: Sequence[Unit], *, spread: UnitSpread | None = None) -> 
         field_px=float(np.sqrt(np.mean([field.amplitude_px**2 for field in fields]))),
         field_length_px=float(np.median([field.length_px for field in fields])),
         cameras=tuple(one.camera for one in units),
-        days=tuple(sorted({day for one in units for day in one.calibration.evidence.days})),
+        days=tuple(sorted({day for fit in fits for day in fit.evidence.days})),
     )
 
 
@@ -125,12 +127,6 @@ def _kind(calibration: Calibration) -> dict[str, str]:
         "image size": f"{camera.width}x{camera.height}",
         "handedness": "mirrored" if camera.mirrored else "not mirrored",
     }
-
-
-def informations(units: Sequence[Unit]) -> list[Information]:
-    """Return what the sightings of each say of its lens, in the frame of the first one."""
-    frame = frame_of(units[0].calibration.camera)
-    return [information_of(gaussian_of(one.calibration, frame), one.calibration.evidence.radial_px) for one in units]
 
 
 def _radial_px(units: Sequence[Unit]) -> float:

@@ -70,8 +70,8 @@ def fit_backward(camera: Camera) -> BackwardModel:
 
     found = least_squares(misfit, slopes, first_coefficients(camera, x_hat, y_hat, target_point))
     worst = float(np.max(np.linalg.norm(misfit(found).reshape(-1, 2), axis=-1)))
-    radial = found[2:10] / _scale(camera) ** _ORDERS
-    return BackwardModel(radial=tuple(map(float, radial)), decentering=_decentering(found), max_error_px=worst)
+    radial, decentering = found[2:10] / _scale(camera) ** _ORDERS, np.r_[found[:2], found[10:]]
+    return BackwardModel(radial=tuple(radial.tolist()), decentering=tuple(decentering.tolist()), max_error_px=worst)
 
 
 def least_squares(
@@ -153,10 +153,6 @@ def first_coefficients(camera: Camera, x_hat: FloatArray, y_hat: FloatArray, tar
     excess = np.linalg.norm(point, axis=-1) - np.linalg.norm(target, axis=-1)
     radial = np.linalg.lstsq((radius / _scale(camera))[:, None] ** _ORDERS, excess)[0]
     return np.concatenate([decentering[:2], radial, decentering[2:]])
-
-
-def _decentering(found: FloatArray) -> tuple[float, ...]:
-    return float(found[0]), float(found[1]), *(float(q) for q in found[10:])
 
 
 def _scale(camera: Camera) -> float:

@@ -475,7 +475,7 @@ def phases(
 ) -> list[tuple[float, Camera]]:
     """Return the best angles about the pole as cameras, each with its share of bright stars on detections."""
     pole = pole_enu(site)
-    first = _any_rotation(pole, turning.pole)
+    first = _frame(turning.pole).T @ _frame(pole)  # one of the rotations that take the pole to its place in the camera
     angles = np.radians(np.arange(0.0, 360.0, _STEP_DEG))
     share = np.zeros(angles.size)
     for image in images:
@@ -507,11 +507,6 @@ def _shares(turning: Turning, image: NightDetections, first: FloatArray, angles:
     onto = (pixels - centre) / focal
     rays, turns = stars @ first.T, Turns(poles, angles)
     return count_on_detections(rays, onto, turns, shape=turning.shape, reach=_REACH, largest=MAX_ANGLE)
-
-
-def _any_rotation(pole: FloatArray, pole_camera: FloatArray) -> FloatArray:
-    """Return a rotation (3, 3) that takes the pole, east-north-up, to its place in the camera's frame."""
-    return _frame(pole_camera).T @ _frame(pole)
 
 
 def _frame(axis: FloatArray) -> FloatArray:
