@@ -72,6 +72,14 @@ def straight() -> dict[str, Any]:
 
 
 @pytest.fixture(scope="session")
+def small() -> dict[str, Any]:
+    """Return the document of a small camera: a map of it is made in a moment."""
+    return document_of(
+        replace(LENS, width=180, height=164, focal_length_px=(61.9, 61.8), principal_point_px=(90.0, 82.0))
+    )
+
+
+@pytest.fixture(scope="session")
 def sky(camera: Camera) -> tuple[FloatArray, FloatArray]:
     """Return directions (n, 3) above 1 degree, and their pixels (n, 2) in the image."""
     directions = hemisphere(3001)

@@ -45,9 +45,9 @@ def test_the_map_opens_in_xarray_and_says_what_single_pixels_say(straight: dict[
 
 
 @pytest.mark.parametrize("wanted", ["map", "calibration"])
-def test_netcdf_keeps_the_rules_of_the_cf_conventions(straight: dict[str, Any], wanted: str) -> None:
+def test_netcdf_keeps_the_rules_of_the_cf_conventions(small: dict[str, Any], wanted: str) -> None:
     """CF 1.11: 2.6.2 (history), 3.4 (ancillary variables), 4 (coordinates), 5.6 (grid mappings), 6.1 (labels), 7.1."""
-    content = export(straight, "map-netcdf" if wanted == "map" else "netcdf").content
+    content = export(small, "map-netcdf" if wanted == "map" else "netcdf").content
     found = xr.load_dataset(io.BytesIO(content), engine="h5netcdf", decode_cf=False)
     for name, variable in found.variables.items():
         assert "grid_mapping" not in variable.attrs
@@ -91,10 +91,10 @@ def test_the_time_is_the_validity_and_the_whole_says_who_and_what(straight: dict
     assert open_ended.attrs["time_coverage_end"].startswith("2199")
 
 
-def test_the_npz_of_the_map_holds_the_same(straight: dict[str, Any]) -> None:
+def test_the_npz_of_the_map_holds_the_same(small: dict[str, Any]) -> None:
     found, same = (
-        opened(export(straight, "map-netcdf").content),
-        np.load(io.BytesIO(export(straight, "map-npz").content)),
+        opened(export(small, "map-netcdf").content),
+        np.load(io.BytesIO(export(small, "map-npz").content)),
     )
     for name in ("zenith", "azimuth", "direction", "sigma", "x", "y"):
         np.testing.assert_array_equal(same[name], found[name])

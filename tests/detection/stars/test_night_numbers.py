@@ -187,3 +187,14 @@ def test_a_focus_that_got_worse_is_found_after_two_nights_and_one_wide_night_is_
     assert focus_ratio([2.6, 2.7, *before], LIMITS) is None
     assert focus_ratio([3.2, 3.1, *before[:2]], LIMITS) is None  # nothing to compare with
     assert focus_ratio([3.2, math.nan, 3.1, *before], LIMITS) == pytest.approx(3.1 / 2.425)
+
+
+def test_stars_whose_ground_leaves_the_image_do_not_count() -> None:
+    image = drawn(0.3)[40:541, 40:541]  # the outer stars are 5 px from the edge they are at
+    stars = detect_stars(image, full_scale=4095)
+    inner = picked(stars, np.all((stars.pixels > 20.0) & (stars.pixels < 480.0), axis=-1))
+    assert len(inner) < len(stars) - 15
+    found = star_halo(image, stars, full_scale=4095)
+    assert found == pytest.approx(star_halo(image, inner, full_scale=4095), rel=0.03)
+    outer = picked(stars, np.any((stars.pixels < 16.0) | (stars.pixels > 484.0), axis=-1))
+    assert math.isnan(star_halo(image, outer, full_scale=4095))
