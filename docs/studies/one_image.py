@@ -20,7 +20,7 @@ import numpy as np
 import one_image_world as world
 from numpy.typing import NDArray
 
-from sunarc.calibration.start.blind_start import BlindStart, NightDetections, blind_start
+from sunarc.calibration.start.blind_start import BlindOptions, BlindStart, NightDetections, blind_start
 from sunarc.detection.stars.detect import detect_stars
 from sunarc.detection.values import Stars
 from sunarc.optics.forward import project
@@ -80,7 +80,9 @@ def stated(rng: np.random.Generator, kind: str, latitude: float, longitude: floa
     return 3600.0 * hours, float(np.clip(latitude, -80.0, 80.0)), longitude
 
 
-def one(kind: str, seed: int, *, rendered: bool = False) -> tuple[str, str, float, float, int, int]:
+def one(
+    kind: str, seed: int, *, rendered: bool = False, level_within: float | None = None
+) -> tuple[str, str, float, float, int, int]:
     """Return right, wrong or refused; why; the error, px; the chance; and false and all names."""
     rng = np.random.default_rng(seed)
     latitude, longitude = rng.uniform(-55.0, 65.0), rng.uniform(-180.0, 180.0)
@@ -97,7 +99,8 @@ def one(kind: str, seed: int, *, rendered: bool = False) -> tuple[str, str, floa
     sky = night_sky(when + late, site, faintest=5.5)
     seen = detect_stars(world.render(rng, lens, MADE[kind], shot), full_scale=255) if rendered else detections(shot)
     image = NightDetections(unix_s=when + late, stars=seen, sky=sky)
-    found = blind_start([image], site, image_size=lens.size)
+    known = BlindOptions(level_within_deg=level_within)
+    found = blind_start([image], site, image_size=lens.size, options=known)
     why, chance = (
         found.findings[0].code,
         [one.data["log10_chance"] for one in found.findings if "log10_chance" in one.data],
@@ -135,13 +138,15 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--kinds", nargs="*", default=[*KINDS, *FALSE, *WRONG], help="words that begin a kind's name")
     parser.add_argument("--rendered", action="store_true", help="draw images, and detect the stars in them")
+    parser.add_argument("--level-within", type=float, help="how level the cameras are said to stand, degrees")
     asked = parser.parse_args()
     print(f"{'image':36s} right refused wrong  error, px (median, 90 %)  false names  log10 chance  s  why refused")
     for kind in [*KINDS, *FALSE, *WRONG]:
         if not any(kind.startswith(word) for word in asked.kinds):
             continue
         begin = time.process_time()
-        rows = [one(kind, seed, rendered=asked.rendered) for seed in range(asked.first, asked.first + asked.lenses)]
+        seeds = range(asked.first, asked.first + asked.lenses)
+        rows = [one(kind, n, rendered=asked.rendered, level_within=asked.level_within) for n in seeds]
         spent = (time.process_time() - begin) / len(rows)
         count = Counter(row[0] for row in rows)
         errors = np.array([row[2] for row in rows if row[0] == "right"] or [math.nan])

@@ -66,6 +66,20 @@ def test_a_lamp_by_day_as_bright_as_the_sun_is_none() -> None:
     assert (found.accepted, codes(found.findings)) == (False, ["disc_without_glare"])
 
 
+def test_a_bright_cloud_behind_a_lamp_is_no_halo() -> None:
+    what = Series(sun=None, lamp=(236.3, 179.9), cloud=0.8, lamp_level=0.73, lamp_radius=1.1)
+    assert not detect_sun_in_stack(stack(what, seed=11)).accepted
+
+
+@pytest.mark.parametrize("haze", [0.0, 0.3])
+def test_a_steep_halo_needs_no_round_glare_where_the_sky_is_clipped(haze: float) -> None:
+    frames = stack(Series(sun=SUN, haze=haze), of=EXPOSURES_US[:5])
+    day = frames[0]._replace(image=np.full_like(frames[0].image, 255), exposure_us=None)
+    found = detect_sun_in_stack([*(one._replace(exposure_us=None) for one in frames), day])
+    assert found.accepted is (haze > 0.0)
+    assert (found.x_px, found.y_px) == pytest.approx(SUN, abs=0.3)
+
+
 def test_short_exposures_alone_are_not_believed() -> None:
     found = detect_sun_in_stack(stack(Series(sun=SUN), of=EXPOSURES_US[:4]))
     assert (found.accepted, codes(found.findings)) == (False, ["disc_without_glare"])

@@ -45,6 +45,9 @@ def stars(
     image_circle: Annotated[
         str | None, typer.Option(help="X,Y,RADIUS in px, or a daytime image that shows it.", rich_help_panel=BLIND)
     ] = None,
+    level_within: Annotated[
+        float | None, typer.Option(help="How far the camera is tilted at most, degrees.", rich_help_panel=BLIND)
+    ] = None,
     output: Annotated[Path | None, typer.Option("--output", "-o", help="CSV of the stars' sightings.")] = None,
     beside: Annotated[
         Path | None, typer.Option(help="Sightings of the sun (CSV), written before the stars': all in one file.")
@@ -70,8 +73,9 @@ def stars(
     With --beside the output holds the sun's sightings as well, for the next sunarc calibrate. Give two images or more,
     ten minutes apart, so that hot pixels and lamps are known. Needs the extra sunarc[night].
 
-    With --blind no calibration is needed, for cameras within 20 degrees of the zenith: what turns in images of one
-    night (an hour or more apart) gives lens and pole, and the bright stars the rest; of one image their pattern all.
+    With --blind no calibration is needed, for cameras within 20 degrees of the zenith (or --level-within, by which a
+    wrong latitude shows): what turns in images of one night (an hour or more apart) gives lens and pole, and the bright
+    stars the rest; of one image their pattern all.
     North is then right as the images' clock is: within --clock-error, which the stated uncertainty holds.
 
     Example: sunarc stars night/*.png --calibration calibration.json --beside sun.csv -o sightings.csv
@@ -100,7 +104,9 @@ def stars(
     sun = None if beside is None else read_sightings(read_lines(beside), name=beside.name)
     if blind:
         place = _site(calibration, latitude, longitude, altitude)
-        found = _found_blind(images, place, options, image_circle, write_calibration, as_json=as_json)
+        circle = None if image_circle is None else image_circle_of(image_circle)
+        known = BlindOptions(level_within_deg=level_within, circle=circle)
+        found = _found_blind(images, place, options, known, write_calibration, as_json=as_json)
     elif calibration is None:
         raise InputError(field="--calibration", problem="is missing", remedy="give one, or --blind and the site")
     else:
@@ -128,10 +134,9 @@ def _site(calibration: Path | None, latitude: float | None, longitude: float | N
 
 
 def _found_blind(
-    images: list[Path], site: Site, options: StarOptions, circle: str | None, target: Path | None, *, as_json: bool
+    images: list[Path], site: Site, options: StarOptions, known: BlindOptions, target: Path | None, *, as_json: bool
 ) -> list[StarImage]:
     """Return the images with their stars named by the camera that they gave, and write its calibration."""
-    known = BlindOptions(circle=None if circle is None else image_circle_of(circle))
     result = find_stars_blind(images, site, options, known=known)
     if as_json:
         print_json(result.as_json())

@@ -83,11 +83,14 @@ _TIMES_SKY = 60.0
 """Light of the disc over that of the sky: the sun has 1e5 without cloud; a reflection has less than the cloud's rim."""
 _WIDE_GLARE, _SMALLEST_RING_PX = 3.0, 2.0
 """Radius of a clipped glare over the disc's that no lamp without a halo has; least radius for that and the rings."""
-_NEAR_RING, _FAR_RING, _CLIPPED_RING = (2.5, 4.0), (6.0, 8.0), 0.9
-"""Of radii of the disc; light of full scale from which on a ring is clipped."""
-_FALLS_OFF = 1.11
-"""Light of the near ring over the far one's: of drawn lamps mostly below 1.08, more in a bright cloud; suns behind
-cloud that lets a third through have 1.04 to 1.15."""
+_RINGS = ((2.5, 4.0), (4.0, 6.0), (6.0, 8.0))
+_CLIPPED_RING, _DARK_RING = 0.9, 0.002
+"""Radii of rings over the disc's; light of full scale from which on a ring is clipped, and up to which it is dark."""
+_FALLS_OFF, _FALLS_STEEPLY = 1.11, 2.0
+"""Light of the near ring over the far one's: of drawn lamps mostly below 1.08; suns behind cloud that lets a third
+through have 1.04 to 1.15. A steep fall needs no round glare about it, in images whose sky is clipped all about."""
+_INWARDS = 1.15
+"""Its fall in the inner half over that in the outer: of bright clouds behind lamps at most 1.08, of suns 1.26 to 2."""
 
 
 def _disc_in(ordered: Sequence[Photo], expectation: Expectation | None) -> _DiscOfStack | None:
@@ -129,9 +132,10 @@ def _by_disc(disc: _DiscOfStack, ordered: Sequence[Photo], accepted: Sequence[De
             at, accepted=False, verdict="reflection", findings=(Finding("blob_displaced", {"distance_px": far}),)
         )
     glare = [near for each in ordered if (near := _glare_about(each, at)) is not None]
-    if not accepted and not (glare and _outshines(disc.shortest, ordered) and _has_halo(disc, glare, ordered)):
+    if not accepted and not (_outshines(disc.shortest, ordered) and _has_halo(disc, glare, ordered)):
         return replace(at, accepted=False, verdict="hidden", findings=(Finding("disc_without_glare"),))
-    diameter = 2.0 * (glare[0].rim.radius if glare else accepted[0].radius_px or 0.0)
+    wide = accepted[0] if accepted else disc.shortest
+    diameter = 2.0 * (glare[0].rim.radius if glare else wide.radius_px or 0.0)
     share = glare[0].rim.share if glare else 1.0
     mean = Finding("stack_mean", {"frames": disc.frames, "chi2": (disc.sigma_px / (at.sigma_px or 1.0)) ** 2})
     return replace(at, findings=(Finding("blob_found", {"diameter_px": diameter, "share": share}), mean))
@@ -157,20 +161,23 @@ def _glare_about(photo: Photo, disc: Detection) -> Candidate | None:
 def _has_halo(disc: _DiscOfStack, glare: Sequence[Candidate], ordered: Sequence[Photo]) -> bool:
     """Return whether light falls off about the disc as the sun's does in air and lens, beyond what is clipped.
 
-    A lamp of the sun's radiance on a bright sky has an edge and then the sky; one whose light the lens scatters as the
-    sun's is like it in a single stack, and stands still in the next one.
+    A lamp of the sun's radiance on a bright sky has an edge and then the sky; that of a cloud behind it falls off the
+    farther out the more. One whose light the lens scatters as the sun's is like it in a single stack, and stands still
+    in the next one.
     """
+    if all(is_short(each) for each in ordered):  # of the night
+        return False
     radius = max(disc.shortest.radius_px or 0.0, _SMALLEST_RING_PX)
     if any(one.rim.radius >= _WIDE_GLARE * radius for one in glare):
         return True
     rows, columns = np.mgrid[: ordered[0].image.shape[0], : ordered[0].image.shape[1]]
     away = np.hypot(columns - disc.x, rows - disc.y) / radius
-    rings = [(away >= least) & (away < most) for least, most in (_NEAR_RING, _FAR_RING)]
+    rings = [(away >= least) & (away < most) for least, most in _RINGS]
     for each in ordered:
-        if not is_short(each):
-            near, far = (_median_light(each.image[ring][None], each.full_scale) for ring in rings)
-            if near < _CLIPPED_RING:  # the longest exposure of these has the least noise
-                return near >= _FALLS_OFF * far
+        near, middle, far = (_median_light(each.image[ring][None], each.full_scale) for ring in rings)
+        if near < _CLIPPED_RING:  # the longest exposure of these has the least noise
+            falls = near >= (_FALLS_OFF if glare else _FALLS_STEEPLY) * far
+            return far > _DARK_RING and falls and near - middle >= _INWARDS * (middle - far)
     return False
 
 

@@ -405,7 +405,10 @@ def find_stars_blind(
     if not start.accepted or start.camera is None:
         return BlindResult(start=start, images=seen)
     points = _points(start, images, size)
-    choice = CalibrationOptions(mirrored="yes" if start.camera.mirrored else "no")
+    choice = CalibrationOptions(
+        mirrored="yes" if start.camera.mirrored else "no",
+        level_within_deg=None if known is None else known.level_within_deg,
+    )
     fitted = calibrate(points, site=site, image_size=size, options=choice, start=start.camera)
     if not fitted.verdict.accepted:
         return BlindResult(start=start, images=seen, calibration=fitted)

@@ -12,7 +12,7 @@ import pytest
 
 from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.answers.stars import seen_magnitude
-from sunarc.calibration.start.blind_start import BlindStart, NightDetections, blind_start
+from sunarc.calibration.start.blind_start import BlindOptions, BlindStart, NightDetections, blind_start
 from sunarc.calibration.start.star_pattern import Bright, bright_stars, log10_chance, patterns
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
@@ -95,6 +95,14 @@ def test_an_hour_of_the_clock_is_refused(hours: float) -> None:
     found = found_in(image_of(level, NIGHT, late_s=3600.0 * hours))
     assert not found.accepted
     assert found.findings[0].code in {"camera_tilted_by_clock", "blind_no_pattern", "blind_tilted"}
+
+
+@pytest.mark.parametrize(("level_within_deg", "accepted"), [(6.0, False), (20.0, True)])
+def test_how_level_a_camera_stands_is_held_to_where_it_is_stated(*, level_within_deg: float, accepted: bool) -> None:
+    options = BlindOptions(level_within_deg=level_within_deg)
+    found = blind_start([image_of(TILTED, NIGHT)], pop.SGP, image_size=(CAMERA.width, CAMERA.height), options=options)
+    assert found.accepted is accepted
+    assert accepted or found.findings[0].code in {"blind_tilted", "blind_no_pattern"}
 
 
 def test_the_chance_is_of_the_right_camera_and_of_no_other() -> None:

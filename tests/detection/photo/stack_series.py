@@ -23,6 +23,7 @@ class Series(NamedTuple):
 
     sun: centre of the disc, px; None: overcast without a sun. radius: of the disc, px. glint: a reflection's place.
     dimmed: share of the sun's light that passes a thin cloud. quality: of JPEG. lamp: a place without haloes about it.
+    haze: light that falls off steeply about the sun.
     """
 
     sun: tuple[float, float] | None
@@ -36,6 +37,7 @@ class Series(NamedTuple):
     lamp: tuple[float, float] | None = None
     lamp_level: float = 0.5
     lamp_radius: float = 1.5
+    haze: float = 0.0
 
 
 def series(what: Series, seed: int) -> dict[int, NDArray[np.uint8]]:
@@ -59,7 +61,11 @@ def _light(what: Series, rng: np.random.Generator) -> Light:
         return sky
     x, y = columns - what.sun[0], rows - what.sun[1]
     far = np.hypot(x, y)
-    haloes = 2.5e-3 / (1.0 + (far / 5.0) ** 2) ** 1.3 + 1.2e-3 * np.exp(-far / 40.0) + 4e-4 / (1.0 + far / 90.0)
+    haloes = (
+        (2.5e-3 + what.haze) / (1.0 + (far / 5.0) ** 2) ** 1.3
+        + 1.2e-3 * np.exp(-far / 40.0)
+        + 4e-4 / (1.0 + far / 90.0)
+    )
     streak = 4e-4 * np.exp(-np.abs(0.8 * x - 0.6 * y) / 1.5) * np.exp(-far / 60.0)
     light = sky + what.dimmed * (_disc(x, y, what.radius) + haloes + streak) + (1.0 - what.dimmed) * 8e-4
     return np.asarray(light)

@@ -62,23 +62,32 @@ class NightDetections:
 # What a blind start is given, and what it returns.
 
 
+_MAX_TILT_DEG = 20.0
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BlindOptions:
     """What is known of the camera before.
 
     Attributes
     ----------
-    max_tilt_deg : how far its axis may lie from the zenith.
+    level_within_deg : how far its axis may lie from the zenith; unset: 20 degrees, unless a wrong time or place, which
+        would make it level, is more probable than its tilt.
     circle : the image circle, where it is known; the axis is then looked for within 8 % of its radius of its centre,
         else of the image's.
     """
 
-    max_tilt_deg: Annotated[float, Gt(0.0), Le(45.0)] = 20.0
+    level_within_deg: Annotated[float, Gt(0.0), Le(45.0)] | None = None
     circle: ImageCircle | None = None
 
     def __post_init__(self) -> None:
         """Refuse what is no tilt."""
         require_bounds(self, section_path="blind start")
+
+    @property
+    def max_tilt_deg(self) -> float:
+        """How far the axis may lie from the zenith."""
+        return _MAX_TILT_DEG if self.level_within_deg is None else self.level_within_deg
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -435,7 +444,7 @@ def _decided(found: Sequence[_Hypothesis], site: Site, options: BlindOptions) ->
         "north_deg_per_minute": _NORTH_PER_MINUTE_DEG * abs(math.sin(math.radians(site.latitude))),
     }
     findings = [Finding("blind_found", data)]
-    question = tilt_question(best.camera, site)
+    question = None if options.level_within_deg is not None else tilt_question(best.camera, site)
     against = []
     if math.isfinite(best.log10_chance):
         findings.append(Finding("blind_by_pattern", {"log10_chance": best.log10_chance}))
