@@ -10,14 +10,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.model.backward import camera_sees
-from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.result import Calibration
 from sunarc.optics import pose
 from sunarc.optics.camera import PARAMETER_NAMES, Camera
@@ -34,31 +32,7 @@ _POLAR = 1.55
 """Latitude in radians beyond which east has no meaning."""
 
 
-class Uncertain(Protocol):
-    """A camera, and how sure one is of it."""
-
-    @property
-    def camera(self) -> Camera:
-        """The camera."""
-
-    @property
-    def parameter_names(self) -> tuple[str, ...]:
-        """Names of the covariance's rows, in order."""
-
-    @property
-    def covariance(self) -> FloatArray:
-        """(p, p) of the parameters."""
-
-    @property
-    def field(self) -> Field:
-        """The discrepancy field."""
-
-    @property
-    def sigma_limit_deg(self) -> float | None:
-        """The 1-sigma per axis up to which directions are answered; None: all are."""
-
-
-def project_with_covariance(calibration: Uncertain, directions: ArrayLike) -> tuple[FloatArray, FloatArray]:
+def project_with_covariance(calibration: Calibration, directions: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Project directions and say how sure one is of the pixels.
 
     Parameters
@@ -81,7 +55,7 @@ def project_with_covariance(calibration: Uncertain, directions: ArrayLike) -> tu
 
 
 def sun_with_covariance(
-    calibration: Uncertain, directions: ArrayLike, *, site: Site, measured: bool
+    calibration: Calibration, directions: ArrayLike, *, site: Site, measured: bool
 ) -> tuple[FloatArray, FloatArray]:
     """Pixels of the sun, with the covariance of the camera and of the refraction.
 
@@ -104,7 +78,7 @@ def sun_with_covariance(
     return pixels, covariance + shift[..., :, None] * shift[..., None, :]
 
 
-def _predicted(calibration: Uncertain, directions: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _predicted(calibration: Calibration, directions: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return pixels (n, 2), their covariance (n, 2, 2), and derivatives by the direction (n, 2, 3)."""
     pixels, covariance = np.empty((directions.shape[0], 2)), np.empty((directions.shape[0], 2, 2))
     by_direction = np.empty((directions.shape[0], 2, 3))
@@ -114,7 +88,7 @@ def _predicted(calibration: Uncertain, directions: FloatArray) -> tuple[FloatArr
     return pixels, covariance, by_direction
 
 
-def _chunk(calibration: Uncertain, directions: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _chunk(calibration: Calibration, directions: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     pixels, by_parameters = project_with_rows_fast(calibration.camera, directions)
     indices = [PARAMETER_NAMES.index(name) for name in calibration.parameter_names]
     rows = np.ascontiguousarray(by_parameters[..., indices])
@@ -132,7 +106,7 @@ def _chunk(calibration: Uncertain, directions: FloatArray) -> tuple[FloatArray, 
     return pixels, covariance, by_direction(calibration.camera, by_parameters)
 
 
-def unproject_with_sigma(calibration: Uncertain, pixels: ArrayLike) -> tuple[FloatArray, FloatArray, BoolArray]:
+def unproject_with_sigma(calibration: Calibration, pixels: ArrayLike) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Say where pixels look, and how sure one is.
 
     Parameters
@@ -161,12 +135,12 @@ def unproject_with_sigma(calibration: Uncertain, pixels: ArrayLike) -> tuple[Flo
     return directions, sigma, inside
 
 
-def sigma_deg(calibration: Uncertain, directions: FloatArray) -> FloatArray:
+def sigma_deg(calibration: Calibration, directions: FloatArray) -> FloatArray:
     """Return (n,): 1-sigma per axis on the sphere of directions (n, 3), degrees."""
     return uncertainties(calibration, directions)[1]
 
 
-def uncertainties(calibration: Uncertain, directions: FloatArray) -> tuple[FloatArray, FloatArray]:
+def uncertainties(calibration: Calibration, directions: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return covariances (n, 2, 2) in px² and 1-sigma per axis on the sphere (n,) in degrees of directions (n, 3)."""
     _, covariance, by_direction = _predicted(calibration, directions)
     return covariance, _per_axis_deg(covariance, by_direction, directions)
@@ -229,7 +203,7 @@ def seen_sky(camera: Camera) -> FloatArray:
     return np.asarray(directions[np.sum(shown * directions, axis=-1) > 1.0 - _SAME])
 
 
-def sky_sigma_deg(calibration: Uncertain) -> tuple[float, float]:
+def sky_sigma_deg(calibration: Calibration) -> tuple[float, float]:
     """Return the root mean square and the maximum 1-sigma over the part of the sky that the camera sees, degrees.
 
     Neither is above 180: no direction can be further off, and a linear error may say so.

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from sunarc import _kernels
 from sunarc.array_types import BoolArray, FloatArray
-from sunarc.calibration.answers.covariance import Uncertain, direction_covariance, uncertainties
+from sunarc.calibration.answers.covariance import direction_covariance, uncertainties
+from sunarc.calibration.model.result import Calibration
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project_fast, radius_slope, rising_limit
 from sunarc.optics.inverse import largest_angle
@@ -107,7 +108,7 @@ def _bounded(rows: FloatArray, back_projected: FloatArray, limit_deg: float) -> 
     return rows
 
 
-def lookup(calibration: Uncertain) -> Lookup:
+def lookup(calibration: Calibration) -> Lookup:
     """Return a calibration made ready; takes some tenths of a second."""
     camera = calibration.camera
     table = inverse_table(camera)
