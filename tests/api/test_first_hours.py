@@ -126,7 +126,8 @@ def test_the_first_hours_on_the_page(new: Made) -> None:
 @in_a_browser
 @pytest.mark.parametrize("mirrored", [False, True])
 def test_which_way_the_sun_goes_is_said_beside_the_way_it_must_go(new: Made, *, mirrored: bool) -> None:
-    see(new, since_minutes=140.0, mirrored=mirrored)
+    today = see(new, since_minutes=140.0, mirrored=mirrored)
+    new.archive.sightings.add([replace(one, time=one.time - timedelta(days=1)) for one in today])
     with serving(new) as address, browser() as chromium:
         page = opened(chromium, address).page
         page.wait_for_selector("#first-facts >> text=about the image", timeout=30_000)
@@ -134,6 +135,8 @@ def test_which_way_the_sun_goes_is_said_beside_the_way_it_must_go(new: Made, *, 
         way = fact(page, "Its path")
         assert way.startswith("clockwise" if mirrored else "counter-clockwise")
         assert ("calibration.mirrored" in way) == mirrored
+        turned, expected = map(float, re.findall(r"by (?:about )?(\d+)°", way))
+        assert turned == pytest.approx(expected, rel=0.5)  # of today alone
         assert "first_pose.lens_prior" in fact(page, "North")
 
 

@@ -4,6 +4,7 @@ import { DAY_MS, drawSeries } from "./plots.js";
 
 const MS_PER_DEGREE = 240000; // of longitude: the sun's mean rate
 const MOST_POINTS = 1000;
+const NIGHT_MS = 10800000; // without a sighting: the way since then is told
 const LEAST_TURN_DEG = 10; // below, which way the sun goes round the middle is not said
 const OF_FEW = "first_pose_provisional";
 const POINTS = ["north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west"];
@@ -58,7 +59,9 @@ function verdicts(counts) {
 
 // Seen from below, the azimuth runs counter-clockwise in an image; in a mirrored one clockwise. The middle of the image is
 // near the zenith of a camera that looks up: where the sun goes round it by about as much as its azimuth does, that counts.
-function ofWay(status, sightings, today) {
+function ofWay(status, every, today) {
+  const night = every.findLastIndex((point, k) => k > 0 && Date.parse(point.time) - Date.parse(every[k - 1].time) > NIGHT_MS);
+  const sightings = every.slice(Math.max(night, 0));
   const [width, height] = status.image_size ?? [1, 1];
   const turned = turn(sightings.map((point) => [Date.parse(point.time), Math.atan2(point.y_px - height / 2, point.x_px - width / 2) * (180 / Math.PI)]));
   if (Math.abs(turned) < LEAST_TURN_DEG) return "not yet long enough to show its sense of rotation about the image's centre";
