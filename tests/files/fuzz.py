@@ -2,10 +2,11 @@
 
     .venv/bin/python -m tests.files.fuzz --count 1000000 --seed 1
 
-draws so many cases in all (hypothesis), from the sound files of every reader: bytes changed, cut, doubled, and replaced
-by what numbers, names and nests can be. A case fails that raises anything but the project's own errors, or takes longer
-than a second. Failures are printed with the shortest such file, which is kept in `--keep`; the memory that was
-taken in all is printed. `--only NAME` asks one reader.
+draws so many cases in all from the sound files of every reader: bytes and numbers changed, cut, doubled, joined, and
+replaced by what numbers, names and nests can be; what was answered in a new way is damaged further. A case fails that
+raises anything but the project's own errors, takes longer than a second of processor, more than 300 MB, or ends the
+process, in which each reader is asked apart. Printed is a table by reader; failures are shortened and kept in
+`--keep`. `--only NAME` asks one reader.
 """
 
 from __future__ import annotations
@@ -13,38 +14,92 @@ from __future__ import annotations
 import argparse
 import io
 import json
+import mmap
+import multiprocessing
+import os
+import random
+import re
 import resource
+import signal
+import sqlite3
+import struct
 import sys
 import tempfile
-import time
+import traceback
+import zlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from time import perf_counter, process_time
+from typing import Any, Literal, NamedTuple
 
 import cv2
+import h5netcdf
 import numpy as np
-from hypothesis import HealthCheck, Phase, given, seed, settings
-from hypothesis import strategies as st
+from astropy.io import fits
+from numpy.typing import NDArray
+from PIL import Image as Pictures
 from tests.fixtures.calibration import distinctive_calibration
 
 from sunarc.api.arrays import read_rows
 from sunarc.archive.csv_files import read_pairs, read_sightings
+from sunarc.archive.database.recovery import Column, leaf_rows
 from sunarc.archive.fleet.feed_rows import FeedRow, feed_lines, read_feed_lines
 from sunarc.calibration.lens_library.lens_type import lens_type_from_json
 from sunarc.calibration.model.document import from_document, to_document
+from sunarc.calibration.model.result import Calibration
 from sunarc.errors import InputError, SunarcError
 from sunarc.exports.formats import FORMATS, read_view
+from sunarc.findings import Finding
+from sunarc.imaging.metadata import document_of, jpeg_with, png_with
 from sunarc.offline.calibrate_files import read_joint_spec
 from sunarc.reanalysis.files import read_image, read_lines
+from sunarc.reanalysis.image_files import (
+    checked_image,
+    fits_bayer,
+    fits_frame,
+    fits_image,
+    fits_site,
+    netcdf_frames,
+    netcdf_images,
+    video_frames,
+    video_images,
+)
+from sunarc.reanalysis.image_times import exif_time, sidecar_time
+from sunarc.reanalysis.index import CameraPlan, Selector, read_cameras
+from sunarc.reanalysis.ledger import ImageId, Known, Ledger
+from sunarc.reanalysis.look import PackedMask
+from sunarc.reanalysis.messages import RefusedImageError
 from sunarc.settings.load import load_hub_settings, load_settings
+from sunarc.sky.site import Site
 from sunarc.studies.benchmark_cases import BenchmarkTruth
 from sunarc.studies.benchmark_files import read_case, read_entry
 from sunarc.studies.benchmark_scores import score
+from sunarc.workers.night.warm_pixels import SensorFormat, WarmPixelFile
 
 ROOT = Path(__file__).resolve().parents[2]
 SLOWEST_S = 1.0
+"""Of processor, for a case."""
+LONGEST_S = 60.0
+"""For a case by the wall's clock: it hangs."""
+MOST_MB = 300.0
+"""Of memory, for a case, and by which all of a reader may grow."""
 _MOST_EDITS = 6
+_KINDS = ("set", "set", "set", "flip", "cut", "double", "end")
+_NUMBERS = (0, 1, -1, 2**7, 2**8 - 1, 2**15, 2**16 - 1, 2**31 - 1, 2**31, 2**32 - 1, 2**63 - 1, 2**63, 1000, 65_537)
+_SOUND_SHARE, _SPLICED_SHARE, _RIGHT_SUMS_SHARE = 0.5, 0.1, 0.7
+_MOST_KEPT, _LONGEST_KEPT = 200, 1 << 16
+_SETTLED, _LOOKED_EVERY = 2000, 1000
+_LOOK_S, _MOST_DEATHS, _MOST_TRIES = 0.05, 20, 300
+_LONGEST_ANSWER = 200
+CHEAP, DEAR, SLOW = 16, 4, 1
+"""Weights: readers of less than a quarter of a millisecond a case, of less than one, of more."""
+_SLOW_VIEWS = frozenset({"mrcal", "netcdf", "opencv-remap", "fits", "matlab", "map-netcdf", "map-npz", "ros"})
+_SHAPE = re.compile(r"[\d.'\"\\]+|0x[0-9a-f]+")
+_IN_MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None  # noqa: S108 - a folder of its own is made there
 TOKENS = (
     b"", b"\0", b"\xff\xfe", b"\xef\xbb\xbf", b"nan", b"NaN", b"-inf", b"Infinity", b"1e999", b"-1", b"0", b"-0.0",
     b"1e-320", b"9" * 400, b"1" * 5000, b"2013-02-30T25:61:61Z", b"9999-12-31T23:59:59.9999999Z",
@@ -57,11 +112,19 @@ TOKENS = (
 
 @dataclass(frozen=True)
 class Reader:
-    """A reader of files: `read` takes a file's bytes and a folder of its own; `sound` are files that it reads."""
+    """A reader of files: `read` takes a file's bytes and a folder of its own; `sound` are files that it reads.
+
+    Of a dear one fewer cases are asked, by its `weight`.
+    """
 
     name: str
     sound: tuple[bytes, ...]
     read: Callable[[bytes, Path], object]
+    weight: int = CHEAP
+
+    def share_of(self, count: int, asked: list[Reader]) -> int:
+        """Return how many of so many cases are this reader's."""
+        return -(-count * self.weight // sum(one.weight for one in asked))
 
 
 @dataclass(frozen=True)
@@ -73,10 +136,110 @@ class Failure:
     why: str
 
 
-def edited(sound: bytes, edits: list[tuple[str, int, int, bytes]]) -> bytes:
+class Asked(NamedTuple):
+    """How a file was taken: a word for the answer, what is wrong with it, if anything, and the processor seconds."""
+
+    answer: str
+    why: str | None
+    refused: bool
+    took_s: float
+
+
+@dataclass
+class Tally:
+    """How the cases of a reader went; of failures of one cause one is kept, shortened."""
+
+    reader: str
+    answered: int = 0
+    refused: int = 0
+    n_failed: int = 0
+    slowest_s: float = 0.0
+    grown_mb: float = 0.0
+    failures: dict[str, Failure] = field(default_factory=dict)
+
+    def note(self, reader: Reader, content: bytes, asked: Asked, folder: Path) -> None:
+        """Count a case."""
+        self.slowest_s = max(self.slowest_s, asked.took_s)
+        if asked.why is None:
+            self.refused += asked.refused
+            self.answered += not asked.refused
+            return
+        self.n_failed += 1
+        kind = kind_of_failure(asked.why)
+        if kind not in self.failures:
+            short = content if kind == "took" else shortened(reader, content, kind, folder)
+            self.failures[kind] = Failure(self.reader, short, asked.why)
+
+    def add(self, other: Tally) -> None:
+        """Count further cases of the same reader."""
+        self.answered += other.answered
+        self.refused += other.refused
+        self.n_failed += other.n_failed
+        self.slowest_s = max(self.slowest_s, other.slowest_s)
+        self.grown_mb = max(self.grown_mb, other.grown_mb)
+        self.failures = other.failures | self.failures
+
+    @property
+    def n_cases(self) -> int:
+        """How many were asked."""
+        return self.answered + self.refused + self.n_failed
+
+    def row(self) -> str:
+        """Return a row of a table."""
+        numbers = (f"{one:,}" for one in (self.n_cases, self.answered, self.refused, self.n_failed))
+        return f"| {self.reader} | {' | '.join(numbers)} | {self.slowest_s:.2f} | {self.grown_mb:.0f} |"
+
+
+class Pool:
+    """Files to damage: the sound ones, and damaged ones that were answered in a way that none before was."""
+
+    def __init__(self, sound: tuple[bytes, ...]) -> None:
+        self._files, self._sound = list(sound), len(sound)
+        self._seen: set[str] = set()
+
+    def __len__(self) -> int:
+        return len(self._files)
+
+    def drawn(self, chance: random.Random) -> bytes:
+        """Return a damaged file, a sound one's in half of the cases."""
+        known = self._files[: self._sound] if chance.random() < _SOUND_SHARE else self._files
+        content = chance.choice(known)
+        if chance.random() < _SPLICED_SHARE:
+            other = chance.choice(self._files)
+            content = content[: chance.randrange(len(content) + 1)] + other[chance.randrange(len(other) + 1) :]
+        content = edited(content, edits(chance, len(content)))
+        return with_right_sums(content) if content[1:4] == b"PNG" and chance.random() < _RIGHT_SUMS_SHARE else content
+
+    def note(self, content: bytes, answer: str) -> None:
+        """Keep a file whose answer is new, while there is room."""
+        if answer not in self._seen and len(content) <= _LONGEST_KEPT and len(self._files) < _MOST_KEPT:
+            self._seen.add(answer)
+            self._files.append(content)
+
+
+def edits(chance: random.Random, length: int) -> list[tuple[str, int, int, bytes]]:
+    """Return some changes of a file of a length."""
+    made = []
+    for _ in range(chance.choice((1, 1, 1, 2, 3, _MOST_EDITS))):
+        what = chance.randrange(3)
+        if what == 0:
+            token = chance.choice(TOKENS)
+        elif what == 1:
+            token = chance.randbytes(chance.randrange(1, 9))
+        else:
+            order: Literal["big", "little"] = chance.choice(("big", "little"))
+            token = (chance.choice(_NUMBERS) & (2**64 - 1)).to_bytes(8, order)
+            width = chance.choice((1, 2, 4, 8))
+            token = token[-width:] if order == "big" else token[:width]
+        width = len(token) if what == 2 else chance.randrange(41)
+        made.append((chance.choice(_KINDS), chance.randrange(length + 1), width, token))
+    return made
+
+
+def edited(sound: bytes, changes: list[tuple[str, int, int, bytes]]) -> bytes:
     """Return a file changed at some places; places are taken modulo its length."""
     content = bytearray(sound)
-    for kind, place, length, token in edits:
+    for kind, place, length, token in changes:
         begin = place % (len(content) + 1)
         end = min(begin + length, len(content))
         if kind == "set":
@@ -92,16 +255,15 @@ def edited(sound: bytes, edits: list[tuple[str, int, int, bytes]]) -> bytes:
     return bytes(content)
 
 
-EDITS = st.lists(
-    st.tuples(
-        st.sampled_from(("set", "set", "flip", "cut", "double", "end")),
-        st.integers(0, 2**20),
-        st.integers(0, 40),
-        st.one_of(st.sampled_from(TOKENS), st.binary(max_size=8)),
-    ),
-    min_size=1,
-    max_size=_MOST_EDITS,
-)
+def with_right_sums(png: bytes) -> bytes:
+    """Return a PNG whose chunks have the sums of what is in them: else no decoder looks further."""
+    made, at = bytearray(png[:8]), 8
+    while at + 12 <= len(png):
+        (length,) = struct.unpack_from(">I", png, at)
+        body = png[at + 4 : at + 8 + length]
+        made += png[at : at + 4] + body + struct.pack(">I", zlib.crc32(body))
+        at += 12 + length
+    return bytes(made)
 
 
 def at_path(name: str, read: Callable[[Path], object]) -> Callable[[bytes, Path], object]:
@@ -150,7 +312,7 @@ def case_of(content: bytes, folder: Path) -> object:
 
 def readers() -> list[Reader]:
     """Return all readers with their sound files."""
-    solved, day = distinctive_calibration(), datetime(2013, 5, 13, tzinfo=UTC)
+    solved, day = small(distinctive_calibration()), datetime(2013, 5, 13, tzinfo=UTC)
     document = to_document(
         solved, id="one", camera="roof", state="current", created_at=day, valid_from=day, valid_until=None,
         pose_epoch="1", software_version="0.4.0",
@@ -178,7 +340,7 @@ def readers() -> list[Reader]:
             (feed_lines([FeedRow(seq=1, kind="day", data={"a": 1.5}), FeedRow(seq=2, kind="status", data=None)]),),
             feed_of,
         ),
-        Reader("entry", (entry,), entry_of),
+        Reader("entry", (entry,), entry_of, DEAR),
         Reader("case", (seen + rows.replace(b",,\n", b",,,45,90\n"),), case_of),
         Reader("joint", (b'latitude = 1.0\nlongitude = 2.0\n[[entry]]\ncamera = "a"\nfile = "a.csv"\n',), joint_of),
         Reader("lens", (b'{"units": [], "lens": {"projection": "equisolid"}}',), of_json(lens_type_from_json)),
@@ -189,11 +351,159 @@ def readers() -> list[Reader]:
                 made = form.write(solved, document)
             except (InputError, ModuleNotFoundError):
                 continue
-            found.append(Reader(f"view-{form.name}", (made.content,), view_of))
+            read = paired(made.content, form.name) if form.name.startswith("azimuth-zenith") else view_of
+            found.append(Reader(f"view-{form.name}", (made.content,), read, SLOW if form.name in _SLOW_VIEWS else DEAR))
     for ending in (".png", ".jpg", ".tiff", ".bmp"):
         content = cv2.imencode(ending, image)[1].tobytes()
         found.append(Reader(f"image{ending}", (content,), at_path("a" + ending, read_image)))
-    return found
+    for ending in (".png", ".jpg", ".tiff"):
+        coded = tuple(cv2.imencode(ending, one)[1].tobytes() for one in (image, np.dstack([image] * 3)))
+        found.append(Reader(f"archive{ending}", coded, lambda content, _: checked_image(content, "a")))
+    return found + archive_readers(image) + state_readers()
+
+
+def small(solved: Calibration) -> Calibration:
+    """Return a calibration of a camera whose maps are small."""
+    camera = solved.camera
+    scale = 96.0 / camera.width
+    return replace(
+        solved,
+        camera=replace(
+            camera,
+            width=96,
+            height=round(scale * camera.height),
+            focal_length_px=(scale * camera.focal_length_px[0], scale * camera.focal_length_px[1]),
+            principal_point_px=(scale * camera.principal_point_px[0], scale * camera.principal_point_px[1]),
+        ),
+    )
+
+
+def archive_readers(image: NDArray[np.uint8]) -> list[Reader]:
+    """Return the readers of what an archive holds beside pictures, and of what pictures say of themselves."""
+    said = {"schema": "sunarc.image/1", "time_utc": "2013-05-13T12:00:00Z", "exposure_us": 20.5}
+    jpeg, png = (cv2.imencode(ending, image)[1].tobytes() for ending in (".jpg", ".png"))
+    pictures = (jpeg_with(jpeg, said), png_with(png, said, software="a", created="2013-05-13T12:00:00Z"))
+    tagged, exif = io.BytesIO(), Pictures.Exif()
+    exif[306] = "2013:05:13 12:00:00"
+    exif.get_ifd(0x8769).update({0x9003: "2013:05:13 12:00:00", 0x9011: "+02:00"})
+    Pictures.fromarray(image).save(tagged, "JPEG", exif=exif)
+    cameras = b'[cameras.roof]\nlatitude = 1.0\nlongitude = 2.0\naltitude = 3.0\nsources = ["a"]\nsize = [8, 6]\n'
+    common = CameraPlan(name="a", site=Site(latitude=1.0, longitude=2.0), selector=Selector(sources=("a",)))
+    return [
+        Reader("document-in-image", pictures, lambda content, _: document_of(content)),
+        Reader("exif", (tagged.getvalue(),), lambda content, _: exif_time(io.BytesIO(content))),
+        Reader("sidecar", (json.dumps(said).encode(),), lambda content, _: sidecar_time(content, "a", None)),
+        Reader("cameras", (cameras,), at_path("cameras.toml", lambda p: read_cameras(p, common=common))),
+        Reader("fits", (fits_file(image),), fits_of, SLOW),
+        Reader("netcdf", (netcdf_file(image),), netcdf_of, SLOW),
+        Reader("video", (video_file(image, "avi", "MJPG"), video_file(image, "mp4", "mp4v")), video_of, SLOW),
+    ]
+
+
+def state_readers() -> list[Reader]:
+    """Return the readers of what the service and an analysis keep in databases and files of their own."""
+    columns = (
+        Column("id", "INTEGER", True, True),
+        Column("name", "TEXT", True, False),
+        Column("x", "REAL", False, False),
+    )
+    sensor = SensorFormat(rows=10, columns=10, pixel_format="Mono12", binning=1, serial="a")
+    warm = {"version": 1, "sensor": sensor._asdict(), "pixels": [3, 7, 50]}
+    return [
+        Reader("leaf-rows", (database_file(),), at_path("a.sqlite", lambda p: list(leaf_rows(p, columns))), DEAR),
+        Reader("ledger", (ledger_file(),), at_path("a.sqlite", ledger_of), SLOW),
+        Reader(
+            "warm-pixels",
+            (json.dumps(warm).encode(),),
+            at_path("a.json", lambda p: WarmPixelFile(p, lambda _: None).read(sensor)),
+        ),
+    ]
+
+
+def fits_file(image: NDArray[np.uint8]) -> bytes:
+    """Return a FITS file with a time, an exposure and a site."""
+    made, header = io.BytesIO(), fits.Header()
+    header.update({"DATE-OBS": "2013-05-13T22:00:00.5", "EXPTIME": 20.0, "SITELAT": 36.6, "SITELONG": -97.5})
+    fits.PrimaryHDU(image.astype(np.uint16), header).writeto(made)
+    return made.getvalue()
+
+
+def fits_of(content: bytes, _: Path) -> object:
+    fits_frame(content, "a")
+    fits_site(content, "a")
+    fits_bayer(content, "a")
+    return fits_image(content, "a", size=None)
+
+
+def netcdf_file(image: NDArray[np.uint8]) -> bytes:
+    """Return a NetCDF file with two images and their times."""
+    made = io.BytesIO()
+    with h5netcdf.File(made, "w") as file:
+        file.dimensions = {"time": 2, "y": 20, "x": 20}
+        times = file.create_variable("time", ("time",), float, data=np.array([0.0, 30.0]))
+        times.attrs["units"] = "seconds since 2013-05-13 12:00:00"
+        file.create_variable("image", ("time", "y", "x"), np.uint8, data=np.stack([image, image]))
+    return made.getvalue()
+
+
+def netcdf_of(content: bytes, _: Path) -> object:
+    numbers = [frame.number for frame in netcdf_frames(content, "a")][:3]
+    return list(netcdf_images(content, "a", numbers, size=None))
+
+
+def video_file(image: NDArray[np.uint8], ending: str, code: str) -> bytes:
+    """Return a video of three frames, one a second."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"a.{ending}"
+        made = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*code), 1.0, (64, 48))
+        for _ in range(3):
+            made.write(cv2.resize(np.dstack([image] * 3), (64, 48)))
+        made.release()
+        return path.read_bytes()
+
+
+def video_of(content: bytes, _: Path) -> object:
+    with suppress(RefusedImageError):  # it does not say when it was made
+        video_frames(content, "a", sidecar=None)
+    video_frames(content, "a", sidecar=b'{"start_utc": "2013-05-13T12:00:00Z", "interval_s": 30}')
+    return list(video_images(content, "a", [0, 2], size=None))
+
+
+def database_file() -> bytes:
+    """Return a SQLite database of a table that has rows."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.sqlite"
+        connection = sqlite3.connect(path)
+        connection.execute("CREATE TABLE a (id INTEGER PRIMARY KEY, name TEXT NOT NULL, x REAL)")
+        connection.executemany("INSERT INTO a (name, x) VALUES (?, ?)", [("a" * k, k / 3.0) for k in range(150)])
+        connection.execute("DELETE FROM a WHERE id < 40")
+        connection.commit()
+        connection.close()
+        return path.read_bytes()
+
+
+def ledger_file() -> bytes:
+    """Return a ledger of an analysis with an answer, a mask and a result."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.sqlite"
+        with Ledger(f"sqlite:///{path}") as ledger:
+            known = Known("key", Finding("file_truncated"))
+            ledger.store("roof", 1, [(ImageId("a", "b.jpg", 0), known)], version="1")
+            ledger.keep_mask("roof", PackedMask((2, 2), zlib.compress(b"1")), version="1")
+            ledger.keep_result("name", "key", [1.5, "a"])
+        connection = sqlite3.connect(path)
+        connection.execute("PRAGMA journal_mode=DELETE")
+        connection.close()
+        return path.read_bytes()
+
+
+def ledger_of(path: Path) -> tuple[list[Any], Any]:
+    for beside in ("-wal", "-shm", "-journal"):
+        path.with_name(path.name + beside).unlink(missing_ok=True)
+    with Ledger(f"sqlite:///{path}") as ledger:
+        found = list(ledger.answers("roof", pass_number=1))
+        ledger.mask("roof", version="1")
+        return found, ledger.result("name", "key")
 
 
 def feed_of(content: bytes, _: Path) -> object:
@@ -204,51 +514,152 @@ def view_of(content: bytes, _: Path) -> object:
     return read_view(content, name="a", beside=lambda _: None)
 
 
+def paired(sound: bytes, name: str) -> Callable[[bytes, Path], object]:
+    """Return a reader of one of two images, beside which the other one is sound."""
+    named = f"azimuth_a.{name.rpartition('-')[2]}"
+    return lambda content, _: read_view(content, name=named, beside=lambda _: sound)
+
+
 def joint_of(content: bytes, folder: Path) -> object:
     (folder / "joint.toml").write_bytes(content)
     return read_joint_spec(folder / "joint.toml")
 
 
-def fuzzed(reader: Reader, *, count: int, number: int) -> Failure | None:
-    """Ask a reader so many damaged files; return the shortest that it does not bear, or None."""
-    worst: list[Failure] = []
+class Board:
+    """What a process says while it asks, in memory that outlives it: the case, and how it went so far.
 
-    with tempfile.TemporaryDirectory() as name:
+    Parameters
+    ----------
+    size : bytes for the present file.
+    """
 
-        @seed(number)
-        @settings(
-            max_examples=count, deadline=None, database=None, suppress_health_check=list(HealthCheck),
-            phases=(Phase.generate, Phase.shrink),
-        )  # fmt: skip
-        @given(st.sampled_from(reader.sound), EDITS)
-        def bears(sound: bytes, edits: list[tuple[str, int, int, bytes]]) -> None:
-            content = edited(sound, edits)
-            why = trouble(reader, content, Path(name))
-            if why is not None:
-                worst.append(Failure(reader.name, content, why))
-                raise AssertionError(why)
+    _HEAD = struct.Struct("6q")
 
-        try:
-            bears()
-        except AssertionError:
-            return worst[-1]
-        except BaseExceptionGroup:
-            return min(worst, key=lambda one: len(one.content))
-    return None
+    def __init__(self, size: int = 1 << 22) -> None:
+        self._shared = mmap.mmap(-1, size)
+        self.write(Tally(""), 0, b"")
+
+    def write(self, tally: Tally, case: int, content: bytes) -> None:
+        """Note a case that begins."""
+        kept = content[: len(self._shared) - self._HEAD.size]
+        slowest = round(1e6 * tally.slowest_s)
+        head = (case, len(kept), tally.answered, tally.refused, slowest, round(1e3 * tally.grown_mb))
+        self._shared[: self._HEAD.size] = self._HEAD.pack(*head)
+        self._shared[self._HEAD.size : self._HEAD.size + len(kept)] = kept
+
+    def read(self) -> tuple[int, bytes, Tally]:
+        """Return the present case, its file, and how those before went."""
+        case, length, answered, refused, slowest, grown = self._HEAD.unpack_from(self._shared)
+        tally = Tally("", answered=answered, refused=refused, slowest_s=slowest / 1e6, grown_mb=grown / 1e3)
+        return case, bytes(self._shared[self._HEAD.size : self._HEAD.size + length]), tally
 
 
-def trouble(reader: Reader, content: bytes, folder: Path) -> str | None:
-    """Return what is wrong with how a reader takes a file; None where it answers or refuses it in time."""
-    begin = time.process_time()
+def fuzzed(reader: Reader, *, count: int, number: int, first: int = 0, board: Board | None = None) -> Tally:
+    """Ask a reader so many damaged files; return how it went.
+
+    Parameters
+    ----------
+    reader : that is asked.
+    count, number : of cases, and the seed.
+    first : case to begin with.
+    board : where each case is noted before it is asked.
+    """
+    tally, pool, begun_mb = Tally(reader.name), Pool(reader.sound), 0.0
+    with tempfile.TemporaryDirectory(dir=_IN_MEMORY) as name:
+        folder = Path(name)
+        for case in range(first, count):
+            content = pool.drawn(random.Random(f"{number} {reader.name} {case}"))
+            if board is not None:
+                board.write(tally, case, content)
+            before_mb = peak_mb()
+            asked = ask(reader, content, folder)
+            if peak_mb() - before_mb > MOST_MB:
+                asked = asked._replace(why=f"took {peak_mb() - before_mb:.0f} MB")
+            tally.note(reader, content, asked, folder)
+            pool.note(content, asked.answer)
+            if case - first == _SETTLED:
+                begun_mb = memory_mb()
+            elif begun_mb and case % _LOOKED_EVERY == 0:
+                tally.grown_mb = max(tally.grown_mb, memory_mb() - begun_mb)
+    if tally.grown_mb > MOST_MB:
+        tally.failures["grows"] = Failure(reader.name, b"", f"grew by {tally.grown_mb:.0f} MB in {count} cases")
+    return tally
+
+
+def fuzzed_apart(reader: Reader, *, count: int, number: int, longest_s: float = LONGEST_S) -> Tally:
+    """Ask a reader in a process of its own, which may die or hang: the next one goes on behind that case."""
+    fork, whole, first = multiprocessing.get_context("fork"), Tally(reader.name), 0
+    while first < count:
+        board, said = Board(), fork.SimpleQueue()
+
+        def run(first: int = first, board: Board = board, said: Any = said) -> None:  # noqa: ANN401 - a queue
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # what libraries print of damaged files
+            said.put(fuzzed(reader, count=count, number=number, first=first, board=board))
+
+        process = fork.Process(target=run)
+        process.start()
+        known, since = -1, perf_counter()
+        while process.is_alive() and said.empty():
+            process.join(_LOOK_S)
+            case = board.read()[0]
+            known, since = (known, since) if case == known else (case, perf_counter())
+            if perf_counter() - since > longest_s:
+                process.kill()
+                process.join()
+        if not said.empty():
+            whole.add(said.get())
+            process.join()
+            return whole
+        case, content, tally = board.read()
+        why = "hangs" if process.exitcode == -signal.SIGKILL else f"ended by signal {-(process.exitcode or 0)}"
+        tally.failures[f"{why} {len(whole.failures)}"] = Failure(reader.name, content, why)
+        tally.n_failed = 1
+        whole.add(tally)
+        if len(whole.failures) > _MOST_DEATHS:
+            return whole
+        first = case + 1
+    return whole
+
+
+def ask(reader: Reader, content: bytes, folder: Path) -> Asked:
+    """Return how a reader takes a file, and what is wrong with that; it has to answer or to refuse it in time."""
+    begin = process_time()
+    answer, why, refused = "", None, False
     try:
-        reader.read(content, folder)
+        answer = type(reader.read(content, folder)).__name__
     except SunarcError as error:
+        refused, answer = True, _SHAPE.sub("", f"{type(error).__name__} {error}")[:_LONGEST_ANSWER]
         if "\n" in str(error).strip() and reader.name not in {"settings", "hub"}:
-            return f"a refusal of several lines: {str(error)[:200]!r}"
+            why = f"a refusal of several lines: {str(error)[:200]!r}"
     except Exception as error:  # noqa: BLE001 - whatever comes is what is sought
-        return f"{type(error).__name__}: {str(error)[:200]}"
-    took = time.process_time() - begin
-    return f"took {took:.1f} s" if took > SLOWEST_S else None
+        at = traceback.extract_tb(error.__traceback__)[-1]
+        why = f"{type(error).__name__} in {Path(at.filename).name}:{at.lineno}: {str(error)[:200]}"
+    took_s = process_time() - begin
+    if why is None and took_s > SLOWEST_S:
+        why = f"took {took_s:.1f} s"
+    return Asked(answer, why, refused, took_s)
+
+
+def shortened(reader: Reader, content: bytes, kind: str, folder: Path) -> bytes:
+    """Return a shorter file that the reader does not bear for the same reason."""
+    width, tries = max(len(content) // 2, 1), 0
+    while width and tries < _MOST_TRIES:
+        at = 0
+        while at < len(content) and tries < _MOST_TRIES:
+            tries += 1
+            shorter = content[:at] + content[at + width :]
+            why = ask(reader, shorter, folder).why
+            if why is not None and kind_of_failure(why) == kind:
+                content = shorter
+            else:
+                at += width
+        width //= 2
+    return content
+
+
+def kind_of_failure(why: str) -> str:
+    """Return what failures of one cause have in common."""
+    return why.partition(": ")[0] if not why.startswith("took") else "took"
 
 
 def main() -> int:
@@ -256,26 +667,42 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=2000, help="cases in all")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=2, help="readers at once")
     parser.add_argument("--only", action="append", default=[])
     parser.add_argument("--keep", type=Path, help="folder for the files that fail")
     chosen = parser.parse_args()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     asked = [one for one in readers() if not chosen.only or one.name in chosen.only]
-    each, before, failures = -(-chosen.count // max(len(asked), 1)), peak_mb(), 0
-    for reader in asked:
-        found = fuzzed(reader, count=each, number=chosen.seed)
-        print(f"{reader.name}: {each} cases: {'as they should' if found is None else found.why}", flush=True)
-        failures += found is not None
-        if found is not None and chosen.keep is not None:
-            chosen.keep.mkdir(parents=True, exist_ok=True)
-            (chosen.keep / reader.name).write_bytes(found.content)
-    print(f"{each * len(asked)} cases of seed {chosen.seed}, {failures} readers fail, {peak_mb() - before:.0f} MB more")
+    n, failures, begin = 0, 0, perf_counter()
+    print(
+        "| reader | cases | answered | refused | failed | slowest, s | more memory, MB |\n|---|---|---|---|---|---|---|"
+    )
+
+    def tally_of(reader: Reader) -> Tally:
+        return fuzzed_apart(reader, count=reader.share_of(chosen.count, asked), number=chosen.seed)
+
+    for tally in ThreadPoolExecutor(chosen.jobs).map(tally_of, asked):
+        n += tally.n_cases
+        print(tally.row(), flush=True)
+        failures += tally.n_failed + ("grows" in tally.failures)
+        for number, one in enumerate(tally.failures.values()):
+            print(f"{one.reader}: {one.why}: {one.content[:80]!r}", file=sys.stderr, flush=True)
+            if chosen.keep is not None:
+                chosen.keep.mkdir(parents=True, exist_ok=True)
+                (chosen.keep / f"{one.reader}-{number}").write_bytes(one.content)
+    took_s = perf_counter() - begin
+    print(f"\n{n:,} cases of seed {chosen.seed}, {failures} failed, in {took_s:.0f} s")
     return int(failures > 0)
 
 
 def peak_mb() -> float:
     """Return the largest memory so far."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+
+
+def memory_mb() -> float:
+    """Return the memory of now."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 1e6
 
 
 if __name__ == "__main__":

@@ -93,7 +93,7 @@ def _drawn(document: dict[str, object], format_: str, *, draws: int, seed: int) 
 def _document(path: Path) -> dict[str, object]:
     try:
         found = json.loads(read_file(path))
-    except ValueError:
+    except (ValueError, RecursionError):
         found = None
     if not isinstance(found, dict):
         raise InputError(field=str(path), problem="is not a JSON object", remedy="give a calibration document")

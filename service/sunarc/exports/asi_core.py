@@ -99,7 +99,7 @@ def read_asi_core(content: bytes, *, name: str, beside: Callable[[str], bytes | 
         values = {key: inner[key] for key in _NEEDED}
         numbers = np.array([*(values[key] for key in _NEEDED[1:]), *orientation], dtype=np.float64)
         ss, invpol = (np.asarray(inner.get(key, []), dtype=np.float64) for key in ("ss", "invpol"))
-    except (yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError) as error:
+    except (yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
         raise InputError(field=name, problem=f"another schema than asi_core's ({error})", remedy=_SCHEMA) from None
     if ss.shape != (4,) or numbers.shape != (10,):
         problem = f"{ss.size} coefficients in ss and {numbers.size - 7} angles, where asi_core reads 4 and 3"

@@ -286,7 +286,7 @@ def read_ros(content: bytes, *, name: str) -> View:
         matrix = np.array(read["camera_matrix"]["data"], dtype=np.float64).reshape(3, 3)
         distortion = np.array(read["distortion_coefficients"]["data"], dtype=np.float64)
         kind = read["distortion_model"]
-    except (yaml.YAMLError, KeyError, TypeError, ValueError) as error:
+    except (yaml.YAMLError, KeyError, TypeError, ValueError, RecursionError) as error:
         raise InputError(field=name, problem=f"no camera_info ({error})", remedy="give ROS's YAML file") from None
     if kind not in ("equidistant", "fisheye") or distortion.shape != (4,):
         problem = f"distortion model {kind} with {distortion.size} coefficients"

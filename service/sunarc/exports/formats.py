@@ -141,7 +141,7 @@ def _read_json(content: bytes, /, *, name: str, beside: Beside) -> View:
     del beside
     try:
         document = json.loads(content)
-    except ValueError:
+    except (ValueError, RecursionError):
         known = ", ".join(one.name for one in FORMATS.values() if one.read is not None)
         raise FormatError(name, Finding("file_format_unknown", {"known": known})) from None
     return calibration_view(from_document(document))

@@ -20,6 +20,7 @@ from sunarc.errors import InputError
 from sunarc.exports.matlab import matlab_bytes, read_variables
 from sunarc.exports.tables import require_directions
 from sunarc.exports.view import View, grid_view
+from sunarc.imaging.preview import decoded
 from sunarc.sky.directions import direction_from_angles
 
 STEPS = 64_000
@@ -66,7 +67,7 @@ def read_sixteen_bit(content: bytes, *, name: str, beside: Callable[[str], bytes
 
 
 def _decoded(content: bytes, name: str) -> FloatArray:
-    image = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    image = decoded(content)
     if image is None or image.dtype != np.uint16 or image.ndim != 2:
         raise InputError(field=name, problem="no grey image of 16 bits", remedy="give azimuth_NAME and zenith_NAME")
     return image.astype(np.float64)

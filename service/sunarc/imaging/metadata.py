@@ -56,7 +56,7 @@ def document_of(encoded: bytes) -> dict[str, Any] | None:
             document = json.loads(text)
             if isinstance(document, dict) and str(document.get("schema", "")).startswith("sunarc."):
                 return document
-    except (ValueError, struct.error, IndexError):
+    except (ValueError, struct.error, IndexError, RecursionError):
         return None
     return None
 

@@ -1,6 +1,8 @@
-"""An 8-bit image for people to look at."""
+"""Pictures: the pixels of a file's content, colours of a mosaic, an 8-bit image for people to look at."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import cv2
 import numpy as np
@@ -9,6 +11,7 @@ from numpy.typing import NDArray
 from sunarc.array_types import Image
 from sunarc.detection.values import Bayer
 
+_PNG = b"\x89PNG\r\n\x1a\n"
 _KNEE = 300.0  # how strongly the logarithm lifts the dark
 
 # OpenCV names a mosaic by the second row's second and third pixel
@@ -18,6 +21,31 @@ _CODES: dict[Bayer, int] = {
     "GRBG": cv2.COLOR_BayerGRBG2BGR,
     "GBRG": cv2.COLOR_BayerGBRG2BGR,
 }
+
+
+def decoded(encoded: bytes, flags: int = cv2.IMREAD_UNCHANGED) -> NDArray[Any] | None:
+    """Return the pixels of an image file's content, as `cv2.imdecode` does; None where it is none that can be decoded.
+
+    Parameters
+    ----------
+    encoded : content of the file.
+    flags : of `cv2.imdecode`.
+    """
+    if not encoded or (encoded.startswith(_PNG) and not _chunks_are_whole(encoded)):
+        return None
+    try:
+        return cv2.imdecode(np.frombuffer(encoded, dtype=np.uint8), flags)
+    except cv2.error:  # sizes that its header states
+        return None
+
+
+def _chunks_are_whole(png: bytes) -> bool:
+    """Whether all chunks are within the file; for one that says to be longer the decoder takes gigabytes."""
+    at, kind = len(_PNG), b""
+    while at + 12 <= len(png) and kind != b"IEND":
+        kind = png[at + 4 : at + 8]
+        at += 12 + int.from_bytes(png[at : at + 4], "big")
+    return kind == b"IEND" and at <= len(png)
 
 
 def demosaiced(image: Image, bayer: Bayer) -> Image:

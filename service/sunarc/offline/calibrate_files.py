@@ -108,7 +108,7 @@ def _unit(document: dict[str, Any]) -> Unit:
 def _json(path: Path) -> Any:  # noqa: ANN401 - JSON holds anything
     try:
         return json.loads(read_file(path))
-    except ValueError:
+    except (ValueError, RecursionError):
         raise InputError(field=str(path), problem="is not JSON", remedy="name a JSON file of sunarc") from None
 
 

@@ -71,7 +71,7 @@ def read_calibration(path: Path) -> Calibration:
     """Return the calibration of a document's file; InputError when it is none."""
     try:
         document = json.loads(read_file(path))
-    except ValueError:
+    except (ValueError, RecursionError):
         raise InputError(field=str(path), problem="is not JSON", remedy="give a calibration document") from None
     return from_document(document)
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from sunarc.array_types import FloatArray, Image
 from sunarc.calibration.model.sightings import inside_image
 from sunarc.errors import InputError
+from sunarc.imaging.preview import decoded
 
 
 def read_file(path: Path) -> bytes:
@@ -32,8 +32,7 @@ def read_lines(path: Path) -> list[str]:
 
 def read_image(path: Path) -> Image:
     """Read an image file as it is, 8 or 16 bit."""
-    encoded = np.frombuffer(read_file(path), dtype=np.uint8)
-    image = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED) if encoded.size else None
+    image = decoded(read_file(path))
     if image is not None and image.ndim == 3 and image.shape[2] == 4:
         image = image[..., :3]  # what is seen through is of no interest
     if image is not None and image.dtype == np.uint8:

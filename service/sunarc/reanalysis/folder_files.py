@@ -39,7 +39,7 @@ _LIST_S = 60.0
 
 def is_image(name: str, pattern: str) -> bool:
     """Return whether a file, by its path below the folder, is an image of the camera's."""
-    *folders, last = PurePosixPath(name).parts
+    *folders, last = PurePosixPath(name).parts or ("",)  # the watched folder itself, which went away
     if any(part.startswith(".") or part.lower() in DERIVED for part in folders) or last.startswith("."):
         return False
     return kind_of(last) in _KINDS and fnmatch.fnmatch(last, pattern)

@@ -26,6 +26,7 @@ from sunarc.errors import InputError
 from sunarc.extras import extra_module
 from sunarc.findings import Finding
 from sunarc.imaging.metadata import document_of
+from sunarc.imaging.preview import decoded
 from sunarc.reanalysis.messages import RefusedImageError
 from sunarc.utc import parse_time
 
@@ -86,10 +87,7 @@ def checked_image(encoded: bytes, name: str, *, size: tuple[int, int] | None = N
     fault = _header_fault(encoded, size)
     if fault is not None:
         raise RefusedImageError(name, fault)
-    try:
-        image = cv2.imdecode(np.frombuffer(encoded, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        image = None
+    image = decoded(encoded)
     if image is not None and image.dtype == np.uint8:
         return _opaque(image.astype(np.uint8, copy=False), name)
     if image is not None and image.dtype == np.uint16:
@@ -333,6 +331,17 @@ _MEAN = "AVEPIXEL"
 """The mean of 256 frames in the files of RMS, whose first image is the maximum."""
 
 
+@contextmanager
+def _refusing(name: str, what: str) -> Iterator[None]:
+    """Refuse a file that a library does not bear: of damaged ones each raises errors of any kind."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:  # noqa: BLE001 - of any kind
+        raise _unreadable(name, f"{what} ({type(error).__name__})") from None
+
+
 def fits_frame(content: bytes, name: str) -> FileImage:
     """Return the time and exposure that a FITS file's header states."""
     merged = _fits_cards(content, name)
@@ -372,10 +381,8 @@ def fits_image(content: bytes, name: str, *, size: tuple[int, int] | None) -> Im
     require_size(shape[1:] if planes else shape, name, size)
     if images[0].fileinfo()["datLoc"] + images[0].size > len(content):
         raise RefusedImageError(name, Finding("file_truncated"))
-    try:
+    with _refusing(name, "its pixels cannot be read"):
         data = np.asarray(images[0].data)
-    except (OSError, ValueError, TypeError) as error:
-        raise _unreadable(name, f"its pixels cannot be read ({type(error).__name__})") from None
     if data.dtype.newbyteorder("=") == np.dtype(np.int16) and data.size and data.min() >= 0:
         data = data.astype(np.uint16)  # of cameras that write counts below 32768 without an offset
     if data.dtype.newbyteorder("=") not in {np.dtype(np.uint8), np.dtype(np.uint16)}:
@@ -400,8 +407,9 @@ def fits_bayer(content: bytes, name: str) -> Bayer | None:
 def _fits_cards(content: bytes, name: str) -> dict[str, Any]:
     """Return the cards of all headers by their names, those of the first before those of the others."""
     merged: dict[str, Any] = {}
-    for hdu in reversed(_fits_units(content, name)):
-        merged.update(hdu.header)
+    with _refusing(name, "no header of FITS"):
+        for hdu in reversed(_fits_units(content, name)):
+            merged.update(hdu.header)
     return merged
 
 
@@ -411,12 +419,9 @@ def _odd(value: object) -> bool:
 
 def _fits_units(content: bytes, name: str) -> list[Any]:
     fits = extra_module("astropy.io.fits", extra="fits")
-    try:
-        with warnings.catch_warnings():  # of headers beside the standard, and of truncation, which is looked at here
-            warnings.simplefilter("ignore")
-            return [hdu for hdu in fits.open(io.BytesIO(content), uint=True, memmap=False) if hdu.is_image]
-    except (OSError, ValueError, TypeError, KeyError) as error:
-        raise _unreadable(name, f"no FITS file ({error})") from None
+    with _refusing(name, "no FITS file"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of headers beside the standard, and of truncation, which is looked at here
+        return [hdu for hdu in fits.open(io.BytesIO(content), uint=True, memmap=False) if hdu.is_image]
 
 
 def _fits_time(header: dict[str, Any], key: str) -> datetime | None:
@@ -448,7 +453,7 @@ def netcdf_frames(file: Path | bytes, name: str) -> list[FileImage]:
     ------
     RefusedImageError : it is none, has no images, or no times in UTC.
     """
-    with _netcdf(file, name) as opened:
+    with _refusing(name, "no NetCDF-4 file"), _netcdf(file) as opened:
         images = _netcdf_images(opened, name)
         times = opened.variables[images.dimensions[0]]
         values = np.asarray(times[...], dtype=np.float64)
@@ -462,7 +467,7 @@ def netcdf_images(
     file: Path | bytes, name: str, numbers: Sequence[int], *, size: tuple[int, int] | None
 ) -> Iterator[tuple[int, Image | Finding]]:
     """Yield images of a NetCDF file by their numbers."""
-    with _netcdf(file, name) as opened:
+    with _refusing(name, "no NetCDF-4 file"), _netcdf(file) as opened:
         images = _netcdf_images(opened, name)
         require_size(images.shape[1:], name, size)
         for number in numbers:
@@ -471,12 +476,13 @@ def netcdf_images(
             yield number, np.ascontiguousarray(image[..., ::-1]) if image.ndim == 3 else image
 
 
-def _netcdf(file: Path | bytes, name: str) -> Any:  # noqa: ANN401 - h5netcdf's file
-    legacy = extra_module("h5netcdf", extra="netcdf")
-    try:
-        return legacy.File(io.BytesIO(file) if isinstance(file, bytes) else file, "r")
-    except (OSError, ValueError, TypeError) as error:
-        raise _unreadable(name, f"no NetCDF-4 file ({error})") from None
+@contextmanager
+def _netcdf(file: Path | bytes) -> Iterator[Any]:
+    """Open a file; by h5py first, since h5netcdf prints a trace of its own where that fails."""
+    hdf5, legacy = extra_module("h5py", extra="netcdf"), extra_module("h5netcdf", extra="netcdf")
+    content = io.BytesIO(file) if isinstance(file, bytes) else file
+    with hdf5.File(content, "r") as raw, legacy.File(raw, "r") as opened:
+        yield opened
 
 
 def _netcdf_images(opened: Any, name: str) -> Any:  # noqa: ANN401 - h5netcdf's variables
@@ -511,6 +517,8 @@ def _text(value: object) -> str:
 
 _SINCE_1904 = datetime(1904, 1, 1, tzinfo=UTC)
 """Epoch of the times in MPEG-4 containers (ISO/IEC 14496-12, 8.2.2)."""
+_MOST_FRAMES = 1_000_000
+"""A year of a frame every half minute; a damaged file states more."""
 _REAL_TIME_S = 1.0
 """Interval of a container's frames from which it is taken for that of the images: a time-lapse plays many a second."""
 
@@ -530,12 +538,13 @@ def video_frames(file: Path | bytes, name: str, *, sidecar: bytes | None) -> lis
     with _video(file, name) as video:
         count = int(video.get(cv2.CAP_PROP_FRAME_COUNT))
         rate = float(video.get(cv2.CAP_PROP_FPS))
-    if count < 1:
-        raise RefusedImageError(name, Finding("file_not_image", {"error": "no video with frames"}))
+    if not 1 <= count <= min(_MOST_FRAMES, len(file) if isinstance(file, bytes) else file.stat().st_size):
+        raise RefusedImageError(name, Finding("file_not_image", {"error": f"no video: it states {count} frames"}))
     if sidecar is not None:
         times = _sidecar_times(sidecar, name, count)
     elif rate > 0.0 and 1.0 / rate >= _REAL_TIME_S and (created := _created(file)) is not None:
-        times = [created + timedelta(seconds=number / rate) for number in range(count)]
+        with _refusing(name, "no video whose times are known"):
+            times = [created + timedelta(seconds=number / rate) for number in range(count)]
     else:
         raise RefusedImageError(name, Finding("file_video_times", {"frames": count, "frames_per_s": rate}))
     return [FileImage(number, time) for number, time in enumerate(times)]
@@ -593,7 +602,7 @@ def _sidecar_times(text: bytes, name: str, count: int) -> list[datetime]:
         else:
             start, interval_s = parse_time(str(sidecar["start_utc"]), where=name), float(sidecar["interval_s"])
             times = [start + timedelta(seconds=number * interval_s) for number in range(count)]
-    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, InputError):
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError, InputError):
         error = "no JSON with times_utc, or with start_utc and interval_s"
         raise RefusedImageError(name, Finding("file_sidecar", {"error": error})) from None
     if len(times) != count:
@@ -609,4 +618,7 @@ def _created(file: Path | bytes) -> datetime | None:
         return None
     version = content[at + 4]
     (seconds,) = struct.unpack_from(">Q" if version == 1 else ">I", content, at + 8)
-    return _SINCE_1904 + timedelta(seconds=seconds) if seconds else None
+    try:
+        return _SINCE_1904 + timedelta(seconds=seconds) if seconds else None
+    except OverflowError:
+        return None

@@ -184,7 +184,7 @@ def sidecar_time(text: bytes, name: str, exposure_us: float | None) -> tuple[dat
         return parse_time(str(sidecar["time_utc"]), where=f"{name}, time_utc"), exposure
     except InputError as error:
         raise RefusedImageError(error.field, Finding("file_sidecar", {"error": error.problem})) from None
-    except (ValueError, KeyError, AttributeError):
+    except (ValueError, KeyError, AttributeError, RecursionError):
         raise RefusedImageError(name, Finding("file_sidecar", {"error": "no JSON with time_utc"})) from None
 
 

@@ -11,7 +11,9 @@ import hashlib
 import io
 import json
 import pickle
+import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from datetime import date, timedelta
 from importlib import import_module
@@ -21,6 +23,7 @@ from typing import Any, NamedTuple, Protocol, Self, TypeVar, cast
 import numpy as np
 from sqlalchemy import (
     Column,
+    Connection,
     Engine,
     Integer,
     LargeBinary,
@@ -145,13 +148,11 @@ class Ledger:
 
     def __init__(self, address: str) -> None:
         self._engine: Engine = create_engine(address)
-        try:
+        with self._connected() as connection:
             if self._engine.dialect.name == "sqlite":
-                with self._engine.connect() as connection:
-                    connection.exec_driver_sql("PRAGMA journal_mode=WAL")
-            _METADATA.create_all(self._engine)
-        except SQLAlchemyError as error:
-            raise OutsideError(f"{address} cannot be used: {error}") from error
+                connection.exec_driver_sql("PRAGMA journal_mode=WAL")
+        with self._connected() as connection:
+            _METADATA.create_all(connection)
 
     def __enter__(self) -> Self:
         return self
@@ -159,14 +160,27 @@ class Ledger:
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, at: TracebackType | None) -> None:
         self._engine.dispose()
 
+    @contextmanager
+    def _connected(self) -> Iterator[Connection]:
+        """Connect, for one transaction; raise OutsideError where the database cannot be used, as a damaged one."""
+        try:
+            with self._engine.begin() as connection:
+                yield connection
+        except (SQLAlchemyError, UnicodeDecodeError) as error:
+            why = str(error).partition("\n")[0]
+            raise OutsideError(f"{self._engine.url} cannot be used: {why}; a new one is filled again") from error
+
     def answers(self, camera: str, *, pass_number: int) -> Iterator[tuple[ImageId, Known]]:
-        """Yield the answers for a camera's images in a pass."""
+        """Yield the answers for a camera's images in a pass; one that is damaged is left out, and made again."""
         c = _ANSWER.c
         columns = (c.address, c.file, c.number, c.key, c.stamp, c.content, c.found)
         rows = select(*columns).where(c.camera == camera, c.stage == pass_number)
-        with self._engine.connect() as connection:
+        with self._connected() as connection:
             for row in connection.execution_options(yield_per=_AT_ONCE).execute(rows):
-                known = Known(row.key, _read(json.loads(row.found)), row.stamp, row.content)
+                try:
+                    known = Known(row.key, _read(json.loads(row.found)), row.stamp, row.content)
+                except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+                    continue
                 yield ImageId(row.address, row.file, row.number), known
 
     def store(self, camera: str, pass_number: int, answers: Iterable[tuple[ImageId, Known]], *, version: str) -> None:
@@ -182,7 +196,7 @@ class Ledger:
             for image, known in answers
         ]
         c = _ANSWER.c
-        with self._engine.begin() as connection:
+        with self._connected() as connection:
             for row in rows:
                 same = (c.camera == camera, c.address == row["address"], c.file == row["file"])
                 connection.execute(delete(_ANSWER).where(*same, c.number == row["number"], c.stage == pass_number))
@@ -192,36 +206,43 @@ class Ledger:
             connection.execute(insert(_CHUNK), [count])
 
     def mask(self, camera: str, *, version: str) -> KeptMask | None:
-        """Return the mask of a camera that was kept; None where none was, or by another version."""
+        """Return the mask of a camera that was kept; None where none was, or by another version, or it is damaged."""
         c = _MASK.c
         rows = select(c.rows, c.columns, c.compressed).where(c.camera == camera, c.version == version)
-        with self._engine.connect() as connection:
+        with self._connected() as connection:
             row = connection.execute(rows).first()
         if row is None:
             return None
-        return KeptMask(None if row.compressed is None else PackedMask((row.rows, row.columns), bytes(row.compressed)))
+        if row.compressed is None:
+            return KeptMask(None)
+        try:
+            packed = PackedMask((row.rows, row.columns), bytes(row.compressed))
+            packed.unpacked()
+        except (ValueError, TypeError, zlib.error):
+            return None
+        return KeptMask(packed)
 
     def keep_mask(self, camera: str, mask: PackedMask | None, *, version: str) -> None:
         """Keep the mask of a camera."""
         rows, columns = (None, None) if mask is None else mask.shape
         compressed = None if mask is None else mask.compressed
         row = {"camera": camera, "version": version, "rows": rows, "columns": columns, "compressed": compressed}
-        with self._engine.begin() as connection:
+        with self._connected() as connection:
             connection.execute(delete(_MASK).where(_MASK.c.camera == camera))
             connection.execute(insert(_MASK), [row])
 
     def result(self, name: str, key: str) -> Any:  # noqa: ANN401 - of any type
         """Return what was kept under a name; None where nothing was, or it was made of something else."""
         rows = select(_RESULT.c.content).where(_RESULT.c.name == content_key(name), _RESULT.c.key == key)
-        with self._engine.connect() as connection:
+        with self._connected() as connection:
             content = connection.scalar(rows)
-        return None if content is None else _unpacked(bytes(content))
+        return None if content is None else _unpacked(content)
 
     def keep_result(self, name: str, key: str, value: object) -> None:
         """Keep a result under a name in place of the former one, with the hash of what it was made of."""
         # by its hash: a name holds paths, which may be longer than a column
         row = {"name": content_key(name), "key": key, "content": pickle.dumps(value, protocol=5)}
-        with self._engine.begin() as connection:
+        with self._connected() as connection:
             connection.execute(delete(_RESULT).where(_RESULT.c.name == row["name"]))
             connection.execute(insert(_RESULT), [row])
 
@@ -248,7 +269,7 @@ class Ledger:
 
     def chunks(self) -> int:
         """Return how many chunks were ever finished."""
-        with self._engine.connect() as connection:
+        with self._connected() as connection:
             return int(connection.scalar(select(func.count()).select_from(_CHUNK)) or 0)
 
 
@@ -327,9 +348,9 @@ class _Unpickler(pickle.Unpickler):
         raise pickle.UnpicklingError(f"{module}.{name} is no value")
 
 
-def _unpacked(content: bytes) -> Any:  # noqa: ANN401 - of any type
-    """Return a kept value; None where this software has no such values, so that it is made again."""
+def _unpacked(content: Any) -> Any:  # noqa: ANN401 - of any type
+    """Return a kept value; None where it is damaged or this software has no such values: it is made again."""
     try:
         return _Unpickler(io.BytesIO(content)).load()
-    except (pickle.UnpicklingError, AttributeError, ImportError, TypeError, ValueError, EOFError, IndexError):
+    except Exception:  # noqa: BLE001 - a damaged pickle raises errors of any kind
         return None

@@ -41,8 +41,10 @@ class PackedMask(NamedTuple):
     compressed: bytes
 
     def unpacked(self) -> BoolArray:
-        """Return the mask, (rows, columns)."""
+        """Return the mask, (rows, columns); ValueError or zlib.error where it is damaged."""
         bits = np.frombuffer(zlib.decompress(self.compressed), dtype=np.uint8)
+        if bits.size != -(-self.shape[0] * self.shape[1] // 8):
+            raise ValueError("of another size")
         return np.unpackbits(bits, count=self.shape[0] * self.shape[1]).reshape(self.shape).astype(np.bool_)
 
 

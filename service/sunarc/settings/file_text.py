@@ -62,7 +62,7 @@ def read_text(path: Path) -> str | None:
         raise ConfigurationError(f"{path}: {error.strerror}; name a settings file that can be read") from None
     except UnicodeDecodeError as error:
         raise ConfigurationError(f"{path}: is not UTF-8 ({error.reason}); save it as UTF-8") from None
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise ConfigurationError(f"{path}: is not TOML: {error}") from None
     return text
 

@@ -50,7 +50,7 @@ def settings_of(text: str, *, where: str) -> Settings:
     """Return the settings of a TOML text and of the environment, as `load_settings` does; `where` names it."""
     try:
         return _of_tables(tomllib.loads(text), Settings, where)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # a number of 5000 digits is no TOMLDecodeError
         raise ConfigurationError(f"{where}: is not TOML: {error}") from None
 
 
@@ -79,7 +79,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
         raise ConfigurationError(f"{path}: {error.strerror}; name a settings file with --config") from None
     except UnicodeDecodeError as error:
         raise ConfigurationError(f"{path}: is not UTF-8 ({error.reason}); save it as UTF-8") from None
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # a number of 5000 digits is no TOMLDecodeError
         raise ConfigurationError(f"{path}: is not TOML: {error}") from None
 
 
@@ -100,7 +100,7 @@ def _environment() -> dict[str, Any]:
 def _toml_value(text: str) -> Any:  # noqa: ANN401 - whatever TOML holds
     try:
         return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):
         return text
 
 

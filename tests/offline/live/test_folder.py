@@ -211,6 +211,7 @@ def test_the_silence_of_a_folder_is_told_by_day(followed: Followed) -> None:
 def test_a_folder_that_vanishes_comes_back_with_all_that_was_written_meanwhile(followed: Followed) -> None:
     times = take(followed, 2)
     away = followed.root.rename(followed.root.with_name("away"))
+    followed.worker.note_names([""])  # as the folder itself is reported
     followed.turn()
     assert "folder_missing" in followed.codes()
     assert followed.service.board.snapshot().health == "not_ready"

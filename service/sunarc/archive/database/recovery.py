@@ -28,6 +28,9 @@ Value = int | float | str | bytes | None
 
 _LEAF = 13  # of a table's b-tree
 _FIRST_TRUNK = 32
+_PAGE_SIZES = frozenset(1 << power for power in range(9, 17))
+_PAGE_SIZE = 4096
+"""SQLite's own, of which our databases are."""
 _BYTES = (0, 1, 2, 3, 4, 6, 8, 8, 0, 0)
 """Of the serial types 0 to 9."""
 _FITS: dict[str, tuple[type, ...]] = {"TEXT": (str,), "REAL": (int, float), "INTEGER": (int,), "BLOB": (bytes,)}
@@ -53,6 +56,8 @@ def leaf_rows(path: Path, columns: tuple[Column, ...]) -> Iterator[tuple[Value, 
     data = path.read_bytes()
     size = int.from_bytes(data[16:18], "big")
     size = 65_536 if size == 1 else size
+    if size not in _PAGE_SIZES:  # the header is damaged
+        size = _PAGE_SIZE
     free = set(_free_pages(data, size))
     for number in range(2, len(data) // size + 1):
         page = data[(number - 1) * size : number * size]

@@ -54,7 +54,7 @@ def read_lens_prior(path: Path) -> LensType:
         return lens_type_from_json(json.loads(path.read_bytes()))
     except OSError as error:
         raise InputError(field=str(path), problem=error.strerror or str(error), remedy=remedy) from None
-    except ValueError:
+    except (ValueError, RecursionError):
         raise InputError(field=str(path), problem="is not JSON", remedy=remedy) from None
     except InputError as error:
         raise InputError(field=f"{path.name}, {error.field}", problem=error.problem, remedy=error.remedy) from None
