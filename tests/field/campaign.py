@@ -1,12 +1,14 @@
 """A random campaign of faults on the whole chain, judged against the simulator's truth; a short form is a test.
 
-    tests/campaign --seed 1 --faults 300 [--sources gige folder http] [--json FILE] [--keep FOLDER]
+    tests/campaign --seed 1 --faults 300 [--sources gige night folder http] [--json FILE] [--keep FOLDER]
 
-A simulated camera and the service run as processes, faster than real time; the faults are divided among the sources.
-They are drawn with a seed: kills, stops (also while a refit is solved), camera faults, wrong clocks, frozen and black
-frames, a locked, a deleted and a full database, a damaged row, flipped bits in what the service writes, backups, a
-second service, receivers that drip; of a folder uploads that are late, cut off, damaged or doubled, a folder that
-vanishes; of an address pages, drips, bodies without end, redirects. In the end nothing may be lost or doubled, no
+A simulated camera, the service, a receiver of its messages and a hub with PostgreSQL run as processes, faster than real
+time; the faults are divided among the sources (`night` is the GigE camera with its nights). They are drawn with a seed:
+kills, stops (also while a refit is solved), camera faults, wrong clocks, frozen and black frames, a locked, a deleted
+and a full database, a damaged row, flipped bits in every kind of file that the service writes, backups, a second
+service, receivers that drip; a hub that is killed, away, that fails or drips, PostgreSQL killed or its disk full; of a
+folder uploads that are late, cut off, damaged or doubled, a folder that vanishes; of an address pages, drips, bodies
+without end, redirects. In the end nothing may be lost or doubled, the hub has every row of the imager and no other, no
 accepted sighting farther from the truth than it states, no calibration served worse than stated, and in 100 faults
 or more one has to be served; the service must not have ended by itself, nor reported "ready" while no sighting was
 stored for 10 slots of clear sun. Needs port 3956 of 127.0.0.1 (a network namespace of its own is best); the full disk
@@ -25,16 +27,16 @@ from pathlib import Path
 
 from tests.fixtures.ports import free_port
 
-from .campaign_faults import Faults
+from .campaign_faults import FAULTS, Faults, Source
 from .campaign_judge import Findings
 from .campaign_pictures import PictureFaults
-from .campaign_processes import SLOT_S, now
+from .campaign_processes import SLOT_S, Setting, now
 
-SOURCES = ("gige", "folder", "http")
+SOURCES: tuple[Source, ...] = tuple(FAULTS)
 
 
 def campaign(
-    *, seed: int, faults: int, folder: Path, most_s: float = float("inf"), source: str = "gige"
+    *, seed: int, faults: int, folder: Path, most_s: float = float("inf"), source: Source = "gige"
 ) -> tuple[Findings, dict[str, int]]:
     """Run a campaign; return what was found wrong and how often each fault was done.
 
@@ -54,16 +56,20 @@ def campaign(
             run.disturb(next(kinds))
         run.wait(15.0 * SLOT_S)
         forgotten = run.end()
+        n_of_hub = 0 if run.hub is None else run.hub.n_rows
     assert run.judge is not None
     found = run.judge.end(n_faults=sum(run.counts.values()))
     found.own_exits, found.left_out, found.forgotten = run.exits, run.left_out, forgotten
+    found.flipped = sorted(run.flipped)
+    if run.hub is not None:
+        found.n_of_hub, found.installations = n_of_hub, len(run.hub.installations)
     return found, run.counts
 
 
-def _run_of(source: str, folder: Path, seed: int) -> Faults:
-    if source == "gige":
-        return Faults(folder, port=free_port(), seed=seed)
-    return PictureFaults(folder, port=free_port(), seed=seed, source="folder" if source == "folder" else "http")
+def _run_of(source: Source, folder: Path, seed: int) -> Faults:
+    if source in {"folder", "http"}:
+        return PictureFaults(folder, port=free_port(), seed=seed, source=source)
+    return Faults(folder, port=free_port(), seed=seed, setting=Setting(nights=source == "night"), source=source)
 
 
 def main() -> int:
@@ -80,6 +86,7 @@ def main() -> int:
     n = len(options.sources)
     with contextlib.ExitStack() as stack:
         kept = options.keep or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="sunarc-campaign-")))
+        kept.chmod(0o755)  # PostgreSQL's user comes there
         for source in options.sources:
             folder = kept / source
             folder.mkdir(parents=True)

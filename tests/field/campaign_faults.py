@@ -5,65 +5,110 @@ from __future__ import annotations
 import contextlib
 import errno
 import random
+import shutil
 import signal
 import sqlite3
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
+from http.server import ThreadingHTTPServer
 from pathlib import Path
+from typing import Literal
 
 from tests.fixtures.ports import free_port
+from tests.fixtures.postgresql import programs
 
-from .campaign_processes import SHIM, SLOT_S, START_WITHIN_S, Processes, Setting, now, pause
+from .campaign_network import CampaignHub, Other
+from .campaign_processes import ADDRESS, SHIM, SLOT_S, START_WITHIN_S, Processes, Setting, mount_disk, now, pause
 
-FAULTS = (
-    "kill",
-    "stop",
-    "stop_while_solving",
-    "pause",
-    "imager_killed",
-    "power_cycle",
-    "freeze",
-    "loss",
-    "wrong_exposure",
-    "wrong_exposures",
-    "stale_exposure",
-    "changed",
-    "repeated_frames",
-    "black_frames",
-    "host_clock",
-    "locked",
-    "backup",
-    "damaged_calibration",
-    "deleted_database",
-    "disk_full",
-    "second_service",
+Source = Literal["gige", "night", "folder", "http"]
+_SERVICE = ("kill", "stop", "stop_while_solving", "pause", "second_service", "host_clock", "imager_killed")
+_FILES = ("locked", "backup", "damaged_calibration", "deleted_database", "disk_full", "flipped_bit")
+_OTHERS = (
+    *("receiver_drips", "receiver_refuses"),
+    *("hub_killed", "hub_away", "hub_fails", "hub_drips", "hub_disk_full", "postgresql_killed"),
 )
-"""Not among them: a wrong camera clock (the service compares it with the host's, which at 200 times real time says
-nothing; `test_camera_clock.py` does it in real time) and upgrades (the booted tests, on an installed package)."""
-NEEDS_OWN_DISK = frozenset({"disk_full"})
+_CAMERA = (
+    *("power_cycle", "freeze", "loss", "wrong_exposure", "wrong_exposures", "stale_exposure", "changed"),
+    *("repeated_frames", "black_frames"),
+)
+_EVERY = (*_SERVICE, *_FILES, *_OTHERS)
+FAULTS: dict[Source, tuple[str, ...]] = {
+    "gige": (*_EVERY, *_CAMERA),
+    "night": (*_EVERY, *_CAMERA),
+    "folder": (
+        *_EVERY,
+        *("late_uploads", "truncated", "flipped_picture", "copies", "one_picture", "folder_away", "junk"),
+    ),
+    "http": (*_EVERY, "unavailable", "page", "drip", "endless", "stale", "redirect", "refused"),
+}
+"""What is done to the chain of each source; a fault is a method of its name. Not among them: a wrong camera clock
+(the service compares it with the host's, which at 200 times real time says nothing; `test_camera_clock.py` does it in
+real time) and upgrades (the booted tests, on an installed package)."""
+NEEDS_OWN_DISK = frozenset({"disk_full", "hub_disk_full"})
+NEEDS_HUB = frozenset(name for name in _OTHERS if not name.startswith("receiver"))
+_DATABASE = ("sunarc.sqlite", "sunarc.sqlite-wal", "sunarc.sqlite-shm")
+_CLEAN_ENDS = frozenset({0, 1, 2, 3})
+_SECRET = "c2VjcmV0IG9mIHRoZSBjYW1wYWlnbiBvZiBmYXVsdHM="  # noqa: S105 - of a receiver on loopback
+_HUB_NOTICES_S = 20.0
+"""Real seconds after which a hub without its database must not be ready; it looks every 10 s."""
 
 
 class Faults(Processes):
-    """Two processes and the faults done to them.
+    """Two processes, a receiver of messages and a hub, and the faults done to them.
 
     Parameters
     ----------
     folder, port, setting : of `Processes`.
     seed : of the faults and their durations.
+    source : how the images come.
     """
 
-    def __init__(self, folder: Path, *, port: int, seed: int, setting: Setting | None = None) -> None:
+    def __init__(
+        self, folder: Path, *, port: int, seed: int, setting: Setting | None = None, source: Source = "gige"
+    ) -> None:
         super().__init__(folder, port=port, setting=setting)
+        self.faults_of: Source = source
+        self.source = source if source in {"folder", "http"} else self.source
         self.random = random.Random(seed)
         self.counts: dict[str, int] = {}
-        self.left_out: list[str] = []
-        if not self.has_own_disk:
-            self.left_out = sorted(NEEDS_OWN_DISK)
+        self.flipped: set[str] = set()
+        self.other = Other()
+        self.server = ThreadingHTTPServer((ADDRESS, 0), self.other.handler())
+        self.server.daemon_threads = True
+        threading.Thread(target=self.server.serve_forever, daemon=True).start()
+        self.address = f"http://{ADDRESS}:{self.server.server_address[1]}"
+        hub_disk = mount_disk(folder / "hub")
+        (folder / "hub").chmod(0o755)
+        self.hub = CampaignHub(folder / "hub") if programs() is not None else None
+        missing = set() if self.hub is not None else NEEDS_HUB
+        if not self.has_own_disk or not hub_disk:
+            missing |= NEEDS_OWN_DISK
+        self.left_out = sorted(missing)
+
+    def __exit__(self, *error: object) -> None:
+        super().__exit__(*error)
+        self.server.shutdown()
+        self.server.server_close()
+        if self.hub is not None:
+            self.hub.close()
+
+    def other_sections(self) -> str:
+        """Return the settings of the receiver and of the hub."""
+        secret = self.folder / "secret"
+        secret.write_text(_SECRET + "\n")
+        push = f'[push]\nwebhooks = ["{self.address}/hook"]\nwebhook_secret_file = "{secret}"\n'
+        return push + ("" if self.hub is None else self.hub.settings(self.folder / "token"))
+
+    def tend(self) -> None:
+        """Start a hub that ended."""
+        if self.hub is not None:
+            self.hub.tend()
 
     def drawn(self) -> Iterator[str]:
         """Yield faults without end, each kind once before any comes again."""
-        possible = [fault for fault in FAULTS if fault not in self.left_out]
+        possible = [fault for fault in FAULTS[self.faults_of] if fault not in self.left_out]
         while True:
             yield from self.random.sample(possible, len(possible))
 
@@ -74,7 +119,7 @@ class Faults(Processes):
         self.clear_from = float("inf")
         try:
             getattr(self, f"_{fault}")()
-        except (OSError, RuntimeError, sqlite3.Error, subprocess.TimeoutExpired) as error:
+        except (AssertionError, OSError, RuntimeError, sqlite3.Error, subprocess.TimeoutExpired) as error:
             self.exits.append(f"{fault} failed: {error}")  # found wrong, and the campaign goes on
             self._restore()
         self.clear_from = now() + 12.0 * SLOT_S
@@ -82,8 +127,9 @@ class Faults(Processes):
         self.wait(self.random.uniform(1.0, 10.0) * SLOT_S)
 
     def end(self) -> list[str]:
-        """Return the images that were handed on whole and have no sighting; a camera hands on no file."""
-        return []
+        """Return the images that were handed on whole and have no sighting, and what the hub has not."""
+        self.kill_imager()
+        return [] if self.hub is None else self.hub.differences(self.database)
 
     def _log(self, text: str) -> None:
         with (self.folder / "faults.log").open("a") as log:
@@ -95,6 +141,10 @@ class Faults(Processes):
         """Bring both processes back, with the host's clock right, after a fault that did not end as it should."""
         self.clock_file.write_text("0 synchronised")
         (self.state / "ballast").unlink(missing_ok=True)
+        if self.hub is not None:
+            (self.hub.folder / "ballast").unlink(missing_ok=True)
+            self.hub.link.down = self.hub.link.drips = False
+            self.hub.start_server()
         if self.service is not None:
             self.service.send_signal(signal.SIGCONT)
         self.stop_service(signal.SIGKILL)
@@ -205,7 +255,9 @@ class Faults(Processes):
 
     def _disk_full(self) -> None:
         """Fill the disk that holds state and images, and free it again."""
-        ballast = self.state / "ballast"
+        self._fill(self.state / "ballast")
+
+    def _fill(self, ballast: Path) -> None:
         with ballast.open("wb", buffering=0) as file:
             end = now() + self.random.uniform(1.0, 8.0) * SLOT_S
             while now() < end:
@@ -235,3 +287,105 @@ class Faults(Processes):
         self.order(register, value)
         self.wait(self.random.uniform(1.0, 8.0) * SLOT_S)
         self.order(register, 0)
+
+    def _receiver_drips(self) -> None:
+        self.other.drips = True
+        self.get("/v1/refits", method="POST")
+        self.wait(self.random.uniform(2.0, 10.0) * self.slot_s)
+        self.other.drips = False
+
+    def _receiver_refuses(self) -> None:
+        self.other.refuses = True
+        self.get("/v1/refits", method="POST")
+        self.wait(self.random.uniform(2.0, 10.0) * self.slot_s)
+        self.other.refuses = False
+
+    def _flipped_bit(self) -> None:
+        """Flip a bit of a file that the service writes; it has to start, or to end with a reason. Then put it back."""
+        self.stop_service(self.random.choice([signal.SIGTERM, signal.SIGKILL]))
+        kept, judge, self.judge = self.folder / "kept", self.judge, None
+        if self.hub is not None:  # which is not told what such a state holds
+            self.hub.link.down = True
+        shutil.copytree(self.state, kept, ignore=shutil.ignore_patterns("reserve", "lock", "ballast"))
+        files = sorted(one for one in kept.rglob("*") if one.is_file() and one.stat().st_size)
+        kind = self.random.choice(sorted({_kind(one.relative_to(kept)) for one in files}))
+        chosen = self.random.choice([path for one in files if _kind(path := one.relative_to(kept)) == kind])
+        self.flipped.add(kind)
+        content = (self.state / chosen).read_bytes()
+        (self.state / chosen).write_bytes(flipped(content, self.random.randrange(8 * len(content))))
+        self._log(f"a bit of {chosen}")
+        self._starts_or_says_why(chosen)
+        for name in _DATABASE:
+            (self.state / name).unlink(missing_ok=True)
+        shutil.copytree(kept, self.state, dirs_exist_ok=True)
+        shutil.rmtree(kept)
+        self.judge = judge
+        if self.hub is not None:
+            self.hub.link.down = False
+        self.start_service()
+
+    def _starts_or_says_why(self, chosen: Path) -> None:
+        try:
+            self.start_service()
+            pause(3.0 * self.slot_s)
+        except RuntimeError as error:
+            code = None if self.service is None else self.service.poll()
+            if code not in _CLEAN_ENDS:
+                self.exits.append(f"a bit of {chosen}: {error}, code {code}")
+        if self.service is not None and self.service.poll() is None:
+            self.stop_service(signal.SIGTERM)
+        self.service = None
+
+    # Faults of the hub, which this chain sends to; it starts again as its unit has it.
+
+    def _hub_killed(self) -> None:
+        self._of_hub.process.kill()
+        self.wait(self.random.uniform(1.0, 8.0) * self.slot_s)
+
+    def _hub_away(self) -> None:
+        self._of_hub.link.down = True
+        self.wait(self.random.uniform(2.0, 20.0) * self.slot_s)
+        self._of_hub.link.down = False
+
+    def _hub_fails(self) -> None:
+        """Lose requests and answers, deliver some late or twice."""
+        self._of_hub.link.share = 0.7
+        self.wait(self.random.uniform(5.0, 20.0) * self.slot_s)
+        self._of_hub.link.share = 0.0
+
+    def _hub_drips(self) -> None:
+        self._of_hub.link.drips = True
+        self.wait(self.random.uniform(5.0, 20.0) * self.slot_s)
+        self._of_hub.link.drips = False
+
+    def _hub_disk_full(self) -> None:
+        """Fill the disk of PostgreSQL, and free it again."""
+        self._fill(self._of_hub.folder / "ballast")
+        self._of_hub.start_server()
+
+    def _postgresql_killed(self) -> None:
+        """End PostgreSQL as a crash does; the hub must not call itself ready meanwhile."""
+        self._of_hub.server.stop("immediate")
+        end = now() + _HUB_NOTICES_S
+        while self._of_hub.is_ready() and now() < end:
+            self.wait(1.0)
+        if self._of_hub.is_ready():
+            self.exits.append("the hub is ready without its database")
+        self._of_hub.server.start()
+
+    @property
+    def _of_hub(self) -> CampaignHub:
+        assert self.hub is not None
+        return self.hub
+
+
+def flipped(content: bytes, bit: int) -> bytes:
+    """Return bytes of which one bit is another."""
+    changed = bytearray(content)
+    changed[bit // 8] ^= 1 << bit % 8
+    return bytes(changed)
+
+
+def _kind(path: Path) -> str:
+    """Return a kind of file that the service writes: its folder and its ending."""
+    return path.name if len(path.parts) == 1 else f"{path.parts[0]}/*{path.suffix}"

@@ -18,6 +18,7 @@ from sunarc.calibration.answers.covariance import hemisphere, project_with_covar
 from sunarc.calibration.model.document import from_document
 from sunarc.optics.forward import project
 from sunarc.reanalysis.passes import SEARCHED
+from sunarc.sky.night import body_directions
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles, sun_directions
 
@@ -26,6 +27,8 @@ _SIGMAS = 6.0
 """An accepted sighting farther off than this many of its own sigmas is wrong."""
 _SLACK_PX = 0.05
 """Beside the sigmas: the simulated disc, the PSF and the low sun's refraction are not modelled to better."""
+_STAR_SLACK_PX = 1.5
+"""Beside the sigmas of a star: its coma; a wrong name is farther off."""
 _SKY_FACTOR = 3.0
 """RMS error over the sky, in units of the stated RMS, from which a calibration is served worse than stated."""
 _SKY_FLOOR_DEG = 0.002
@@ -48,7 +51,8 @@ class Findings:
     Attributes
     ----------
     lost, doubled : sightings that were stored once and are gone; times and exposures stored twice.
-    forgotten : images of a folder that were handed on whole and have no sighting.
+    forgotten : images of a folder that were handed on whole and have no sighting; rows that the hub has not as the
+        imager has them.
     wrong_sightings : accepted ones farther from the truth than they state.
     worse_than_stated : served calibrations with a larger error over the sky than stated.
     silent : times at which /readyz was "ready" while no sighting had been stored for 10 slots of clear sun.
@@ -61,6 +65,9 @@ class Findings:
     served : every calibration that was served, its true and its stated error.
     not_calibrated : why a calibration was due and none was served; empty where that is not so.
     left_out : faults that cannot be done here.
+    wrong_stars : stars that are named and are elsewhere.
+    flipped : kinds of files in which a bit was flipped.
+    installations : times that an operator had to accept another installation at the hub.
     """
 
     n_sightings: int = 0
@@ -68,6 +75,9 @@ class Findings:
     n_served: int = 0
     n_repeating: int = 0
     n_searched: int = 0
+    n_stars: int = 0
+    n_of_hub: int = 0
+    installations: int = 0
     lost: list[str] = field(default_factory=list)
     forgotten: list[str] = field(default_factory=list)
     doubled: list[str] = field(default_factory=list)
@@ -79,13 +89,16 @@ class Findings:
     gaps: list[str] = field(default_factory=list)
     served: list[str] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
+    wrong_stars: list[str] = field(default_factory=list)
+    flipped: list[str] = field(default_factory=list)
     not_calibrated: str = ""
     integrity: str = ""
 
     @property
     def good(self) -> bool:
         """Whether nothing was found wrong."""
-        lists = (self.lost, self.forgotten, self.doubled, self.wrong_sightings, self.worse_than_stated, self.silent)
+        lists = [self.lost, self.forgotten, self.doubled, self.wrong_sightings, self.worse_than_stated, self.silent]
+        lists.append(self.wrong_stars)
         too_many = len(self.copies) > self.n_repeating or len(self.gaps) > _GAPS * self.n_searched
         return (
             not any(lists)
@@ -166,8 +179,10 @@ class Judge:
             found.integrity = str(connection.execute("PRAGMA integrity_check").fetchone()[0])
             rows = connection.execute(
                 "SELECT time, exposure_us, accepted, x_px, y_px, sigma_px, clock_error_s, ingest_pass FROM sun_point "
-                "ORDER BY time"
+                "WHERE body = 'sun' ORDER BY time"
             ).fetchall()
+            stars = connection.execute("SELECT body, time, x_px, y_px, sigma_px FROM sun_point WHERE method = 'star'")
+            found.n_stars, found.wrong_stars = self._stars(stars.fetchall())
         keys = [(row[0], row[1]) for row in rows]
         found.doubled = [str(key) for key, other in pairwise(keys) if key == other]
         found.n_sightings = len(rows)
@@ -214,6 +229,17 @@ class Judge:
             if o > a
         ]
 
+    def _stars(self, rows: list[tuple[Any, ...]]) -> tuple[int, list[str]]:
+        """Return how many stars are named, and those that are elsewhere."""
+        if not rows:
+            return 0, []
+        names, times = np.array([row[0] for row in rows], dtype=np.str_), np.array([row[1] / 1e6 for row in rows])
+        pixels = np.array([row[2:4] for row in rows], dtype=np.float64)
+        allowed = _SIGMAS * np.array([row[4] for row in rows]) * np.sqrt(2.0) + _STAR_SLACK_PX
+        off = np.linalg.norm(pixels - project(self._truth, body_directions(names, times, self._site)), axis=-1)
+        wrong = [f"{names[k]} at {times[k]:.3f}: {off[k]:.2f} px off" for k in np.flatnonzero(~(off <= allowed))]
+        return len(rows), wrong
+
     def _error_and_stated(self, document: dict[str, Any]) -> tuple[float, float]:
         """Return the RMS error over the sky of a served calibration, and the RMS that it states, degrees."""
         calibration = from_document(document)
@@ -230,7 +256,7 @@ class Judge:
             return None
         try:
             with sqlite3.connect(f"file:{self._database}?mode=ro", uri=True, timeout=0.5) as connection:
-                return set(connection.execute("SELECT time, exposure_us FROM sun_point").fetchall())
+                return set(connection.execute("SELECT time, exposure_us FROM sun_point WHERE body = 'sun'").fetchall())
         except sqlite3.OperationalError:
             return None  # locked, or not made yet
 

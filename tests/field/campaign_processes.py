@@ -37,6 +37,7 @@ SHIM = HERE / "clock_shim.py"
 START_WITHIN_S = 300.0
 """Real seconds for a process to start; 5 to 51 s beside a load of 12 on 2 cores."""
 NIGHT_ZENITH_DEG = 92.0
+_NIGHT_SLOTS = 5.0
 LONGEST_CAMPAIGN_S = 120.0 * 86_400.0
 """Simulated: a time later than this is not the imager's, but the host's."""
 DISK_MB = 500
@@ -50,10 +51,12 @@ state = "{state}"
 latitude = {latitude}
 longitude = {longitude}
 altitude = {altitude}
-{section}[capture]
+{section}{others}[capture]
 cadence_s = {cadence}
-night_cadence_s = {cadence}
+night_cadence_s = {night_cadence}
 speed = {speed}
+[night]
+enabled = {nights}
 [sensor]
 black_level_fraction = 0.0078
 [refit]
@@ -95,12 +98,14 @@ class Setting:
     start : its first time, aware.
     speed : seconds of its time in a real second.
     cadence_s : seconds of its time from slot to slot.
+    nights : whether the imager shows the nights, and the service looks at their stars; else the imager skips them.
     """
 
     site: Site = SGP
     start: datetime = START
     speed: float = SPEED
     cadence_s: float = CADENCE_S
+    nights: bool = False
 
 
 class Processes:
@@ -125,7 +130,7 @@ class Processes:
         self.exits: list[str] = []
         self.judge: Judge | None = None
         self.clear_from = 0.0
-        self.has_own_disk = _mount_disk(self.state)
+        self.has_own_disk = mount_disk(self.state)
         self.imager: subprocess.Popen[str] | None = None
         self.service: subprocess.Popen[bytes] | None = None
         self._known = (self.setting.start.timestamp(), now())
@@ -156,11 +161,14 @@ class Processes:
         text = SETTINGS.format(
             source=self.source,
             section=self.source_section(),
+            others=self.other_sections(),
             state=self.state,
             latitude=site.latitude,
             longitude=site.longitude,
             altitude=site.altitude,
             cadence=self.setting.cadence_s,
+            night_cadence=self.setting.cadence_s * (_NIGHT_SLOTS if self.setting.nights else 1.0),
+            nights=str(self.setting.nights).lower(),
             speed=self.setting.speed,
             port=port,
             token=token,
@@ -171,6 +179,15 @@ class Processes:
     def source_section(self) -> str:
         """Return the settings of the source."""
         return CAMERA
+
+    def other_sections(self) -> str:
+        """Return the settings of what else the service talks to."""
+        return ""
+
+    @property
+    def slot_s(self) -> float:
+        """Real seconds from slot to slot."""
+        return self.setting.cadence_s / self.setting.speed
 
     def tend(self) -> None:
         """Do what is to be done again and again while time passes."""
@@ -200,6 +217,8 @@ class Processes:
         self._known = (began, now())
         site = {name: getattr(self.setting.site, name) for name in ("latitude", "longitude", "altitude")}
         settings = {"address": ADDRESS, "clouds": "clear", "speed": self.setting.speed, "site": site}
+        if self.setting.nights:
+            settings |= {"skip_nights": False, "night": {}}
         start = datetime.fromtimestamp(began, UTC).isoformat()
         command = [sys.executable, str(IMAGER), json.dumps(settings), start, str(truth), "orders"]
         with (self.folder / "imager.log").open("ab") as log:
@@ -211,7 +230,7 @@ class Processes:
         if known == self.setting.start.timestamp():
             return known
         began = known + self.setting.cadence_s + (now() - at) * self.setting.speed
-        if float(sun_angles(began, self.setting.site).apparent_zenith) > NIGHT_ZENITH_DEG:
+        if not self.setting.nights and float(sun_angles(began, self.setting.site).apparent_zenith) > NIGHT_ZENITH_DEG:
             began = next_dawn(began, self.setting.site)
         return began
 
@@ -242,7 +261,12 @@ class Processes:
                 stderr=log,
                 env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
             )
-        self.wait_for(lambda: self.get("/healthz") is not None, what="the service")
+        self.wait_for(lambda: self.get("/healthz") is not None or self._ended(), what="the service")
+        if self._ended():
+            raise RuntimeError(f"the service ended at its start; see {self.folder}")
+
+    def _ended(self) -> bool:
+        return self.service is None or self.service.poll() is not None
 
     def stop_service(self, number: signal.Signals) -> None:
         """Send a signal and wait for the end."""
@@ -291,7 +315,7 @@ class Processes:
             return None
 
 
-def _mount_disk(folder: Path) -> bool:
+def mount_disk(folder: Path) -> bool:
     """Put a folder on a small disk in memory that only this process and its children see; return whether it is."""
     folder.mkdir(mode=0o750)
     if os.geteuid() != 0:

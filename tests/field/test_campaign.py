@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from .campaign import SOURCES, campaign
+from .campaign_faults import Source
 
 
 @pytest.mark.gige
@@ -14,7 +15,7 @@ from .campaign import SOURCES, campaign
 @pytest.mark.release  # five faults show little beside what each kind's own test does
 @pytest.mark.timeout(240)
 @pytest.mark.parametrize("source", SOURCES)
-def test_a_short_campaign_of_faults_finds_nothing_wrong(tmp_path: Path, source: str) -> None:
+def test_a_short_campaign_of_faults_finds_nothing_wrong(tmp_path: Path, source: Source) -> None:
     found, counts = campaign(seed=3, faults=5, folder=tmp_path, most_s=20.0, source=source)
     assert counts
     assert found.n_sightings >= 5

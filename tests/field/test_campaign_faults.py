@@ -20,7 +20,7 @@ class WithoutProcesses(Faults):
     def __init__(self, folder: Path, error: Exception | None) -> None:
         self.folder = self.state = folder
         self.clock_file = folder / "clock"
-        self.service = self.imager = self.judge = None
+        self.service = self.imager = self.judge = self.hub = None
         self.random = random.Random(1)
         self.counts: dict[str, int] = {}
         self.exits: list[str] = []

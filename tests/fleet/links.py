@@ -15,6 +15,7 @@ from pathlib import Path
 FAULTS = ("cut", "answer_lost", "late", "twice")
 """What a link does to a request: drop it, lose its answer, deliver it after the sender gave it up, deliver it twice."""
 _LATE_S = 0.3
+_DRIP_S, _MOST_DRIPS = 0.5, 80
 
 
 @dataclass
@@ -25,6 +26,7 @@ class Link:
     seed: int
     share: float = 0.0
     down: bool = False
+    drips: bool = False
     counts: dict[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -56,7 +58,10 @@ class Link:
             if fault == "twice":
                 self._ask(request)
             answer = self._ask(request)
-            if fault in {"", "twice"}:
+            for byte in answer[:_MOST_DRIPS] if self.drips else b"":
+                connection.sendall(bytes([byte]))
+                threading.Event().wait(_DRIP_S)
+            if fault in {"", "twice"} and not self.drips:
                 connection.sendall(answer)
 
     def _fault(self) -> str:
