@@ -128,7 +128,7 @@ TEN = YAML.replace(b"  ss: [", b"  ss: [" + b"0.0, " * 6)
         (OCAM.replace(b"#center", b"7 7\n#center"), "five blocks"),
         (OCAM.replace(b"\n\n", b"\n\n1", 1), "not as long"),
         (OCAM.replace(b"e+", b"f+"), "no OCamCalib"),
-        (OPENCV.replace(b"rows: 4", b"rows: 5"), "cannot read"),
+        (OPENCV.replace(b"rows: 4", b"rows: 5"), "no distortion"),
         (OPENCV.replace(b"camera_matrix", b"matrix_of_it"), "camera matrix"),
         (OPENCV.replace(b"image_width", b"image_breadth"), "image size"),
         (b"%YAML:1.0\n---\na: [", "cannot read|camera matrix"),

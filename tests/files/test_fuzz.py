@@ -54,9 +54,12 @@ def first_found(made: dict[str, Reader]) -> Iterator[tuple[str, bytes]]:
     mp4 = made["video"].sound[1]
     at = mp4.index(b"stts") + 12
     yield "video", mp4[:at] + b"\x5b" * 4 + mp4[at + 4 :]  # 1.5 billion frames, each with its time
+    opencv = made["view-opencv"].sound[0]
+    yield "view-opencv", opencv.replace(b"   cols: 1", b"   ccccols: 1")  # OpenCV's own reader ended the process
     nested = b'{"a":' * 3000
     yield from ((name, nested) for name in ("view-json", "view-ros", "sidecar") if name in made)
     yield from ((name, b"port = " + b"1" * 5000) for name in ("settings", "hub", "cameras", "joint"))
+    yield from ((name, b"port = " + b"[" * 3000) for name in ("settings", "hub", "cameras", "joint"))
     database = made["leaf-rows"].sound[0]
     yield "leaf-rows", database[:16] + b"\0\0" + database[18:]
     for name in ("ledger", "fits", "netcdf"):

@@ -151,6 +151,13 @@ def _rising_limit(parameters: FloatArray) -> float:
 
 _MATRIX = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "intrinsic_matrix")
 _DISTORTION = ("distortion_coefficients", "distCoeffs", "Distortion_Coefficients", "D", "dist_coeffs")
+_PUNCTUATION = re.compile(r'[][<>{},:"=]')
+_NUMBER = r"[-+]?(?:\.Nan|\.Inf|(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)(?= |$)"
+_STORED_MATRIX = re.compile(
+    r"(\w+) (?:type_id |!!)opencv-(?:nd-)?matrix (?:rows (\d{1,4} cols \d{1,4})|sizes (\d{1,4}(?: \d{1,4})*)) dt \w+ "
+    rf"data((?: {_NUMBER})*)"
+)
+_STORED_NUMBER = re.compile(r"(\w+) (\d{1,9})\.?(?= |$)")
 _SIZES = (("image_width", "image_height"), ("image_Width", "image_Height"), ("width", "height"))
 _OPENCV_ROTATION = "rotation_cam_enu"
 
@@ -178,11 +185,14 @@ def read_opencv(content: bytes, *, name: str) -> View:
         It is none: not four distortion coefficients (a calibration of cv2.calibrateCamera has 5 and more), or no size.
     """
     try:
-        storage = cv2.FileStorage(content.decode(), cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-        matrix, distortion, rotation = (_first(storage, names) for names in (_MATRIX, _DISTORTION, (_OPENCV_ROTATION,)))
-        sizes = [[int(storage.getNode(one).real()) for one in pair] for pair in _SIZES]
-    except (cv2.error, SystemError, UnicodeDecodeError):  # its constructor fails without saying how
-        raise InputError(field=name, problem="OpenCV cannot read it", remedy="give a cv2.FileStorage file") from None
+        matrices, numbers = _stored(content.decode())
+    except UnicodeDecodeError:
+        raise InputError(field=name, problem="is not text", remedy="give a cv2.FileStorage file") from None
+    matrix, distortion, rotation = (
+        next((matrices[one] for one in names if one in matrices), None)
+        for names in (_MATRIX, _DISTORTION, (_OPENCV_ROTATION,))
+    )
+    sizes = [[numbers.get(one, 0) for one in pair] for pair in _SIZES]
     if matrix is None or matrix.shape != (3, 3):
         raise InputError(field=name, problem="no 3x3 camera matrix", remedy=f"name it {_MATRIX[0]}")
     if distortion is None or distortion.size != 4:
@@ -202,10 +212,19 @@ def read_opencv(content: bytes, *, name: str) -> View:
     return fisheye_view("opencv", model, size=(width, height), has_pose=rotation is not None)
 
 
-def _first(storage: cv2.FileStorage, names: tuple[str, ...]) -> FloatArray | None:
-    """Return the first matrix that a file has of several names."""
-    nodes = (storage.getNode(name) for name in names)
-    return next((np.asarray(node.mat(), dtype=np.float64) for node in nodes if node.isMap()), None)
+def _stored(text: str) -> tuple[dict[str, FloatArray], dict[str, int]]:
+    """Return the matrices and the whole numbers of a file of `cv2.FileStorage`, by their names.
+
+    Its own reader ends the process on damaged files. Without their punctuation the three forms are one: words.
+    """
+    words = " ".join(word for word in _PUNCTUATION.sub(" ", text).split() if not word.startswith("/"))
+    matrices: dict[str, FloatArray] = {}
+    for name, shape, sizes, data in _STORED_MATRIX.findall(words):
+        sides = [int(side) for side in (shape.replace("cols", "") or sizes).split()]
+        values = [float(word.replace(".Nan", "nan").replace(".Inf", "inf")) for word in data.split()]
+        if math.prod(sides) == len(values):
+            matrices[name] = np.array(values).reshape(sides)
+    return matrices, {name: int(number) for name, number in _STORED_NUMBER.findall(words)}
 
 
 _ROTATION = "rotation_cam_enu, row by row: "

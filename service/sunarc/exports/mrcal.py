@@ -113,7 +113,7 @@ def read_mrcal(content: bytes, *, name: str) -> View:
         read = ast.literal_eval(content.decode())
         lens, (width, height) = str(read["lensmodel"]), read["imagersize"]
         extrinsics, intrinsics = (np.array(read[key], dtype=np.float64) for key in ("extrinsics", "intrinsics"))
-    except (ValueError, SyntaxError, KeyError, TypeError, UnicodeDecodeError) as error:
+    except (ValueError, SyntaxError, KeyError, TypeError, OverflowError, RecursionError, MemoryError) as error:
         raise InputError(
             field=name, problem=f"no camera model of mrcal ({error})", remedy="give a .cameramodel"
         ) from None

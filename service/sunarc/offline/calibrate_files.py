@@ -348,7 +348,7 @@ def read_joint_spec(path: Path) -> JointSpec:
     """Return what a TOML file asks to fit together; InputError names the key that is wrong."""
     try:
         tables = tomllib.loads(read_file(path).decode())
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(field=str(path), problem=f"is not TOML ({error})", remedy="correct it") from None
     entries = tables.pop("entry", None)
     spread = tables.pop("spread", None)

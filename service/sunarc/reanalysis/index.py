@@ -348,7 +348,7 @@ def read_cameras(path: Path, *, common: CameraPlan) -> list[CameraPlan]:
     """
     try:
         tables = tomllib.loads(read_file(path).decode()).get("cameras", {})
-    except (ValueError, AttributeError) as error:
+    except (ValueError, AttributeError, RecursionError) as error:
         raise InputError(field=str(path), problem=f"is not TOML ({error})", remedy="correct it") from None
     if not isinstance(tables, dict) or not tables:
         raise InputError(field=str(path), problem="names no camera", remedy="give a table [cameras.NAME] for each")
