@@ -60,6 +60,9 @@ def first_found(made: dict[str, Reader]) -> Iterator[tuple[str, bytes]]:
     yield from ((name, nested) for name in ("view-json", "view-ros", "sidecar") if name in made)
     yield from ((name, b"port = " + b"1" * 5000) for name in ("settings", "hub", "cameras", "joint"))
     yield from ((name, b"port = " + b"[" * 3000) for name in ("settings", "hub", "cameras", "joint"))
+    yield "exif", b"\xff\xd8\xff\xc0\x00\x0b\x08null\x01\x00\x00\x00"  # 785 million pixels
+    yield "sidecar", b'{"exposure_us": ' + b"9" * 400 + b"}"
+    yield "cameras", b"[cameras.a]\nlatitude = 1\nlongitude = 2\naltitude = " + b"1" * 400
     database = made["leaf-rows"].sound[0]
     yield "leaf-rows", database[:16] + b"\0\0" + database[18:]
     for name in ("ledger", "fits", "netcdf"):

@@ -19,7 +19,7 @@ from pathlib import PurePosixPath
 from typing import Any, BinaryIO, Literal, NamedTuple, TypeAlias
 from zoneinfo import ZoneInfo
 
-from PIL import ExifTags, UnidentifiedImageError
+from PIL import ExifTags
 from PIL import Image as Pictures
 
 from sunarc.cameras.replay import exposure_of_name
@@ -184,7 +184,7 @@ def sidecar_time(text: bytes, name: str, exposure_us: float | None) -> tuple[dat
         return parse_time(str(sidecar["time_utc"]), where=f"{name}, time_utc"), exposure
     except InputError as error:
         raise RefusedImageError(error.field, Finding("file_sidecar", {"error": error.problem})) from None
-    except (ValueError, KeyError, AttributeError, RecursionError):
+    except (ValueError, KeyError, AttributeError, OverflowError, RecursionError):
         raise RefusedImageError(name, Finding("file_sidecar", {"error": "no JSON with time_utc"})) from None
 
 
@@ -203,7 +203,7 @@ def exif_time(file: BinaryIO) -> datetime | None:
         with Pictures.open(file) as picture:
             tags = picture.getexif()
             details = tags.get_ifd(ExifTags.IFD.Exif)
-    except (OSError, UnidentifiedImageError, ValueError):
+    except Exception:  # noqa: BLE001 - of damaged heads Pillow raises errors of many kinds
         return None
     text = details.get(ExifTags.Base.DateTimeOriginal) or tags.get(ExifTags.Base.DateTime)
     zone = details.get(ExifTags.Base.OffsetTimeOriginal)

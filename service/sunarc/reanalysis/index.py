@@ -365,7 +365,7 @@ def _plan(name: str, table: object, common: CameraPlan, path: Path) -> CameraPla
         raise InputError(field=where, problem="cannot be the name of a folder", remedy="use letters, numbers and -")
     try:
         return _filled(name, table, common, path.parent)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(field=where, problem=str(error), remedy="correct it") from None
 
 
