@@ -30,13 +30,19 @@ from tests.fixtures.ports import free_port
 from .campaign_faults import FAULTS, Faults, Source
 from .campaign_judge import Findings
 from .campaign_pictures import PictureFaults
-from .campaign_processes import SLOT_S, Setting, now
+from .campaign_processes import SPEED, Setting, now
 
 SOURCES: tuple[Source, ...] = tuple(FAULTS)
 
 
 def campaign(
-    *, seed: int, faults: int, folder: Path, most_s: float = float("inf"), source: Source = "gige"
+    *,
+    seed: int,
+    faults: int,
+    folder: Path,
+    most_s: float = float("inf"),
+    source: Source = "gige",
+    speed: float = SPEED,
 ) -> tuple[Findings, dict[str, int]]:
     """Run a campaign; return what was found wrong and how often each fault was done.
 
@@ -47,14 +53,15 @@ def campaign(
     folder : empty; keeps state and logs.
     most_s : real seconds after the start of both processes from which no further fault is begun, but one always is.
     source : one of `SOURCES`.
+    speed : of the GigE camera's time, which a busy host cannot follow at 200; pictures come at 60.
     """
-    with _run_of(source, folder, seed) as run:
+    with _run_of(source, folder, seed, speed) as run:
         began = now()
-        run.wait(15.0 * SLOT_S)
+        run.wait(15.0 * run.slot_s)
         kinds = run.drawn()
         while sum(run.counts.values()) < faults and (not run.counts or now() - began < most_s):
             run.disturb(next(kinds))
-        run.wait(15.0 * SLOT_S)
+        run.wait(15.0 * run.slot_s)
         forgotten = run.end()
         n_of_hub = 0 if run.hub is None else run.hub.n_rows
     assert run.judge is not None
@@ -66,10 +73,11 @@ def campaign(
     return found, run.counts
 
 
-def _run_of(source: Source, folder: Path, seed: int) -> Faults:
+def _run_of(source: Source, folder: Path, seed: int, speed: float) -> Faults:
     if source in {"folder", "http"}:
         return PictureFaults(folder, port=free_port(), seed=seed, source=source)
-    return Faults(folder, port=free_port(), seed=seed, setting=Setting(nights=source == "night"), source=source)
+    setting = Setting(nights=source == "night", speed=speed)
+    return Faults(folder, port=free_port(), seed=seed, setting=setting, source=source)
 
 
 def main() -> int:
@@ -79,6 +87,7 @@ def main() -> int:
     parser.add_argument("--faults", type=int, default=300)
     parser.add_argument("--most-s", type=float, default=float("inf"), help="begin no fault after so many real seconds")
     parser.add_argument("--sources", nargs="+", choices=SOURCES, default=SOURCES)
+    parser.add_argument("--speed", type=float, default=SPEED, help="of a GigE camera's time; less on a busy host")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--keep", type=Path, help="an empty folder for state and logs (default: a temporary one)")
     options = parser.parse_args()
@@ -96,6 +105,7 @@ def main() -> int:
                 folder=folder,
                 most_s=options.most_s / n,
                 source=source,
+                speed=options.speed,
             )
             report = {"source": source, "seed": options.seed, "faults": counts, **asdict(found), "good": found.good}
             reports.append(report)

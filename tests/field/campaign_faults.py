@@ -20,7 +20,7 @@ from tests.fixtures.ports import free_port
 from tests.fixtures.postgresql import programs
 
 from .campaign_network import CampaignHub, Other
-from .campaign_processes import ADDRESS, SHIM, SLOT_S, START_WITHIN_S, Processes, Setting, mount_disk, now, pause
+from .campaign_processes import ADDRESS, SHIM, START_WITHIN_S, Processes, Setting, mount_disk, now, pause
 
 Source = Literal["gige", "night", "folder", "http"]
 _SERVICE = ("kill", "stop", "stop_while_solving", "pause", "second_service", "host_clock", "imager_killed")
@@ -122,9 +122,9 @@ class Faults(Processes):
         except (AssertionError, OSError, RuntimeError, sqlite3.Error, subprocess.TimeoutExpired) as error:
             self.exits.append(f"{fault} failed: {error}")  # found wrong, and the campaign goes on
             self._restore()
-        self.clear_from = now() + 12.0 * SLOT_S
+        self.clear_from = now() + 12.0 * self.slot_s
         self._log(f"{fault} ends")
-        self.wait(self.random.uniform(1.0, 10.0) * SLOT_S)
+        self.wait(self.random.uniform(1.0, 10.0) * self.slot_s)
 
     def end(self) -> list[str]:
         """Return the images that were handed on whole and have no sighting, and what the hub has not."""
@@ -259,7 +259,7 @@ class Faults(Processes):
 
     def _fill(self, ballast: Path) -> None:
         with ballast.open("wb", buffering=0) as file:
-            end = now() + self.random.uniform(1.0, 8.0) * SLOT_S
+            end = now() + self.random.uniform(1.0, 8.0) * self.slot_s
             while now() < end:
                 try:
                     file.write(bytes(1 << 20))
@@ -285,7 +285,7 @@ class Faults(Processes):
 
     def _ordered(self, register: str, value: int) -> None:
         self.order(register, value)
-        self.wait(self.random.uniform(1.0, 8.0) * SLOT_S)
+        self.wait(self.random.uniform(1.0, 8.0) * self.slot_s)
         self.order(register, 0)
 
     def _receiver_drips(self) -> None:

@@ -30,8 +30,6 @@ ADDRESS = "127.0.0.1"
 START = datetime(2013, 5, 13, 14, 0, tzinfo=UTC)
 SPEED = 200.0
 CADENCE_S = 120.0
-SLOT_S = CADENCE_S / SPEED
-"""Real seconds from slot to slot of a campaign."""
 IMAGER = HERE.parent / "simulation" / "imager_process.py"
 SHIM = HERE / "clock_shim.py"
 START_WITHIN_S = 300.0

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from .campaign_faults import Faults
+from .campaign_processes import Setting
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -20,6 +21,7 @@ class WithoutProcesses(Faults):
     def __init__(self, folder: Path, error: Exception | None) -> None:
         self.folder = self.state = folder
         self.clock_file = folder / "clock"
+        self.setting = Setting()
         self.service = self.imager = self.judge = self.hub = None
         self.random = random.Random(1)
         self.counts: dict[str, int] = {}
