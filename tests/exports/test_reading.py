@@ -62,12 +62,17 @@ def test_a_file_without_a_pose_says_so_and_its_lens_is_the_same() -> None:
     assert ray[0] == pytest.approx([0.0, 0.0, 1.0], abs=5e-3)
     assert ray[1, 0] > 0.4  # x to the right
     assert compare(camera_view(LENS), view).total.rms_px < 0.2
-    storage = cv2.FileStorage(".xml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+
+
+@pytest.mark.parametrize("ending", ["yml", "xml", "json"])
+def test_the_files_of_opencv_are_read_in_its_three_forms(ending: str) -> None:
+    storage = cv2.FileStorage(f".{ending}", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+    storage.write("note", "K: [1, 2]")
     storage.write("image_width", 220)
     storage.write("image_height", 200)
     storage.write("K", np.array([[62.0, 0.0, 110.0], [0.0, 62.0, 100.0], [0.0, 0.0, 1.0]]))
-    storage.write("D", np.zeros((4, 1)))
-    plain = read_view(storage.releaseAndGetString().encode(), name="fisheye.xml")
+    storage.write("D", np.full(4, 1e-12))  # an array of one dimension
+    plain = read_view(storage.releaseAndGetString().encode(), name=f"fisheye.{ending}")
     assert not plain.has_pose
     assert compare(camera_view(SMALL), plain).total.max_px < 1e-6
     camera, _ = closest_camera(plain)

@@ -302,7 +302,7 @@ FORMATS: Mapping[str, Format] = {
         Format(name="json", file="calibration.json", write=_json, read=_read_json, media_type="application/json"),
         Format(
             name="opencv", file="opencv_fisheye.yml", write=_opencv, read=_alone(fisheye.read_opencv),
-            inside=(b"%YAML", b"opencv_storage", b"<?xml"), media_type="application/yaml",
+            inside=(b"%YAML", b"opencv_storage", b"opencv-matrix", b"<?xml"), media_type="application/yaml",
         ),
         Format(
             name="ocamcalib", file="calib_results.txt", write=_ocamcalib, read=_alone(read_ocamcalib),
