@@ -88,10 +88,11 @@ def page(kind: str, lines: list[str], *, commit: str, moment: datetime) -> str:
     """Return the page of a run."""
     title = {"booted": "The booted set's last run", "campaign": "The campaign's last run"}[kind]
     command = {"booted": "deploy/test-booted --page", "campaign": "tests/release campaign"}[kind]
+    host = f"{os.cpu_count()} cores, load {os.getloadavg()[2]:.0f}"
     head = [
         f"# {title}",
         "",
-        f"Written by `{command}`. {moment:%Y-%m-%d %H:%M} UTC, commit {commit}, {os.cpu_count()} cores.",
+        f"Written by `{command}`. {moment:%Y-%m-%d %H:%M} UTC, commit {commit}, {host}.",
     ]
     return "\n".join([*head, "", *lines]) + "\n"
 
