@@ -96,7 +96,8 @@ def reanalyse_archive(
         options=CalibrationOptions(mirrored=choice_of("--mirrored", mirrored, ("no", "yes", "auto"))),
         stacks=True,
     )
-    plans = _plans(common) if cameras is None else read_cameras(cameras, common=common)
+    missing = [name for name, given in (("latitude", latitude), ("longitude", longitude)) if given is None]
+    plans = _plans(common) if cameras is None else read_cameras(cameras, common=common, required=missing)
     plans = _with_patterns(plans, time_pattern or [])
     indexed = index_archive(plans)
     _confirm(indexed, yes=yes)

@@ -82,7 +82,8 @@ _FEWEST = 2
 _TIMES_SKY = 60.0
 """Light of the disc over that of the sky: the sun has 1e5 without cloud; a reflection has less than the cloud's rim."""
 _WIDE_GLARE, _SMALLEST_RING_PX = 3.0, 2.0
-"""Radius of a clipped glare over the disc's that no lamp without a halo has; least radius for that and the rings."""
+"""Radius of a clipped glare over the disc's that a lamp without a halo has before a bright cloud alone; least radius
+for that and the rings."""
 _RINGS = ((2.5, 4.0), (4.0, 6.0), (6.0, 8.0))
 _CLIPPED_RING, _DARK_RING = 0.9, 0.002
 """Radii of rings over the disc's; light of full scale from which on a ring is clipped, and up to which it is dark."""
@@ -168,8 +169,6 @@ def _has_halo(disc: _DiscOfStack, glare: Sequence[Candidate], ordered: Sequence[
     if all(is_short(each) for each in ordered):  # of the night
         return False
     radius = max(disc.shortest.radius_px or 0.0, _SMALLEST_RING_PX)
-    if any(one.rim.radius >= _WIDE_GLARE * radius for one in glare):
-        return True
     rows, columns = np.mgrid[: ordered[0].image.shape[0], : ordered[0].image.shape[1]]
     away = np.hypot(columns - disc.x, rows - disc.y) / radius
     rings = [(away >= least) & (away < most) for least, most in _RINGS]
@@ -178,7 +177,7 @@ def _has_halo(disc: _DiscOfStack, glare: Sequence[Candidate], ordered: Sequence[
         if near < _CLIPPED_RING:  # the longest exposure of these has the least noise
             falls = near >= (_FALLS_OFF if glare else _FALLS_STEEPLY) * far
             return far > _DARK_RING and falls and near - middle >= _INWARDS * (middle - far)
-    return False
+    return any(one.rim.radius >= _WIDE_GLARE * radius for one in glare)
 
 
 def _median_light(image: Image, full_scale: int) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import tomllib
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatch
 from pathlib import Path, PurePosixPath
@@ -339,12 +339,12 @@ _NUMBERS = ("latitude", "longitude", "altitude")
 _KEYS = {"sources", "files", "utc_offset", "time_pattern", *_NUMBERS, "image_size", "mirrored", "method"}
 
 
-def read_cameras(path: Path, *, common: CameraPlan) -> list[CameraPlan]:
-    """Return the cameras of a file; what it leaves out is that of the command line.
+def read_cameras(path: Path, *, common: CameraPlan, required: Collection[str] = ()) -> list[CameraPlan]:
+    """Return the cameras of a file; what it leaves out is that of the command line, but for what is required of each.
 
     Raises
     ------
-    InputError : it is no TOML, names no camera, or something that a camera does not have.
+    InputError : it is no TOML, names no camera, something that a camera does not have, or not what is required.
     """
     try:
         tables = tomllib.loads(read_file(path).decode()).get("cameras", {})
@@ -352,6 +352,11 @@ def read_cameras(path: Path, *, common: CameraPlan) -> list[CameraPlan]:
         raise InputError(field=str(path), problem=f"is not TOML ({error})", remedy="correct it") from None
     if not isinstance(tables, dict) or not tables:
         raise InputError(field=str(path), problem="names no camera", remedy="give a table [cameras.NAME] for each")
+    for name, table in tables.items():
+        for key in required:
+            if isinstance(table, dict) and key not in table:
+                where = f"{path.name}, cameras.{name}"
+                raise InputError(field=where, problem=f"has no {key}", remedy=f"give it there, or --{key}")
     return [_plan(name, table, common, path) for name, table in tables.items()]
 
 

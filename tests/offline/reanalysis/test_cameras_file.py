@@ -55,6 +55,21 @@ def test_what_a_camera_has_goes_first(tmp_path: Path) -> None:
     assert (mast.site.altitude, mast.image_size) == (5.0, (9, 9))
 
 
+@pytest.mark.parametrize(("text", "lacking"), [("latitude = 3", "longitude"), ("latitude = 3\nlongitude = 8", None)])
+def test_a_site_that_the_command_line_does_not_give_is_each_cameras(
+    text: str, lacking: str | None, tmp_path: Path
+) -> None:
+    path = tmp_path / "cameras.toml"
+    path.write_text(f"[cameras.roof]\n{text}\n")
+    said = None
+    try:
+        read_cameras(path, common=COMMON, required=["latitude", "longitude"])
+    except InputError as error:
+        said = error.problem
+    assert (said is None) is (lacking is None)
+    assert said is None or str(lacking) in said
+
+
 @pytest.mark.parametrize(
     "text",
     [
