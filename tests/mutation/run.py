@@ -83,7 +83,7 @@ def main() -> int:
     with TemporaryDirectory(prefix="sunarc-mutants-") as folder:
         reach = _reach(options, Path(folder))
         outcomes = _outcomes(_drawn(options), reach, options, Path(folder))
-        failing = _failing(Path(folder) / "0", sorted({one.failed for one in outcomes if one.failed}))
+        failing = _failing(Path(folder) / "0" / "service", sorted({one.failed for one in outcomes if one.failed}))
     for outcome in outcomes:
         if outcome.failed in failing:
             print(f"not detected by a test that fails without the change: {outcome.mutant}, {outcome.failed}")
@@ -135,7 +135,7 @@ def _reach(options: argparse.Namespace, folder: Path) -> dict[str, Any]:
 def _outcomes(mutants: list[Mutant], reach: dict[str, Any], options: argparse.Namespace, folder: Path) -> list[Outcome]:
     copies: SimpleQueue[Path] = SimpleQueue()
     for number in range(options.jobs):
-        copies.put(Path(shutil.copytree(PACKAGE, folder / str(number) / "sunarc")).parent)
+        copies.put(_copy(folder / str(number)))
 
     def outcome(mutant: Mutant) -> Outcome:
         copy = copies.get()
@@ -152,6 +152,16 @@ def _outcomes(mutants: list[Mutant], reach: dict[str, Any], options: argparse.Na
 
     with ThreadPoolExecutor(options.jobs) as pool:
         return list(pool.map(outcome, mutants))
+
+
+def _copy(root: Path) -> Path:
+    """Copy the package to where its sources are in a checkout, all else beside it: it reads the migrations."""
+    shutil.copytree(PACKAGE, root / "service" / "sunarc")
+    for folder in (ROOT, ROOT / "service"):
+        for path in folder.iterdir():
+            if not (target := root / path.relative_to(ROOT)).exists():
+                target.symlink_to(path)
+    return root / "service"
 
 
 def _tests_for(mutant: Mutant, reach: dict[str, Any]) -> tuple[list[str], list[str]]:
@@ -193,7 +203,9 @@ def _failed(mutant: Mutant, tests: list[str], copy: Path) -> str | None:
         target.write_text(original, "utf-8")
     if code == pytest.ExitCode.USAGE_ERROR and _exit_code(copy, tests, ["-x"]) == code:
         raise RuntimeError(f"{mutant.file}:{mutant.site.line}: none of {tests} ran; make the file of --lines anew")
-    return None if code in _PASSED else "".join(_failures(copy)[:1])
+    failures = _failures(copy)
+    broke_off = code == pytest.ExitCode.TESTS_FAILED and not failures  # pytest itself, not a test
+    return None if code in _PASSED or broke_off else "".join(failures[:1])
 
 
 def _failing(copy: Path, tests: list[str]) -> list[str]:
@@ -232,7 +244,8 @@ def _run_tests(copy: str, arguments: list[str]) -> None:
     sys.dont_write_bytecode = True
     with Path(os.devnull).open("w", encoding="utf-8") as nothing, redirect_stdout(nothing), redirect_stderr(nothing):
         watch = _Watch(Path(copy) / _FAILED, _SECONDS_OF_TESTS if once else float("inf"))
-        code = pytest.main(["-q", "-p", "no:cacheprovider", "--timeout", "0", "-m", FAST, *arguments], plugins=[watch])
+        of_its_own = ["-p", "no:cacheprovider", "--basetemp", str(Path(copy).parent / "temporary"), "--timeout", "0"]
+        code = pytest.main(["-q", *of_its_own, "-m", FAST, *arguments], plugins=[watch])
         sys.exit(0 if watch.stopped and code == pytest.ExitCode.INTERRUPTED else int(code))
 
 
