@@ -136,8 +136,12 @@ class Processes:
 
     def __enter__(self) -> Self:
         self.write_settings("sunarc.toml", port=self.port)
-        self.start_imager()
-        self.start_service()
+        try:
+            self.start_imager()
+            self.start_service()
+        except BaseException:
+            self.__exit__()
+            raise
         truth = json.loads((self.folder / "truth.json").read_text())
         self.judge = Judge(
             self.database, self.port, truth=truth, site=self.setting.site, cadence_s=self.setting.cadence_s
@@ -147,7 +151,7 @@ class Processes:
     def __exit__(self, *_: object) -> None:
         self.stop_service(signal.SIGTERM)
         self.kill_imager()
-        if self.has_own_disk:  # it is gone with this process
+        if self.has_own_disk and self.database.exists():  # it is gone with this process
             shutil.copy(self.database, self.folder / "sunarc.sqlite")
 
     def write_settings(self, name: str, *, port: int) -> Path:

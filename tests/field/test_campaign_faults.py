@@ -67,6 +67,25 @@ def test_a_fault_that_ends_as_it_should_starts_nothing(tmp_path: Path) -> None:
     assert (faults.exits, faults.done, faults.counts) == ([], ["wait"], {"kill": 1})
 
 
+def test_what_was_started_is_ended_where_the_service_does_not_start(tmp_path: Path) -> None:
+    class Unstarted(WithoutProcesses):
+        has_own_disk, port = False, 1
+
+        def write_settings(self, name: str, *, port: int) -> Path:
+            return self.folder / f"{name}{port}"
+
+        def start_service(self) -> None:
+            raise RuntimeError("did not start")
+
+        def __exit__(self, *_: object) -> None:
+            self.done.append("ended")
+
+    faults = Unstarted(tmp_path, None)
+    with pytest.raises(RuntimeError), faults:
+        pass
+    assert faults.done == ["start imager", "ended"]
+
+
 def test_a_defect_of_the_campaign_itself_ends_it(tmp_path: Path) -> None:
     with pytest.raises(KeyError):
         WithoutProcesses(tmp_path, KeyError("defect")).disturb("kill")
