@@ -176,3 +176,12 @@ def test_a_window_of_each_length_ends_just_before_the_step(rows: module.StepRows
     }
     for found in ends.values():
         assert any(at - 2.0 < end < at for end in found)
+
+
+def test_cloud_is_looked_for_all_along_a_record_of_less_than_two_days(rows: module.StepRows) -> None:
+    begin = rows.unix_s[0]
+    short, long = (module.cloud_windows(replace(rows, unix_s=begin + by * (rows.unix_s - begin))) for by in (1.0, 8.0))
+    lengths = {round(end - begin) for begin, end in long}
+    assert len(long) == 5 * len(lengths)  # at the ends, and beside and across the step
+    assert {round(end - begin) for begin, end in short} == lengths
+    assert len(short) > 2 * len(long)

@@ -80,3 +80,11 @@ def test_a_few_false_sightings_neither_hide_nor_make_a_contradiction(false: int)
     found = site_contradiction(unix_s, pixels, site=EAST, image_size=SIZE, mirrored="no")
     assert found is not None
     assert site_contradiction(unix_s, pixels, site=SGP, image_size=SIZE, mirrored="no") is None
+
+
+def test_a_contradiction_says_which_way_the_sun_goes_and_where_it_should() -> None:
+    unix_s, pixels = seen_from(EVENING)
+    found = site_contradiction(unix_s, pixels, site=EAST, image_size=SIZE, mirrored="no")
+    assert found is not None
+    assert (found.data["seen"], found.data["expected"]) == ("sets", "rises")
+    assert found.data["off_deg"] > found.data["limit_deg"]
