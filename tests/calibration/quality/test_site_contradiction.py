@@ -87,4 +87,4 @@ def test_a_contradiction_says_which_way_the_sun_goes_and_where_it_should() -> No
     found = site_contradiction(unix_s, pixels, site=EAST, image_size=SIZE, mirrored="no")
     assert found is not None
     assert (found.data["seen"], found.data["expected"]) == ("sets", "rises")
-    assert found.data["off_deg"] > found.data["limit_deg"]
+    assert float(found.data["off_deg"]) > float(found.data["limit_deg"])
