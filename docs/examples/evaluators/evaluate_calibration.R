@@ -2,6 +2,7 @@
 #   document <- jsonlite::fromJSON("calibration.json")
 #   project(document, c(east, north, up))     x, y in px
 #   back_project(document, c(x, y))           east, north, up (closed form)
+#   holding(document, c(x, y), 0.95)          the stated sigmas within which a share of the errors at a pixel lies
 ideal <- list(
   perspective = list(tan, atan),
   equidistant = list(identity, identity),
@@ -59,4 +60,17 @@ back_project <- function(document, pixel) {
   adjusted <- max(sqrt(sum(point^2)), .Machine$double.xmin)
   theta <- ideal[[m$projection]][[2]](adjusted - sum(b$radial * r^(2:9)))
   as.vector(t(rotation(m$rotation_cam_enu)) %*% c(sin(theta) * point / adjusted, cos(theta)))
+}
+
+holding <- function(document, pixel, share) {
+  mixture <- document$uncertainty$mixture
+  w <- if (is.null(mixture)) 1 else mixture$shares
+  near <- if (is.null(mixture)) 1 else (1 + colSums((t(mixture$pixels_px) - pixel)^2))^-2
+  s <- if (is.null(mixture)) 1 else as.vector(near %*% mixture$scales) / sum(near)
+  t <- 0
+  for (i in 1:60) { # Newton's method; what is outside falls with t and is convex
+    outside <- w * exp(-t / (2 * s^2))
+    t <- t + sum(outside) * log(sum(outside) / (1 - share)) / sum(outside / (2 * s^2))
+  }
+  sqrt(t)
 }

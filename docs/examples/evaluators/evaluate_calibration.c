@@ -5,17 +5,21 @@
              .model.focal_length_px, .model.skew_px, .model.principal_point_px, .model.rotation_cam_enu,
              .model.translation, .model.radial, .model.decentering, .model.max_angle_deg,
              .backward_model.radial, .backward_model.decentering,
-             (.uncertainty.field | .center_px, .half_px, (.orders | length), .orders, .mean)] | flatten[]' \
+             (.uncertainty.field | .center_px, .half_px, (.orders | length), .orders, .mean),
+             (.uncertainty.mixture // {shares: [1], pixels_px: [[0, 0]], scales: [[1]]} |
+              (.shares | length), (.pixels_px | length), .shares, .pixels_px, .scales)] | flatten[]' \
         --arg p "$(jq -r .model.projection calibration.json)" calibration.json > calibration.txt
 
    cc -O2 evaluate_calibration.c -lm -o evaluate && ./evaluate calibration.txt < questions
-   A question of two numbers (p X Y) is answered with east north up, one of three (d EAST NORTH UP) with x y. */
+   p X Y is answered with east north up, d EAST NORTH UP with x y, and h X Y SHARE with the stated sigmas within which a
+   share (0.5, 0.95) of the errors at a pixel lies. */
 #include <math.h>
 #include <stdio.h>
 
-static double n[9000]; /* width mirrored projection fx fy s x0 y0 w3 t3 k2..k9 p1..p4 max b2..b9 q1..q5 box4 m field */
+static double n[9000]; /* width mirrored projection fx fy s x0 y0 w3 t3 k2..k9 p1..p4 max b2..b9 q1..q5 box4 m field mixture */
 enum { F = 3, SKEW = 5, CENTER = 6, ROTATION = 8, SHIFT = 11, RADIAL = 14, P = 22, MOST = 26, BACK = 27, Q = 35 };
-enum { BOX = 40, WAVES = 44, ORDERS = 45 }; /* centre and half-widths; how many; their orders, and both components */
+enum { BOX = 40, WAVES = 44, ORDERS = 45, MOST_CLASSES = 16 }; /* centre and half-widths; how many; their orders, and both components */
+static int mixture;    /* where its numbers begin: how many classes and places, shares, pixels, scales */
 static double R[3][3]; /* east-north-up to camera */
 
 static double ideal(double x, int inverse) { /* radius of an angle, or angle of a radius */
@@ -85,15 +89,40 @@ static void back_project(const double *seen, double *d) { /* closed form */
     for (int i = 0; i < 3; i++) d[i] = R[0][i] * ray[0] + R[1][i] * ray[1] + R[2][i] * ray[2];
 }
 
+static double holding(const double *pixel, double share) { /* sigmas, by Newton's method: what is outside is convex */
+    int classes = (int)n[mixture], places = (int)n[mixture + 1];
+    const double *shares = n + mixture + 2, *at = shares + classes, *scales = at + 2 * places;
+    double total = 0, t = 0, s[MOST_CLASSES] = {0};
+    for (int j = 0; j < places; j++, at += 2, scales += classes) {
+        double u = pow(1 + pow(pixel[0] - at[0], 2) + pow(pixel[1] - at[1], 2), -2);
+        total += u;
+        for (int k = 0; k < classes; k++) s[k] += u * scales[k];
+    }
+    for (int round = 0; round < 60; round++) {
+        double outside = 0, slope = 0;
+        for (int k = 0; k < classes; k++) {
+            double rate = total * total / (2 * s[k] * s[k]), part = shares[k] * exp(-t * rate);
+            outside += part, slope += part * rate;
+        }
+        t += outside * log(outside / (1 - share)) / slope;
+    }
+    return sqrt(t);
+}
+
 int main(int count, char **names) {
     FILE *file = count == 2 ? fopen(names[1], "r") : NULL;
     double in[3], out[3];
     char kind;
-    for (int i = 0; i < ORDERS + 4 * (i > WAVES ? (int)n[WAVES] : 0) || i < ORDERS; i++)
+    for (int i = 0, end = ORDERS; i < end; i++) {
         if (i >= 9000 || !file || fscanf(file, "%lf", n + i) != 1) return fprintf(stderr, "no such file\n"), 2;
+        if (i == WAVES) mixture = ORDERS + 4 * (int)n[WAVES], end = mixture + 2;
+        if (mixture && i == mixture + 1) end += (int)(n[mixture] + n[i] * (2 + n[mixture]));
+    }
+    if (n[mixture] > MOST_CLASSES) return fprintf(stderr, "too many classes\n"), 2;
     rotate();
     while (scanf(" %c %lf %lf", &kind, in, in + 1) == 3)
         if (kind == 'p') back_project(in, out), printf("%.17g %.17g %.17g\n", out[0], out[1], out[2]);
-        else if (scanf("%lf", in + 2) == 1) project(in, out), printf("%.17g %.17g\n", out[0], out[1]);
+        else if (scanf("%lf", in + 2) == 1 && kind == 'h') printf("%.17g\n", holding(in, in[2]));
+        else project(in, out), printf("%.17g %.17g\n", out[0], out[1]);
     return 0;
 }

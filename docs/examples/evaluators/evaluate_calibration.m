@@ -2,6 +2,7 @@
 %   document = jsondecode(fileread('calibration.json'));
 %   pixel = evaluate_calibration(document, 'project', [east; north; up])     x; y in px
 %   direction = evaluate_calibration(document, 'back-project', [x; y])       east; north; up (closed form)
+%   sigmas = evaluate_calibration(document, 'holding', [x; y; 0.95])         within which a share of the errors lies
 function result = evaluate_calibration(document, what, given)
   m = document.model; image = document.image; c = m.principal_point_px; f = m.focal_length_px;
   R = rotation(m.rotation_cam_enu(:));
@@ -17,6 +18,8 @@ function result = evaluate_calibration(document, what, given)
     result = [f(1) * point(1) + m.skew_px * point(2) + c(1); f(2) * point(2) + c(2)];
     if image.mirrored, result(1) = image.width - 1 - result(1); end
     result = displaced(document.uncertainty.field, result);
+  elseif strcmp(what, 'holding')
+    result = holding(document.uncertainty, given(:)');
   else
     seen = given(:); given = seen;
     for k = 1:8, given = seen - (displaced(document.uncertainty.field, given) - given); end
@@ -29,6 +32,20 @@ function result = evaluate_calibration(document, what, given)
     theta = ideal(m.projection, adjusted - sum(b.radial(:)' .* r .^ (2:9)), true);
     result = R' * [sin(theta) * point / adjusted; cos(theta)];
   end
+end
+
+function sigmas = holding(uncertainty, given)
+  w = 1; s = 1; t = 0;
+  if isfield(uncertainty, 'mixture') && ~isempty(uncertainty.mixture)
+    m = uncertainty.mixture; w = m.shares(:)'; at = reshape(m.pixels_px, [], 2);
+    near = (1 + sum((at - given(1:2)) .^ 2, 2)) .^ -2;
+    s = near' * reshape(m.scales, [], numel(w)) / sum(near);
+  end
+  for k = 1:60  % Newton's method; what is outside falls with t and is convex
+    outside = w .* exp(-t ./ (2 * s .^ 2));
+    t = t + sum(outside) * log(sum(outside) / (1 - given(3))) / sum(outside ./ (2 * s .^ 2));
+  end
+  sigmas = sqrt(t);
 end
 
 function pixel = displaced(field, pixel)  % by the field's mean

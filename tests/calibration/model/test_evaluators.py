@@ -45,8 +45,16 @@ def questions(made: Calibration) -> tuple[FloatArray, FloatArray]:
     return np.concatenate([SKY[inside], [[0.0, 0.1, -1.0]]]), pixels[inside]
 
 
-def compared(made: Calibration, found_pixels: FloatArray, found_directions: FloatArray) -> None:
+SHARE = 0.95
+
+
+def compared(
+    made: Calibration, found_pixels: FloatArray, found_directions: FloatArray, holding: FloatArray | None = None
+) -> None:
     directions, pixels = questions(made)
+    if holding is not None:
+        factors = np.ones(len(pixels)) if made.mixture is None else made.mixture.sigma_factors(pixels, SHARE)
+        np.testing.assert_allclose(holding, math.sqrt(-2.0 * math.log1p(-SHARE)) * factors, rtol=1e-3)
     np.testing.assert_allclose(found_pixels, project(made.camera, directions), atol=1e-8)
     assert np.isnan(found_pixels[-1]).all()
     np.testing.assert_allclose(found_directions, back_project(made.camera, made.backward, pixels), atol=1e-11)
@@ -147,6 +155,7 @@ def test_the_python_evaluator_as_a_command(tmp_path: Path) -> None:
 def numbers(read: dict[str, Any]) -> list[float]:
     """Return what the jq line in the C evaluator's head writes."""
     model, backward, field = read["model"], read["backward_model"], read["uncertainty"]["field"]
+    mixture = read["uncertainty"].get("mixture") or {"shares": [1.0], "pixels_px": [[0.0, 0.0]], "scales": [[1.0]]}
     return [
         read["image"]["width"],
         int(read["image"]["mirrored"]),
@@ -166,6 +175,8 @@ def numbers(read: dict[str, Any]) -> list[float]:
         len(field["orders"]),
         *(order for pair in field["orders"] for order in pair),
         *(value for part in field["mean"] for value in part),
+        *(len(mixture["shares"]), len(mixture["pixels_px"]), *mixture["shares"]),
+        *(value for key in ("pixels_px", "scales") for place in mixture[key] for value in place),
     ]
 
 
@@ -187,10 +198,12 @@ def test_the_c_evaluator(tmp_path: Path, own_documents: Own) -> None:
         values.write_text("\n".join(repr(float(n)) for n in numbers(read)), encoding="utf-8")
         directions, pixels = questions(made)
         asked = [("d", *one) for one in directions] + [("p", *one) for one in pixels]
+        asked += [("h", *one, SHARE) for one in pixels]
         text = "\n".join(" ".join(map(str, one)) for one in asked)
         answer = subprocess.run([program, values], input=text, capture_output=True, text=True, check=True)
         rows = [[float(n) for n in line.split()] for line in answer.stdout.splitlines()]
-        compared(made, np.array(rows[: len(directions)]), np.array(rows[len(directions) :]))
+        first, last = len(directions), len(directions) + len(pixels)
+        compared(made, *(np.array(some) for some in (rows[:first], rows[first:last])), np.ravel(rows[last:]))
 
 
 @pytest.mark.skipif(shutil.which("jq") is None or shutil.which("cc") is None, reason="no jq, or no C compiler")
@@ -213,15 +226,17 @@ addpath(FOLDER);
 for k = 1:COUNT
   document = jsondecode(fileread(sprintf('%d.json', k)));
   asked = jsondecode(fileread(sprintf('%d.asked.json', k)));
-  pixels = []; directions = [];
+  pixels = []; directions = []; sigmas = [];
   for i = 1:size(asked.directions, 1)
     pixels(i, :) = evaluate_calibration(document, 'project', asked.directions(i, :)');
   end
   for i = 1:size(asked.pixels, 1)
     directions(i, :) = evaluate_calibration(document, 'back-project', asked.pixels(i, :)');
+    sigmas(i, 1) = evaluate_calibration(document, 'holding', [asked.pixels(i, :)'; SHARE]);
   end
   dlmwrite(sprintf('%d.pixels', k), pixels, 'precision', 17);
   dlmwrite(sprintf('%d.directions', k), directions, 'precision', 17);
+  dlmwrite(sprintf('%d.sigmas', k), sigmas, 'precision', 17);
 end
 """
 
@@ -232,7 +247,8 @@ for (k in 1:COUNT) {
   asked <- jsonlite::fromJSON(sprintf('%d.asked.json', k))
   pixels <- t(apply(asked$directions, 1, function(one) project(document, one)))
   directions <- t(apply(asked$pixels, 1, function(one) back_project(document, one)))
-  for (what in c('pixels', 'directions'))
+  sigmas <- apply(asked$pixels, 1, function(one) holding(document, one, SHARE))
+  for (what in c('pixels', 'directions', 'sigmas'))
     write.table(format(get(what), digits = 17), sprintf('%d.%s', k, what), sep = ',', quote = FALSE,
                 row.names = FALSE, col.names = FALSE)
 }
@@ -248,10 +264,12 @@ def in_another_language(tmp_path: Path, own: Own, command: list[str], script: st
         asked = {"directions": directions.tolist(), "pixels": pixels.tolist()}
         (tmp_path / f"{k}.asked.json").write_text(json.dumps(asked), encoding="utf-8")
     filled = script.replace("FOLDER", f"'{EVALUATORS}'").replace("COUNT", str(len(asked_about)))
+    filled = filled.replace("SHARE", str(SHARE))
     done = subprocess.run([*command, filled], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=120.0)
     assert done.returncode == 0, done.stderr
     for k, (made, _) in enumerate(asked_about, 1):
-        found = (np.genfromtxt(tmp_path / f"{k}.{name}", delimiter=",") for name in ("pixels", "directions"))
+        names = ("pixels", "directions", "sigmas")
+        found = (np.genfromtxt(tmp_path / f"{k}.{name}", delimiter=",") for name in names)
         compared(made, *found)
 
 
