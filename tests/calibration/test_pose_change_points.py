@@ -14,6 +14,8 @@ from real_like_tracks import real_like_track
 from scipy.spatial.transform import Rotation
 from tests.finding_codes import codes
 
+from sunarc.array_types import stacked
+from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.changes.change_points import calibrate_moved
 from sunarc.calibration.model.document import from_document, to_document
@@ -68,6 +70,26 @@ def test_a_move_at_night_is_found_between_the_days(simulator: Simulator) -> None
     (move,) = calibrate_moved(moved_after(night, first, second), site=first.site, image_size=SIZE)[0].evidence.moves
     assert 6.0 < (move.after_unix_s - move.before_unix_s) / 3600.0 < 14.0
     assert move.turn_deg == pytest.approx(0.5, abs=0.1)
+
+
+@pytest.mark.parametrize("moved", [True, False])
+def test_stars_of_the_night_after_a_move_are_of_the_pose_after_it(simulator: Simulator, *, moved: bool) -> None:
+    first = simulator(cadence_s=300.0)
+    second = simulator(turned(first.camera, 1.0 * moved), cadence_s=300.0, seed=2)
+    sun, towards = moved_after(0.4, first, second), hemisphere(60)[:45]
+    stars = Sightings.of(
+        unix_s=sun.unix_s[-1] + 21_600.0 + np.zeros(len(towards)),
+        pixels=project(second.camera, towards) + np.random.default_rng(3).normal(0.0, 0.2, (len(towards), 2)),
+        directions=towards,
+        sigma_px=0.2,
+        body=np.full(len(towards), "star:HIP1"),
+    )
+    points = stacked([replace(sun, sigma_px=np.full(len(sun), 0.2)), stars])
+    calibration, parted = calibrate_moved(points, site=first.site, image_size=SIZE)
+    assert calibration.verdict.accepted, calibration.verdict.reasons
+    assert len(calibration.evidence.moves) == moved
+    assert np.all(parted.epoch[len(sun) :] == moved)
+    assert second.sky_error_px(calibration.camera) < 0.3
 
 
 def test_cloud_and_a_camera_that_stood_still_are_no_move(simulator: Simulator) -> None:

@@ -230,7 +230,8 @@ def _waves(
 
 
 def _pose(*, tilt_deg: float, toward_deg: float, turn_deg: float) -> tuple[float, float, float]:
-    return rotation_from_pose_angles(PoseAngles(phi_xz_deg=toward_deg, theta_zz_deg=tilt_deg, psi_z_deg=turn_deg))
+    # the axis leans towards the third angle, and the image is turned about it by the first
+    return rotation_from_pose_angles(PoseAngles(phi_xz_deg=turn_deg, theta_zz_deg=tilt_deg, psi_z_deg=toward_deg))
 
 
 def _turned(camera: Camera, rng: np.random.Generator, degrees: float) -> Camera:
@@ -300,7 +301,7 @@ def _clouded(rng: np.random.Generator, noise: FloatArray, unit: float) -> tuple[
     """Return errors with episodes of cloud that draw detections to one side, a third of the time, and what is kept."""
     count = noise.shape[0]
     covered, episode = np.zeros(count, dtype=bool), np.zeros_like(noise)
-    while covered.mean() < 0.33:
+    while count and covered.mean() < 0.33:
         begin, length = int(rng.integers(count)), 2 + int(rng.geometric(0.1))
         part = slice(begin, begin + length)
         covered[part] = True

@@ -363,8 +363,8 @@ def calibrate_moved(
 
     The calibration is of the last pose; its evidence lists the moves, and its verdict names them. Sightings that are
     of several pose epochs already are fitted as they are, as are those of a fit by the paper's method or of the pose
-    alone, and where directions are stated, which make no track. A move within 20 sightings or 75 minutes of an end or
-    of another move is not found: cloud lasts as long.
+    alone. Moves are sought along the sun's track; those of stated directions, which make none, belong to the pose of
+    their time. A move within 20 sightings or 75 minutes of an end or of another move is not found: cloud lasts as long.
 
     Parameters
     ----------
@@ -378,10 +378,10 @@ def calibrate_moved(
         )
 
     solved = fit(points, start, parts=parts) if solved is None else solved
-    no_track = bool(np.any(np.isfinite(points.directions)))
-    if np.any(points.epoch != points.epoch[:1]) or options.method != "robust" or no_track:
-        return Moved(solved, points)
     usable = filter_sightings(points, site=site, image_size=image_size)
+    usable = usable.select(~usable.alone)
+    if not len(usable) or np.any(points.epoch != points.epoch[:1]) or options.method != "robust":
+        return Moved(solved, points)
     begin: Camera | None = None
     for _ in range(_MOST):
         found = _with_one_more(points, usable, solved, fit)
