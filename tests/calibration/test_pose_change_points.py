@@ -63,12 +63,13 @@ def test_a_move_within_a_day_is_dated_to_the_sighting_and_both_sides_get_their_p
     assert "pose_changed" in codes(calibration.verdict.findings)
 
 
-def test_a_move_at_night_is_found_between_the_days(simulator: Simulator) -> None:
-    first = simulator(days=(0.0, 1.0), cadence_s=300.0)
-    second = simulator(turned(first.camera, 0.5), days=(0.0, 1.0), cadence_s=300.0, seed=2)
+@pytest.mark.parametrize("days", [(0.0, 1.0), (0.0, 6.0)])
+def test_a_move_at_night_is_found_between_the_days(simulator: Simulator, days: tuple[float, ...]) -> None:
+    first = simulator(days=days, cadence_s=300.0)
+    second = simulator(turned(first.camera, 0.5), days=days, cadence_s=300.0, seed=2)
     night = (int(np.argmax(np.diff(first.points.unix_s))) + 1) / len(first.points)
     (move,) = calibrate_moved(moved_after(night, first, second), site=first.site, image_size=SIZE)[0].evidence.moves
-    assert 6.0 < (move.after_unix_s - move.before_unix_s) / 3600.0 < 14.0
+    assert 6.0 < (move.after_unix_s - move.before_unix_s) / 3600.0 - 24.0 * (days[1] - 1.0) < 14.0
     assert move.turn_deg == pytest.approx(0.5, abs=0.1)
 
 

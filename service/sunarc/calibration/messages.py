@@ -227,6 +227,12 @@ MESSAGES = Messages(
         "The epoch is refused: no camera holds for all of its days.",
         "synchronise the camera's clock (NTP, PTP), or fix the mount",
     ),
+    mount_sways=Message(
+        "the mount stands otherwise from day to day, by {east_deg:.3f}° about east, {north_deg:.3f}° about north and "
+        "{up_deg:.3f}° about the vertical (log odds {log_odds:.0f})",
+        "The fit is used, with what the mount may stand otherwise in its uncertainty.",
+        "fix the mount, or wait until it has settled; calibrate the days since alone",
+    ),
     detections_biased=Message(
         "the sun is detected inwards or outwards of its place (log odds {log_odds:.0f})",
         "The fit is used, with the bias taken out.",

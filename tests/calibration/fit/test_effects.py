@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from tests.calibration.conftest import SGP, SIZE, TRUTH, rms, times_of
 from tests.fixtures.calibration import observed, small_camera, small_problem, spread_directions
 
+from sunarc.array_types import stacked
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.fit.effects import (
@@ -21,6 +22,7 @@ from sunarc.calibration.fit.effects import (
     OFFSET_PX,
     OUTWARDS_PX,
     POSE_DIFFERENCE_DEG,
+    SWAY_DEG,
     with_effects,
 )
 from sunarc.calibration.model.result import Calibration, proves
@@ -165,6 +167,38 @@ def test_what_the_clocks_of_days_have_in_common_is_no_difference_of_theirs() -> 
     np.testing.assert_allclose(found["daily_clock"][:COUNT, :, 2], 0.5 * found["clock"][:COUNT, :, 1], atol=1e-12)
 
 
+def of_swaying_days(turns_deg: FloatArray) -> dict[str, FloatArray]:
+    """Return the displacements by their blocks of sightings by a camera that is turned about north on each day."""
+    towards, days = np.tile(spread_directions(COUNT), (len(turns_deg), 1)), np.repeat(np.arange(len(turns_deg)), COUNT)
+    turned_by = np.radians(turns_deg)[days, None] * np.cross([0.0, 1.0, 0.0], towards)
+    seen = replace(observed(CAMERA, towards), day=days, unix_s=np.tile(SECONDS, len(turns_deg)) + DAY * days)
+    scatter = np.random.default_rng(5).normal(0.0, 0.02, seen.pixels.shape)
+    seen = replace(seen, pixels=project(CAMERA, towards - turned_by) + scatter)
+    problem = small_problem(CAMERA)
+    found, shared = with_effects(problem, problem.unknowns([CAMERA]), seen)
+    return {one.name: shared.systematic_px[..., one.columns] for one in found.blocks}
+
+
+@pytest.mark.parametrize("turns_deg", [(0.3, -0.2, 0.1), (0.3, -0.2, 0.1, -0.3, 0.2, 0.0)])
+def test_sways_are_turns_of_each_day_about_east_north_and_up(turns_deg: tuple[float, ...]) -> None:
+    found = of_swaying_days(np.array(turns_deg))["sways"]
+    assert found.shape == (len(turns_deg) * COUNT, 2, 3 * len(turns_deg))
+    of_day = found.reshape(len(turns_deg), COUNT, 2, len(turns_deg), 3)
+    for axis, unit in enumerate(np.eye(3)):
+        turn = np.radians(SWAY_DEG) * np.cross(unit, spread_directions(COUNT))
+        expected = project(CAMERA, spread_directions(COUNT) - turn) - project(CAMERA, spread_directions(COUNT))
+        for day in range(len(turns_deg)):
+            np.testing.assert_allclose(of_day[day, :, :, day, axis], expected, rtol=2e-2, atol=1e-4)
+            assert not np.any(np.delete(of_day[day, :, :, :, axis], day, axis=2))
+
+
+@pytest.mark.parametrize(
+    "turns_deg", [(0.0,), (0.3, -0.3), (0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.4, 0.4), (0.4, 0.0, 0.0, 0.0)]
+)
+def test_one_day_two_days_days_alike_and_one_move_are_no_sways(turns_deg: tuple[float, ...]) -> None:
+    assert "sways" not in of_swaying_days(np.array(turns_deg))
+
+
 def test_detections_are_biased_along_the_radius_by_the_same_everywhere() -> None:
     seen, found = of_days(math.nan)
     outwards = seen.pixels - np.array(CAMERA.principal_point_px)
@@ -172,7 +206,7 @@ def test_detections_are_biased_along_the_radius_by_the_same_everywhere() -> None
     np.testing.assert_allclose(found["outwards"][..., 0], OUTWARDS_PX * along, atol=1e-9)
 
 
-@pytest.mark.parametrize(("name", "least"), [("air", 3.0), ("pixels", 10.0), ("outwards", 10.0)])
+@pytest.mark.parametrize(("name", "least"), [("air", 3.0), ("pixels", 10.0), ("outwards", 10.0), ("sways", 40.0)])
 def test_proof_takes_log_odds(name: str, least: float) -> None:
     assert proves(name, least + 0.1)
     assert not proves(name, least - 0.1)
@@ -238,6 +272,44 @@ def test_a_clock_that_differs_from_day_to_day_is_proven() -> None:
 
 def test_where_nothing_is_wrong_nothing_is_proven() -> None:
     found = fitted(TRUTH, FOUR_DAYS, clock_error_s=0.01)
-    assert not codes(found) & {"pixels_not_square", "clock_drifts", "detections_biased"}
+    assert not codes(found) & {"pixels_not_square", "clock_drifts", "detections_biased", "mount_sways"}
+    assert found.evidence.pose_spread_deg is None
     error, stated = error_px(found, TRUTH)
     assert 0.001 < error < 1.6 * stated < 0.3
+
+
+def by_days(turns_deg: FloatArray, *, sigma_px: float = 0.05, alike: float = 0.0) -> Calibration:
+    """Return the fit of days on each of which the mount stands turned; neighbours err alike by a share."""
+    rng, fitted_days = np.random.default_rng(8), []
+    for day, turn in enumerate(np.radians(turns_deg)):
+        times = times_of((float(day),), cadence_s=300.0)
+        rotation = rotation_vector(rotation_matrix(TRUTH.rotation_cam_enu) @ rotation_matrix(tuple(turn)).T)
+        noise = rng.normal(0.0, sigma_px, (times.size, 2))
+        for row in range(1, times.size):
+            noise[row] = alike * noise[row - 1] + math.sqrt(1.0 - alike**2) * noise[row]
+        pixels = project(replace(TRUTH, rotation_cam_enu=rotation), sun_directions(times, SGP)) + noise
+        fitted_days.append(Sightings.of(unix_s=times, pixels=pixels, clock_error_s=0.01))
+    return calibrate(stacked(fitted_days), site=SGP, image_size=SIZE)
+
+
+SWAYS_DEG = 0.05 * np.random.default_rng(4).normal(size=(5, 3))
+SETTLES_DEG = np.exp(-np.arange(5.0) / 2.0)[:, None] * np.array([0.15, -0.1, 0.08])
+
+
+@pytest.mark.parametrize("turns_deg", [SWAYS_DEG, SETTLES_DEG])
+def test_a_mount_that_sways_or_settles_is_proven_and_its_next_pose_within_what_is_stated(turns_deg: FloatArray) -> None:
+    found = by_days(turns_deg, alike=0.9)
+    assert found.verdict.accepted, found.verdict.reasons
+    assert found.evidence.log_odds["sways"] > 40.0
+    spread = found.evidence.pose_spread_deg
+    assert spread is not None
+    named = next(finding for finding in found.verdict.findings if finding.code == "mount_sways")
+    assert [named.data[f"{axis}_deg"] for axis in ("east", "north", "up")] == list(spread)
+    np.testing.assert_allclose(spread, np.maximum(np.std(turns_deg, axis=0), 0.02), rtol=0.6)
+    last = rotation_matrix(TRUTH.rotation_cam_enu) @ rotation_matrix(tuple(np.radians(turns_deg[-1]))).T
+    error, stated = error_px(found, replace(TRUTH, rotation_cam_enu=rotation_vector(last)))
+    assert error < 1.6 * stated < 3.0
+
+
+def test_noise_that_is_alike_for_hours_is_not_called_sways() -> None:
+    assert "mount_sways" not in codes(by_days(np.zeros((4, 3)), sigma_px=0.1, alike=0.95))

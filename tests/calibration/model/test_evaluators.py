@@ -203,7 +203,7 @@ def test_the_c_evaluator(tmp_path: Path, own_documents: Own) -> None:
         answer = subprocess.run([program, values], input=text, capture_output=True, text=True, check=True)
         rows = [[float(n) for n in line.split()] for line in answer.stdout.splitlines()]
         first, last = len(directions), len(directions) + len(pixels)
-        compared(made, *(np.array(some) for some in (rows[:first], rows[first:last])), np.ravel(rows[last:]))
+        compared(made, np.array(rows[:first]), np.array(rows[first:last]), np.ravel(rows[last:]))
 
 
 @pytest.mark.skipif(shutil.which("jq") is None or shutil.which("cc") is None, reason="no jq, or no C compiler")

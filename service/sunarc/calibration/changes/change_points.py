@@ -43,7 +43,7 @@ from sunarc.utc import DAY_S, rfc3339, utc_time
 _MOST_ROWS = 280
 """Rows of the covariance matrix; more sightings are gathered by their median (cost grows with the cube)."""
 _DAYS_BESIDE = 3
-"""Days on either side of the step that are looked at."""
+"""Days with sightings on either side of the step that are looked at."""
 LONGEST_EPISODE_S = 4500.0
 """Longest episode of cloud that competes with a step: what lasts longer and is constant is a move."""
 _EPISODES_S = (900.0, 2400.0, LONGEST_EPISODE_S)
@@ -146,7 +146,8 @@ def log_bayes_factor(
     two : the camera after the turn, and the residuals of the fit with two poses (n, 2), px.
     turn_rad : the angle between the two poses.
     """
-    near = (usable.epoch == usable.epoch[row]) & (np.abs(usable.day - usable.day[row]) <= _DAYS_BESIDE)
+    day = np.unique(usable.day, return_inverse=True)[1]
+    near = (usable.epoch == usable.epoch[row]) & (np.abs(day - day[row]) <= _DAYS_BESIDE)
     for _, residual in (one, two):  # what either camera cannot see says nothing of the difference
         near &= np.linalg.norm(residual, axis=-1) < _UNSEEN_PX
     picked = np.flatnonzero(near)

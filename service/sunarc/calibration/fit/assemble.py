@@ -13,7 +13,7 @@ import numpy as np
 from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.answers.covariance import pose_error, sky_sigma_deg, with_covariance
 from sunarc.calibration.fit.cross_validation import Doubts, HeldOut, doubts, held_out, without_parts
-from sunarc.calibration.fit.effects import N_RADIAL, OFFSET_PX, POSE_DIFFERENCE_DEG
+from sunarc.calibration.fit.effects import N_RADIAL, OFFSET_PX, POSE_DIFFERENCE_DEG, SWAY_DEG, SWAYS
 from sunarc.calibration.fit.robust_fit import RobustFit
 from sunarc.calibration.model.backward import NO_BACKWARD, fit_backward
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
@@ -27,9 +27,11 @@ from sunarc.calibration.model.result import (
     Provenance,
     Verdict,
     fit_metrics,
+    proves,
     residual_angles,
 )
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.calibration.quality.acceptance import with_pose_spread
 from sunarc.calibration.quality.fit_checks import fit_verdict
 from sunarc.calibration.solve.priors import FREE, FREE_NAMES, LENS, N_LENS, lens_prior, precisions
 from sunarc.calibration.start.initial_guess import level_camera
@@ -62,7 +64,7 @@ class FitOutcome(NamedTuple):
 
     cameras: one an epoch. parameter_names, covariance (p, p), cross (2, p, m): of the last one, errors that no residual
     shows not yet folded in. residual (n, 2) px; used (n,): whether a sighting counted. mixture: None for a Gaussian.
-    doubts: what parts of the sightings say of the fit; None where that is not asked.
+    doubts: what parts of the sightings say of the fit; None where that is not asked. sways_deg: see `with_pose_spread`.
     """
 
     cameras: list[Camera]
@@ -79,6 +81,7 @@ class FitOutcome(NamedTuple):
     night: NightDifference | None = None
     mixture: ErrorMixture | None = None
     doubts: Doubts | None = None
+    sways_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 def calibration_from_fit(fitted: FitOutcome, job: Job, *, ambiguous: bool = False) -> Calibration:
@@ -111,7 +114,7 @@ def calibration_from_fit(fitted: FitOutcome, job: Job, *, ambiguous: bool = Fals
     )
     calibration = with_covariance(calibration, 0.5 * (covariance + covariance.T))
     rms, most = sky_sigma_deg(calibration)
-    calibration = replace(calibration, sky_rms_deg=rms, sky_max_deg=most)
+    calibration = with_pose_spread(replace(calibration, sky_rms_deg=rms, sky_max_deg=most), fitted.sways_deg)
     return replace(calibration, verdict=fit_verdict(calibration, usable, options, ambiguous=ambiguous))
 
 
@@ -250,7 +253,18 @@ def robust_outcome(fit: RobustFit, usable: Sightings, options: CalibrationOption
         night=_night_difference(fit, usable),
         mixture=fit.posterior.mixture,
         doubts=found,
+        sways_deg=_sways_deg(fit, usable),
     )
+
+
+def _sways_deg(fit: RobustFit, usable: Sightings) -> tuple[float, float, float]:
+    """Return how far the mount stands turned on a day, 1-sigma about east, north and up; 0 where it is not proven."""
+    if not proves(SWAYS, fit.log_odds.get(SWAYS, 0.0)):
+        return 0.0, 0.0, 0.0
+    of_block = fit.problem.block_slice(SWAYS)
+    square = (fit.unknowns[of_block] ** 2 + np.diag(fit.posterior.covariance)[of_block]).reshape(-1, 3)
+    # runs of several days have their means alone
+    return _three(SWAY_DEG * np.sqrt(np.mean(square, axis=0) * np.unique(usable.day).size / len(square)))
 
 
 def _night_difference(fit: RobustFit, usable: Sightings) -> NightDifference | None:

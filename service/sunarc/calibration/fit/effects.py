@@ -16,6 +16,8 @@ import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.model.sightings import Kind, Sightings
+from sunarc.calibration.noise import lag_one, neighbours
+from sunarc.calibration.robust_loss import CUT, robust_sigma
 from sunarc.calibration.solve.priors import LENS, Whitened, with_wide_pixels
 from sunarc.calibration.solve.problem import Block, FitProblem, by_elevation
 from sunarc.optics.forward import by_direction, project_with_rows_fast
@@ -45,7 +47,12 @@ STRETCH = [Whitened.ASPECT, Whitened.SKEW]
 """Places of the unknowns that pixels which are not square take."""
 PIXELS = "pixels"
 _RUNS = 6
-"""Parts of the days with a clock of their own, at most."""
+"""Parts of the days with a clock or a pose of their own, at most."""
+SWAYS = "sways"
+SWAY_DEG = 0.05
+"""1-sigma about each axis of how far the mount is turned on a day: masts bend by hundredths, and settle by tenths."""
+_STEP_DEG = 0.05
+"""A mount that is turned by more between two days, and by that alone, was moved (`changes.change_points`)."""
 
 
 class _View(NamedTuple):
@@ -53,7 +60,8 @@ class _View(NamedTuple):
 
     stretch (n, 2, 2): px by the wide prior's aspect and skew. by_direction (n, 2, 3), rise (n, 2): px per unit of the
     direction, and per radian that it rises. outwards (n, 2), radius (n,): unit vectors away from the principal point,
-    and the distance to it over that of the horizon. hours (n,): from the mean time of each day's sightings.
+    and the distance to it over that of the horizon. hours (n,): from the mean time of each day's sightings. off (n, 2):
+    px by which the sightings lie beside it.
     """
 
     seen: Sightings
@@ -63,6 +71,13 @@ class _View(NamedTuple):
     outwards: FloatArray
     radius: FloatArray
     hours: FloatArray
+    off: FloatArray
+
+    def runs(self, least: int) -> BoolArray:
+        """Return (n, k): which sightings are of each run of days; (n, 0) where there are fewer than the least."""
+        days, day = np.unique(self.seen.day, return_inverse=True)
+        count = min(days.size, _RUNS)
+        return np.asarray((day * count // days.size)[:, None] == np.arange(count if count >= least else 0))
 
     @property
     def by_time(self) -> FloatArray:
@@ -128,14 +143,59 @@ def _clock(view: _View) -> FloatArray:
 
 def _daily_clock(view: _View) -> FloatArray:
     """Return (n, 2, 2 k): by a clock that is off and drifts otherwise on each of k runs of days, whatever its bound."""
-    days, day = np.unique(view.seen.day, return_inverse=True)
-    count = min(days.size, _RUNS)
-    if count < 2:
-        return np.zeros((len(view.seen), 2, 0))
-    in_run = (day * count // days.size)[:, None] == np.arange(count)
-    apart = in_run - 1.0 / count  # from what all have in common
+    in_run = view.runs(least=2)
+    apart = in_run - 1.0 / max(in_run.shape[1], 1)  # from what all have in common
     seconds = np.concatenate([CLOCK_OFFSET_S * apart, CLOCK_DRIFT_S_PER_H * view.hours[:, None] * apart], axis=-1)
     return np.asarray(view.by_time[:, :, None] * seconds[:, None])
+
+
+def _sways(view: _View) -> FloatArray:
+    """Return (n, 2, 3 k): by a mount that is turned otherwise on each of k runs of days, three at least.
+
+    None where the sightings beside the camera speak against it, or rather for one move between two days.
+    """
+    in_run, turns = view.runs(least=3), view.turned(SWAY_DEG)
+    shape = (len(view.seen), 2, 3 * in_run.shape[1])
+    if not in_run.shape[1] or not _seem_to_sway(view, in_run, turns):
+        return np.zeros(shape)
+    return np.asarray((turns[:, :, None] * in_run[:, None, :, None]).reshape(shape))
+
+
+def _seem_to_sway(view: _View, in_run: BoolArray, turns: FloatArray) -> bool:
+    """Return whether turns (n, 2, 3) of each run (n, k) of days explain the sightings better than none and one move."""
+    root = np.sqrt(view.seen.information)
+    distance = np.linalg.norm(view.off, axis=-1) * root
+    sigma = robust_sigma(distance, floor=_NEGLIGIBLE_PX)
+    root = root * (distance < CUT * sigma) / sigma
+    rows, off = turns * root[:, None, None], view.off * root[:, None]
+    products = np.einsum("nr,nap,naq->rpq", in_run, rows, rows, optimize=True)
+    pulls = np.einsum("nr,nap,na->rp", in_run, rows, off, optimize=True)
+    if not np.all(np.diagonal(products, axis1=1, axis2=2) > 0.0):
+        return False
+    left = off - np.einsum("nap,np->na", rows, in_run @ _most_probable(products, pulls))
+    rho, error = lag_one(left, root > 0.0, neighbours(view.seen.unix_s, view.seen.day))
+    variance = float(np.mean(left[root > 0.0] ** 2)) * ((1.0 + rho) / (1.0 - rho) if rho > 2.0 * error else 1.0)
+    products, pulls = products / variance, pulls / variance
+    summed = np.cumsum(products, axis=0), np.cumsum(pulls, axis=0)
+    early, late = [one[:-1] for one in summed], [one[-1] - one[:-1] for one in summed]
+    swaying = float(np.sum(_log_evidence(products, pulls)))
+    moved = _log_evidence(*early) + _log_evidence(*late)
+    if swaying < float(_log_evidence(*(one[-1:] for one in summed))[0]):
+        return False
+    at = int(np.argmax(moved))
+    turn = _most_probable(late[0], late[1])[at] - _most_probable(early[0], early[1])[at]
+    return swaying > moved[at] or SWAY_DEG * float(np.linalg.norm(turn)) < _STEP_DEG
+
+
+def _most_probable(products: FloatArray, pulls: FloatArray) -> FloatArray:
+    """Return unknowns (r, 3) of unit prior variance by sums over their sightings."""
+    return np.asarray(np.linalg.solve(products + np.eye(3), pulls[..., None])[..., 0])
+
+
+def _log_evidence(products: FloatArray, pulls: FloatArray) -> FloatArray:
+    """Return the log evidence (r,) of such unknowns, against their being 0."""
+    gain = np.sum(pulls * _most_probable(products, pulls), axis=-1)
+    return np.asarray(0.5 * (gain - np.linalg.slogdet(products + np.eye(3))[1]))
 
 
 class _Effect(NamedTuple):
@@ -154,6 +214,7 @@ EFFECTS = (
     _Effect("clock", _clock),
     _Effect("daily_clock", _daily_clock, possible=False),
     _Effect(PIXELS, _pixels, possible=False),
+    _Effect(SWAYS, _sways, possible=False),
 )
 POSSIBLE = frozenset(effect.name for effect in EFFECTS if effect.possible)
 """The shared errors that are in the covariance though the sightings do not prove them."""
@@ -197,6 +258,7 @@ def _view(problem: FitProblem, unknowns: FloatArray, observed: Sightings) -> _Vi
         np.zeros((n, 2)),
         np.zeros(n),
         _hours(observed),
+        np.zeros((n, 2)),
     )
     for epoch in range(problem.n_epochs):
         rows = observed.epoch == epoch
@@ -205,6 +267,7 @@ def _view(problem: FitProblem, unknowns: FloatArray, observed: Sightings) -> _Vi
         view.stretch[rows] = by_parameters[..., LENS] @ stretched
         view.by_direction[rows] = by_direction(camera, by_parameters)
         view.rise[rows] = by_elevation(camera, directions, by_parameters)
+        view.off[rows] = np.nan_to_num(observed.pixels[rows] - pixels)
         outwards = np.nan_to_num(pixels - np.array(camera.principal_point_px))
         far = np.linalg.norm(outwards, axis=-1)
         edge = camera.focal_length_px[0] * float(ideal_radius(camera.projection, min(camera.max_angle, math.pi / 2)))

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray
-from sunarc.calibration.fit.effects import POSSIBLE, SHOWN_BY_STARS
+from sunarc.calibration.fit.effects import POSSIBLE, SHOWN_BY_STARS, SWAYS
 from sunarc.calibration.fit.marginal_likelihood import (
     HyperparameterGrid,
     MarginalFit,
@@ -296,7 +296,7 @@ def robust_camera(
     near_minimum : whether the fit without a field is known to be at the right minimum: least squares then
         begins there alone.
     """
-    plain = np.concatenate([plain, np.zeros(problem.n_unit)])
+    plain = _begun(problem, observed, np.concatenate([plain, np.zeros(problem.n_unit)]))
     state, noise, grid, last_round = _with_field(problem, observed, plain, grid, groups)
     informed = replace(observed, information=noise.information(observed))
     problem, state = _with_proven(problem, informed, groups.bins, last_round, state, grid)
@@ -312,6 +312,25 @@ def robust_camera(
         grid=grid,
         last_round=last_round,
     )
+
+
+def _begun(problem: FitProblem, observed: Sightings, unknowns: FloatArray) -> FloatArray:
+    """Return unknowns with a mount that sways as it seems to by what they leave over.
+
+    Where the rounds begin without, residuals that are alike for a day are noise that hides the sways.
+    """
+    of_sways = problem.block_slice(SWAYS)
+    if SWAYS not in problem.names:
+        return unknowns
+    distance = multistart.distance_sigmas(problem, observed, unknowns)
+    sigma = robust_sigma(distance, floor=multistart.SMALLEST_SIGMA_PX)
+    root = np.sqrt(observed.information) * (distance < CUT * sigma) / sigma
+    columns = problem.linearised(unknowns, observed)[1][:, :, of_sways] * root[:, None, None]
+    left = problem.residuals(unknowns, observed) * root[:, None]
+    products = np.einsum("nap,naq->pq", columns, columns, optimize=True) + np.eye(columns.shape[2])
+    begun = unknowns.copy()
+    begun[of_sways] = np.linalg.solve(products, np.einsum("nap,na->p", columns, left, optimize=True))
+    return begun
 
 
 def _with_field(

@@ -30,14 +30,18 @@ proven. What a lens's eight coefficients do not say of its radius looks like a b
 on one day a decentering of 5 px like pixels that are not square with 8."""
 
 
+_PROOF_OF = {"air": STRONG_EVIDENCE, "sways": 40.0}
+"""Other air is usual. What errs alike for hours is another turn on every day: up to 32 where no mount sways."""
+
+
 def suspects(log_odds: float) -> bool:
     """Return whether such an error must be allowed for, see `proves`."""
     return log_odds > _SUSPICION
 
 
 def proves(error: str, log_odds: float) -> bool:
-    """Return whether log odds prove an error that sightings share, see `fit.effects`; other air is usual."""
-    return log_odds > (STRONG_EVIDENCE if error == "air" else _PROOF)
+    """Return whether log odds prove an error that sightings share, see `fit.effects`."""
+    return log_odds > _PROOF_OF.get(error, _PROOF)
 
 
 # How well a fit meets the sightings (Eq. 27), and both readings of SD.

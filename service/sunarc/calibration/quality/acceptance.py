@@ -66,14 +66,16 @@ def with_pose_spread(calibration: Calibration, spread_deg: Sequence[float]) -> C
 
     Parameters
     ----------
-    calibration : without any spread yet.
+    calibration : a spread that it allows for already counts where it is the larger one.
     spread_deg : 1-sigma about east, north and up, degrees.
     """
-    if not np.any(np.asarray(spread_deg)):
+    before = np.array(calibration.evidence.pose_spread_deg or (0.0, 0.0, 0.0))
+    larger = np.maximum(before, spread_deg)
+    if np.array_equal(larger, before):
         return calibration
-    east, north, up = (float(value) for value in spread_deg)
+    east, north, up = larger.tolist()
     evidence = replace(calibration.evidence, pose_spread_deg=(east, north, up))
-    return replace(_widened(calibration, 1.0, evidence.pose_spread_deg), evidence=evidence)
+    return replace(_widened(calibration, 1.0, np.sqrt(larger**2 - before**2)), evidence=evidence)
 
 
 def with_larger_errors(calibration: Calibration, factor: float) -> Calibration:
@@ -123,7 +125,7 @@ def fit_direction_sigma_rms_deg(calibration: Calibration) -> float:
     return calibration.sky_rms_deg if spread is None else _widened(calibration, -1.0, spread).sky_rms_deg
 
 
-def _widened(calibration: Calibration, sign: float, spread_deg: Sequence[float] | None) -> Calibration:
+def _widened(calibration: Calibration, sign: float, spread_deg: ArrayLike) -> Calibration:
     enu_covariance = np.diag(np.radians(np.asarray(spread_deg, dtype=np.float64)) ** 2)
     return _with_pose_errors(calibration, sign * rotation_covariance(calibration.camera, enu_covariance))
 

@@ -148,6 +148,10 @@ def _proven_effects(calibration: Calibration) -> Iterator[Finding]:
         yield Finding("clock_drifts", {"log_odds": proven["daily_clock"]})
     if "outwards" in proven:
         yield Finding("detections_biased", {"log_odds": proven["outwards"]})
+    if "sways" in proven:
+        east, north, up = calibration.evidence.pose_spread_deg or (0.0, 0.0, 0.0)
+        of_days = {"east_deg": east, "north_deg": north, "up_deg": up}
+        yield Finding("mount_sways", {"log_odds": proven["sways"], **of_days})
 
 
 def _off_center(calibration: Calibration) -> Iterator[Finding]:
