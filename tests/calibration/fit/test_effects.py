@@ -25,7 +25,7 @@ from sunarc.calibration.fit.effects import (
     SWAY_DEG,
     with_effects,
 )
-from sunarc.calibration.model.result import Calibration, proves
+from sunarc.calibration.model.result import Calibration, probability, proves
 from sunarc.calibration.model.sightings import Kind, Sightings, kinds_of
 from sunarc.calibration.solve.priors import WIDE_ASPECT
 from sunarc.optics.camera import Camera
@@ -210,6 +210,11 @@ def test_detections_are_biased_along_the_radius_by_the_same_everywhere() -> None
 def test_proof_takes_log_odds(name: str, least: float) -> None:
     assert proves(name, least + 0.1)
     assert not proves(name, least - 0.1)
+
+
+@pytest.mark.parametrize(("odds", "expected"), [(-math.inf, 0.0), (0.0, 1 / 101), (math.log(100.0), 0.5), (900.0, 1.0)])
+def test_log_odds_are_of_one_camera_in_a_hundred(odds: float, expected: float) -> None:
+    assert probability(odds) == pytest.approx(expected, abs=1e-12)
 
 
 # Whole fits of what is not as assumed.

@@ -24,6 +24,7 @@ from sunarc.calibration.fit.marginal_likelihood import (
 from sunarc.calibration.fit.normal_equations import LinearSystem, linear_system
 from sunarc.calibration.fit.posterior import PosteriorCovariance, stated_posterior
 from sunarc.calibration.model.residual_field import WaveBasis
+from sunarc.calibration.solve.priors import STRETCH, with_wide_pixels
 from sunarc.calibration.solve.problem import Bins, FitProblem
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
@@ -130,6 +131,24 @@ def test_with_one_choice_it_is_that_fit_s_own(
     assert found.mixture is not None
     np.testing.assert_allclose(found.mixture.scales, 1.0, atol=1e-6)
     assert found.field.length_px == pytest.approx(scales.length_px)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.9])
+def test_pixels_that_may_not_be_square_have_their_share(
+    system: LinearSystem, grid: HyperparameterGrid, problem: FitProblem, at: FloatArray, share: float
+) -> None:
+    one = _one_amplitude(grid)
+    found = stated_posterior(problem, system, at, grid=one, scales=SCALES, mean=None, stretched=share)
+    # the same sightings by a problem that has the wide prior, whose unknowns are larger units
+    wide, units = with_wide_pixels(problem.prior), np.ones(at.size)
+    units[STRETCH] = wide.basis[STRETCH, STRETCH] / problem.prior.basis[STRETCH, STRETCH]
+    of_wide = _mixture(replace(system, rows=system.rows * units, at=at / units).normal(), one, at / units)
+    expected = (1.0 - share) * _mixture(system.normal(), one, at) + share * of_wide * np.outer(units, units)
+    expected += module.of_products(problem, system, SCALES, grid)
+    scale = np.sqrt(np.diag(expected))
+    scaled = found.covariance / np.outer(scale, scale) / _factor(found, one) ** 2
+    np.testing.assert_allclose(scaled, expected / np.outer(scale, scale), atol=0.08)
+    assert units[STRETCH].min() > 50.0
 
 
 def test_a_fit_that_is_off_is_charged_with_its_distance(

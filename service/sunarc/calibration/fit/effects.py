@@ -18,7 +18,7 @@ from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.calibration.noise import lag_one, neighbours
 from sunarc.calibration.robust_loss import CUT, robust_sigma
-from sunarc.calibration.solve.priors import LENS, Whitened, with_wide_pixels
+from sunarc.calibration.solve.priors import LENS, STRETCH, with_wide_pixels
 from sunarc.calibration.solve.problem import Block, FitProblem, by_elevation
 from sunarc.optics.forward import by_direction, project_with_rows_fast
 from sunarc.optics.projections import ideal_radius
@@ -43,8 +43,6 @@ corrects drifts by 0.1 s an hour, and by several times that in the cold and the 
 _HOURS = 6.0
 """Of a clear day's half: a clock whose bound is stated drifts within it at most."""
 _NEGLIGIBLE_PX = 1e-4
-STRETCH = [Whitened.ASPECT, Whitened.SKEW]
-"""Places of the unknowns that pixels which are not square take."""
 PIXELS = "pixels"
 _RUNS = 6
 """Parts of the days with a clock or a pose of their own, at most."""

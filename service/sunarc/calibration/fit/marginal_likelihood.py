@@ -17,7 +17,7 @@ from scipy.linalg.lapack import dpstrf
 
 from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.model.residual_field import WaveBasis, wave_basis
-from sunarc.calibration.solve.priors import DECENTERING, N_LENS, RADIAL, precisions
+from sunarc.calibration.solve.priors import DECENTERING, N_LENS, RADIAL, STRETCH, precisions
 
 _BEYOND_ANY_FIELD_PX = 64.0
 """px; far beyond any field that is tried."""
@@ -131,6 +131,7 @@ class NormalEquations:
     jr, fr, rr : (p,), (2, m), scalar products with the residuals.
     at : (p,) the unknowns that they were made at.
     n_unit : how many of the last unknowns have unit prior variance: those of shared errors.
+    square : prior precisions of the aspect ratio and of the skew, (2,) or both.
     """
 
     jj: FloatArray
@@ -141,10 +142,13 @@ class NormalEquations:
     rr: float
     at: FloatArray
     n_unit: int = 0
+    square: FloatArray | float = 1.0
 
     def prior_precision(self, radial_px: float, decentering_px: float) -> FloatArray:
         """Return the prior precisions of the unknowns under two scales of the lens, (p,)."""
-        return prior_precision(self.at.size, radial_px, decentering_px, n_unit=self.n_unit)
+        precision = prior_precision(self.at.size, radial_px, decentering_px, n_unit=self.n_unit)
+        precision[STRETCH] = self.square
+        return precision
 
     def only(self, places: IntArray) -> NormalEquations:
         """Return the sums by some of the unknowns, all of the lens and the poses among them; the others are 0."""

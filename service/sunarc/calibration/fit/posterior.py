@@ -33,7 +33,7 @@ from sunarc.calibration.fit.normal_equations import LinearSystem
 from sunarc.calibration.model.residual_field import Field, WaveBasis
 from sunarc.calibration.model.result import ErrorMixture
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.solve.priors import DECENTERING, HIGHER
+from sunarc.calibration.solve.priors import DECENTERING, HIGHER, STRETCH, with_wide_pixels
 from sunarc.calibration.solve.problem import FitProblem
 
 # What sightings say of the field: see `Field` for the covariance that this makes.
@@ -118,6 +118,8 @@ def _coupling(covariance: FloatArray, cross: FloatArray) -> FloatArray:
 _TAIL = 0.5
 """Power of the amplitude by which large fields count when choices are left out."""
 _WEIGHT_RETAINED = 0.985
+_NEGLIGIBLE_SHARE = 1e-3
+"""Probability of pixels that are not square below which they are left out."""
 PROBES = 60
 """Directions over the sky at which the mixture is looked at: 18 degrees apart."""
 SHARES = np.array([0.4, 0.3, 0.18, 0.09, 0.03])
@@ -194,6 +196,20 @@ class _Choices:
     field_shift: FloatArray | None
     beside: FloatArray
 
+    def mixed(self, other: _Choices, share: float) -> _Choices:
+        """Return these and those of another prior, which have a share of the probability."""
+        shift, theirs = self.field_shift, other.field_shift
+        return replace(
+            self,
+            share=np.concatenate([(1.0 - share) * self.share, share * other.share]),
+            amplitude=np.concatenate([self.amplitude, other.amplitude]),
+            length=np.concatenate([self.length, other.length]),
+            fields=[*self.fields, *other.fields],
+            field=np.concatenate([self.field, other.field + len(self.fields)]),
+            shift=np.concatenate([self.shift, other.shift]),
+            field_shift=None if shift is None or theirs is None else np.concatenate([shift, theirs]),
+        )
+
     def mean_covariances(self) -> tuple[FloatArray, FloatArray]:
         """Return the mean covariance of the unknowns, (p, p), and theirs with the field's coefficients, (2, p, m)."""
         total, in_axes, transforms = np.zeros(()), dict[float, FloatArray](), dict[float, FloatArray]()
@@ -216,6 +232,7 @@ def stated_posterior(
     grid: HyperparameterGrid,
     scales: Scales,
     mean: FloatArray | None,
+    stretched: float = 0.0,
 ) -> PosteriorCovariance:
     """Return how far the unknowns of a fit may be off, whatever the scales are.
 
@@ -227,9 +244,14 @@ def stated_posterior(
     scales : those of the fit.
     mean : (2, m) coefficients of the field that is part of the prediction; None: it has no part in it, and its errors
         are those before any sighting.
+    stretched : the probability that pixels are not square, whose prior the problem has not.
     """
-    normal = system.normal()
-    choices = plausible(normal, grid, unknowns, mean, of_products(problem, system, scales, grid))
+    normal, products = system.normal(), of_products(problem, system, scales, grid)
+    choices = plausible(normal, grid, unknowns, mean, products)
+    if stretched > _NEGLIGIBLE_SHARE:
+        wide = with_wide_pixels(problem.prior).basis[STRETCH, STRETCH]
+        of_wide = replace(normal, square=(problem.prior.basis[STRETCH, STRETCH] / wide) ** 2)
+        choices = choices.mixed(plausible(of_wide, grid, unknowns, mean, products), stretched)
     power = choices.share * choices.amplitude**2
     amplitude = math.sqrt(float(power.sum()))
     length = math.exp(float(power @ np.log(choices.length) / power.sum()))

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sunarc.array_types import FloatArray, IntArray
-from sunarc.calibration.fit.effects import PIXELS, STRETCH, with_effects
+from sunarc.calibration.fit.effects import PIXELS, with_effects
 from sunarc.calibration.fit.marginal_likelihood import (
     HyperparameterGrid,
     MarginalFit,
@@ -27,12 +27,12 @@ from sunarc.calibration.fit.posterior import PosteriorCovariance, stated_posteri
 from sunarc.calibration.fit.robust_rounds import LOOSE_DECENTERING_PX, LOOSE_RADIAL_PX, robust_camera
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.residual_field import WaveBasis
-from sunarc.calibration.model.result import proves
+from sunarc.calibration.model.result import probability, proves
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.noise import Noise, NoiseGroups
 from sunarc.calibration.robust_loss import robust_sigma, surely_well_behaved
 from sunarc.calibration.solve.levenberg_marquardt import information as information_of
-from sunarc.calibration.solve.priors import DECENTERING, RADIAL, Whitened, with_wide_pixels
+from sunarc.calibration.solve.priors import DECENTERING, RADIAL, STRETCH, Whitened, with_wide_pixels
 from sunarc.calibration.solve.problem import Bins, FitProblem
 from sunarc.calibration.start.initial_guess import single_problem
 from sunarc.calibration.start.multistart import SMALLEST_SIGMA_PX, best_of_starts, best_start, distance_sigmas, lowest
@@ -109,7 +109,10 @@ def _fitted(
     normal = system.normal()
     mean = found.field_mean(normal)
     # a field that was bounded for the camera's sake is possible all the same
-    posterior = stated_posterior(problem, system, unknowns, grid=grid, scales=state.scales, mean=mean)
+    stretched = probability(state.block_odds.get(PIXELS, -math.inf))
+    posterior = stated_posterior(
+        problem, system, unknowns, grid=grid, scales=state.scales, mean=mean, stretched=stretched
+    )
     return RobustFit(
         problem=problem,
         observed=observed,

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray
-from sunarc.calibration.fit.effects import POSSIBLE, SHOWN_BY_STARS, SWAYS
+from sunarc.calibration.fit.effects import PIXELS, POSSIBLE, SHOWN_BY_STARS, SWAYS
 from sunarc.calibration.fit.marginal_likelihood import (
     HyperparameterGrid,
     MarginalFit,
@@ -454,7 +454,8 @@ def _with_proven(  # noqa: PLR0917 - the fit, piece by piece
     """
     system = system_about(problem, observed, bins, last_round, state.unknowns)
     proven, log_weight, odds = proven_blocks(problem, system.normal(), grid)
-    kept, places = problem.only(POSSIBLE | proven | {name for name, one in odds.items() if suspects(one)})
+    suspected = {name for name, one in odds.items() if suspects(one)} - {PIXELS}  # these are of the lens's prior
+    kept, places = problem.only(POSSIBLE | proven | suspected)
     state = replace(state, unknowns=state.unknowns[places], block_odds=odds)
     estimated, places = kept.only(proven)
     if len(estimated.blocks) == len(problem.blocks):

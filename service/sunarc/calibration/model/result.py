@@ -29,6 +29,9 @@ _SUSPICION, _PROOF = math.log(100.0), 10.0
 proven. What a lens's eight coefficients do not say of its radius looks like a bias along it with log odds of 4, and
 on one day a decentering of 5 px like pixels that are not square with 8."""
 
+_CERTAINLY_NOT = 100.0
+"""Log odds against an error beyond which its probability is zero to all digits."""
+
 
 _PROOF_OF = {"air": STRONG_EVIDENCE, "sways": 40.0}
 """Other air is usual. What errs alike for hours is another turn on every day: up to 32 where no mount sways."""
@@ -37,6 +40,11 @@ _PROOF_OF = {"air": STRONG_EVIDENCE, "sways": 40.0}
 def suspects(log_odds: float) -> bool:
     """Return whether such an error must be allowed for, see `proves`."""
     return log_odds > _SUSPICION
+
+
+def probability(log_odds: float) -> float:
+    """Return how probable an error that is there in one camera of a hundred is by the sightings' log odds."""
+    return 1.0 / (1.0 + math.exp(min(_SUSPICION - log_odds, _CERTAINLY_NOT)))
 
 
 def proves(error: str, log_odds: float) -> bool:

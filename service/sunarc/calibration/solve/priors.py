@@ -51,6 +51,8 @@ class Whitened(IntEnum):
     P4 = 16
 
 
+STRETCH = [Whitened.ASPECT, Whitened.SKEW]
+"""Where z holds what pixels that are not square do."""
 RADIAL = slice(Whitened.RADIAL, Whitened.P1)
 """Where z holds the residual radial distortion."""
 DECENTERING = slice(Whitened.P1, Whitened.P3)
