@@ -45,7 +45,9 @@ _HOURS = 6.0
 _NEGLIGIBLE_PX = 1e-4
 PIXELS = "pixels"
 _RUNS = 6
-"""Parts of the days with a clock or a pose of their own, at most."""
+"""Parts of the days with a clock of their own, at most."""
+_TURNS = 16
+"""Parts of the days with a turn of their own, at most: two days of one part that stand otherwise look like noise."""
 SWAYS = "sways"
 SWAY_DEG = 0.05
 """1-sigma about each axis of how far the mount is turned on a day: masts bend by hundredths, and settle by tenths."""
@@ -71,10 +73,10 @@ class _View(NamedTuple):
     hours: FloatArray
     off: FloatArray
 
-    def runs(self, least: int) -> BoolArray:
+    def runs(self, least: int, most: int = _RUNS) -> BoolArray:
         """Return (n, k): which sightings are of each run of days; (n, 0) where there are fewer than the least."""
         days, day = np.unique(self.seen.day, return_inverse=True)
-        count = min(days.size, _RUNS)
+        count = min(days.size, most)
         return np.asarray((day * count // days.size)[:, None] == np.arange(count if count >= least else 0))
 
     @property
@@ -152,7 +154,7 @@ def _sways(view: _View) -> FloatArray:
 
     None where the sightings beside the camera speak against it, or rather for one move between two days.
     """
-    in_run, turns = view.runs(least=3), view.turned(SWAY_DEG)
+    in_run, turns = view.runs(least=3, most=_TURNS), view.turned(SWAY_DEG)
     shape = (len(view.seen), 2, 3 * in_run.shape[1])
     if not in_run.shape[1] or not _seem_to_sway(view, in_run, turns):
         return np.zeros(shape)
