@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mmap
 import os
 import signal
 import threading
@@ -136,10 +137,13 @@ def test_a_reader_that_keeps_what_it_reads_is_found(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(fuzz, "MOST_MB", 20.0)
     monkeypatch.setattr(fuzz, "_SETTLED", 10)
     monkeypatch.setattr(fuzz, "_LOOKED_EVERY", 10)
-    kept: list[bytes] = []
-    tally = fuzzed(
-        Reader("grows", (b"a",), lambda content, _: kept.append(content * 0 + b"x" * 10**6)), count=60, number=1
-    )
+    kept: list[mmap.mmap] = []  # pages of their own: this process's heap may have room for all
+
+    def read(_content: bytes, _path: Path) -> None:
+        kept.append(mmap.mmap(-1, 10**6))
+        kept[-1].write(b"x" * 10**6)
+
+    tally = fuzzed(Reader("grows", (b"a",), read), count=60, number=1)
     assert list(tally.failures) == ["grows"]
 
 
