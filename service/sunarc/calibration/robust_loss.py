@@ -51,6 +51,12 @@ def surely_well_behaved(n: int, unknowns: int, share: float = WELL_BEHAVED) -> f
     return max(share, min(_PER_UNKNOWN * unknowns / max(n, 1), _MOST_WELL_BEHAVED))
 
 
+def counted_roots(distance: FloatArray, information: FloatArray, *, floor: float) -> FloatArray:
+    """Return (n,): roots of information about the scale of 2-D distances in sigmas; 0 from `CUT` of these on."""
+    sigma = robust_sigma(distance, floor=floor)
+    return np.asarray(np.sqrt(information) * (distance < CUT * sigma) / sigma)
+
+
 def robust_sigma(distance: FloatArray, *, share: float = WELL_BEHAVED, floor: float = 1e-9) -> float:
     """Return the 1-sigma per axis of the well-behaved sightings among others.
 

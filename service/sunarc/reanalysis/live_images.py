@@ -22,7 +22,7 @@ from sunarc.reanalysis.cameras import register_camera
 from sunarc.reanalysis.detect_files import Method
 from sunarc.reanalysis.learned_sigma import ValidCamera, factor_in_force, learn_sigma, with_factor
 from sunarc.reanalysis.look import IN_STACK, Answer, Chunk, Item, look_at
-from sunarc.reanalysis.passes import PREDICTED, SEARCHED, as_predicted, expectations, held_to
+from sunarc.reanalysis.passes import PREDICTED, SEARCHED, as_predicted, expectations
 from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.settings.model import Settings
 from sunarc.workers.calibrating.provisional_pose import is_provisional
@@ -258,7 +258,8 @@ class LiveImages:
         )
         times = np.array([one.time.timestamp() for one in searched])
         expected = expectations(model, times, site=self.camera.site)
-        self._store([held_to(*one) for one in zip(searched, expected, strict=True)])
+        held = (as_predicted(*one) for one in zip(searched, expected, strict=True))
+        self._store([replace(one, ingest_pass=PREDICTED) for one in held])
 
 
 def _frozen(repeated: Finding) -> Detection:

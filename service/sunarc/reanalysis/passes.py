@@ -73,6 +73,7 @@ class FoundSun(NamedTuple):
 Found = FoundSun | NamedStars | Finding
 Given = TypeVar("Given")
 Result = TypeVar("Result")
+Seen = TypeVar("Seen", Detection, SunPoint)
 ReportProgress = Callable[[str, int, int], None]
 
 
@@ -491,24 +492,13 @@ def is_consistent(sighting: WithPosition, expected: Expectation | None) -> bool:
     return distance <= _CONSISTENT_SIGMAS * sigma
 
 
-def as_predicted(found: Detection, expected: Expectation | None) -> Detection:
+def as_predicted(found: Seen, expected: Expectation | None) -> Seen:
     """Return a detection in an ordinary image, refused where it is farther from the prediction than both state."""
-    displaced = _displaced(found, expected)
-    return found if displaced is None else replace(found, accepted=False, verdict="reflection", findings=(displaced,))
-
-
-def held_to(point: SunPoint, expected: Expectation | None) -> SunPoint:
-    """Return a stored sighting of an image that was searched without a prediction, as with it."""
-    displaced = _displaced(point, expected)
-    kept = replace(point, ingest_pass=PREDICTED)
-    return kept if displaced is None else replace(kept, accepted=False, verdict="reflection", findings=(displaced,))
-
-
-def _displaced(found: Detection | SunPoint, expected: Expectation | None) -> Finding | None:
     if not found.accepted or found.method != "paper" or expected is None or is_consistent(found, expected):
-        return None
+        return found
     distance = math.hypot((found.x_px or 0.0) - expected.x_px, (found.y_px or 0.0) - expected.y_px)
-    return Finding("blob_displaced", {"distance_px": distance})
+    displaced = (Finding("blob_displaced", {"distance_px": distance}),)
+    return replace(found, accepted=False, verdict="reflection", findings=displaced)
 
 
 def epoch_at(epochs: Sequence[Epoch], unix_s: float) -> int:

@@ -103,6 +103,10 @@ def _camera(numbers: dict[str, Any], result: CameraResult) -> str:
     return head + line + _epochs(numbers["epochs"]) + _residuals(result) + _days(result) + _pictures(result)
 
 
+def _refusal(epoch: dict[str, Any]) -> str:
+    return ("" if epoch["provisional"] else "refused: ") + "; ".join(epoch["reasons"])
+
+
 def _epochs(epochs: Iterable[dict[str, Any]]) -> str:
     rows = [
         (
@@ -114,11 +118,7 @@ def _epochs(epochs: Iterable[dict[str, Any]]) -> str:
             one["sightings"],
             _number(one["rmse_px"]),
             _number(one["sky_rms_deg"]),
-            "accepted"
-            if one["accepted"]
-            else "; ".join(one["reasons"])
-            if one["provisional"]
-            else "refused: " + "; ".join(one["reasons"]),
+            "accepted" if one["accepted"] else _refusal(one),
         )
         for one in epochs
     ]

@@ -432,7 +432,7 @@ _SURE = 0.999
 def surely_held(
     epochs: Sequence[Epoch], points: Sightings, states: Sequence[State], camera: ArchiveCamera
 ) -> tuple[Epoch, ...]:
-    """Return epochs without the times about a change at which the sightings do not tell the states apart.
+    """Return epochs without the times about a change at which the sightings do not distinguish the states.
 
     Where two states see the sun at about one place, a change between them is some sightings off.
 

@@ -4,7 +4,7 @@ import { DAY_MS, drawSeries } from "./plots.js";
 
 const MS_PER_DEGREE = 240000; // of longitude: the sun's mean rate
 const MOST_POINTS = 1000;
-const NIGHT_MS = 10800000; // without a sighting: the way since then is told
+const NIGHT_MS = 10800000; // without a sighting: the way since then is shown
 const LEAST_TURN_DEG = 10; // below, which way the sun goes round the middle is not said
 const OF_FEW = "first_pose_provisional";
 const POINTS = ["north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west"];

@@ -17,7 +17,7 @@ import numpy as np
 from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.calibration.noise import lag_one, neighbours
-from sunarc.calibration.robust_loss import CUT, robust_sigma
+from sunarc.calibration.robust_loss import counted_roots
 from sunarc.calibration.solve.priors import LENS, STRETCH, with_wide_pixels
 from sunarc.calibration.solve.problem import Block, FitProblem, by_elevation
 from sunarc.optics.forward import by_direction, project_with_rows_fast
@@ -163,10 +163,8 @@ def _sways(view: _View) -> FloatArray:
 
 def _seem_to_sway(view: _View, in_run: BoolArray, turns: FloatArray) -> bool:
     """Return whether turns (n, 2, 3) of each run (n, k) of days explain the sightings better than none and one move."""
-    root = np.sqrt(view.seen.information)
-    distance = np.linalg.norm(view.off, axis=-1) * root
-    sigma = robust_sigma(distance, floor=_NEGLIGIBLE_PX)
-    root = root * (distance < CUT * sigma) / sigma
+    distance = np.linalg.norm(view.off, axis=-1) * np.sqrt(view.seen.information)
+    root = counted_roots(distance, view.seen.information, floor=_NEGLIGIBLE_PX)
     rows, off = turns * root[:, None, None], view.off * root[:, None]
     products = np.einsum("nr,nap,naq->rpq", in_run, rows, rows, optimize=True)
     pulls = np.einsum("nr,nap,na->rp", in_run, rows, off, optimize=True)

@@ -33,7 +33,14 @@ from sunarc.calibration.fit.posterior import prediction_variance
 from sunarc.calibration.model.result import STRONG_EVIDENCE, proves, suspects
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.noise import Noise, NoiseGroups, autocorrelation_inflation, measured_noise
-from sunarc.calibration.robust_loss import CUT, robust_sigma, surely_well_behaved, tukey_loss, tukey_weights
+from sunarc.calibration.robust_loss import (
+    CUT,
+    counted_roots,
+    robust_sigma,
+    surely_well_behaved,
+    tukey_loss,
+    tukey_weights,
+)
 from sunarc.calibration.solve.levenberg_marquardt import most_probable
 from sunarc.calibration.solve.problem import Bins, FitProblem
 from sunarc.calibration.start import multistart
@@ -323,8 +330,7 @@ def _begun(problem: FitProblem, observed: Sightings, unknowns: FloatArray) -> Fl
     if SWAYS not in problem.names:
         return unknowns
     distance = multistart.distance_sigmas(problem, observed, unknowns)
-    sigma = robust_sigma(distance, floor=multistart.SMALLEST_SIGMA_PX)
-    root = np.sqrt(observed.information) * (distance < CUT * sigma) / sigma
+    root = counted_roots(distance, observed.information, floor=multistart.SMALLEST_SIGMA_PX)
     columns = problem.linearised(unknowns, observed)[1][:, :, of_sways] * root[:, None, None]
     left = problem.residuals(unknowns, observed) * root[:, None]
     products = np.einsum("nap,naq->pq", columns, columns, optimize=True) + np.eye(columns.shape[2])
