@@ -21,6 +21,8 @@ VERSION = re.compile(r"\d+\.\d+\.\d+")
 STATED = re.compile(r'^version = "([^"]+)"$', re.MULTILINE)
 UNRELEASED = "## [Unreleased]"
 PLACE = Path("usr/lib/sunarc/site")
+REPORTS = ("docs/booted.md", "docs/campaign.md")
+"""What `tests/release` wrote of its last runs."""
 TEXTS = re.compile(r"(?i)(licen[cs]e|copying|notice|copyright|authors)")
 
 
@@ -183,15 +185,15 @@ def checksums(folder: Path) -> str:
     return "".join(f"{sha256(path)}  {path.relative_to(folder)}\n" for path in files)
 
 
-def run(*command: str | Path, cwd: Path = ROOT) -> str:
-    """Run a command, and return the last line that it prints.
+def run(*command: str | Path) -> str:
+    """Run a command at the repository's root, and return the last line that it prints.
 
     Raises
     ------
     ReleaseError
         Where it fails.
     """
-    done = subprocess.run(command, cwd=cwd, stdout=subprocess.PIPE, text=True, check=False)
+    done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False)
     if done.returncode != 0:
         raise ReleaseError(f"{command[0]} failed")
     return (done.stdout.strip().splitlines() or [""])[-1]
@@ -218,12 +220,16 @@ def built_twice(work: Path, version: str) -> tuple[Path, Path]:
     return kept[0]
 
 
-def files_of(out: Path, reports: Path | None) -> None:
+def require_committed() -> None:
+    """Raise ReleaseError where something is changed and not committed."""
+    if run("git", "status", "--porcelain", "--untracked-files=no"):
+        raise ReleaseError("what is changed and not committed would be missing: commit it, or put it away")
+
+
+def files_of(out: Path) -> None:
     """Make the files of HEAD's version."""
     os.environ.pop("KERNELS_KEPT", None)  # what is built twice is compiled twice
     os.environ["SOURCE_DATE_EPOCH"] = run("git", "log", "-1", "--format=%ct")
-    if run("git", "status", "--porcelain", "--untracked-files=no"):
-        raise ReleaseError("what is changed and not committed would be missing: commit it, or put it away")
     version = run(ROOT / "deploy" / "build-deb", "--version").replace("~", ".")
     out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as name:
@@ -233,8 +239,8 @@ def files_of(out: Path, reports: Path | None) -> None:
         site = work / "package" / PLACE
         (out / "licences.txt").write_text(licences(site), "utf-8")
         (out / "sunarc.cdx.json").write_text(bill_of_materials(site, version), "utf-8")
-    if reports is not None:
-        shutil.copytree(reports, out / "reports", dirs_exist_ok=True)
+    for report in REPORTS:
+        shutil.copy(ROOT / report, out)
     if VERSION.fullmatch(version):
         record = ROOT / "deploy" / "releases.txt"
         record.write_text(require_new(record.read_text("utf-8") if record.exists() else "", made, version), "utf-8")
@@ -243,12 +249,20 @@ def files_of(out: Path, reports: Path | None) -> None:
 
 
 def committed(version: str, date: str) -> None:
-    """Commit a release: its changelog and its version."""
-    project, changelog = ROOT / "pyproject.toml", ROOT / "CHANGELOG.md"
-    texts = with_version(project.read_text("utf-8"), version), cut(changelog.read_text("utf-8"), version, date)
-    for path, text in zip((project, changelog), texts, strict=True):
-        path.write_text(text, "utf-8")
-    run("git", "commit", "--quiet", "--message", f"Version {version}", "--", project, changelog)
+    """Commit a release: its changelog and its version, or leave all as it was."""
+    before = {
+        path: (ROOT / path).read_text("utf-8") for path in ("pyproject.toml", "CHANGELOG.md", "docs/openapi.json")
+    }
+    project, changelog, routes = before.values()
+    texts = with_version(project, version), cut(changelog, version, date), routes.replace(f"{version}.dev0", version)
+    try:
+        for path, text in zip(before, texts, strict=True):
+            (ROOT / path).write_text(text, "utf-8")
+        run("git", "commit", "--quiet", "--message", f"Version {version}", "--", *before)
+    except BaseException:
+        for path, text in before.items():
+            (ROOT / path).write_text(text, "utf-8")
+        raise
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -256,19 +270,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="deploy/release", description=__doc__)
     parser.add_argument("version", nargs="?")
     parser.add_argument("--files", action="store_true", help="of the version that HEAD has; nothing is committed")
-    parser.add_argument("--date", default=dt.datetime.now(dt.UTC).date().isoformat())
-    parser.add_argument("--reports", type=Path, help="the reports of the booted set and the campaign")
+    parser.add_argument("--date", type=dt.date.fromisoformat, default=dt.datetime.now(dt.UTC).date())
     parser.add_argument("--out", type=Path)
     chosen = parser.parse_args(arguments)
     if (chosen.version is None) != chosen.files:
         parser.error("give a version, or --files")
+    done = ""
     try:
+        require_committed()
         if chosen.version is not None:
-            committed(chosen.version, chosen.date)
+            committed(chosen.version, chosen.date.isoformat())
+            done = f"; version {chosen.version} is committed: repair, then deploy/release --files"
         name = chosen.version or run(ROOT / "deploy" / "build-deb", "--version")
-        files_of(chosen.out or ROOT / "dist" / f"release-{name}", chosen.reports)
+        files_of(chosen.out or ROOT / "dist" / f"release-{name}")
     except ReleaseError as error:
-        print(f"release: {error}", file=sys.stderr)
+        print(f"release: {error}{done}", file=sys.stderr)
         return 1
     return 0
 

@@ -45,11 +45,60 @@ def test_a_changelog_is_cut_once(release: ModuleType) -> None:
 
 
 def test_the_changelog_and_the_version_of_the_tree_can_be_cut(root: Path, release: ModuleType) -> None:
-    project = (root / "pyproject.toml").read_text("utf-8")
+    project, changelog = ((root / name).read_text("utf-8") for name in ("pyproject.toml", "CHANGELOG.md"))
     stated = release.STATED.search(project)[1]
     version = stated.removesuffix(".dev0")
-    assert f"## [{version}] - " in release.cut((root / "CHANGELOG.md").read_text("utf-8"), version, "2026-11-25")
+    if version == stated:  # the tree is a release
+        assert f"## [{version}] - " in changelog
+        return
+    changelog = changelog.replace(release.UNRELEASED, f"{release.UNRELEASED}\n\n- A change.", 1)  # after one, none is
+    assert f"## [{version}] - " in release.cut(changelog, version, "2026-11-25")
     assert f'version = "{version}"' in release.with_version(project, version)
+
+
+@pytest.fixture
+def tree(tmp_path: Path, release: ModuleType, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a repository to release from; its files are not built."""
+    (tmp_path / "docs").mkdir()
+    for name, text in {
+        "pyproject.toml": '[project]\nversion = "0.4.0.dev0"\n',
+        "CHANGELOG.md": CHANGELOG,
+        "docs/openapi.json": '{"version": "0.4.0.dev0"}\n',
+    }.items():
+        (tmp_path / name).write_text(text)
+    for arguments in (["init", "-q"], ["config", "user.name", "a"], ["config", "user.email", "a@b"], ["add", "."]):
+        subprocess.run(["git", *arguments], cwd=tmp_path, check=True)
+    subprocess.run(["git", "commit", "-qm", "all"], cwd=tmp_path, check=True)
+    monkeypatch.setattr(release, "ROOT", tmp_path)
+    monkeypatch.setattr(release, "files_of", lambda _: None)
+    return tmp_path
+
+
+def git(tree: Path, *arguments: str) -> str:
+    return subprocess.run(["git", *arguments], cwd=tree, check=True, capture_output=True, text=True).stdout.strip()
+
+
+def test_a_release_is_one_commit_of_its_version_everywhere(tree: Path, release: ModuleType) -> None:
+    assert release.main(["0.4.0", "--date", "2026-11-26"]) == 0
+    changed = set(git(tree, "show", "--format=", "--name-only").split())
+    assert changed == {"pyproject.toml", "CHANGELOG.md", "docs/openapi.json"}
+    assert "0.4.0.dev0" not in "".join((tree / name).read_text() for name in changed)
+    assert "## [0.4.0] - 2026-11-26" in (tree / "CHANGELOG.md").read_text()
+    assert release.main(["0.4.0"]) == 1  # once
+    assert git(tree, "rev-list", "--count", "HEAD") == "2"
+
+
+@pytest.mark.parametrize("fault", ["dirty", "no commit", "0.5.0", "0.4"])
+def test_what_cannot_be_released_leaves_the_tree_as_it_was(tree: Path, release: ModuleType, fault: str) -> None:
+    if fault == "dirty":
+        (tree / "pyproject.toml").write_text('[project]\nversion = "0.4.0.dev0"\nname = "a"\n')
+    if fault == "no commit":
+        (tree / ".git" / "hooks" / "pre-commit").write_text("#!/bin/sh\nexit 1\n")
+        (tree / ".git" / "hooks" / "pre-commit").chmod(0o755)
+    before = git(tree, "diff", "HEAD")
+    assert release.main([fault if fault[0] == "0" else "0.4.0"]) == 1
+    assert git(tree, "diff", "HEAD") == before
+    assert git(tree, "rev-list", "--count", "HEAD") == "1"
 
 
 @pytest.mark.parametrize("version", ["0.4.1", "0.3.0", "0.4", "0.4.0.dev0", "v0.4.0", ""])
