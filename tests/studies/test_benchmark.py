@@ -133,6 +133,14 @@ def test_a_refusal_costs_the_fallback_and_is_right_only_where_nothing_can_be_sai
     assert (rightly.refused_wrongly, rightly.refused_rightly) == (0, 1)
 
 
+@pytest.mark.parametrize(("sigmas", "far"), [(2.9, 0), (3.1, 1)])
+def test_an_answer_further_off_than_it_states_is_counted(sigmas: float, far: int) -> None:
+    truth, median = truth_of(), math.sqrt(2.0 * math.log(2.0))
+    answered = Answered(answer="answered", directions=off_by(truth, 0.1 * sigmas * median), covariance=round_sigma(0.1))
+    assert scored(truth, answered).far == far
+    assert scored(truth, replace(answered, covariance=None)).far == 0
+
+
 @pytest.mark.parametrize(("error", "wrong"), [(3.9, 0), (4.1, 1)])
 def test_an_answer_worse_than_none_is_counted(error: float, wrong: int) -> None:
     truth = truth_of()

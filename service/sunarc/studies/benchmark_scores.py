@@ -33,7 +33,11 @@ BANDS: Mapping[str, tuple[float, float]] = {
     "0-30": (0.0, 30.0), "30-60": (30.0, 60.0), "60-70": (60.0, 70.0), "70-85": (70.0, 85.0), "85-90": (85.0, 90.0),
 }  # fmt: skip
 """Zenith angles, degrees, from and below."""
+FAR_SIGMAS = 3.0
+"""Stated sigmas beyond which an answered case is off by more than it says."""
 _ZERO_DEG = 1e-12
+_MEDIAN = 2.0 * math.log(2.0)
+"""Of the square of a distance in 1-sigmas of two axes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -59,16 +63,23 @@ class Answered:
 
 
 class _Rows(NamedTuple):
-    """Errors of one case: (m,) degrees and px; (m, 3) whether within what is stated, NaN where nothing is."""
+    """Errors of one case: (m,) degrees, px, and squared in stated sigmas; (m, 3) whether within; NaN: none stated."""
 
     error_deg: FloatArray
     error_px: FloatArray
+    square: FloatArray
     within: FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CaseScore:
-    """One case of one entrant; `wrong`: answered, and worse than no calibration at all."""
+    """One case of one entrant.
+
+    Attributes
+    ----------
+    sigmas : median distance from the truth in stated 1-sigmas, over that of a Gaussian; NaN where none is stated.
+    wrong : answered, and worse than no calibration at all.
+    """
 
     case: str
     lens: str
@@ -77,6 +88,7 @@ class CaseScore:
     answer: Answer
     median_deg: float
     p90_deg: float
+    sigmas: float
     wrong: bool
     processor_s: float
 
@@ -112,6 +124,7 @@ class Score:
     refused_rightly, unanswerable : cases refused of those that the sightings do not determine, and how many these are.
     refused_wrongly, answerable : the same of those that they do.
     wrong : cases answered with a median error larger than who has no calibration has.
+    far : cases off by more than `FAR_SIGMAS`.
     lost : cases neither answered nor refused.
     processor_s : in all; NaN where no case states it.
     """
@@ -124,6 +137,7 @@ class Score:
     refused_wrongly: int
     answerable: int
     wrong: int
+    far: int
     lost: int
     processor_s: float
     findings: tuple[Finding, ...] = field(default=())
@@ -186,6 +200,7 @@ def score(entrant: str, truths: Mapping[str, BenchmarkTruth], answers: Mapping[s
         refused_wrongly=sum(case.answer == "refused" and case.answerable for case in cases),
         answerable=sum(case.answerable for case in cases),
         wrong=sum(case.wrong for case in cases),
+        far=sum(case.sigmas > FAR_SIGMAS for case in cases),
         lost=sum(case.answer == "failed" for case in cases),
         processor_s=math.fsum(times) if times else math.nan,
         findings=tuple(findings),
@@ -204,10 +219,11 @@ def _rows(name: str, truth: BenchmarkTruth, given: Answered) -> tuple[_Rows, lis
     offset = tangent / np.maximum(length, 1e-300)[:, None] * angle[:, None]
     error_px = np.linalg.norm(np.einsum("nab,nb->na", truth.px_per_deg, offset), axis=-1)
     scale = np.sqrt(np.abs(np.linalg.det(truth.px_per_deg)))
-    within, found = _within(name, offset, given, known)
+    square, within, found = _within(name, offset, given, known)
     rows = _Rows(
         error_deg=np.where(known, angle, truth.fallback_deg),
         error_px=np.where(known, error_px, truth.fallback_deg * scale),
+        square=square,
         within=within,
     )
     undefined = int(np.sum(~known)) if given.answer == "answered" else 0
@@ -217,11 +233,13 @@ def _rows(name: str, truth: BenchmarkTruth, given: Answered) -> tuple[_Rows, lis
     return rows, found
 
 
-def _within(name: str, offset: FloatArray, given: Answered, known: BoolArray) -> tuple[FloatArray, list[Finding]]:
-    """Return (m, 3) whether the truth lies in the stated ellipses; NaN where no error is stated, or no direction."""
-    within = np.full((offset.shape[0], len(SHARES)), np.nan)
+def _within(
+    name: str, offset: FloatArray, given: Answered, known: BoolArray
+) -> tuple[FloatArray, FloatArray, list[Finding]]:
+    """Return (m,) squares in stated sigmas, and (m, 3) whether within; NaN where no error or direction is stated."""
+    squares, within = np.full(offset.shape[0], np.nan), np.full((offset.shape[0], len(SHARES)), np.nan)
     if given.covariance is None or not np.any(known):
-        return within, []
+        return squares, within, []
     covariance = given.covariance[known]
     (a, b), (_, c) = np.moveaxis(covariance, 0, -1)
     scales = np.ones((offset.shape[0], len(SHARES))) if given.scales is None else given.scales
@@ -235,16 +253,16 @@ def _within(name: str, offset: FloatArray, given: Answered, known: BoolArray) ->
         square = np.where(usable, (c * x * x - 2.0 * b * x * y + a * y * y) / determinant, np.inf)
     square = np.where(zero & (np.hypot(x, y) < _ZERO_DEG), 0.0, square)
     limits = scales**2 * np.array([-2.0 * math.log1p(-share) for share in SHARES])
-    within[known] = square[:, None] <= limits
+    squares[known], within[known] = square, square[:, None] <= limits
     found = []
     for code, which in (("benchmark_sigma_zero", zero), ("benchmark_sigma_undefined", ~usable & ~zero)):
         if np.any(which):
             found.append(Finding(code, {"case": name, "n": int(which.sum()), "of": int(which.size)}))
-    return within, found
+    return squares, within, found
 
 
 def _case_score(name: str, truth: BenchmarkTruth, given: Answered, rows: _Rows) -> CaseScore:
-    median = float(np.median(rows.error_deg))
+    median, stated = float(np.median(rows.error_deg)), rows.square[np.isfinite(rows.within[:, 0])]
     return CaseScore(
         case=name,
         lens=truth.lens,
@@ -253,6 +271,7 @@ def _case_score(name: str, truth: BenchmarkTruth, given: Answered, rows: _Rows) 
         answer=given.answer,
         median_deg=median,
         p90_deg=float(np.quantile(rows.error_deg, 0.9)),
+        sigmas=math.sqrt(float(np.median(stated)) / _MEDIAN) if stated.size else math.nan,
         wrong=given.answer == "answered" and median > float(np.median(truth.fallback_deg)),
         processor_s=given.processor_s,
     )
@@ -303,8 +322,9 @@ def as_object(one: Score) -> dict[str, Any]:
 
 def tables_of(scores: Sequence[Score]) -> str:
     """Return the tables of some entrants, in Markdown; the best of a band stands in bold, `*`: not as it was stated."""
-    parts = ["| entrant | answered, of | refused rightly, of | refused wrongly, of | worse than none | lost | s |"]
-    parts.append("|---|" + "--:|" * 6)
+    refused = "refused rightly, of | refused wrongly, of"
+    parts = [f"| entrant | answered, of | {refused} | worse than none | beyond {FAR_SIGMAS:.0f} sigmas | lost | s |"]
+    parts.append("|---|" + "--:|" * 7)
     for one in scores:
         answered = sum(case.answer == "answered" for case in one.cases)
         cells = [
@@ -312,6 +332,7 @@ def tables_of(scores: Sequence[Score]) -> str:
             f"{one.refused_rightly}, {one.unanswerable}",
             f"{one.refused_wrongly}, {one.answerable}",
             str(one.wrong),
+            str(one.far),
             str(one.lost),
             _figure(one.processor_s),
         ]
