@@ -20,13 +20,13 @@ import numpy as np
 import population as pop
 
 from sunarc.calibration.answers.covariance import hemisphere
-from sunarc.calibration.start.blind_start import BlindOptions, NightDetections, blind_start
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles
 from sunarc.optics.projections import ideal_radius
 from sunarc.sky.night import night_sky
 from sunarc.sky.site import Site
+from sunarc.stars.blind_start import BlindOptions, NightDetections, blind_start
 
 KINDS = {
     "clear": nights.Night(sigma_px=0.15, faint=150),

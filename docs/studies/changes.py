@@ -24,11 +24,10 @@ from real_like_tracks import drawn_aside
 from scipy.spatial.transform import Rotation
 
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.changes.detect_change import update_window
-from sunarc.calibration.changes.values import Change, Sighting, SightingWindow
-from sunarc.calibration.model.options import WatchOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.monitoring.detect_change import update_window
+from sunarc.monitoring.values import Change, Sighting, SightingWindow, WatchOptions
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.quality.day_quality import decide_day, measure_day
+from sunarc.monitoring.day_quality import decide_day, measure_day
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.simulation.truth import true_camera

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from real_like_tracks import Track, real_like_track
 
-from sunarc.calibration.changes.change_points import calibrate_moved
+from sunarc.calibration.change_points import calibrate_moved
 
 SIZES_DEG = (0.05, 0.1, 0.2, 0.5, 1.0, 3.0)
 _NEAR = 30

@@ -11,7 +11,6 @@ import population as pop
 from numpy.typing import NDArray
 
 from sunarc.array_types import BoolArray
-from sunarc.calibration.answers.stars import predict_stars
 from sunarc.calibration.model.result import Calibration
 from sunarc.detection.values import PredictedStars, Stars
 from sunarc.optics.camera import Camera
@@ -21,6 +20,7 @@ from sunarc.optics.projections import ideal_radius
 from sunarc.sky.directions import angles_from_direction
 from sunarc.sky.night import NightSky, night_sky
 from sunarc.sky.site import relative_air_mass
+from sunarc.stars.views import predict_stars
 
 FloatArray = NDArray[np.float64]
 MIDNIGHT = pop.MAY_13 + 6.0 * 3600.0

@@ -20,12 +20,12 @@ import numpy as np
 import one_image_world as world
 from numpy.typing import NDArray
 
-from sunarc.calibration.start.blind_start import BlindOptions, BlindStart, NightDetections, blind_start
 from sunarc.detection.stars.detect import detect_stars
 from sunarc.detection.values import Stars
 from sunarc.optics.forward import project
 from sunarc.sky.night import night_sky
 from sunarc.sky.site import Site
+from sunarc.stars.blind_start import BlindOptions, BlindStart, NightDetections, blind_start
 
 KINDS = {
     "clear": world.Sky(),

@@ -18,14 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.changes.daily_rotations import DailyRotations, daily_rotations, step_gains
-from sunarc.calibration.changes.detect_change import update_window
-from sunarc.calibration.changes.step_search import find_pose_steps
-from sunarc.calibration.changes.values import Sighting, SightingWindow
 from sunarc.calibration.evidence import DAYS_GAIN
-from sunarc.calibration.model.options import CalibrationOptions, WatchOptions
+from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.cross_checks.rotation_steps import explain_step, find_steps
+from sunarc.monitoring.daily_rotations import DailyRotations, daily_rotations, step_gains
+from sunarc.monitoring.detect_change import update_window
+from sunarc.monitoring.step_search import find_pose_steps
+from sunarc.monitoring.values import Sighting, SightingWindow, WatchOptions
 from sunarc.reanalysis.fit import CameraSightings, final_analysis, first_analysis
 from sunarc.reanalysis.states import ArchiveCamera
 from sunarc.sky.site import Site

@@ -22,7 +22,7 @@ from real_like_tracks import Track, real_like_track
 
 from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.changes.change_points import calibrate_moved
+from sunarc.calibration.change_points import calibrate_moved
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.robust_loss import tukey_loss
 from sunarc.optics.forward import project

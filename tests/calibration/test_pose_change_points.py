@@ -17,7 +17,7 @@ from tests.finding_codes import codes
 from sunarc.array_types import stacked
 from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.changes.change_points import calibrate_moved
+from sunarc.calibration.change_points import calibrate_moved
 from sunarc.calibration.model.document import from_document, to_document
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Sightings

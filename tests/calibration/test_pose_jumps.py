@@ -10,12 +10,12 @@ import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibration import filtered_sightings, small_camera, stated_calibration, sun_arc
 
+from sunarc.calibration import change_points as module
 from sunarc.calibration.answers.error_model import rotated
-from sunarc.calibration.changes import change_points as module
-from sunarc.calibration.changes import step_search as search
-from sunarc.calibration.changes.change_points import best_row
-from sunarc.calibration.changes.daily_rotations import DailyRotations
+from sunarc.calibration.change_points import best_row
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.monitoring import step_search as search
+from sunarc.monitoring.daily_rotations import DailyRotations
 from sunarc.optics.forward import project
 
 FloatArray = NDArray[np.float64]

@@ -12,9 +12,9 @@ from scipy.special import gamma, kv
 from scipy.stats import multivariate_normal
 from tests.fixtures.calibration import filtered_sightings, small_camera, sun_arc
 
+from sunarc.calibration import change_points as module
 from sunarc.calibration.answers.error_model import rotated
-from sunarc.calibration.changes import change_points as module
-from sunarc.calibration.changes.change_points import Amplitudes, Episode, log_bayes_factor
+from sunarc.calibration.change_points import Amplitudes, Episode, log_bayes_factor
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.optics.forward import project
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from tests.calibration.conftest import NOON_13_MAY_2013, SGP, TRUTH
 
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.changes.change_points import calibrate_moved
+from sunarc.calibration.change_points import calibrate_moved
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, PaperOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings

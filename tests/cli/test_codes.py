@@ -16,9 +16,9 @@ import pytest
 from sunarc.archive.database.recovery import Recovered
 from sunarc.archive.messages import code_of_event
 from sunarc.archive.values import RefitState
-from sunarc.calibration.changes.values import ChangeKind
 from sunarc.cli.codes import all_codes, codes_as_markdown
 from sunarc.findings import Finding, Message, Messages
+from sunarc.monitoring.values import ChangeKind
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc

@@ -22,6 +22,7 @@ APART = {
     "sunarc.cross_checks.cloud_edges": "of the core, which computes; its reader is a worker",
     "sunarc.imaging.hdr": "of the core, which computes; its reader is a worker",
     "sunarc.imaging.image_circle": "of the core, which computes; its reader is the command line",
+    "sunarc.monitoring.first_motion": "of the core, which computes; its reader is a worker",
     "sunarc.offline.calibrate_archive": "a function on a database; its reader is the command line",
 }
 """Fragments that stay, each with its reason."""

@@ -1,6 +1,6 @@
 """Report which changes of the core no test detects.
 
-    tests/mutants [--rooms calibration optics detection] [--count 200] [--seed 1] [--jobs 2] [--json FILE]
+    tests/mutants [--rooms calibration optics …] [--count 200] [--seed 1] [--jobs 2] [--json FILE]
 
 Draws constants and operators of the rooms with a fixed seed, changes one at a time in a copy of the package, and runs
 the rooms' own fast tests that reach the line, then test files of other rooms that import the changed module or what
@@ -42,7 +42,7 @@ from tests.mutation.sites import Site, mutated, sites
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "service" / "sunarc"
-ROOMS = ("calibration", "optics", "detection")
+ROOMS = ("calibration", "monitoring", "stars", "optics", "detection")
 FAST = "not slow and not gige and not system and not browser and not waits and not release"
 _SECONDS_OF_TESTS = 40.0
 """Of processor that each of three groups of tests is given for one mutant, the fastest first: those named as its file,

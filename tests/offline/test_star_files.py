@@ -22,9 +22,9 @@ from sunarc.archive.csv_files import read_sightings
 from sunarc.calibration.answers.covariance import hemisphere, unproject_with_sigma
 from sunarc.calibration.model.document import from_document, to_document
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.quality.acceptance import with_clock_error
-from sunarc.calibration.selection import MOST_STARS
+from sunarc.calibration.quality.widening import with_clock_error
 from sunarc.errors import InputError
+from sunarc.monitoring.selection import MOST_STARS
 from sunarc.offline.stars import StarOptions, find_stars, read_stars, write_star_sightings
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project

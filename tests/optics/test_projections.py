@@ -18,12 +18,12 @@ from tests.fixtures.calibration import current_document, distinctive_calibration
 from sunarc import _kernels
 from sunarc.array_types import FloatArray
 from sunarc.calibration.model.document import from_document
-from sunarc.calibration.start.sky_turn import Turns, count_on_detections
 from sunarc.client import CameraModel
 from sunarc.errors import InputError
 from sunarc.optics.forward import kernel_optics
 from sunarc.optics.pose import right_jacobian, rotation_matrix
 from sunarc.optics.projections import PROJECTIONS, Projection, angle_of_shape, ideal_radius, radius_of_shape
+from sunarc.stars.sky_turn import Turns, count_on_detections
 
 DOCS = Path(__file__).parents[2] / "docs"
 UNKNOWN = (-1, len(PROJECTIONS), 255)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.calibration.quality.day_quality import DayMeasure, measure_day
+from sunarc.monitoring.day_quality import DayMeasure, measure_day
 from sunarc.simulation.truth import SGP
 from sunarc.studies.published import CASES, Case
 from sunarc.studies.reports import write_tables

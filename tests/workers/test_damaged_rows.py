@@ -23,10 +23,11 @@ from sunarc.archive.database.schema import check, downgrade, upgrade
 from sunarc.archive.database.tables import metadata
 from sunarc.archive.values import CameraRecord, Day, Event, Refit, SunPoint
 from sunarc.calibration.model.document import to_document
-from sunarc.calibration.model.options import CalibrationOptions, WatchOptions
+from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.errors import InputError
 from sunarc.findings import Finding
+from sunarc.monitoring.values import WatchOptions
 from sunarc.optics.forward import project
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import Reason, StatusRegistry

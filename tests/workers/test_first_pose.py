@@ -18,10 +18,11 @@ from sunarc.archive.values import CameraRecord
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.lens_library.first_pose import north_sigma_deg, top_azimuth_deg
 from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread, frame_of, type_camera
-from sunarc.calibration.model.options import CalibrationOptions, FirstPoseOptions, WatchOptions
+from sunarc.calibration.model.options import CalibrationOptions, FirstPoseOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.errors import InputError
+from sunarc.monitoring.values import WatchOptions
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.runtime.status import Reason, StatusRegistry

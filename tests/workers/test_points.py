@@ -19,7 +19,7 @@ from sunarc.archive.archive import Archive, CameraArchive, open_archive
 from sunarc.archive.values import CameraRecord, DayAir, SunPoint
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.quality.day_quality import measure_day
+from sunarc.monitoring.day_quality import measure_day
 from sunarc.optics.forward import project
 from sunarc.sky.sun import sun_angles, sun_directions
 from sunarc.workers.calibrating import monitor as days

@@ -11,12 +11,12 @@ import pytest
 from tests.workers.test_night import CAMERA, calibration_of, frame_at
 
 from sunarc.array_types import Image
-from sunarc.calibration.answers.stars import predict_stars
 from sunarc.cameras.frame import Frame
 from sunarc.detection.stars.detect import detect_stars, outstanding_pixels, repaired, warm_pixels
 from sunarc.detection.stars.matching import StarMatches, match_stars
 from sunarc.simulation.truth import SGP
 from sunarc.sky.night import night_sky
+from sunarc.stars.views import predict_stars
 from sunarc.workers.night.warm_pixels import WarmPixelMap
 
 MINUTES = (0, 20, 40, 60, 80, 100)

@@ -15,8 +15,9 @@ from tests.workers.test_watch import SIZE, TRUTH
 
 from sunarc.archive.archive import CameraArchive
 from sunarc.archive.values import CameraRecord
-from sunarc.calibration.model.options import CalibrationOptions, WatchOptions
+from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.cameras.frame import Frame
+from sunarc.monitoring.values import WatchOptions
 from sunarc.optics.forward import project
 from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.simulation.truth import SGP

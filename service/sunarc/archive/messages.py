@@ -6,9 +6,10 @@ from collections.abc import Iterable, Mapping
 from typing import Any, get_args
 
 from sunarc.calibration import messages as calibration
-from sunarc.calibration.changes.values import ChangeKind
 from sunarc.detection import messages as detection
 from sunarc.findings import Finding, Message, Messages
+from sunarc.monitoring import messages as monitoring
+from sunarc.monitoring.values import ChangeKind
 
 MESSAGES = Messages(
     # sightings
@@ -53,7 +54,7 @@ MESSAGES = Messages(
     ),
 )
 
-_ALL = Messages(detection.MESSAGES | calibration.MESSAGES | MESSAGES)
+_ALL = Messages(detection.MESSAGES | calibration.MESSAGES | monitoring.MESSAGES | MESSAGES)
 
 text_of = _ALL.text_of
 

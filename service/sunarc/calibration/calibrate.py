@@ -21,8 +21,8 @@ from sunarc.calibration.model.options import (
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.paper import fit_as_paper
-from sunarc.calibration.quality.acceptance import with_pose_spread
 from sunarc.calibration.quality.fit_checks import before_fit, below_horizon
+from sunarc.calibration.quality.widening import with_pose_spread
 from sunarc.calibration.start.initial_guess import first_cameras, level_camera
 from sunarc.errors import InputError
 from sunarc.findings import Finding

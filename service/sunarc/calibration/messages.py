@@ -1,4 +1,4 @@
-"""The messages of fits, of their acceptance, and of days."""
+"""The messages of fits and of their acceptance."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from sunarc.findings import Message, Messages
 _ACTIVE_STAYS = "The fit is refused, or kept as a candidate where the verdict is marginal; the active one stays."
 _REFUSED = "The fit is refused."
 _ASKED = "Where the odds are above 1 the fit is kept as a candidate that a person may serve; else it is used."
-_AGREE = "{alternatives}; {agreeing} of {of} sightings since agree"
-_NO_CAMERA = "The stars give no camera."
 _MORE_DAYS = "collect sightings on further clear days"
 
 MESSAGES = Messages(
@@ -366,122 +364,11 @@ MESSAGES = Messages(
         _ACTIVE_STAYS,
         "install the version that wrote it, or activate another one",
     ),
-    # changes between one sighting and the next
-    changed_bump=Message(
-        f"camera turned by {{size:.3f}} ± {{sigma:.3f}}°{_AGREE}",
-        "A pose epoch begins; the pose is estimated anew.",
-        "none if the camera stays as it is; otherwise check its mount",
-    ),
-    changed_clock=Message(
-        f"the clock that dates the frames jumped by {{size:+.2f}} ± {{sigma:.2f}} s{_AGREE}",
-        "The calibration is kept; sightings are left out until the clock is right.",
-        "let a time service set the host's clock",
-    ),
-    changed_lens=Message(
-        f"lens changed, or refocused and shifted against the sensor{_AGREE}",
-        "No calibration is served until the next clear day.",
-        "none if a lens was changed or focused: it is calibrated anew from the next clear days",
-    ),
-    changed_refocus=Message(
-        f"focus changed: image scale {{size:+.2f}} ± {{sigma:.2f}} %{_AGREE}",
-        "No calibration is served until the next clear day.",
-        "fix the focus ring; the camera is calibrated anew from the next clear days",
-    ),
-    changed_shift=Message(
-        f"sensor shifted behind the lens by {{size:.2f}} ± {{sigma:.2f}} px{_AGREE}",
-        "No calibration is served until the next clear day.",
-        "check what holds lens and sensor together; the camera is calibrated anew from the next clear days",
-    ),
-    changed_mirrored=Message(
-        f"image mirrored against the calibration{_AGREE}",
-        "Sightings are left out until the image is as before.",
-        "set the camera's image back as it was (reverse X, reverse Y)",
-    ),
-    changed_site=Message(
-        "the sun is where it would be over a site with the opposite sign of latitude or longitude{alternatives}; "
-        "{agreeing} of {of} sightings since then agree",
-        "Sightings are left out until the site is right.",
-        "correct the sign of site.latitude or site.longitude in the settings",
-    ),
-    # a camera by the stars alone
-    blind_found=Message(
-        "a camera by the stars alone: {n} stars in {images} images (the next best camera: {rival}), tilted by "
-        "{tilt_deg:.1f}°; an error of the clock turns north by {north_deg_per_minute:.2f}° per minute",
-        "The camera is used. Stars cannot distinguish an error of the clock from a rotation about the pole.",
-    ),
-    blind_by_pattern=Message(
-        "the camera is that of the pattern of bright stars in one image (by chance: 10^{log10_chance:.0f})",
-        "The camera is used.",
-    ),
     pose_or_clock=Message(
         "stars do not tell a clock that is wrong from a camera that is turned about the pole: within {clock_error_s:g} "
         "s by {turn_deg:~2}° (north {north_deg:~2}°, tilt {tilt_deg:~2}°), which the stated uncertainty holds",
         "The lens does not depend on it; directions are as right as the times.",
         "state the bound of the clock (--clock-error); sightings of the sun by a clock that is right give the pose",
-    ),
-    blind_no_pattern=Message(
-        "no camera matches the bright stars with the {n} detections of one image better than chance would (10^"
-        "{log10_chance:.0f} expected, at most 10^{limit:.0f})",
-        _NO_CAMERA,
-        "check time, time zone, latitude and longitude; give a clearer image, or several an hour or more apart",
-    ),
-    blind_pattern_not_named=Message(
-        "a camera matches the bright stars of one image (by chance: 10^{log10_chance:.0f}), but not all of the sky",
-        _NO_CAMERA,
-        "give several images of the night, an hour or more apart",
-    ),
-    blind_few_images=Message(
-        "{n} images with stars, between which the sky turned by {turn_deg:.0f}°; 2 images and {limit:.0f}° are needed",
-        _NO_CAMERA,
-        "give images of one clear night, an hour or more apart",
-    ),
-    blind_no_turning=Message(
-        "no rotation about the celestial pole maps the detections of one image onto those of another: for the best one "
-        "{share:.2f} of them agree ({limit:.2f} needed)",
-        _NO_CAMERA,
-        "give images of a clear night; check their times and the latitude; crop what is outside the image circle",
-    ),
-    blind_no_stars=Message(
-        "{share:.2f} of the detections rotate about a pole, and no camera with this pole matches them with stars",
-        _NO_CAMERA,
-        "check the date, the latitude and the longitude",
-    ),
-    blind_ambiguous=Message(
-        "two cameras match the detections with stars: {n} and {rival} of them",
-        _NO_CAMERA,
-        "give more images, or clearer ones",
-    ),
-    blind_tilted=Message(
-        "the camera is tilted by {tilt_deg:.1f}°, {limit:.0f}° allowed: the clock, its zone or the longitude is wrong, "
-        "or the camera lies on its side",
-        _NO_CAMERA,
-        "check --utc-offset and the longitude (east is positive)",
-    ),
-    # days
-    day_too_few_sightings=Message(
-        "{n} sightings on a smooth arc (at least {least} are needed)", "The day is unusable."
-    ),
-    day_arc_too_short=Message("{arc_deg:.0f}° of arc observed (at least {least_deg:g}°)", "The day is unusable."),
-    day_clock_uncertain=Message(
-        "the clock error exceeds the limit in {share:.0%} of the sightings (at most {limit:.0%})",
-        "The day is unusable.",
-        "start a time service; see the conditions of the clock",
-    ),
-    day_share_on_arc=Message(
-        "{share:.0%} of the {n_observed} observed slots lie on the arc", "Decides between clear, partly and cloudy."
-    ),
-    day_slots_missed=Message(
-        "{n_missed} of {n_possible} possible slots were not observed",
-        "The day is evaluated by the others.",
-        "free processor time, or set a longer capture.cadence_s",
-    ),
-    day_scatter=Message(
-        "the sightings scatter about the arc by {sd_px:.2f} px (on a clear day by at most {limit_px:g} px)",
-        "Decides between clear and partly.",
-    ),
-    day_share_uncertain=Message(
-        "{n_observed} observed slots show at least {share:.0%} with 95 % confidence (clear: {limit:.0%})",
-        "Too few slots were observed for a clear day.",
     ),
 )
 

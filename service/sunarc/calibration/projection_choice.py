@@ -17,7 +17,7 @@ import numpy as np
 from sunarc.array_types import FloatArray
 from sunarc.calibration.answers.covariance import seen_sky, sigma_deg
 from sunarc.calibration.calibrate import Start, calibration_of, most_plausible_start
-from sunarc.calibration.changes.change_points import Moved, calibrate_moved
+from sunarc.calibration.change_points import Moved, calibrate_moved
 from sunarc.calibration.fit.assemble import Job
 from sunarc.calibration.fit.marginal_likelihood import (
     HyperparameterGrid,
@@ -30,8 +30,8 @@ from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import STRONG_EVIDENCE, Calibration, Verdict
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.noise import NoiseGroups, measured_noise
-from sunarc.calibration.quality.acceptance import with_larger_errors
 from sunarc.calibration.quality.fit_checks import before_fit, determined
+from sunarc.calibration.quality.widening import with_larger_errors
 from sunarc.calibration.robust_loss import robust_sigma, tukey_loss
 from sunarc.calibration.solve.problem import Bins, FitProblem
 from sunarc.calibration.start.initial_guess import single_problem

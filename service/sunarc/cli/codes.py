@@ -13,15 +13,19 @@ from sunarc.cli.options import AsJson, print_json
 from sunarc.detection.messages import MESSAGES as OF_DETECTION
 from sunarc.exports.messages import MESSAGES as OF_EXPORTS
 from sunarc.findings import Messages
+from sunarc.monitoring.messages import MESSAGES as OF_MONITORING
 from sunarc.offline.first_look import MESSAGES as OF_OFFLINE
 from sunarc.reanalysis.messages import MESSAGES as OF_REANALYSIS
 from sunarc.runtime.supervisor import MESSAGES as OF_RUNTIME
+from sunarc.stars.messages import MESSAGES as OF_STARS
 from sunarc.studies.messages import MESSAGES as OF_STUDIES
 from sunarc.workers.messages import MESSAGES as OF_WORKERS
 
 _TABLES: dict[str, Messages] = {
     "detection": OF_DETECTION,
     "calibration": OF_CALIBRATION,
+    "monitoring": OF_MONITORING,
+    "stars": OF_STARS,
     "archive": OF_ARCHIVE,
     "runtime": OF_RUNTIME,
     "workers": OF_WORKERS,

@@ -13,15 +13,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sunarc.array_types import FloatArray, picked
-from sunarc.calibration.changes.daily_rotations import (
+from sunarc.calibration.evidence import DAYS_GAIN, RARER, Weighed, log_marginal, most_probable
+from sunarc.monitoring.daily_rotations import (
     DailyRotations,
     RotationStep,
     as_shown,
     find_change,
     is_recent,
 )
-from sunarc.calibration.changes.values import Cause
-from sunarc.calibration.evidence import DAYS_GAIN, RARER, Weighed, log_marginal, most_probable
+from sunarc.monitoring.values import Cause
 from sunarc.sky.days import SECONDS_PER_DEGREE
 from sunarc.sky.directions import wrapped_deg
 from sunarc.sky.site import Site, pole_enu

@@ -14,9 +14,9 @@ from sunarc.archive.database.state_folder import lock_state
 from sunarc.archive.values import Refit
 from sunarc.calibration.calibrate import reproduce_calibration
 from sunarc.calibration.model.document import from_document, to_document
-from sunarc.calibration.quality.acceptance import distance_px
 from sunarc.errors import InputError
 from sunarc.findings import Finding
+from sunarc.monitoring.acceptance import distance_px
 from sunarc.reanalysis.cameras import known_camera
 from sunarc.reanalysis.learned_sigma import ValidCamera, learn_sigma
 from sunarc.runtime.clock import Clock

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import sunarc
 from sunarc.archive.csv_files import read_sightings
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.changes.change_points import calibrate_moved
+from sunarc.calibration.change_points import calibrate_moved
 from sunarc.calibration.lens_library.first_pose import calibrate_with_lens
 from sunarc.calibration.lens_library.joint import Entry, Unit, calibrate_jointly, lens_type_of
 from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread

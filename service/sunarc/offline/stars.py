@@ -15,22 +15,20 @@ import numpy as np
 import sunarc
 from sunarc.archive.csv_files import write_sightings
 from sunarc.array_types import FloatArray, Image, IntArray, evenly_spread
-from sunarc.calibration.answers.stars import StarView, match_views, matching_flip, predict_stars
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.messages import text_of
+from sunarc.calibration.messages import MESSAGES as OF_CALIBRATION
 from sunarc.calibration.model.document import to_document
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.quality.acceptance import with_clock_error
-from sunarc.calibration.selection import MOST_STARS, image_parts, sky_parts, surest_of_parts
-from sunarc.calibration.start.blind_start import BlindOptions, BlindStart, NightDetections, blind_start
+from sunarc.calibration.quality.widening import with_clock_error
 from sunarc.detection.messages import reason_of
 from sunarc.detection.stars.detect import detect_stars
 from sunarc.detection.stars.matching import StarMatches
 from sunarc.detection.values import FWHM, Bayer, PredictedStars, Stars
 from sunarc.errors import InputError
-from sunarc.findings import Finding
+from sunarc.findings import Finding, Messages
+from sunarc.monitoring.selection import MOST_STARS, image_parts, sky_parts, surest_of_parts
 from sunarc.reanalysis.detect_files import estimated_full_scale
 from sunarc.reanalysis.files import read_file, read_image
 from sunarc.reanalysis.image_files import kind_of
@@ -41,7 +39,12 @@ from sunarc.runtime.clock import Clock
 from sunarc.sky.directions import angular_distance, direction_from_angles
 from sunarc.sky.night import FAINTEST_V, NightSky, night_sky
 from sunarc.sky.site import Site
+from sunarc.stars.blind_start import BlindOptions, BlindStart, NightDetections, blind_start
+from sunarc.stars.messages import MESSAGES as OF_STARS
+from sunarc.stars.views import StarView, match_views, matching_flip, predict_stars
 from sunarc.utc import DAY_S, rfc3339, utc_time
+
+_OF_CAMERA = Messages(OF_CALIBRATION | OF_STARS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -349,7 +352,7 @@ class BlindResult:
         """Return the summary of the start and of the images."""
         return {
             "accepted": self.accepted,
-            "reason": "; ".join(text_of(finding) for finding in self.findings),
+            "reason": "; ".join(_OF_CAMERA.text_of(finding) for finding in self.findings),
             "findings": [finding.as_json() for finding in self.findings],
             "images": [image.as_json() for image in self.images],
         }

@@ -18,12 +18,12 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from sunarc.array_types import FloatArray, IntArray
-from sunarc.calibration.changes.detect_change import rarity
 from sunarc.calibration.evidence import SEQUENCE_GAIN, Weighed, most_probable
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.quality.day_quality import smooth_arc
+from sunarc.calibration.quality.day_arcs import smooth_arc
 from sunarc.calibration.robust_loss import robust_sigma
 from sunarc.findings import Finding
+from sunarc.monitoring.detect_change import rarity
 from sunarc.optics.camera import POSE, Camera, Param
 from sunarc.optics.forward import by_direction, project_fast, project_with_rows_fast
 from sunarc.sky.days import solar_days

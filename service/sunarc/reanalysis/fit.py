@@ -15,12 +15,13 @@ from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.document import to_document
 from sunarc.calibration.model.result import Calibration, refused_for
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.quality.acceptance import apart_sigmas, with_larger_errors, with_pose_spread
 from sunarc.calibration.quality.fit_checks import provisional
-from sunarc.calibration.quality.site_checks import tilt_question
+from sunarc.calibration.quality.tilt import tilt_question
+from sunarc.calibration.quality.widening import with_larger_errors, with_pose_spread
 from sunarc.calibration.robust_loss import finite, robust_sigma
-from sunarc.calibration.selection import select_sightings, surest_of_epochs
 from sunarc.findings import Finding
+from sunarc.monitoring.acceptance import apart_sigmas
+from sunarc.monitoring.selection import select_sightings, surest_of_epochs
 from sunarc.optics.forward import project_fast
 from sunarc.reanalysis.epoch_changes import (
     DriftWithin,

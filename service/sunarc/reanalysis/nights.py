@@ -12,7 +12,6 @@ import cv2
 import numpy as np
 
 from sunarc.array_types import Image, evenly_spread
-from sunarc.calibration.answers.stars import MatchedView, StarView, match_views
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.cameras.frame import Frame
 from sunarc.detection.messages import reason_of
@@ -27,6 +26,7 @@ from sunarc.reanalysis.sources import open_source
 from sunarc.reanalysis.states import Epoch, State
 from sunarc.sky.days import solar_date
 from sunarc.sky.night import body_directions
+from sunarc.stars.views import MatchedView, StarView, match_views
 from sunarc.utc import DAY_S, utc_time
 from sunarc.workers.night.named_stars import star_view, surest_named
 from sunarc.workers.night.warm_pixels import WarmPixelMap

@@ -24,7 +24,7 @@ from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.pose import estimate_pose
 from sunarc.calibration.quality.fit_checks import is_undetermined
-from sunarc.calibration.quality.site_checks import mount_density
+from sunarc.calibration.quality.tilt import mount_density
 from sunarc.calibration.robust_loss import finite, robust_sigma
 from sunarc.findings import Finding
 from sunarc.optics.forward import project_fast

@@ -11,10 +11,11 @@ from sqlalchemy import URL
 from sunarc.api.options import ApiOptions
 from sunarc.archive.database.connections import server_url
 from sunarc.archive.images import DiskOptions
-from sunarc.calibration.model.options import CalibrationOptions, WatchOptions
+from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.cameras.options import AravisOptions, FolderOptions, ReplayOptions, RtspOptions, SnapshotOptions
 from sunarc.detection.values import DiscOptions
 from sunarc.imaging.exposure import SunExposureOptions
+from sunarc.monitoring.values import WatchOptions
 from sunarc.runtime.supervisor import SupervisorOptions
 from sunarc.sky.site import Site
 from sunarc.workers import options

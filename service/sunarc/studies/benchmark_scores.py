@@ -14,7 +14,7 @@ import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.answers.covariance import direction_covariance, project_with_covariance
-from sunarc.calibration.changes.change_points import calibrate_moved
+from sunarc.calibration.change_points import calibrate_moved
 from sunarc.calibration.model.options import CalibrationOptions, Method
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.projection_choice import calibrate_unknown_lens

@@ -15,7 +15,7 @@ from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions, Method
 from sunarc.calibration.model.result import Calibration, measures
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.quality.day_quality import measure_day
+from sunarc.monitoring.day_quality import measure_day
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import pose_angles

@@ -5,6 +5,7 @@ from __future__ import annotations
 from sunarc.calibration import messages as calibration
 from sunarc.detection import messages as detection
 from sunarc.findings import Finding, Message, Messages
+from sunarc.monitoring import messages as monitoring
 from sunarc.runtime.status import Reason, Severity
 from sunarc.runtime.supervisor import worker_code
 
@@ -405,7 +406,7 @@ MESSAGES = Messages(
     ),
 )
 
-_ALL = Messages(detection.MESSAGES | calibration.MESSAGES | MESSAGES)
+_ALL = Messages(detection.MESSAGES | calibration.MESSAGES | monitoring.MESSAGES | MESSAGES)
 
 text_of = _ALL.text_of
 

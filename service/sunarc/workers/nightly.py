@@ -16,11 +16,11 @@ from sunarc.archive.archive import Archive
 from sunarc.archive.fleet.nightly import CrossCheck, Found, NightlyRun
 from sunarc.archive.values import CalibrationRecord, CameraRecord
 from sunarc.array_types import FloatArray, IntArray
-from sunarc.calibration.changes.daily_rotations import DailyRotations, RotationStep, daily_rotations
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
 from sunarc.cross_checks.clocks import ClockOffsets, Lag, clock_offsets
 from sunarc.cross_checks.cloud_edges import SunSeries, cloud_lag
 from sunarc.cross_checks.rotation_steps import FEWEST_AGREEING, StepSize, agreeing, explain_step, find_steps
+from sunarc.monitoring.daily_rotations import DailyRotations, RotationStep, daily_rotations
 from sunarc.optics.inverse import unproject
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import StatusRegistry

@@ -24,9 +24,9 @@ from sunarc.calibration.model.backward import back_project
 from sunarc.calibration.model.document import from_document, to_document
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.quality.acceptance import accept
 from sunarc.calibration.solve import problem as bins_module
 from sunarc.errors import InputError
+from sunarc.monitoring.acceptance import accept
 from sunarc.optics.forward import project
 from sunarc.optics.inverse import unproject
 from sunarc.sky.directions import angular_distance

@@ -11,7 +11,7 @@ from scipy.integrate import dblquad
 from tests.fixtures.calibration import ideal_camera
 
 from sunarc.calibration.quality import site_checks as module
-from sunarc.calibration.quality.site_checks import tilt_question
+from sunarc.calibration.quality.tilt import tilt_question
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles, rotation_matrix, rotation_vector

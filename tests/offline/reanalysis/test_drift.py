@@ -16,7 +16,7 @@ from sunarc.array_types import FloatArray
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.quality.acceptance import apart_sigmas
+from sunarc.monitoring.acceptance import apart_sigmas
 from sunarc.reanalysis.epoch_changes import drift_within, noise_of_days
 from sunarc.reanalysis.fit import CameraSightings, Final, final_analysis, first_analysis
 from sunarc.reanalysis.states import ArchiveCamera

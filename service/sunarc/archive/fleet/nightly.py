@@ -14,8 +14,8 @@ from sqlalchemy import BigInteger, Connection, Row, and_, bindparam, case, delet
 from sunarc.archive.database.store import Part, given, upsert
 from sunarc.archive.database.tables import calibration, camera, day, day_summary, event, nightly_run, sun_point
 from sunarc.archive.fleet.feeds import sky_rms_of
-from sunarc.calibration.changes.values import Cause
 from sunarc.json_fields import EXAMPLE_TIME, Returned, SolarDate, Time, described
+from sunarc.monitoring.values import Cause
 from sunarc.sky.days import day_bounds_unix_s
 from sunarc.utc import to_microseconds, utc_time
 

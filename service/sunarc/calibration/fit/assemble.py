@@ -31,8 +31,8 @@ from sunarc.calibration.model.result import (
     residual_angles,
 )
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.quality.acceptance import with_pose_spread
 from sunarc.calibration.quality.fit_checks import fit_verdict
+from sunarc.calibration.quality.widening import with_pose_spread
 from sunarc.calibration.solve.priors import FREE, FREE_NAMES, LENS, N_LENS, lens_prior, precisions
 from sunarc.calibration.start.initial_guess import level_camera
 from sunarc.findings import Finding

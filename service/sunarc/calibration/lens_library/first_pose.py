@@ -24,7 +24,7 @@ from sunarc.calibration.answers.error_model import (
     predicted,
     rotated,
 )
-from sunarc.calibration.changes.change_points import Moved, calibrate_moved
+from sunarc.calibration.change_points import Moved, calibrate_moved
 from sunarc.calibration.evidence import PixelResiduals, false_density, fit_inlier_mixture
 from sunarc.calibration.fit.assemble import Job, calibration_from_fit, refused, unseen_field
 from sunarc.calibration.lens_library.conditioning import (

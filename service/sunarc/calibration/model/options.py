@@ -159,19 +159,3 @@ class FirstPoseOptions:
     def __post_init__(self) -> None:
         """Refuse what is no pose."""
         require_bounds(self, section_path="first_pose")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WatchOptions:
-    """What the change detection does not report as a change.
-
-    Attributes
-    ----------
-    wander_deg : 1-sigma per axis by which a mast and its mount wander with heat and wind, which is no change.
-    """
-
-    wander_deg: Annotated[float, Ge(0.0), Le(5.0)] = 0.01
-
-    def __post_init__(self) -> None:
-        """Refuse what is out of bounds."""
-        require_bounds(self, section_path="watch")

@@ -12,8 +12,8 @@ from sunarc.calibration.answers.covariance import seen_sky, sigma_deg
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration, Verdict, proves, refused_for
 from sunarc.calibration.model.sightings import Kind, Sightings
-from sunarc.calibration.quality.day_quality import arc_length_deg, unexplained_days
-from sunarc.calibration.quality.site_checks import tilt_question
+from sunarc.calibration.quality.day_arcs import arc_length_deg, unexplained_days
+from sunarc.calibration.quality.tilt import tilt_question
 from sunarc.findings import Finding
 from sunarc.optics.camera import PARAMETER_NAMES, POSE
 from sunarc.optics.pose import right_jacobian, rotation_matrix

@@ -16,18 +16,18 @@ from sunarc.archive.archive import CameraArchive
 from sunarc.archive.calibrations import EPOCH_CLOSED
 from sunarc.archive.sightings import ELSEWHERE, LENS_CHANGED
 from sunarc.archive.values import Day, PoseEpoch, Refit, SunPoint, SunPointColumns
-from sunarc.calibration.changes.daily_rotations import PoseOffset, daily_pose_offset
-from sunarc.calibration.changes.detect_change import REMEMBERED, update_window
-from sunarc.calibration.changes.values import LENS_KINDS, Change, Sighting, SightingWindow
 from sunarc.calibration.lens_library.first_pose import north_sigma_deg, top_azimuth_deg
-from sunarc.calibration.messages import MESSAGES as CHANGES
-from sunarc.calibration.model.options import WatchOptions
+from sunarc.calibration.messages import MESSAGES as OF_FITS
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
-from sunarc.calibration.quality.day_quality import DOUBTFUL_CLOCK_SHARE, decide_day, measure_day
-from sunarc.calibration.quality.site_checks import FEWEST_IN_MOTION, site_contradiction
 from sunarc.errors import InputError, OutsideError
 from sunarc.findings import Finding
+from sunarc.monitoring.daily_rotations import PoseOffset, daily_pose_offset
+from sunarc.monitoring.day_quality import DOUBTFUL_CLOCK_SHARE, decide_day, measure_day
+from sunarc.monitoring.detect_change import REMEMBERED, update_window
+from sunarc.monitoring.first_motion import FEWEST_IN_MOTION, site_contradiction
+from sunarc.monitoring.messages import MESSAGES as CHANGES
+from sunarc.monitoring.values import LENS_KINDS, Change, Sighting, SightingWindow, WatchOptions
 from sunarc.runtime.loop import DropOldestQueue, turns
 from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.sky.days import day_bounds_unix_s, solar_date
@@ -424,7 +424,7 @@ def pose_condition(current: Calibration) -> Reason | None:
 def refused_condition(verdict: Verdict) -> Reason:
     """Return the condition of a first pose that is refused."""
     finding = verdict.findings[0]
-    return condition("first_pose_refused", reason=CHANGES.text_of(finding), remedy=CHANGES.remedy_of(finding))
+    return condition("first_pose_refused", reason=OF_FITS.text_of(finding), remedy=OF_FITS.remedy_of(finding))
 
 
 # The verdicts of days by the images that were to be expected.

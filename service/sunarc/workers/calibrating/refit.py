@@ -18,18 +18,19 @@ from sunarc.archive.archive import CameraArchive
 from sunarc.archive.sightings import LENS_CHANGED
 from sunarc.archive.values import CalibrationRecord, Event, EventSeverity, PoseEpoch, Refit, RefitState, SunPointColumns
 from sunarc.array_types import IntArray
-from sunarc.calibration.changes.step_search import PoseStep
 from sunarc.calibration.messages import MESSAGES as CHANGES
 from sunarc.calibration.model.document import to_document
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
-from sunarc.calibration.quality.acceptance import accept, pose_spread_deg, unseen_points, with_pose_spread
-from sunarc.calibration.quality.day_quality import days_left_out
 from sunarc.calibration.quality.fit_checks import provisional
-from sunarc.calibration.selection import Selection, SelectionOptions, select_sightings, surest_of_epochs
+from sunarc.calibration.quality.widening import with_pose_spread
 from sunarc.errors import InputError, NotFoundError
 from sunarc.findings import Data, Finding
+from sunarc.monitoring.acceptance import accept, pose_spread_deg, unseen_points
+from sunarc.monitoring.day_quality import days_left_out
+from sunarc.monitoring.selection import Selection, SelectionOptions, select_sightings, surest_of_epochs
+from sunarc.monitoring.step_search import PoseStep
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.loop import Loop
 from sunarc.runtime.status import Reason, StatusRegistry

@@ -15,11 +15,11 @@ import numpy as np
 
 from sunarc.archive.values import SunPointColumns
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.changes.step_search import PoseStep, find_pose_steps
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.findings import Finding
+from sunarc.monitoring.step_search import PoseStep, find_pose_steps
 from sunarc.runtime.child_process import answer_call, one_thread_each
 from sunarc.runtime.clock import Clock
 from sunarc.sky.night import SUN, body_directions

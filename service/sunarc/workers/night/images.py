@@ -19,7 +19,6 @@ from sunarc.archive.archive import CameraArchive
 from sunarc.archive.days import NightImage
 from sunarc.archive.images import ImageStore
 from sunarc.array_types import BoolArray, Image, IntArray
-from sunarc.calibration.answers.stars import StarView
 from sunarc.calibration.model.backward import camera_sees
 from sunarc.calibration.model.result import Calibration
 from sunarc.cameras.frame import Frame
@@ -30,6 +29,7 @@ from sunarc.errors import OutsideError
 from sunarc.imaging.metadata import jpeg_with
 from sunarc.optics.forward import project
 from sunarc.sky.night import body_position, title_of
+from sunarc.stars.views import StarView
 from sunarc.utc import rfc3339
 from sunarc.workers.night.named_stars import TakenImage
 from sunarc.workers.night.warm_pixels import SensorFormat

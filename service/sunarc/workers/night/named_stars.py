@@ -11,15 +11,15 @@ import numpy as np
 
 from sunarc.archive.values import NightBand, NightSeries
 from sunarc.array_types import FloatArray, NameArray
-from sunarc.calibration.answers.stars import MatchedView, StarView, predict_stars
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.selection import image_parts, surest_of_parts
 from sunarc.detection.stars import photometry
 from sunarc.detection.values import FWHM, Stars
+from sunarc.monitoring.selection import image_parts, surest_of_parts
 from sunarc.robust_statistics import biweights, mad_sigma
 from sunarc.sky.directions import angles_from_direction
 from sunarc.sky.night import FAINTEST_V, night_sky
 from sunarc.sky.site import Site, relative_air_mass
+from sunarc.stars.views import MatchedView, StarView, predict_stars
 from sunarc.utc import utc_time
 
 BENT_PX = 1.0

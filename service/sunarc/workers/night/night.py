@@ -16,7 +16,6 @@ import numpy as np
 from sunarc.archive.archive import CameraArchive
 from sunarc.archive.images import ImageStore
 from sunarc.archive.values import Event, Night, NightVerdict, Refit, SunPoint, unusable_night
-from sunarc.calibration.answers.stars import MatchedView, StarView, match_views, matching_flip
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
 from sunarc.cameras.frame import Frame
@@ -28,6 +27,7 @@ from sunarc.runtime.loop import turns
 from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.sky.days import solar_date
 from sunarc.sky.night import body_position
+from sunarc.stars.views import MatchedView, StarView, match_views, matching_flip
 from sunarc.utc import DAY_S, rfc3339
 from sunarc.workers.messages import MESSAGES, condition, text_of
 from sunarc.workers.night.exposures import DARK_ZENITH_DEG, NightCapture

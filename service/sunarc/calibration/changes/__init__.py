@@ -1,1 +1,0 @@
-"""Changes of camera, clock or site: between one sighting and the next, and within a record."""

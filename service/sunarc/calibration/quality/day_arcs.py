@@ -1,0 +1,190 @@
+"""How smooth a day's arc is (Eq. 20), and whether a fit explains the days of its sightings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from sunarc.array_types import BoolArray, FloatArray, IntArray
+from sunarc.calibration.answers.covariance import project_with_covariance
+from sunarc.calibration.model.result import Calibration, residuals_by_pose
+from sunarc.calibration.model.sightings import Kind, Sightings
+from sunarc.calibration.robust_loss import robust_sigma, tukey_weights
+from sunarc.findings import Finding
+from sunarc.robust_statistics import cauchy_weights
+from sunarc.sky.days import date_of_day
+from sunarc.sky.directions import angular_distance
+from sunarc.sky.sun import hour_angle
+
+_ORDER = 9
+_ROUNDS = 12
+_POLYNOMIAL_PX = 0.2
+"""How well a 9th-order polynomial follows a whole day's arc; finer sightings must not be blamed for its misfit."""
+_LARGEST_GAP = math.radians(5.0)
+
+
+def smooth_arc(pixels: FloatArray, angle: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Fit Eq. 20 robustly: polynomials of 9th order in the hour angle.
+
+    Parameters
+    ----------
+    pixels : (n, 2) px.
+    angle : (n,) hour angles, radians; a day across the date line of the hour angle is unwrapped.
+
+    Returns
+    -------
+    arc : (n, 2) px; residual: (n, 2) observed minus arc; weight: (n,) 0 for sightings off the arc.
+    """
+    order = min(_ORDER, max(1, pixels.shape[0] // 3))
+    # in polar summer the hour angle passes 180 degrees while the sun is up
+    unwrapped = np.unwrap(angle)
+    middle, half = 0.5 * (unwrapped.max() + unwrapped.min()), 0.5 * np.ptp(unwrapped)
+    chebyshev = np.polynomial.chebyshev.chebvander((unwrapped - middle) / max(half, 1e-9), order)
+    weight = np.ones(pixels.shape[0])
+    for number in range(_ROUNDS):
+        root = np.sqrt(weight)[:, None]
+        arc = chebyshev @ np.linalg.lstsq(chebyshev * root, pixels * root)[0]
+        distance = np.linalg.norm(pixels - arc, axis=-1)
+        sigma = robust_sigma(distance, share=0.5 if number < 4 else 0.3, floor=_POLYNOMIAL_PX)
+        weight = cauchy_weights(distance, scale=sigma) if number < 6 else tukey_weights(distance, sigma=sigma)
+    return arc, pixels - arc, weight
+
+
+def arc_length_deg(directions: FloatArray) -> float:
+    """Return the length of the way through directions (n, 3) in degrees; a longer gap counts as 5 degrees.
+
+    So few sightings far apart (a host that missed most slots) have the arc of their surroundings, and not none.
+    """
+    step = angular_distance(directions[1:], directions[:-1])
+    return math.degrees(float(np.sum(np.minimum(step, _LARGEST_GAP))))
+
+
+# Whether a fit explains the days of its sightings: one of two lenses meets half of them, and states a small error.
+
+_FEWEST_TO_JUDGE = 20
+"""Sightings of a day that show whether it was clear; fewer are taken to be of a clear one."""
+_FEWEST_OF_HALF = 6
+_SHORTEST_HALF_S = 9000.0
+"""From the first to the last sighting of a half-day that is judged: twice as long as cloud draws them aside."""
+_FEWEST_FOR_SHARE = 12
+_SMOOTH_SHARE = 0.8
+"""Share of a clear day's sightings that run smoothly about the fit."""
+_CLEAR_SIGMA_PX = 1.0
+_CLEAR_SIGMAS = 3.0
+"""Largest scatter of a clear day, px per axis, or in that of the fit where that is larger."""
+_FLOOR_PX = 0.05
+_MISFIT_PX = 0.3
+"""1-sigma by which lens, air and mount may be wrong all through a half-day, px; the fit's scatter if larger."""
+_FAR = 5.0
+"""Sigmas: as far off as a single sighting that counts nothing."""
+_FEW_HALF_DAYS = 0.05
+"""Share of the half-days of a long record that may be so far off: smoke, a ladder on the mast. Of ten days none may."""
+_LARGEST_CORRELATION = 0.995
+_MEDIAN = 1.2533
+"""1-sigma of a median over that of a mean: the root of π / 2."""
+
+
+class _HalfDay(NamedTuple):
+    """How far off a half-day lies, px, in how many of its sigmas, and the day, counted from 1970."""
+
+    off_px: float
+    sigmas: float
+    day: int
+
+
+def unexplained_days(calibration: Calibration, usable: Sightings, limit: float) -> Finding | None:
+    """Return by how much a fit fails to explain the days of its sightings; None where it explains them.
+
+    Of the sun's track alone. A day is clear where its sightings run smoothly about the fit, however far off they lie:
+    false sightings scatter, and those of another lens do not.
+
+    Parameters
+    ----------
+    calibration : the fit, with the sightings that it used.
+    usable : the sightings that it was given.
+    limit : largest share of the sightings of clear days that may be left out, of all and of the last epoch.
+    """
+    if calibration.left_out is None:
+        return None
+    track = (usable.kind == Kind.SUN) & ~usable.alone
+    # as far as the lens is defined
+    camera = replace(calibration.camera, max_angle=np.pi)
+    residual = np.nan_to_num(residuals_by_pose(camera, calibration.poses, usable))
+    used = ~np.isin(usable.index, calibration.left_out)
+    clear, halves = track.copy(), list[_HalfDay]()
+    for rows in _days(usable, track):
+        if rows.size < _FEWEST_OF_HALF:
+            continue
+        _, rough, weight = smooth_arc(residual[rows], hour_angle(usable.unix_s[rows], calibration.site))
+        largest = max(_CLEAR_SIGMA_PX, _CLEAR_SIGMAS * calibration.evidence.sigma_px)
+        smooth = float(np.mean(weight > 0.0)) >= _SMOOTH_SHARE
+        few = rows.size < _FEWEST_TO_JUDGE
+        clear[rows] = few or (smooth and robust_sigma(np.linalg.norm(rough, axis=-1), floor=_FLOOR_PX) <= largest)
+        if clear[rows[0]]:
+            halves += _half_days(calibration, usable, rows, residual[rows], rough)
+    share, n = max(_left_out(clear, used), _left_out(clear & (usable.epoch == usable.epoch.max(initial=0)), used))
+    far = [one for one in halves if one.sigmas > _FAR]
+    if share <= limit and len(far) <= _FEW_HALF_DAYS * len(halves):
+        return None
+    worst = max(halves, key=lambda one: one.sigmas, default=_HalfDay(0.0, 0.0, int(usable.day[0])))
+    return Finding(
+        "epoch_does_not_explain_its_days",
+        {
+            "share": share,
+            "n": n,
+            "limit": limit,
+            "n_far": len(far),
+            "n_half_days": len(halves),
+            "far": _FAR,
+            "off_px": worst.off_px,
+            "sigmas": worst.sigmas,
+            "day": date_of_day(worst.day).isoformat(),
+        },
+    )
+
+
+def _days(usable: Sightings, track: BoolArray) -> Iterator[IntArray]:
+    """Yield the rows of each day of each epoch, in the order of time."""
+    for epoch in np.unique(usable.epoch[track]).tolist():
+        for day in np.unique(usable.day[track & (usable.epoch == epoch)]).tolist():
+            yield np.flatnonzero(track & (usable.epoch == epoch) & (usable.day == day))
+
+
+def _left_out(counted: BoolArray, used: BoolArray) -> tuple[float, int]:
+    """Return the share of some sightings that was left out, and how many they are; 0 of too few."""
+    n = int(counted.sum())
+    return (float(np.mean(~used[counted])), n) if n >= _FEWEST_FOR_SHARE else (0.0, n)
+
+
+def _half_days(
+    calibration: Calibration, usable: Sightings, rows: IntArray, residual: FloatArray, rough: FloatArray
+) -> Iterator[_HalfDay]:
+    """Yield the halves of a day, `rough` being the residuals (n, 2) about their own smooth groups."""
+    afternoon = np.sin(hour_angle(usable.unix_s[rows], calibration.site)) > 0.0
+    for half in (~afternoon, afternoon):
+        n = int(half.sum())
+        seen = rows[half]
+        if n < _FEWEST_OF_HALF or np.ptp(usable.unix_s[seen]) < _SHORTEST_HALF_S:
+            continue
+        noise = robust_sigma(np.linalg.norm(rough[half], axis=-1), share=0.5, floor=_FLOOR_PX)
+        alike = _inflation(rough[half])
+        off = np.median(residual[half], axis=0)
+        _, stated = project_with_covariance(calibration, usable.directions[seen])
+        variance = np.nan_to_num(np.mean(stated, axis=0)) + np.eye(2) * (
+            _MEDIAN**2 * noise**2 * alike / n + max(_MISFIT_PX, calibration.evidence.sigma_px) ** 2
+        )
+        yield _HalfDay(
+            float(np.linalg.norm(off)), float(np.sqrt(off @ np.linalg.solve(variance, off))), int(usable.day[seen[0]])
+        )
+
+
+def _inflation(rough: FloatArray) -> float:
+    """Return by how much the variance of a mean of residuals (n, 2) grows because neighbours err alike."""
+    power = float(np.sum(rough**2))
+    correlation = float(np.sum(rough[1:] * rough[:-1])) / power if power > 0.0 else 0.0
+    correlation = min(max(correlation, 0.0), _LARGEST_CORRELATION)
+    return (1.0 + correlation) / (1.0 - correlation)

@@ -1,0 +1,1 @@
+"""The stars of a night and a camera: where it sees them, which detections they are, and a camera by them alone."""
