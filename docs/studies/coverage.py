@@ -29,9 +29,8 @@ from ranks import amplitude_px as drawn_amplitude_px
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.fit.effects import OUTWARDS_PX
-from sunarc.calibration.model.backward import camera_sees
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.optics.camera import Camera
+from sunarc.optics.camera import Camera, camera_sees
 from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles
 from sunarc.optics.projections import Projection, ideal_radius
 from sunarc.sky.refraction import ASSUMED_AIR_SD, DAILY_AIR_SD, raised, refraction_rad

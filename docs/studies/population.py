@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from sunarc.calibration.model.backward import camera_sees
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.optics.camera import Camera
+from sunarc.optics.camera import Camera, camera_sees
 from sunarc.optics.forward import project
 from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles
 from sunarc.optics.projections import ideal_radius

@@ -31,7 +31,6 @@ from sunarc.calibration.answers.direction_table import back_projection_map, look
 from sunarc.calibration.answers.error_model import draw_ensemble, rotated
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.change_points import jumps_within_days, line_misses, night_changes
-from sunarc.calibration.model.backward import fit_backward
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings, filter_sightings, static_positions, static_sightings
@@ -39,7 +38,7 @@ from sunarc.calibration.noise import autocorrelation_inflation, growth_rate, lag
 from sunarc.calibration.quality.day_arcs import unexplained_days
 from sunarc.calibration.quality.fit_checks import before_fit, determined, fit_verdict, provisional
 from sunarc.calibration.quality.tilt import tilt_question
-from sunarc.calibration.quality.widening import with_clock_error, with_pose_spread
+from sunarc.calibration.quality.widening import with_pose_spread
 from sunarc.calibration.stated_prior import PriorTolerances, calibrate_with_prior
 from sunarc.monitoring.acceptance import accept, apart_sigmas, chi_square, disagreement, distance_px, pose_spread_deg
 from sunarc.monitoring.daily_rotations import (
@@ -55,11 +54,12 @@ from sunarc.monitoring.detect_change import update_window
 from sunarc.monitoring.first_motion import site_contradiction
 from sunarc.monitoring.selection import SelectionOptions, select_sightings, surest_of_epochs
 from sunarc.monitoring.values import Change, Sighting, SightingWindow, WatchOptions
+from sunarc.optics.backward import fit_backward
 from sunarc.optics.forward import project
 from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions
-from sunarc.stars.blind_start import NightDetections, blind_start
+from sunarc.stars.blind_start import NightDetections, blind_start, with_clock_error
 
 FloatArray = NDArray[np.float64]
 Numbers = Mapping[str, Sequence[object]]

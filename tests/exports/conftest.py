@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from tests.fixtures.calibrations import chosen_calibration
 
 from sunarc.calibration.answers.covariance import hemisphere
-from sunarc.calibration.model.backward import camera_sees
 from sunarc.calibration.model.document import to_document
 from sunarc.exports.exported import Exported
 from sunarc.exports.formats import export
-from sunarc.optics.camera import Camera
+from sunarc.optics.camera import Camera, camera_sees
 from sunarc.optics.forward import project
 
 FloatArray = NDArray[np.float64]

@@ -17,12 +17,12 @@ import yaml
 from tests.exports.conftest import LENS, FloatArray, apart_deg, document_of, worst_stated_deg, worst_stated_px
 
 from sunarc.calibration.answers.covariance import hemisphere
-from sunarc.calibration.model.backward import camera_sees
 from sunarc.errors import InputError
 from sunarc.exports.exported import Exported
 from sunarc.exports.formats import FORMATS, export, read_view
 from sunarc.exports.remap import ground_grid, remap_tables, sky_grid
 from sunarc.exports.view import camera_view, compare
+from sunarc.optics.camera import camera_sees
 from sunarc.optics.forward import project
 from sunarc.optics.inverse import unproject
 from sunarc.sky.directions import angles_from_direction, direction_from_angles

@@ -23,7 +23,6 @@ APART = {
     "sunarc.imaging.hdr": "of the core, which computes; its reader is a worker",
     "sunarc.imaging.image_circle": "of the core, which computes; its reader is the command line",
     "sunarc.monitoring.first_motion": "of the core, which computes; its reader is a worker",
-    "sunarc.offline.calibrate_archive": "a function on a database; its reader is the command line",
 }
 """Fragments that stay, each with its reason."""
 

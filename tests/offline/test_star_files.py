@@ -22,7 +22,6 @@ from sunarc.archive.csv_files import read_sightings
 from sunarc.calibration.answers.covariance import hemisphere, unproject_with_sigma
 from sunarc.calibration.model.document import from_document, to_document
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.quality.widening import with_clock_error
 from sunarc.errors import InputError
 from sunarc.monitoring.selection import MOST_STARS
 from sunarc.offline.stars import StarOptions, find_stars, read_stars, write_star_sightings
@@ -31,6 +30,7 @@ from sunarc.optics.forward import project
 from sunarc.sky.directions import angles_from_direction, angular_distance
 from sunarc.sky.night import STAR, night_sky
 from sunarc.sky.site import relative_air_mass
+from sunarc.stars.blind_start import with_clock_error
 
 SIZE = 640
 CAMERA = Camera(

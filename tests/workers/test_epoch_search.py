@@ -18,12 +18,13 @@ from tests.workers.conftest import refit_worker
 from sunarc.archive.archive import Archive, CameraArchive
 from sunarc.archive.values import Event, Refit, SunPoint
 from sunarc.calibration.answers.covariance import project_with_covariance
-from sunarc.calibration.calibrate import calibrate, reproduce_calibration
+from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.document import from_document
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.findings import Finding
 from sunarc.monitoring.step_search import PoseStep, find_pose_steps
+from sunarc.offline.calibrate_archive import reproduce_calibration
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector

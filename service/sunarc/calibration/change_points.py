@@ -23,12 +23,12 @@ from sunarc.calibration.evidence import RECORD_GAIN, log_marginal, matern_3_2
 from sunarc.calibration.model.options import USUAL_OPTIONS, CalibrationOptions, ImageCircle, LensTolerances
 from sunarc.calibration.model.result import Calibration, Move, residuals_by_pose
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
-from sunarc.calibration.robust_loss import finite, robust_sigma, tukey_loss
 from sunarc.calibration.solve.priors import LENS, N_LENS, lens_prior, precisions
 from sunarc.findings import Finding
 from sunarc.optics.camera import POSE, Camera, Param
 from sunarc.optics.forward import project_fast, project_with_rows_fast
 from sunarc.optics.pose import rotation_between
+from sunarc.robust_statistics import finite, robust_sigma, tukey_loss
 from sunarc.sky.site import Site
 from sunarc.utc import DAY_S, rfc3339, utc_time
 

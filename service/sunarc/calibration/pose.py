@@ -39,13 +39,13 @@ from sunarc.calibration.model.options import USUAL_OPTIONS, CalibrationOptions, 
 from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
-from sunarc.calibration.robust_loss import finite, robust_sigma
 from sunarc.calibration.solve.problem import Bins
 from sunarc.calibration.start.initial_guess import ransac_rotation
 from sunarc.findings import Finding
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project_fast
 from sunarc.optics.pose import pose_angles, right_jacobian
+from sunarc.robust_statistics import finite, robust_sigma
 from sunarc.sky.site import Site
 
 # Sightings as a posing takes them: their noise, and neighbours taken together so that there are not too many.

@@ -32,7 +32,6 @@ from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.noise import NoiseGroups, measured_noise
 from sunarc.calibration.quality.fit_checks import before_fit, determined
 from sunarc.calibration.quality.widening import with_larger_errors
-from sunarc.calibration.robust_loss import robust_sigma, tukey_loss
 from sunarc.calibration.solve.problem import Bins, FitProblem
 from sunarc.calibration.start.initial_guess import single_problem
 from sunarc.calibration.start.multistart import SMALLEST_SIGMA_PX, distance_sigmas
@@ -41,6 +40,7 @@ from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.inverse import unproject
 from sunarc.optics.projections import PROJECTIONS, Projection
+from sunarc.robust_statistics import robust_sigma, tukey_loss
 from sunarc.sky.directions import angular_distance
 from sunarc.sky.site import Site
 

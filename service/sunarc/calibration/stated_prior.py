@@ -26,13 +26,13 @@ from sunarc.calibration.pose import (
     tolerance_px,
     with_noise,
 )
-from sunarc.calibration.robust_loss import finite
 from sunarc.calibration.solve.priors import FREE, LENS, N_LENS, lens_prior, precisions
 from sunarc.findings import Finding
 from sunarc.optics.camera import POSE, Camera
 from sunarc.optics.forward import project_fast
 from sunarc.optics.pose import rotation_matrix, rotation_vector
 from sunarc.optics.projections import ideal_radius
+from sunarc.robust_statistics import finite
 from sunarc.sky.site import Site
 
 _LARGEST_DEPARTURE = 3.0

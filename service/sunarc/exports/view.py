@@ -11,9 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.answers.covariance import hemisphere
-from sunarc.calibration.model.backward import camera_sees
 from sunarc.errors import InputError
-from sunarc.optics.camera import Camera, Param
+from sunarc.optics.camera import Camera, Param, camera_sees
 from sunarc.optics.forward import project, project_with_jacobian, rising_limit
 from sunarc.optics.inverse import unproject
 from sunarc.optics.pose import rotation_matrix, rotation_vector

@@ -29,10 +29,9 @@ from sunarc.calibration.evidence import whitened
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.pose import fit_pose, gathered, inflation_of, with_noise
-from sunarc.calibration.robust_loss import finite
 from sunarc.optics.camera import Camera
 from sunarc.optics.pose import rotation_matrix
-from sunarc.robust_statistics import MAD_TO_SIGMA, biweights
+from sunarc.robust_statistics import MAD_TO_SIGMA, biweights, finite
 from sunarc.sky.site import Site
 
 FEWEST = 20

@@ -40,7 +40,6 @@ from sunarc.calibration.evidence import (
 )
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.pose import conditioned, noise_px
-from sunarc.calibration.robust_loss import finite
 from sunarc.calibration.solve.problem import by_elevation
 from sunarc.calibration.start.initial_guess import ransac_rotation
 from sunarc.findings import Data, Finding
@@ -48,6 +47,7 @@ from sunarc.monitoring.values import Change, ChangeKind, Hypothesis, Sighting, S
 from sunarc.optics.camera import Camera, Param
 from sunarc.optics.forward import project_fast, project_with_rows_fast
 from sunarc.optics.pose import rotation_matrix
+from sunarc.robust_statistics import finite
 from sunarc.sky.refraction import ASSUMED_AIR_SD, DAILY_AIR_SD, refraction_rad
 from sunarc.sky.site import Site, pole_enu
 from sunarc.sky.sun import sun_directions

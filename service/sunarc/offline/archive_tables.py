@@ -30,11 +30,12 @@ from sunarc.archive.values import (
     SunPoint,
 )
 from sunarc.array_types import FloatArray
-from sunarc.calibration.model.sightings import Sightings, inside_image
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.errors import InputError, OutsideError
 from sunarc.exports.exported import Table, Variable
 from sunarc.exports.tables import netcdf_bytes
 from sunarc.findings import Finding
+from sunarc.optics.camera import inside_image
 from sunarc.reanalysis.cameras import known_camera, register_camera
 from sunarc.reanalysis.files import read_lines, require_inside
 from sunarc.settings.model import Settings

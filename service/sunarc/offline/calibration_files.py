@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from sunarc.archive.csv_files import read_pairs, write_columns
 from sunarc.array_types import FloatArray, Image
 from sunarc.calibration.answers.covariance import project_with_covariance, sigma_px, unproject_with_sigma
-from sunarc.calibration.model.backward import camera_sees
 from sunarc.calibration.model.document import from_document
 from sunarc.calibration.model.result import Calibration
 from sunarc.detection.values import Bayer
@@ -29,6 +28,7 @@ from sunarc.exports.view import ZENITH_RANGES_DEG, Comparison, View, compare
 from sunarc.extras import extra_module
 from sunarc.imaging.metadata import document_of
 from sunarc.imaging.preview import demosaiced
+from sunarc.optics.camera import camera_sees
 from sunarc.reanalysis.files import read_file, read_image
 from sunarc.sky.directions import angles_from_direction, direction_from_angles
 

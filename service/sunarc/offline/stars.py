@@ -21,7 +21,6 @@ from sunarc.calibration.model.document import to_document
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.quality.widening import with_clock_error
 from sunarc.detection.messages import reason_of
 from sunarc.detection.stars.detect import detect_stars
 from sunarc.detection.stars.matching import StarMatches
@@ -39,7 +38,7 @@ from sunarc.runtime.clock import Clock
 from sunarc.sky.directions import angular_distance, direction_from_angles
 from sunarc.sky.night import FAINTEST_V, NightSky, night_sky
 from sunarc.sky.site import Site
-from sunarc.stars.blind_start import BlindOptions, BlindStart, NightDetections, blind_start
+from sunarc.stars.blind_start import BlindOptions, BlindStart, NightDetections, blind_start, with_clock_error
 from sunarc.stars.messages import MESSAGES as OF_STARS
 from sunarc.stars.views import StarView, match_views, matching_flip, predict_stars
 from sunarc.utc import DAY_S, rfc3339, utc_time

@@ -9,7 +9,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sunarc.array_types import FloatArray
+from sunarc.array_types import BoolArray, FloatArray
 from sunarc.errors import InputError
 from sunarc.optics.displacement import Displacement
 from sunarc.optics.projections import PROJECTIONS, Projection, angle_limit
@@ -142,3 +142,14 @@ class Camera:
             radial=tuple(v[RADIAL]),
             decentering=tuple(v[DECENTERING]),
         )
+
+
+def inside_image(pixels: FloatArray, image_size: tuple[int, int], *, beyond_px: float = 0.0) -> BoolArray:
+    """Return (...): whether pixels (..., 2) lie within the outer edges of the outer pixels, or so far beyond these."""
+    least, most = -0.5 - beyond_px, np.array(image_size) - 0.5 + beyond_px
+    return np.asarray(np.all((pixels >= least) & (pixels <= most), axis=-1))
+
+
+def camera_sees(camera: Camera, pixels: FloatArray) -> BoolArray:
+    """Return (...): whether pixels (..., 2) lie within a camera's image."""
+    return inside_image(pixels, (camera.width, camera.height))

@@ -21,11 +21,11 @@ from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.evidence import SEQUENCE_GAIN, Weighed, most_probable
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.quality.day_arcs import smooth_arc
-from sunarc.calibration.robust_loss import robust_sigma
 from sunarc.findings import Finding
 from sunarc.monitoring.detect_change import rarity
 from sunarc.optics.camera import POSE, Camera, Param
 from sunarc.optics.forward import by_direction, project_fast, project_with_rows_fast
+from sunarc.robust_statistics import robust_sigma
 from sunarc.sky.days import solar_days
 from sunarc.sky.site import Site, pole_enu
 from sunarc.sky.sun import hour_angle, sun_directions

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from sunarc.array_types import FloatArray, Image
-from sunarc.calibration.model.sightings import inside_image
 from sunarc.errors import InputError
 from sunarc.imaging.preview import decoded
+from sunarc.optics.camera import inside_image
 
 
 def read_file(path: Path) -> bytes:

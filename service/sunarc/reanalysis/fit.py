@@ -18,7 +18,6 @@ from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.quality.fit_checks import provisional
 from sunarc.calibration.quality.tilt import tilt_question
 from sunarc.calibration.quality.widening import with_larger_errors, with_pose_spread
-from sunarc.calibration.robust_loss import finite, robust_sigma
 from sunarc.findings import Finding
 from sunarc.monitoring.acceptance import apart_sigmas
 from sunarc.monitoring.selection import select_sightings, surest_of_epochs
@@ -46,6 +45,7 @@ from sunarc.reanalysis.states import (
     surely_held,
     with_true_clock,
 )
+from sunarc.robust_statistics import finite, robust_sigma
 from sunarc.sky.sun import sun_directions
 from sunarc.utc import utc_time
 

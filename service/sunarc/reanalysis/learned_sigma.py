@@ -21,11 +21,11 @@ from sunarc.archive.archive import Archive
 from sunarc.archive.values import Event
 from sunarc.array_types import FloatArray
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.robust_loss import robust_sigma
 from sunarc.detection.values import Detection
 from sunarc.findings import Finding
 from sunarc.optics.forward import project
 from sunarc.reanalysis.messages import MESSAGES
+from sunarc.robust_statistics import robust_sigma
 from sunarc.settings.model import Settings
 from sunarc.sky.sun import sun_directions
 

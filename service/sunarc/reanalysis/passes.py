@@ -16,7 +16,6 @@ from sunarc.array_types import FloatArray
 from sunarc.calibration.answers.covariance import project_with_covariance
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.robust_loss import robust_sigma
 from sunarc.detection.values import Detection, Expectation, Verdict
 from sunarc.findings import Finding
 from sunarc.optics.forward import local_stretch, project
@@ -35,6 +34,7 @@ from sunarc.reanalysis.look import (
     software,
 )
 from sunarc.reanalysis.states import Epoch, State
+from sunarc.robust_statistics import robust_sigma
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles, sun_directions
 from sunarc.utc import DAY_S

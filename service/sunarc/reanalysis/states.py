@@ -25,11 +25,11 @@ from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.pose import estimate_pose
 from sunarc.calibration.quality.fit_checks import is_undetermined
 from sunarc.calibration.quality.tilt import mount_density
-from sunarc.calibration.robust_loss import finite, robust_sigma
 from sunarc.findings import Finding
 from sunarc.optics.forward import project_fast
 from sunarc.optics.pose import rotation_matrix, rotation_vector
 from sunarc.reanalysis.epoch_changes import Cause, noise_of_days
+from sunarc.robust_statistics import finite, robust_sigma
 from sunarc.sky.days import solar_days
 from sunarc.sky.site import Site, pole_enu
 from sunarc.sky.sun import sun_directions

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from sunarc.array_types import Image
 from sunarc.bounds import require_bounds
-from sunarc.calibration.model.backward import fit_backward
 from sunarc.calibration.model.document import to_document
 from sunarc.calibration.model.residual_field import Field, WaveBasis
 from sunarc.calibration.model.result import NO_METRICS, Calibration, Provenance, Verdict
@@ -31,6 +30,7 @@ from sunarc.cameras.packed import pack, packing_of
 from sunarc.detection.values import bayer_of
 from sunarc.errors import InputError, disk_errors
 from sunarc.findings import Finding
+from sunarc.optics.backward import fit_backward
 from sunarc.optics.camera import Camera
 from sunarc.optics.pose import pose_angles
 from sunarc.runtime.clock import Clock, SystemClock

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -13,9 +13,11 @@ from scipy.spatial import cKDTree
 
 from sunarc.array_types import BoolArray, FloatArray
 from sunarc.bounds import require_bounds
-from sunarc.calibration.answers.covariance import hemisphere
+from sunarc.calibration.answers.covariance import hemisphere, pose_error
 from sunarc.calibration.model.options import ImageCircle
+from sunarc.calibration.model.result import Calibration, refused_for, with_finding
 from sunarc.calibration.quality.tilt import tilt_question
+from sunarc.calibration.quality.widening import with_pose_errors
 from sunarc.detection.stars.matching import StarMatches, on_cloud
 from sunarc.detection.values import PredictedStars, Stars
 from sunarc.findings import Finding
@@ -27,7 +29,7 @@ from sunarc.optics.projections import ideal_radius
 from sunarc.robust_statistics import biweights, mad_sigma
 from sunarc.sky.directions import angular_distance
 from sunarc.sky.night import NightSky
-from sunarc.sky.site import Site, pole_enu
+from sunarc.sky.site import EARTH_RATE, Site, pole_enu
 from sunarc.stars.sky_turn import (
     MAX_ANGLE,
     SIDEREAL_RATE,
@@ -524,3 +526,28 @@ def _frame(axis: FloatArray) -> FloatArray:
     first = np.cross(other, axis)
     first /= np.linalg.norm(first)
     return np.stack([first, np.cross(axis, first), axis])
+
+
+def with_clock_error(calibration: Calibration, clock_error_s: float, *, limit_deg: float) -> Calibration:
+    """Return a calibration by stars alone whose uncertainty holds an error of the clock, which its verdict states.
+
+    A clock that is wrong turns the sky about the pole, and the fit the camera: nothing in images tells the two apart.
+    One that is then less sure than a limit is refused.
+
+    Parameters
+    ----------
+    calibration : by sightings without any error of the clock.
+    clock_error_s : the bound of the clock's error, s.
+    limit_deg : of the 1-sigma over the sky, degrees.
+    """
+    camera, site = calibration.camera, calibration.site
+    wider = with_pose_errors(calibration, pose_error(camera, site, clock_error_s=clock_error_s, site_error_m=0.0))
+    latitude, turn = math.radians(site.latitude), math.degrees(EARTH_RATE * clock_error_s)
+    turns = {"turn_deg": turn, "north_deg": turn * abs(math.sin(latitude)), "tilt_deg": turn * math.cos(latitude)}
+    wider = replace(wider, evidence=replace(wider.evidence, clock_error_s=clock_error_s))
+    clock = Finding("pose_or_clock", {"clock_error_s": clock_error_s, **turns})
+    if wider.sky_rms_deg <= limit_deg or not wider.verdict.accepted:
+        return with_finding(wider, clock)
+    of_sigma = {"sigma_deg": wider.sky_rms_deg, "limit_deg": limit_deg, "scatter_px": wider.evidence.sigma_px}
+    counts = {"n": wider.metrics.n, "days": len(wider.evidence.days)}
+    return refused_for(wider, Finding("direction_sigma_too_large", {**of_sigma, **counts}), clock)

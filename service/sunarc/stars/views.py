@@ -9,7 +9,6 @@ import numpy as np
 
 from sunarc.array_types import FloatArray
 from sunarc.calibration.answers.covariance import project_with_covariance, sigma_px
-from sunarc.calibration.model.backward import camera_sees
 from sunarc.calibration.model.result import Calibration
 from sunarc.detection.stars.matching import StarMatches, match_stars, sky_motion, standing_still
 from sunarc.detection.values import PredictedStars, Stars
@@ -48,8 +47,8 @@ def stars_in_image(
 ) -> PredictedStars:
     """Return the stars within a camera's image, of their pixels (n, 2) and 1-sigmas (n,) px; the brightest first."""
     zenith, azimuth = angles_from_direction(sky.directions)
-    inside = np.all((pixels > -0.5) & (pixels < np.array([camera.width, camera.height]) - 0.5), axis=-1)
-    visible = inside & camera_sees(camera, pixels) & (zenith < furthest_deg)
+    visible = np.all((pixels > -0.5) & (pixels < np.array([camera.width, camera.height]) - 0.5), axis=-1)
+    visible &= zenith < furthest_deg
     magnitude = seen_magnitude(sky)
     return PredictedStars(
         names=sky.names,

@@ -23,7 +23,6 @@ from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Me
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.noise import NoiseGroups
 from sunarc.calibration.paper import fit_as_paper
-from sunarc.calibration.robust_loss import robust_sigma
 from sunarc.calibration.solve.levenberg_marquardt import information, most_probable
 from sunarc.calibration.solve.priors import Whitened
 from sunarc.calibration.solve.problem import FitProblem
@@ -32,6 +31,7 @@ from sunarc.calibration.start.multistart import SMALLEST_SIGMA_PX, distance_sigm
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.projections import angle_limit
+from sunarc.robust_statistics import robust_sigma
 from sunarc.runtime.child_process import one_thread_each
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.days import day_bounds_unix_s

@@ -13,9 +13,9 @@ from tests.fixtures.calibration import observed, small_camera, small_problem, su
 from sunarc.calibration.fit.robust_rounds import at_least_least_squares
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.noise import NoiseGroups
-from sunarc.calibration.robust_loss import UNSEEN_PX, tukey_loss
 from sunarc.calibration.solve.problem import Bins, FitProblem
 from sunarc.calibration.start.multistart import distance_sigmas, least_squares
+from sunarc.robust_statistics import UNSEEN_PX, tukey_loss
 
 FloatArray = NDArray[np.float64]
 

@@ -12,7 +12,6 @@ from tests.fixtures.calibration import ideal_camera, observed, small_camera, sma
 
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.robust_loss import robust_sigma
 from sunarc.calibration.start.initial_guess import (
     candidate_misfit,
     field_angle,
@@ -22,6 +21,7 @@ from sunarc.calibration.start.initial_guess import (
 )
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
+from sunarc.robust_statistics import robust_sigma
 
 FloatArray = NDArray[np.float64]
 

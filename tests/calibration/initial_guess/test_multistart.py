@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from tests.fixtures.calibration import loose_precision, observed, small_camera, small_problem, sun_arc
 
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.robust_loss import UNSEEN_PX, robust_sigma, tukey_loss
 from sunarc.calibration.solve.levenberg_marquardt import most_probable
 from sunarc.calibration.solve.priors import DECENTERING, HIGHER, LENS, RADIAL, Whitened
 from sunarc.calibration.solve.problem import FitProblem
@@ -28,6 +27,7 @@ from sunarc.calibration.start.multistart import (
 )
 from sunarc.optics.camera import PARAMETER_NAMES
 from sunarc.optics.pose import rotation_matrix
+from sunarc.robust_statistics import UNSEEN_PX, robust_sigma, tukey_loss
 
 FloatArray = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ import pytest
 from tests.calibration.conftest import SGP
 
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
-from sunarc.calibration.calibrate import calibrate, reproduce_calibration
+from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.lens_library import conditioning
 from sunarc.calibration.lens_library.conditioning import conditioned_lens, with_lens
 from sunarc.calibration.lens_library.lens_type import (
@@ -24,6 +24,7 @@ from sunarc.calibration.lens_library.lens_type import (
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.errors import InputError
+from sunarc.offline.calibrate_archive import reproduce_calibration
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 

@@ -10,12 +10,13 @@ import pytest
 
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.answers.error_model import rotated
-from sunarc.calibration.calibrate import calibrate, reproduce_calibration
+from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.solve.priors import FREE
 from sunarc.calibration.stated_prior import PriorTolerances, calibrate_with_prior, whitened_basis
 from sunarc.errors import InputError
+from sunarc.offline.calibrate_archive import reproduce_calibration
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 

@@ -16,9 +16,9 @@ from sunarc.api.problems import answers
 from sunarc.api.schemas import Residual, SightingsByDay, Sun, SunPoints, SunPointWithResidual, SunTrack
 from sunarc.archive.values import SunPoint, fields_of
 from sunarc.calibration.answers.covariance import sigma_px, sun_with_covariance
-from sunarc.calibration.model.backward import camera_sees
 from sunarc.calibration.model.result import Calibration
 from sunarc.json_fields import SolarDate
+from sunarc.optics.camera import camera_sees
 from sunarc.optics.forward import project
 from sunarc.optics.inverse import unproject
 from sunarc.sky.days import day_bounds_unix_s, solar_date

@@ -15,10 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sunarc.array_types import BoolArray, FloatArray
-from sunarc.calibration.model.backward import camera_sees
 from sunarc.calibration.model.result import Calibration
 from sunarc.optics import pose
-from sunarc.optics.camera import PARAMETER_NAMES, Camera
+from sunarc.optics.camera import PARAMETER_NAMES, Camera, camera_sees
 from sunarc.optics.forward import by_direction, project, project_with_rows_fast, tangent_basis
 from sunarc.optics.inverse import unproject
 from sunarc.sky.refraction import ASSUMED_AIR_SD, DAILY_AIR_SD, MEASURED_AIR_SD, raised, refraction_rad

@@ -15,7 +15,6 @@ from sunarc.calibration.answers.covariance import pose_error, sky_sigma_deg, wit
 from sunarc.calibration.fit.cross_validation import Doubts, HeldOut, doubts, held_out, without_parts
 from sunarc.calibration.fit.effects import N_RADIAL, OFFSET_PX, POSE_DIFFERENCE_DEG, SWAY_DEG, SWAYS
 from sunarc.calibration.fit.robust_fit import RobustFit
-from sunarc.calibration.model.backward import NO_BACKWARD, fit_backward
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.residual_field import Field, wave_basis
 from sunarc.calibration.model.result import (
@@ -36,6 +35,7 @@ from sunarc.calibration.quality.widening import with_pose_spread
 from sunarc.calibration.solve.priors import FREE, FREE_NAMES, LENS, N_LENS, lens_prior, precisions
 from sunarc.calibration.start.initial_guess import level_camera
 from sunarc.findings import Finding
+from sunarc.optics.backward import NO_BACKWARD, fit_backward
 from sunarc.optics.camera import POSE, Camera, Param
 from sunarc.optics.forward import rising_limit
 from sunarc.optics.pose import pose_angles, right_jacobian, rotation_matrix, rotation_vector

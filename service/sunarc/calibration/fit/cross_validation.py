@@ -15,9 +15,9 @@ from sunarc.calibration.fit.marginal_likelihood import MarginalFit, field_at, in
 from sunarc.calibration.fit.posterior import prediction_variance, shown_sky
 from sunarc.calibration.fit.robust_fit import RobustFit
 from sunarc.calibration.model.sightings import Kind, Sightings
-from sunarc.calibration.robust_loss import robust_sigma
 from sunarc.findings import Finding
 from sunarc.optics.pose import right_jacobian
+from sunarc.robust_statistics import robust_sigma
 
 _FOLDS = 5
 _THIRDS = 3

@@ -30,13 +30,13 @@ from sunarc.calibration.model.residual_field import WaveBasis
 from sunarc.calibration.model.result import probability, proves
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.noise import Noise, NoiseGroups
-from sunarc.calibration.robust_loss import robust_sigma, surely_well_behaved
 from sunarc.calibration.solve.levenberg_marquardt import information as information_of
 from sunarc.calibration.solve.priors import DECENTERING, RADIAL, STRETCH, Whitened, with_wide_pixels
 from sunarc.calibration.solve.problem import Bins, FitProblem
 from sunarc.calibration.start.initial_guess import single_problem
 from sunarc.calibration.start.multistart import SMALLEST_SIGMA_PX, best_of_starts, best_start, distance_sigmas, lowest
 from sunarc.optics.camera import Camera
+from sunarc.robust_statistics import robust_sigma, surely_well_behaved
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

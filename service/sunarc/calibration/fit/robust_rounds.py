@@ -33,7 +33,10 @@ from sunarc.calibration.fit.posterior import prediction_variance
 from sunarc.calibration.model.result import STRONG_EVIDENCE, proves, suspects
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.noise import Noise, NoiseGroups, autocorrelation_inflation, measured_noise
-from sunarc.calibration.robust_loss import (
+from sunarc.calibration.solve.levenberg_marquardt import most_probable
+from sunarc.calibration.solve.problem import Bins, FitProblem
+from sunarc.calibration.start import multistart
+from sunarc.robust_statistics import (
     CUT,
     counted_roots,
     robust_sigma,
@@ -41,9 +44,6 @@ from sunarc.calibration.robust_loss import (
     tukey_loss,
     tukey_weights,
 )
-from sunarc.calibration.solve.levenberg_marquardt import most_probable
-from sunarc.calibration.solve.problem import Bins, FitProblem
-from sunarc.calibration.start import multistart
 
 # Least squares as the reference that a robust fit must reach: its priors and its field may not cost it the data.
 #

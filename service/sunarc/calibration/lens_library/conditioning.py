@@ -28,7 +28,6 @@ from sunarc.calibration.lens_library.lens_type import (
     gaussian_of,
     information_of,
 )
-from sunarc.calibration.model.backward import fit_backward
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import (
     Calibration,
@@ -40,14 +39,15 @@ from sunarc.calibration.model.result import (
 )
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.quality.fit_checks import fit_verdict
-from sunarc.calibration.robust_loss import finite
 from sunarc.calibration.solve.levenberg_marquardt import most_probable
 from sunarc.calibration.solve.priors import FREE, N_LENS, LensPrior
 from sunarc.calibration.solve.problem import problem_for
 from sunarc.findings import Finding
+from sunarc.optics.backward import fit_backward
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project_fast
 from sunarc.optics.pose import pose_angles
+from sunarc.robust_statistics import finite
 
 # How far a posterior went from its prior: the test whether sightings contradict what was stated before them.
 #

@@ -48,7 +48,6 @@ from sunarc.calibration.pose import (
     stated_calibration,
     with_noise,
 )
-from sunarc.calibration.robust_loss import finite
 from sunarc.calibration.solve.priors import FREE, N_LENS
 from sunarc.calibration.start.initial_guess import ransac_rotation
 from sunarc.findings import Finding
@@ -56,6 +55,7 @@ from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project_fast
 from sunarc.optics.inverse import unproject
 from sunarc.optics.pose import rotation_between, rotation_matrix, rotation_vector
+from sunarc.robust_statistics import finite
 from sunarc.sky.directions import wrapped_deg
 from sunarc.sky.site import Site
 

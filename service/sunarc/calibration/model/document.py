@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration.model.backward import BackwardModel
 from sunarc.calibration.model.residual_field import Field, WaveBasis
 from sunarc.calibration.model.result import (
     Calibration,
@@ -24,6 +23,7 @@ from sunarc.calibration.model.result import (
 )
 from sunarc.errors import InputError
 from sunarc.findings import Finding, from_json
+from sunarc.optics.backward import BackwardModel
 from sunarc.optics.camera import PARAMETER_NAMES, Camera
 from sunarc.optics.displacement import HIGHEST_ORDER, Displacement
 from sunarc.optics.pose import pose_angles

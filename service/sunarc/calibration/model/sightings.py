@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from sunarc.array_types import BoolArray, FloatArray, IntArray, NameArray, Rows
 from sunarc.errors import InputError
 from sunarc.findings import Finding
+from sunarc.optics.camera import inside_image
 from sunarc.sky.days import solar_days
 from sunarc.sky.night import SOLAR_SYSTEM_BODIES, STAR, SUN
 from sunarc.sky.refraction import ASSUMED_AIR_SD, DAILY_AIR_SD, MEASURED_AIR_SD, refraction_rad
@@ -386,12 +387,6 @@ def filter_sightings(points: Sightings, *, site: Site, image_size: tuple[int, in
         motion=np.cross(directions, EARTH_RATE * pole_enu(site)),
         filtering=filtering,
     )
-
-
-def inside_image(pixels: FloatArray, image_size: tuple[int, int], *, beyond_px: float = 0.0) -> BoolArray:
-    """Return (n,): whether pixels (n, 2) lie within the outer edges of the outer pixels, or so far beyond these."""
-    least, most = -0.5 - beyond_px, np.array(image_size) - 0.5 + beyond_px
-    return np.asarray(np.all((pixels >= least) & (pixels <= most), axis=-1))
 
 
 def _groups(epoch: IntArray, day: IntArray) -> IntArray:

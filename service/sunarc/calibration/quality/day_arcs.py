@@ -13,9 +13,8 @@ from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.calibration.answers.covariance import project_with_covariance
 from sunarc.calibration.model.result import Calibration, residuals_by_pose
 from sunarc.calibration.model.sightings import Kind, Sightings
-from sunarc.calibration.robust_loss import robust_sigma, tukey_weights
 from sunarc.findings import Finding
-from sunarc.robust_statistics import cauchy_weights
+from sunarc.robust_statistics import cauchy_weights, robust_sigma, tukey_weights
 from sunarc.sky.days import date_of_day
 from sunarc.sky.directions import angular_distance
 from sunarc.sky.sun import hour_angle

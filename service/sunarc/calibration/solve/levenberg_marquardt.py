@@ -9,8 +9,8 @@ import numpy as np
 from sunarc import _kernels
 from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.robust_loss import tukey_weights
 from sunarc.calibration.solve.problem import FitProblem
+from sunarc.robust_statistics import tukey_weights
 
 
 class Solution(NamedTuple):

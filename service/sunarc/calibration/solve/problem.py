@@ -12,11 +12,11 @@ import numpy as np
 from sunarc import _kernels
 from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.robust_loss import UNSEEN_PX
 from sunarc.calibration.solve.priors import LENS, N_LENS, LensPrior
 from sunarc.optics.camera import POSE, Camera, Param
 from sunarc.optics.forward import Optics, by_direction, kernel_optics
 from sunarc.optics.pose import rotation_matrix
+from sunarc.robust_statistics import UNSEEN_PX
 from sunarc.sky.refraction import upward
 
 _RIGHT_ANGLE = math.pi / 2

@@ -16,7 +16,6 @@ from scipy.spatial.transform import Rotation
 from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.robust_loss import robust_sigma
 from sunarc.calibration.solve.levenberg_marquardt import most_probable
 from sunarc.calibration.solve.priors import N_LENS, Whitened, lens_prior, precisions
 from sunarc.calibration.solve.problem import FitProblem, problem_for
@@ -25,7 +24,7 @@ from sunarc.optics.forward import rising_limit
 from sunarc.optics.inverse import calibrated, unproject
 from sunarc.optics.pose import rotation_matrix, rotation_vector
 from sunarc.optics.projections import angle_limit, ideal_angle, ideal_radius
-from sunarc.robust_statistics import cauchy_weights
+from sunarc.robust_statistics import cauchy_weights, robust_sigma
 
 LARGEST_TILT = math.radians(75.0)
 _SEARCHED_SIGHTINGS = 160

@@ -19,7 +19,6 @@ from sunarc.archive.archive import CameraArchive
 from sunarc.archive.days import NightImage
 from sunarc.archive.images import ImageStore
 from sunarc.array_types import BoolArray, Image, IntArray
-from sunarc.calibration.model.backward import camera_sees
 from sunarc.calibration.model.result import Calibration
 from sunarc.cameras.frame import Frame
 from sunarc.detection.moon import Cutout
@@ -27,6 +26,7 @@ from sunarc.detection.stars.photometry import detected
 from sunarc.detection.values import Stars
 from sunarc.errors import OutsideError
 from sunarc.imaging.metadata import jpeg_with
+from sunarc.optics.camera import camera_sees
 from sunarc.optics.forward import project
 from sunarc.sky.night import body_position, title_of
 from sunarc.stars.views import StarView

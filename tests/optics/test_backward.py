@@ -12,7 +12,8 @@ from scipy.optimize import least_squares
 from tests.fixtures.calibration import ideal_camera, numerical_derivative, small_camera, spread_directions
 
 from sunarc.calibration.model import backward
-from sunarc.calibration.model.backward import NO_BACKWARD, BackwardModel, back_project, camera_sees, fit_backward
+from sunarc.optics.backward import NO_BACKWARD, BackwardModel, back_project, fit_backward
+from sunarc.optics.camera import camera_sees
 from sunarc.optics.forward import project
 from sunarc.optics.inverse import calibrated, unproject
 from sunarc.optics.projections import PROJECTIONS, Projection, ideal_radius

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sunarc.array_types import BoolArray, FloatArray
-from sunarc.optics.camera import Camera
+from sunarc.array_types import FloatArray
+from sunarc.optics.camera import Camera, camera_sees
 from sunarc.optics.forward import decentering_shift, decentering_slopes, project, rising_limit
 from sunarc.optics.inverse import calibrated
 from sunarc.optics.pose import rotation_matrix
@@ -204,11 +204,3 @@ def synthetic_rays(camera: Camera) -> tuple[FloatArray, FloatArray]:
     pixels = project(replace(camera, rotation_cam_enu=(0.0, 0.0, 0.0), translation=(0.0, 0.0, 0.0)), rays)
     inside = camera_sees(camera, pixels)
     return rays[inside], pixels[inside]
-
-
-def camera_sees(camera: Camera, pixels: FloatArray) -> BoolArray:
-    """Return (...): whether pixels lie within the image."""
-    x, y = pixels[..., 0], pixels[..., 1]
-    with np.errstate(invalid="ignore"):
-        inside = (x >= -0.5) & (x <= camera.width - 0.5) & (y >= -0.5) & (y <= camera.height - 0.5)
-    return np.asarray(inside)
