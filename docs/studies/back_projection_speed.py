@@ -21,8 +21,8 @@ import population as pop
 from fit_speed import cost_ms
 from numpy.typing import NDArray
 
-from sunarc.calibration.model.residual_field import wave_basis
 from sunarc.optics.camera import Camera
+from sunarc.optics.displacement import wave_basis
 from sunarc.optics.forward import project
 from sunarc.optics.inverse import unproject
 from sunarc.optics.inverse_table import inverse_table

@@ -36,11 +36,11 @@ from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.fit import robust_fit
 from sunarc.calibration.fit.marginal_likelihood import HyperparameterGrid
 from sunarc.calibration.model.options import CalibrationOptions, LensTolerances
-from sunarc.calibration.model.residual_field import wave_basis
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve import priors
 from sunarc.optics.camera import RADIAL_ORDERS, Camera, camera_sees
+from sunarc.optics.displacement import wave_basis
 from sunarc.optics.projections import ideal_radius
 
 FloatArray = NDArray[np.float64]

@@ -20,13 +20,14 @@ import numpy as np
 from population import random_camera
 
 from sunarc.calibration.model.document import from_document, to_document
-from sunarc.calibration.model.residual_field import Field, WaveBasis
+from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.result import Calibration, Metrics, Provenance, Verdict
 from sunarc.exports.exported import Exported
 from sunarc.exports.formats import FORMATS, export, read_view
 from sunarc.exports.view import Comparison, camera_view, compare
 from sunarc.optics.backward import BackwardModel
 from sunarc.optics.camera import Camera
+from sunarc.optics.displacement import WaveBasis
 from sunarc.optics.pose import pose_angles
 from sunarc.sky.site import Site
 

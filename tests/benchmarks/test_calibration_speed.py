@@ -16,11 +16,11 @@ from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.fit.marginal_likelihood import Scales, prior_precision
 from sunarc.calibration.fit.normal_equations import linear_system, most_probable_with_field
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.calibration.model.residual_field import wave_basis
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.solve.problem import FitProblem, time_bins
 from sunarc.calibration.start.initial_guess import single_problem
 from sunarc.optics.camera import Camera
+from sunarc.optics.displacement import wave_basis
 from sunarc.optics.forward import project
 from sunarc.optics.inverse_table import inverse_table
 from sunarc.sky.site import Site

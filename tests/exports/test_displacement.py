@@ -12,8 +12,8 @@ from tests.exports.conftest import LENS, document_of
 
 from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.model.document import from_document
-from sunarc.calibration.model.residual_field import wave_basis
 from sunarc.exports.formats import FORMATS, export, read_view
+from sunarc.optics.displacement import wave_basis
 from sunarc.optics.forward import project
 
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from sunarc.array_types import Image
 from sunarc.bounds import require_bounds
 from sunarc.calibration.model.document import to_document
-from sunarc.calibration.model.residual_field import Field, WaveBasis
+from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.result import NO_METRICS, Calibration, Provenance, Verdict
 from sunarc.cameras.frame import full_scale_of
 from sunarc.cameras.packed import pack, packing_of
@@ -32,6 +32,7 @@ from sunarc.errors import InputError, disk_errors
 from sunarc.findings import Finding
 from sunarc.optics.backward import fit_backward
 from sunarc.optics.camera import Camera
+from sunarc.optics.displacement import WaveBasis
 from sunarc.optics.pose import pose_angles
 from sunarc.runtime.clock import Clock, SystemClock
 from sunarc.simulation import fake_camera as genicam

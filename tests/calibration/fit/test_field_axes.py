@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sunarc.calibration.fit.marginal_likelihood import BasisProducts
-from sunarc.calibration.model.residual_field import WaveBasis, wave_basis
+from sunarc.optics.displacement import WaveBasis, wave_basis
 
 FloatArray = NDArray[np.float64]
 

@@ -10,8 +10,9 @@ from tests.fixtures.calibration import observed, small_camera, small_problem, sp
 from sunarc.calibration.fit.marginal_likelihood import Scales, field_at, marginal_fit
 from sunarc.calibration.fit.normal_equations import LinearSystem, linear_system
 from sunarc.calibration.fit.posterior import prediction_variance, seen_field
-from sunarc.calibration.model.residual_field import Field, wave_basis
+from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.solve.problem import Bins, FitProblem
+from sunarc.optics.displacement import wave_basis
 
 FloatArray = NDArray[np.float64]
 

@@ -23,10 +23,10 @@ from sunarc.calibration.fit.marginal_likelihood import (
 )
 from sunarc.calibration.fit.normal_equations import LinearSystem, linear_system
 from sunarc.calibration.fit.posterior import PosteriorCovariance, stated_posterior
-from sunarc.calibration.model.residual_field import WaveBasis
 from sunarc.calibration.solve.priors import STRETCH, with_wide_pixels
 from sunarc.calibration.solve.problem import Bins, FitProblem
 from sunarc.optics.camera import Camera
+from sunarc.optics.displacement import WaveBasis
 from sunarc.optics.forward import project
 
 FloatArray = NDArray[np.float64]

@@ -23,7 +23,7 @@ from sunarc.calibration.fit.marginal_likelihood import (
     normal_sums,
     prior_precision,
 )
-from sunarc.calibration.model.residual_field import WaveBasis, wave_basis
+from sunarc.optics.displacement import WaveBasis, wave_basis
 
 FloatArray = NDArray[np.float64]
 

@@ -12,8 +12,8 @@ from tests.fixtures.calibration import observed, small_camera, small_problem, su
 from sunarc.calibration.fit.marginal_likelihood import MarginalFit, NormalEquations, Scales
 from sunarc.calibration.fit.normal_equations import linear_system
 from sunarc.calibration.fit.robust_fit import log_bayes_factor, log_odds_of_parts
-from sunarc.calibration.model.residual_field import WaveBasis, wave_basis
 from sunarc.calibration.solve.problem import Bins
+from sunarc.optics.displacement import WaveBasis, wave_basis
 
 FloatArray = NDArray[np.float64]
 SCALES = Scales(1e-4, 120.0, 2.0, 0.7)

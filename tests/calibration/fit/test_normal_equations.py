@@ -27,10 +27,10 @@ from sunarc.calibration.fit.normal_equations import (
     most_probable_with_field,
     system_about,
 )
-from sunarc.calibration.model.residual_field import WaveBasis, wave_basis
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.priors import LENS, precisions
 from sunarc.calibration.solve.problem import Bins, FitProblem
+from sunarc.optics.displacement import WaveBasis, wave_basis
 
 FloatArray = NDArray[np.float64]
 

@@ -17,10 +17,11 @@ import numpy as np
 from sunarc import _kernels
 from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.answers.direction_table import polar_spline
-from sunarc.calibration.model.residual_field import Field, WaveBasis
+from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.result import Calibration
 from sunarc.errors import InputError
 from sunarc.optics.camera import PARAMETER_NAMES, POSE, Camera
+from sunarc.optics.displacement import WaveBasis
 from sunarc.optics.forward import project_fast, project_with_rows_fast
 from sunarc.optics.inverse_table import InverseTable, inverse_table
 from sunarc.optics.pose import right_jacobian, rotation_matrix, rotation_vector

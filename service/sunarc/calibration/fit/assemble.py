@@ -16,7 +16,7 @@ from sunarc.calibration.fit.cross_validation import Doubts, HeldOut, doubts, hel
 from sunarc.calibration.fit.effects import N_RADIAL, OFFSET_PX, POSE_DIFFERENCE_DEG, SWAY_DEG, SWAYS
 from sunarc.calibration.fit.robust_fit import RobustFit
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
-from sunarc.calibration.model.residual_field import Field, wave_basis
+from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.result import (
     NO_METRICS,
     Calibration,
@@ -37,6 +37,7 @@ from sunarc.calibration.start.initial_guess import level_camera
 from sunarc.findings import Finding
 from sunarc.optics.backward import NO_BACKWARD, fit_backward
 from sunarc.optics.camera import POSE, Camera, Param
+from sunarc.optics.displacement import wave_basis
 from sunarc.optics.forward import rising_limit
 from sunarc.optics.pose import pose_angles, right_jacobian, rotation_matrix, rotation_vector
 from sunarc.sky.days import date_of_day

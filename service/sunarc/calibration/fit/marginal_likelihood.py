@@ -16,8 +16,8 @@ import numpy as np
 from scipy.linalg.lapack import dpstrf
 
 from sunarc.array_types import FloatArray, IntArray
-from sunarc.calibration.model.residual_field import WaveBasis, wave_basis
 from sunarc.calibration.solve.priors import DECENTERING, N_LENS, RADIAL, STRETCH, precisions
+from sunarc.optics.displacement import WaveBasis, wave_basis
 
 _BEYOND_ANY_FIELD_PX = 64.0
 """px; far beyond any field that is tried."""

@@ -20,10 +20,10 @@ from sunarc.calibration.fit.marginal_likelihood import (
     normal_sums,
     prior_precision,
 )
-from sunarc.calibration.model.residual_field import WaveBasis
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.priors import N_LENS
 from sunarc.calibration.solve.problem import Bins, FitProblem, Sighted, residuals_and_columns_of, vectors_of
+from sunarc.optics.displacement import WaveBasis
 from sunarc.optics.forward import Optics
 
 _STEPS = 8

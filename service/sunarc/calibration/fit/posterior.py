@@ -30,11 +30,12 @@ from sunarc.calibration.fit.marginal_likelihood import (
     prior_precision,
 )
 from sunarc.calibration.fit.normal_equations import LinearSystem
-from sunarc.calibration.model.residual_field import Field, WaveBasis
+from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.result import ErrorMixture
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.priors import DECENTERING, HIGHER, STRETCH, with_wide_pixels
 from sunarc.calibration.solve.problem import FitProblem
+from sunarc.optics.displacement import WaveBasis
 
 # What sightings say of the field: see `Field` for the covariance that this makes.
 

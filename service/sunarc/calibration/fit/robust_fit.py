@@ -26,7 +26,6 @@ from sunarc.calibration.fit.normal_equations import LinearSystem
 from sunarc.calibration.fit.posterior import PosteriorCovariance, stated_posterior
 from sunarc.calibration.fit.robust_rounds import LOOSE_DECENTERING_PX, LOOSE_RADIAL_PX, robust_camera
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
-from sunarc.calibration.model.residual_field import WaveBasis
 from sunarc.calibration.model.result import probability, proves
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.noise import Noise, NoiseGroups
@@ -36,6 +35,7 @@ from sunarc.calibration.solve.problem import Bins, FitProblem
 from sunarc.calibration.start.initial_guess import single_problem
 from sunarc.calibration.start.multistart import SMALLEST_SIGMA_PX, best_of_starts, best_start, distance_sigmas, lowest
 from sunarc.optics.camera import Camera
+from sunarc.optics.displacement import WaveBasis
 from sunarc.robust_statistics import robust_sigma, surely_well_behaved
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration.model.residual_field import Field, WaveBasis
+from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.result import (
     Calibration,
     ErrorMixture,
@@ -25,7 +25,7 @@ from sunarc.errors import InputError
 from sunarc.findings import Finding, from_json
 from sunarc.optics.backward import BackwardModel
 from sunarc.optics.camera import PARAMETER_NAMES, Camera
-from sunarc.optics.displacement import HIGHEST_ORDER, Displacement
+from sunarc.optics.displacement import HIGHEST_ORDER, Displacement, WaveBasis
 from sunarc.optics.pose import pose_angles
 from sunarc.sky.site import Site
 from sunarc.utc import rfc3339
