@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 from population import random_camera
 
-from sunarc.calibration.model.document import from_document, to_document
 from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.result import Calibration, Metrics, Provenance, Verdict
+from sunarc.documents.calibration_document import from_document, to_document
 from sunarc.exports.exported import Exported
 from sunarc.exports.formats import FORMATS, export, read_view
 from sunarc.exports.view import Comparison, camera_view, compare

@@ -24,11 +24,11 @@ from scipy.ndimage import gaussian_filter
 from sunarc.archive.archive import CameraArchive, open_archive
 from sunarc.archive.database.schema import upgrade
 from sunarc.archive.values import CameraRecord, Refit
-from sunarc.calibration.model.document import to_document
 from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.result import Calibration, Metrics, Provenance, Verdict
 from sunarc.cameras.frame import Frame
 from sunarc.detection.stars.photometry import NightLimits, NightTrend, dew_suspected, focus_ratio
+from sunarc.documents.calibration_document import to_document
 from sunarc.optics.backward import BackwardModel
 from sunarc.optics.camera import Camera
 from sunarc.optics.displacement import WaveBasis

@@ -27,10 +27,10 @@ from sunarc.archive.database.schema import upgrade
 from sunarc.archive.values import CameraRecord, Refit, SunPoint
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.document import to_document
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.cameras.frame import Frame
+from sunarc.documents.calibration_document import to_document
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.runtime.loop import DropOldestQueue

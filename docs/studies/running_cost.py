@@ -34,8 +34,8 @@ from sunarc.archive.archive import open_archive
 from sunarc.archive.database.schema import upgrade
 from sunarc.archive.values import CameraRecord
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.document import from_document, to_document
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.documents.calibration_document import from_document, to_document
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.runtime.clock import SystemClock

@@ -24,8 +24,8 @@ from sunarc.archive.archive import Archive, open_archive
 from sunarc.archive.database.schema import upgrade
 from sunarc.archive.images import ImageStore
 from sunarc.archive.values import CameraRecord, Day, Event, Housekeeping, Refit, SunPoint
-from sunarc.calibration.model.document import to_document
 from sunarc.calibration.model.result import Calibration
+from sunarc.documents.calibration_document import to_document
 from sunarc.findings import Finding
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project

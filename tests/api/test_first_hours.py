@@ -17,8 +17,8 @@ from tests.api.test_dashboard import CUT_OFF, browser, in_a_browser, is_accessib
 from tests.fixtures.calibrations import SITE
 
 from sunarc.archive.values import SunPoint
-from sunarc.calibration.model.document import to_document
 from sunarc.calibration.model.result import Verdict
+from sunarc.documents.calibration_document import to_document
 from sunarc.findings import Finding
 from sunarc.optics.forward import project
 from sunarc.runtime.status import CameraStatus, ClockStatus, Reason

@@ -17,7 +17,7 @@ from sunarc.api.app import create_hub_app
 from sunarc.api.options import ApiOptions
 from sunarc.archive.archive import open_archive
 from sunarc.archive.values import CameraRecord
-from sunarc.calibration.model.document import to_document
+from sunarc.documents.calibration_document import to_document
 from sunarc.geolocation.locate import local_frame
 from sunarc.optics.forward import project
 from sunarc.runtime.status import StatusSnapshot

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
-from sunarc.calibration.model.document import from_document
+from sunarc.documents.calibration_document import from_document
 from sunarc.optics.forward import project
 from sunarc.simulation.truth import true_camera
 from sunarc.sky.site import Site

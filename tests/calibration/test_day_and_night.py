@@ -15,9 +15,9 @@ from tests.fixtures.calibration import current_document
 from sunarc.array_types import stacked
 from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.document import from_document
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Kind, Sightings, filter_sightings
+from sunarc.documents.calibration_document import from_document
 from sunarc.offline.calibrate_archive import reproduce_calibration
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project

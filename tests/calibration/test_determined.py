@@ -14,11 +14,11 @@ from tests.fixtures.calibration import current_document
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance, sigma_deg, unproject_with_sigma
 from sunarc.calibration.answers.direction_table import lookup
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.document import from_document
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.quality.fit_checks import provisional
+from sunarc.documents.calibration_document import from_document
 from sunarc.exports.formats import calibration_view
 from sunarc.optics.camera import Camera, camera_sees
 from sunarc.optics.forward import project

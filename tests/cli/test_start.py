@@ -88,7 +88,7 @@ def _loaded(code: str) -> list[str]:
 
 @pytest.mark.parametrize("module", ["covariance", "direction_table", "error_model"])
 def test_a_pixel_a_direction_and_a_map_are_answered_without_a_fit(module: str) -> None:
-    loaded = _loaded(f"import sunarc.calibration.answers.{module}, sunarc.calibration.model.document")
+    loaded = _loaded(f"import sunarc.calibration.answers.{module}, sunarc.documents.calibration_document")
     assert len([name for name in loaded if name.startswith("sunarc.calibration")]) <= 15
     assert not {*FIT, *SCIPY, "pandas", "cv2", "sqlalchemy", "pydantic"}.intersection(loaded)
 

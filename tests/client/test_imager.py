@@ -22,8 +22,8 @@ from sunarc.api.options import ApiOptions
 from sunarc.archive.archive import open_archive
 from sunarc.archive.images import ImageStore
 from sunarc.calibration.answers.covariance import project_with_covariance, unproject_with_sigma
-from sunarc.calibration.model.document import from_document
 from sunarc.client import Imager, ImagerError
+from sunarc.documents.calibration_document import from_document
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
 from sunarc.runtime.supervisor import of_worker

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tests.fixtures.calibrations import chosen_calibration
 
 from sunarc.calibration.answers.covariance import hemisphere
-from sunarc.calibration.model.document import to_document
+from sunarc.documents.calibration_document import to_document
 from sunarc.exports.exported import Exported
 from sunarc.exports.formats import export
 from sunarc.optics.camera import Camera, camera_sees

@@ -11,7 +11,7 @@ from scipy.interpolate import RegularGridInterpolator
 from tests.exports.conftest import FloatArray, worst_stated_px
 
 from sunarc.calibration.answers.covariance import unproject_with_sigma
-from sunarc.calibration.model.document import from_document
+from sunarc.documents.calibration_document import from_document
 from sunarc.exports.formats import export
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project

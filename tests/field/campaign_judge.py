@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
-from sunarc.calibration.model.document import from_document
+from sunarc.documents.calibration_document import from_document
 from sunarc.optics.forward import project
 from sunarc.reanalysis.passes import SEARCHED
 from sunarc.sky.night import body_directions

@@ -48,9 +48,9 @@ from sunarc.api.arrays import read_rows
 from sunarc.archive.csv_files import read_pairs, read_sightings
 from sunarc.archive.database.recovery import Column, leaf_rows
 from sunarc.archive.fleet.feed_rows import FeedRow, feed_lines, read_feed_lines
-from sunarc.calibration.lens_library.lens_type import lens_type_from_json
-from sunarc.calibration.model.document import from_document, to_document
 from sunarc.calibration.model.result import Calibration
+from sunarc.documents.calibration_document import from_document, to_document
+from sunarc.documents.lens_prior import lens_type_from_json
 from sunarc.errors import InputError, SunarcError
 from sunarc.exports.formats import FORMATS, read_view
 from sunarc.findings import Finding

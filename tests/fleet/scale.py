@@ -23,7 +23,7 @@ from tests.fleet.hub_process import HubProcess
 
 from sunarc.archive.archive import open_archive
 from sunarc.archive.values import CameraRecord
-from sunarc.calibration.model.document import to_document
+from sunarc.documents.calibration_document import to_document
 
 _BEGIN = datetime(2026, 1, 1, tzinfo=UTC)
 _STEP_S = 30.0

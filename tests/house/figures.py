@@ -341,7 +341,7 @@ def _write_track(path: Path) -> Path:
     return path
 
 
-PIXEL = "sunarc.calibration.model.document, sunarc.optics.backward"
+PIXEL = "sunarc.documents.calibration_document, sunarc.optics.backward"
 """What answers which direction a pixel of a document has."""
 
 

@@ -15,9 +15,9 @@ import pytest
 from tests.exports.conftest import LENS, document_of
 from tests.fixtures.settings import SGP
 
-from sunarc.calibration.model.document import from_document
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.stated_prior import PriorTolerances
+from sunarc.documents.calibration_document import from_document
 from sunarc.errors import InputError
 from sunarc.exports.formats import export
 from sunarc.offline.calibrate_files import calibrate_file, image_circle_of, start_camera

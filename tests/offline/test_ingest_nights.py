@@ -20,7 +20,7 @@ from sunarc.archive.archive import open_archive
 from sunarc.archive.database.schema import upgrade
 from sunarc.archive.images import ImageStore
 from sunarc.archive.values import CameraRecord, SunPointColumns
-from sunarc.calibration.model.document import to_document
+from sunarc.documents.calibration_document import to_document
 from sunarc.optics.forward import project
 from sunarc.reanalysis.messages import RefusedImageError
 from sunarc.sky.night import body_directions

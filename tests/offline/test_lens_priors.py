@@ -16,8 +16,8 @@ import sunarc
 from sunarc.archive.csv_files import write_sightings
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.lens_library.lens_type import UnitSpread
-from sunarc.calibration.model.document import to_document
 from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.documents.calibration_document import to_document
 from sunarc.errors import InputError
 from sunarc.offline.calibrate_files import (
     LENS_FILE,

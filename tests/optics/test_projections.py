@@ -17,8 +17,8 @@ from tests.fixtures.calibration import current_document, distinctive_calibration
 
 from sunarc import _kernels
 from sunarc.array_types import FloatArray
-from sunarc.calibration.model.document import from_document
 from sunarc.client import CameraModel
+from sunarc.documents.calibration_document import from_document
 from sunarc.errors import InputError
 from sunarc.optics.forward import kernel_optics
 from sunarc.optics.pose import right_jacobian, rotation_matrix

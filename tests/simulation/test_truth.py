@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from sunarc.calibration.answers.covariance import project_with_covariance
-from sunarc.calibration.model.document import from_document
+from sunarc.documents.calibration_document import from_document
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import decentering_shift, distorted_radius, project, rising_limit
 from sunarc.optics.pose import pose_angles

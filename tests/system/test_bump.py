@@ -14,10 +14,10 @@ from sunarc.archive.archive import Archive, open_archive
 from sunarc.archive.database.schema import upgrade
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.document import from_document, to_document
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.cameras.options import AravisOptions
+from sunarc.documents.calibration_document import from_document, to_document
 from sunarc.optics.forward import project
 from sunarc.runtime.clock import VirtualClock
 from sunarc.settings.model import Settings

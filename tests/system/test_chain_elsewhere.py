@@ -16,9 +16,9 @@ from tests.workers.long_run import solve_here
 from sunarc.app.service import Service
 from sunarc.archive.archive import open_archive
 from sunarc.archive.database.schema import upgrade
-from sunarc.calibration.model.document import from_document
 from sunarc.cameras.frame import SkyCamera
 from sunarc.cameras.options import AravisOptions
+from sunarc.documents.calibration_document import from_document
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.runtime.clock import VirtualClock

@@ -22,7 +22,7 @@ from sunarc.archive.archive import open_archive
 from sunarc.archive.database.backup import backup_into
 from sunarc.archive.database.schema import upgrade
 from sunarc.archive.values import CameraRecord
-from sunarc.calibration.model.document import to_document
+from sunarc.documents.calibration_document import to_document
 
 from .test_restart import CONFIG, answers, run_serve, sunarc, wait_for
 

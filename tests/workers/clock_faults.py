@@ -25,12 +25,12 @@ from sunarc.archive.archive import open_archive
 from sunarc.archive.sightings import sun_point_of
 from sunarc.archive.values import CameraRecord, Event
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.document import from_document, to_document
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.cameras.frame import Frame, SkyCamera
 from sunarc.cameras.options import AravisOptions
 from sunarc.detection.values import Detection
+from sunarc.documents.calibration_document import from_document, to_document
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector

@@ -27,9 +27,9 @@ from sunarc.archive.database.schema import upgrade
 from sunarc.archive.values import CameraRecord, Refit, SunPoint
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance, sigma_px
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.document import from_document
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
+from sunarc.documents.calibration_document import from_document
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.runtime.clock import VirtualClock

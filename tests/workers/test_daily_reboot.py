@@ -24,10 +24,10 @@ from sunarc.app.service import Service
 from sunarc.archive.archive import open_archive
 from sunarc.archive.values import CameraRecord
 from sunarc.calibration.answers.covariance import project_with_covariance, sigma_px
-from sunarc.calibration.model.document import from_document
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
 from sunarc.cameras.frame import SkyCamera
 from sunarc.cameras.options import AravisOptions
+from sunarc.documents.calibration_document import from_document
 from sunarc.runtime.clock import ClockState, VirtualClock
 from sunarc.settings.model import Settings
 from sunarc.sky.site import Site

@@ -22,9 +22,9 @@ from sunarc.archive.archive import Archive, CameraArchive, open_archive
 from sunarc.archive.database.schema import check, downgrade, upgrade
 from sunarc.archive.database.tables import metadata
 from sunarc.archive.values import CameraRecord, Day, Event, Refit, SunPoint
-from sunarc.calibration.model.document import to_document
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.documents.calibration_document import to_document
 from sunarc.errors import InputError
 from sunarc.findings import Finding
 from sunarc.monitoring.values import WatchOptions

@@ -19,9 +19,9 @@ from sunarc.archive.archive import Archive, CameraArchive
 from sunarc.archive.values import Event, Refit, SunPoint
 from sunarc.calibration.answers.covariance import project_with_covariance
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.document import from_document
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
+from sunarc.documents.calibration_document import from_document
 from sunarc.findings import Finding
 from sunarc.monitoring.step_search import PoseStep, find_pose_steps
 from sunarc.offline.calibrate_archive import reproduce_calibration

@@ -21,6 +21,7 @@ from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread, fram
 from sunarc.calibration.model.options import CalibrationOptions, FirstPoseOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.documents.lens_prior import lens_type_to_json
 from sunarc.errors import InputError
 from sunarc.monitoring.values import WatchOptions
 from sunarc.optics.camera import Camera
@@ -136,7 +137,7 @@ def full_fit() -> Calibration:
 
 
 def store_current(imager: NewImager, full: Calibration) -> None:
-    from sunarc.calibration.model.document import to_document  # noqa: PLC0415 - beside its only use
+    from sunarc.documents.calibration_document import to_document  # noqa: PLC0415 - beside its only use
 
     epoch = imager.archive.epochs.current("roof", at=imager.now + timedelta(seconds=1))
     assert epoch is not None
@@ -196,7 +197,7 @@ def test_without_a_lens_prior_nothing_is_served_before_the_first_fit(tmp_path: P
 
 def test_the_settings_name_a_lens_prior_file(tmp_path: Path, lens: LensType) -> None:
     path = tmp_path / "lens.json"
-    path.write_text(json.dumps(lens.to_json(software_version="1")))
+    path.write_text(json.dumps(lens_type_to_json(lens, software_version="1")))
     found = FirstPose.of(LensPriorOptions(lens_prior=path, top_azimuth_deg=10.0))
     assert found is not None
     assert (found.lens.cameras, found.pose.top_azimuth_deg) == (("one",), 10.0)

@@ -19,7 +19,7 @@ from tests.finding_codes import codes
 from sunarc.archive.archive import Archive, CameraArchive, open_archive
 from sunarc.archive.database.backup import backup
 from sunarc.archive.values import Day, SunPoint
-from sunarc.calibration.model.document import from_document
+from sunarc.documents.calibration_document import from_document
 from sunarc.errors import InputError
 from sunarc.offline.calibrate_archive import solve_again
 from sunarc.settings.load import load_settings

@@ -15,7 +15,7 @@ from tests.fixtures.archive import make_empty
 from sunarc.archive.archive import Archive, open_archive
 from sunarc.archive.fleet.nightly import CrossCheck
 from sunarc.archive.values import CameraRecord, SunPoint
-from sunarc.calibration.model.document import to_document
+from sunarc.documents.calibration_document import to_document
 from sunarc.sky.days import solar_date
 from sunarc.sky.site import Site
 from sunarc.workers.nightly import cross_check_fleet

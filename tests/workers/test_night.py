@@ -19,9 +19,9 @@ from sunarc.archive.archive import Archive, CameraArchive
 from sunarc.archive.images import ImageStore
 from sunarc.archive.values import CameraRecord, Event, Refit
 from sunarc.array_types import Image
-from sunarc.calibration.model.document import to_document
 from sunarc.calibration.model.result import Calibration
 from sunarc.cameras.frame import Frame
+from sunarc.documents.calibration_document import to_document
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.runtime.loop import DropOldestQueue

@@ -19,10 +19,10 @@ from sunarc.archive.values import CameraRecord, DayAir, Event, SunPoint
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.messages import MESSAGES
-from sunarc.calibration.model.document import from_document, to_document
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.documents.calibration_document import from_document, to_document
 from sunarc.errors import OutsideError
 from sunarc.findings import from_json, uncoded
 from sunarc.monitoring import detect_change

@@ -33,8 +33,8 @@ from sunarc.archive.events import insert_event
 from sunarc.archive.messages import MESSAGES, text_of
 from sunarc.archive.sightings import ELSEWHERE, LENS_CHANGED, MOVED, not_closed
 from sunarc.archive.values import CalibrationRecord, CalibrationState, Event, PoseEpoch, SunPointColumns
-from sunarc.calibration.model.document import from_document
 from sunarc.calibration.model.result import Calibration
+from sunarc.documents.calibration_document import from_document
 from sunarc.errors import InputError, NotFoundError
 from sunarc.findings import Finding, findings_of
 from sunarc.utc import rfc3339

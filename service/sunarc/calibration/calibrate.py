@@ -75,17 +75,7 @@ def calibrate(
         start = start.lens_alone()
         options = replace(options, projection=start.projection)
     usable = filter_sightings(points, site=site, image_size=image_size)
-    job = Job(
-        points=points,
-        usable=usable,
-        site=site,
-        image_size=image_size,
-        options=options,
-        circle=circle,
-        start=start,
-        parts=parts,
-    )
-    return _calibrated(job)
+    return _calibrated(Job(points, usable, site, image_size, options, circle, start, parts=parts))
 
 
 def _calibrated(job: Job) -> Calibration:

@@ -10,8 +10,8 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from sunarc.calibration.model.document import from_document
 from sunarc.cli.options import AsJson, CalibrationFile, print_json, table
+from sunarc.documents.calibration_document import from_document
 from sunarc.errors import InputError, disk_errors
 from sunarc.exports.asi_core import asi_core_set
 from sunarc.exports.exported import Exported

@@ -20,8 +20,8 @@ from scipy.spatial.transform import Rotation
 
 from sunarc.array_types import FloatArray
 from sunarc.calibration.answers.direction_table import BackProjectionMap, back_projection_map, lookup
-from sunarc.calibration.model.document import from_document
 from sunarc.calibration.model.result import Calibration
+from sunarc.documents.calibration_document import from_document
 from sunarc.errors import InputError
 from sunarc.exports.exported import FAR_FUTURE, FAR_PAST, Exported, notes_of
 from sunarc.exports.matlab import matlab_bytes, read_variables

@@ -13,8 +13,8 @@ import numpy as np
 from sunarc.calibration.answers.covariance import project_with_covariance, unproject_with_sigma
 from sunarc.calibration.answers.direction_table import BackProjectionMap, back_projection_map, lookup
 from sunarc.calibration.answers.error_model import draw_ensemble
-from sunarc.calibration.model.document import from_document
 from sunarc.calibration.model.result import Calibration
+from sunarc.documents.calibration_document import from_document
 from sunarc.errors import InputError
 from sunarc.exports import fisheye, pixel_maps
 from sunarc.exports.asi_core import asi_core_file, read_asi_core

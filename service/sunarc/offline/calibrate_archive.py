@@ -15,11 +15,11 @@ from sunarc.archive.database.schema import require_file
 from sunarc.archive.database.state_folder import lock_state
 from sunarc.archive.values import Refit
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.document import from_document, to_document
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances, PaperOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.quality.widening import with_pose_spread
+from sunarc.documents.calibration_document import from_document, to_document
 from sunarc.errors import InputError
 from sunarc.findings import Finding
 from sunarc.monitoring.acceptance import distance_px

@@ -19,7 +19,6 @@ from sunarc.calibration.change_points import calibrate_moved
 from sunarc.calibration.lens_library.first_pose import calibrate_with_lens
 from sunarc.calibration.lens_library.joint import Entry, Unit, calibrate_jointly, lens_type_of
 from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread
-from sunarc.calibration.model.document import from_document, to_document
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Mirrored
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
@@ -27,6 +26,8 @@ from sunarc.calibration.pose import estimate_pose
 from sunarc.calibration.projection_choice import calibrate_unknown_lens
 from sunarc.calibration.quality.fit_checks import provisional
 from sunarc.calibration.stated_prior import PriorTolerances, calibrate_with_prior
+from sunarc.documents.calibration_document import from_document, to_document
+from sunarc.documents.lens_prior import lens_type_to_json
 from sunarc.errors import InputError
 from sunarc.exports.view import closest_camera
 from sunarc.extras import extra_module
@@ -42,7 +43,7 @@ from sunarc.utc import utc_time
 
 def write_lens_prior(path: Path, lens: LensType) -> None:
     """Write a lens prior file."""
-    content = lens.to_json(software_version=sunarc.__version__)
+    content = lens_type_to_json(lens, software_version=sunarc.__version__)
     path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 

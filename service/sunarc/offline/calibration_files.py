@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from sunarc.archive.csv_files import read_pairs, write_columns
 from sunarc.array_types import FloatArray, Image
 from sunarc.calibration.answers.covariance import project_with_covariance, sigma_px, unproject_with_sigma
-from sunarc.calibration.model.document import from_document
 from sunarc.calibration.model.result import Calibration
 from sunarc.detection.values import Bayer
+from sunarc.documents.calibration_document import from_document
 from sunarc.errors import InputError, OutsideError, disk_errors
 from sunarc.exports.exported import Table, Variable
 from sunarc.exports.formats import read_view

@@ -17,7 +17,6 @@ from sunarc.archive.csv_files import write_sightings
 from sunarc.array_types import FloatArray, Image, IntArray, evenly_spread
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.messages import MESSAGES as OF_CALIBRATION
-from sunarc.calibration.model.document import to_document
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
@@ -25,6 +24,7 @@ from sunarc.detection.messages import reason_of
 from sunarc.detection.stars.detect import detect_stars
 from sunarc.detection.stars.matching import StarMatches
 from sunarc.detection.values import FWHM, Bayer, PredictedStars, Stars
+from sunarc.documents.calibration_document import to_document
 from sunarc.errors import InputError
 from sunarc.findings import Finding, Messages
 from sunarc.monitoring.selection import MOST_STARS, image_parts, sky_parts, surest_of_parts

@@ -12,12 +12,12 @@ import numpy as np
 import sunarc
 from sunarc.array_types import FloatArray, IntArray, stacked
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.document import to_document
 from sunarc.calibration.model.result import Calibration, refused_for
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.quality.fit_checks import provisional
 from sunarc.calibration.quality.tilt import tilt_question
 from sunarc.calibration.quality.widening import with_larger_errors, with_pose_spread
+from sunarc.documents.calibration_document import to_document
 from sunarc.findings import Finding
 from sunarc.monitoring.acceptance import apart_sigmas
 from sunarc.monitoring.selection import select_sightings, surest_of_epochs

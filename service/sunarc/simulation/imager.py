@@ -22,12 +22,12 @@ from numpy.typing import NDArray
 
 from sunarc.array_types import Image
 from sunarc.bounds import require_bounds
-from sunarc.calibration.model.document import to_document
 from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.result import NO_METRICS, Calibration, Provenance, Verdict
 from sunarc.cameras.frame import full_scale_of
 from sunarc.cameras.packed import pack, packing_of
 from sunarc.detection.values import bayer_of
+from sunarc.documents.calibration_document import to_document
 from sunarc.errors import InputError, disk_errors
 from sunarc.findings import Finding
 from sunarc.optics.backward import fit_backward

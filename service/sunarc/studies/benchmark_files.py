@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration.model.document import from_document
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.documents.calibration_document import from_document
 from sunarc.errors import InputError, disk_errors
 from sunarc.findings import Finding
 from sunarc.sky.directions import angles_from_direction, direction_from_angles

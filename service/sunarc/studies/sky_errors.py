@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from sunarc.array_types import FloatArray, Image
-from sunarc.calibration.model.document import from_document
+from sunarc.documents.calibration_document import from_document
 from sunarc.errors import OutsideError
 from sunarc.optics.forward import project
 from sunarc.sky.directions import angles_from_direction, direction_from_angles

@@ -20,10 +20,10 @@ from sunarc.calibration.answers.covariance import (
 )
 from sunarc.calibration.answers.direction_table import back_projection_map, lookup
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.document import from_document, to_document
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve import problem as bins_module
+from sunarc.documents.calibration_document import from_document, to_document
 from sunarc.errors import InputError
 from sunarc.monitoring.acceptance import accept
 from sunarc.optics.backward import back_project

@@ -21,9 +21,9 @@ from tests.fixtures.calibration import SGP, current_document, distinctive_calibr
 from sunarc.array_types import stacked
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.document import from_document
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Kind, Sightings
+from sunarc.documents.calibration_document import from_document
 from sunarc.errors import InputError
 from sunarc.optics.backward import back_project
 from sunarc.optics.forward import project

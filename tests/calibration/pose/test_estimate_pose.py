@@ -14,11 +14,11 @@ from scipy.spatial.transform import Rotation
 
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.document import from_document, to_document
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.pose import estimate_pose
+from sunarc.documents.calibration_document import from_document, to_document
 from sunarc.monitoring.daily_rotations import daily_pose_offset
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project

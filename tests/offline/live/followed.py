@@ -15,8 +15,8 @@ from sunarc.archive.archive import open_archive
 from sunarc.archive.database.schema import upgrade
 from sunarc.archive.values import SunPoint
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.model.document import to_document
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.documents.calibration_document import to_document
 from sunarc.reanalysis.folder_worker import FolderWorker
 from sunarc.runtime.clock import VirtualClock
 

@@ -20,7 +20,7 @@ from tests.offline.reanalysis.made import MADE, analysed, indexed_in, tables_in
 
 from sunarc.archive.csv_files import read_sightings
 from sunarc.archive.database.state_folder import lock_state
-from sunarc.calibration.model.document import from_document
+from sunarc.documents.calibration_document import from_document
 from sunarc.errors import InputError, OutsideError
 from sunarc.reanalysis import look
 from sunarc.reanalysis.results import Summary, exports_of

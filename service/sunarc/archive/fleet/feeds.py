@@ -57,7 +57,7 @@ from sunarc.archive.fleet.feed_rows import (
     Refusal,
 )
 from sunarc.archive.fleet.feed_schema import LATEST_US, problem_of, typed
-from sunarc.calibration.model.document import READ_SCHEMAS
+from sunarc.documents.calibration_document import READ_SCHEMAS
 from sunarc.errors import InputError, NotFoundError, OutsideError
 from sunarc.json_fields import EXAMPLE_TIME, Returned, Time, described
 from sunarc.utc import from_microseconds, utc_time

@@ -18,12 +18,13 @@ from sunarc.archive.archive import CameraArchive
 from sunarc.archive.sightings import LENS_CHANGED
 from sunarc.archive.values import CalibrationRecord, PoseEpoch
 from sunarc.calibration.lens_library.first_pose import first_pose
-from sunarc.calibration.lens_library.lens_type import LensType, lens_type_from_json
-from sunarc.calibration.model.document import to_document
+from sunarc.calibration.lens_library.lens_type import LensType
 from sunarc.calibration.model.options import CalibrationOptions, FirstPoseOptions, Mirrored
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, Sightings
 from sunarc.calibration.pose import estimate_pose
+from sunarc.documents.calibration_document import to_document
+from sunarc.documents.lens_prior import lens_type_from_json
 from sunarc.errors import InputError
 from sunarc.workers.calibrating.solver_process import points_of
 from sunarc.workers.options import LensPriorOptions

@@ -19,12 +19,12 @@ from sunarc.archive.sightings import LENS_CHANGED
 from sunarc.archive.values import CalibrationRecord, Event, EventSeverity, PoseEpoch, Refit, RefitState, SunPointColumns
 from sunarc.array_types import IntArray
 from sunarc.calibration.messages import MESSAGES as CHANGES
-from sunarc.calibration.model.document import to_document
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
 from sunarc.calibration.quality.fit_checks import provisional
 from sunarc.calibration.quality.widening import with_pose_spread
+from sunarc.documents.calibration_document import to_document
 from sunarc.errors import InputError, NotFoundError
 from sunarc.findings import Data, Finding
 from sunarc.monitoring.acceptance import accept, pose_spread_deg, unseen_points

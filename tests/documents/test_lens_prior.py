@@ -8,14 +8,15 @@ from typing import Any
 
 import pytest
 
-from sunarc.calibration.lens_library.lens_type import LENS_SCHEMA, LensType, UnitSpread, lens_type_from_json
+from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread
+from sunarc.documents.lens_prior import LENS_SCHEMA, lens_type_from_json, lens_type_to_json
 from sunarc.errors import InputError
 
 Change = Callable[[dict[str, Any]], object]
 
 
 def test_what_is_written_is_read(lens: LensType) -> None:
-    content = json.loads(json.dumps(lens.to_json(software_version="1"), allow_nan=False))
+    content = json.loads(json.dumps(lens_type_to_json(lens, software_version="1"), allow_nan=False))
     assert content["schema"] == LENS_SCHEMA
     assert content["provenance"] == {"cameras": ["one", "two"], "days": ["2013-05-13"]}
     center = content["lens"]["principal_point_from_center_px"]
@@ -44,7 +45,7 @@ def test_what_is_written_is_read(lens: LensType) -> None:
     ],
 )
 def test_what_is_wrong_is_named(lens: LensType, change: Change, field: str) -> None:
-    content = json.loads(json.dumps(lens.to_json(software_version="1")))
+    content = json.loads(json.dumps(lens_type_to_json(lens, software_version="1")))
     change(content)
     with pytest.raises(InputError) as refused:
         lens_type_from_json(content)
