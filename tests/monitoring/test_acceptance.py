@@ -12,8 +12,8 @@ from tests.finding_codes import codes
 from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.model.result import Verdict
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.quality import acceptance
 from sunarc.findings import Finding
+from sunarc.monitoring import acceptance
 from sunarc.monitoring.acceptance import accept, distance_px, unseen_points
 from sunarc.optics.camera import PARAMETER_NAMES
 from sunarc.optics.forward import project, project_with_rows_fast

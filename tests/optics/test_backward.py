@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from tests.fixtures.calibration import ideal_camera, numerical_derivative, small_camera, spread_directions
 
-from sunarc.calibration.model import backward
+from sunarc.optics import backward
 from sunarc.optics.backward import NO_BACKWARD, BackwardModel, back_project, fit_backward
 from sunarc.optics.camera import camera_sees
 from sunarc.optics.forward import project

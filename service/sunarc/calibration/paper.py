@@ -16,7 +16,7 @@ from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.problem import Bins, time_bins
 from sunarc.calibration.start.initial_guess import as_far_as_it_rises
 from sunarc.optics.camera import PARAMETER_NAMES, RADIAL_ORDERS, TRANSLATION, Camera, Param
-from sunarc.optics.forward import kernel_optics, project_fast
+from sunarc.optics.forward import kernel_optics, project_fast, tangent_basis
 from sunarc.optics.inverse import unproject
 from sunarc.optics.pose import rotation_vector
 from sunarc.optics.projections import Projection, ideal_radius, ideal_slope
@@ -196,20 +196,12 @@ def direct_linear_pose(camera: Camera, observed: Sightings) -> Camera:
     center, spread = world.mean(axis=0), float(np.mean(np.linalg.norm(world - world.mean(axis=0), axis=-1)))
     scale = math.sqrt(3.0) / spread
     normalised = np.concatenate([scale * (world - center), np.ones((world.shape[0], 1))], axis=1)
-    blocks = np.einsum("ni,naj->naji", normalised, left_null_spaces(rays)).reshape(-1, 3, 4)
+    blocks = np.einsum("ni,nja->naji", normalised, tangent_basis(rays)).reshape(-1, 3, 4)
     solution = np.linalg.svd(blocks.reshape(-1, 12), full_matrices=False)[2][-1].reshape(3, 4)
     undo = np.eye(4)
     undo[:3] *= scale
     undo[:3, 3] = -scale * center
     return _posed(camera, solution @ undo, world, rays)
-
-
-def left_null_spaces(rays: FloatArray) -> FloatArray:
-    """Return (n, 2, 3): two unit vectors orthogonal to each ray and to each other."""
-    helper = np.where(np.abs(rays[:, 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
-    first = np.cross(helper, rays)
-    first /= np.linalg.norm(first, axis=-1, keepdims=True)
-    return np.stack([first, np.cross(rays, first)], axis=1)
 
 
 def _posed(camera: Camera, matrix: FloatArray, world: FloatArray, rays: FloatArray) -> Camera:

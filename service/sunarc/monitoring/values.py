@@ -66,7 +66,7 @@ class SightingWindow(Sightings):
 
     Attributes
     ----------
-    pixels, unix_s, directions, sigma_px : see `Sightings`.
+    pixels : see `Sightings`, as for the other columns.
     trusted : (n,) whether each agreed with those before it.
     surprise : (n, 2) by how many sigmas it did not, in whitened axes; 0 where it is not trusted.
     """

@@ -51,6 +51,13 @@ def rotation_between(first: ArrayLike, second: ArrayLike) -> float:
     return float(np.linalg.norm(rotation_vector(turn)))
 
 
+def smallest_rotation(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Return (..., 3): the smallest rotation vector, radians, that takes unit vectors (..., 3) to others."""
+    axis = np.cross(first, second)
+    sine, cosine = np.linalg.norm(axis, axis=-1), np.sum(first * second, axis=-1)
+    return np.asarray(axis * (np.arctan2(sine, cosine) / np.maximum(sine, 1e-12))[..., None])
+
+
 def pose_angles(rotation_cam_enu: ArrayLike) -> PoseAngles:
     """Return the Table 2 angles of a pose.
 

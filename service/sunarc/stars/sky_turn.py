@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 
 from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.optics.forward import tangent_basis
+from sunarc.optics.pose import rotation_matrix
 from sunarc.optics.projections import PROJECTIONS, Projection, angle_of_shape, ideal_radius, radius_of_shape
 
 # The search: how many detections of one image come onto those of another.
@@ -43,7 +44,7 @@ def _counts(
     found = np.empty(turns.angles.size)
     for begin in range(0, found.size, _CHUNK):
         part = slice(begin, begin + _CHUNK)
-        u, v, w = np.moveaxis(_rotations(turns.poles[part], turns.angles[part]) @ rays.T, 1, 0)
+        u, v, w = np.moveaxis(rotation_matrix(turns.angles[part, None] * turns.poles[part]) @ rays.T, 1, 0)
         across = np.hypot(u, v)
         theta = np.arctan2(across, w)
         inside = theta <= largest
@@ -53,15 +54,6 @@ def _counts(
         hits = np.count_nonzero(near[row * within, column * within] & within, axis=1)
         found[part] = hits / np.maximum(np.count_nonzero(inside, axis=1), rays.shape[0] // 3)
     return found
-
-
-def _rotations(poles: FloatArray, angles: FloatArray) -> FloatArray:
-    """Return matrices (..., 3, 3) of turns by angles (...), rad, about unit vectors (..., 3): Rodrigues' formula."""
-    cosine, sine = np.cos(angles)[..., None, None], np.sin(angles)[..., None, None]
-    x, y, z = np.moveaxis(poles, -1, 0)
-    none = np.zeros_like(x)
-    crossed = np.stack([none, -z, y, z, none, -x, -y, x, none], axis=-1).reshape(*poles.shape, 3)
-    return np.asarray(cosine * np.eye(3) + sine * crossed + (1.0 - cosine) * poles[..., None] * poles[..., None, :])
 
 
 def _marked(onto: FloatArray, half: float, reach: float, n: int) -> tuple[BoolArray, float]:
@@ -110,8 +102,8 @@ MAX_ANGLE = math.radians(95.0)
 
 
 def turned(rays: FloatArray, pole: FloatArray, angle: float) -> FloatArray:
-    """Return rays (n, 3) turned about poles (..., 3) by an angle in radians, (..., n, 3)."""
-    return np.asarray(rays @ np.swapaxes(_rotations(pole, np.asarray(angle)), -1, -2))
+    """Return rays (n, 3) turned about a pole (3,) by an angle in radians."""
+    return np.asarray(rays @ rotation_matrix(angle * pole).T)
 
 
 # One family of lenses with a number for its shape: all five ideal projections, and what lies between them.

@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import dblquad
 from tests.fixtures.calibration import ideal_camera
 
-from sunarc.calibration.quality import site_checks as module
+from sunarc.calibration.quality import tilt as module
 from sunarc.calibration.quality.tilt import tilt_question
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project

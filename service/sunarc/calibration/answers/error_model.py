@@ -189,9 +189,7 @@ def moved(camera: Camera, error_model: CameraErrorModel, change: FloatArray) -> 
 
 def rotated(camera: Camera, rotation: FloatArray) -> Camera:
     """Return a camera after a turn (3,) about its own axes, radians."""
-    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - the command line loads without it
-
-    matrix = Rotation.from_rotvec(rotation).as_matrix() @ rotation_matrix(camera.rotation_cam_enu)
+    matrix = rotation_matrix(rotation) @ rotation_matrix(camera.rotation_cam_enu)
     return replace(camera, rotation_cam_enu=rotation_vector(matrix))
 
 

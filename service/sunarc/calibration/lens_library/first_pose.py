@@ -54,7 +54,7 @@ from sunarc.findings import Finding
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project_fast
 from sunarc.optics.inverse import unproject
-from sunarc.optics.pose import rotation_between, rotation_matrix, rotation_vector
+from sunarc.optics.pose import rotation_between, rotation_matrix, rotation_vector, smallest_rotation
 from sunarc.robust_statistics import finite
 from sunarc.sky.directions import wrapped_deg
 from sunarc.sky.site import Site
@@ -72,10 +72,7 @@ def level(camera: Camera, azimuth_rad: float) -> Camera:
 
 def levelling(camera: Camera) -> FloatArray:
     """Return the smallest rotation (3,) about a camera's own axes, radians, that points it at the zenith."""
-    zenith = rotation_matrix(camera.rotation_cam_enu) @ np.array([0.0, 0.0, 1.0])
-    axis = np.cross(zenith, [0.0, 0.0, 1.0])
-    sine = float(np.linalg.norm(axis))
-    return np.asarray(axis * (math.atan2(sine, float(zenith[2])) / max(sine, 1e-12)))
+    return smallest_rotation(rotation_matrix(camera.rotation_cam_enu)[:, 2], np.array([0.0, 0.0, 1.0]))
 
 
 def top_azimuth_deg(camera: Camera) -> float:

@@ -8,7 +8,7 @@ its own fit given what all the others say of the type (`further_unit`); no syste
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import NamedTuple
@@ -36,6 +36,7 @@ from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.priors import N_LENS
 from sunarc.errors import InputError
+from sunarc.optics.camera import Camera
 from sunarc.sky.site import Site
 
 # Several cameras of one type of lens: the mean of the type, and the spread between its units.
@@ -102,16 +103,8 @@ def require_one_type(units: Sequence[Unit]) -> None:
     """Raise InputError unless calibrations can be of one type of lens, and state its covariance."""
     if not units:
         raise InputError(field="lens prior", problem="no calibration", remedy="name accepted calibrations")
-    first = units[0]
-    kind = _kind(first.calibration)
+    _require_alike([(one.camera, _kind(one.calibration.camera)) for one in units])
     for one in units:
-        for name, value in _kind(one.calibration).items():
-            if value != kind[name]:
-                raise InputError(
-                    field=one.camera,
-                    problem=f"{name} {value}, that of {first.camera} is {kind[name]}",
-                    remedy="combine cameras of one type of lens on one kind of sensor",
-                )
         if any(name not in one.calibration.parameter_names for name in LENS_NAMES):
             raise InputError(
                 field=one.camera,
@@ -120,13 +113,22 @@ def require_one_type(units: Sequence[Unit]) -> None:
             )
 
 
-def _kind(calibration: Calibration) -> dict[str, str]:
-    camera = calibration.camera
-    return {
-        "projection": camera.projection,
-        "image size": f"{camera.width}x{camera.height}",
-        "handedness": "mirrored" if camera.mirrored else "not mirrored",
-    }
+def _kind(camera: Camera) -> dict[str, object]:
+    handedness = "mirrored" if camera.mirrored else "not mirrored"
+    return {"image size": (camera.width, camera.height), "projection": camera.projection, "handedness": handedness}
+
+
+def _require_alike(kinds: Sequence[tuple[str, Mapping[str, object]]]) -> None:
+    """Raise InputError where cameras, each with its name, differ in what those of one type have in common."""
+    first, common = kinds[0]
+    for name, kind in kinds:
+        for what, value in kind.items():
+            if value != common[what]:
+                raise InputError(
+                    field=name,
+                    problem=f"{what} {value}, that of {first} is {common[what]}",
+                    remedy="combine cameras of one type of lens on one kind of sensor",
+                )
 
 
 def _radial_px(units: Sequence[Unit]) -> float:
@@ -270,20 +272,14 @@ def _require_shared(entries: Sequence[Entry]) -> None:
     """Raise InputError where entries cannot share a lens, or those of one camera not a site."""
     if not entries:
         raise InputError(field="entry", problem="none", remedy="name cameras and their sightings")
-    first, sites = entries[0], {entry.camera: entry.site for entry in reversed(entries)}
-    for entry in entries:
-        name = f"{entry.camera} {entry.epoch}".strip()
-        for what, one, other in (
-            ("image size", entry.image_size, first.image_size),
-            ("projection", entry.options.projection, first.options.projection),
-            ("mirrored", entry.options.mirrored, first.options.mirrored),
-        ):
-            if one != other:
-                raise InputError(
-                    field=name,
-                    problem=f"{what} {one}, that of {first.camera} is {other}",
-                    remedy="fit cameras of one type of lens on one kind of sensor together",
-                )
+    names = [f"{entry.camera} {entry.epoch}".strip() for entry in entries]
+    kinds = [
+        {"image size": e.image_size, "projection": e.options.projection, "mirrored": e.options.mirrored}
+        for e in entries
+    ]
+    _require_alike(list(zip(names, kinds, strict=True)))
+    sites = {entry.camera: entry.site for entry in reversed(entries)}
+    for name, entry in zip(names, entries, strict=True):
         if entry.site != sites[entry.camera]:
             raise InputError(
                 field=name,

@@ -22,7 +22,7 @@ from sunarc.calibration.solve.problem import FitProblem, problem_for
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import rising_limit
 from sunarc.optics.inverse import calibrated, unproject
-from sunarc.optics.pose import rotation_matrix, rotation_vector
+from sunarc.optics.pose import rotation_matrix, rotation_vector, smallest_rotation
 from sunarc.optics.projections import angle_limit, ideal_angle, ideal_radius
 from sunarc.robust_statistics import cauchy_weights, robust_sigma
 
@@ -145,12 +145,8 @@ def _ideal_rays(camera: Camera, factors: FloatArray, observed: Sightings) -> Flo
 
 def tilt(camera: Camera) -> float:
     """Return the angle between the optical axis and the vertical in radians."""
-    x, y, z = camera.rotation_cam_enu
-    angle = math.sqrt(x * x + y * y + z * z)
-    if angle < 1e-12:
-        return 0.0
-    lean = (1.0 - math.cos(angle)) * (x * x + y * y) / angle**2
-    return math.acos(max(-1.0, min(1.0, 1.0 - lean)))
+    axis = rotation_matrix(camera.rotation_cam_enu)[2]
+    return math.atan2(math.hypot(axis[0], axis[1]), axis[2])
 
 
 # From candidates to one camera an epoch that is surely near the right minimum.
@@ -296,7 +292,9 @@ def ransac_rotation(camera: Camera, directions: FloatArray, pixels: FloatArray, 
         return np.zeros(3)
     thin = good[np.unique(np.linspace(0, good.size - 1, _MAX_SIGHTINGS).astype(int))]
     focal = 0.5 * (camera.focal_length_px[0] + camera.focal_length_px[1])
-    turns = np.concatenate([np.zeros((1, 3)), _smallest(world[thin], rays[thin]), _of_pairs(world[thin], rays[thin])])
+    turns = np.concatenate(
+        [np.zeros((1, 3)), smallest_rotation(world[thin], rays[thin]), _of_pairs(world[thin], rays[thin])]
+    )
     matrices = Rotation.from_rotvec(turns).as_matrix()
     separation = np.linalg.norm(np.einsum("kij,nj->kni", matrices, world[thin]) - rays[thin], axis=-1)
     off = separation / (_CLOSE_SIGMAS * sigma_px[thin] / focal)
@@ -304,14 +302,6 @@ def ransac_rotation(camera: Camera, directions: FloatArray, pixels: FloatArray, 
     agreed = np.sum(1.0 / (1.0 + off**4), axis=1)
     size = np.log(np.maximum(np.linalg.norm(turns, axis=-1), 1e-4))
     return np.asarray(turns[int(np.argmax(agreed - _SMALL_ROTATION * size / np.log(10.0)))])
-
-
-def _smallest(world: FloatArray, rays: FloatArray) -> FloatArray:
-    """Return (n, 3): the smallest turn that takes each expected ray to the one seen."""
-    axis = np.cross(world, rays)
-    sine, cosine = np.linalg.norm(axis, axis=-1), np.sum(world * rays, axis=-1)
-    angle = np.arctan2(sine, cosine)
-    return np.asarray(axis * (angle / np.maximum(sine, 1e-12))[:, None])
 
 
 def _of_pairs(world: FloatArray, rays: FloatArray) -> FloatArray:
