@@ -18,7 +18,6 @@ from sunarc.archive.archive import CameraArchive, open_archive
 from sunarc.archive.values import CameraRecord, DayAir, Event, SunPoint
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.messages import MESSAGES
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
@@ -27,6 +26,7 @@ from sunarc.errors import OutsideError
 from sunarc.findings import from_json, uncoded
 from sunarc.monitoring import detect_change
 from sunarc.monitoring.detect_change import update_window
+from sunarc.monitoring.messages import MESSAGES
 from sunarc.monitoring.values import Change, Sighting, SightingWindow, WatchOptions
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
