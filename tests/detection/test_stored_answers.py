@@ -144,6 +144,69 @@ def _matched() -> Answer:
     }
 
 
+def _every(found: Sequence[Detection]) -> Answer:
+    """Return the verdicts of many, and the numbers of those that are accepted."""
+    answers = [_detection(one) for one in found]
+    return {
+        "codes": [code for one in answers for code in one["codes"]],
+        "numbers": [
+            x
+            for one, each in zip(found, answers, strict=True)
+            if one.accepted
+            for x in (*each["places"], *each["numbers"])
+            if x is not None
+        ],
+    }
+
+
+def _discs_in_a_sweep() -> Answer:
+    """Return discs ever brighter, more covered, in a brighter sky, further off, more blurred, larger and longer."""
+    sweep: list[tuple[dict[str, float], FloatArray | None, dict[str, float]]] = []
+    sweep += [({"peak": peak}, None, {}) for peak in np.geomspace(0.008, 1.6, 15).tolist()]
+    sweep += [({"peak": peak}, None, {"alone": 1.0}) for peak in np.geomspace(0.02, 1.2, 12).tolist()]
+    sweep += [({"peak": 0.3, "background": sky}, None, {}) for sky in np.geomspace(0.02, 0.6, 7).tolist()]
+    sweep += [({}, np.array([0.6, 0.8, to, 0.15, 0.1]), {}) for to in np.linspace(-1.1, 1.4, 8).tolist()]
+    sweep += [({}, np.array([0.0, 1.0, 0.0, 4.0, least]), {}) for least in np.linspace(0.1, 0.9, 5).tolist()]
+    sweep += [({}, None, {"off": off}) for off in np.linspace(0.0, 9.0, 7).tolist()]
+    sweep += [({"psf_px": psf}, None, {"alone": alone}) for psf in (0.3, 0.5, 1.1, 1.6, 2.6) for alone in (0.0, 1.0)]
+    sweep += [({"size": size}, None, {"alone": 1.0}) for size in (0.3, 0.45, 0.7, 1.5, 2.3, 3.4, 4.5)]
+    sweep += [({"long": long}, None, {"alone": 1.0}) for long in (1.3, 1.8, 2.4, 2.8)]
+    sweep += [({}, None, {"clear": clear}) for clear in (0.8, 1.3, 1.5, 6e3, 8e3)]
+    found = []
+    for number, (of_scene, cover, of_prediction) in enumerate(sweep):
+        size, long = of_scene.pop("size", 1.0), of_scene.pop("long", 1.0)
+        stretch = np.array(_STRETCH) * size @ np.diag([long, 1.0])
+        scene = Scene(**{"peak": 0.6, **of_scene}, stretch=tuple(map(tuple, stretch.tolist())))  # type: ignore[arg-type]
+        image = render(scene, np.random.default_rng(number), cover)
+        place = Expectation(
+            x_px=scene.x + 0.7 + of_prediction.get("off", 0.0), y_px=scene.y - 0.4, uncertainty_px=0.5,
+            stretch_px_per_rad=scene.stretch, clear_peak_fraction=of_prediction.get("clear"),
+        )  # fmt: skip
+        alone = of_prediction.get("alone", 0.0) > 0.0
+        sensor = Sensor.from_full_well(full_scale=4095)
+        found.append(detect_sun(image, sensor=sensor, expectation=None if alone else place, exposure_us=20.0))
+    return _every(found)
+
+
+def _moons_in_a_sweep() -> Answer:
+    """Return moons of all phases, in ever more haze and cloud, fainter, larger and further off."""
+    sweep: list[dict[str, float]] = [{"phase_deg": phase} for phase in (120.0, 157.0, 163.0)]
+    sweep += [{"halo": halo} for halo in (0.05, 0.3)] + [{"cloud": 0.8}]
+    sweep += [{"peak": peak} for peak in (0.006, 0.03, 1.2)]
+    sweep += [{"radius_px": 1.6}] + [{"off": off} for off in (3.5, 6.0)]
+    found = []
+    for number, given in enumerate(sweep):
+        off = given.pop("off", 0.5)
+        moon = moon_rendering.Moon(**{"phase_deg": 80.0, **given})  # type: ignore[arg-type]
+        place = MoonExpectation(
+            x_px=moon.x + off, y_px=moon.y - 0.3, uncertainty_px=1.0, edges_px=moon.edges,
+            cos_phase=math.cos(math.radians(moon.phase_deg)),
+        )  # fmt: skip
+        image = moon_rendering.render(moon, seed=number)
+        found.append(detect_moon(image, place, sensor=Sensor.from_full_well(full_scale=4095)))
+    return _every(found)
+
+
 _LENS = Lens(axis_px=(239.5, 239.5), radius_px=lambda angle: 146.7 * np.asarray(angle))
 _EDGE = np.array([0.6, 0.8, 0.1, 0.3, 0.2])
 _ANSWERS: dict[str, Callable[[], Detection | Answer]] = {
@@ -162,6 +225,8 @@ _ANSWERS: dict[str, Callable[[], Detection | Answer]] = {
     "stack": lambda: _stack(Series(sun=(190.3, 140.6), size=(320, 240))),
     "stack_behind_cloud": lambda: _stack(Series(sun=(190.3, 140.6), size=(320, 240), dimmed=0.3, glint=(90.0, 180.0))),
     "five_estimators": _five_estimators,
+    "discs_in_a_sweep": _discs_in_a_sweep,
+    "moons_in_a_sweep": _moons_in_a_sweep,
     "stars": _stars,
     "stars_of_a_mosaic": lambda: _stars(bayer="RGGB", gain_e=None),
     "stars_matched": _matched,

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import date, timedelta
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.quality.day_arcs import smooth_arc
+from sunarc.calibration.quality.day_arcs import arc_length_deg, smooth_arc
 from sunarc.errors import InputError
 from sunarc.imaging.image_circle import find_image_circle
-from sunarc.monitoring.day_quality import days_left_out, decide_day, measure_day
+from sunarc.monitoring.day_quality import DayMeasure, days_left_out, decide_day, measure_day
 from sunarc.sky.site import Site
 
 if TYPE_CHECKING:
@@ -155,3 +156,40 @@ def test_a_tenth_of_doubtful_sightings_that_were_left_out_is_told_and_leaves_the
     assert (measure.doubtful_clock, measure.n, decide_day(measure).kind) == (0.1, len(kept), "clear")
     nothing = measure_day(kept.select(slice(0, 0)), site=clear_day.site, doubtful_clock=1.0)
     assert (nothing.doubtful_clock, decide_day(nothing).kind) == (1.0, "unusable")
+
+
+@pytest.mark.parametrize(
+    ("changed", "kind", "last"),
+    [
+        ({}, "clear", "day_scatter"),
+        ({"n_on_arc": 20}, "clear", "day_scatter"),
+        ({"n_on_arc": 19}, "unusable", "day_too_few_sightings"),
+        ({"arc_deg": 15.1}, "clear", "day_scatter"),
+        ({"arc_deg": 14.9}, "unusable", "day_arc_too_short"),
+        ({"doubtful_clock": 0.49}, "clear", "day_scatter"),
+        ({"doubtful_clock": 0.51}, "unusable", "day_clock_uncertain"),
+        ({"n_cycles": 80}, "clear", "day_scatter"),
+        ({"n_cycles": 79}, "partly", "day_scatter"),
+        ({"n_cycles": 30}, "partly", "day_scatter"),
+        ({"n_cycles": 29}, "cloudy", "day_share_on_arc"),
+        ({"sd_px": 1.4}, "clear", "day_scatter"),
+        ({"sd_px": 1.6}, "partly", "day_scatter"),
+        ({"lowest_share": 0.81}, "clear", "day_scatter"),
+        ({"lowest_share": 0.79}, "partly", "day_share_uncertain"),
+        ({"n_possible": 101, "n_cycles": 20}, "cloudy", "day_slots_missed"),
+        ({"n_possible": 99, "n_cycles": 20}, "cloudy", "day_share_on_arc"),
+    ],
+)
+def test_a_day_is_of_a_kind_by_what_was_measured(changed: dict[str, Any], kind: str, last: str) -> None:
+    usual = DayMeasure(
+        n=100, n_on_arc=90, n_cycles=90, n_possible=100, n_observed=100, lowest_share=0.9, sd_px=0.2, arc_deg=120.0,
+        doubtful_clock=0.0,
+    )  # fmt: skip
+    found = decide_day(replace(usual, **changed))
+    assert (found.kind, found.findings[-1].code) == (kind, last)
+
+
+def test_a_gap_of_a_day_s_way_counts_as_five_degrees() -> None:
+    angle = np.radians([0.0, 4.0, 9.1, 20.0, 22.0])
+    directions = np.stack([np.cos(angle), np.sin(angle), np.zeros(5)], axis=-1)
+    assert arc_length_deg(directions) == pytest.approx(4.0 + 5.0 + 5.0 + 2.0, abs=1e-9)

@@ -18,6 +18,7 @@ from sunarc.monitoring.selection import (
     sky_patches,
     solid_angle_sr,
 )
+from sunarc.sky.days import solar_days
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions
 
@@ -165,3 +166,68 @@ def test_what_decides_of_sightings_is_enough_and_one_without_a_place_is_none() -
     nowhere = select_sightings(Sightings.of(unix_s=points.unix_s, pixels=pixels), site=SITE, options=options)
     assert whole.index[0] not in nowhere.index
     assert nowhere.n_supplied == len(points)
+
+
+def selected_by_hand(points: Sightings, options: SelectionOptions, slot_s: float) -> tuple[list[int], int]:
+    """Return the rows of a selection and its fill, pass by pass."""
+    slots: dict[tuple[int, float], list[int]] = {}
+    for row in range(len(points)):
+        slots.setdefault((int(points.epoch[row]), float(points.unix_s[row] // slot_s)), []).append(row)
+    sigma = np.nan_to_num(points.sigma_px, nan=np.inf)
+    rows = np.sort([min(some, key=lambda row: (sigma[row], points.unix_s[row])) for some in slots.values()])
+    day = solar_days(points.unix_s, longitude=SITE.longitude)
+    toward = sun_directions((points.unix_s // 240.0 + 0.5) * 240.0, SITE)
+    patch = sky_patches(toward, width_deg=options.patch_deg)
+    stated = np.isfinite(points.sigma_px)
+    usual = float(np.median(points.sigma_px[rows][stated[rows]]))
+    passes: dict[tuple[int, int, int], list[int]] = {}
+    for row in rows.tolist():
+        passes.setdefault((int(patch[row]), int(points.epoch[row]), int(day[row] - day[rows].min())), []).append(row)
+    latest = int(points.epoch[rows].max())
+
+    def order(key: tuple[int, int, int]) -> tuple[int, ...]:
+        logs = [np.log2(points.sigma_px[row] / usual) if stated[row] else 0.0 for row in passes[key]]
+        grade = max(round(float(np.mean(logs))), 0)
+        return key[0], int(key[1] < latest), grade, int(f"{key[2]:017b}"[::-1], 2), key[1], key[2]
+
+    ordered = sorted(passes, key=order)
+
+    def filled(fill: int, in_epoch: float) -> list[int]:
+        of_patch: dict[int, int] = {}
+        of_epoch: dict[tuple[int, int], int] = {}
+        taken = []
+        for key in ordered:
+            if of_patch.get(key[0], 0) < fill and of_epoch.get(key[:2], 0) < in_epoch:
+                taken += passes[key]
+            of_patch[key[0]] = of_patch.get(key[0], 0) + len(passes[key])
+            of_epoch[key[:2]] = of_epoch.get(key[:2], 0) + len(passes[key])
+        return taken
+
+    fill, found = options.most_per_patch, filled(options.most_per_patch, options.most_per_epoch)
+    while len(found) > options.most and fill > 1:
+        fill -= 1
+        found = filled(fill, max(1.0, options.most_per_epoch / options.most_per_patch * fill))
+    return sorted(found, key=lambda row: float(points.unix_s[row])), fill
+
+
+@pytest.mark.parametrize(
+    ("most", "per_patch", "per_epoch"), [(30_000, 12, 7), (260, 20, 13), (450, 24, 24), (20, 8, 3)]
+)
+def test_a_selection_is_that_of_its_rules_pass_by_pass(most: int, per_patch: int, per_epoch: int) -> None:
+    rng = np.random.default_rng(most)
+    days = [record(range(begin, begin + 30, 4), cadence_s=500.0, epoch=k) for k, begin in enumerate((0, 25, 60))]
+    points = joined(*days)
+    again = rng.choice(len(points), 150, replace=False)
+    points = joined(points, points.select(again))
+    times = points.unix_s + rng.uniform(-200.0, 200.0, len(points))
+    sigma = np.where(rng.random(len(points)) < 0.1, np.nan, 0.02 * 2.0 ** rng.uniform(-2.0, 3.0, len(points)))
+    points = Sightings.of(unix_s=times, pixels=points.pixels, sigma_px=sigma, epoch=points.epoch)
+    options = SelectionOptions(patch_deg=5.0, most=most, most_per_patch=per_patch, most_per_epoch=per_epoch)
+    found = select_sightings(points, site=SITE, options=options, slot_s=40.0)
+    rows, fill = selected_by_hand(points, options, 40.0)
+    assert (found.index.tolist(), found.fill) == (rows, fill)
+
+
+def test_a_usual_fit_uses_30_000_sightings_96_a_patch_and_64_of_an_epoch() -> None:
+    usual = SelectionOptions()
+    assert (usual.most, usual.most_per_patch, usual.most_per_epoch, usual.patch_deg) == (30_000, 96, 64, 4.0)

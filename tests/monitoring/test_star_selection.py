@@ -32,3 +32,17 @@ def test_the_surest_of_each_part_come_first_then_the_next_of_each() -> None:
     assert surest_of_parts(part, sigma, 99).tolist() == [0, 1, 2, 3, 4, 5]
     assert surest_of_parts(part, sigma, 0).tolist() == []
     assert surest_of_parts(part[:0], sigma[:0], 5).tolist() == []
+
+
+def test_a_part_is_one_of_four_rings_of_one_of_twelve_sectors() -> None:
+    rng = np.random.default_rng(2)
+    turn, share = rng.uniform(0.0, 2.0 * np.pi, 300), rng.uniform(0.0, 1.2, 300)
+    expected = [
+        4 * int(12.0 * one / (2.0 * np.pi)) + min(int(4.0 * other), 3) for one, other in zip(turn, share, strict=True)
+    ]
+    radius = 0.5 * 480.0 * np.sqrt(share)
+    pixels = np.column_stack([319.5 + radius * np.cos(turn), 239.5 + radius * np.sin(turn)])
+    assert image_parts(pixels, (640, 480)).tolist() == expected
+    across = np.sqrt(1.0 - (1.0 - share) ** 2)
+    directions = np.column_stack([across * np.sin(turn), across * np.cos(turn), 1.0 - share])
+    assert sky_parts(directions).tolist() == expected

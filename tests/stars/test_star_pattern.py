@@ -9,11 +9,14 @@ import nights
 import numpy as np
 import population as pop
 import pytest
+from scipy.spatial import cKDTree
+from scipy.special import gammaln
+from scipy.stats import binom
 
 from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
-from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles
+from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles, rotation_matrix
 from sunarc.stars.blind_start import BlindOptions, BlindStart, NightDetections, blind_start
 from sunarc.stars.star_pattern import Bright, bright_stars, log10_chance, patterns
 from sunarc.stars.views import seen_magnitude
@@ -121,3 +124,55 @@ def test_without_stars_or_detections_there_is_no_hypothesis() -> None:
     assert stars.shape[0] == 80
     for some, away in ((stars[:2], np.zeros((50, 2))), (stars, np.zeros((2, 2)))):
         assert patterns(Bright(stars=some, away=away), radius_px=(200.0, 400.0), max_tilt=0.3, most=9) == []
+
+
+def chance_by_definition(camera: Camera, stars: np.ndarray, magnitude: np.ndarray, detections: np.ndarray) -> float:
+    """Return the logarithm of ways to take five stars of five detections times scipy's binomial tail, best of six."""
+    axis, best = project(camera, rotation_matrix(camera.rotation_cam_enu)[2:])[0], 0.0
+    for faintest in (3.0, 4.0):
+        some = project(camera, stars[magnitude <= faintest])
+        n = len(some)
+        if min(n, len(detections)) < 12:
+            continue
+        looked_at = detections[: 2 * n + 20]
+        near, turned = cKDTree(looked_at), []
+        for angle in np.radians(np.arange(25.0, 326.0, 25.0)):
+            x, y = (some - axis).T
+            turned.append(
+                axis + np.stack([x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle)], -1)
+            )
+        apart = np.asarray(near.query(np.concatenate(turned))[0])
+        ways = (gammaln(n + 1) - gammaln(n - 4) - gammaln(6)) / math.log(10.0)
+        tests = ways + 5.0 * math.log10(len(looked_at)) + math.log10(12.0)
+        for share in (0.02, 0.008, 0.004):
+            radius = share * camera.focal_length_px[0]
+            distance, row = (np.asarray(column) for column in near.query(some))
+            met = len(set(row[distance < radius].tolist()))
+            chance = (np.count_nonzero(apart < radius) + 1.0) / (apart.size + 1.0)
+            if met > 5:
+                best = min(best, tests + float(binom.logsf(met - 6, n - 5, chance)) / math.log(10.0))
+    return best
+
+
+@pytest.mark.parametrize("lost", [0.5, 0.8])
+def test_the_chance_is_ways_times_the_binomial_tail(lost: float) -> None:
+    rng = np.random.default_rng(2)
+    image = image_of(CAMERA, NIGHT)
+    up = np.all(np.abs(project(CAMERA, image.sky.directions) - [450.0, 350.0]) < [449.0, 349.0], axis=-1)
+    stars, magnitude = image.sky.directions[up], seen_magnitude(image.sky)[up]
+    for count in (12, 40, len(image.stars)):
+        detections = image.stars.pixels[rng.random(len(image.stars)) > lost][:count]
+        for off_px in (0.0, 1.0, 3.0):
+            camera = replace(CAMERA, principal_point_px=(462.0 + off_px, 341.0))
+            found = log10_chance(camera, stars, magnitude, detections)
+            assert found == pytest.approx(
+                chance_by_definition(camera, stars, magnitude, detections), rel=1e-6, abs=1e-6
+            )
+
+
+def test_bright_stars_are_the_80_brightest_above_12_degrees() -> None:
+    rng = np.random.default_rng(3)
+    height, magnitude = np.radians(rng.uniform(0.0, 30.0, 200)), rng.uniform(0.0, 5.0, 200)
+    directions = np.stack([np.cos(height), np.zeros(200), np.sin(height)], axis=-1)
+    high = [k for k in np.argsort(magnitude) if height[k] > math.radians(12.0)][:80]
+    np.testing.assert_array_equal(bright_stars(directions, magnitude), directions[high])

@@ -186,3 +186,42 @@ def test_the_growth_is_bounded_and_needs_thirty_sightings() -> None:
     assert growth_rate(np.zeros(40), ZENITH[:40], 0.0) == 0.0
     assert growth_rate(np.ones(40), np.ones(40), 0.0) == 0.0
     assert growth_rate(np.zeros(0), np.zeros(0), 0.0) == 0.0
+
+
+def test_the_inflation_and_the_growth_are_those_of_their_formulas() -> None:
+    for seed, strength in ((1, 0.6), (2, 0.25), (3, 0.05), (4, 0.9)):
+        run = np.repeat([0, 1, 2, 3], [60, 14, 200, 40])
+        residual = _ar1(314, strength, seed=seed) * (1.0 + 0.3 * (run == 3))[:, None]
+        follows, counted = np.diff(run) == 0, np.random.default_rng(seed).random(314) > 0.1
+
+        def correlation(
+            rows: NDArray[np.intp], residual: FloatArray = residual, counted: NDArray[np.bool_] = counted
+        ) -> tuple[float, float]:
+            pairs = [(residual[i], residual[i + 1]) for i in rows if counted[i] and counted[i + 1]]
+            if 2 * len(pairs) < 30:
+                return 0.0, 1.0
+            power = sum(0.5 * (one @ one + other @ other) for one, other in pairs)
+            rho = sum(one @ other for one, other in pairs) / power
+            return float(rho), float(np.sqrt((1.0 - rho**2) / (2 * len(pairs))))
+
+        overall, error = correlation(np.flatnonzero(follows))
+        overall = overall if overall > 2.0 * error else 0.0
+        expected = []
+        for one in range(4):
+            rho, run_error = correlation(np.flatnonzero(follows & (run[:-1] == one)))
+            drawn = min(max(overall + 0.0025 / (0.0025 + run_error**2) * (rho - overall), 0.0), 0.995)
+            drawn = drawn if drawn > 2.0 * run_error or overall > 0.0 else 0.0
+            expected += [(1.0 + drawn) / (1.0 - drawn)] * int(np.sum(run == one))
+        found = autocorrelation_inflation(residual, counted, follows, run)
+        np.testing.assert_allclose(found, expected, rtol=1e-9)
+        zenith = np.linspace(0.1, 1.4, 314)
+        distance = np.linalg.norm(residual, axis=-1) * np.exp(0.4 * seed * zenith)
+        distance[7] = 0.0
+        logs = np.log(np.maximum(distance, 1e-3 * np.median(distance)))
+        offset = zenith - zenith.mean()
+        slope, power = 2.0 * float(offset @ logs) / float(offset @ offset), float(offset @ offset)
+        for correlated in (0.0, 0.5, 0.97):
+            sigma = np.pi / np.sqrt(6.0) * np.sqrt((1.0 + correlated**2) / (1.0 - correlated**2) / power)
+            steepest = 2.0 * np.log(10.0) / np.pi
+            rate = float(np.clip(0.5 * slope, -steepest, steepest)) if abs(slope) > 3.0 * sigma else 0.0
+            assert growth_rate(distance, zenith, correlated) == pytest.approx(rate, rel=1e-9)

@@ -243,3 +243,14 @@ def test_equations_nearby_share_the_field_s_products_and_others_do_not(
     np.testing.assert_allclose(found.residual, expected.residual, atol=1e-9)
     np.testing.assert_allclose(found.rows, expected.rows, rtol=1e-9, atol=1e-7)
     np.testing.assert_allclose(found.basis_values, expected.basis_values, atol=1e-3 * np.max(expected.basis_values))
+
+
+@pytest.mark.parametrize("amplitude_px", [1e-6, 1e-5, 0.2, 1e4])
+def test_axes_of_which_sightings_tell_nothing_are_left_out(system: LinearSystem, amplitude_px: float) -> None:
+    scales = SCALES._replace(amplitude_px=amplitude_px)
+    own, transform = system.in_field_axes(scales)
+    axes = system.basis_products.axes(system.basis, scales.length_px)
+    told = amplitude_px**2 * axes.information > 1e-14
+    np.testing.assert_array_equal(transform, axes.transform[:, told])
+    np.testing.assert_allclose(own.basis_values, system.basis_values @ axes.transform[:, told])
+    np.testing.assert_allclose(np.diag(own.basis_products.matrix), axes.information[told])

@@ -21,6 +21,7 @@ from sunarc.calibration.start.initial_guess import (
 )
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
+from sunarc.optics.pose import rotation_matrix
 from sunarc.robust_statistics import robust_sigma
 
 FloatArray = NDArray[np.float64]
@@ -96,6 +97,14 @@ def test_the_field_s_angle_is_that_of_the_horizon_or_of_the_furthest_sighting() 
     assert field_angle(camera, far, OPTIONS) == pytest.approx(math.radians(100.0))
 
 
+def test_an_orthographic_lens_ends_just_within_its_right_angle() -> None:
+    camera = replace(ideal_camera(), projection="orthographic")
+    seen = observed(camera, spread_directions(5, widest_deg=40.0))
+    assert field_angle(camera, seen, OPTIONS) == pytest.approx(0.999 * math.pi / 2, rel=1e-9)
+    narrow = replace(OPTIONS, max_angle_deg=20.0)
+    assert field_angle(ideal_camera(), seen, narrow) == pytest.approx(math.radians(30.0))
+
+
 def test_a_perspective_lens_is_looked_at_a_little_beyond_its_sightings() -> None:
     camera = replace(ideal_camera(), projection="perspective")
     at_45 = replace(observed(camera, spread_directions(5)), pixels=np.array([[519.5, 239.5]] * 5))
@@ -134,3 +143,18 @@ def test_a_camera_that_looks_down_or_has_no_focal_length_is_impossible() -> None
         replace(camera, focal_length_px=(-200.0, 200.0)),
     ):
         assert candidate_misfit(problem, zero, zero, clean, impossible) == math.inf
+
+
+def test_a_candidate_s_misfit_is_scatter_prior_and_tilt_in_half_squares() -> None:
+    rng = np.random.default_rng(3)
+    tilted = replace(ideal_camera(), rotation_cam_enu=(0.2, -0.1, 0.4))
+    problem = small_problem(tilted)
+    clean = observed(tilted, spread_directions(41, widest_deg=60.0))
+    unknowns, precision = 0.3 * problem.unknowns([tilted]), rng.uniform(0.1, 2.0, problem.size)
+    seen = replace(clean, pixels=clean.pixels + rng.normal(0.0, 1.0, (41, 2)), information=rng.uniform(0.5, 2.0, 41))
+    distance = np.linalg.norm(problem.residuals(unknowns, seen), axis=-1) * np.sqrt(seen.information)
+    scale = robust_sigma(distance, share=0.5, floor=0.05)
+    scatter = 0.3 * 41 * math.log(scale**2 + float(np.median(distance)) ** 2 / 1.386)
+    lean = math.acos(float(rotation_matrix(tilted.rotation_cam_enu)[2, 2]))
+    expected = scatter + 0.5 * float(np.sum(precision * unknowns**2)) + 0.5 * (lean / math.radians(25.0)) ** 2
+    assert candidate_misfit(problem, unknowns, precision, seen, tilted) == pytest.approx(expected, rel=1e-9)

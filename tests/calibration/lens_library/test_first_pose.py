@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from tests.calibration.conftest import SGP, simulate
+from tests.fixtures.stored_answers import require_stored, said
 
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.lens_library.first_pose import (
@@ -51,13 +53,24 @@ def codes(found: Calibration) -> list[str]:
     return [finding.code for finding in found.verdict.findings]
 
 
+def require_as_stored(name: str, *found: Calibration) -> None:
+    """Require the stored findings and errors of calibrations."""
+    said_ = [said(one.verdict.findings) for one in found]
+    errors = [x for one in found for x in (one.sky_rms_deg, one.sky_max_deg, north_sigma_deg(one))]
+    answer = {
+        "codes": [code for one in said_ for code in one["codes"]],
+        "numbers": [*errors, *(x for one in said_ for x in one["numbers"])],
+    }
+    require_stored(Path(__file__).parent / "stored_answers.json", name, answer, relative=0.01)
+
+
 def north_error_deg(found: Calibration, truth: Camera) -> float:
     turn = rotation_matrix(found.camera.rotation_cam_enu).T @ rotation_matrix(truth.rotation_cam_enu)
     return float(np.degrees(rotation_vector(turn)[2]))
 
 
 def test_five_ten_and_twenty_sightings_give_a_pose_with_the_stated_error(unit: Units, lens: LensType) -> None:
-    north, covered, sigma = [], [], {5: [], 10: [], 20: []}  # type: ignore[var-annotated]
+    north, covered, every, sigma = [], [], [], {5: [], 10: [], 20: []}  # type: ignore[var-annotated]
     for number, when in enumerate((*WHEN, *WHEN)):
         for count in (5, 10, 20):
             truth = unit(20 + number)
@@ -69,6 +82,8 @@ def test_five_ten_and_twenty_sightings_give_a_pose_with_the_stated_error(unit: U
             covered.append(float(np.nanmean(square < 5.991)))
             north.append(north_error_deg(found, truth) / north_sigma_deg(found))
             sigma[count].append(found.sky_rms_deg)
+            every.append(found)
+    require_as_stored("first_sightings", *every)
     # 18 draws of one quantity each, and of the sky as a whole; the study has 100 a row
     assert 0.35 < np.mean(np.square(north)) < 1.9
     assert np.abs(north).max() < 4.0
@@ -95,6 +110,7 @@ def test_a_mirrored_image_is_said_and_not_served(unit: Units, lens: LensType) ->
         found = posed(seen, lens)
         assert not found.verdict.accepted
         assert codes(found)[0] == "first_pose_mirrored"
+        require_as_stored(f"mirrored_{when}", found)
 
 
 def test_a_camera_mounted_the_other_way_round_is_said_and_not_served(unit: Units, lens: LensType) -> None:
@@ -103,6 +119,7 @@ def test_a_camera_mounted_the_other_way_round_is_said_and_not_served(unit: Units
     wrong = posed(seen, lens, FirstPoseOptions(top_azimuth_deg=(top + 180.0) % 360.0))
     assert codes(wrong)[0] == "north_not_as_mounted"
     assert not wrong.verdict.accepted
+    require_as_stored("north_not_as_mounted", wrong)
     assert posed(seen, lens, FirstPoseOptions(top_azimuth_deg=top)).verdict.accepted
 
 
@@ -112,6 +129,7 @@ def test_another_lens_is_refused(unit: Units, lens: LensType) -> None:
     points = replace(day.points, sigma_px=np.full(len(day.points), 0.1))
     found = first_pose(points, lens=lens, site=SGP, options=CalibrationOptions())
     assert not found.verdict.accepted
+    require_as_stored("another_lens", found)
 
 
 def test_times_of_another_zone_are_refused(unit: Units, lens: LensType) -> None:
@@ -146,6 +164,7 @@ def test_a_day_takes_the_fit_and_an_hour_the_pose(unit: Units, lens: LensType) -
     hour = first(unit(8), 30)
     found = calibrate_with_lens(hour.points, lens=lens, site=SGP, options=options).calibration
     assert "first_pose" in codes(found)
+    require_as_stored("an_hour", found)
     day = simulate(unit(8), cadence_s=600.0, sigma_px=0.1)
     whole = calibrate_with_lens(day.points, lens=lens, site=SGP, options=options).calibration
     assert codes(whole)[-1] == "lens_prior_used"

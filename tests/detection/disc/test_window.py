@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.detection.rendering import Image
 
-from sunarc.detection.disc.window import Window, cut, saturated_level
+from sunarc.detection.disc.window import Window, column_smear, cut, excess_of_columns, saturated_level
 from sunarc.detection.values import BAYERS, Bayer, Sensor
 
 SENSOR = Sensor(full_scale=4095, gain_e_per_count=4.884, black_level=32.0)
@@ -99,3 +99,32 @@ def test_the_smear_of_the_columns_is_subtracted() -> None:
     image[:, 22] += 40
     window = window_at(image, 20.0, 200.0)
     assert window.counts == pytest.approx(np.full((9, 9), 100.0))
+
+
+@pytest.mark.parametrize("rows", [7, 8, 9, 20])
+@pytest.mark.parametrize("smear", [2.0, 3.0])
+def test_a_column_stands_out_by_five_noises_of_its_median_over_the_darkest(rows: int, smear: float) -> None:
+    rng = np.random.default_rng(rows)
+    image = (100.0 + rng.normal(0.0, 1.0, (rows, 12))).round().astype(np.uint16)
+    image[:, 5] += int(smear)
+    level = np.median(image, axis=0)
+    noise = 1.2533 * max(1.4826 * np.median(np.abs(image - level)), 0.3) / np.sqrt(rows)
+    excess = level - level.min()
+    stands_out = rows >= 8 and excess.max() >= 5.0 * noise
+    np.testing.assert_allclose(excess_of_columns(image), excess if stands_out else np.zeros(12))
+
+
+@pytest.mark.parametrize("mosaic", [False, True])
+def test_smear_is_that_of_the_rows_beyond_the_window_each_of_its_colour(*, mosaic: bool) -> None:
+    image = np.full((300, 30), 50, dtype=np.uint16)
+    image[::2, 9] += 7
+    image[1::2, 9] += 20
+    image[100:120, 9] += 500
+    found = column_smear(image, x0=4, x1=14, y0=100, y1=120, mosaic=mosaic)
+    assert found.shape == (20, 10)
+    assert np.count_nonzero(found[:, np.arange(10) != 5]) == 0
+    np.testing.assert_array_equal(found[:, 5], np.where(np.arange(20) % 2, 20.0, 7.0) if mosaic else 7.0)
+    beyond = image.copy()
+    beyond[:100], beyond[120:] = 50, 50
+    beyond[96:100:4, 9] += 900  # one row of the many that are looked at is no smear
+    assert not column_smear(beyond, x0=4, x1=14, y0=100, y1=120, mosaic=mosaic).any()

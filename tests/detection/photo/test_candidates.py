@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 from tests.detection.photo.suns import glare_image
 
 from sunarc.array_types import Image
@@ -15,11 +16,12 @@ from sunarc.detection.photo.candidates import (
     candidates_near,
     part_near,
     plane_of,
+    sigma_px,
     whole_part,
     window_step,
 )
 from sunarc.detection.photo.candidates import candidates_in as candidates_in_part
-from sunarc.detection.photo.rim import reach_of
+from sunarc.detection.photo.rim import Rim, reach_of
 from sunarc.detection.values import Bayer, Expectation
 
 
@@ -119,3 +121,52 @@ def test_a_part_holds_a_plateau_whose_rays_end_within_it(cell: int, column: int,
     assert part.holds(x, y, cell * radius) == (beyond < 0.0)
     at_edge = part._replace(left=0, top=0, whole=shape)  # nothing is hidden beyond the edge of the image
     assert at_edge.holds(x - cell * left, y - cell * top, cell * radius)
+
+
+def test_the_sigma_of_a_rim_and_how_sun_like_it_is_by_their_formulas() -> None:
+    rng = np.random.default_rng(1)
+    for k in range(12):
+        radius, scatter, share, spread, offset, flat, near, far, uneven = (
+            rng.uniform(4.0, 40.0), *rng.uniform(0.1, 1.0, 2), *rng.uniform(0.0, 2.0, 2), *rng.uniform(0.2, 1.2, 4),
+        )  # fmt: skip
+        near = (0.29, 0.31, near)[k % 3]
+        rim = Rim(
+            50.0, 60.0, radius, scatter, share, spread, offset, 0.1, 4095.0, flat, near, far, uneven, 3, k % 2 > 0
+        )
+        cut = k % 2 > 0 and near >= 0.3
+        parts = [
+            0.2, (0.04 if cut else 0.015) * radius, 7.0 * (scatter / share) ** 2 / radius, 0.5 * spread, 0.45 * offset,
+            0.9 * radius * uneven**2 * cut, 0.25 * radius * (1.0 - share) * cut,
+        ]  # fmt: skip
+        assert sigma_px(rim) == pytest.approx(math.hypot(*parts), rel=1e-12)
+        apart = rng.uniform(0.0, 40.0)
+        one = Candidate(rim, 0.5, apart, 0.0, 500.0, 0.0)
+        even = 1.0 + (scatter / (0.1 * radius)) ** 2 + (spread / (0.2 * radius)) ** 2
+        glare = math.exp(-((apart / (3.0 * 0.009 * 500.0)) ** 2))
+        assert one.score == pytest.approx(radius * flat * max(1.0 - far, 0.01) * share**2 / even * glare, rel=1e-12)
+
+
+def test_what_is_about_a_rim_in_a_large_image_is_counted_in_its_cells() -> None:
+    """Of 720 px three by three are one: what lies beyond 2.6 radii, and where the blurred image is brightest."""
+    image = np.maximum(
+        glare_image(430.0, 300.0, radius=20.0, size=720), glare_image(200.0, 560.0, radius=13.0, size=720)
+    )
+    image = (image >> 4).astype(np.uint8)
+    image[100:160, 500:640] = 250
+    small = np.rint(image.reshape(240, 3, 240, 3).mean(axis=(1, 3)))
+    rows, columns = 3.0 * np.mgrid[:240, :240] + 1.0
+    seen = candidates_in(image, full_scale=255)
+    assert len(seen) >= 2
+    for one in seen:
+        away = np.hypot(columns - one.rim.x, rows - one.rim.y)
+        others = small[away > 2.6 * one.rim.radius]
+        assert one.other_area == pytest.approx(np.count_nonzero(others >= 0.9 * one.rim.level) / 240.0**2, abs=1e-9)
+        lit = others[others > 0.06 * one.rim.level] / one.rim.level
+        assert one.sky == pytest.approx(float(np.median(lit)), rel=1e-6)
+        assert one.lighter == pytest.approx(float(np.mean(lit > min(one.rim.near, one.rim.far))), abs=1e-9)
+        blurred = gaussian_filter(np.minimum(small, one.rim.level), 4.0, mode="mirror")
+        around = np.where(away <= one.rim.radius + 0.08 * 720.0, blurred, -1.0)
+        for plane, off in ((blurred, one.off_glare_px), (around, one.off_local_glare_px)):
+            row, column = np.unravel_index(int(np.argmax(plane)), plane.shape)
+            x, y = (one.rim.x - 1.0) / 3.0, (one.rim.y - 1.0) / 3.0
+            assert off == pytest.approx(3.0 * math.hypot(float(column) - x, float(row) - y), abs=3.1)

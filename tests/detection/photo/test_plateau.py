@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
 from tests.detection.photo.suns import glare_image, with_text
+from tests.fixtures.stored_answers import require_stored
 
 from sunarc.array_types import Image
-from sunarc.detection.photo.plateau import Plateau, faintest_colour, faintest_of_mosaic, plateaus
+from sunarc.detection.photo.plateau import Near, Plateau, faintest_colour, faintest_of_mosaic, plateaus, static_mask
 
 
 def first_of(plane: Image, least_level: float = 1400.0) -> Plateau:
@@ -88,3 +91,54 @@ def test_below_the_least_level_nothing_is_found(level: int) -> None:
 @pytest.mark.parametrize("shape", [(1, 1), (2, 5), (3, 3), (5, 2), (40, 3)])
 def test_an_image_of_any_size_is_looked_through(shape: tuple[int, int]) -> None:
     assert isinstance(plateaus(np.full(shape, 4095, np.uint16), least_level=1.0), list)
+
+
+def test_the_plateaus_of_many_images_are_the_stored_ones() -> None:
+    """Suns of all sizes, dimmer ones beside brighter ones, holes, boxes, far from a prediction, in coarser steps."""
+    rows, columns = np.mgrid[:200, :200]
+    found: list[Plateau] = []
+    for radius in (1.5, 2.2, 3.0, 6.0, 14.0, 30.0):
+        found += plateaus(glare_image(radius=radius), least_level=1400.0)
+    for share in (0.4, 0.49, 0.52, 0.7, 0.9, 0.96, 0.98):
+        for far in (20, 40, 80):
+            image = np.full((200, 200), 300, np.uint16)
+            image[np.hypot(columns - 60, rows - 100) < 8.0] = 4000
+            image[np.hypot(columns - 60 - far, rows - 100) < 9.0] = round(4000 * share)
+            found += plateaus(image, least_level=1400.0)
+    for hole in (2.0, 5.0, 7.0, 8.5, 10.0):
+        image = glare_image(radius=16.0)
+        image[np.hypot(columns - 101.0, rows - 91.0) < hole] = 200
+        found += plateaus(image, least_level=1400.0)
+    for light in (400, 1100, 1300, 2500):
+        image = np.full((200, 200), light, np.uint16)
+        image[60:72, 50:90] = 4000
+        image[120:128, 20:60] = 3990
+        found += [one for least in (0.0, 0.3, 0.6) for one in plateaus(image, least_level=1400.0, least_near=least)]
+    for reach in (4.0, 12.0, 21.0, 40.0):
+        image = np.maximum(glare_image(60.0, 100.0, radius=7.0), glare_image(150.0, 60.0, radius=5.0))
+        for near in (Near(66.0, 104.0, reach), Near(130.0, 70.0, reach), Near(150.0, 61.0, reach)):
+            found += plateaus(image, least_level=1400.0, near=near)
+            found += plateaus(image, least_level=1400.0, near=near, size=1950)
+    for size in (1400, 1460, 2800):
+        found += plateaus(with_text(glare_image(radius=12.0)), least_level=1400.0, size=size)
+    many = np.full((200, 200), 300, np.uint16)
+    for k in range(9):
+        many[20 * k + 10 : 20 * k + 16 + k % 3, 20 * k + 8 : 20 * k + 16] = 4000
+    found += plateaus(many, least_level=1400.0)
+    answer: dict[str, list[object]] = {"codes": [len(found)], "places": [x for one in found for x in one]}
+    require_stored(Path(__file__).parents[1] / "stored_answers.json", "plateaus", answer, relative=0.0, apart_px=0.02)
+
+
+def test_a_mask_is_where_light_of_half_of_full_scale_changes_by_six_percent_at_most() -> None:
+    images = [np.full((400, 500), 20, np.uint8) for _ in range(3)]
+    for k, image in enumerate(images):
+        image[100:110, 100:110] = 250 - 7 * k
+        image[200:210, 100:110] = 250 - 8 * k
+        image[100:110, 300:310] = 128
+        image[200:210, 300:310] = 127
+    still = static_mask(images, full_scale=255)
+    assert still is not None
+    expected = np.zeros((400, 500), dtype=bool)
+    expected[98:112, 98:112] = expected[98:112, 298:312] = True  # grown by 0.006 of 400 px
+    np.testing.assert_array_equal(still, expected)
+    assert static_mask(images[:2], full_scale=255) is None

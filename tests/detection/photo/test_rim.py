@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from tests.detection.photo.suns import glare_image
+from tests.fixtures.stored_answers import require_stored
 
+from sunarc.array_types import Image
 from sunarc.detection.photo.plateau import Plateau
 from sunarc.detection.photo.rim import Rim, rim_of
 
@@ -183,3 +186,36 @@ def test_cloud_before_a_part_of_an_edge_is_left_out(covered_deg: float) -> None:
 
 def test_a_glare_without_an_edge_is_round() -> None:
     assert not rim(glare_image()).edged
+
+
+def test_every_number_of_a_rim_is_the_stored_one() -> None:
+    """Round and drawn out, with and without an edge, covered, near a corner, of 8 and 12 bits, from tiny to large."""
+    rows, columns = np.mgrid[:200, :200]
+    cloudy, half, hidden = glare_image(radius=15.0), glare_image(radius=11.0, seed=2), np.zeros((200, 200), np.bool_)
+    cloudy[np.hypot(columns - 124.0, rows - 80.0) < 16.0] = 4095
+    half[:, 108:] = 300
+    hidden[70:110, 106:] = True
+    slope = np.clip(glare_image(radius=8.0, seed=3) + 6.0 * (columns - 100.0), 0.0, 4095.0).astype(np.uint16)
+    rounded = (4095.0 * np.exp(-0.5 * (np.hypot(columns - 100.0, rows - 90.0) / 40.0) ** 2)).astype(np.uint16)
+    cases: list[tuple[Image, Plateau, NDArray[np.bool_] | None]] = [
+        (glare_image(radius=radius, seed=4), Plateau(101.0, 89.0, 0.8 * radius, 4095.0), None)
+        for radius in (2.0, 3.5, 5.0, 9.0, 14.0, 25.0)
+    ]
+    cases += [(image, Plateau(100.0, 90.0, 9.0, 4095.0), None) for image in (cloudy, half, slope, rounded)]
+    cases += [(glare_image(radius=13.0), Plateau(100.0, 90.0, 10.0, 4095.0), hidden)]
+    cases += [(glare_image(6.0, 9.0, radius=10.0), Plateau(8.0, 10.0, 8.0, 4095.0), None)]
+    cases += [(glare_image(radius=9.0), Plateau(100.0 + far, 90.0, 6.0, 4095.0), None) for far in (5.0, 6.5, 8.0, 11.0)]
+    for longer, covered in ((1.0, 0.0), (1.15, 20.0), (1.3, 45.0), (1.5, 75.0)):
+        edged = edged_image(longer=longer, covered_deg=covered)
+        cases += [(edged, Plateau(101.0, 89.0, radius, 160.0), None) for radius in (12.0, 20.0)]
+    for light in (0.3, 0.5, 0.55, 0.7):
+        far = np.hypot(columns - 100.0, rows - 90.0) / 12.0
+        step = np.interp(far, (0.0, 1.0, 1.15, 4.0), (1.0, 1.0, light, 0.8 * light))
+        cases += [((200.0 * step).round().astype(np.uint16), Plateau(100.0, 90.0, 10.0, 200.0), None)]
+    known, numbers = [], []
+    for image, plateau, static in cases:
+        found = rim_of(image, plateau, static=static)
+        known.append([found is not None, found.edged, found.circles] if found else [False])
+        numbers += [] if found is None else [float(x) for x in found[:13]]
+    answer: dict[str, list[object]] = {"codes": [*known], "numbers": [*numbers]}
+    require_stored(Path(__file__).parents[1] / "stored_answers.json", "rims", answer, relative=2e-3)

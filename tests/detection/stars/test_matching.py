@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from tests.fixtures.stored_answers import require_stored, said
 
 from sunarc.detection.stars.matching import (
     StarMatches,
@@ -243,3 +245,59 @@ def test_matches_say_by_how_much_their_sigma_is_too_small() -> None:
     exact, rough = (match_stars(replace(seen(truth), sigma_px=np.full(len(seen(truth)), s)), truth) for s in (0.2, 0.1))
     assert exact.floor_px < 0.06
     assert rough.floor_px == pytest.approx(math.sqrt(0.2**2 - 0.1**2), abs=0.03)
+
+
+def test_the_floor_is_the_least_with_which_95_percent_are_within_1_96_sigmas() -> None:
+    rng = np.random.default_rng(9)
+    for count, beside_px in ((30, 0.1), (41, 0.25), (80, 0.0), (60, 0.6)):
+        places, sigma = rng.uniform(0.0, 500.0, (count, 2)), rng.uniform(0.02, 0.1, count)
+        off = np.hypot(sigma, beside_px)[:, None] * rng.standard_normal((count, 2))
+        apart = np.linalg.norm(places[:, None] - places, axis=-1) + 1e9 * np.eye(count)
+        nearest = np.argmin(apart, axis=1)
+        tried = 0.8 * np.arange(4097.0) / 4096.0
+        variance = sigma**2 + sigma[nearest] ** 2
+        within = [
+            np.mean(np.abs(off - off[nearest]) <= 1.96 * np.sqrt(variance + 2.0 * one**2)[:, None]) >= 0.95
+            for one in tried
+        ]
+        assert noise_floor(places, off, sigma) == pytest.approx(tried[int(np.argmax(within))], abs=1e-9)
+        assert noise_floor(places[:29], off[:29], sigma[:29]) == 0.0
+
+
+def test_what_is_matched_and_refused_in_the_course_of_a_sweep_is_the_stored_one() -> None:
+    """Ever more of the sky is lost, the prediction ever less sure or more wrong, brightness ever less told."""
+    truth = sky(count=700)
+    codes_, numbers = [], []
+    for name, values in (
+        ("lost", np.linspace(0.0, 0.75, 7)),
+        ("sigma", np.geomspace(0.3, 30.0, 8)),
+        ("shift", np.linspace(0.2, 3.0, 6)),
+        ("scatter", np.linspace(0.1, 2.0, 6)),
+        ("faint", np.linspace(0.2, 3.0, 6)),
+        ("gamma", np.linspace(0.2, 1.5, 5)),
+        ("side", np.linspace(60.0, 330.0, 6)),
+        ("lamps", np.linspace(0.0, 500.0, 4)),
+    ):
+        for value in values.tolist():
+            rng, by = np.random.default_rng(3), {name: value}
+            which = (rng.uniform(size=700) > by.get("lost", 0.05)) & (truth.azimuth_deg < by.get("side", 361.0))
+            noise = rng.normal(0.0, 0.15, 700) + rng.normal(0.0, 1.0, 700) * by.get("faint", 0.0)
+            flux = 10.0 ** (-0.4 * by.get("gamma", 1.0) * (truth.magnitude + noise))
+            places = truth.pixels + rng.normal(0.0, by.get("scatter", 0.2), (700, 2))
+            lamps = 874.0 + rng.uniform(-600.0, 600.0, (int(by.get("lamps", 0)), 2))
+            stars = with_others(
+                detections(places[which], flux[which]), lamps, np.quantile(flux, rng.uniform(size=len(lamps)))
+            )
+            far = ((truth.pixels - 874.0) / RADIUS) ** 2
+            predicted = replace(
+                truth,
+                pixels=truth.pixels + by.get("shift", 0.0) * np.array([1.0, -0.6]) * (0.3 + far),
+                sigma_px=np.full(700, by.get("sigma", 0.5)) * (1.0 + far[:, 0]),
+            )
+            matched = match_stars(stars, predicted, trail_px=0.2)
+            answer = said(matched.findings)
+            codes_ += [matched.accepted, matched.star.size, int(matched.detection.sum()), *answer["codes"]]
+            measured = [matched.explained, matched.found, matched.scatter_px, matched.floor_px]
+            numbers += [x for x in measured if math.isfinite(x)] + answer["numbers"]
+    found = {"codes": codes_, "numbers": numbers}
+    require_stored(Path(__file__).parents[1] / "stored_answers.json", "matching_sweep", found, relative=2e-3)

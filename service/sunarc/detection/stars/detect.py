@@ -516,7 +516,7 @@ def shape_at(known: FloatArray, shape: FloatArray, places: FloatArray, size: tup
 
 
 def _quadratic(places: FloatArray, size: tuple[int, ...]) -> FloatArray:
-    x, y = (2.0 * places / np.array(size[::-1]) - 1.0).T
+    x, y = (places / np.array(size[::-1])).T
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
 
 
