@@ -2,6 +2,7 @@
 
     .venv/bin/python -m tests.last_run booted FILE.xml docs/booted.md       pytest's --junitxml
     .venv/bin/python -m tests.last_run campaign FILE.json docs/campaign.md  tests/campaign --json
+    .venv/bin/python -m tests.last_run campaign FOLDER docs/campaign.md     tests/campaign --keep, while it runs
 
 `deploy/test-booted --page FILE` and `tests/release` do it.
 """
@@ -13,13 +14,16 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
 ROOT = Path(__file__).resolve().parents[1]
-_MOST_CHARACTERS = 160
+REPAIRS = Path(__file__).parent / "field" / "campaign_repairs.md"
+_MOST_CHARACTERS = 400
+_MOST_LISTED = 4
 _OUTCOMES = {"failure": "**failed**", "error": "**failed**", "skipped": "skipped"}
 
 
@@ -57,31 +61,75 @@ def booted(text: str) -> list[str]:
     ]
 
 
-def campaign(text: str) -> list[str]:
-    """Return the lines of a page on a campaign of faults, one source after the other.
+def campaign(reports: Sequence[dict[str, Any]], *, repairs: str = "") -> list[str]:
+    """Return the lines of a page on a campaign of faults.
 
     Parameters
     ----------
-    text : the JSON file of `tests/campaign --json`.
+    reports : of each source, as `tests/campaign` leaves them.
+    repairs : what campaigns found, and how it was mended.
 
     Raises
     ------
     ValueError
-        Where it states no faults.
+        Where no fault was done.
     """
-    reports: list[dict[str, Any]] = json.loads(text)
-    if not reports:
+    kinds = sorted({kind for report in reports for kind in report["faults"]})
+    if not kinds:
         raise ValueError("no fault was done")
-    return [line for report in reports for line in _of_source(report)]
+    heads = [f"{report['source']} {report['seed']}" for report in reports]
+    rows = [(kind, *(report["faults"].get(kind, 0) for report in reports)) for kind in kinds]
+    total = sum(sum(row[1:]) for row in rows)
+    windows = sum(report.get("windows", 0) for report in reports)
+    bad = sum(not report["good"] for report in reports)
+    outcome = f"**{bad} not good**" if bad else "all good"
+    runs = f"{len(reports)} runs by source and seed"
+    lines = [
+        f"{total:,} faults of {len(kinds)} kinds in {windows} windows, {runs}: {outcome}.",
+        "",
+        *_table(("fault", *heads, "all"), [(*row, sum(row[1:])) for row in rows]),
+        "",
+        *_table(("found", *heads), [(name, *(_said(one.get(name)) for one in reports)) for name in _names(reports)]),
+    ]
+    for report, head in zip(reports, heads, strict=True):
+        lines += [line for window in report.get("failed", ()) for line in _failed(head, window)]
+    return [*lines, *(["", "## Found and mended", "", repairs.strip()] if repairs else [])]
 
 
-def _of_source(found: dict[str, Any]) -> list[str]:
-    faults: dict[str, int] = found.pop("faults")
-    good = "good" if found.pop("good") else "**not good**"
-    lines = [f"{found.pop('source')}: {sum(faults.values())} faults of seed {found.pop('seed')}: {good}."]
-    lines += ["", "| fault | times |", "|---|---|", *(f"| {name} | {n} |" for name, n in sorted(faults.items()))]
-    lines += ["", "| found | |", "|---|---|"]
-    return [*lines, *(f"| {name} | {_cell(json.dumps(value))} |" for name, value in found.items()), ""]
+def _names(reports: Sequence[dict[str, Any]]) -> list[str]:
+    apart = {"source", "seed", "faults", "failed"}
+    return [name for name in dict.fromkeys(name for report in reports for name in report) if name not in apart]
+
+
+def _said(value: object) -> str:
+    """Return a cell of what was found: of a long list of numbers its middle and largest, of a list its length."""
+    if isinstance(value, list) and value and all(isinstance(one, int | float) for one in value):
+        return f"{sorted(value)[len(value) // 2]:.3g}, at most {max(value):.3g}"
+    if isinstance(value, list) and len(value) > _MOST_LISTED:
+        return str(len(value))
+    if isinstance(value, dict | list):
+        return _cell(", ".join(map(str, value)) if isinstance(value, list) else json.dumps(value).strip("{}")) or "0"
+    return "" if value is None else _cell(f"{value:.3g}" if isinstance(value, float) else str(value))
+
+
+def _failed(head: str, window: dict[str, Any]) -> list[str]:
+    singly = [f"{fault}: {'; '.join(found) or 'good'}" for fault, found in window["singly"].items()]
+    found = f"{', '.join(window['faults'])}: {'; '.join(window['found'])}"
+    return [
+        "",
+        _cell(f"{head}, window {window['number']}: {found}"),
+        *([_cell(f"Singly: {', '.join(singly)}")] * bool(singly)),
+    ]
+
+
+def _table(head: Sequence[object], rows: Sequence[Sequence[object]]) -> list[str]:
+    return [f"| {' | '.join(map(str, row))} |" for row in (head, ["---"] * len(head), *rows)]
+
+
+def _reports_of(path: Path) -> list[dict[str, Any]]:
+    files = sorted(path.rglob("report.json")) if path.is_dir() else [path]
+    read = [json.loads(file.read_text("utf-8")) for file in files]
+    return [report for one in read for report in (one if isinstance(one, list) else [one])]
 
 
 def page(kind: str, lines: list[str], *, commit: str, moment: datetime) -> str:
@@ -110,8 +158,11 @@ def main() -> int:
     parser.add_argument("out", type=Path)
     chosen = parser.parse_args()
     try:
-        lines = {"booted": booted, "campaign": campaign}[chosen.kind](chosen.file.read_text("utf-8"))
-    except (OSError, ValueError, ET.ParseError) as error:
+        if chosen.kind == "booted":
+            lines = booted(chosen.file.read_text("utf-8"))
+        else:
+            lines = campaign(_reports_of(chosen.file), repairs=REPAIRS.read_text("utf-8"))
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, ET.ParseError) as error:
         print(f"last_run: {chosen.file}: {error}", file=sys.stderr)
         return 1
     asked = ["git", "describe", "--always", "--dirty", "--abbrev=12"]

@@ -11,14 +11,17 @@ import sqlite3
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from datetime import datetime
 from http.server import ThreadingHTTPServer
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from tests.fixtures.ports import free_port
 from tests.fixtures.postgresql import programs
 
+from .campaign_judge import CLEAR_ZENITH_DEG
 from .campaign_network import CampaignHub, Other
 from .campaign_processes import ADDRESS, SHIM, START_WITHIN_S, Processes, Setting, mount_disk, now, pause
 
@@ -44,15 +47,45 @@ FAULTS: dict[Source, tuple[str, ...]] = {
     "http": (*_EVERY, "unavailable", "page", "drip", "endless", "stale", "redirect", "refused"),
 }
 """What is done to the chain of each source; a fault is a method of its name. Not among them: a wrong camera clock
-(the service compares it with the host's, which at 200 times real time says nothing; `test_camera_clock.py` does it in
+(the service compares it with the host's, which at 150 times real time says nothing; `test_camera_clock.py` does it in
 real time) and upgrades (the booted tests, on an installed package)."""
+NEEDS: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("kill", "stop", "stop_while_solving", "pause", "second_service"), ("service",)),
+    **dict.fromkeys(("locked", "backup", "damaged_calibration"), ("file",)),
+    "deleted_database": ("service", "file", "disk"),
+    "flipped_bit": ("service", "file", "disk", "link"),
+    "disk_full": ("disk",),
+    **dict.fromkeys(("imager_killed", "refused"), ("imager",)),
+    "hub_away": ("link",),
+    **dict.fromkeys(("hub_disk_full", "postgresql_killed"), ("postgresql",)),
+    **dict.fromkeys(("truncated", "flipped_picture", "one_picture"), ("pictures",)),
+    **dict.fromkeys(("folder_away", "junk", "copies"), ("followed",)),
+    **dict.fromkeys(("unavailable", "page", "drip", "endless", "stale", "redirect"), ("address",)),
+}
+"""What a fault alone may use: those of a window that need the same are done one after the other, all others at once."""
 NEEDS_OWN_DISK = frozenset({"disk_full", "hub_disk_full"})
 NEEDS_HUB = frozenset(name for name in _OTHERS if not name.startswith("receiver"))
 _DATABASE = ("sunarc.sqlite", "sunarc.sqlite-wal", "sunarc.sqlite-shm")
 _CLEAN_ENDS = frozenset({0, 1, 2, 3})
+_WRONG_SETTINGS = 2
 _SECRET = "c2VjcmV0IG9mIHRoZSBjYW1wYWlnbiBvZiBmYXVsdHM="  # noqa: S105 - of a receiver on loopback
+_HINDER_A_START = ("disk_full", "locked")
+_HINDERS_FOR_S = 5.0
+_IN_A_WINDOW = (6, 12)
+_BEGIN_WITHIN_SLOTS = 6.0
+_NOTICES = {f"database_{kind}" for kind in ("written_back", "restored", "new", "salvaged")}
+STANDING = frozenset({"no_calibration", "provisional_calibration", "slots_missed", "cycle_too_long", *_NOTICES})
+"""Conditions of the chain itself or of the last 40 slots, and notices that a restart ends; others end after faults."""
+_RECOVERS_WITHIN_S = 240.0
 _HUB_NOTICES_S = 20.0
 """Real seconds after which a hub without its database must not be ready; it looks every 10 s."""
+
+
+class Known(NamedTuple):
+    """The last frame and the last sighting that a service knows, seconds of the imager's time."""
+
+    frame: float
+    sighting: float
 
 
 class Faults(Processes):
@@ -71,8 +104,13 @@ class Faults(Processes):
         super().__init__(folder, port=port, setting=setting)
         self.faults_of: Source = source
         self.source = source if source in {"folder", "http"} else self.source
-        self.random = random.Random(seed)
+        self.seed = seed
+        self.pool = ThreadPoolExecutor(_IN_A_WINDOW[1])  # an imager ends with the thread that started it
+        self.drawn = threading.local()  # each fault has numbers of its own
         self.counts: dict[str, int] = {}
+        self.failed = False
+        self.n_starts_again = 0
+        self.hinders_until: dict[str, float] = {}
         self.flipped: set[str] = set()
         self.other = Other()
         self.server = ThreadingHTTPServer((ADDRESS, 0), self.other.handler())
@@ -89,6 +127,7 @@ class Faults(Processes):
 
     def __exit__(self, *error: object) -> None:
         super().__exit__(*error)
+        self.pool.shutdown()
         self.server.shutdown()
         self.server.server_close()
         if self.hub is not None:
@@ -101,53 +140,153 @@ class Faults(Processes):
         push = f'[push]\nwebhooks = ["{self.address}/hook"]\nwebhook_secret_file = "{secret}"\n'
         return push + ("" if self.hub is None else self.hub.settings(self.folder / "token"))
 
+    @property
+    def random(self) -> random.Random:
+        """The numbers of the fault of this thread."""
+        if not hasattr(self.drawn, "numbers"):
+            self.drawn.numbers = random.Random(self.seed)
+        numbers: random.Random = self.drawn.numbers
+        return numbers
+
     def tend(self) -> None:
         """Start a hub that ended."""
         if self.hub is not None:
             self.hub.tend()
 
-    def drawn(self) -> Iterator[str]:
-        """Yield faults without end, each kind once before any comes again."""
+    def explains_an_end(self, code: int) -> bool:
+        """Whether a fault of this moment may end the service at its start, with a reason."""
+        explained = code in _CLEAN_ENDS - {_WRONG_SETTINGS} and now() < max(self.hinders_until.values(), default=0.0)
+        if explained:
+            self.n_starts_again += 1
+            self.note(f"the service ended at its start with {code}, and is started again")
+        return explained
+
+    def windows(self) -> Iterator[list[str]]:
+        """Yield the faults of one window after the other: some of different kinds, each kind once before any again."""
+        drawn = random.Random(self.seed)
         possible = [fault for fault in FAULTS[self.faults_of] if fault not in self.left_out]
         while True:
-            yield from self.random.sample(possible, len(possible))
+            kinds = drawn.sample(possible, len(possible))
+            while kinds:
+                count = drawn.randint(*_IN_A_WINDOW)
+                yield kinds[:count]
+                del kinds[:count]
 
-    def disturb(self, fault: str) -> None:
-        """Do a fault, and let the service recover."""
-        self.counts[fault] = self.counts.get(fault, 0) + 1
-        self._log(f"{fault} begins")
-        self.clear_from = float("inf")
-        try:
-            getattr(self, f"_{fault}")()
-        except (AssertionError, OSError, RuntimeError, sqlite3.Error, subprocess.TimeoutExpired) as error:
-            self.exits.append(f"{fault} failed: {error}")  # found wrong, and the campaign goes on
-            self._restore()
-        self.clear_from = now() + 12.0 * self.slot_s
-        self._log(f"{fault} ends")
-        self.wait(self.random.uniform(1.0, 10.0) * self.slot_s)
+    def disturb(self, faults: Sequence[str]) -> None:
+        """Do faults, all that do not hinder each other at once, while everything is looked at."""
+        first = sum(self.counts.values())
+        done = [self.pool.submit(self._one, fault, first + n) for n, fault in enumerate(faults)]
+        while not all(one.done() for one in done):
+            self.wait(0.5)
+        for one in done:
+            one.result()  # a defect of the campaign itself ends it
+        if self.failed:
+            self.restore()
+            self.failed = False
+
+    def _one(self, fault: str, number: int) -> None:
+        """Do a fault after a while."""
+        self.drawn.numbers = random.Random(f"{self.seed} {number}")
+        self.wait(self.random.uniform(0.0, _BEGIN_WITHIN_SLOTS) * self.slot_s)
+        with self.held(*NEEDS.get(fault, ())):
+            self.counts[fault] = self.counts.get(fault, 0) + 1
+            self._hinder(fault, float("inf"))
+            self.note(f"{fault} begins")
+            try:
+                getattr(self, f"_{fault}")()
+            except (AssertionError, OSError, RuntimeError, sqlite3.Error, subprocess.SubprocessError) as error:
+                self.exits.append(f"{fault} failed: {error}")  # found wrong, and the campaign goes on
+                self.failed = True
+            self.note(f"{fault} ends")
+            self._hinder(fault, now() + _HINDERS_FOR_S)
+
+    def _hinder(self, fault: str, until: float) -> None:
+        if fault in _HINDER_A_START:
+            self.hinders_until[fault] = until
+
+    def known(self) -> Known | None:
+        """Return the last frame and the last sighting that the service knows; None while it does not answer."""
+        status = self.get("/v1/status")
+        if status is None:
+            return None
+        last = status["last_frame_at"]
+        newest = max((time for time, _ in self.stored_sightings()), default=0) / 1e6
+        return Known(float("-inf") if last is None else datetime.fromisoformat(last).timestamp(), newest)
+
+    def awaited(self, since: Known) -> list[str]:
+        """Return what is still missing after faults at whose end something was known, but for the hub."""
+        found, ready = self.known(), self.get("/readyz")
+        if found is None or ready is None:
+            return ["no answer"]
+        missing = [f"/readyz says {one['code']}" for one in ready["reasons"] if one["code"] not in STANDING]
+        if found.frame <= since.frame:
+            missing.append("no frame")
+        if found.sighting <= since.sighting and self.zenith_deg(max(found.frame, since.sighting)) < CLEAR_ZENITH_DEG:
+            missing.append("no sighting")
+        return missing + self.forgotten(since.frame)
+
+    def forgotten(self, since: float) -> list[str]:  # noqa: ARG002 - of pictures
+        """Return the images from before one of the imager's times that were handed on whole and have no sighting."""
+        return []
 
     def end(self) -> list[str]:
-        """Return the images that were handed on whole and have no sighting, and what the hub has not."""
+        """End the imager; return what the service has forgotten and what the hub has not, if it does not in minutes."""
         self.kill_imager()
-        return [] if self.hub is None else self.hub.differences(self.database)
+        end = now() + _RECOVERS_WITHIN_S
+        while missing := self._unfinished():
+            if now() > end:
+                break
+            self.wait(1.0)
+        return missing
 
-    def _log(self, text: str) -> None:
+    def _unfinished(self) -> list[str]:
+        rows = [] if self.hub is None else self.hub.missing(self.hub.rows_of(self.database), self.database)
+        return rows + self.forgotten(float("inf"))
+
+    def recover(self) -> list[str]:
+        """Wait until all goes on as before the faults, also the hub has every row; return what has not within minutes.
+
+        Everything is looked at meanwhile, as in `wait`.
+        """
+        since, end, before = self.known(), now() + _RECOVERS_WITHIN_S, list[str]()
+        while since is None or (missing := self.awaited(since)):
+            if now() > end:
+                return ["no answer"] if since is None else missing
+            if since is not None and missing != before:
+                self.note(f"still {missing}")
+                before = missing
+            self.wait(0.5)
+            since = since or self.known()
+        if self.hub is None:
+            return []
+        end, rows = now() + _RECOVERS_WITHIN_S, self.hub.rows_of(self.database)
+        while missing := self.hub.missing(rows, self.database):
+            if now() > end:
+                return missing
+            self.wait(2.0)
+        return []
+
+    def note(self, text: str) -> None:
+        """Write a line to the logs of the faults and of the service."""
         with (self.folder / "faults.log").open("a") as log:
-            log.write(f"{now():.1f} {self.frame_time()} {text}\n")
+            log.write(f"{now():.1f} {self._known[0]:.0f} {text}\n")
         with (self.folder / "service.log").open("a") as log:
             log.write(f"---- {text}\n")
 
-    def _restore(self) -> None:
+    def restore(self) -> None:
         """Bring both processes back, with the host's clock right, after a fault that did not end as it should."""
         self.clock_file.write_text("0 synchronised")
         (self.state / "ballast").unlink(missing_ok=True)
         if self.hub is not None:
             (self.hub.folder / "ballast").unlink(missing_ok=True)
             self.hub.link.down = self.hub.link.drips = False
+            self.hub.link.share = 0.0
             self.hub.start_server()
         if self.service is not None:
             self.service.send_signal(signal.SIGCONT)
         self.stop_service(signal.SIGKILL)
+        if (self.folder / "kept").exists():
+            self._put_back(self.folder / "kept")
         self.kill_imager()
         self.start_imager()
         self.start_service()
@@ -207,9 +346,14 @@ class Faults(Processes):
 
     def _repeated_frames(self) -> None:
         begin = self.frame_time() or self._known[0]
+        starts = self.n_starts
         self._ordered("REPEAT_FRAME", 1)
-        if self.judge is not None:
-            self.judge.repeated(begin, self.latest_time())
+        self._note_copies(begin, starts)
+
+    def _note_copies(self, begin: float, starts: int) -> None:
+        """Note that images came again since a time; a service that is started meanwhile does not know the first."""
+        assert self.judge is not None
+        self.judge.repeated(begin, self.latest_time(), times=1 + self.n_starts - starts)
 
     def _black_frames(self) -> None:
         self._ordered("BLACK", 1)
@@ -221,7 +365,8 @@ class Faults(Processes):
         self.clock_file.write_text(f"{ahead} {state}")
         self.wait(self.random.uniform(2.0, 6.0))
         if self.random.random() < 0.3:
-            self._kill()
+            with self.held("service"):
+                self._kill()
         self.clock_file.write_text("0 synchronised")
 
     def _locked(self) -> None:
@@ -303,7 +448,9 @@ class Faults(Processes):
     def _flipped_bit(self) -> None:
         """Flip a bit of a file that the service writes; it has to start, or to end with a reason. Then put it back."""
         self.stop_service(self.random.choice([signal.SIGTERM, signal.SIGKILL]))
-        kept, judge, self.judge = self.folder / "kept", self.judge, None
+        kept = self.folder / "kept"
+        with self.held("looks"):
+            self.looks = False
         if self.hub is not None:  # which is not told what such a state holds
             self.hub.link.down = True
         shutil.copytree(self.state, kept, ignore=shutil.ignore_patterns("reserve", "lock", "ballast"))
@@ -313,16 +460,20 @@ class Faults(Processes):
         self.flipped.add(kind)
         content = (self.state / chosen).read_bytes()
         (self.state / chosen).write_bytes(flipped(content, self.random.randrange(8 * len(content))))
-        self._log(f"a bit of {chosen}")
+        self.note(f"a bit of {chosen}")
         self._starts_or_says_why(chosen)
+        self._put_back(kept)
+        self.start_service()
+
+    def _put_back(self, kept: Path) -> None:
+        """Put a state back of which a bit was flipped."""
         for name in _DATABASE:
             (self.state / name).unlink(missing_ok=True)
         shutil.copytree(kept, self.state, dirs_exist_ok=True)
         shutil.rmtree(kept)
-        self.judge = judge
+        self.looks = True
         if self.hub is not None:
             self.hub.link.down = False
-        self.start_service()
 
     def _starts_or_says_why(self, chosen: Path) -> None:
         try:
@@ -339,7 +490,7 @@ class Faults(Processes):
     # Faults of the hub, which this chain sends to; it starts again as its unit has it.
 
     def _hub_killed(self) -> None:
-        self._of_hub.process.kill()
+        self._of_hub.kill()
         self.wait(self.random.uniform(1.0, 8.0) * self.slot_s)
 
     def _hub_away(self) -> None:

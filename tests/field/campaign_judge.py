@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sqlite3
 import time
@@ -36,12 +37,12 @@ _SILENT_SLOTS = 10
 """Slots of clear sun without a sighting, in which /readyz must give a reason."""
 _GRACE_S = 3.0
 """Real seconds for which /readyz may still say "ready" then: the service looks every second, on a busy host later."""
-_CLEAR_ZENITH_DEG = 78.0
+CLEAR_ZENITH_DEG = 78.0
 _GAPS = 0.05
 _LONGEST_LOOK_SLOTS = 30
 """Time that goes on by more between two looks has jumped over a night, or another imager has begun."""
-_CALIBRATED_AFTER_FAULTS = 100
-"""A campaign of so many lasts for two simulated days or more, after which a calibration is due."""
+_CALIBRATED_AFTER_DAYS = 2.0
+"""From the first sighting to the last, after which a calibration is due."""
 
 
 @dataclass(kw_only=True)
@@ -55,7 +56,8 @@ class Findings:
         imager has them.
     wrong_sightings : accepted ones farther from the truth than they state.
     worse_than_stated : served calibrations with a larger error over the sky than stated.
-    silent : times at which /readyz was "ready" while no sighting had been stored for 10 slots of clear sun.
+    silent : times at which /readyz was "ready" while no sighting had been stored for 10 slots of clear sun,
+        whatever fault is being done.
     copies : accepted sightings in a repeated image whose first delivery was never evaluated (the service was down, or
         too busy); nothing in the image shows that it is a copy, so up to one in each of those faults is no fault.
     gaps : accepted sightings of pictures that were searched before there was a calibration, farther from the truth
@@ -68,6 +70,11 @@ class Findings:
     wrong_stars : stars that are named and are elsewhere.
     flipped : kinds of files in which a bit was flipped.
     installations : times that an operator had to accept another installation at the hub.
+    nights : how many of each verdict.
+    days : from the first sighting to the last.
+    not_recovered : what did not go on by itself after the faults of a window, within minutes.
+    n_starts, n_starts_again : of the service; those after an end with a reason at the start (a full disk).
+    worst : the largest error of a served calibration over what it states.
     """
 
     n_sightings: int = 0
@@ -88,6 +95,12 @@ class Findings:
     copies: list[str] = field(default_factory=list)
     gaps: list[str] = field(default_factory=list)
     served: list[str] = field(default_factory=list)
+    n_starts: int = 0
+    n_starts_again: int = 0
+    not_recovered: list[str] = field(default_factory=list)
+    nights: dict[str, int] = field(default_factory=dict)
+    days: float = 0.0
+    worst: float = 0.0
     left_out: list[str] = field(default_factory=list)
     wrong_stars: list[str] = field(default_factory=list)
     flipped: list[str] = field(default_factory=list)
@@ -95,18 +108,19 @@ class Findings:
     integrity: str = ""
 
     @property
+    def wrong(self) -> list[str]:
+        """What was found wrong; empty where nothing was."""
+        names = ("lost", "forgotten", "doubled", "wrong_sightings", "worse_than_stated", "silent", "wrong_stars")
+        found = [f"{name} {text}" for name in (*names, "own_exits", "not_recovered") for text in getattr(self, name)]
+        found += ["too many copies"] * (len(self.copies) > self.n_repeating)
+        found += ["too many gaps"] * (len(self.gaps) > _GAPS * self.n_searched)
+        found += [self.not_calibrated] if self.not_calibrated else []
+        return found + ([] if self.integrity == "ok" else [f"integrity {self.integrity}"])
+
+    @property
     def good(self) -> bool:
         """Whether nothing was found wrong."""
-        lists = [self.lost, self.forgotten, self.doubled, self.wrong_sightings, self.worse_than_stated, self.silent]
-        lists.append(self.wrong_stars)
-        too_many = len(self.copies) > self.n_repeating or len(self.gaps) > _GAPS * self.n_searched
-        return (
-            not any(lists)
-            and not self.own_exits
-            and not too_many
-            and not self.not_calibrated
-            and self.integrity == "ok"
-        )
+        return not self.wrong
 
 
 class Judge:
@@ -132,15 +146,15 @@ class Judge:
         self._last_look: float | None = None
         self._ready_since_s: float | None = None
         self._repeated: list[tuple[float, float]] = []
+        self._errors: dict[str, tuple[float, float]] = {}
         self.found = Findings()
 
-    def look(self, simulated_unix_s: float | None, *, clear: bool) -> None:
+    def look(self, simulated_unix_s: float | None) -> None:
         """Note what is stored and served now.
 
         Parameters
         ----------
         simulated_unix_s : the imager's time; None while it is not known.
-        clear : whether the imager shows a clear sun, and has for 10 slots.
         """
         stored = self.stored()
         if stored is not None:
@@ -149,12 +163,12 @@ class Judge:
         served = self._get("/v1/calibration")
         if served is not None:
             self._served[served["id"]] = served
-        self._look_for_silence(simulated_unix_s, clear=clear)
+        self._look_for_silence(simulated_unix_s)
 
-    def _look_for_silence(self, moment: float | None, *, clear: bool) -> None:
+    def _look_for_silence(self, moment: float | None) -> None:
         last, self._last_look = self._last_look, moment
         jumped = moment is None or last is None or not 0.0 <= moment - last <= _LONGEST_LOOK_SLOTS * self._cadence_s
-        if moment is None or jumped or not clear or self._zenith_deg(moment) > _CLEAR_ZENITH_DEG:
+        if moment is None or jumped or self._zenith_deg(moment) > CLEAR_ZENITH_DEG:
             self._sunny_since = self._ready_since_s = None
             return
         self._sunny_since = moment if self._sunny_since is None else self._sunny_since
@@ -172,10 +186,12 @@ class Judge:
     def _zenith_deg(self, moment: float) -> float:
         return float(sun_angles(moment, self._site).apparent_zenith)
 
-    def end(self, *, n_faults: int) -> Findings:
-        """Judge all that is stored and all that was served."""
+    def check(self) -> Findings:
+        """Judge all that is stored and all that was served until now."""
         found = self.found
-        with sqlite3.connect(f"file:{self._database}?mode=ro", uri=True) as connection:
+        with contextlib.closing(
+            sqlite3.connect(f"file:{self._database}?mode=ro", uri=True, timeout=20.0)
+        ) as connection:
             found.integrity = str(connection.execute("PRAGMA integrity_check").fetchone()[0])
             rows = connection.execute(
                 "SELECT time, exposure_us, accepted, x_px, y_px, sigma_px, clock_error_s, ingest_pass FROM sun_point "
@@ -183,35 +199,47 @@ class Judge:
             ).fetchall()
             stars = connection.execute("SELECT body, time, x_px, y_px, sigma_px FROM sun_point WHERE method = 'star'")
             found.n_stars, found.wrong_stars = self._stars(stars.fetchall())
+            nights = connection.execute("SELECT verdict, count(*) FROM night GROUP BY verdict")
+            found.nights = dict(nights.fetchall())
         keys = [(row[0], row[1]) for row in rows]
         found.doubled = [str(key) for key, other in pairwise(keys) if key == other]
         found.n_sightings = len(rows)
-        accepted = np.array([row for row in rows if row[2]], dtype=np.float64).reshape(-1, 8)
+        self._check_sightings(np.array([row for row in rows if row[2]], dtype=np.float64).reshape(-1, 8))
+        for document in self._served.values():
+            if document["id"] not in self._errors:
+                self._errors[document["id"]] = self._error_and_stated(document)
+        found.n_served = len(self._served)
+        errors = self._errors.items()
+        found.served = [
+            f"{one}: {error:.4f} degrees over the sky, {stated:.4f} stated" for one, (error, stated) in errors
+        ]
+        shares = [error / max(stated, _SKY_FLOOR_DEG) for error, stated in self._errors.values()]
+        found.worst = max(shares, default=0.0)
+        found.worse_than_stated = [text for text, one in zip(found.served, shares, strict=True) if one > _SKY_FACTOR]
+        found.days = (rows[-1][0] - rows[0][0]) / 8.64e10 if rows else 0.0
+        found.not_calibrated = ""
+        if not found.served and found.days > _CALIBRATED_AFTER_DAYS:
+            found.not_calibrated = f"no calibration was served in {found.days:.1f} days"
+        if not rows:
+            found.not_calibrated = "no sighting was stored: the host may be too slow"
+        return found
+
+    def _check_sightings(self, accepted: np.ndarray[Any, np.dtype[np.float64]]) -> None:
+        found = self.found
         found.n_accepted = len(accepted)
         searched = {float(row[0]) / 1e6 for row in accepted if row[7] == SEARCHED}
         found.n_searched = len(searched)
+        found.copies, found.gaps, found.wrong_sightings = [], [], []
         for moment, text in self._wrong(accepted):
             if self._is_copy(moment):
                 found.copies.append(text)
             else:
                 (found.gaps if moment in searched else found.wrong_sightings).append(text)
         found.n_repeating = len(self._repeated)
-        found.n_served = len(self._served)
-        for document in self._served.values():
-            error_deg, stated_deg = self._error_and_stated(document)
-            text = f"{document['id']}: {error_deg:.4f} degrees over the sky, {stated_deg:.4f} stated"
-            found.served.append(text)
-            if error_deg > _SKY_FACTOR * max(stated_deg, _SKY_FLOOR_DEG):
-                found.worse_than_stated.append(text)
-        if not found.served and n_faults >= _CALIBRATED_AFTER_FAULTS:
-            found.not_calibrated = f"no calibration was served in {n_faults} faults"
-        if not rows:
-            found.not_calibrated = "no sighting was stored: the host may be too slow"
-        return found
 
-    def repeated(self, begin: float, end: float) -> None:
-        """Note that the camera repeated its images between two of its times."""
-        self._repeated.append((begin - self._cadence_s, end + self._cadence_s))
+    def repeated(self, begin: float, end: float, *, times: int) -> None:
+        """Note that the camera repeated its images between two of its times, which may be believed so many times."""
+        self._repeated += [(begin - self._cadence_s, end + self._cadence_s)] * times
 
     def _is_copy(self, moment: float) -> bool:
         return any(begin <= moment <= end for begin, end in self._repeated)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sqlite3
+import threading
 import urllib.request
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -19,10 +20,9 @@ from sunarc.api.routes.feed import token_digest
 from sunarc.archive.archive import open_archive
 from sunarc.runtime.clock import SystemClock
 
-from .campaign_processes import TOKEN, now, pause
+from .campaign_processes import TOKEN, pause
 
 CAMERA = "roof"
-_CAUGHT_UP_WITHIN_S = 240.0
 _ROWS = "SELECT time, body, exposure_us, method, file, x_px, y_px, CAST(accepted AS INTEGER) FROM sun_point"
 
 
@@ -130,6 +130,7 @@ class CampaignHub:
         with open_archive(self.server.url(TEMPLATE)) as archive:
             moment = SystemClock().now()
             archive.feeds.add_token(CAMERA, token_digest(TOKEN), now=moment, former_until=moment)
+        self._starts = threading.Lock()
         self.process = HubProcess(folder, self.server.url(TEMPLATE))
         self._ended.callback(self.process.kill)
         self.process.wait_until_it_answers()
@@ -146,7 +147,13 @@ class CampaignHub:
 
     def tend(self) -> None:
         """Start a hub that ended, as its unit does."""
-        self.process.start_again_if_ended()
+        with self._starts:
+            self.process.start_again_if_ended()
+
+    def kill(self) -> None:
+        """End the hub at once."""
+        with self._starts:
+            self.process.kill()
 
     def start_server(self) -> None:
         """Start PostgreSQL again, as its unit does, where it ended or was ended."""
@@ -162,20 +169,19 @@ class CampaignHub:
             return False
         return bool(answer["status"] == "ready")
 
-    def differences(self, database: Path) -> list[str]:
-        """Wait until the hub has what the service has; return what it has not, or has beside it.
+    def missing(self, rows: set[str], database: Path) -> list[str]:
+        """Return what the hub has not of rows that the service still has, and what it has beside the service's.
 
         A service whose database was put back sends under another id, which an operator accepts.
         """
-        end = now() + _CAUGHT_UP_WITHIN_S
-        while True:
-            self.tend()
-            self._accept()
-            own, hubs = self._rows_of(database), self._rows()
-            if own == hubs or now() > end:
-                break
-            pause(1.0)
-        missing = [f"the hub has not {row}" for row in sorted(own - hubs)]
+        self.tend()
+        self._accept()
+        try:
+            hubs = self._rows()
+        except AssertionError as error:  # of psql
+            return [f"PostgreSQL: {error}"]
+        own = self.rows_of(database)
+        missing = [f"the hub has not {row}" for row in sorted((rows & own) - hubs)]
         return (missing + [f"the hub alone has {row}" for row in sorted(hubs - own)])[:20]
 
     def _accept(self) -> None:
@@ -189,7 +195,8 @@ class CampaignHub:
         lines = self.server.sql(TEMPLATE, _ROWS).splitlines()
         return {_key(line.split("|")) for line in lines}
 
-    def _rows_of(self, database: Path) -> set[str]:
+    def rows_of(self, database: Path) -> set[str]:
+        """Return the sightings of a service's database, as they are compared."""
         with contextlib.closing(sqlite3.connect(f"file:{database}?mode=ro", uri=True, timeout=20.0)) as connection:
             return {_key(row) for row in connection.execute(_ROWS)}
 

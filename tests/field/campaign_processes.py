@@ -10,9 +10,11 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 import urllib.request
-from collections.abc import Callable
+from collections import defaultdict
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -28,8 +30,10 @@ from .campaign_judge import Judge
 HERE = Path(__file__).resolve().parent
 ADDRESS = "127.0.0.1"
 START = datetime(2013, 5, 13, 14, 0, tzinfo=UTC)
-SPEED = 200.0
-CADENCE_S = 120.0
+SPEED = 150.0
+CADENCE_S = 300.0
+"""With `SPEED` a slot takes 2 s: in 0.6 s a loaded host has no time for exposures of the sun beside the others. Slots
+of more than 312 s would leave moves within a day unsought."""
 IMAGER = HERE.parent / "simulation" / "imager_process.py"
 SHIM = HERE / "clock_shim.py"
 START_WITHIN_S = 300.0
@@ -127,12 +131,13 @@ class Processes:
         self.clock_file = folder / "clock"
         self.exits: list[str] = []
         self.judge: Judge | None = None
-        self.clear_from = 0.0
+        self.looks = True
+        self.n_starts = 0
         self.has_own_disk = mount_disk(self.state)
         self.imager: subprocess.Popen[str] | None = None
         self.service: subprocess.Popen[bytes] | None = None
         self._known = (self.setting.start.timestamp(), now())
-        self._asked_at = 0.0
+        self.locks: defaultdict[str, threading.RLock] = defaultdict(threading.RLock)
 
     def __enter__(self) -> Self:
         self.write_settings("sunarc.toml", port=self.port)
@@ -206,6 +211,14 @@ class Processes:
         self._known = (max(frame_time, self._known[0]), now())
         return frame_time
 
+    def zenith_deg(self, moment: float) -> float:
+        """Return the sun's apparent zenith angle at one of the imager's times."""
+        return float(sun_angles(moment, self.setting.site).apparent_zenith)
+
+    def stored_sightings(self) -> set[tuple[int, float]]:
+        """Return time and exposure of each stored sighting; none while the database cannot be read."""
+        return set() if self.judge is None else self.judge.stored() or set()
+
     def latest_time(self) -> float:
         """Return the imager's time; while the service does not tell it, the latest that it can have, unix seconds."""
         known, at = self._known
@@ -232,30 +245,56 @@ class Processes:
         if known == self.setting.start.timestamp():
             return known
         began = known + self.setting.cadence_s + (now() - at) * self.setting.speed
-        if not self.setting.nights and float(sun_angles(began, self.setting.site).apparent_zenith) > NIGHT_ZENITH_DEG:
+        if not self.setting.nights and self.zenith_deg(began) > NIGHT_ZENITH_DEG:
             began = next_dawn(began, self.setting.site)
         return began
 
     def kill_imager(self) -> None:
         """End the imager at once."""
-        if self.imager is not None:
-            self.frame_time()
-            self.imager.kill()
-            self.imager.wait(timeout=10.0)
-            if self.imager.stdin is not None:
+        self.frame_time()
+        with self.held("registers"):
+            imager, self.imager = self.imager, None
+        if imager is not None:
+            imager.kill()
+            imager.wait(timeout=10.0)
+            if imager.stdin is not None:
                 with contextlib.suppress(BrokenPipeError):
-                    self.imager.stdin.close()
-            self.imager = None
+                    imager.stdin.close()
 
     def order(self, register: str, value: int) -> None:
         """Write a register of the imager."""
-        if self.imager is not None and self.imager.stdin is not None:
-            self.imager.stdin.write(f"{register} {value}\n")
-            self.imager.stdin.flush()
+        with self.held("registers"):
+            if self.imager is not None and self.imager.stdin is not None:
+                self.imager.stdin.write(f"{register} {value}\n")
+                self.imager.stdin.flush()
+
+    @contextlib.contextmanager
+    def held(self, *names: str) -> Iterator[None]:
+        """Keep other threads from what two faults cannot be done to at once."""
+        with contextlib.ExitStack() as stack:
+            for name in sorted(names):
+                stack.enter_context(self.locks[name])
+            yield
+
+    def explains_an_end(self, code: int) -> bool:  # noqa: ARG002 - of a chain with faults
+        """Whether a service that ends at its start has a reason to, and its unit starts it again."""
+        return False
 
     def start_service(self) -> None:
-        """Start the service and wait until it answers."""
+        """Start the service, again where that is explained as its unit does, and wait until it answers."""
+        end = now() + START_WITHIN_S
+        while True:
+            self._start_once(end - now())
+            if not self._ended():
+                return
+            code = None if self.service is None else self.service.returncode
+            if code is None or not self.explains_an_end(code) or now() > end:
+                raise RuntimeError(f"the service ended at its start with {code}; see {self.folder}")
+            pause(0.5)
+
+    def _start_once(self, within_s: float) -> None:
         command = [sys.executable, str(SHIM), str(self.clock_file), "serve", "--config"]
+        self.n_starts += 1
         with (self.folder / "service.log").open("ab") as log:
             self.service = subprocess.Popen(
                 [*command, str(self.folder / "sunarc.toml")],
@@ -263,9 +302,8 @@ class Processes:
                 stderr=log,
                 env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
             )
-        self.wait_for(lambda: self.get("/healthz") is not None or self._ended(), what="the service")
-        if self._ended():
-            raise RuntimeError(f"the service ended at its start; see {self.folder}")
+        answers = lambda: self.get("/healthz") is not None or self._ended()  # noqa: E731
+        self.wait_for(answers, what="the service", within_s=within_s)
 
     def _ended(self) -> bool:
         return self.service is None or self.service.poll() is not None
@@ -283,16 +321,31 @@ class Processes:
             self.service = None
 
     def wait(self, seconds: float) -> None:
-        """Let time pass, looking at everything every half second."""
+        """Let time pass; the main thread looks at everything every half second meanwhile."""
+        if threading.current_thread() is not threading.main_thread():
+            pause(seconds)
+            return
         end = now() + seconds
         while now() < end:
             pause(min(0.5, end - now()))
             self.tend()
+            self._start_if_ended()
+            with self.held("looks"):
+                if self.judge is not None and self.looks:
+                    self.judge.look(self.frame_time())
+
+    def _start_if_ended(self) -> None:
+        """Start a service that ended by itself, which is found wrong; not while a fault has ended it."""
+        if not self.locks["service"].acquire(blocking=False):
+            return
+        try:
             if self.service is not None and self.service.poll() is not None:
                 self.exits.append(f"code {self.service.returncode} at {self._known[0]:.0f}")
                 self.start_service()
-            if self.judge is not None:
-                self.judge.look(self.frame_time(), clear=now() > self.clear_from)
+        except RuntimeError as error:
+            self.exits.append(str(error))
+        finally:
+            self.locks["service"].release()
 
     def wait_for(self, reached: Callable[[], bool], *, what: str, within_s: float = START_WITHIN_S) -> None:
         """Wait until something is reached; raise where it is not in time."""

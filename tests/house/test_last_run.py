@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 from datetime import UTC, datetime
@@ -29,14 +28,20 @@ def test_the_booted_sets_page_has_every_test_with_its_outcome() -> None:
 
 
 def test_the_campaigns_page_has_every_fault_and_what_was_found() -> None:
-    faults = {"kill": 30, "full_disk": 12}
-    bad = {"source": "gige", "seed": 22, "faults": faults, "lost": [], "worst_px": 0.03, "good": False}
-    good = {"source": "folder", "seed": 23, "faults": {"late_uploads": 2}, "lost": [], "good": True}
-    lines = last_run.campaign(json.dumps([bad, good]))
-    assert lines[0] == "gige: 42 faults of seed 22: **not good**."
-    assert "folder: 2 faults of seed 23: good." in lines
-    assert "| kill | 30 |" in lines
-    assert "| worst_px | 0.03 |" in lines
+    window = {"number": 3, "faults": ["kill", "late"], "found": ["lost 5"], "singly": {"kill": ["lost 6"], "late": []}}
+    bad = {"source": "gige", "seed": 22, "faults": {"kill": 30, "full_disk": 12}, "windows": 4, "good": False}
+    bad |= {"lost": ["5", "6"], "worst": 0.03125, "recovered_s": [2, 4, 90], "failed": [window]}
+    good = {"source": "folder", "seed": 23, "faults": {"kill": 1, "late": 2}, "windows": 1, "lost": [], "good": True}
+    lines = last_run.campaign([bad, good], repairs="- Mended.\n")
+    assert lines[0] == "45 faults of 3 kinds in 5 windows, 2 runs by source and seed: **1 not good**."
+    assert "| fault | gige 22 | folder 23 | all |" in lines
+    assert "| kill | 30 | 1 | 31 |" in lines
+    assert "| lost | 5, 6 | 0 |" in lines
+    assert "| worst | 0.0312 |  |" in lines
+    assert "| recovered_s | 4, at most 90 |  |" in lines
+    assert "gige 22, window 3: kill, late: lost 5" in lines
+    assert "Singly: kill: lost 6, late: good" in lines
+    assert lines[-1] == "- Mended."
 
 
 def test_a_page_says_when_and_of_which_commit() -> None:

@@ -22,7 +22,7 @@ from sunarc.reanalysis.ingest import IngestOptions, ingest_folder
 from sunarc.reanalysis.ingest_summary import IngestSummary
 from sunarc.reanalysis.messages import MESSAGES
 from sunarc.runtime.clock import Clock
-from sunarc.runtime.loop import Loop
+from sunarc.runtime.loop import Loop, Pauses
 from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.settings.model import Settings
 from sunarc.sky.days import solar_date
@@ -33,7 +33,8 @@ from sunarc.workers.clock_watch import FrameTime
 _log = logging.getLogger(__name__)
 _LOOK_S = 2.0
 _COUNT_S = 30.0
-_AGAIN_S = 3600.0
+_AGAIN = Pauses(60.0, 3600.0)
+"""After a failure: a share is back in a minute, a disk that is full perhaps in hours."""
 _LONGEST_S = 14 * 86_400.0
 """Of one analysis: a year's images of 12 MP on a small computer take days."""
 _PORTION = 2000
@@ -92,7 +93,8 @@ class FolderArchiveWorker:
         self._analysed: date | None = None
         self._calibrated: bool | None = None
         self._working = False
-        self._failed_s: float | None = None
+        self._failures = 0
+        self._rests_until_s = 0.0
 
     def analyse(self, files: Sequence[SourceFile]) -> None:
         """Have older files of the folder analysed, and all of it once they led to a calibration."""
@@ -119,7 +121,7 @@ class FolderArchiveWorker:
     @property
     def _rests(self) -> bool:
         """Whether an analysis failed a while ago: meanwhile days are judged by what is stored."""
-        return self._failed_s is not None and self.clock.monotonic() - self._failed_s < _AGAIN_S
+        return self._failures > 0 and self.clock.monotonic() < self._rests_until_s
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Analyse when there is a reason, until stopped."""
@@ -205,10 +207,11 @@ class FolderArchiveWorker:
         self.look_back()
         if not files:
             self._analysed, self._calibrated = self._today(), self._has_calibration()
-        self._failed_s = None
+        self._failures = 0
         self.board.set_condition(_FAILED, None)
 
     def _fail(self, error: str) -> None:
-        self._failed_s = self.clock.monotonic()
+        self._failures += 1
+        self._rests_until_s = self.clock.monotonic() + _AGAIN.after(self._failures)
         _log.warning("the older images of %s could not be analysed: %s", self.options.path, error)
         self.board.set_condition(_FAILED, Reason.of(Finding(_FAILED, {"error": error}), MESSAGES))

@@ -89,7 +89,7 @@ def test_the_newest_portion_comes_first_and_its_days_are_judged_before_the_rest(
     followed.close()
 
 
-def test_an_analysis_that_fails_does_not_keep_days_from_being_judged(
+def test_an_analysis_that_fails_does_not_keep_days_from_being_judged_and_is_done_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(folder_worker, "_MANY", 5)
@@ -105,6 +105,17 @@ def test_an_analysis_that_fails_does_not_keep_days_from_being_judged(
     behind.step(threading.Event(), lambda: None)
     assert followed.codes() == {"archive_failed"}
     assert [behind.is_busy] == [False]
+    followed.clock.advance(59.0)
+    assert not behind.step(threading.Event(), lambda: None)
+    followed.clock.advance(2.0)
+    assert behind.step(threading.Event(), lambda: None)
+    followed.clock.advance(61.0)  # the second pause is longer
+    assert not behind.step(threading.Event(), lambda: None)
+    followed.clock.advance(60.0)
+    monkeypatch.setattr(folder_archive, "in_child", lambda call, _: call())
+    assert behind.step(threading.Event(), lambda: None)
+    assert followed.codes() == set()
+    assert len(followed.points()) == 8
     followed.close()
 
 
