@@ -13,10 +13,10 @@ import sys
 import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from datetime import datetime
+from datetime import UTC, datetime
 from http.server import ThreadingHTTPServer
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from tests.fixtures.ports import free_port
 from tests.fixtures.postgresql import programs
@@ -76,6 +76,8 @@ _BEGIN_WITHIN_SLOTS = 6.0
 _NOTICES = {f"database_{kind}" for kind in ("written_back", "restored", "new", "salvaged")}
 STANDING = frozenset({"no_calibration", "provisional_calibration", "slots_missed", "cycle_too_long", *_NOTICES})
 """Conditions of the chain itself or of the last 40 slots, and notices that a restart ends; others end after faults."""
+LASTING_DAYS = {"calibration_damaged": 1.5}
+"""Days of the imager's time for which a condition may last: the next refit ends it, and the camera before is served."""
 _RECOVERS_WITHIN_S = 240.0
 _HUB_NOTICES_S = 20.0
 """Real seconds after which a hub without its database must not be ready; it looks every 10 s."""
@@ -218,12 +220,18 @@ class Faults(Processes):
         found, ready = self.known(), self.get("/readyz")
         if found is None or ready is None:
             return ["no answer"]
-        missing = [f"/readyz says {one['code']}" for one in ready["reasons"] if one["code"] not in STANDING]
+        missing = [f"/readyz says {one['code']}" for one in ready["reasons"] if not self._stands(one)]
         if found.frame <= since.frame:
             missing.append("no frame")
         if found.sighting <= since.sighting and self.zenith_deg(max(found.frame, since.sighting)) < CLEAR_ZENITH_DEG:
             missing.append("no sighting")
         return missing + self.forgotten(since.frame)
+
+    def _stands(self, reason: dict[str, Any]) -> bool:
+        """Whether a condition does not have to end with the faults, or not yet."""
+        moment = datetime.now(UTC)  # noqa: TID251 - conditions are dated by the host
+        stood_s = (moment - datetime.fromisoformat(reason["since"])).total_seconds() * self.setting.speed
+        return reason["code"] in STANDING or stood_s < 86_400.0 * LASTING_DAYS.get(reason["code"], 0.0)
 
     def forgotten(self, since: float) -> list[str]:  # noqa: ARG002 - of pictures
         """Return the images from before one of the imager's times that were handed on whole and have no sighting."""
