@@ -36,6 +36,10 @@ def test_fewer_than_two_sightings_have_no_neighbours(n: int) -> None:
     assert neighbours(np.zeros(n), _run(n)).size == 0
 
 
+def test_two_sightings_of_a_run_are_neighbours() -> None:
+    assert neighbours(np.array([0.0, 10.0]), _run(2)).tolist() == [True]
+
+
 def test_runs_of_one_sighting_have_no_neighbours() -> None:
     assert neighbours(np.array([0.0, 1.0, 2.0]), np.array([0, 1, 2])).tolist() == [False, False]
 

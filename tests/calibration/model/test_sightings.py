@@ -11,6 +11,7 @@ from tests.fixtures.calibration import SGP
 
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.errors import InputError
+from sunarc.optics.camera import inside_image
 from sunarc.sky.refraction import ASSUMED_AIR_SD, DAILY_AIR_SD, MEASURED_AIR_SD, refraction_rad
 from sunarc.sky.sun import sun_angles, sun_directions
 
@@ -159,3 +160,11 @@ def test_measured_air_moves_the_sun() -> None:
     plain = filter_sightings(_points(times), site=SGP).directions
     cold = filter_sightings(_points(times, temperature=-30.0, pressure=101_000.0), site=SGP).directions
     assert 1e-5 < float(np.linalg.norm(plain - cold)) < math.radians(0.1)
+
+
+@pytest.mark.parametrize("beyond_px", [0.0, 2.0])
+def test_an_image_ends_with_the_outer_edges_of_its_outer_pixels(beyond_px: float) -> None:
+    for inwards, inside in ((0.01, True), (-0.01, False)):
+        end = beyond_px - inwards
+        places = np.array([[-0.5 - end, 5.0], [5.0, -0.5 - end], [639.5 + end, 5.0], [5.0, 479.5 + end]])
+        assert inside_image(places, (640, 480), beyond_px=beyond_px).tolist() == [inside] * 4
