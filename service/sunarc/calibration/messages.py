@@ -106,6 +106,12 @@ MESSAGES = Messages(
         "The fit is refused.",
         "check clock and site; where the camera is tilted, give --level-within",
     ),
+    tilt_in_doubt=Message(
+        "the sightings fit a camera tilted by {tilt_deg:.1f}°, whose pose they determine to {pose_deg:~2}° (1-sigma "
+        "about the least certain axis): it may be level",
+        "The fit is refused.",
+        "collect sightings in other hours of the day; where the camera is tilted, give --level-within",
+    ),
     mirrored=Message("the image is mirrored", "Both were tried, and one fits."),
     not_mirrored=Message("the image is not mirrored", "Both were tried, and one fits."),
     pose_changed=Message(

@@ -64,6 +64,9 @@ def reanalyse_archive(
     ] = None,
     method: DetectionMethod = "auto",
     mirrored: Annotated[str, typer.Option(help="Whether the images are mirror images: no, yes, auto.")] = "no",
+    level_within: Annotated[
+        float | None, typer.Option(help="A camera tilted by more degrees is refused; unless given, it is asked about.")
+    ] = None,
     scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler, tcp://….")] = None,
     workers: Annotated[
         int | None, typer.Option(help="Processes on this machine; one for each processor unless given.", min=1)
@@ -93,7 +96,9 @@ def reanalyse_archive(
         ),
         image_size=None if image_size is None else parse_image_size(image_size),
         method=choice_of("--method", method, METHODS),
-        options=CalibrationOptions(mirrored=choice_of("--mirrored", mirrored, ("no", "yes", "auto"))),
+        options=CalibrationOptions(
+            mirrored=choice_of("--mirrored", mirrored, ("no", "yes", "auto")), level_within_deg=level_within
+        ),
         stacks=True,
     )
     missing = [name for name, given in (("latitude", latitude), ("longitude", longitude)) if given is None]

@@ -14,7 +14,7 @@ from sunarc.array_types import FloatArray, IntArray, stacked
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.result import Calibration, refused_for
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.quality.fit_checks import provisional
+from sunarc.calibration.quality.fit_checks import provisional, tilt_in_doubt
 from sunarc.calibration.quality.tilt import tilt_question
 from sunarc.calibration.quality.widening import with_larger_errors, with_pose_spread
 from sunarc.documents.calibration_document import to_document
@@ -249,7 +249,7 @@ def doubts(calibration: Calibration, camera: ArchiveCamera) -> tuple[Finding, ..
     wanted = camera.options.mirrored
     if wanted != "auto" and calibration.camera.mirrored != (wanted == "yes"):
         found.append(Finding("camera_mirrored", {"mirrored": "yes" if calibration.camera.mirrored else "no"}))
-    tilted = tilt_question(calibration.camera, camera.site)
+    tilted = None if camera.options.level_within_deg is not None else tilt_question(calibration.camera, camera.site)
     return (*found, tilted) if tilted is not None else tuple(found)
 
 
@@ -316,6 +316,7 @@ def final_analysis(given: CameraSightings) -> Final:
     noise = noise_of_days(points, camera.site)
     found = _without_drifts(Final(tuple(refined), tuple(epochs), path, fitted), given, noise)
     found = _held_to_parts(_allowing_for_drift(_held_to_days(found, given, noise), given, noise), given)
+    found = _held_to_level(found)
     return found._replace(epochs=surely_held(found.epochs, points, found.states, camera))
 
 
@@ -430,6 +431,16 @@ def _held_to(fitted: FittedPose, sigmas: float) -> FittedPose:
     if sigmas > _PARTS_APART:
         return _refused(fitted, Finding("parts_disagree", {"sigmas": sigmas, "limit": _PARTS_APART}))
     return fitted if sigmas <= 1.0 else fitted._replace(calibration=with_larger_errors(fitted.calibration, sigmas))
+
+
+def _held_to_level(final: Final) -> Final:
+    """Return calibrations, those refused that are tilted by a tilt that nobody stated and few sightings determine."""
+    fitted = dict(final.fitted)
+    for pose, one in final.fitted.items():
+        doubt = tilt_in_doubt(one.calibration)
+        if doubt is not None and one.calibration.verdict.accepted:
+            fitted[pose] = _refused(one, doubt)
+    return final._replace(fitted=fitted)
 
 
 _OF_DAYS = {"epoch_does_not_explain_its_days", "held_out_contradicts", "too_many_rejected", "rmse_too_large"}

@@ -336,7 +336,9 @@ def _usual_size(images: Sequence[ArchiveImage]) -> tuple[int, int] | None:
 
 
 _NUMBERS = ("latitude", "longitude", "altitude")
-_KEYS = {"sources", "files", "utc_offset", "time_pattern", *_NUMBERS, "image_size", "mirrored", "method"}
+_KEYS = {
+    "sources", "files", "utc_offset", "time_pattern", *_NUMBERS, "image_size", "mirrored", "level_within", "method",
+}  # fmt: skip
 
 
 def read_cameras(path: Path, *, common: CameraPlan, required: Collection[str] = ()) -> list[CameraPlan]:
@@ -390,7 +392,9 @@ def _filled(name: str, table: Mapping[str, Any], common: CameraPlan, folder: Pat
         image_size=_get(table, "image_size", _size, common.image_size),
         method=_get(table, "method", _one_of("auto", "disc", "paper"), common.method),
         options=replace(
-            common.options, mirrored=_get(table, "mirrored", _one_of("no", "yes", "auto"), common.options.mirrored)
+            common.options,
+            mirrored=_get(table, "mirrored", _one_of("no", "yes", "auto"), common.options.mirrored),
+            level_within_deg=_get(table, "level_within", float, common.options.level_within_deg),
         ),
     )
 

@@ -350,11 +350,16 @@ def _epochs(result: CameraResult, documents: Mapping[tuple[str, str], Document])
                 "clock_offset_s": state.clock_offset_s,
                 "calibration": f"calibrations/{result.name}/{name}.json",
                 "accepted": document["verdict"]["accepted"],
-                "provisional": document["verdict"]["marginal"],
+                "provisional": _is_provisional(document),
                 "sightings": epoch.last - epoch.first + 1,
             }
         )
     return rows
+
+
+def _is_provisional(document: Document) -> bool:
+    """Return whether a calibration is kept though its sightings do not determine it; a doubtful one is refused."""
+    return document["uncertainty"].get("sigma_limit_deg") is not None
 
 
 def _camera(result: CameraResult, documents: Mapping[tuple[str, str], Document]) -> Document:
@@ -419,7 +424,7 @@ def _write_exports(
     usable = {
         f"{camera}/{epoch}": one
         for (camera, epoch), one in documents.items()
-        if one["verdict"]["accepted"] or one["verdict"]["marginal"]
+        if one["verdict"]["accepted"] or _is_provisional(one)
     }
     for former in folder.glob("*/*"):
         if former.relative_to(folder).as_posix() not in usable:

@@ -43,6 +43,7 @@ def test_what_a_camera_has_goes_first(tmp_path: Path) -> None:
         latitude = -10
         image_size = [640, 480]
         mirrored = "yes"
+        level_within = 20
         method = "paper"
         [cameras.mast]
         altitude = 5.0
@@ -52,6 +53,7 @@ def test_what_a_camera_has_goes_first(tmp_path: Path) -> None:
     assert roof.rules == TimeRules("%H", timedelta(hours=-5.5))
     assert (roof.site.latitude, roof.site.longitude) == (-10.0, SGP.longitude)
     assert (roof.image_size, roof.options.mirrored, roof.method) == ((640, 480), "yes", "paper")
+    assert roof.options.level_within_deg == 20.0
     assert (mast.site.altitude, mast.image_size) == (5.0, (9, 9))
 
 

@@ -179,6 +179,25 @@ def test_a_few_suns_of_a_morning_have_an_epoch_that_may_be_kept_as_provisional()
     assert (kept.verdict.accepted, kept.verdict.marginal, kept.sigma_limit_deg) == (False, True, 0.5)
 
 
+@pytest.mark.parametrize(
+    ("until_deg", "level_within_deg", "doubted"), [(180.0, None, True), (180.0, 20.0, False), (360.0, None, False)]
+)
+def test_a_tilt_that_a_few_suns_of_a_morning_determine_poorly_is_doubted(
+    until_deg: float, level_within_deg: float | None, *, doubted: bool
+) -> None:
+    """A latitude that is wrong by 7 degrees is a camera that is tilted by as much."""
+    of_day = archive(8, days=1, per_day=60, first_share=1.0, sigma_px=0.5)
+    points = of_day.select(np.flatnonzero(sun_angles(of_day.unix_s, SITE).azimuth < until_deg))
+    camera = ArchiveCamera(
+        replace(SITE, latitude=SITE.latitude - 7.0), SIZE, replace(OPTIONS, level_within_deg=level_within_deg)
+    )
+    given = CameraSightings(points, camera)
+    final = final_analysis(given._replace(states=first_analysis(given).states))
+    (fit,) = (one.calibration for one in final.fitted.values())
+    assert fit.verdict.accepted is not doubted
+    assert ("tilt_in_doubt" in codes(fit.verdict.findings)) is doubted
+
+
 @pytest.mark.parametrize(("turn_deg", "cause"), [(0.0, "start"), (0.4, "moved")])
 def test_a_small_turn_is_found_by_the_noise_of_the_days(turn_deg: float, cause: str) -> None:
     points = archive(4, days=8, per_day=20, first_share=1.0, sigma_px=0.3)

@@ -47,6 +47,8 @@ _UNDETERMINED = frozenset(
 """What a fit is refused for that contradicts nothing."""
 _LEAST_SHARE = 0.05
 """Share of the sky in the image that a provisional calibration answers for at least."""
+_SURELY_TILTED = 5.0
+"""Stated sigmas of the pose: 23 suns of a morning tilted cameras that are level to 3 degrees by up to 4.0 of them."""
 _LOW_SUN_DEG = 85.0
 """Zenith angle, degrees, up to which a sun is expected to be seen."""
 _OFF_CENTER = 0.04
@@ -207,15 +209,36 @@ def determined(calibration: Calibration, usable: Sightings) -> Iterator[Finding]
     along = sigma_deg(calibration, latest)
     seen = along[np.isfinite(along)]
     arc = math.sqrt(float(np.mean(seen**2))) if seen.size else math.nan
-    places = [calibration.parameter_names.index(name) for name in PARAMETER_NAMES[POSE]]
-    turn = right_jacobian(calibration.camera.rotation_cam_enu)
-    spread = turn @ calibration.covariance[np.ix_(places, places)] @ turn.T
-    pose = math.sqrt(max(float(np.max(np.linalg.eigvalsh(spread))), 0.0)) if np.all(np.isfinite(spread)) else math.nan
-    if math.isfinite(arc) and math.isfinite(pose):
-        yield Finding("sightings_determine", {"arc_deg": arc, "pose_deg": min(math.degrees(pose), 180.0)})
+    pose_deg = _pose_sigma_deg(calibration)
+    if math.isfinite(arc) and math.isfinite(pose_deg):
+        yield Finding("sightings_determine", {"arc_deg": arc, "pose_deg": pose_deg})
     yield from missing_hours(usable, calibration.site)
     if calibration.evidence.options.get("free", "all") == "all":
         yield from _alike_days(usable, calibration.site)
+
+
+def _pose_sigma_deg(calibration: Calibration) -> float:
+    """Return the 1-sigma of the pose about the least certain axis, 180 at most; NaN where it is not known."""
+    places = [calibration.parameter_names.index(name) for name in PARAMETER_NAMES[POSE]]
+    turn = right_jacobian(calibration.camera.rotation_cam_enu)
+    spread = turn @ calibration.covariance[np.ix_(places, places)] @ turn.T
+    if not np.all(np.isfinite(spread)):
+        return math.nan
+    return min(math.degrees(math.sqrt(max(float(np.max(np.linalg.eigvalsh(spread))), 0.0))), 180.0)
+
+
+def tilt_in_doubt(calibration: Calibration) -> Finding | None:
+    """Return that a camera may be level though the fit is tilted, by a tilt that nobody stated; None where it is not.
+
+    Errors of the lens that few sightings do not show tilt the camera by more than its stated sigma.
+    """
+    question = tilt_question(calibration.camera, calibration.site)
+    if question is None or calibration.evidence.options.get("level_within_deg") is not None:
+        return None
+    tilt_deg, pose_deg = float(question.data["tilt_deg"]), _pose_sigma_deg(calibration)
+    if tilt_deg > _SURELY_TILTED * pose_deg:
+        return None
+    return Finding("tilt_in_doubt", {"tilt_deg": tilt_deg, "pose_deg": pose_deg})
 
 
 def is_undetermined(verdict: Verdict) -> bool:
