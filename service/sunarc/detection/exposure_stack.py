@@ -79,19 +79,25 @@ class _DiscOfStack(NamedTuple):
 
 _SAME_PX = 1.0
 _FEWEST = 2
+_AS_SMALL = 1.2
+"""Radius over the shortest exposure's: a wider dot is the disc with a glare that need not be centred on it."""
 _TIMES_SKY = 60.0
 """Light of the disc over that of the sky: the sun has 1e5 without cloud; a reflection has less than the cloud's rim."""
 _WIDE_GLARE, _SMALLEST_RING_PX = 3.0, 2.0
 """Radius of a clipped glare over the disc's that a lamp without a halo has before a bright cloud alone; least radius
 for that and the rings."""
-_RINGS = ((2.5, 4.0), (4.0, 6.0), (6.0, 8.0))
+_RINGS = ((2.5, 4.0), (4.0, 6.0), (6.0, 8.0), (10.0, 14.0))
 _CLIPPED_RING, _DARK_RING = 0.9, 0.002
 """Radii of rings over the disc's; light of full scale from which on a ring is clipped, and up to which it is dark."""
 _FALLS_OFF, _FALLS_STEEPLY = 1.11, 2.0
 """Light of the near ring over the far one's: of drawn lamps mostly below 1.08; suns behind cloud that lets a third
 through have 1.04 to 1.15. A steep fall needs no round glare about it, in images whose sky is clipped all about."""
-_INWARDS = 1.15
-"""Its fall in the inner half over that in the outer: of bright clouds behind lamps at most 1.08, of suns 1.26 to 2."""
+_INWARDS, _AS_HALO = 1.15, 6.0
+"""Its fall in the inner half over that in the outer: of bright clouds behind lamps at most 1.08, of drawn suns 1.3 to
+2.7, of a real one 4.0; of lamps behind frosted glass 21 and more."""
+_AUREOLE = 1.06
+"""Light of the third ring over that of the fourth, where air scatters: of suns mostly 1.09 and more, of lamps 1.04 and
+less unless the lens scatters their light as it does the sun's."""
 
 
 def _disc_in(ordered: Sequence[Photo], expectation: Expectation | None) -> _DiscOfStack | None:
@@ -106,10 +112,15 @@ def _disc_in(ordered: Sequence[Photo], expectation: Expectation | None) -> _Disc
     same = np.linalg.norm(places - places[0], axis=1) <= _SAME_PX
     if np.count_nonzero(same) < max(_FEWEST, 0.5 * len(dots)):
         return None
-    weights = np.array([one.sigma_px or math.inf for one, _ in dots])[same] ** -2.0
-    x, y = np.average(places[same], axis=0, weights=weights)
-    scatter = math.sqrt(float(np.average(np.sum((places[same] - (x, y)) ** 2, axis=1), weights=weights)) / 2.0)
-    sigma = max(first.sigma_px or math.inf, scatter)
+    weights = np.array([one.sigma_px or math.inf for one, _ in dots]) ** -2.0
+    radii = np.array([one.radius_px or math.inf for one, _ in dots])
+    small = same & (radii <= _AS_SMALL * radii[0])
+    x, y = np.average(places[small], axis=0, weights=weights[small])
+    off = places - (x, y)
+    scatter = math.sqrt(float(np.average(np.sum(off[small] ** 2, axis=1), weights=weights[small])) / 2.0)
+    # by as much as the glare moves the others the clipped light of these may have moved them
+    drift = float(np.linalg.norm(np.average(off[same], axis=0, weights=weights[same]))) / math.sqrt(2.0)
+    sigma = max(math.hypot(first.sigma_px or math.inf, drift), scatter)
     return _DiscOfStack(float(x), float(y), sigma, first, int(np.count_nonzero(same)))
 
 
@@ -138,7 +149,8 @@ def _by_disc(disc: _DiscOfStack, ordered: Sequence[Photo], accepted: Sequence[De
     wide = accepted[0] if accepted else disc.shortest
     diameter = 2.0 * (glare[0].rim.radius if glare else wide.radius_px or 0.0)
     share = glare[0].rim.share if glare else 1.0
-    mean = Finding("stack_mean", {"frames": disc.frames, "chi2": (disc.sigma_px / (at.sigma_px or 1.0)) ** 2})
+    larger = disc.sigma_px / (disc.shortest.sigma_px or math.inf)
+    mean = Finding("stack_mean", {"frames": disc.frames, "chi2": larger**2})
     return replace(at, findings=(Finding("blob_found", {"diameter_px": diameter, "share": share}), mean))
 
 
@@ -173,10 +185,12 @@ def _has_halo(disc: _DiscOfStack, glare: Sequence[Candidate], ordered: Sequence[
     away = np.hypot(columns - disc.x, rows - disc.y) / radius
     rings = [(away >= least) & (away < most) for least, most in _RINGS]
     for each in ordered:
-        near, middle, far = (_median_light(each.image[ring][None], each.full_scale) for ring in rings)
+        near, middle, far, beyond = (_median_light(each.image[ring][None], each.full_scale) for ring in rings)
         if near < _CLIPPED_RING:  # the longest exposure of these has the least noise
             falls = near >= (_FALLS_OFF if glare else _FALLS_STEEPLY) * far
-            return far > _DARK_RING and falls and near - middle >= _INWARDS * (middle - far)
+            outer = middle - far
+            as_halo = _INWARDS * outer <= near - middle <= _AS_HALO * outer
+            return far > _DARK_RING and falls and as_halo and far >= _AUREOLE * beyond
     return any(one.rim.radius >= _WIDE_GLARE * radius for one in glare)
 
 

@@ -23,7 +23,8 @@ class Series(NamedTuple):
 
     sun: centre of the disc, px; None: overcast without a sun. radius: of the disc, px. glint: a reflection's place.
     dimmed: share of the sun's light that passes a thin cloud. quality: of JPEG. lamp: a place without haloes about it.
-    haze: light that falls off steeply about the sun.
+    haze: light that falls off steeply about the sun. aside: how far right of the disc the middle of the haloes is, px.
+    frosted: light of a lamp behind frosted glass at that place.
     """
 
     sun: tuple[float, float] | None
@@ -38,6 +39,8 @@ class Series(NamedTuple):
     lamp_level: float = 0.5
     lamp_radius: float = 1.5
     haze: float = 0.0
+    aside: float = 0.0
+    frosted: float = 0.0
 
 
 def series(what: Series, seed: int) -> dict[int, NDArray[np.uint8]]:
@@ -57,10 +60,13 @@ def _light(what: Series, rng: np.random.Generator) -> Light:
     for place, level, radius in ((what.glint, 0.02, 1.2), (what.lamp, what.lamp_level, what.lamp_radius)):
         if place is not None:
             sky += level * _disc(columns - place[0], rows - place[1], radius)
+    if what.lamp is not None:
+        far = np.hypot(columns - what.lamp[0], rows - what.lamp[1])
+        sky += what.frosted * np.exp(-((far / (1.1 * what.lamp_radius)) ** 2))
     if what.sun is None:
         return sky
     x, y = columns - what.sun[0], rows - what.sun[1]
-    far = np.hypot(x, y)
+    far = np.hypot(x - what.aside, y)
     haloes = (
         (2.5e-3 + what.haze) / (1.0 + (far / 5.0) ** 2) ** 1.3
         + 1.2e-3 * np.exp(-far / 40.0)
