@@ -189,7 +189,8 @@ def index_archive(plans: Sequence[CameraPlan]) -> Indexed:
             named = plan if len(by_prefix) == 1 else replace(plan, name=_camera_name(plan.name, prefix))
             _add(indexed, named, members)
         if not found:
-            indexed.refused.append(Failure(plan.name, Finding("camera_without_images")))
+            unmatched = Finding("camera_without_files", {"files": plan.selector.files})
+            indexed.refused.append(Failure(plan.name, Finding("camera_without_images") if failed else unmatched))
     indexed.failures.sort(key=lambda failure: (failure.file, failure.finding.code))
     return indexed
 

@@ -101,6 +101,11 @@ MESSAGES = Messages(
     camera_kills_workers=Message(
         "{deaths} workers died while they fitted it", "The camera has no epochs.", "give workers more memory"
     ),
+    camera_without_files=Message(
+        "none of its sources has an image file named {files}",
+        "The camera was left out.",
+        "correct the sources, or files",
+    ),
     camera_without_images=Message("no image can be read", "The camera was left out.", "see the reasons of its files"),
     camera_at_night=Message(
         "the sun was below the horizon in all of its {images} images (median {zenith_deg:.0f} degrees from the zenith)",

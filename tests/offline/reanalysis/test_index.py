@@ -87,8 +87,9 @@ def test_two_exposures_of_one_time_both_count(tmp_path: Path) -> None:
 
 def test_a_pattern_of_names_selects_files(tmp_path: Path) -> None:
     names = [f"{camera}_{name}" for camera in ("ccd1", "ccd2") for name in DAY]
-    found = indexed(folder_of(named(names), tmp_path), files="ccd2_*")
-    assert [(one.plan.name, len(one.images)) for one in found.cameras] == [("roof", 10)]
+    folder = folder_of(named(names), tmp_path)
+    assert [(one.plan.name, len(one.images)) for one in indexed(folder, files="ccd2_*").cameras] == [("roof", 10)]
+    assert refusals(indexed(folder, files="ccd3_*")) == [("roof", "camera_without_files")]
 
 
 def test_times_without_a_zone_are_left_out_until_one_is_given(tmp_path: Path) -> None:
