@@ -14,7 +14,7 @@ from tests.fixtures.calibration import log_evidences, penalty, random_covariance
 
 from sunarc.calibration.fit.marginal_likelihood import (
     BasisProducts,
-    FieldChoices,
+    FieldSums,
     LensScaleEquations,
     NormalEquations,
     Scales,
@@ -170,7 +170,7 @@ def test_the_fit_and_its_field_are_the_joint_mode_and_the_gain_is_what_the_step_
 def test_each_choice_of_a_grid_is_the_fit_under_its_scales(basis: WaveBasis) -> None:
     normal = _Case(basis).normal()
     amplitudes, lengths, lens = np.array([0.1, 0.4, 3.0]), np.array([260.0, 300.0]), np.array([[2.0, 0.7], [1.0, 0.3]])
-    equations = FieldChoices.of(normal, basis, amplitudes, lengths, lens).equations
+    equations, _ = FieldSums.of(normal, basis, amplitudes, lengths).under(lens)
     for (j, i, k), _ in np.ndenumerate(np.empty((2, 3, 2))):
         step, reduced = equations.fits(np.array([3 * j + i]), np.array([k]))
         known, at_rest, back = equations.others_of(3 * j + i)

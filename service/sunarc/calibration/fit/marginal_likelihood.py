@@ -131,7 +131,6 @@ class NormalEquations:
     jr, fr, rr : (p,), (2, m), scalar products with the residuals.
     at : (p,) the unknowns that they were made at.
     n_unit : how many of the last unknowns have unit prior variance: those of shared errors.
-    square : prior precisions of the aspect ratio and of the skew, (2,) or both.
     """
 
     jj: FloatArray
@@ -142,28 +141,10 @@ class NormalEquations:
     rr: float
     at: FloatArray
     n_unit: int = 0
-    square: FloatArray | float = 1.0
 
     def prior_precision(self, radial_px: float, decentering_px: float) -> FloatArray:
         """Return the prior precisions of the unknowns under two scales of the lens, (p,)."""
-        precision = prior_precision(self.at.size, radial_px, decentering_px, n_unit=self.n_unit)
-        precision[STRETCH] = self.square
-        return precision
-
-    def only(self, places: IntArray) -> NormalEquations:
-        """Return the sums by some of the unknowns, all of the lens and the poses among them; the others are 0."""
-        others = np.setdiff1d(np.arange(self.at.size), places)
-        gone = self.at[others]
-        return replace(
-            self,
-            jj=self.jj[np.ix_(places, places)],
-            jf=self.jf[:, places],
-            jr=self.jr[places] + self.jj[np.ix_(places, others)] @ gone,
-            fr=self.fr + np.einsum("apm,p->am", self.jf[:, others], gone),
-            rr=self.rr + float(gone @ (2.0 * self.jr[others] + self.jj[np.ix_(others, others)] @ gone)),
-            at=self.at[places],
-            n_unit=self.n_unit - others.size,
-        )
+        return prior_precision(self.at.size, radial_px, decentering_px, n_unit=self.n_unit)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -261,46 +242,75 @@ def inverses(matrices: FloatArray) -> FloatArray:
     return np.asarray(0.5 * (covariance + np.swapaxes(covariance, -1, -2)))
 
 
-class FieldChoices(NamedTuple):
-    """The fits on a grid of scales.
+class FieldSums(NamedTuple):
+    """What sightings say of the unknowns beside each field of a grid, whatever the priors of the unknowns are.
 
-    turned (j): the sums in the axes of each length. shrink (j): (i, r) of each amplitude. equations: of the i · j
-    fields, a length's together. log_evidence (i, j, k): but for a constant.
+    turned (j): the sums in the axes of each length; none of some of the unknowns. shrink (j): (i, r) of each amplitude.
+    information (n, p, p), pull (n, p), penalty (n,): of the n = j · i fields, a length's together, each integrated out.
+    at (p,), n_unit: of the normal equations.
     """
 
     turned: list[Turned]
     shrink: list[FloatArray]
-    equations: LensScaleEquations
-    log_evidence: FloatArray
+    information: FloatArray
+    pull: FloatArray
+    penalty: FloatArray
+    at: FloatArray
+    n_unit: int
 
     @classmethod
-    def of(
-        cls,
-        normal: NormalEquations,
-        basis: WaveBasis,
-        amplitudes: FloatArray,
-        lengths: FloatArray,
-        lens_scales: FloatArray,
-    ) -> FieldChoices:
-        """Return the fits under all choices; `lens_scales` (k, 2): of the radial distortion and of the decentering."""
+    def of(cls, normal: NormalEquations, basis: WaveBasis, amplitudes: FloatArray, lengths: FloatArray) -> FieldSums:
+        """Return the sums beside fields of all amplitudes (i,) and lengths (j,), px."""
         turned = [Turned.of(normal, basis, float(length)) for length in lengths]
         shrink = [one.axes.posterior_variances(amplitudes) for one in turned]
         pairs = list(zip(turned, shrink, strict=True))
         # Woodbury's identity: the inverse of noise plus field acts through the turned coefficients
-        absorbed = np.concatenate([one.absorbed(of_length) for one, of_length in pairs])
-        explained = np.concatenate([one.explained(of_length) for one, of_length in pairs])
         known = normal.jj + ROUNDING * np.diag(np.diag(normal.jj))
-        precision = normal.prior_precision(1.0, 1.0)
-        tried = lens_scales**-2.0
-        equations = LensScaleEquations.of(known - absorbed, normal.jr - explained, normal.at, precision, tried)
         square = normal.rr - np.array([of_length @ np.sum(one.residual**2, axis=0) for one, of_length in pairs])
         # twice: the field's two components have the same kernel and the same sightings
         field = [2.0 * np.sum(np.log1p(amplitudes[:, None] ** 2 * one.axes.information), axis=1) for one in turned]
-        weighed = precision * normal.at**2
+        return cls(
+            turned=turned,
+            shrink=shrink,
+            information=known - np.concatenate([one.absorbed(of_length) for one, of_length in pairs]),
+            pull=normal.jr - np.concatenate([one.explained(of_length) for one, of_length in pairs]),
+            penalty=(square + np.array(field)).ravel(),
+            at=normal.at,
+            n_unit=normal.n_unit,
+        )
+
+    def only(self, places: IntArray) -> FieldSums:
+        """Return the sums by some of the unknowns, all of the lens and the poses among them; the others are 0."""
+        others = np.setdiff1d(np.arange(self.at.size), places)
+        gone = self.at[others]
+        pull = self.pull + self.information[..., others] @ gone
+        return self._replace(
+            turned=[],
+            information=self.information[:, places][..., places],
+            pull=pull[:, places],
+            penalty=self.penalty + (self.pull + pull)[:, others] @ gone,
+            at=self.at[places],
+            n_unit=self.n_unit - others.size,
+        )
+
+    def under(self, lens_scales: FloatArray, square: FloatArray | float = 1.0) -> tuple[LensScaleEquations, FloatArray]:
+        """Return the equations under pairs (k, 2) of the lens's scales, and the log evidence of each choice (i, j, k).
+
+        The pairs are of the radial distortion and of the decentering; `square` (2,) or of both: the prior precisions
+        of the aspect ratio and of the skew. The evidence is but for a constant.
+        """
+        precision, tried = prior_precision(self.at.size, 1.0, 1.0, n_unit=self.n_unit), lens_scales**-2.0
+        precision[STRETCH] = square
+        equations = LensScaleEquations.of(self.information, self.pull, self.at, precision, tried)
+        weighed = precision * self.at**2
         prior = (tried - 1.0) @ [np.sum(weighed[RADIAL]), np.sum(weighed[DECENTERING])] + np.sum(weighed)
         prior -= np.log(tried) @ [_N_RADIAL, _VARIED.size - _N_RADIAL] + np.sum(np.log(precision))
-        terms = equations.terms.reshape(*square.shape, -1) - (square + np.array(field))[..., None] - prior
-        return cls(turned, shrink, equations, 0.5 * np.swapaxes(terms, 0, 1))
+        terms = (equations.terms - self.penalty[:, None] - prior).reshape(len(self.shrink), -1, len(tried))
+        return equations, 0.5 * np.swapaxes(terms, 0, 1)
+
+    def log_weights(self, grid: HyperparameterGrid) -> FloatArray:
+        """Return the log of prior times evidence of each choice of scales, (i, j, k), but for one constant."""
+        return grid.log_prior + self.under(grid.lens_scales)[1]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -542,12 +552,12 @@ def scale_grid(
 
 def log_weights(normal: NormalEquations, grid: HyperparameterGrid) -> FloatArray:
     """Return the log of prior times evidence of each choice of scales, (i, j, k), but for one constant."""
-    return grid.log_prior + choices_of(normal, grid).log_evidence
+    return field_sums(normal, grid).log_weights(grid)
 
 
-def choices_of(normal: NormalEquations, grid: HyperparameterGrid) -> FieldChoices:
-    """Return the fits on a grid."""
-    return FieldChoices.of(normal, grid.basis, grid.amplitudes, grid.lengths, grid.lens_scales)
+def field_sums(normal: NormalEquations, grid: HyperparameterGrid) -> FieldSums:
+    """Return the sums beside the fields of a grid."""
+    return FieldSums.of(normal, grid.basis, grid.amplitudes, grid.lengths)
 
 
 def log_evidence(log_weight: FloatArray) -> float:

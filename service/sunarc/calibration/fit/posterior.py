@@ -18,12 +18,13 @@ from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.fit.marginal_likelihood import (
     ROUNDING,
+    FieldSums,
     HyperparameterGrid,
     MarginalFit,
     NormalEquations,
     Scales,
     Turned,
-    choices_of,
+    field_sums,
     inverses,
     normal_sums,
     normalised,
@@ -166,9 +167,11 @@ class _Field(NamedTuple):
         """Return (k, 3, n): L' C R made symmetric, xx, xy and yy at n places, of L and R (2, p, n), x before y."""
         own = np.sum(left[:, None] * (self.known @ right), axis=-2)
         left, right = self.back.T @ left, self.back.T @ right
-        through = self.covariance[:, None] @ left
-        products = np.sum(through[:, :, None] * right, axis=-2) + own
-        return np.stack([products[:, 0, 0], 0.5 * (products[:, 0, 1] + products[:, 1, 0]), products[:, 1, 1]], axis=1)
+        # one product of matrices for all choices: their covariances and what each pair of unknowns makes at the places
+        by_pairs = np.stack([left[a][:, None] * right[b] for a in (0, 1) for b in (0, 1)], axis=2)
+        through = self.covariance.reshape(len(self.covariance), -1) @ by_pairs.reshape(self.back.shape[1] ** 2, -1)
+        xx, xy, yx, yy = np.moveaxis(through.reshape(-1, 4, own.shape[-1]) + own.reshape(4, -1), 1, 0)
+        return np.stack([xx, 0.5 * (xy + yx), yy], axis=1)
 
     def pull(self, values: FloatArray) -> FloatArray:
         """Return (2, p, n): J' of each component with the field's posterior at the places."""
@@ -248,11 +251,12 @@ def stated_posterior(
     stretched : the probability that pixels are not square, whose prior the problem has not.
     """
     normal, products = system.normal(), of_products(problem, system, scales, grid)
-    choices = plausible(normal, grid, unknowns, mean, products)
+    sums = field_sums(normal, grid)
+    choices = plausible(sums, grid, unknowns, mean, products)
     if stretched > _NEGLIGIBLE_SHARE:
         wide = with_wide_pixels(problem.prior).basis[STRETCH, STRETCH]
-        of_wide = replace(normal, square=(problem.prior.basis[STRETCH, STRETCH] / wide) ** 2)
-        choices = choices.mixed(plausible(of_wide, grid, unknowns, mean, products), stretched)
+        square = (problem.prior.basis[STRETCH, STRETCH] / wide) ** 2
+        choices = choices.mixed(plausible(sums, grid, unknowns, mean, products, square=square), stretched)
     power = choices.share * choices.amplitude**2
     amplitude = math.sqrt(float(power.sum()))
     length = math.exp(float(power @ np.log(choices.length) / power.sum()))
@@ -285,22 +289,25 @@ def _possible(covariance: FloatArray, cross: FloatArray, variances: FloatArray) 
 
 
 def plausible(
-    normal: NormalEquations,
+    sums: FieldSums,
     grid: HyperparameterGrid,
     unknowns: FloatArray,
     mean: FloatArray | None = None,
     beside: FloatArray | None = None,
+    *,
+    square: FloatArray | float = 1.0,
 ) -> _Choices:
     """Return the scales that hold nearly all of the probability.
 
     Parameters
     ----------
-    normal : sums over the sightings, about the unknowns.
+    sums : beside the fields of the grid.
     grid, unknowns, mean : see `stated_posterior`.
     beside : (p, p) what each covariance of the unknowns has in addition; None: nothing.
+    square : prior precisions of the aspect ratio and of the skew, (2,) or of both.
     """
-    tried = choices_of(normal, grid)
-    weight = normalised(grid.log_prior + tried.log_evidence)
+    equations, log_evidence = sums.under(grid.lens_scales, square)
+    weight = normalised(grid.log_prior + log_evidence)
     # large fields of small probability have much of the covariance: they must not be cut off
     tail = weight * grid.amplitudes[:, None, None] ** _TAIL
     either = (weight + tail / tail.sum()).ravel()
@@ -309,13 +316,12 @@ def plausible(
     retained = np.sort(order[: 1 + int(np.searchsorted(np.cumsum(either[order]), _WEIGHT_RETAINED * either.sum()))])
     i, j, k = np.unravel_index(retained, weight.shape)
     pairs, field = np.unique(np.stack([i, j], axis=-1), axis=0, return_inverse=True)
-    equations, row = tried.equations, j * grid.amplitudes.size + i
-    step, reduced = equations.fits(row, k)
+    step, reduced = equations.fits(j * grid.amplitudes.size + i, k)
     fields, fitted, coefficients = [], [], []
     for number, (amplitude, length) in enumerate(pairs):
         here = field.ravel() == number
         known, at_rest, back = equations.others_of(length * grid.amplitudes.size + amplitude)
-        turned, shrink = tried.turned[length], tried.shrink[length][amplitude]
+        turned, shrink = sums.turned[length], sums.shrink[length][amplitude]
         fitted.append(at_rest + step[here] @ back.T)
         if mean is not None:
             coefficients.append(turned.coefficients(shrink, fitted[-1]) - mean)
@@ -328,9 +334,9 @@ def plausible(
         length=grid.lengths[j],
         fields=fields,
         field=field.ravel(),
-        shift=normal.at - unknowns + np.concatenate(fitted),
+        shift=sums.at - unknowns + np.concatenate(fitted),
         field_shift=np.concatenate(coefficients) if coefficients else None,
-        beside=np.zeros((normal.at.size,) * 2) if beside is None else beside,
+        beside=np.zeros((sums.at.size,) * 2) if beside is None else beside,
     )
 
 

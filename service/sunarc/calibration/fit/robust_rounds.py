@@ -16,11 +16,13 @@ import numpy as np
 from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.fit.effects import PIXELS, POSSIBLE, SHOWN_BY_STARS, SWAYS
 from sunarc.calibration.fit.marginal_likelihood import (
+    FieldSums,
     HyperparameterGrid,
     MarginalFit,
     NormalEquations,
     Scales,
     field_at,
+    field_sums,
     likely_scales,
     log_evidence,
     log_odds_of_a_field,
@@ -459,7 +461,7 @@ def _with_proven(  # noqa: PLR0917 - the fit, piece by piece
     And the state with those that are not proven at 0.
     """
     system = system_about(problem, observed, bins, last_round, state.unknowns)
-    proven, log_weight, odds = proven_blocks(problem, system.normal(), grid)
+    proven, log_weight, odds = proven_blocks(problem, field_sums(system.normal(), grid), grid)
     suspected = {name for name, one in odds.items() if suspects(one)} - {PIXELS}  # these are of the lens's prior
     kept, places = problem.only(POSSIBLE | proven | suspected)
     state = replace(state, unknowns=state.unknowns[places], block_odds=odds)
@@ -475,7 +477,7 @@ def _with_proven(  # noqa: PLR0917 - the fit, piece by piece
 
 
 def proven_blocks(
-    problem: FitProblem, normal: NormalEquations, grid: HyperparameterGrid
+    problem: FitProblem, sums: FieldSums, grid: HyperparameterGrid
 ) -> tuple[set[str], FloatArray, dict[str, float]]:
     """Return the names of the shared errors without which the sightings are far less probable.
 
@@ -486,9 +488,9 @@ def proven_blocks(
     The names, the log weights (i, j, k) of the scales with these errors alone, and the log odds of each block.
     """
     proven = set(SHOWN_BY_STARS & problem.names) if "night_pose" in problem.names else set[str]()
-    log_weight, odds = log_weights(normal.only(problem.only(proven)[1]), grid), dict[str, float]()
+    log_weight, odds = sums.only(problem.only(proven)[1]).log_weights(grid), dict[str, float]()
     while others := sorted(problem.names - proven):
-        tried = {name: log_weights(normal.only(problem.only({*proven, name})[1]), grid) for name in others}
+        tried = {name: sums.only(problem.only({*proven, name})[1]).log_weights(grid) for name in others}
         odds |= {name: log_evidence(one) - log_evidence(log_weight) for name, one in tried.items()}
         best = max(others, key=lambda name: (proves(name, odds[name]), odds[name]))
         if not proves(best, odds[best]):
