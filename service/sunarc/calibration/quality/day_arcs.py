@@ -17,7 +17,7 @@ from sunarc.findings import Finding
 from sunarc.robust_statistics import cauchy_weights, robust_sigma, tukey_weights
 from sunarc.sky.days import date_of_day
 from sunarc.sky.directions import angular_distance
-from sunarc.sky.sun import hour_angle
+from sunarc.utc import DAY_S
 
 _ORDER = 9
 _ROUNDS = 12
@@ -32,7 +32,7 @@ def smooth_arc(pixels: FloatArray, angle: FloatArray) -> tuple[FloatArray, Float
     Parameters
     ----------
     pixels : (n, 2) px.
-    angle : (n,) hour angles, radians; a day across the date line of the hour angle is unwrapped.
+    angle : (n,) hour angles, radians; a day across the date line of the hour angle is unwrapped. Or times, days.
 
     Returns
     -------
@@ -45,8 +45,8 @@ def smooth_arc(pixels: FloatArray, angle: FloatArray) -> tuple[FloatArray, Float
     chebyshev = np.polynomial.chebyshev.chebvander((unwrapped - middle) / max(half, 1e-9), order)
     weight = np.ones(pixels.shape[0])
     for number in range(_ROUNDS):
-        root = np.sqrt(weight)[:, None]
-        arc = chebyshev @ np.linalg.lstsq(chebyshev * root, pixels * root)[0]
+        weighed = (chebyshev * weight[:, None]).T
+        arc = chebyshev @ np.linalg.lstsq(weighed @ chebyshev, weighed @ pixels)[0]
         distance = np.linalg.norm(pixels - arc, axis=-1)
         sigma = robust_sigma(distance, share=0.5 if number < 4 else 0.3, floor=_POLYNOMIAL_PX)
         weight = cauchy_weights(distance, scale=sigma) if number < 6 else tukey_weights(distance, sigma=sigma)
@@ -67,6 +67,8 @@ def arc_length_deg(directions: FloatArray) -> float:
 _FEWEST_TO_JUDGE = 20
 """Sightings of a day that show whether it was clear; fewer are taken to be of a clear one."""
 _FEWEST_OF_HALF = 6
+_STATED_AT = 40
+"""Sightings of a half-day, at most, at which the error that a fit states is looked at: it is smooth."""
 _SHORTEST_HALF_S = 9000.0
 """From the first to the last sighting of a half-day that is judged: twice as long as cloud draws them aside."""
 _FEWEST_FOR_SHARE = 12
@@ -118,7 +120,7 @@ def unexplained_days(calibration: Calibration, usable: Sightings, limit: float) 
     for rows in _days(usable, track):
         if rows.size < _FEWEST_OF_HALF:
             continue
-        _, rough, weight = smooth_arc(residual[rows], hour_angle(usable.unix_s[rows], calibration.site))
+        _, rough, weight = smooth_arc(residual[rows], usable.unix_s[rows] / DAY_S)
         largest = max(_CLEAR_SIGMA_PX, _CLEAR_SIGMAS * calibration.evidence.sigma_px)
         smooth = float(np.mean(weight > 0.0)) >= _SMOOTH_SHARE
         few = rows.size < _FEWEST_TO_JUDGE
@@ -163,7 +165,7 @@ def _half_days(
     calibration: Calibration, usable: Sightings, rows: IntArray, residual: FloatArray, rough: FloatArray
 ) -> Iterator[_HalfDay]:
     """Yield the halves of a day, `rough` being the residuals (n, 2) about their own smooth groups."""
-    afternoon = np.sin(hour_angle(usable.unix_s[rows], calibration.site)) > 0.0
+    afternoon = usable.directions[rows, 0] < 0.0  # the sun is in the west
     for half in (~afternoon, afternoon):
         n = int(half.sum())
         seen = rows[half]
@@ -172,7 +174,7 @@ def _half_days(
         noise = robust_sigma(np.linalg.norm(rough[half], axis=-1), share=0.5, floor=_FLOOR_PX)
         alike = _inflation(rough[half])
         off = np.median(residual[half], axis=0)
-        _, stated = project_with_covariance(calibration, usable.directions[seen])
+        _, stated = project_with_covariance(calibration, usable.directions[seen[:: -(-n // _STATED_AT)]])
         variance = np.nan_to_num(np.mean(stated, axis=0)) + np.eye(2) * (
             _MEDIAN**2 * noise**2 * alike / n + max(_MISFIT_PX, calibration.evidence.sigma_px) ** 2
         )

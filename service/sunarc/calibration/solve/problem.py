@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from sunarc import _kernels
 from sunarc.array_types import BoolArray, FloatArray, IntArray
@@ -155,7 +156,8 @@ class FitProblem:
         """Return by how much systematic errors displace the detections, (n, 2) px; 0 where there are none."""
         if not self.blocks:
             return 0.0
-        return np.asarray(self._columns(observed) @ unknowns[N_LENS + 3 * self.n_epochs :])
+        columns, sizes = self._columns(observed), unknowns[N_LENS + 3 * self.n_epochs :]
+        return np.asarray(columns.reshape(-1, sizes.size) @ sizes).reshape(columns.shape[:2])
 
     def beyond(self, unknowns: FloatArray, observed: Sightings) -> BoolArray:
         """Return (n,): which directions lie further off the axis than the fitted camera will answer."""
@@ -255,24 +257,25 @@ class Bins:
         total = self._sums(information)
         safe = np.where(total > 0.0, total, 1.0)
         share = information / safe[self.member]
+        first = np.searchsorted(self.member, np.arange(self.count + 1))
+        to_means = csr_array((share, np.arange(share.size), first), shape=(self.count, share.size))
         # the mean of directions within a bin is shorter than 1 by 1e-4 at most; it is made a unit vector below
-        columns = observed.directions, observed.pixels, residual, observed.systematic_px
-        direction, pixels, mean, systematic = (self._mean_of(one, share) for one in columns)
+        columns = observed.directions, observed.pixels, residual, *np.moveaxis(observed.systematic_px, 1, 0)
+        direction, pixels, mean, *systematic = (np.asarray(to_means @ column) for column in columns)
         norm = np.linalg.norm(direction, axis=-1, keepdims=True)
-        first = np.searchsorted(self.member, np.arange(self.count))
         # a bin of outliers alone still needs a direction: its weight of 0 keeps it out of the sums
         empty = total <= 0.0
         direction[empty], norm[empty], pixels[empty] = (
-            observed.directions[first[empty]],
+            observed.directions[first[:-1][empty]],
             1.0,
-            observed.pixels[first[empty]],
+            observed.pixels[first[:-1][empty]],
         )
         gathered = Sightings(
             directions=direction / norm,
             pixels=pixels,
             information=total,
-            epoch=observed.epoch[first],
-            systematic_px=systematic,
+            epoch=observed.epoch[first[:-1]],
+            systematic_px=np.stack(systematic, axis=1),
         )
         return gathered, mean
 
@@ -287,13 +290,6 @@ class Bins:
         shown = np.any(residuals != UNSEEN_PX, axis=-1)
         gathered, residual = self.gathered(observed, residuals, information * shown)
         return replace(gathered, pixels=gathered.pixels + residual - problem.residuals(unknowns, gathered))
-
-    def _mean_of(self, columns: FloatArray, share: FloatArray) -> FloatArray:
-        """Return the means (bins, ...) of columns (n, ...), each sighting by its share (n,) of its bin."""
-        means = np.empty((self.count, math.prod(columns.shape[1:])))
-        for number, column in enumerate(columns.reshape(columns.shape[0], means.shape[1]).T):
-            means[:, number] = self._sums(share * column)
-        return means.reshape(self.count, *columns.shape[1:])
 
     def _sums(self, values: FloatArray) -> FloatArray:
         return np.asarray(np.bincount(self.member, weights=values, minlength=self.count))
