@@ -23,7 +23,7 @@ from tests.fixtures.postgresql import programs
 
 from .campaign_judge import CLEAR_ZENITH_DEG
 from .campaign_network import CampaignHub, Other
-from .campaign_processes import ADDRESS, SHIM, START_WITHIN_S, Processes, Setting, mount_disk, now, pause
+from .campaign_processes import ADDRESS, SHIM, START_WITHIN_S, Processes, Setting, mount_disk, now, pause, unmount_disk
 
 Source = Literal["gige", "night", "folder", "http"]
 _SERVICE = ("kill", "stop", "stop_while_solving", "pause", "second_service", "host_clock", "imager_killed")
@@ -119,11 +119,11 @@ class Faults(Processes):
         self.server.daemon_threads = True
         threading.Thread(target=self.server.serve_forever, daemon=True).start()
         self.address = f"http://{ADDRESS}:{self.server.server_address[1]}"
-        hub_disk = mount_disk(folder / "hub")
+        self.has_hub_disk = mount_disk(folder / "hub")
         (folder / "hub").chmod(0o755)
         self.hub = CampaignHub(folder / "hub") if programs() is not None else None
         missing = set() if self.hub is not None else NEEDS_HUB
-        if not self.has_own_disk or not hub_disk:
+        if not self.has_own_disk or not self.has_hub_disk:
             missing |= NEEDS_OWN_DISK
         self.left_out = sorted(missing)
 
@@ -134,6 +134,8 @@ class Faults(Processes):
         self.server.server_close()
         if self.hub is not None:
             self.hub.close()
+        if self.has_hub_disk:
+            unmount_disk(self.folder / "hub")
 
     def other_sections(self) -> str:
         """Return the settings of the receiver and of the hub."""

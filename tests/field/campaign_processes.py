@@ -44,7 +44,7 @@ LONGEST_CAMPAIGN_S = 120.0 * 86_400.0
 """Simulated: a time later than this is not the imager's, but the host's."""
 DISK_MB = 500
 TOKEN = "a-token-of-the-campaign-0123456789"  # noqa: S105 - of a service on loopback that ends with the campaign
-_CLONE_NEWNS, _MS_REC, _MS_PRIVATE = 0x20000, 0x4000, 1 << 18
+_CLONE_NEWNS, _MS_REC, _MS_PRIVATE, _MNT_DETACH = 0x20000, 0x4000, 1 << 18, 2
 SETTINGS = """\
 name = "roof"
 source = "{source}"
@@ -156,8 +156,10 @@ class Processes:
     def __exit__(self, *_: object) -> None:
         self.stop_service(signal.SIGTERM)
         self.kill_imager()
-        if self.has_own_disk and self.database.exists():  # it is gone with this process
-            shutil.copy(self.database, self.folder / "sunarc.sqlite")
+        if self.has_own_disk:
+            if self.database.exists():
+                shutil.copy(self.database, self.folder / "sunarc.sqlite")
+            unmount_disk(self.state)
 
     def write_settings(self, name: str, *, port: int) -> Path:
         """Write a settings file of the service with a port of its own, and return its path."""
@@ -380,3 +382,8 @@ def mount_disk(folder: Path) -> bool:
         return False
     options = f"size={DISK_MB}m,mode=0750".encode()
     return not libc.mount(b"tmpfs", str(folder).encode(), b"tmpfs", ctypes.c_ulong(0), options)
+
+
+def unmount_disk(folder: Path) -> None:
+    """Take a disk away again, with what is on it; a folder that a disk is on cannot be removed."""
+    ctypes.CDLL(None).umount2(str(folder).encode(), _MNT_DETACH)
