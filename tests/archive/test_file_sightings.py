@@ -115,6 +115,32 @@ def test_a_calibration_keeps_the_sigma_that_it_was_given(archive: Archive) -> No
     assert given == {"a": sigma, "b0": [2.0, 4.0, 8.0], "b1": [4.0, 8.0, 16.0]}
 
 
+@pytest.mark.parametrize("n_learned", [0, 1])
+def test_a_calibration_keeps_what_is_measured_anew(archive: Archive, n_learned: int) -> None:
+    minutes = [replace(FOUND, time=NOON + timedelta(minutes=n)) for n in range(3)]
+    archive.sightings.add(minutes)
+    archive.calibrations.add(document("a"), used=archive.sightings.columns("roof"))
+    before = archive.calibrations.sightings_of("a")
+    for _ in range(n_learned):
+        archive.sightings.scale_sigma("roof", method="paper", factor=2.0, event=LEARNED)
+    archive.sightings.replace([replace(minutes[1], x_px=905.0, sigma_px=0.5)])
+    archive.calibrations.add(document("b"), used=archive.sightings.columns("roof"))
+    archive.sightings.widen_clock_errors("roof", since=NOON, until=NOON + timedelta(hours=1), error_s=3.0)
+    archive.sightings.replace([replace(minutes[2], x_px=None, y_px=None, accepted=False, verdict="no_sun")])
+    kept = archive.calibrations.sightings_of("a")
+    for name in ("unix_s", "pixels", "sigma_px", "clock_error_s", "ids"):
+        np.testing.assert_array_equal(getattr(kept, name), getattr(before, name))
+    assert archive.calibrations.sightings_of("b").pixels[:, 0].tolist() == [900.0, 905.0, 900.0]
+
+
+def test_sightings_measured_anew_during_a_fit_are_kept_as_the_fit_had_them(archive: Archive) -> None:
+    archive.sightings.add([FOUND])
+    used = archive.sightings.columns("roof")
+    archive.sightings.scale_sigma("roof", method="paper", factor=2.0, event=LEARNED)
+    archive.calibrations.add(document("a"), used=used)
+    assert archive.calibrations.sightings_of("a").sigma_px.tolist() == [2.0]
+
+
 def test_a_moved_sighting_of_a_calibration_is_still_noticed(archive: Archive, path: Path) -> None:
     archive.sightings.add([FOUND])
     archive.calibrations.add(document("a"), used=archive.sightings.columns("roof"))

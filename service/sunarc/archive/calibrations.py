@@ -70,7 +70,7 @@ class CalibrationStore(Part):
                 raise wrong_state(record.id, "is there already", remedy="give it an id of its own")
             connection.execute(insert(calibration).values(row_of(record)))
             if used is not None:
-                keep_used(connection, record.id, used)
+                keep_used(connection, record.camera, record.id, used)
         return with_interval(record)
 
     def activate(self, calibration_id: str, *, at: datetime | None = None) -> CalibrationRecord:

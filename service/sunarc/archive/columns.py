@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, cast
@@ -69,13 +69,19 @@ class CandidateColumns:
 
 
 def read_columns(
-    connection: Connection, camera: str, filters: list[ColumnElement[bool]], *, others: bool = True
+    connection: Connection,
+    camera: str,
+    filters: list[ColumnElement[bool]],
+    *,
+    others: bool = True,
+    placed: bool = True,
 ) -> SunPointColumns:
     """Return the sightings of a camera that meet the conditions, in the order of their times.
 
-    Without `others` none of them can be of another body than the sun.
+    Without `others` none of them can be of another body than the sun. Without `placed` those whose image shows none
+    any more are among them, at no place that means anything.
     """
-    rows = _in_order_of_time(_numbers(connection, filters))
+    rows = _in_order_of_time(_numbers(connection, filters, placed=placed))
     # few epochs and millions of rows: a row has its epoch's beginning, of which a camera has no two alike, and no name
     epochs = tables.pose_epoch.c
     named = select(_beginning(epochs.started_at), epochs.id).where(epochs.camera == camera)
@@ -151,22 +157,25 @@ def _air(connection: Connection, camera: str, rows: np.ndarray[Any, Any]) -> tup
     )
 
 
-def _numbers(connection: Connection, filters: list[ColumnElement[bool]]) -> np.ndarray[Any, Any]:
+def _numbers(connection: Connection, filters: list[ColumnElement[bool]], *, placed: bool) -> np.ndarray[Any, Any]:
     """Return the rows' numbers, in no order: the database would take as long to sort them as to read them."""
     c, epochs = sun_point.c, tables.pose_epoch.c
+    place: list[ColumnElement[Any]] = [c.x_px, c.y_px]
     numbers = (
-        *(c.time, c.x_px, c.y_px, _number_or(c.sigma_px, -1.0), _number_or(c.clock_error_s, -1.0)),
+        c.time,
+        *(place if placed else [_number_or(column, _UNMEASURED) for column in place]),
+        *(_number_or(c.sigma_px, -1.0), _number_or(c.clock_error_s, -1.0)),
         *(_number_or(c.temperature_c, _UNMEASURED), _number_or(c.pressure_hpa, _UNMEASURED)),
     )
     joined = sun_point.join(tables.pose_epoch, (c.pose_epoch == epochs.id) & (c.camera == epochs.camera))
-    statement = select(*numbers, _beginning(epochs.started_at), c.id).select_from(joined).where(*filters, *_sound())
-    return _rows(connection, statement, _COLUMNS)
+    statement = select(*numbers, _beginning(epochs.started_at), c.id).select_from(joined)
+    return _rows(connection, statement.where(*filters, *_sound(placed=placed)), _COLUMNS)
 
 
-def _sound() -> list[ColumnElement[bool]]:
+def _sound(*, placed: bool = True) -> list[ColumnElement[bool]]:
     """Return the conditions that a row has a time and a place: what a hand or a bad disk wrote there may be none."""
     c = sun_point.c
-    return [stored_as(c.time, "integer"), is_number(c.x_px), is_number(c.y_px)]
+    return [stored_as(c.time, "integer"), *([is_number(c.x_px), is_number(c.y_px)] if placed else [])]
 
 
 def _rows(connection: Connection, statement: Select[Any], columns: np.dtype[np.void]) -> np.ndarray[Any, Any]:
@@ -234,30 +243,33 @@ def sightings_used_by(connection: Connection, calibration_id: str) -> SunPointCo
     try:
         ids, epochs = _unpacked(row.ids), [(str(name), int(start)) for name, start in row.epochs]
         air = _unpacked_air(row.air, ids.size)
-        sigma = _unpacked_sigma(row.sigma, ids.size)
+        measured = _unpacked_measured(row.sigma, ids.size)
     except (TypeError, ValueError, zlib.error):
         raise _changed(calibration_id, "the list of its sightings is damaged") from None
-    found = read_columns(connection, row.camera, [listed(connection, ids)])
+    whole = measured is not None and len(measured) > 1
+    found = read_columns(connection, row.camera, [listed(connection, ids)], placed=not whole)
     if found.ids.size != ids.size:
         raise _changed(calibration_id, f"{ids.size - found.ids.size} of its {ids.size} sightings are gone")
-    columns = _as_then(found, epochs, air)
-    columns = columns if sigma is None else replace(columns, sigma_px=sigma)
+    columns = _with_measured(_as_then(found, epochs, air), measured)
     # Rows of the same keys may have been edited since: the fit would not be the same.
     if _digest(columns) != row.digest:
         raise _changed(calibration_id, "its sightings were changed since")
     return columns
 
 
-def keep_used(connection: Connection, calibration_id: str, columns: SunPointColumns) -> None:
-    """Write down which sightings a calibration rests on."""
+def keep_used(connection: Connection, camera: str, calibration_id: str, columns: SunPointColumns) -> None:
+    """Write down which sightings a calibration rests on, and what they were where they were changed during its fit."""
     starts = np.searchsorted(columns.epoch, np.arange(len(columns.epoch_ids)))  # epochs follow each other in time
+    digest = _digest(columns)
+    now = read_columns(connection, camera, [listed(connection, columns.ids)])
     connection.execute(
         insert(used_sightings).values(
             calibration=calibration_id,
             ids=_packed(columns.ids),
-            digest=_digest(columns),
+            digest=digest,
             epochs=[[name, int(start)] for name, start in zip(columns.epoch_ids, starts, strict=True)],
             air=_packed_air(columns),
+            sigma=None if _digest(now) == digest else _packed_measured(columns),
         )
     )
 
@@ -265,16 +277,35 @@ def keep_used(connection: Connection, calibration_id: str, columns: SunPointColu
 def keep_sigma(connection: Connection, camera: str) -> None:
     """Store with each calibration of a camera the sigma of its sightings, before the sightings' own is changed."""
     c = used_sightings.c
-    rows = connection.execute(
-        select(c.calibration, c.ids)
-        .join(calibration, calibration.c.id == c.calibration)
-        .where(calibration.c.camera == camera, c.sigma.is_(None))
-    ).all()
-    for row in rows:
+    for row in connection.execute(_of_camera(camera).where(c.sigma.is_(None))).all():
         with suppress(TypeError, ValueError, zlib.error):  # a damaged list cannot be solved again anyway
             found = read_columns(connection, camera, [listed(connection, _unpacked(row.ids))])
             packed = zlib.compress(found.sigma_px.astype("<f8").tobytes(), 9)
             connection.execute(update(used_sightings).where(c.calibration == row.calibration).values(sigma=packed))
+
+
+def keep_measured(connection: Connection, camera: str, changing: Sequence[ColumnElement[bool]]) -> None:
+    """Store with calibrations of a camera what was measured of their sightings, before some of these are changed."""
+    ids = np.fromiter(connection.scalars(select(sun_point.c.id).where(*changing)), dtype=np.int64)
+    if ids.size == 0:
+        return
+    c = used_sightings.c
+    for row in connection.execute(_of_camera(camera)).all():
+        with suppress(TypeError, ValueError, zlib.error):
+            used = _unpacked(row.ids)
+            measured = _unpacked_measured(row.sigma, used.size)
+            if (measured is not None and len(measured) > 1) or not np.isin(ids, used).any():
+                continue
+            columns = _with_measured(read_columns(connection, camera, [listed(connection, used)]), measured)
+            if columns.ids.size == used.size and _digest(columns) == row.digest:
+                kept = update(used_sightings).where(c.calibration == row.calibration)
+                connection.execute(kept.values(sigma=_packed_measured(columns)))
+
+
+def _of_camera(camera: str) -> Select[tuple[str, bytes, bytes | None, str]]:
+    c = used_sightings.c
+    used = select(c.calibration, c.ids, c.sigma, c.digest).join(calibration, calibration.c.id == c.calibration)
+    return used.where(calibration.c.camera == camera)
 
 
 def copy_used(connection: Connection, calibration_id: str, *, to: str) -> None:
@@ -319,11 +350,25 @@ def _unpacked_air(packed: bytes | None, count: int) -> FloatArray:
     return np.frombuffer(zlib.decompress(packed), dtype="<f8").astype(np.float64).reshape(2, count)
 
 
-def _unpacked_sigma(packed: bytes | None, count: int) -> FloatArray | None:
-    """Return the sigma that a calibration was given, (n,) px; None where it is the sightings' own still."""
+def _packed_measured(columns: SunPointColumns) -> bytes:
+    """Return all that the digest holds but the times: pixels, sigma and the clock's error."""
+    measured = np.vstack([columns.pixels.T, columns.sigma_px, columns.clock_error_s])
+    return zlib.compress(measured.astype("<f8").tobytes(), 9)
+
+
+def _unpacked_measured(packed: bytes | None, count: int) -> FloatArray | None:
+    """Return sigma (1, n), or x, y, sigma, clock error (4, n), as a calibration was given them; None: as they are."""
     if packed is None:
         return None
-    return np.frombuffer(zlib.decompress(packed), dtype="<f8").astype(np.float64).reshape(count)
+    return np.frombuffer(zlib.decompress(packed), dtype="<f8").astype(np.float64).reshape(-1, count)
+
+
+def _with_measured(columns: SunPointColumns, measured: FloatArray | None) -> SunPointColumns:
+    if measured is None:
+        return columns
+    if len(measured) == 1:
+        return replace(columns, sigma_px=measured[0])
+    return replace(columns, pixels=measured[:2].T.copy(), sigma_px=measured[2], clock_error_s=measured[3])
 
 
 def _digest(columns: SunPointColumns) -> str:

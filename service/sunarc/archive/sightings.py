@@ -27,6 +27,7 @@ from sqlalchemy import (
 from sunarc.archive.calibration_rows import SERVED
 from sunarc.archive.columns import (
     CandidateColumns,
+    keep_measured,
     keep_sigma,
     listed,
     read_candidates,
@@ -303,8 +304,12 @@ class SightingStore(Part):
         """
         kept = tuple(points)
         stacked = {point.time for point in kept if point.accepted}
+        c = sun_point.c
         self._database.prepare_months([point.time for point in kept])
         with self._database.writing() as connection:
+            for camera in {point.camera for point in kept}:
+                times = [point.time for point in kept if point.camera == camera]
+                keep_measured(connection, camera, (c.camera == camera, c.time.between(min(times), max(times))))
             for point in _in_epochs(connection, kept, first_epoch):
                 upsert(connection, sun_point, fields_of(point), key=_KEY)
                 if point.accepted or (point.verdict == "in_stack" and point.time in stacked):
@@ -322,6 +327,7 @@ class SightingStore(Part):
         count = select(func.count()).where(*of_images)
         aside = update(sun_point).where(*of_images, c.accepted.is_(True))
         with self._database.writing() as connection:
+            keep_measured(connection, camera, of_images)
             before = int(connection.scalar(count) or 0)
             connection.execute(aside.values(accepted=False, verdict="set_aside", findings=_NOT_NAMED_AGAIN))
             for point in _in_epochs(connection, named, FIRST_SIGHTING):
@@ -389,6 +395,7 @@ class SightingStore(Part):
         c = sun_point.c
         doubted = [c.camera == camera, c.time >= since, c.time <= until, func.coalesce(c.clock_error_s, 0.0) < error_s]
         with self._database.writing() as connection:
+            keep_measured(connection, camera, doubted)
             return connection.execute(update(sun_point).where(*doubted).values(clock_error_s=error_s)).rowcount
 
     def find(
