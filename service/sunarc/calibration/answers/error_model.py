@@ -331,7 +331,10 @@ def draw_errors(errors: CameraErrorModel, normal: FloatArray) -> tuple[FloatArra
 
 
 def covariance_root(covariance: FloatArray) -> FloatArray:
-    """Return F with F Fᵀ the covariance (p, p); what rounding made negative counts as 0."""
+    """Return F with F Fᵀ the covariance (p, p); what rounding made negative counts as 0.
+
+    It is the symmetric one: that of the eigenvectors alone would differ from processor to processor.
+    """
     scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(np.float64).tiny))
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
+    return np.asarray(scale[:, None] * ((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T))
