@@ -67,7 +67,7 @@ def campaign(reports: Sequence[dict[str, Any]], *, repairs: str = "") -> list[st
     Parameters
     ----------
     reports : of each source, as `tests/campaign` leaves them.
-    repairs : what campaigns found, and how it was mended.
+    repairs : what campaigns found, and how it was repaired.
 
     Raises
     ------
@@ -93,7 +93,7 @@ def campaign(reports: Sequence[dict[str, Any]], *, repairs: str = "") -> list[st
     ]
     for report, head in zip(reports, heads, strict=True):
         lines += [line for window in report.get("failed", ()) for line in _failed(head, window)]
-    return [*lines, *(["", "## Found and mended", "", repairs.strip()] if repairs else [])]
+    return [*lines, *(["", "## Found and repaired", "", repairs.strip()] if repairs else [])]
 
 
 def _names(reports: Sequence[dict[str, Any]]) -> list[str]:

@@ -280,8 +280,8 @@ def keep_sigma(connection: Connection, camera: str) -> None:
     for row in connection.execute(_of_camera(camera).where(c.sigma.is_(None))).all():
         with suppress(TypeError, ValueError, zlib.error):  # a damaged list cannot be solved again anyway
             found = read_columns(connection, camera, [listed(connection, _unpacked(row.ids))])
-            packed = zlib.compress(found.sigma_px.astype("<f8").tobytes(), 9)
-            connection.execute(update(used_sightings).where(c.calibration == row.calibration).values(sigma=packed))
+            kept = update(used_sightings).where(c.calibration == row.calibration)
+            connection.execute(kept.values(sigma=_packed_rows(found.sigma_px)))
 
 
 def keep_measured(connection: Connection, camera: str, changing: Sequence[ColumnElement[bool]]) -> None:
@@ -289,22 +289,17 @@ def keep_measured(connection: Connection, camera: str, changing: Sequence[Column
     ids = np.fromiter(connection.scalars(select(sun_point.c.id).where(*changing)), dtype=np.int64)
     if ids.size == 0:
         return
-    c = used_sightings.c
     for row in connection.execute(_of_camera(camera)).all():
-        with suppress(TypeError, ValueError, zlib.error):
-            used = _unpacked(row.ids)
-            measured = _unpacked_measured(row.sigma, used.size)
-            if (measured is not None and len(measured) > 1) or not np.isin(ids, used).any():
-                continue
-            columns = _with_measured(read_columns(connection, camera, [listed(connection, used)]), measured)
-            if columns.ids.size == used.size and _digest(columns) == row.digest:
-                kept = update(used_sightings).where(c.calibration == row.calibration)
-                connection.execute(kept.values(sigma=_packed_measured(columns)))
+        with suppress(InputError, TypeError, ValueError, zlib.error):  # what is damaged cannot be solved again anyway
+            if np.isin(ids, _unpacked(row.ids)).any():
+                measured = _packed_measured(sightings_used_by(connection, row.calibration))
+                kept = update(used_sightings).where(used_sightings.c.calibration == row.calibration)
+                connection.execute(kept.values(sigma=measured))
 
 
-def _of_camera(camera: str) -> Select[tuple[str, bytes, bytes | None, str]]:
+def _of_camera(camera: str) -> Select[tuple[str, bytes]]:
     c = used_sightings.c
-    used = select(c.calibration, c.ids, c.sigma, c.digest).join(calibration, calibration.c.id == c.calibration)
+    used = select(c.calibration, c.ids).join(calibration, calibration.c.id == c.calibration)
     return used.where(calibration.c.camera == camera)
 
 
@@ -340,27 +335,32 @@ def _unpacked(packed: bytes) -> IntArray:
 def _packed_air(columns: SunPointColumns) -> bytes | None:
     """Return temperature and pressure, compressed; None where nothing was measured. A day's is given later, or anew."""
     air = np.stack([columns.temperature, columns.pressure])
-    return None if np.all(np.isnan(air)) else zlib.compress(air.astype("<f8").tobytes(), 9)
+    return None if np.all(np.isnan(air)) else _packed_rows(air)
 
 
 def _unpacked_air(packed: bytes | None, count: int) -> FloatArray:
     """Return temperature and pressure, (2, n); NaN where nothing was kept."""
     if packed is None:
         return np.full((2, count), np.nan)
-    return np.frombuffer(zlib.decompress(packed), dtype="<f8").astype(np.float64).reshape(2, count)
+    return _unpacked_rows(packed).reshape(2, count)
 
 
 def _packed_measured(columns: SunPointColumns) -> bytes:
     """Return all that the digest holds but the times: pixels, sigma and the clock's error."""
-    measured = np.vstack([columns.pixels.T, columns.sigma_px, columns.clock_error_s])
-    return zlib.compress(measured.astype("<f8").tobytes(), 9)
+    return _packed_rows(np.vstack([columns.pixels.T, columns.sigma_px, columns.clock_error_s]))
 
 
 def _unpacked_measured(packed: bytes | None, count: int) -> FloatArray | None:
     """Return sigma (1, n), or x, y, sigma, clock error (4, n), as a calibration was given them; None: as they are."""
-    if packed is None:
-        return None
-    return np.frombuffer(zlib.decompress(packed), dtype="<f8").astype(np.float64).reshape(-1, count)
+    return None if packed is None else _unpacked_rows(packed).reshape(-1, count)
+
+
+def _packed_rows(rows: FloatArray) -> bytes:
+    return zlib.compress(rows.astype("<f8").tobytes(), 9)
+
+
+def _unpacked_rows(packed: bytes) -> FloatArray:
+    return np.frombuffer(zlib.decompress(packed), dtype="<f8").astype(np.float64)
 
 
 def _with_measured(columns: SunPointColumns, measured: FloatArray | None) -> SunPointColumns:

@@ -434,7 +434,7 @@ def _held_to(fitted: FittedPose, sigmas: float) -> FittedPose:
 
 
 def _held_to_level(final: Final) -> Final:
-    """Return calibrations, those refused that are tilted by a tilt that nobody stated and few sightings determine."""
+    """Return calibrations, those refused whose tilt is not stated, and is determined by few sightings only."""
     fitted = dict(final.fitted)
     for pose, one in final.fitted.items():
         doubt = tilt_in_doubt(one.calibration)

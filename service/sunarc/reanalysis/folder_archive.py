@@ -22,7 +22,7 @@ from sunarc.reanalysis.ingest import IngestOptions, ingest_folder
 from sunarc.reanalysis.ingest_summary import IngestSummary
 from sunarc.reanalysis.messages import MESSAGES
 from sunarc.runtime.clock import Clock
-from sunarc.runtime.loop import Loop, Pauses
+from sunarc.runtime.loop import Attempts, Loop, Pauses
 from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.settings.model import Settings
 from sunarc.sky.days import solar_date
@@ -93,8 +93,14 @@ class FolderArchiveWorker:
         self._analysed: date | None = None
         self._calibrated: bool | None = None
         self._working = False
-        self._failures = 0
         self._rests_until_s = 0.0
+        self._attempts = Attempts(
+            self.clock,
+            _AGAIN,
+            board=self.board,
+            code=_FAILED,
+            reason=lambda error, _hours: Reason.of(Finding(_FAILED, {"error": error}), MESSAGES),
+        )
 
     def analyse(self, files: Sequence[SourceFile]) -> None:
         """Have older files of the folder analysed, and all of it once they led to a calibration."""
@@ -121,7 +127,7 @@ class FolderArchiveWorker:
     @property
     def _rests(self) -> bool:
         """Whether an analysis failed a while ago: meanwhile days are judged by what is stored."""
-        return self._failures > 0 and self.clock.monotonic() < self._rests_until_s
+        return self.clock.monotonic() < self._rests_until_s
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Analyse when there is a reason, until stopped."""
@@ -207,11 +213,8 @@ class FolderArchiveWorker:
         self.look_back()
         if not files:
             self._analysed, self._calibrated = self._today(), self._has_calibration()
-        self._failures = 0
-        self.board.set_condition(_FAILED, None)
+        self._attempts.succeeded()
 
     def _fail(self, error: str) -> None:
-        self._failures += 1
-        self._rests_until_s = self.clock.monotonic() + _AGAIN.after(self._failures)
         _log.warning("the older images of %s could not be analysed: %s", self.options.path, error)
-        self.board.set_condition(_FAILED, Reason.of(Finding(_FAILED, {"error": error}), MESSAGES))
+        self._rests_until_s = self.clock.monotonic() + self._attempts.failed(error)

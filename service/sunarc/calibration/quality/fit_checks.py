@@ -227,16 +227,21 @@ def _pose_sigma_deg(calibration: Calibration) -> float:
     return min(math.degrees(math.sqrt(max(float(np.max(np.linalg.eigvalsh(spread))), 0.0))), 180.0)
 
 
+def _unstated_tilt_deg(calibration: Calibration) -> float | None:
+    """Return the tilt of a fit that is asked about; None where it is as good as level, or its limit is stated."""
+    if calibration.evidence.options.get("level_within_deg") is not None:
+        return None
+    question = tilt_question(calibration.camera, calibration.site)
+    return None if question is None else float(question.data["tilt_deg"])
+
+
 def tilt_in_doubt(calibration: Calibration) -> Finding | None:
-    """Return that a camera may be level though the fit is tilted, by a tilt that nobody stated; None where it is not.
+    """Return that a camera may be level though the fit is tilted, by a tilt that is not stated; None where it is not.
 
     Errors of the lens that few sightings do not show tilt the camera by more than its stated sigma.
     """
-    question = tilt_question(calibration.camera, calibration.site)
-    if question is None or calibration.evidence.options.get("level_within_deg") is not None:
-        return None
-    tilt_deg, pose_deg = float(question.data["tilt_deg"]), _pose_sigma_deg(calibration)
-    if tilt_deg > _SURELY_TILTED * pose_deg:
+    tilt_deg, pose_deg = _unstated_tilt_deg(calibration), _pose_sigma_deg(calibration)
+    if tilt_deg is None or tilt_deg > _SURELY_TILTED * pose_deg:
         return None
     return Finding("tilt_in_doubt", {"tilt_deg": tilt_deg, "pose_deg": pose_deg})
 
@@ -256,9 +261,9 @@ def provisional(calibration: Calibration, *, limit_deg: float) -> Calibration:
     verdict = calibration.verdict
     if not is_undetermined(verdict):
         return calibration
-    question = tilt_question(calibration.camera, calibration.site)
-    if question is not None and calibration.evidence.options.get("level_within_deg") is None:
-        return refused_for(calibration, Finding("provisional_tilted", {"tilt_deg": question.data["tilt_deg"]}))
+    tilt_deg = _unstated_tilt_deg(calibration)
+    if tilt_deg is not None:
+        return refused_for(calibration, Finding("provisional_tilted", {"tilt_deg": tilt_deg}))
     seen = seen_sky(calibration.camera)
     share = float(np.mean(sigma_deg(calibration, seen) <= limit_deg)) if len(seen) else 0.0
     if share < _LEAST_SHARE:

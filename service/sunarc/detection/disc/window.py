@@ -111,7 +111,7 @@ def column_smear(image: Image, *, x0: int, x1: int, y0: int, y1: int, mosaic: bo
     smear loses nothing.
     """
     profiles = np.zeros((2, x1 - x0))
-    for parity in {0, int(mosaic)}:
+    for parity in range(2 if mosaic else 1):
         rows = _rows_beyond(image.shape[0], parity, y0, y1)
         for step in (_STEP, _FINE_STEP):
             profile = excess_of_columns(image[rows[:: step // _FINE_STEP], x0:x1])
