@@ -10,13 +10,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import cast
 
-import cv2
 import numpy as np
 
 from sunarc.array_types import Image
 from sunarc.cameras.frame import CameraCondition, CameraInfo, Frame, full_scale_of
 from sunarc.cameras.options import ReplayOptions
 from sunarc.errors import CameraLostError, InputError
+from sunarc.imaging.preview import decoded
 
 _SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff"}
 _TIME = re.compile(r"(\d{8}T\d{6})(\.\d{1,6})?Z")
@@ -98,7 +98,10 @@ class ReplayCamera:
     def _readable_frames(self) -> Iterator[Frame]:
         shape: tuple[int, ...] | None = None
         for number, (time, exposure_us, path) in enumerate(self._files, start=1):
-            image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+            try:
+                image = decoded(path.read_bytes())
+            except OSError:  # taken away since the folder was listed
+                image = None
             reason = _unusable(image, shape, self._options.pixel_format)
             if image is None or reason is not None:
                 self._skip(path, reason or "not readable")
