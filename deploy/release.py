@@ -13,7 +13,7 @@ import sys
 import tempfile
 import uuid
 from collections.abc import Sequence
-from importlib.metadata import Distribution, PathDistribution
+from importlib.metadata import PathDistribution
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -82,7 +82,8 @@ def require_new(record: str, files: Sequence[Path], version: str) -> str:
     ReleaseError
         Where the version is of other files there.
     """
-    known = dict(tuple(line.split()[1:3]) for line in record.splitlines() if line.split()[:1] == [version])
+    words = [line.split() for line in record.splitlines()]
+    known = {line[1]: line[2] for line in words if line[:1] == [version]}
     lines = []
     for file in files:
         found = sha256(file)
@@ -93,21 +94,19 @@ def require_new(record: str, files: Sequence[Path], version: str) -> str:
     return record + "".join(lines)
 
 
-def distributions(site: Path) -> list[Distribution]:
+def distributions(site: Path) -> list[PathDistribution]:
     """Return what is installed in a folder, by name."""
     found = [PathDistribution(path) for path in site.glob("*.dist-info")]
     return sorted(found, key=lambda one: one.metadata["Name"].lower())
 
 
-def licence_of(one: Distribution) -> str:
+def licence_of(one: PathDistribution) -> str:
     """Return what a distribution says of its licence: an expression, a field, or its classifiers."""
-    metadata = one.metadata
-    stated = metadata.get("License-Expression") or ""
+    metadata = one.metadata.json
+    stated = str(metadata.get("license_expression", ""))
     if not stated:
-        classified = [
-            line.rpartition(" :: ")[2] for line in metadata.get_all("Classifier") or [] if "License ::" in line
-        ]
-        field = (metadata.get("License") or "").strip()
+        classified = [line.rpartition(" :: ")[2] for line in metadata.get("classifier", []) if "License ::" in line]
+        field = str(metadata.get("license", "")).strip()
         stated = ", ".join(classified) or (field if "\n" not in field and len(field) < 100 else "see its text")
     return stated or "not stated"
 
