@@ -208,6 +208,8 @@ def test_the_calibration_before_a_damaged_one_is_served_and_the_damage_shown(
     path: Path, board: StatusRegistry, clock: VirtualClock, byte: int, bit: int
 ) -> None:
     flip(path, "calibration", "document", where="id = 'third'", byte=byte, bit=bit)
+    with closing(sqlite3.connect(path, isolation_level=None)) as connection:
+        connection.execute("UPDATE refit SET state = 'refused', finished_at = requested_at")
     reasons = run_every_part(path, board, clock)
     assert reasons["calibration_damaged"].data == {"calibration": "third", "served": "second"}
     archive = open_archive(path)
@@ -220,6 +222,10 @@ def test_the_calibration_before_a_damaged_one_is_served_and_the_damage_shown(
     assert [event.details for event in archive.events.find("roof") if event.kind == "calibration_damaged"] == [
         {"calibration": "third", "served": "second"}
     ]
+    (asked,) = (refit for refit in archive.refits.find("roof") if refit.reason == "in place of third")
+    run_every_part(path, board, clock)  # the next start tells and asks nothing again
+    assert sum(event.kind == "calibration_damaged" for event in archive.events.find("roof")) == 1
+    assert [one.id for one in archive.refits.find("roof") if one.reason == asked.reason] == [asked.id]
     with pytest.raises(InputError, check=lambda error: error.field == "id"):
         archive.calibrations.get("third")
     archive.close()

@@ -519,6 +519,8 @@ _CODES = ("no_calibration", "calibration_unreadable", "calibration_damaged")
 class CalibrationIntegrityCheck:
     """Looks whether the current calibration can be read, and the sightings that it rests on are still there.
 
+    For a damaged one a refit is asked for at once, in its place.
+
     Parameters
     ----------
     camera : its archive.
@@ -533,7 +535,6 @@ class CalibrationIntegrityCheck:
 
     def __post_init__(self) -> None:
         """Begin without a check."""
-        self._reported: set[tuple[str, str]] = set()
         self._revision: int | None = None
         self._current: str | None = None
 
@@ -580,8 +581,18 @@ class CalibrationIntegrityCheck:
 
     def _report(self, code: str, *, calibration: str, **data: str) -> Reason:
         """Write an event the first time, and return the condition."""
-        finding = Finding(code, {"calibration": calibration, **data})
-        if (code, calibration) not in self._reported:
-            self._reported.add((code, calibration))
+        finding, archive, name = (
+            Finding(code, {"calibration": calibration, **data}),
+            self.camera.archive,
+            self.camera.name,
+        )
+        written = archive.events.find(name, kind=code)
+        if all(event.details.get("calibration") != calibration for event in written):
             self.camera.add_event(finding, MESSAGES, time=self.now(), severity="alarm")
+            if code == "calibration_damaged":
+                archive.refits.request(
+                    Refit(
+                        id=uuid.uuid4().hex, camera=name, requested_at=self.now(), reason=f"in place of {calibration}"
+                    )
+                )
         return Reason.of(finding, MESSAGES)
