@@ -22,7 +22,7 @@ MESSAGES = Messages(
     calibration_damaged=Message(
         "the stored document of calibration {calibration} does not match its checksum; {served} is served",
         "The newest undamaged calibration before it is served; a refit has been asked for.",
-        "where that is refused, request one (POST /v1/refits), or restore a copy with `sunarc db restore --latest`; check the disk",
+        "where it is refused, restore a copy with `sunarc db restore --latest`; check the disk",
     ),
     calibration_unreadable=Message(
         "the active calibration {calibration} was written by another version and cannot be used: {error}",
