@@ -19,7 +19,7 @@ import sys
 import tempfile
 import tokenize
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from types import FrameType
 from typing import NamedTuple
@@ -258,49 +258,48 @@ def loaded_by(statement: str) -> list[str]:
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
 
 
-class Way(NamedTuple):
-    """Where an array of sightings comes by on its way from a CSV file to a calibration."""
+class Station(NamedTuple):
+    """A function that an array of sightings comes by: as an argument of a name, or as what it returns (no name).
 
-    functions: set[str]
-    files: set[str]
-    rooms: set[str]
-    returns: set[str]
-    names: set[str]
+    place: its file. own: whether the array is a column of `Sightings`, and no other of its length. solving: whether the
+    first round of the robust solve has begun.
+    """
+
+    place: str
+    function: str
+    name: str
+    own: bool
+    solving: bool
 
 
 N_SIGHTINGS = 457
 """Rows of the fixed CSV file; nothing else in a fit has this length."""
-MOST_LOOKS = 20
-"""Calls of one function that are looked at."""
 
 
-def way_of_sightings() -> Way:
-    """Return the functions that receive an array of the length of the file's rows, in `sunarc calibrate`.
+def stations_of_sightings() -> set[Station]:
+    """Return where arrays of the length of the file's rows come by, in `sunarc calibrate`.
 
-    A function receives it as an argument, or within an argument that is a tuple, a list or a value with fields. Their
-    packages are the rooms, the arguments' names the names; `returns` are the functions that give it back. The camera is
-    an equidistant lens of 600 px/rad that looks up, at latitude 36.6, longitude -97.5, on 2024-06-21.
+    A function receives one as an argument, or within an argument that is a tuple, a list or a value with fields. The
+    camera is an equidistant lens of 600 px/rad that looks up, at latitude 36.6, longitude -97.5, on 2024-06-21.
     """
-    way = Way(set(), set(), set(), set(), set())
-    package = str(PACKAGE)
-    looks: Counter[tuple[object, str]] = Counter()
+    stations, solving, package = set[Station](), False, str(PACKAGE)
+    columns: dict[int, object] = {}
 
-    def note(frame: FrameType, event: str, argument: object) -> None:
+    def note(frame: FrameType, event: str, returned: object) -> None:
+        nonlocal solving
         code = frame.f_code
-        looks[code, event] += 1
-        if looks[code, event] > MOST_LOOKS or not code.co_filename.startswith(package) or code.co_name.startswith("<"):
+        if event not in {"call", "return"} or not code.co_filename.startswith(package) or code.co_name.startswith("<"):
             return
-        place = str(Path(code.co_filename).relative_to(package))
-        if event == "call":
-            names = code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]
-            received = [name for name in names if _holds_sightings(frame.f_locals.get(name))]
-            way.names.update(received)
-            if received:
-                way.functions.add(f"{place}:{code.co_qualname}")
-                way.files.add(place)
-                way.rooms.add(str(Path(place).parent))
-        elif event == "return" and _holds_sightings(argument):
-            way.returns.add(f"{place}:{code.co_qualname}")
+        place, function = str(Path(code.co_filename).relative_to(package)), code.co_qualname
+        if event == "return" and function == "Sightings.__post_init__":
+            columns.update({id(one): one for one in _arrays(frame.f_locals["self"])})
+        names = code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]
+        carried = {name: frame.f_locals.get(name) for name in names} if event == "call" else {"": returned}
+        for name, value in carried.items():
+            if found := _arrays(value):
+                own = any(id(one) in columns for one in found)
+                stations.add(Station(place, function, name, own, solving))
+        solving |= (place, function) == ("calibration/fit/robust_rounds.py", "_rounds")
 
     with tempfile.TemporaryDirectory() as folder:
         path = _write_track(Path(folder) / "track.csv")
@@ -314,17 +313,43 @@ def way_of_sightings() -> Way:
         finally:
             sys.setprofile(None)
             sys.argv = arguments
-    return way
+    return stations
 
 
-def _holds_sightings(value: object, depth: int = 2) -> bool:
+def _arrays(value: object, depth: int = 2) -> list[np.ndarray]:
+    """Return the memory of the arrays with as many rows as the file that a value holds."""
     if isinstance(value, np.ndarray):
-        return N_SIGHTINGS in value.shape
+        of_length = N_SIGHTINGS in value.shape
+        while isinstance(value.base, np.ndarray):
+            value = value.base
+        return [value] if of_length else []
+    items: Iterable[object] = ()
     if depth and isinstance(value, tuple | list):
-        return any(_holds_sightings(item, depth - 1) for item in value[:50])
-    if depth and dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return any(_holds_sightings(getattr(value, field.name, None), depth - 1) for field in dataclasses.fields(value))
-    return False
+        items = value[:50]
+    elif depth and dataclasses.is_dataclass(value) and not isinstance(value, type):
+        items = (getattr(value, field.name, None) for field in dataclasses.fields(value))
+    return [one for item in items for one in _arrays(item, depth - 1)]
+
+
+def way_figures(stations: set[Station]) -> dict[str, int]:
+    """Return how many functions, files, rooms, returns and names: in the whole command, and until the solve."""
+    ways = {
+        "into the fit": stations,
+        "until the solve": {one for one in stations if not one.solving},
+        "until the solve, columns alone": {one for one in stations if one.own and not one.solving},
+    }
+    found: dict[str, int] = {}
+    for title, way in ways.items():
+        received, returned = [one for one in way if one.name], [one for one in way if not one.name]
+        parts = {
+            "functions": len({(one.place, one.function) for one in received}),
+            "files": len({one.place for one in received}),
+            "rooms": len({Path(one.place).parent for one in received}),
+            "returns": len({(one.place, one.function) for one in returned}),
+            "names": len({one.name for one in received}),
+        }
+        found |= {f"sightings' way {title}: {name}": count for name, count in parts.items()}
+    return found
 
 
 def _write_track(path: Path) -> Path:
@@ -356,7 +381,7 @@ def figures() -> dict[str, object]:
     for name, module in found.items():
         rooms[module.room] += len(code[name])
     single = [n for n in found if len(users[n]) == 1]
-    face_sizes, way = faces(found, users), way_of_sightings()
+    face_sizes = faces(found, users)
     version, pixel = cost_of(sys.executable, "-m", "sunarc", "--version"), loaded_by(f"import {PIXEL}")
     return {
         "modules": len(found),
@@ -379,11 +404,7 @@ def figures() -> dict[str, object]:
         "sunarc --version, memory MB": version[1],
         "modules of ours loaded by what answers a pixel": sum(name.startswith("sunarc") for name in pixel),
         "heavy modules among them": sorted({"numba", "scipy", "cv2", "pandas"} & set(pixel)),
-        "sightings' way into the fit: functions": len(way.functions),
-        "sightings' way into the fit: files": len(way.files),
-        "sightings' way into the fit: rooms": len(way.rooms),
-        "sightings' way into the fit: returns": len(way.returns),
-        "sightings' way into the fit: names": len(way.names),
+        **way_figures(stations_of_sightings()),
         "private names in tests": private_names_in_tests(),
         "asserts on a phrase": asserts_on_phrases(),
         "words of documents": words_of_documents(),
@@ -418,7 +439,7 @@ def main() -> None:
 
 
 def _show(name: str, before: object, now: object) -> None:
-    sys.stdout.write(f"{name:56s} {before!s:>12} {now!s:>12}\n")
+    sys.stdout.write(f"{name:58s} {before!s:>12} {now!s:>12}\n")
 
 
 if __name__ == "__main__":
