@@ -112,6 +112,27 @@ CALLS: dict[str, dict[str, Any]] = {
         "systematic_px": np.full((N, 2, 3), 0.1),
         "sizes": np.ones(3),
     },
+    "evidence_terms": {
+        "matrices": np.stack([np.diag(np.arange(1.0, 14.0))] * 2),
+        "vectors": np.ones((2, 13)),
+        "at": np.ones(13),
+        "precision": np.ones(13),
+        "order": np.arange(13)[::-1].copy(),
+        "pairs": np.ones((4, 2)),
+    },
+    "moments_of": {
+        "covariances": np.stack([np.eye(3)] * 2),
+        "left": np.ones((2, 3, 5)),
+        "right": np.ones((2, 3, 5)),
+    },
+    "moments_below": {
+        "moments": np.ones((4, 3, 5)),
+        "share": np.full(4, 0.25),
+        "stated": np.array([[2.0], [0.5], [1.0]]) * np.ones(5),
+        "cosines": np.array([-0.5, 0.5]),
+        "bounds": np.array([0.0, 0.4, 1.0]),
+        "smallest": 1e-6,
+    },
     "paper_fit": _FIT
     | penalties_of(CAMERA.projection, PaperOptions())._asdict()
     | {
@@ -205,7 +226,17 @@ CALLS |= {
 }
 # kernels whose results for no pixels, directions or sightings are empty
 _WHOLE = {"rotation_and_jacobian", "most_probable", "paper_fit", "render_disc", "merge_exposures"}
-_WHOLE |= {"most_followed", "fitted_rim", "sky_light", "night_glow", "count_light", "image_of_points"}
+_WHOLE |= {
+    "evidence_terms",
+    "moments_of",
+    "moments_below",
+    "most_followed",
+    "fitted_rim",
+    "sky_light",
+    "night_glow",
+    "count_light",
+    "image_of_points",
+}
 PER_PLACE = [name for name in CALLS if name not in _WHOLE]
 Spoiled = Callable[[np.ndarray], np.ndarray | None]
 
@@ -434,3 +465,21 @@ def test_a_disc_is_the_sum_of_its_sources_spread() -> None:
     for plane, name in ((1, "x"), (2, "y"), (3, "psf")):
         ends = [call("render_disc", **{name: one[name] + side * step})[0] for side in (1.0, -1.0)]
         np.testing.assert_allclose(found[plane], (ends[0] - ends[1]) / (2.0 * step), rtol=0, atol=1e-6)
+
+
+def test_the_smallest_values_of_a_mixture_have_their_part_of_its_mean() -> None:
+    rng, shares, cosines = np.random.default_rng(8), np.array([0.0, 0.1, 0.4, 0.97, 1.0]), np.array([-0.9, 0.1, 0.9])
+    roots = rng.standard_normal((40, 6, 2, 2)) * np.geomspace(1e-9, 1e9, 40)[:, None, None, None]
+    moments, stated = roots @ roots.swapaxes(2, 3), np.eye(2) + 0.3
+    share = rng.dirichlet(np.full(40, 0.2))
+    low, high = np.linalg.eigvals(np.linalg.inv(stated) @ moments).real.swapaxes(0, 2).swapaxes(1, 2)[:, :, None]
+    values = np.maximum(0.5 * (low + high) + 0.5 * np.abs(high - low) * cosines[:, None], 1e-6)
+    expected = np.empty((6, 5))
+    for place in range(6):
+        ordered = np.argsort(values[..., place], axis=None)
+        weight = np.repeat(share / 3.0, 3)[ordered]
+        sums = np.cumsum(weight * values[..., place].ravel()[ordered])
+        expected[place] = np.interp(shares, np.r_[0.0, np.cumsum(weight)], np.r_[0.0, sums])
+    three, covariance = moments[:, :, [0, 0, 1], [0, 1, 1]].swapaxes(1, 2).copy(), np.array([1.3, 0.3, 1.3])
+    found = _kernels.moments_below(three, share, np.tile(covariance[:, None], 6), cosines, shares, 1e-6)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)

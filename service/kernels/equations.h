@@ -86,5 +86,6 @@ double minimise(Equations& here, Equations& there, const std::vector<size_t>& mo
 
 void add_fit(nb::module_& module);
 void add_paper(nb::module_& module);
+void add_posterior(nb::module_& module);
 
 }  // namespace sunarc

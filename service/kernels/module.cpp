@@ -8,5 +8,6 @@ NB_MODULE(_kernels, module) {
     sunarc::add_inverse(module);
     sunarc::add_lens(module);
     sunarc::add_paper(module);
+    sunarc::add_posterior(module);
     sunarc::add_tables(module);
 }

@@ -180,6 +180,60 @@ def most_probable(
     ValueError : lengths that differ, an epoch without a pose, no projection of this code.
     """
 
+def evidence_terms(
+    matrices: FloatArray,
+    vectors: FloatArray,
+    at: FloatArray,
+    precision: FloatArray,
+    order: IntArray,
+    pairs: FloatArray,
+) -> FloatArray:
+    """Return (n, k): v' M⁻¹ v - log |M| of normal equations (n, p, p), (n, p) about unknowns `at` (p,).
+
+    Parameters
+    ----------
+    precision : (p,) prior precisions, of all but the last ten in the order.
+    order : (p,) places; the last ten are eight radial coefficients, p1 and p2.
+    pairs : (k, 2) precisions of the eight and of the two, which M has with the others', and v with them times `at`.
+
+    Raises
+    ------
+    ValueError : lengths that differ, a place beyond the unknowns.
+    """
+
+def moments_of(covariances: FloatArray, left: FloatArray, right: FloatArray) -> FloatArray:
+    """Return (k, 3, n): L' C R made symmetric, its xx, xy and yy, of k covariances (k, q, q), L and R (2, q, n).
+
+    Raises
+    ------
+    ValueError : lengths that differ.
+    """
+
+def moments_below(
+    moments: FloatArray,
+    share: FloatArray,
+    stated: FloatArray,
+    cosines: FloatArray,
+    bounds: FloatArray,
+    smallest: float,
+) -> FloatArray:
+    """Return (n, m): the parts of a mean variance that its smallest values make up, which have m shares of all.
+
+    With l₁, l₂ the eigenvalues of stated⁻¹ · moments the values are their mean plus half their difference times the
+    cosines, of each of k Gaussians.
+
+    Parameters
+    ----------
+    moments, share : (k, 3, n) xx, xy and yy of the Gaussians; (k,) of them.
+    stated : (3, n) of the covariance in whose units they are.
+    bounds : (m,) shares, ascending.
+    smallest : value that smaller ones are taken for.
+
+    Raises
+    ------
+    ValueError : lengths that differ.
+    """
+
 def residuals_of(
     code: int,
     mirror: float,

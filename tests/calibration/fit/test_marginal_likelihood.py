@@ -12,10 +12,10 @@ from scipy.optimize import minimize
 from scipy.stats import multivariate_normal
 from tests.fixtures.calibration import log_evidences, penalty, random_covariance
 
+from sunarc import _kernels
 from sunarc.calibration.fit.marginal_likelihood import (
     BasisProducts,
     FieldSums,
-    LensScaleEquations,
     NormalEquations,
     Scales,
     inverses,
@@ -170,7 +170,7 @@ def test_the_fit_and_its_field_are_the_joint_mode_and_the_gain_is_what_the_step_
 def test_each_choice_of_a_grid_is_the_fit_under_its_scales(basis: WaveBasis) -> None:
     normal = _Case(basis).normal()
     amplitudes, lengths, lens = np.array([0.1, 0.4, 3.0]), np.array([260.0, 300.0]), np.array([[2.0, 0.7], [1.0, 0.3]])
-    equations, _ = FieldSums.of(normal, basis, amplitudes, lengths).under(lens)
+    equations = FieldSums.of(normal, basis, amplitudes, lengths).equations(np.arange(6), lens)
     for (j, i, k), _ in np.ndenumerate(np.empty((2, 3, 2))):
         step, reduced = equations.fits(np.array([3 * j + i]), np.array([k]))
         known, at_rest, back = equations.others_of(3 * j + i)
@@ -186,7 +186,8 @@ def test_terms_are_those_of_dense_matrices_in_any_units() -> None:
     matrices = np.stack([random_covariance(21, seed=s) * np.outer(units, units) for s in (1, 2)])
     vectors, at = rng.standard_normal((2, 21)) * units, rng.standard_normal(21) / units
     precision = rng.uniform(0.1, 2.0, 21) * units**2
-    found = LensScaleEquations.of(matrices, vectors, at, precision, pairs).terms
+    order = np.r_[np.delete(np.arange(21), np.r_[5:15]), 5:15]
+    found = _kernels.evidence_terms(matrices, vectors, at, precision, order, pairs)
     for (n, k), value in np.ndenumerate(found):
         precision[5:13], precision[13:15] = pairs[k]
         whole, pull = matrices[n] + np.diag(precision), vectors[n] - precision * at

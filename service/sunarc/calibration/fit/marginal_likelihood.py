@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dpstrf
 
+from sunarc import _kernels
 from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.solve.priors import DECENTERING, N_LENS, RADIAL, STRETCH, precisions
 from sunarc.optics.displacement import WaveBasis, wave_basis
@@ -286,31 +287,45 @@ class FieldSums(NamedTuple):
         pull = self.pull + self.information[..., others] @ gone
         return self._replace(
             turned=[],
-            information=self.information[:, places][..., places],
-            pull=pull[:, places],
+            information=np.ascontiguousarray(self.information[:, places][..., places]),
+            pull=np.ascontiguousarray(pull[:, places]),
             penalty=self.penalty + (self.pull + pull)[:, others] @ gone,
             at=self.at[places],
             n_unit=self.n_unit - others.size,
         )
 
-    def under(self, lens_scales: FloatArray, square: FloatArray | float = 1.0) -> tuple[LensScaleEquations, FloatArray]:
-        """Return the equations under pairs (k, 2) of the lens's scales, and the log evidence of each choice (i, j, k).
+    def log_evidence(self, lens_scales: FloatArray, square: FloatArray | float = 1.0) -> FloatArray:
+        """Return the log evidence of each choice (i, j, k), but for a constant.
 
-        The pairs are of the radial distortion and of the decentering; `square` (2,) or of both: the prior precisions
-        of the aspect ratio and of the skew. The evidence is but for a constant.
+        Parameters
+        ----------
+        lens_scales : (k, 2) of the radial distortion and of the decentering.
+        square : (2,) or of both: the prior precisions of the aspect ratio and of the skew.
         """
-        precision, tried = prior_precision(self.at.size, 1.0, 1.0, n_unit=self.n_unit), lens_scales**-2.0
-        precision[STRETCH] = square
-        equations = LensScaleEquations.of(self.information, self.pull, self.at, precision, tried)
+        precision, tried = self._precision(square), lens_scales**-2.0
+        order = np.r_[np.delete(np.arange(self.at.size), _VARIED), _VARIED]
+        terms = _kernels.evidence_terms(self.information, self.pull, self.at, precision, order, tried)
         weighed = precision * self.at**2
         prior = (tried - 1.0) @ [np.sum(weighed[RADIAL]), np.sum(weighed[DECENTERING])] + np.sum(weighed)
         prior -= np.log(tried) @ [_N_RADIAL, _VARIED.size - _N_RADIAL] + np.sum(np.log(precision))
-        terms = (equations.terms - self.penalty[:, None] - prior).reshape(len(self.shrink), -1, len(tried))
-        return equations, 0.5 * np.swapaxes(terms, 0, 1)
+        terms = (terms - self.penalty[:, None] - prior).reshape(len(self.shrink), -1, len(tried))
+        return np.asarray(0.5 * np.swapaxes(terms, 0, 1))
+
+    def equations(
+        self, fields: IntArray, lens_scales: FloatArray, square: FloatArray | float = 1.0
+    ) -> LensScaleEquations:
+        """Return the equations beside some of the fields under the same."""
+        precision = self._precision(square)
+        return LensScaleEquations.of(self.information[fields], self.pull[fields], self.at, precision, lens_scales**-2.0)
+
+    def _precision(self, square: FloatArray | float) -> FloatArray:
+        precision = prior_precision(self.at.size, 1.0, 1.0, n_unit=self.n_unit)
+        precision[STRETCH] = square
+        return precision
 
     def log_weights(self, grid: HyperparameterGrid) -> FloatArray:
         """Return the log of prior times evidence of each choice of scales, (i, j, k), but for one constant."""
-        return grid.log_prior + self.under(grid.lens_scales)[1]
+        return grid.log_prior + self.log_evidence(grid.lens_scales)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -330,8 +345,6 @@ class LensScaleEquations:
     of_pair : (k,) which of the u precisions of the radial coefficients each pair has.
     radial, pull : (n, u, 8) variances of the turned ones where all others of the q are known, and their pull.
     decentering, step : (n, k, 3) covariance of p1 and p2, its xx, xy and yy; (n, k, 2) their steps.
-    terms : (n, k) v' M⁻¹ v - log |M| of all unknowns, M with its precisions and v the pull; NaN where M is not
-        positive.
     """
 
     others: IntArray
@@ -345,7 +358,6 @@ class LensScaleEquations:
     pull: FloatArray
     decentering: FloatArray
     step: FloatArray
-    terms: FloatArray
 
     @classmethod
     def of(
@@ -371,8 +383,6 @@ class LensScaleEquations:
         schur[:, :-1, :-1] = own + RIDGE * np.eye(_VARIED.size) * own
         schur[:, :-1, -1] = vectors[:, _VARIED]
         schur -= right.swapaxes(1, 2) @ solved
-        sign, determinant = np.linalg.slogdet(information)
-        of_others = np.sum(np.log(scale**2), axis=1) - determinant - schur[:, -1, -1]
         radial_precision, of_pair = np.unique(pairs[:, 0], return_inverse=True)
         values, eigenvectors = np.linalg.eigh(schur[:, :_N_RADIAL, :_N_RADIAL])
         turned = eigenvectors.swapaxes(1, 2) @ schur[:, :_N_RADIAL, _N_RADIAL:]
@@ -392,9 +402,6 @@ class LensScaleEquations:
         size = xx * yy - xy * xy
         step = np.stack([yy * left[..., 0] - xy * left[..., 1], xx * left[..., 1] - xy * left[..., 0]], axis=-1)
         step /= size[..., None]
-        with np.errstate(invalid="ignore", divide="ignore"):
-            of_radial = np.sum(radial * pull**2 - np.log(values), axis=-1)[:, of_pair]
-            of_decentering = np.sum(left * step, axis=-1) - np.log(xx) - np.log(size / xx)
         return cls(
             others=others,
             information=information,
@@ -407,7 +414,6 @@ class LensScaleEquations:
             pull=pull,
             decentering=np.stack([yy, -xy, xx], axis=-1) / size[..., None],
             step=step,
-            terms=np.where(sign > 0.0, of_others, math.nan)[:, None] + of_radial + of_decentering,
         )
 
     def fits(self, field: IntArray, pair: IntArray) -> tuple[FloatArray, FloatArray]:

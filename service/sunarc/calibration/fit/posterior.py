@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtri
 
+from sunarc import _kernels
 from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.fit.marginal_likelihood import (
@@ -166,12 +167,9 @@ class _Field(NamedTuple):
     def moments(self, left: FloatArray, right: FloatArray) -> FloatArray:
         """Return (k, 3, n): L' C R made symmetric, xx, xy and yy at n places, of L and R (2, p, n), x before y."""
         own = np.sum(left[:, None] * (self.known @ right), axis=-2)
-        left, right = self.back.T @ left, self.back.T @ right
-        # one product of matrices for all choices: their covariances and what each pair of unknowns makes at the places
-        by_pairs = np.stack([left[a][:, None] * right[b] for a in (0, 1) for b in (0, 1)], axis=2)
-        through = self.covariance.reshape(len(self.covariance), -1) @ by_pairs.reshape(self.back.shape[1] ** 2, -1)
-        xx, xy, yx, yy = np.moveaxis(through.reshape(-1, 4, own.shape[-1]) + own.reshape(4, -1), 1, 0)
-        return np.stack([xx, 0.5 * (xy + yx), yy], axis=1)
+        own[0, 1] = 0.5 * (own[0, 1] + own[1, 0])
+        through = _kernels.moments_of(self.covariance, self.back.T @ left, self.back.T @ right)
+        return np.asarray(through + own[[0, 0, 1], [0, 1, 1]])
 
     def pull(self, values: FloatArray) -> FloatArray:
         """Return (2, p, n): J' of each component with the field's posterior at the places."""
@@ -306,8 +304,7 @@ def plausible(
     beside : (p, p) what each covariance of the unknowns has in addition; None: nothing.
     square : prior precisions of the aspect ratio and of the skew, (2,) or of both.
     """
-    equations, log_evidence = sums.under(grid.lens_scales, square)
-    weight = normalised(grid.log_prior + log_evidence)
+    weight = normalised(grid.log_prior + sums.log_evidence(grid.lens_scales, square))
     # large fields of small probability have much of the covariance: they must not be cut off
     tail = weight * grid.amplitudes[:, None, None] ** _TAIL
     either = (weight + tail / tail.sum()).ravel()
@@ -316,11 +313,12 @@ def plausible(
     retained = np.sort(order[: 1 + int(np.searchsorted(np.cumsum(either[order]), _WEIGHT_RETAINED * either.sum()))])
     i, j, k = np.unravel_index(retained, weight.shape)
     pairs, field = np.unique(np.stack([i, j], axis=-1), axis=0, return_inverse=True)
-    step, reduced = equations.fits(j * grid.amplitudes.size + i, k)
+    equations = sums.equations(pairs[:, 1] * grid.amplitudes.size + pairs[:, 0], grid.lens_scales, square)
+    step, reduced = equations.fits(field.ravel(), k)
     fields, fitted, coefficients = [], [], []
     for number, (amplitude, length) in enumerate(pairs):
         here = field.ravel() == number
-        known, at_rest, back = equations.others_of(length * grid.amplitudes.size + amplitude)
+        known, at_rest, back = equations.others_of(number)
         turned, shrink = sums.turned[length], sums.shrink[length][amplitude]
         fitted.append(at_rest + step[here] @ back.T)
         if mean is not None:
@@ -391,21 +389,10 @@ def _mixture(share: FloatArray, moments: FloatArray, stated: FloatArray, pixels:
     """Return Gaussians (k, 3, n) of some shares (k,) as classes about stated covariances (n, 2, 2).
 
     With l₁, l₂ the eigenvalues of stated⁻¹ · moments, the square of the distance in stated sigmas is, over φ, that of a
-    Gaussian of variance l₁ cos² φ + l₂ sin² φ. These variances of all choices are sorted at each place, and cut into
-    the classes.
+    Gaussian of variance l₁ cos² φ + l₂ sin² φ. These variances of all choices are cut into the classes by their size.
     """
-    (xx, xy, yy), (a, b, d) = moments.swapaxes(0, 1), (stated[:, 0, 0], stated[:, 0, 1], stated[:, 1, 1])
-    inverse = 1.0 / (a * d - b * b)
-    half = 0.5 * inverse * (d * xx - 2.0 * b * xy + a * yy)
-    gap = np.sqrt(np.maximum(half * half - inverse * (xx * yy - xy * xy), 0.0))
-    # below 0 is rounding, of choices whose lens and field take nearly all from one another
-    variance = np.maximum(half + gap * _COS_DOUBLED[:, None, None], _SMALLEST).reshape(-1, pixels.shape[0])
-    order = np.argsort(variance, axis=0)
-    weight = np.tile(share / _COS_DOUBLED.size, _COS_DOUBLED.size)[order]
-    below = np.cumsum(weight, axis=0)
-    moment = np.cumsum(weight * np.take_along_axis(variance, order, axis=0), axis=0)
-    bounds = np.r_[0.0, np.cumsum(SHARES)]
-    upto = [np.interp(bounds, np.r_[0.0, below[:, n]], np.r_[0.0, moment[:, n]]) for n in range(pixels.shape[0])]
+    three, bounds = np.ascontiguousarray(stated.reshape(-1, 4).T[[0, 1, 3]]), np.r_[0.0, np.cumsum(SHARES)]
+    upto = _kernels.moments_below(moments, share, three, _COS_DOUBLED, bounds, _SMALLEST)
     return ErrorMixture(shares=SHARES, pixels_px=pixels, scales=np.sqrt(np.diff(upto, axis=1) / SHARES))
 
 
