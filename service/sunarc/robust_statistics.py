@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sunarc.array_types import FloatArray
+from sunarc.array_types import BoolArray, FloatArray
 
 MAD_TO_SIGMA = 1.4826
 """1-sigma of a normal distribution over its median absolute deviation, 1 / Φ⁻¹(3/4)."""
@@ -55,6 +55,11 @@ _KEEP = 2.5
 _TAIL = math.exp(-0.5 * _KEEP**2)
 _CORRECTION = 1.0 - 0.5 * _KEEP**2 * _TAIL / (1.0 - _TAIL)
 """Share of a round Gaussian's mean square that lies within the cut: without it every round would shrink the scale."""
+
+
+def is_shown(residuals: FloatArray) -> BoolArray:
+    """Return (n,): which residuals (n, 2) are of directions that the camera sees."""
+    return np.asarray(np.any(residuals != UNSEEN_PX, axis=-1))
 
 
 def finite(residual: FloatArray) -> FloatArray:

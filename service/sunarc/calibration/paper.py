@@ -20,7 +20,7 @@ from sunarc.optics.forward import kernel_optics, project_fast, tangent_basis
 from sunarc.optics.inverse import unproject
 from sunarc.optics.pose import rotation_vector
 from sunarc.optics.projections import Projection, ideal_radius, ideal_slope
-from sunarc.robust_statistics import finite
+from sunarc.robust_statistics import finite, is_shown
 
 # The paper's penalties (section 4.2): c1 orthogonality, c2 circularity, c3 monotony.
 
@@ -79,7 +79,7 @@ hundredths of a sigma."""
 def fit_as_paper(
     observed: Sightings, cameras: list[Camera], *, options: CalibrationOptions, quickly: bool = False
 ) -> FitOutcome:
-    """Return the paper's fit of the latest pose epoch's sightings: all of them, none weighted.
+    """Return the paper's fit of the latest pose epoch's sightings: all that it shows, none weighted.
 
     Parameters
     ----------
@@ -108,14 +108,15 @@ def fit_as_paper(
         camera, normal = minimised(camera, one, moving, options.paper, _LAST_STEPS)
     residual = np.zeros((len(observed), 2))
     residual[in_epoch] = finite(one.pixels - project_fast(camera.at_every_angle(), one.directions))
-    variance = float(np.sum(residual**2)) / max(2 * len(one) - moving.size, 1)
+    used = in_epoch & is_shown(residual)
+    variance = float(np.sum(residual[used] ** 2)) / max(2 * int(np.sum(used)) - moving.size, 1)
     return FitOutcome(
         cameras=[*cameras[:last], camera],
         parameter_names=tuple(PARAMETER_NAMES[i] for i in moving),
         covariance=variance * normal_inverse(normal[np.ix_(moving, moving)]),
         field=unseen_field(camera, size=moving.size),
         residual=residual,
-        used=in_epoch,
+        used=used,
         sigma_px=math.sqrt(variance),
         inflation=1.0,
         radial_px=math.nan,

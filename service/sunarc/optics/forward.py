@@ -181,3 +181,18 @@ def rising_limit(camera: Camera, *, up_to: float) -> float:
     theta = np.linspace(0.0, limit, 2001)
     falling = np.flatnonzero(radius_slope(camera, theta) <= 0.0)
     return float(theta[falling[0] - 1]) if falling.size and falling[0] > 0 else limit
+
+
+_LEAST_RESOLVED = 0.1
+"""Share of the pixels of a degree at the center from which on a lens resolves angles off the axis."""
+
+
+def resolved_limit(camera: Camera) -> float:
+    """Return the angle in radians, at most `max_angle`, beyond which the lens's radius hardly grows with the angle.
+
+    That of an orthographic lens stands still at 90 degrees: there a pixel is several degrees of sky, and more than a
+    tenth of the center's slope is what errors of a hundredth of the focal length need to be linear.
+    """
+    theta = np.linspace(0.0, camera.max_angle, 2001)
+    resolved = np.flatnonzero(radius_slope(camera, theta) > _LEAST_RESOLVED)
+    return float(theta[resolved[-1]]) if resolved.size else camera.max_angle

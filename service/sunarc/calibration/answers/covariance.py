@@ -18,7 +18,7 @@ from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.model.result import Calibration
 from sunarc.optics import pose
 from sunarc.optics.camera import PARAMETER_NAMES, Camera, camera_sees
-from sunarc.optics.forward import by_direction, project, project_with_rows_fast, tangent_basis
+from sunarc.optics.forward import by_direction, project, project_with_rows_fast, resolved_limit, tangent_basis
 from sunarc.optics.inverse import unproject
 from sunarc.sky.refraction import ASSUMED_AIR_SD, DAILY_AIR_SD, MEASURED_AIR_SD, raised, refraction_rad
 from sunarc.sky.site import EARTH_RATE, Site, pole_enu
@@ -203,11 +203,12 @@ def seen_sky(camera: Camera) -> FloatArray:
 
 
 def sky_sigma_deg(calibration: Calibration) -> tuple[float, float]:
-    """Return the root mean square and the maximum 1-sigma over the part of the sky that the camera sees, degrees.
+    """Return the root mean square and the maximum 1-sigma over the part of the sky that the camera resolves, degrees.
 
-    Neither is above 180: no direction can be further off, and a linear error may say so.
+    Neither is above 180: no direction can be further off, and a linear error may say so. The edge where a lens stops
+    resolving angles is left out: the linear error has no bound there, whatever the calibration, and no part in others.
     """
-    seen = seen_sky(calibration.camera)
+    seen = seen_sky(replace(calibration.camera, max_angle=resolved_limit(calibration.camera)))
     sigma = sigma_deg(calibration, seen) if seen.size else np.array([np.nan])
     sigma = sigma[np.isfinite(sigma)]
     if sigma.size == 0:

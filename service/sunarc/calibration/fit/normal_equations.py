@@ -25,6 +25,7 @@ from sunarc.calibration.solve.priors import N_LENS
 from sunarc.calibration.solve.problem import Bins, FitProblem, Sighted, residuals_and_columns_of, vectors_of
 from sunarc.optics.displacement import WaveBasis
 from sunarc.optics.forward import Optics
+from sunarc.robust_statistics import is_shown
 
 _STEPS = 8
 _HALVINGS = 6
@@ -99,9 +100,11 @@ def linear_system(
     """Return the equations of sightings about some unknowns.
 
     The basis is evaluated where the model predicts the sun. Evaluated where it was detected, a field x_detected with a
-    change of the lens by -x_modelled would be the noise itself, and a large enough field would explain it away.
+    change of the lens by -x_modelled would be the noise itself, and a large enough field would explain it away. A
+    sighting where the lens sees nothing takes no part.
     """
-    gathered, residual = bins.gathered(observed, problem.residuals(unknowns, observed), information)
+    residuals = problem.residuals(unknowns, observed)
+    gathered, residual = bins.gathered(observed, residuals, information * is_shown(residuals))
     offset, rows = problem.linearised(unknowns, gathered)
     basis_values = basis.values(gathered.pixels - offset)
     weighed = basis_values * np.sqrt(gathered.information)[:, None]

@@ -41,6 +41,7 @@ from sunarc.calibration.start import multistart
 from sunarc.robust_statistics import (
     CUT,
     counted_roots,
+    is_shown,
     robust_sigma,
     surely_well_behaved,
     tukey_loss,
@@ -313,11 +314,13 @@ def robust_camera(
     unknowns = _as_good_as_least_squares(
         problem, weighed, groups, state, sigma=noise.sigma_px, near_minimum=near_minimum
     )
+    # weighed before the camera's last step, which may bring the edge of what it shows past a low sun
+    shown = is_shown(problem.residuals(unknowns, observed))
     return RobustCamera(
         problem=problem,
         unknowns=unknowns,
         state=state,
-        noise=noise,
+        noise=replace(noise, weight=noise.weight * shown),
         grid=grid,
         last_round=last_round,
     )

@@ -17,7 +17,7 @@ from sunarc.calibration.solve.priors import LENS, N_LENS, LensPrior
 from sunarc.optics.camera import POSE, Camera, Param
 from sunarc.optics.forward import Optics, by_direction, kernel_optics
 from sunarc.optics.pose import rotation_matrix
-from sunarc.robust_statistics import UNSEEN_PX
+from sunarc.robust_statistics import UNSEEN_PX, is_shown
 from sunarc.sky.refraction import upward
 
 _RIGHT_ANGLE = math.pi / 2
@@ -287,8 +287,7 @@ class Bins:
         A sighting where the lens sees nothing takes no part.
         """
         residuals = problem.residuals(unknowns, observed)
-        shown = np.any(residuals != UNSEEN_PX, axis=-1)
-        gathered, residual = self.gathered(observed, residuals, information * shown)
+        gathered, residual = self.gathered(observed, residuals, information * is_shown(residuals))
         return replace(gathered, pixels=gathered.pixels + residual - problem.residuals(unknowns, gathered))
 
     def _sums(self, values: FloatArray) -> FloatArray:
