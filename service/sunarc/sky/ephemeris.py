@@ -16,6 +16,7 @@ import numpy as np
 from sunarc.array_types import FloatArray
 
 SECONDS_PER_JULIAN_YEAR = 31_557_600.0
+_JULIAN_DAY_1970 = 2_440_587.5
 
 _STEP_S = 10_800.0
 """Seconds between the places that the cubics go through."""
@@ -49,41 +50,36 @@ def geocentric(unix_s: FloatArray, delta_t_s: float) -> Geocentric:
     if unix_s.size < _WORTH_WHILE * nodes.size:
         return by_series(unix_s, delta_t_s)
     table = _slow_columns(nodes * _STEP_S, delta_t_s)
-    first = np.searchsorted(nodes, slot - 1.0)
-    columns = np.sum(_cubic(unix_s / _STEP_S - slot)[:, :, None] * table[first[:, None] + np.arange(4)], axis=1)
-    x, y, z, distance, nutation = columns.T
+    first, place = np.searchsorted(nodes, slot - 1.0), unix_s / _STEP_S - slot
+    # Lagrange's weights of the values at -1, 0, 1, 2 for places between 0 and 1
+    before, after, beyond = place + 1.0, place - 1.0, place - 2.0
+    weights = (
+        -place * after * beyond / 6.0,
+        before * after * beyond / 2.0,
+        -before * place * beyond / 2.0,
+        before * place * after / 6.0,
+    )
+    x, y, z, distance, nutation = np.sum([weight * table[:, first + k] for k, weight in enumerate(weights)], axis=0)
     return Geocentric(
-        sidereal=(_mean_sidereal(_julian_day(unix_s)) + nutation) % 360.0,
+        sidereal=(_mean_sidereal(unix_s) + nutation) % 360.0,
         right_ascension=np.degrees(np.arctan2(y, x)) % 360.0,
         declination=np.degrees(np.arctan2(z, np.hypot(x, y))),
         distance=distance,
     )
 
 
-def _cubic(s: FloatArray) -> FloatArray:
-    """Return (n, 4): Lagrange's weights of the values at -1, 0, 1, 2 for places s between 0 and 1."""
-    before, after, beyond = s + 1.0, s - 1.0, s - 2.0
-    weights = (
-        -s * after * beyond / 6.0,
-        before * after * beyond / 2.0,
-        -before * s * beyond / 2.0,
-        before * s * after / 6.0,
-    )
-    return np.stack(weights, axis=-1)
-
-
 def _slow_columns(unix_s: FloatArray, delta_t_s: float) -> FloatArray:
-    """Return (n, 5): unit vector to the sun, its distance, and the nutation in right ascension, degrees."""
+    """Return (5, n): unit vector to the sun, its distance, and the nutation in right ascension, degrees."""
     at = by_series(unix_s, delta_t_s)
     alpha, delta = np.radians(at.right_ascension), np.radians(at.declination)
-    nutation = (at.sidereal - _mean_sidereal(_julian_day(unix_s)) + 180.0) % 360.0 - 180.0
+    nutation = (at.sidereal - _mean_sidereal(unix_s) + 180.0) % 360.0 - 180.0
     across = np.cos(delta)
-    return np.stack([across * np.cos(alpha), across * np.sin(alpha), np.sin(delta), at.distance, nutation], axis=-1)
+    return np.stack([across * np.cos(alpha), across * np.sin(alpha), np.sin(delta), at.distance, nutation])
 
 
 def by_series(unix_s: FloatArray, delta_t_s: float) -> Geocentric:
     """Return the geocentric sun by the series, term by term (equations 4 to 31)."""
-    day = _julian_day(unix_s)
+    day = unix_s / 86_400.0 + _JULIAN_DAY_1970
     century = (day + delta_t_s / 86_400.0 - 2_451_545.0) / 36_525.0
     millennium = century / 10.0
     distance = _powers(_DISTANCE, millennium)
@@ -96,19 +92,16 @@ def by_series(unix_s: FloatArray, delta_t_s: float) -> Geocentric:
     across = np.sin(longitude) * np.cos(obliquity) - np.tan(latitude) * np.sin(obliquity)
     up = np.sin(latitude) * np.cos(obliquity) + np.cos(latitude) * np.sin(obliquity) * np.sin(longitude)
     return Geocentric(
-        sidereal=_mean_sidereal(day) + longitude_nutation * np.cos(obliquity),
+        sidereal=_mean_sidereal(unix_s) + longitude_nutation * np.cos(obliquity),
         right_ascension=np.degrees(np.arctan2(across, np.cos(longitude))) % 360.0,
         declination=np.degrees(np.arcsin(up)),
         distance=distance,
     )
 
 
-def _julian_day(unix_s: FloatArray) -> FloatArray:
-    return unix_s / 86_400.0 + 2_440_587.5
-
-
-def _mean_sidereal(day: FloatArray) -> FloatArray:
-    """Return the mean sidereal time at Greenwich in degrees, of Julian days in UT (equation 28)."""
+def _mean_sidereal(unix_s: FloatArray) -> FloatArray:
+    """Return the mean sidereal time at Greenwich in degrees (equation 28)."""
+    day = unix_s / 86_400.0 + _JULIAN_DAY_1970
     century = (day - 2_451_545.0) / 36_525.0
     turned = 280.46061837 + 360.98564736629 * (day - 2_451_545.0)
     return np.asarray((turned + 0.000387933 * century**2 - century**3 / 38_710_000.0) % 360.0)

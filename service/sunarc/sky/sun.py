@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from sunarc.array_types import FloatArray
 from sunarc.sky.directions import direction_from_angles
-from sunarc.sky.ephemeris import Geocentric, geocentric, terrestrial_minus_universal_s
+from sunarc.sky.ephemeris import geocentric, terrestrial_minus_universal_s
 from sunarc.sky.refraction import refraction_of_true_deg
 from sunarc.sky.site import Site
 
@@ -53,19 +53,12 @@ def sun_angles(
     if flat.size == 0:
         empty = np.zeros(times.shape)
         return SunAngles(empty, empty.copy(), empty.copy())
-    zenith, apparent_zenith, azimuth = _topocentric(
-        geocentric(flat, terrestrial_minus_universal_s(flat)),
-        site,
-        pressure_hpa=_measured_or(pressure, site.pressure_pa, flat) / 100.0,
-        temperature=_measured_or(temperature, site.temperature, flat),
+    pressure_pa, celsius = (
+        assumed if measured is None else np.where(np.isfinite(measured), measured, assumed)
+        for measured, assumed in ((pressure, site.pressure_pa), (temperature, site.temperature))
     )
-    return SunAngles(*(np.reshape(angle, times.shape) for angle in (zenith, apparent_zenith, azimuth)))
-
-
-def _topocentric(
-    sun: Geocentric, site: Site, *, pressure_hpa: FloatArray | float, temperature: FloatArray | float
-) -> SunAngles:
-    """Return the angles of the sun at a site (equations 32 to 47)."""
+    sun = geocentric(flat, terrestrial_minus_universal_s(flat))
+    # seen from the site (equations 32 to 47)
     phi = math.radians(site.latitude)
     u = math.atan(_POLAR_RADIUS * math.tan(phi))
     across = math.cos(u) + site.altitude / _EARTH_RADIUS_M * math.cos(phi)
@@ -81,8 +74,8 @@ def _topocentric(
     true = np.degrees(np.arcsin(sine))
     north = np.cos(hour) * math.sin(phi) - np.tan(declination) * math.cos(phi)
     azimuth = (np.degrees(np.arctan2(np.sin(hour), north)) % 360.0 + 180.0) % 360.0
-    lifted = refraction_of_true_deg(true, pressure_hpa=pressure_hpa, temperature=temperature)
-    return SunAngles(90.0 - true, 90.0 - (true + lifted), azimuth)
+    lifted = refraction_of_true_deg(true, pressure_hpa=pressure_pa / 100.0, temperature=celsius)
+    return SunAngles(*(np.reshape(angle, times.shape) for angle in (90.0 - true, 90.0 - (true + lifted), azimuth)))
 
 
 def sun_directions(
@@ -114,11 +107,3 @@ def hour_angle(unix_s: ArrayLike, site: Site) -> FloatArray:
     east, north, up = np.moveaxis(direction, -1, 0)
     latitude = math.radians(site.latitude)
     return np.asarray(np.arctan2(-east, up * math.cos(latitude) - north * math.sin(latitude)))
-
-
-def _measured_or(measured: ArrayLike | None, assumed: float, times: FloatArray) -> FloatArray | float:
-    """Return what was measured at times (n,), and what is assumed where nothing was."""
-    if measured is None:
-        return assumed
-    values = np.broadcast_to(np.asarray(measured, dtype=np.float64), times.shape)
-    return np.where(np.isfinite(values), values, assumed)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Any, NamedTuple, Self
@@ -47,28 +45,18 @@ def kinds_of(bodies: NameArray) -> IntArray:
     return kinds
 
 
-def at_night(unix_s: FloatArray, kind: IntArray, site: Site) -> BoolArray:
-    """Return (n,) which sightings are not of the sun, with the sun 6 degrees below the horizon or more."""
-    other = kind != Kind.SUN
-    night = np.zeros(kind.shape, dtype=np.bool_)
-    night[other] = sun_angles(unix_s[other], site).apparent_zenith > _NIGHT_ZENITH_DEG
-    return night
-
-
 # Positions that stay where they are while the sun moves: text overlays, reflections at the dome, hot pixels.
 #
 # How far the sun moved decides, and not how often a position comes again: at a high cadence and with whole pixels the
-# sun
-# itself stays on one pixel for a minute. All sightings of one day within 3 x 3 px are looked at together. A sun that
-# is
-# seen there has moved by the 3 px only, 0.3 to 2 degrees with any all-sky camera of more than 300 px.
+# sun itself stays on one pixel for a minute. All sightings of one day within 3 x 3 px are looked at together. A sun
+# that is seen there has moved by the 3 px only, 0.3 to 2 degrees with any all-sky camera of more than 300 px.
 
 _FEWEST = 8
 """Sightings at one position that can show that it stands still; fewer are left to the robust loss."""
-_STILL_DEG = 2.5
-"""Median angle between the sun and its middle direction above which a position does not follow it: 10 degrees of an
-even motion, 40 minutes. At the edge of an orthographic image of 600 px, where 3 px are most of the sky, it is 2."""
-_NEIGHBOURS = tuple(itertools.product((-1, 0, 1), repeat=2))
+_STILL = math.cos(math.radians(2.5))
+"""Cosine of the median angle between the sun and its middle direction above which a position does not follow it: 10
+degrees of an even motion, 40 minutes. At the edge of an orthographic image of 600 px, where 3 px are most of the sky,
+the angle is 2."""
 _LARGEST_PX = 2.0**20
 """Cells further out than this are cut to it; no image is as large."""
 
@@ -93,26 +81,24 @@ def static_sightings(pixels: FloatArray, directions: FloatArray, group: IntArray
     cell = np.floor(np.clip(pixels, -_LARGEST_PX, _LARGEST_PX)).astype(np.int64) + int(_LARGEST_PX) + 1
     width = int(2 * _LARGEST_PX + 4)
     key = (group * width + cell[:, 0]) * width + cell[:, 1]
-    cells, member = np.unique(key, return_inverse=True)
-    count = np.bincount(member, minlength=cells.size)
-    sums = np.stack([np.bincount(member, weights=directions[:, i], minlength=cells.size) for i in range(3)], axis=-1)
-    around, total = np.zeros(cells.size, dtype=np.int64), np.zeros((cells.size, 3))
-    for offset in _NEIGHBOURS:
-        index, present = _index_of(cells, cells + offset[0] * width + offset[1])
-        around += np.where(present, count[index], 0)
-        total += np.where(present[:, None], sums[index], 0.0)
-    mean_cosine = np.linalg.norm(total, axis=-1) / np.maximum(around, 1)
+    by_cell = np.argsort(key, kind="stable")
+    ordered = key[by_cell]
+    cells = ordered[np.diff(ordered, prepend=-1) > 0]
+    # cells of one column follow each other: the nine about one are three runs
+    firsts = [np.searchsorted(ordered, cells + column * width - 1) for column in (-1, 0, 1)]
+    lasts = [np.searchsorted(ordered, cells + column * width + 1, side="right") for column in (-1, 0, 1)]
+    around = np.sum(lasts, axis=0) - np.sum(firsts, axis=0)
+    sums = np.concatenate([np.zeros((1, 3)), np.cumsum(directions[by_cell], axis=0)])
+    mean = np.sum(sums[lasts] - sums[firsts], axis=0) / around[:, None]
     # the mean of unit vectors is short where they differ: cheap enough for every cell
-    suspect = np.flatnonzero((around >= _FEWEST) & (mean_cosine < math.cos(math.radians(_STILL_DEG))))
+    suspect = np.flatnonzero((around >= _FEWEST) & (np.linalg.norm(mean, axis=-1) < _STILL))
     static = np.zeros(pixels.shape[0], dtype=bool)
     for one in suspect:
-        near = [
-            p
-            for p, present in (_index_of(cells, cells[one : one + 1] + a * width + b) for a, b in _NEIGHBOURS)
-            if present
-        ]
-        rows = np.flatnonzero(np.isin(member, np.concatenate(near)))
-        static[rows] |= _stands_still(directions[rows])
+        rows = np.concatenate([by_cell[first[one] : last[one]] for first, last in zip(firsts, lasts, strict=True)])
+        # most of them far from their middle: a few false sightings do not make it so
+        middle = np.median(directions[rows], axis=0)
+        middle /= max(float(np.linalg.norm(middle)), 1e-9)
+        static[rows] |= float(np.median(directions[rows] @ middle)) < _STILL
     return static
 
 
@@ -126,19 +112,6 @@ def static_positions(pixels: FloatArray) -> tuple[StaticPosition, ...]:
         found.append(StaticPosition(float(middle[0]), float(middle[1]), int(near.sum())))
         remaining = remaining[~near]
     return tuple(sorted(found, key=lambda one: -one.n))
-
-
-def _index_of(cells: IntArray, queried: IntArray) -> tuple[IntArray, BoolArray]:
-    """Return where the wanted cells stand among the sorted ones, and whether they do."""
-    index = np.minimum(np.searchsorted(cells, queried), cells.size - 1)
-    return index, cells[index] == queried
-
-
-def _stands_still(directions: FloatArray) -> bool:
-    """Return whether most of the directions lie far from their middle: a few false sightings do not make it so."""
-    middle = np.median(directions, axis=0)
-    middle = middle / max(float(np.linalg.norm(middle)), 1e-9)
-    return float(np.median(directions @ middle)) < math.cos(math.radians(_STILL_DEG))
 
 
 _LOWEST_UP = -math.sin(math.radians(1.0))
@@ -166,6 +139,10 @@ class Filtering(NamedTuple):
     n_below_horizon: int = 0
 
 
+_OF_THE_TABLE = {"pixels", "filtering"}
+"""Fields that are not said of all sightings where they have one row."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sightings:
     """Sightings of the sun, of stars and of the moon: one row each; a column of one row counts for all.
@@ -191,7 +168,7 @@ class Sightings:
     index : (n,) their rows in the sightings supplied.
     day : (n,) local mean solar day, counted from 1970.
     alone : (n,) whether the direction was stated: such a sighting has no neighbours in time.
-    night : (n,) see `at_night`.
+    night : (n,) whether it is not of the sun, and the sun 6 degrees below the horizon or more.
     information : (n,) inverse variance of each axis, px⁻²; relative where the scale is still sought.
     refraction_sd : (n, k) 1-sigma of the refraction, rad, by k independent causes: the measured air, the assumed one,
         and the assumed one of each day (or of so many runs of days); 0 where a cause does not act.
@@ -225,7 +202,7 @@ class Sightings:
     def __post_init__(self) -> None:
         """Give every sighting what is said of all."""
         n = len(self)
-        for name in self._further_columns():
+        for name in self.__dataclass_fields__.keys() - _OF_THE_TABLE:
             column = getattr(self, name)
             if column.shape[:1] != (n,):
                 object.__setattr__(self, name, np.broadcast_to(column, (n, *column.shape[1:])))
@@ -251,10 +228,7 @@ class Sightings:
             problem = f"shape {places.shape} beside {times.size} times"
             raise InputError(field="pixels", problem=problem, remedy="give one x, y a time")
         places.flags.writeable = False
-        columns: dict[str, Any] = {
-            name: _unit_vectors(name, values, times.size) if name == "directions" else _column(name, values, times.size)
-            for name, values in stated.items()
-        }
+        columns: dict[str, Any] = {name: _column(name, values, times.size) for name, values in stated.items()}
         epoch = columns.get("epoch", np.zeros(1))
         if not np.all(np.isfinite(epoch)) or np.any(epoch < 0) or np.any(epoch != np.floor(epoch)):
             raise InputError(
@@ -273,12 +247,9 @@ class Sightings:
         """(n,) of each axis by the stated sigma, px²."""
         return np.asarray(self.sigma_px**2)
 
-    def _further_columns(self) -> Iterator[str]:
-        return (name for name in self.__dataclass_fields__ if name not in {"pixels", "filtering"})
-
     def select(self, which: Rows) -> Self:
         """Return the sightings that a slice, an index or a mask picks."""
-        columns = {name: getattr(self, name) for name in self._further_columns()}
+        columns = {name: getattr(self, name) for name in self.__dataclass_fields__.keys() - _OF_THE_TABLE}
         # what is said of all is said of some, and takes no memory
         some = {name: one[:1] if one.strides[0] == 0 and len(self) else one[which] for name, one in columns.items()}
         return replace(self, pixels=self.pixels[which], **some)
@@ -289,30 +260,25 @@ class Sightings:
 
 
 def _column(name: str, values: ArrayLike, length: int | None) -> FloatArray:
+    """Return a read-only copy of a column, (n,), or of unit vectors, (n, 3); what is given once is given for all."""
+    vectors = name == "directions"
     try:
         column = np.array(values, dtype=np.float64)
         if length is not None:
-            column = np.array(np.broadcast_to(column, (length,)))
+            column = np.array(np.broadcast_to(column, (length, 3) if vectors else (length,)))
     except (TypeError, ValueError) as fault:
-        raise InputError(field=name, problem=str(fault), remedy="give numbers, one a sighting") from fault
-    if column.ndim != 1:
+        remedy = "give east, north, up of each sighting" if vectors else "give numbers, one a sighting"
+        raise InputError(field=name, problem=str(fault), remedy=remedy) from fault
+    if vectors:
+        norm = np.linalg.norm(column, axis=-1, keepdims=True)
+        if np.any(norm == 0.0) or np.any(np.isinf(norm)):
+            problem, remedy = "a vector has no direction", "give unit vectors, NaN for the sun's"
+            raise InputError(field=name, problem=problem, remedy=remedy)
+        column /= norm
+    elif column.ndim != 1:
         raise InputError(field=name, problem=f"{column.ndim} dimensions", remedy="give one column")
     column.flags.writeable = False
     return column
-
-
-def _unit_vectors(name: str, values: ArrayLike, length: int) -> FloatArray:
-    """Return (n, 3) of one length; NaN stays."""
-    try:
-        given = np.array(np.broadcast_to(np.asarray(values, dtype=np.float64), (length, 3)))
-    except (TypeError, ValueError) as fault:
-        raise InputError(field=name, problem=str(fault), remedy="give east, north, up of each sighting") from fault
-    norm = np.linalg.norm(given, axis=-1, keepdims=True)
-    if np.any(norm == 0.0) or np.any(np.isinf(norm)):
-        raise InputError(field=name, problem="a vector has no direction", remedy="give unit vectors, NaN for the sun's")
-    given /= norm
-    given.flags.writeable = False
-    return given
 
 
 def apparent_directions(points: Sightings, *, site: Site) -> FloatArray:
@@ -355,10 +321,10 @@ def filter_sightings(points: Sightings, *, site: Site, image_size: tuple[int, in
     single = np.ones(order.size, dtype=bool)
     single[1:] = np.any(np.diff(moment, axis=0) != 0.0, axis=-1)
     retained = order[single]
-    day = solar_days(points.unix_s[retained], longitude=site.longitude)
-    still = static_sightings(points.pixels[retained], directions[retained], _groups(points.epoch[retained], day))
-    static = static_positions(points.pixels[retained[still]])
-    retained, day = retained[~still], day[~still]
+    day, epoch = solar_days(points.unix_s[retained], longitude=site.longitude), points.epoch[retained]
+    # one number for both: pairs are sorted ten times as slowly
+    group = np.unique(day * (1 + int(epoch.max(initial=0))) + epoch, return_inverse=True)[1]
+    still = static_sightings(points.pixels[retained], directions[retained], group)
     counts = {
         "dropped_not_finite": (~finite).sum(),
         "dropped_outside_image": (finite & ~inside).sum(),
@@ -366,71 +332,61 @@ def filter_sightings(points: Sightings, *, site: Site, image_size: tuple[int, in
         "dropped_duplicate_time": (~single).sum(),
         "dropped_static": still.sum(),
     }
+    static = static_positions(points.pixels[retained[still]])
+    retained, day = retained[~still], day[~still]
+    sigma_px, stated_px = _relative_sigma(points.sigma_px[retained], alone[retained])
     filtering = Filtering(
         dropped=tuple(Finding(code, {"n": int(n)}) for code, n in counts.items() if n),
         static=static,
-        stated_sigma_px=_stated_sigma_px(points.sigma_px[retained], alone[retained]),
+        stated_sigma_px=stated_px,
         n_below_horizon=int(np.sum(inside & ~above & ~alone)),
     )
-    usable, directions, alone = points.select(retained), directions[retained], alone[retained]
-    sigma_px = _relative_sigma(usable.sigma_px, alone)
-    return replace(
-        usable,
+    chosen = replace(
+        points.select(retained),
         index=retained,
-        directions=directions,
+        directions=directions[retained],
         sigma_px=sigma_px,
         information=sigma_px**-2.0,
-        alone=alone,
-        night=at_night(usable.unix_s, usable.kind, site),
+        alone=alone[retained],
         day=day,
-        refraction_sd=_refraction_sd(np.isfinite(usable.temperature), directions, day, site),
-        motion=np.cross(directions, EARTH_RATE * pole_enu(site)),
         filtering=filtering,
+    )
+    return _beside_the_sky(chosen, site)
+
+
+def _beside_the_sky(usable: Sightings, site: Site) -> Sightings:
+    """Return sightings with what follows from when and where they are: night, refraction and motion."""
+    night, other = np.zeros(len(usable), dtype=np.bool_), usable.kind != Kind.SUN
+    night[other] = sun_angles(usable.unix_s[other], site).apparent_zenith > _NIGHT_ZENITH_DEG
+    days, day = np.unique(usable.day, return_inverse=True)
+    runs, measured = min(days.size, _AIR_RUNS), np.isfinite(usable.temperature)
+    share = np.zeros((len(usable), 2 + runs))
+    share[:, 0], share[:, 1] = MEASURED_AIR_SD * measured, ASSUMED_AIR_SD * ~measured
+    share[np.arange(len(usable)), 2 + day * runs // max(days.size, 1)] = DAILY_AIR_SD * ~measured
+    return replace(
+        usable,
+        night=night,
+        refraction_sd=refraction_rad(usable.directions, site)[:, None] * share,
+        motion=np.cross(usable.directions, EARTH_RATE * pole_enu(site)),
     )
 
 
-def _groups(epoch: IntArray, day: IntArray) -> IntArray:
-    """Return (n,): whole numbers from 0, one for each epoch and day."""
-    if day.size == 0:
-        return day
-    # one number for both: pairs are sorted ten times as slowly
-    days = 1 + int(np.ptp(day))
-    return np.asarray(np.unique(epoch * days + day - np.min(day), return_inverse=True)[1])
-
-
-def _refraction_sd(measured: BoolArray, directions: FloatArray, day: IntArray, site: Site) -> FloatArray:
-    """Return (n, k): see `Sightings.refraction_sd`."""
-    days = np.unique(day)
-    runs = min(days.size, _AIR_RUNS)
-    run = np.searchsorted(days, day) * runs // max(days.size, 1)
-    daily = DAILY_AIR_SD * (run[:, None] == np.arange(runs)) * ~measured[:, None]
-    share = np.column_stack([MEASURED_AIR_SD * measured, ASSUMED_AIR_SD * ~measured, daily])
-    return np.asarray(refraction_rad(directions, site)[:, None] * share)
-
-
-def _stated_sigma_px(sigma_px: FloatArray, alone: BoolArray) -> float:
-    """Return the root mean square of what is stated, a few exaggerations bounded as in the weights."""
-    stated = np.isfinite(sigma_px) & (sigma_px > 0.0)
-    if not np.any(stated):
-        return math.nan
-    relative = _relative_sigma(sigma_px[stated], alone[stated])
-    return float(np.median(sigma_px[stated]) * np.sqrt(np.mean(relative**2)))
-
-
-def _relative_sigma(sigma_px: FloatArray, alone: BoolArray) -> FloatArray:
-    """Return (n,): stated 1-sigmas over their median, 1 where nothing is stated.
+def _relative_sigma(sigma_px: FloatArray, alone: BoolArray) -> tuple[FloatArray, float]:
+    """Return (n,): stated 1-sigmas over their median, 1 where nothing is stated; and their root mean square, px.
 
     A detector of the sun states its sigma to a factor, and its ratios are bounded; those stated with a direction are
-    taken as they are.
+    taken as they are. NaN where nothing is stated at all.
     """
     has_sigma = np.isfinite(sigma_px) & (sigma_px > 0.0)
+    relative, middle = np.ones(sigma_px.shape), math.nan
     if not np.any(has_sigma):
-        return np.ones(sigma_px.shape)
-    result = np.ones(sigma_px.shape)
+        return relative, middle
+    middle = float(np.median(sigma_px[has_sigma]))
     for kind, (least, most) in ((alone, (0.0, math.inf)), (~alone, (1.0 / 3.0, 10.0))):
         stated = kind & has_sigma
         if np.any(stated):
             median = float(np.median(sigma_px[stated]))
             ratio = np.clip(np.where(has_sigma, sigma_px, median)[kind] / median, least, most)
-            result[kind] = ratio * (median / float(np.median(sigma_px[has_sigma])))
-    return np.clip(result, _SMALLEST_SIGMA, _LARGEST_SIGMA)
+            relative[kind] = ratio * (median / middle)
+    relative = np.clip(relative, _SMALLEST_SIGMA, _LARGEST_SIGMA)
+    return relative, float(middle * np.sqrt(np.mean(relative[has_sigma] ** 2)))
