@@ -357,7 +357,7 @@ def calibrate_moved(
     options: CalibrationOptions = USUAL_OPTIONS,
     circle: ImageCircle | None = None,
     start: Camera | None = None,
-    solved: Calibration | None = None,
+    solved: tuple[Calibration, Sightings] | None = None,
     parts: bool = True,
 ) -> Moved:
     """Fit a camera that may have been moved among the sightings: one lens, and a pose before and after every move.
@@ -370,7 +370,7 @@ def calibrate_moved(
     Parameters
     ----------
     points, site, image_size, options, circle, start, parts : as `calibrate` takes them.
-    solved : what `calibrate` makes of them, where it is known.
+    solved : what `calibrate` makes of them, and which are usable, where that is known.
     """
 
     def fit(given: Sightings, begin: Camera | None, *, parts: bool = False) -> Calibration:
@@ -378,22 +378,22 @@ def calibrate_moved(
             given, site=site, image_size=image_size, options=options, circle=circle, start=begin, parts=parts
         )
 
-    solved = fit(points, start, parts=parts) if solved is None else solved
-    usable = filter_sightings(points, site=site, image_size=image_size)
-    usable = usable.select(~usable.alone)
+    if solved is None:
+        solved = fit(points, start, parts=parts), filter_sightings(points, site=site, image_size=image_size)
+    found, usable = solved[0], solved[1].select(~solved[1].alone)
     if not len(usable) or np.any(points.epoch != points.epoch[:1]) or options.method != "robust":
-        return Moved(solved, points)
+        return Moved(found, points)
     begin: Camera | None = None
     for _ in range(_MOST):
-        found = _with_one_more(points, usable, solved, fit)
-        if found is None:
+        better = _with_one_more(points, usable, found, fit)
+        if better is None:
             break
-        begin = solved.camera
-        solved, points = found
+        begin = found.camera
+        found, points = better
         usable = replace(usable, epoch=points.epoch[usable.index])
     if begin is not None:
-        solved = fit(points, begin, parts=parts)
-    return Moved(_with_moves(solved, usable), points)
+        found = fit(points, begin, parts=parts)
+    return Moved(_with_moves(found, usable), points)
 
 
 def _with_one_more(points: Sightings, usable: Sightings, solved: Calibration, fit: _Fit) -> Moved | None:

@@ -36,7 +36,6 @@ from sunarc.calibration.solve.problem import Bins, FitProblem
 from sunarc.calibration.start.initial_guess import single_problem
 from sunarc.calibration.start.multistart import SMALLEST_SIGMA_PX, distance_sigmas
 from sunarc.findings import Finding
-from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.inverse import unproject
 from sunarc.optics.projections import PROJECTIONS, Projection
@@ -129,7 +128,7 @@ def calibrate_unknown_lens(
     solved = None
     if fits and options.method == "robust":
         of_lens = fits[choice.projection]
-        solved = calibration_of(of_lens.fit, job._replace(options=options, parts=True), of_lens.start)
+        solved = calibration_of(of_lens.fit, job._replace(options=options, parts=True), of_lens.start), usable
     moved = calibrate_moved(points, site=site, image_size=image_size, options=options, circle=circle, solved=solved)
     if finding.code == "projection_ambiguous":
         moved = moved._replace(calibration=_with_others(moved.calibration, choice, fits))
@@ -170,7 +169,11 @@ def compare_projections(job: Job) -> tuple[ProjectionChoice, dict[Projection, Fi
     starts = {name: start for name, start in tried.items() if start is not None}
     if not starts:
         return _choice({job.options.projection: 0.0}, len(observed)), {}
-    lenses = {name: _lens_at(start.cameras, observed, jobs[name]) for name, start in starts.items()}
+    lenses: dict[Projection, _Lens] = {}
+    for name, (cameras, _, _) in starts.items():
+        options = jobs[name].options
+        problem = single_problem(observed, cameras[0], options, job.circle, n_epochs=len(cameras))
+        lenses[name] = _Lens(problem, observed, problem.unknowns(cameras), grid_of(problem.template, options))
     best = lenses[_closest(lenses)]
     noise = measured_noise(best.problem.residuals(best.unknowns, observed), observed, groups)
     rough = _log_evidences(lenses, groups.bins, noise.information(observed))
@@ -189,11 +192,6 @@ def compare_projections(job: Job) -> tuple[ProjectionChoice, dict[Projection, Fi
 def _choice(evidence: dict[Projection, float], n: int) -> ProjectionChoice:
     best = max(evidence, key=lambda name: evidence[name])
     return ProjectionChoice(best, {name: evidence.get(name, -math.inf) for name in PROJECTIONS}, n)
-
-
-def _lens_at(cameras: list[Camera], observed: Sightings, job: Job) -> _Lens:
-    problem = single_problem(observed, cameras[0], job.options, job.circle, n_epochs=len(cameras))
-    return _Lens(problem, observed, problem.unknowns(cameras), grid_of(problem.template, job.options))
 
 
 def _closest(lenses: dict[Projection, _Lens]) -> Projection:

@@ -1,20 +1,20 @@
 """Errors that many sightings share: blocks of unknowns with a Gaussian prior of unit variance, linear in px.
 
-Each is a row of `EFFECTS`: its name, and a function that gives the displacements of all sightings at 1-sigma of each of
-its unknowns. They are computed about a camera near the one sought. The camera that is sought is that of the day in
+`_displacements` gives each by its name: how all sightings are displaced at 1-sigma of each of its unknowns. They are
+computed about a camera near the one sought. The camera that is sought is that of the day in
 the assumed air with a right clock: in its pose the sun is predicted.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.array_types import BoolArray, FloatArray
+from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.calibration.noise import lag_one, neighbours
 from sunarc.calibration.solve.priors import LENS, STRETCH, with_wide_pixels
@@ -60,8 +60,8 @@ class _View(NamedTuple):
 
     stretch (n, 2, 2): px by the wide prior's aspect and skew. by_direction (n, 2, 3), rise (n, 2): px per unit of the
     direction, and per radian that it rises. outwards (n, 2), radius (n,): unit vectors away from the principal point,
-    and the distance to it over that of the horizon. hours (n,): from the mean time of each day's sightings. off (n, 2):
-    px by which the sightings lie beside it.
+    and the distance to it over that of the horizon. off (n, 2): px by which the sightings lie beside it. n_days, day
+    (n,): how many days, and which of them, from 0. hours (n,): from the mean time of each day's sightings.
     """
 
     seen: Sightings
@@ -70,20 +70,15 @@ class _View(NamedTuple):
     rise: FloatArray
     outwards: FloatArray
     radius: FloatArray
-    hours: FloatArray
     off: FloatArray
+    n_days: int
+    day: IntArray
+    hours: FloatArray
 
-    def runs(self, least: int, most: int = _RUNS) -> BoolArray:
-        """Return (n, k): which sightings are of each run of days; (n, 0) where there are fewer than the least."""
-        days, day = np.unique(self.seen.day, return_inverse=True)
-        count = min(days.size, most)
-        return np.asarray((day * count // days.size)[:, None] == np.arange(count if count >= least else 0))
-
-    @property
-    def by_time(self) -> FloatArray:
-        """(n, 2): px per second by which the clock of the day is off; that of a night is in the night's turn."""
-        moved = np.einsum("nai,ni->na", self.by_direction, self.seen.motion)
-        return np.asarray(moved * ~self.seen.night[:, None])
+    def runs(self, most: int) -> BoolArray:
+        """Return (n, k): which sightings are of each run of days, of so many at most."""
+        count = min(self.n_days, most)
+        return np.asarray((self.day * count // self.n_days)[:, None] == np.arange(count))
 
     def turned(self, sd_deg: float) -> FloatArray:
         """Return (n, 2, 3): displacements where the camera is turned about east, north and up by an angle."""
@@ -92,73 +87,38 @@ class _View(NamedTuple):
         return np.asarray(np.einsum("nai,nki->nak", self.by_direction, seen))
 
 
-def _night_offset(view: _View) -> FloatArray:
-    """Return (n, 2, 5): of stars outwards by powers of the radius, and by its square over the azimuth.
-
-    A Gaussian fitted to a star is displaced along the radius where the lens has coma, and lateral colour displaces the
-    star as a whole; the sun's disc, much wider than both, is not: so the offset is zero for the sun and the moon.
-    """
-    radius, along = view.radius[:, None], view.outwards
-    size = np.concatenate([OFFSET_PX * radius ** np.array(OFFSET_POWERS), DECENTRED_PX * radius**2 * along], axis=-1)
-    return np.asarray(along[:, :, None] * (size * _beside_the_day(view, view.seen.kind == Kind.STAR)[:, None])[:, None])
-
-
-def _night_pose(view: _View) -> FloatArray:
-    """Return (n, 2, 3): by the turns of the night's camera: the cold bends what it stands on."""
-    return view.turned(POSE_DIFFERENCE_DEG) * _beside_the_day(view, view.seen.night)[:, None, None]
-
-
-def _beside_the_day(view: _View, which: BoolArray) -> BoolArray:
-    """Return (n,): which sightings of the night; none where nothing of a day stands beside it."""
-    return np.asarray(which & view.seen.night & ~np.all(view.seen.night))
-
-
-def _air(view: _View) -> FloatArray:
-    """Return (n, 2, k): by the refraction's departures of each cause."""
-    return np.asarray(view.rise[:, :, None] * view.seen.refraction_sd[:, None, :])
-
-
-def _outwards(view: _View) -> FloatArray:
-    """Return (n, 2, 1): of the sun along the radius."""
-    return np.asarray(OUTWARDS_PX * (view.outwards * (view.seen.kind == Kind.SUN)[:, None])[..., None])
-
-
-def _pixels(view: _View) -> FloatArray:
-    """Return (n, 2, 2): by pixels that are not square; 0 where the lens's prior has them."""
-    return view.stretch
-
-
-def _clock(view: _View) -> FloatArray:
-    """Return (n, 2, 2): by a clock that is off, and that drifts on every day alike, where its bound allows it.
-
-    That a clock is off within its stated bound turns the pose, see `answers.covariance.pose_error`. No sighting tells
-    one from a lens that is another, nor a drift that is the same on every day.
-    """
-    bound = view.seen.clock_error_s
-    unknown = np.isnan(bound)
-    drift = np.where(unknown, CLOCK_DRIFT_S_PER_H, np.nan_to_num(bound) / _HOURS)
-    seconds = np.stack([CLOCK_OFFSET_S * unknown, drift * view.hours], axis=-1)
-    return np.asarray(view.by_time[:, :, None] * seconds[:, None])
-
-
-def _daily_clock(view: _View) -> FloatArray:
-    """Return (n, 2, 2 k): by a clock that is off and drifts otherwise on each of k runs of days, whatever its bound."""
-    in_run = view.runs(least=2)
-    apart = in_run - 1.0 / max(in_run.shape[1], 1)  # from what all have in common
-    seconds = np.concatenate([CLOCK_OFFSET_S * apart, CLOCK_DRIFT_S_PER_H * view.hours[:, None] * apart], axis=-1)
-    return np.asarray(view.by_time[:, :, None] * seconds[:, None])
-
-
-def _sways(view: _View) -> FloatArray:
-    """Return (n, 2, 3 k): by a mount that is turned otherwise on each of k runs of days, three at least.
-
-    None where the sightings beside the camera speak against it, or rather for one move between two days.
-    """
-    in_run, turns = view.runs(least=3, most=_TURNS), view.turned(SWAY_DEG)
-    shape = (len(view.seen), 2, 3 * in_run.shape[1])
-    if not in_run.shape[1] or not _seem_to_sway(view, in_run, turns):
-        return np.zeros(shape)
-    return np.asarray((turns[:, :, None] * in_run[:, None, :, None]).reshape(shape))
+def _displacements(view: _View) -> Iterator[tuple[str, FloatArray]]:
+    """Yield the shared errors that may act: the name, and the displacements (n, 2, k) by each of its unknowns."""
+    seen, outwards, radius = view.seen, view.outwards, view.radius[:, None]
+    night = seen.night & ~np.all(seen.night)
+    if np.any(night):  # beside a day
+        # A Gaussian fitted to a star is displaced along the radius where the lens has coma, and lateral colour
+        # displaces the star as a whole; the sun's disc, much wider than both, is not. By powers of the radius, and by
+        # its square over the azimuth.
+        size = [OFFSET_PX * radius ** np.array(OFFSET_POWERS), DECENTRED_PX * radius**2 * outwards]
+        of_stars = np.concatenate(size, axis=-1) * (night & (seen.kind == Kind.STAR))[:, None]
+        yield "night_offset", outwards[:, :, None] * of_stars[:, None]
+        # the cold bends what the camera stands on
+        yield "night_pose", view.turned(POSE_DIFFERENCE_DEG) * night[:, None, None]
+    yield "air", view.rise[:, :, None] * seen.refraction_sd[:, None, :]
+    yield "outwards", OUTWARDS_PX * (outwards * (seen.kind == Kind.SUN)[:, None])[..., None]
+    # A clock that is off, and that drifts on every day alike, where its bound allows it. That it is off within a stated
+    # bound turns the pose, see `answers.covariance.pose_error`. No sighting tells one from a lens that is another, nor
+    # a drift that is the same on every day; the clock of a night is in the night's turn.
+    unknown = np.isnan(seen.clock_error_s)
+    drift = np.where(unknown, CLOCK_DRIFT_S_PER_H, np.nan_to_num(seen.clock_error_s) / _HOURS)
+    by_time = (np.einsum("nai,ni->na", view.by_direction, seen.motion) * ~seen.night[:, None])[:, :, None]
+    yield "clock", by_time * np.stack([CLOCK_OFFSET_S * unknown, drift * view.hours], axis=-1)[:, None]
+    if view.n_days > 1:  # otherwise on each run of days than what all have in common, whatever the bound
+        in_run = view.runs(_RUNS)
+        apart = in_run - 1.0 / in_run.shape[1]
+        daily = [CLOCK_OFFSET_S * apart, CLOCK_DRIFT_S_PER_H * view.hours[:, None] * apart]
+        yield "daily_clock", by_time * np.concatenate(daily, axis=-1)[:, None]
+    yield PIXELS, view.stretch
+    if view.n_days > 2:  # a mount that is turned otherwise on each run of days
+        in_run, turns = view.runs(_TURNS), view.turned(SWAY_DEG)
+        if _seem_to_sway(view, in_run, turns):
+            yield SWAYS, (turns[:, :, None] * in_run[:, None, :, None]).reshape(len(seen), 2, -1)
 
 
 def _seem_to_sway(view: _View, in_run: BoolArray, turns: FloatArray) -> bool:
@@ -196,25 +156,7 @@ def _log_evidence(products: FloatArray, pulls: FloatArray) -> FloatArray:
     return np.asarray(0.5 * (gain - np.linalg.slogdet(products + np.eye(3))[1]))
 
 
-class _Effect(NamedTuple):
-    """A shared error: its displacements, and whether it is possible though unproven."""
-
-    name: str
-    columns: Callable[[_View], FloatArray]
-    possible: bool = True
-
-
-EFFECTS = (
-    _Effect("night_offset", _night_offset),
-    _Effect("night_pose", _night_pose),
-    _Effect("air", _air),
-    _Effect("outwards", _outwards),
-    _Effect("clock", _clock),
-    _Effect("daily_clock", _daily_clock, possible=False),
-    _Effect(PIXELS, _pixels, possible=False),
-    _Effect(SWAYS, _sways, possible=False),
-)
-POSSIBLE = frozenset(effect.name for effect in EFFECTS if effect.possible)
+POSSIBLE = frozenset({"night_offset", "night_pose", "air", "outwards", "clock"})
 """The shared errors that are in the covariance though the sightings do not prove them."""
 
 
@@ -232,12 +174,11 @@ def with_effects(problem: FitProblem, unknowns: FloatArray, observed: Sightings)
     """
     view = _view(problem, unknowns, observed)
     blocks, columns, start = [], [], 0
-    for effect in EFFECTS:
-        found = effect.columns(view)
+    for name, found in _displacements(view):
         acts = np.any(np.abs(found) > _NEGLIGIBLE_PX, axis=(0, 1))
         if np.any(acts):
             columns.append(found[:, :, acts])
-            blocks.append(Block(effect.name, slice(start, start + int(acts.sum()))))
+            blocks.append(Block(name, slice(start, start + int(acts.sum()))))
             start = blocks[-1].columns.stop
     together = np.concatenate([np.zeros((len(observed), 2, 0)), *columns], axis=-1)
     return replace(problem, blocks=tuple(blocks)), replace(observed, systematic_px=together)
@@ -248,6 +189,7 @@ def _view(problem: FitProblem, unknowns: FloatArray, observed: Sightings) -> _Vi
     n = len(observed)
     wide = with_wide_pixels(problem.prior).basis[:, STRETCH]
     stretched = wide * np.any(wide != problem.prior.basis[:, STRETCH])
+    (days, day), times = np.unique(observed.day, return_inverse=True), np.nan_to_num(observed.unix_s)
     view = _View(
         observed,
         np.zeros((n, 2, 2)),
@@ -255,8 +197,10 @@ def _view(problem: FitProblem, unknowns: FloatArray, observed: Sightings) -> _Vi
         np.zeros((n, 2)),
         np.zeros((n, 2)),
         np.zeros(n),
-        _hours(observed),
         np.zeros((n, 2)),
+        days.size,
+        day,
+        (times - (np.bincount(day, times) / np.bincount(day))[day]) / 3600.0,
     )
     for epoch in range(problem.n_epochs):
         rows = observed.epoch == epoch
@@ -272,10 +216,3 @@ def _view(problem: FitProblem, unknowns: FloatArray, observed: Sightings) -> _Vi
         view.outwards[rows] = outwards / np.maximum(far, 1e-9)[:, None]
         view.radius[rows] = far / edge
     return view
-
-
-def _hours(observed: Sightings) -> FloatArray:
-    """Return (n,): hours from the mean time of each day's sightings."""
-    _, day = np.unique(observed.day, return_inverse=True)
-    times = np.nan_to_num(observed.unix_s)
-    return np.asarray((times - (np.bincount(day, times) / np.bincount(day))[day]) / 3600.0)

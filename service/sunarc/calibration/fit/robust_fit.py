@@ -31,7 +31,7 @@ from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.noise import Noise, NoiseGroups
 from sunarc.calibration.solve.levenberg_marquardt import information as information_of
 from sunarc.calibration.solve.priors import DECENTERING, RADIAL, STRETCH, Whitened, with_wide_pixels
-from sunarc.calibration.solve.problem import Bins, FitProblem
+from sunarc.calibration.solve.problem import FitProblem
 from sunarc.calibration.start.initial_guess import single_problem
 from sunarc.calibration.start.multistart import SMALLEST_SIGMA_PX, best_of_starts, best_start, distance_sigmas, lowest
 from sunarc.optics.camera import Camera
@@ -101,7 +101,16 @@ def _fitted(
     problem: FitProblem, observed: Sightings, start: FloatArray, groups: NoiseGroups, grid: HyperparameterGrid
 ) -> RobustFit:
     """Return the fit with the lens's prior as it is."""
-    plain = _without_field(problem, observed, start, groups.bins)
+    # first without a field: the best of several starts
+    precision = prior_precision(problem.size, LOOSE_RADIAL_PX, LOOSE_DECENTERING_PX)
+    at = best_start(problem, observed, start, precision=precision)
+    residuals = problem.residuals(at, observed)
+    share = surely_well_behaved(len(observed), problem.size)
+    sigma = robust_sigma(distance_sigmas(problem, observed, at), share=share, floor=SMALLEST_SIGMA_PX)
+    information = information_of(residuals, observed, sigma)
+    means = groups.bins.observations(observed, problem, at, information=information)
+    deepest = best_of_starts(problem, means, at, precision=precision)
+    plain = lowest(problem, observed, [at, deepest], precision=precision)
     problem, observed = with_effects(problem, plain, observed)
     found = robust_camera(problem, observed, plain, groups=groups, grid=grid)
     problem, unknowns, state = found.problem, found.unknowns, found.state
@@ -138,18 +147,6 @@ def grid_of(template: Camera, options: CalibrationOptions) -> HyperparameterGrid
         radial_px=options.tolerances.radial_px,
         decentering_px=options.tolerances.decentering_px,
     )
-
-
-def _without_field(problem: FitProblem, observed: Sightings, start: FloatArray, bins: Bins) -> FloatArray:
-    """Return the robust fit without a field: the best of several starts."""
-    precision = prior_precision(problem.size, LOOSE_RADIAL_PX, LOOSE_DECENTERING_PX)
-    at = best_start(problem, observed, start, precision=precision)
-    residuals = problem.residuals(at, observed)
-    share = surely_well_behaved(len(observed), problem.size)
-    sigma = robust_sigma(distance_sigmas(problem, observed, at), share=share, floor=SMALLEST_SIGMA_PX)
-    means = bins.observations(observed, problem, at, information=information_of(residuals, observed, sigma))
-    deepest = best_of_starts(problem, means, at, precision=precision)
-    return lowest(problem, observed, [at, deepest], precision=precision)
 
 
 # How much more probable the sightings are with each part of the lens model than without it.

@@ -168,17 +168,11 @@ def first_cameras(
     The epoch with the most sightings gives the lens; the others' poses follow from it. The guess is searched around,
     see `candidates`.
     """
-    epochs = np.unique(observed.epoch)
-    counts = [int(np.sum(observed.epoch == e)) for e in epochs]
-    main = int(epochs[int(np.argmax(counts))])
-    lens, cost = _best_single(_of_epoch(observed, main), guess, known=known, options=options, circle=circle)
-    cameras = [lens if e == main else wahba(lens, _of_epoch(observed, int(e)))[0] for e in range(int(epochs[-1]) + 1)]
-    return cameras, cost
-
-
-def _of_epoch(observed: Sightings, epoch: int) -> Sightings:
-    in_epoch = observed.select(observed.epoch == epoch)
-    return replace(in_epoch, epoch=np.zeros(len(in_epoch), dtype=np.int64))
+    unnumbered = replace(observed, epoch=np.zeros(1, dtype=np.int64))
+    of_epochs = [unnumbered.select(observed.epoch == epoch) for epoch in range(int(observed.epoch.max()) + 1)]
+    main = max(of_epochs, key=len)
+    lens, cost = _best_single(main, guess, known=known, options=options, circle=circle)
+    return [lens if one is main else wahba(lens, one)[0] for one in of_epochs], cost
 
 
 def _best_single(
