@@ -189,7 +189,9 @@ def step_rows(picked: IntArray, member: IntArray, row: int, usable: Sightings, r
     medians = group_medians(residual[picked], member)
     sigma = robust_sigma(np.linalg.norm(medians, axis=-1), share=0.5, floor=_FLOOR_PX)
     relative = usable.sigma_px[picked][middle]
-    gross = np.linalg.norm(medians - _running_median(medians), axis=-1) / (sigma * relative)
+    padded = np.pad(medians, ((_LOCAL, _LOCAL), (0, 0)), mode="reflect")
+    running = np.median(sliding_window_view(padded, 2 * _LOCAL + 1, axis=0), axis=-1)
+    gross = np.linalg.norm(medians - running, axis=-1) / (sigma * relative)
     variance = (
         relative**2 * np.where(count > 2, _SPREAD_PER_MEDIAN**2, 1.0) * np.maximum(gross / _GROSS_SIGMAS, 1.0) ** 4
     )
@@ -206,11 +208,6 @@ def step_rows(picked: IntArray, member: IntArray, row: int, usable: Sightings, r
         autoregressive=tuple(np.exp(-separation / (steps * step)) for steps in _AUTOREGRESSIVE_STEPS),
         misfit=tuple(np.exp(-0.5 * (angle / length) ** 2) for length in _MISFIT_ANGLES),
     )
-
-
-def _running_median(values: FloatArray) -> FloatArray:
-    padded = np.pad(values, ((_LOCAL, _LOCAL), (0, 0)), mode="reflect")
-    return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * _LOCAL + 1, axis=0), axis=-1))
 
 
 def _derivatives(camera: Camera, rows: StepRows, *, turn_rad: float) -> FloatArray:
@@ -425,8 +422,10 @@ def _parted_at(row: int, points: Sightings, usable: Sightings, begin: Camera, fi
     """Return the fit with a move just before a row, or before one of the next ones where the two poses say so."""
     for _ in range(2):
         parted = replace(points, epoch=points.epoch + (points.unix_s >= usable.unix_s[row]))
-        if _too_short(parted.epoch[usable.index], usable):
-            return None
+        epoch = parted.epoch[usable.index]
+        lasts = [np.ptp(usable.unix_s[epoch == one]) for one in np.unique(epoch)]
+        if np.bincount(epoch).min() < _FEWEST or min(lasts) < LONGEST_EPISODE_S:
+            return None  # no longer than cloud may draw sightings aside
         fitted = fit(parted, begin)
         if fitted.evidence.n_used == 0:
             return None  # refused before a pose of either side was there
@@ -437,12 +436,6 @@ def _parted_at(row: int, points: Sightings, usable: Sightings, begin: Camera, fi
             break
         row = better
     return Moved(fitted, parted)
-
-
-def _too_short(epoch: IntArray, usable: Sightings) -> bool:
-    """Return whether an epoch has too few sightings, or lasts no longer than cloud may draw them aside."""
-    lasts = [np.ptp(usable.unix_s[epoch == one]) for one in np.unique(epoch)]
-    return bool(np.bincount(epoch).min() < _FEWEST or min(lasts) < LONGEST_EPISODE_S)
 
 
 def best_row(near: slice, usable: Sightings, cameras: Sequence[Camera]) -> int:
@@ -554,22 +547,13 @@ def same_hours_difference(residual: FloatArray, usable: Sightings, early: IntArr
 
 def _with_moves(solved: Calibration, usable: Sightings) -> Calibration:
     """Return the calibration with its moves in its evidence, and in words."""
-    moves = []
+    moves, found = [], []
     for row in np.flatnonzero(np.diff(usable.epoch)):
-        epoch = int(usable.epoch[row])
-        moves.append(
-            Move(
-                before_unix_s=float(usable.unix_s[row]),
-                after_unix_s=float(usable.unix_s[row + 1]),
-                turn_deg=math.degrees(rotation_between(solved.poses[epoch], solved.poses[epoch + 1])),
-                pose_before=solved.poses[epoch],
-            )
-        )
-    found = tuple(_finding(move) for move in moves)
+        poses = solved.poses[usable.epoch[row] :][:2]
+        before, after = usable.unix_s[row : row + 2].tolist()
+        turn_deg = math.degrees(rotation_between(*poses))
+        moves.append(Move(before_unix_s=before, after_unix_s=after, turn_deg=turn_deg, pose_before=poses[0]))
+        first, last = (rfc3339(utc_time(unix_s), timespec="seconds") for unix_s in (before, after))
+        found.append(Finding("pose_changed", {"before": first, "after": last, "turn_deg": turn_deg}))
     verdict = replace(solved.verdict, findings=(*solved.verdict.findings, *found))
     return replace(solved, evidence=replace(solved.evidence, moves=tuple(moves)), verdict=verdict)
-
-
-def _finding(move: Move) -> Finding:
-    before, after = (rfc3339(utc_time(s), timespec="seconds") for s in (move.before_unix_s, move.after_unix_s))
-    return Finding("pose_changed", {"before": before, "after": after, "turn_deg": move.turn_deg})

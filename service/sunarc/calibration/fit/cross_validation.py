@@ -235,7 +235,9 @@ def contradiction(fit: RobustFit, usable: Sightings) -> Finding | None:
     if "night_pose" not in fit.problem.names:
         return None
     turn, offset = (fit.unknowns[fit.problem.block_slice(name)] for name in ("night_pose", "night_offset"))
-    alone = _of_the_day(fit, night)
+    # the fit of the day's sightings alone: one linear step from the fit of both, with the same scales
+    of_day = np.bincount(fit.member[night], minlength=fit.system.rows.shape[0]) == 0
+    alone = marginal_fit(fit.system.normal_of(of_day), fit.grid.basis, fit.scales)
     measured = (
         ("pose_difference", float(np.linalg.norm(turn)), _PRIOR_SIGMAS),
         ("star_offset", float(np.linalg.norm(offset)), _PRIOR_SIGMAS),
@@ -243,7 +245,6 @@ def contradiction(fit: RobustFit, usable: Sightings) -> Finding | None:
         ("sun_scatter", _sun_scatter(fit, alone, usable), _SUN_SCATTER),
         ("sky", _change_over_the_sky(fit, alone), _SKY_SIGMAS),
     )
-
     for cause, value, limit in measured:
         if not value <= limit:
             return Finding(
@@ -258,13 +259,6 @@ def without_night(usable: Sightings, finding: Finding) -> Sightings:
     filtering = day.filtering._replace(dropped=(*day.filtering.dropped, finding))
     sigma_px = day.sigma_px / np.median(day.sigma_px)
     return replace(day, sigma_px=sigma_px, information=sigma_px**-2.0, filtering=filtering)
-
-
-def _of_the_day(fit: RobustFit, night: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> MarginalFit:
-    """Return the fit of the day's sightings alone: one linear step from the fit of both, with the same scales."""
-    system = fit.system
-    of_night = np.bincount(fit.member[night], minlength=system.rows.shape[0]) > 0
-    return marginal_fit(system.normal_of(~of_night), fit.grid.basis, fit.scales)
 
 
 def _sun_scatter(fit: RobustFit, alone: MarginalFit, usable: Sightings) -> float:

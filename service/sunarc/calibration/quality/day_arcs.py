@@ -117,7 +117,9 @@ def unexplained_days(calibration: Calibration, usable: Sightings, limit: float) 
     residual = np.nan_to_num(residuals_by_pose(camera, calibration.poses, usable))
     used = ~np.isin(usable.index, calibration.left_out)
     clear, halves = track.copy(), list[_HalfDay]()
-    for rows in _days(usable, track):
+    on_track = np.flatnonzero(track)  # in the order of time within each epoch
+    fresh = np.diff(usable.day[on_track]) | np.diff(usable.epoch[on_track])
+    for rows in np.split(on_track, np.flatnonzero(fresh) + 1):
         if rows.size < _FEWEST_OF_HALF:
             continue
         _, rough, weight = smooth_arc(residual[rows], usable.unix_s[rows] / DAY_S)
@@ -148,13 +150,6 @@ def unexplained_days(calibration: Calibration, usable: Sightings, limit: float) 
     )
 
 
-def _days(usable: Sightings, track: BoolArray) -> Iterator[IntArray]:
-    """Yield the rows of each day of each epoch, in the order of time."""
-    for epoch in np.unique(usable.epoch[track]).tolist():
-        for day in np.unique(usable.day[track & (usable.epoch == epoch)]).tolist():
-            yield np.flatnonzero(track & (usable.epoch == epoch) & (usable.day == day))
-
-
 def _left_out(counted: BoolArray, used: BoolArray) -> tuple[float, int]:
     """Return the share of some sightings that was left out, and how many they are; 0 of too few."""
     n = int(counted.sum())
@@ -172,7 +167,10 @@ def _half_days(
         if n < _FEWEST_OF_HALF or np.ptp(usable.unix_s[seen]) < _SHORTEST_HALF_S:
             continue
         noise = robust_sigma(np.linalg.norm(rough[half], axis=-1), share=0.5, floor=_FLOOR_PX)
-        alike = _inflation(rough[half])
+        power = float(np.sum(rough[half] ** 2))
+        correlation = float(np.sum(rough[half][1:] * rough[half][:-1])) / power if power > 0.0 else 0.0
+        correlation = min(max(correlation, 0.0), _LARGEST_CORRELATION)
+        alike = (1.0 + correlation) / (1.0 - correlation)  # by how much more a mean varies as neighbours err alike
         off = np.median(residual[half], axis=0)
         _, stated = project_with_covariance(calibration, usable.directions[seen[:: -(-n // _STATED_AT)]])
         variance = np.nan_to_num(np.mean(stated, axis=0)) + np.eye(2) * (
@@ -181,11 +179,3 @@ def _half_days(
         yield _HalfDay(
             float(np.linalg.norm(off)), float(np.sqrt(off @ np.linalg.solve(variance, off))), int(usable.day[seen[0]])
         )
-
-
-def _inflation(rough: FloatArray) -> float:
-    """Return by how much the variance of a mean of residuals (n, 2) grows because neighbours err alike."""
-    power = float(np.sum(rough**2))
-    correlation = float(np.sum(rough[1:] * rough[:-1])) / power if power > 0.0 else 0.0
-    correlation = min(max(correlation, 0.0), _LARGEST_CORRELATION)
-    return (1.0 + correlation) / (1.0 - correlation)

@@ -141,12 +141,11 @@ class FitProblem:
         residual = np.empty(observed.pixels.shape)
         for epoch in range(self.n_epochs):
             in_epoch = slice(None) if self.n_epochs == 1 else observed.epoch == epoch
-            part = observed if self.n_epochs == 1 else observed.select(in_epoch)
             residual[in_epoch] = _kernels.residuals_of(
                 *self.optics(),
                 vectors[epoch],
-                np.ascontiguousarray(part.directions),
-                np.ascontiguousarray(part.pixels),
+                np.ascontiguousarray(observed.directions[in_epoch]),
+                np.ascontiguousarray(observed.pixels[in_epoch]),
             )
         if not self.blocks:
             return residual
