@@ -122,8 +122,9 @@ CALLS: dict[str, dict[str, Any]] = {
     },
     "moments_of": {
         "covariances": np.stack([np.eye(3)] * 2),
-        "left": np.ones((2, 3, 5)),
-        "right": np.ones((2, 3, 5)),
+        "field": np.array([1, 0]),
+        "left": np.ones((2, 2, 3, 5)),
+        "right": np.ones((2, 2, 3, 5)),
     },
     "moments_below": {
         "moments": np.ones((4, 3, 5)),

@@ -95,10 +95,13 @@ DISPATCHED void add_row(const double* row, size_t q, size_t n, size_t i, const d
     }
 }
 
-Result moments_of(In<double, -1, -1, -1> covariances, In<double, 2, -1, -1> left, In<double, 2, -1, -1> right) {
-    const size_t k = covariances.shape(0), q = covariances.shape(1), n = left.shape(2);
-    require(covariances.shape(2) == q && left.shape(1) == q && right.shape(1) == q, "not a row for each unknown");
-    require(right.shape(2) == n, "not as many places on both sides");
+Result moments_of(In<double, -1, -1, -1> covariances, Indices field, In<double, -1, 2, -1, -1> left,
+                  In<double, -1, 2, -1, -1> right) {
+    const size_t k = covariances.shape(0), q = covariances.shape(1), fields = left.shape(0), n = left.shape(3);
+    require(covariances.shape(2) == q && left.shape(2) == q && right.shape(2) == q, "not a row for each unknown");
+    require(right.shape(0) == fields && right.shape(3) == n, "not as many places on both sides");
+    require(field.shape(0) == k, "not a field for each covariance");
+    const auto places = checked(field, fields, "no such field");
     Out<double> result({k, 3, n});
     {
         nb::gil_scoped_release unlocked;
@@ -106,8 +109,8 @@ Result moments_of(In<double, -1, -1, -1> covariances, In<double, 2, -1, -1> left
         std::fill_n(result.data, 3 * k * n, 0.0);
         for (size_t choice = 0; choice < k; ++choice)
             for (size_t i = 0; i < q; ++i)
-                add_row(covariances.data() + (choice * q + i) * q, q, n, i, left.data(), right.data(), x.data(),
-                        y.data(), result.data + 3 * n * choice);
+                add_row(covariances.data() + (choice * q + i) * q, q, n, i, left.data() + 2 * q * n * places[choice],
+                        right.data() + 2 * q * n * places[choice], x.data(), y.data(), result.data + 3 * n * choice);
     }
     return result.array();
 }
@@ -189,7 +192,7 @@ Result moments_below(In<double, -1, 3, -1> moments, Numbers share, Matrix stated
 void add_posterior(nb::module_& module) {
     module.def("evidence_terms", &evidence_terms, named("matrices"), named("vectors"), named("at"), named("precision"),
                named("order"), named("pairs"));
-    module.def("moments_of", &moments_of, named("covariances"), named("left"), named("right"));
+    module.def("moments_of", &moments_of, named("covariances"), named("field"), named("left"), named("right"));
     module.def("moments_below", &moments_below, named("moments"), named("share"), named("stated"), named("cosines"),
                named("bounds"), nb::arg("smallest"));
 }

@@ -201,8 +201,10 @@ def evidence_terms(
     ValueError : lengths that differ, a place beyond the unknowns.
     """
 
-def moments_of(covariances: FloatArray, left: FloatArray, right: FloatArray) -> FloatArray:
-    """Return (k, 3, n): L' C R made symmetric, its xx, xy and yy, of k covariances (k, q, q), L and R (2, q, n).
+def moments_of(covariances: FloatArray, field: IntArray, left: FloatArray, right: FloatArray) -> FloatArray:
+    """Return (k, 3, n): L' C R made symmetric, its xx, xy and yy, of covariances (k, q, q), L and R (f, 2, q, n).
+
+    `field` (k,) says which L and R each covariance has.
 
     Raises
     ------

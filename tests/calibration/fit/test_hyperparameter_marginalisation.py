@@ -198,16 +198,17 @@ def test_the_stated_95_percent_hold_95_percent_of_the_mixture(
 def test_moments_and_mean_are_those_of_each_choice_s_covariance(
     system: LinearSystem, grid: HyperparameterGrid, at: FloatArray
 ) -> None:
-    field = module.plausible(field_sums(system.normal(), grid), grid, at).fields[0]
-    rng, count = np.random.default_rng(8), len(field.covariance)
-    left, right = rng.standard_normal((2, 2, at.size, 5))
-    found, weight = field.moments(left, right), rng.uniform(0.1, 1.0, count)
-    covariances = field.known + field.back @ field.covariance @ field.back.T
-    for k, n in np.ndindex(count, 5):
-        product = left[..., n] @ covariances[k] @ right[..., n].T
+    choices, rng = module.plausible(field_sums(system.normal(), grid), grid, at), np.random.default_rng(8)
+    left, right = rng.standard_normal((2, len(choices.fields), 2, at.size, 5))
+    found, known, back = choices.moments(left, right), choices.known[choices.field], choices.back[choices.field]
+    covariances = known + back @ choices.covariance @ back.swapaxes(1, 2)
+    for k, n in np.ndindex(len(covariances), 5):
+        field = choices.field[k]
+        product = left[field, ..., n] @ covariances[k] @ right[field, ..., n].T
         expected = 0.5 * (product + product.T)[[0, 0, 1], [0, 1, 1]]
         np.testing.assert_allclose(found[k, :, n], expected, rtol=1e-9, atol=1e-9 * np.max(np.abs(product)))
-    np.testing.assert_allclose(field.mean_covariance(weight), np.tensordot(weight, covariances, 1), rtol=1e-9)
+    mean = np.tensordot(choices.share, covariances, 1) + (choices.shift.T * choices.share) @ choices.shift
+    np.testing.assert_allclose(choices.mean_covariances()[0], mean, rtol=1e-9, atol=1e-12)
 
 
 def test_without_a_place_that_is_shown_there_is_no_mixture(

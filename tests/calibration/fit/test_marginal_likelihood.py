@@ -173,7 +173,7 @@ def test_each_choice_of_a_grid_is_the_fit_under_its_scales(basis: WaveBasis) -> 
     equations = FieldSums.of(normal, basis, amplitudes, lengths).equations(np.arange(6), lens)
     for (j, i, k), _ in np.ndenumerate(np.empty((2, 3, 2))):
         step, reduced = equations.fits(np.array([3 * j + i]), np.array([k]))
-        known, at_rest, back = equations.others_of(3 * j + i)
+        known, at_rest, back = (one[3 * j + i] for one in equations.of_others())
         fit = marginal_fit(normal, basis, Scales(float(amplitudes[i]), float(lengths[j]), *map(float, lens[k])))
         np.testing.assert_allclose(known + back @ reduced[0] @ back.T, fit.covariance, rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(normal.at + at_rest + back @ step[0], fit.unknowns, rtol=1e-9, atol=1e-12)

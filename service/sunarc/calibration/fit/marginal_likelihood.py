@@ -431,20 +431,21 @@ class LensScaleEquations:
         result[:, _N_RADIAL:, _N_RADIAL:] = decentering
         return np.concatenate([radial * pull, step], axis=-1), result
 
-    def others_of(self, field: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return what all unknowns take from the others in a field, the turned ones being known and at rest.
+    def of_others(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return what all unknowns take from the others, the turned ones being known and at rest.
 
         Returns
         -------
-        Their covariance (p, p), their step (p,), and the derivative (p, q) of all unknowns by the turned ones.
+        Their covariances (n, p, p), their steps (n, p), and the derivatives (n, p, q) of all by the turned ones.
         """
-        p, scale, solved = self.others.size + _VARIED.size, self.scale[field], self.solved[field]
-        covariance, step, back = np.zeros((p, p)), np.zeros(p), np.zeros((p, _VARIED.size))
-        covariance[np.ix_(self.others, self.others)] = np.linalg.inv(self.information[field]) * np.outer(scale, scale)
-        step[self.others] = scale * solved[:, -1]
-        back[self.others] = -scale[:, None] * solved[:, :-1]
-        back[_VARIED] = np.eye(_VARIED.size)
-        back[:, :_N_RADIAL] = back[:, :_N_RADIAL] @ self.eigenvectors[field]
+        n, p, scale, solved = len(self.scale), self.others.size + _VARIED.size, self.scale[..., None], self.solved
+        covariance, step, back = np.zeros((n, p, p)), np.zeros((n, p)), np.zeros((n, p, _VARIED.size))
+        inverse = np.linalg.inv(self.information) * (scale * scale.swapaxes(1, 2))
+        covariance[:, self.others[:, None], self.others] = inverse
+        step[:, self.others] = self.scale * solved[..., -1]
+        back[:, self.others] = -scale * solved[..., :-1]
+        back[:, _VARIED] = np.eye(_VARIED.size)
+        back[..., :_N_RADIAL] = back[..., :_N_RADIAL] @ self.eigenvectors
         return covariance, step, back
 
 

@@ -145,46 +145,21 @@ class PosteriorCovariance(NamedTuple):
 
 
 class _Field(NamedTuple):
-    """The field under one amplitude and length, px: the sums in its axes, and its posterior variances (r,), px².
-
-    known (p, p), back (p, q): the covariance of the unknowns where those q whose scales are tried are known, and the
-    derivatives by these, turned; covariance (k, q, q): theirs under each choice; see `LensScaleEquations`.
-    """
+    """The field under one amplitude and length, px: the sums in its axes, and its posterior variances (r,), px²."""
 
     turned: Turned
     shrink: FloatArray
     amplitude_px: float
     length_px: float
-    known: FloatArray
-    back: FloatArray
-    covariance: FloatArray
-
-    def mean_covariance(self, weight: FloatArray) -> FloatArray:
-        """Return (p, p): the sum of the covariances of the unknowns, times weights (k,)."""
-        mean = np.tensordot(weight, self.covariance, 1)
-        return np.asarray(weight.sum() * self.known + self.back @ mean @ self.back.T)
-
-    def moments(self, left: FloatArray, right: FloatArray) -> FloatArray:
-        """Return (k, 3, n): L' C R made symmetric, xx, xy and yy at n places, of L and R (2, p, n), x before y."""
-        own = np.sum(left[:, None] * (self.known @ right), axis=-2)
-        own[0, 1] = 0.5 * (own[0, 1] + own[1, 0])
-        through = _kernels.moments_of(self.covariance, self.back.T @ left, self.back.T @ right)
-        return np.asarray(through + own[[0, 0, 1], [0, 1, 1]])
-
-    def pull(self, values: FloatArray) -> FloatArray:
-        """Return (2, p, n): J' of each component with the field's posterior at the places."""
-        return np.asarray((self.turned.rows * self.shrink) @ values.T)
-
-    def reduction(self, values: FloatArray) -> FloatArray:
-        """Return (n,): by how much sightings reduce the variance of either component there, the parameters given."""
-        return np.asarray(values**2 @ (self.amplitude_px**2 - self.shrink))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Choices:
+class Choices:
     """The plausible scales, those of one field together.
 
-    share (k,): probabilities. amplitude, length (k,): px. fields: with the covariances; `field` (k,) is each choice's.
+    share (k,): probabilities. amplitude, length (k,): px. field (k,): each choice's among the f fields.
+    known (f, p, p), back (f, p, q): the covariance of the unknowns where those q whose scales are tried are known, and
+    the derivatives by these, turned; covariance (k, q, q): theirs under each choice; see `LensScaleEquations`.
     shift (k, p): from the fit that is doubted; field_shift (k, 2, m): that of the field's mean, where it is predicted.
     beside (p, p): what the covariance of the unknowns has in addition, whatever the choice.
     """
@@ -194,36 +169,52 @@ class _Choices:
     length: FloatArray
     fields: list[_Field]
     field: IntArray
+    known: FloatArray
+    back: FloatArray
+    covariance: FloatArray
     shift: FloatArray
     field_shift: FloatArray | None
     beside: FloatArray
 
-    def mixed(self, other: _Choices, share: float) -> _Choices:
+    def mixed(self, other: Choices, share: float) -> Choices:
         """Return these and those of another prior, which have a share of the probability."""
         shift, theirs = self.field_shift, other.field_shift
+        both = {
+            name: np.concatenate([getattr(self, name), getattr(other, name)])
+            for name in ("amplitude", "length", "known", "back", "covariance", "shift")
+        }
         return replace(
             self,
             share=np.concatenate([(1.0 - share) * self.share, share * other.share]),
-            amplitude=np.concatenate([self.amplitude, other.amplitude]),
-            length=np.concatenate([self.length, other.length]),
             fields=[*self.fields, *other.fields],
             field=np.concatenate([self.field, other.field + len(self.fields)]),
-            shift=np.concatenate([self.shift, other.shift]),
             field_shift=None if shift is None or theirs is None else np.concatenate([shift, theirs]),
+            **both,
         )
 
     def mean_covariances(self) -> tuple[FloatArray, FloatArray]:
         """Return the mean covariance of the unknowns, (p, p), and theirs with the field's coefficients, (2, p, m)."""
-        total, in_axes, transforms = np.zeros(()), dict[float, FloatArray](), dict[float, FloatArray]()
-        for number, field in enumerate(self.fields):
-            mean = field.mean_covariance(self.share[self.field == number])
-            total = total + mean
+        begin = np.searchsorted(self.field, np.arange(len(self.fields)))
+        turned = np.add.reduceat(self.share[:, None, None] * self.covariance, begin)
+        weight = np.add.reduceat(self.share, begin)[:, None, None]
+        means = weight * self.known + self.back @ turned @ self.back.swapaxes(1, 2)
+        in_axes, transforms = dict[float, FloatArray](), dict[float, FloatArray]()
+        for mean, field in zip(means, self.fields, strict=True):
             in_axes[field.length_px] = in_axes.get(field.length_px, 0.0) - mean @ (field.turned.rows * field.shrink)
             transforms[field.length_px] = field.turned.axes.transform
         cross = np.sum([part @ transforms[length].T for length, part in in_axes.items()], axis=0)
         if self.field_shift is not None:
             cross = cross + np.einsum("k,kp,kam->apm", self.share, self.shift, self.field_shift, optimize=True)
-        return total + self.beside + (self.shift.T * self.share) @ self.shift, cross
+        return np.sum(means, axis=0) + self.beside + (self.shift.T * self.share) @ self.shift, cross
+
+    def moments(self, left: FloatArray, right: FloatArray) -> FloatArray:
+        """Return (k, 3, n): L' C R made symmetric, xx, xy and yy at n places, of each field's L and R (f, 2, p, n)."""
+        through = self.known[:, None] @ right
+        own = np.stack([np.einsum("fpn,fpn->fn", left[:, a], through[:, b]) for a in (0, 1) for b in (0, 1)], axis=1)
+        own[:, 1] = 0.5 * (own[:, 1] + own[:, 2])
+        back = self.back.swapaxes(1, 2)[:, None]
+        by_turned = _kernels.moments_of(self.covariance, self.field, back @ left, back @ right)
+        return np.asarray(by_turned + own[:, [0, 1, 3]][self.field])
 
 
 def stated_posterior(
@@ -294,7 +285,7 @@ def plausible(
     beside: FloatArray | None = None,
     *,
     square: FloatArray | float = 1.0,
-) -> _Choices:
+) -> Choices:
     """Return the scales that hold nearly all of the probability.
 
     Parameters
@@ -313,32 +304,38 @@ def plausible(
     retained = np.sort(order[: 1 + int(np.searchsorted(np.cumsum(either[order]), _WEIGHT_RETAINED * either.sum()))])
     i, j, k = np.unravel_index(retained, weight.shape)
     pairs, field = np.unique(np.stack([i, j], axis=-1), axis=0, return_inverse=True)
+    field = field.ravel()
     equations = sums.equations(pairs[:, 1] * grid.amplitudes.size + pairs[:, 0], grid.lens_scales, square)
-    step, reduced = equations.fits(field.ravel(), k)
-    fields, fitted, coefficients = [], [], []
-    for number, (amplitude, length) in enumerate(pairs):
-        here = field.ravel() == number
-        known, at_rest, back = equations.others_of(number)
-        turned, shrink = sums.turned[length], sums.shrink[length][amplitude]
-        fitted.append(at_rest + step[here] @ back.T)
-        if mean is not None:
-            coefficients.append(turned.coefficients(shrink, fitted[-1]) - mean)
-        scales = float(grid.amplitudes[amplitude]), float(grid.lengths[length])
-        fields.append(_Field(turned, shrink, *scales, known, back, reduced[here]))
+    step, reduced = equations.fits(field, k)
+    known, at_rest, back = equations.of_others()
+    fitted = at_rest[field] + (back[field] @ step[..., None])[..., 0]
+    fields = [
+        _Field(sums.turned[b], sums.shrink[b][a], float(grid.amplitudes[a]), float(grid.lengths[b])) for a, b in pairs
+    ]
+    field_shift = None
+    if mean is not None:
+        field_shift = np.empty((field.size, *mean.shape))
+        for length in np.unique(j):
+            here, turned = j == length, sums.turned[length]
+            shrink = sums.shrink[length][i[here]][:, None]
+            field_shift[here] = turned.coefficients(shrink, fitted[here]) - mean
     share = weight.ravel()[retained]
-    return _Choices(
+    return Choices(
         share=share / share.sum(),
         amplitude=grid.amplitudes[i],
         length=grid.lengths[j],
         fields=fields,
-        field=field.ravel(),
-        shift=sums.at - unknowns + np.concatenate(fitted),
-        field_shift=np.concatenate(coefficients) if coefficients else None,
+        field=field,
+        known=known,
+        back=back,
+        covariance=reduced,
+        shift=sums.at - unknowns + fitted,
+        field_shift=field_shift,
         beside=np.zeros((sums.at.size,) * 2) if beside is None else beside,
     )
 
 
-def at_probes(choices: _Choices, rows: FloatArray, values: FloatArray) -> FloatArray:
+def at_probes(choices: Choices, rows: FloatArray, values: FloatArray) -> FloatArray:
     """Return (k, 3, n): the error's second moments xx, xy, yy under each choice, at places over the sky.
 
     Camera and field together, see `covariance`, and how far the choice's fit is from the one that is doubted. Without a
@@ -349,25 +346,26 @@ def at_probes(choices: _Choices, rows: FloatArray, values: FloatArray) -> FloatA
     rows, values : derivatives by the unknowns there, (n, 2, p), and values of the field's basis, (n, m).
     """
     by_unknowns = np.ascontiguousarray(rows.transpose(1, 2, 0))
-    moved = choices.shift @ by_unknowns
-    predicted = choices.field_shift is not None
+    x, y = choices.shift @ by_unknowns
     if choices.field_shift is not None:
-        moved = moved + choices.field_shift.swapaxes(0, 1) @ values.T
-    x, y = moved
-    in_addition = rows @ choices.beside @ rows.swapaxes(1, 2)
-    moments = np.stack([x * x, x * y, y * y], axis=1) + in_addition[:, [0, 0, 1], [0, 1, 1]].T
+        x, y = np.stack([x, y]) + choices.field_shift.swapaxes(0, 1) @ values.T
     axes = {field.length_px: field.turned.axes for field in choices.fields}
     in_axes = {length: values @ one.transform for length, one in axes.items()}
-    for number, field in enumerate(choices.fields):
-        inside = choices.field == number
-        turned = in_axes[field.length_px]
-        pull = field.pull(turned)
-        # camera and field: J C J' - J C X' - X C J', and with the field's mean in the prediction X C X' beside it
-        left, right = (by_unknowns - pull,) * 2 if predicted else (by_unknowns, by_unknowns - 2.0 * pull)
-        own = field.moments(left, right)
-        reduction = field.reduction(turned) if predicted else 0.0
-        own[:, ::2] += np.maximum(field.amplitude_px**2 - reduction, 0.0)
-        moments[inside] += own
+    # J' of each component with the field's posterior at the places; of either component what sightings leave of it
+    pull = np.stack([(one.turned.rows * one.shrink) @ in_axes[one.length_px].T for one in choices.fields])
+    left_over = np.square([one.amplitude_px for one in choices.fields])[:, None] + np.zeros(len(values))
+    # camera and field: J C J' - J C X' - X C J', and with the field's mean in the prediction X C X' beside it
+    left, right = by_unknowns + np.zeros_like(pull), by_unknowns - 2.0 * pull
+    if choices.field_shift is not None:
+        left = right = by_unknowns - pull
+        left_over -= [in_axes[one.length_px] ** 2 @ (one.amplitude_px**2 - one.shrink) for one in choices.fields]
+    moments = choices.moments(left, right)
+    in_addition = (rows @ choices.beside @ rows.swapaxes(1, 2))[:, [0, 0, 1], [0, 1, 1]].T
+    of_field = np.maximum(left_over, 0.0)[:, None] * np.array([1.0, 0.0, 1.0])[:, None]
+    moments += (in_addition + of_field)[choices.field]
+    moments[:, 0] += x * x
+    moments[:, 1] += x * y
+    moments[:, 2] += y * y
     return moments
 
 

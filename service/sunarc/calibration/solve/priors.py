@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from functools import lru_cache
 
 import numpy as np
 
@@ -26,7 +27,7 @@ from sunarc.optics.camera import (
     Camera,
     Param,
 )
-from sunarc.optics.projections import ideal_radius
+from sunarc.optics.projections import Projection, ideal_radius
 
 FREE = np.delete(np.array(Param), TRANSLATION)
 """What the robust method estimates of one camera: everything but the translation, the pose at `POSE` as among all."""
@@ -166,18 +167,28 @@ def radial_basis(camera: Camera, *, length: float, upto: float) -> FloatArray:
     upto : radians, the largest angle looked at.
     """
     focal = 0.5 * (camera.focal_length_px[0] + camera.focal_length_px[1])
+    to_coefficients, kernel, share = _radial_process(camera.projection, length, upto)
+    to_coefficients, share = to_coefficients / focal, share / focal
+    covariance = to_coefficients @ kernel @ to_coefficients.T + np.outer(share, share)
+    # a kernel this smooth has fewer than eight ways to bend: the rest is kept tiny, not zero
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, _SMALLEST_SHARE * values[-1])))
+
+
+@lru_cache(maxsize=16)
+def _radial_process(projection: Projection, length: float, upto: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the coefficients (8, 181) by the process at 181 angles, its covariance, and those (8,) of the gauge.
+
+    They are of a focal length of 1 px.
+    """
     theta = np.linspace(0.0, upto, _GRID)
     kernel = np.exp(-0.5 * ((theta[:, None] - theta) / length) ** 2) + _ROUGHNESS**2 * np.eye(_GRID)
     powers = (theta / _RIGHT_ANGLE)[:, None] ** np.array(RADIAL_ORDERS)
-    ideal = ideal_radius(camera.projection, theta)
+    ideal = ideal_radius(projection, theta)
     ideal = ideal / np.linalg.norm(ideal)
     # the process lives at 181 angles; least squares carries what of it is orthogonal to the ideal projection onto
     # those shapes of the eight powers of Eq. 9 that are, too
     shapes = np.linalg.svd((ideal @ powers)[None])[2][1:].T
     normal = shapes.T @ (powers.T @ powers + _RIDGE * np.eye(len(RADIAL_ORDERS))) @ shapes
-    to_coefficients = shapes @ np.linalg.solve(normal, (powers @ shapes).T) / focal
-    share = np.linalg.lstsq(powers, ideal)[0] * math.sqrt(_GRID) * _GAUGE / focal
-    covariance = to_coefficients @ kernel @ to_coefficients.T + np.outer(share, share)
-    # a kernel this smooth has fewer than eight ways to bend: the rest is kept tiny, not zero
-    values, vectors = np.linalg.eigh(covariance)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, _SMALLEST_SHARE * values[-1])))
+    to_coefficients = shapes @ np.linalg.solve(normal, (powers @ shapes).T)
+    return to_coefficients, kernel, np.linalg.lstsq(powers, ideal)[0] * math.sqrt(_GRID) * _GAUGE
