@@ -83,8 +83,7 @@ class _View(NamedTuple):
     def turned(self, sd_deg: float) -> FloatArray:
         """Return (n, 2, 3): displacements where the camera is turned about east, north and up by an angle."""
         # a camera that is turned by d sees the direction u where the one that is not sees u - d x u
-        seen = -np.cross(np.eye(3), self.seen.directions[:, None, :]) * math.radians(sd_deg)
-        return np.asarray(np.einsum("nai,nki->nak", self.by_direction, seen))
+        return np.cross(self.by_direction, self.seen.directions[:, None, :]) * math.radians(sd_deg)
 
 
 def _displacements(view: _View) -> Iterator[tuple[str, FloatArray]]:
