@@ -11,6 +11,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -331,7 +332,7 @@ _GAIN = 40.0
 _MOST = 6
 _FEWEST = 20
 _FLOOR_PX = 1e-3
-_Fit = Callable[[Sightings, Camera | None], Calibration]
+_Fit = Callable[..., Calibration]
 
 
 class Moved(NamedTuple):
@@ -369,14 +370,11 @@ def calibrate_moved(
     points, site, image_size, options, circle, start, parts : as `calibrate` takes them.
     solved : what `calibrate` makes of them, and which are usable, where that is known.
     """
-
-    def fit(given: Sightings, begin: Camera | None, *, parts: bool = False) -> Calibration:
-        return calibrate(
-            given, site=site, image_size=image_size, options=options, circle=circle, start=begin, parts=parts
-        )
-
+    judged = partial(calibrate, site=site, image_size=image_size, options=options, circle=circle, parts=parts)
+    # what is only compared with another need not explain its days
+    fit = partial(judged, options=replace(options, max_unexplained=1.0), parts=False)
     if solved is None:
-        solved = fit(points, start, parts=parts), filter_sightings(points, site=site, image_size=image_size)
+        solved = judged(points, start=start), filter_sightings(points, site=site, image_size=image_size)
     found, usable = solved[0], solved[1].select(~solved[1].alone)
     if not len(usable) or np.any(points.epoch != points.epoch[:1]) or options.method != "robust":
         return Moved(found, points)
@@ -389,7 +387,7 @@ def calibrate_moved(
         found, points = better
         usable = replace(usable, epoch=points.epoch[usable.index])
     if begin is not None:
-        found = fit(points, begin, parts=parts)
+        found = judged(points, start=begin)
     return Moved(_with_moves(found, usable), points)
 
 
@@ -426,7 +424,7 @@ def _parted_at(row: int, points: Sightings, usable: Sightings, begin: Camera, fi
         lasts = [np.ptp(usable.unix_s[epoch == one]) for one in np.unique(epoch)]
         if np.bincount(epoch).min() < _FEWEST or min(lasts) < LONGEST_EPISODE_S:
             return None  # no longer than cloud may draw sightings aside
-        fitted = fit(parted, begin)
+        fitted = fit(parted, start=begin)
         if fitted.evidence.n_used == 0:
             return None  # refused before a pose of either side was there
         first = int(usable.epoch[row])

@@ -306,7 +306,9 @@ def robust_camera(
     near_minimum : whether the fit without a field is known to be at the right minimum: least squares then
         begins there alone.
     """
-    plain = _begun(problem, observed, np.concatenate([plain, np.zeros(problem.n_unit)]))
+    plain = np.concatenate([plain, np.zeros(problem.n_unit)])
+    if SWAYS in problem.names:
+        plain = _begun(problem, observed, plain)
     state, noise, grid, last_round = _with_field(problem, observed, plain, grid, groups)
     informed = replace(observed, information=noise.information(observed))
     problem, state = _with_proven(problem, informed, groups.bins, last_round, state, grid)
@@ -332,8 +334,6 @@ def _begun(problem: FitProblem, observed: Sightings, unknowns: FloatArray) -> Fl
     Where the rounds begin without, residuals that are alike for a day are noise that hides the sways.
     """
     of_sways = problem.block_slice(SWAYS)
-    if SWAYS not in problem.names:
-        return unknowns
     distance = multistart.distance_sigmas(problem, observed, unknowns)
     root = counted_roots(distance, observed.information, floor=multistart.SMALLEST_SIGMA_PX)
     columns = problem.linearised(unknowns, observed)[1][:, :, of_sways] * root[:, None, None]

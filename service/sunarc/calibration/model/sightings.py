@@ -341,34 +341,32 @@ def filter_sightings(points: Sightings, *, site: Site, image_size: tuple[int, in
         stated_sigma_px=stated_px,
         n_below_horizon=int(np.sum(inside & ~above & ~alone)),
     )
-    chosen = replace(
-        points.select(retained),
+    usable, directions = points.select(retained), directions[retained]
+    return replace(
+        usable,
         index=retained,
-        directions=directions[retained],
+        directions=directions,
         sigma_px=sigma_px,
         information=sigma_px**-2.0,
         alone=alone[retained],
         day=day,
+        motion=np.cross(directions, EARTH_RATE * pole_enu(site)),
         filtering=filtering,
+        **_of_the_air(usable, directions, day, site),
     )
-    return _beside_the_sky(chosen, site)
 
 
-def _beside_the_sky(usable: Sightings, site: Site) -> Sightings:
-    """Return sightings with what follows from when and where they are: night, refraction and motion."""
-    night, other = np.zeros(len(usable), dtype=np.bool_), usable.kind != Kind.SUN
-    night[other] = sun_angles(usable.unix_s[other], site).apparent_zenith > _NIGHT_ZENITH_DEG
-    days, day = np.unique(usable.day, return_inverse=True)
-    runs, measured = min(days.size, _AIR_RUNS), np.isfinite(usable.temperature)
-    share = np.zeros((len(usable), 2 + runs))
+def _of_the_air(points: Sightings, directions: FloatArray, day: IntArray, site: Site) -> dict[str, Any]:
+    """Return the columns `night` and `refraction_sd` of sightings at directions (n, 3), of days (n,)."""
+    n, other, measured = len(points), points.kind != Kind.SUN, np.isfinite(points.temperature)
+    night = np.zeros(n, dtype=np.bool_)
+    night[other] = sun_angles(points.unix_s[other], site).apparent_zenith > _NIGHT_ZENITH_DEG
+    days, number = np.unique(day, return_inverse=True)
+    runs = min(days.size, _AIR_RUNS)
+    share = np.zeros((n, 2 + runs))
     share[:, 0], share[:, 1] = MEASURED_AIR_SD * measured, ASSUMED_AIR_SD * ~measured
-    share[np.arange(len(usable)), 2 + day * runs // max(days.size, 1)] = DAILY_AIR_SD * ~measured
-    return replace(
-        usable,
-        night=night,
-        refraction_sd=refraction_rad(usable.directions, site)[:, None] * share,
-        motion=np.cross(usable.directions, EARTH_RATE * pole_enu(site)),
-    )
+    share[np.arange(n), 2 + number * runs // max(days.size, 1)] = DAILY_AIR_SD * ~measured
+    return {"night": night, "refraction_sd": refraction_rad(directions, site)[:, None] * share}
 
 
 def _relative_sigma(sigma_px: FloatArray, alone: BoolArray) -> tuple[FloatArray, float]:

@@ -171,26 +171,19 @@ def first_cameras(
     unnumbered = replace(observed, epoch=np.zeros(1, dtype=np.int64))
     of_epochs = [unnumbered.select(observed.epoch == epoch) for epoch in range(int(observed.epoch.max()) + 1)]
     main = max(of_epochs, key=len)
-    lens, cost = _best_single(main, guess, known=known, options=options, circle=circle)
+    lens, cost = guess, math.inf
+    if tried := candidates(main, guess, known=known, best=_TRIED):
+        thin = main.thinned(_THIN)
+        # one problem for all: ideal lenses differ in the focal length alone, which has no prior here
+        problem = single_problem(thin, tried[0], options, circle)
+        rough = [_polished(problem, thin, camera, stage=1, focal_prior=known) for camera in tried]
+        rough.sort(key=lambda pair: pair[1])
+        finer = [
+            _polished(single_problem(thin, camera, options, circle), thin, camera, stage=3)
+            for camera, _ in rough[:_POLISHED]
+        ]
+        lens, cost = min(finer, key=lambda pair: pair[1])
     return [lens if one is main else wahba(lens, one)[0] for one in of_epochs], cost
-
-
-def _best_single(
-    observed: Sightings, guess: Camera, *, known: bool, options: CalibrationOptions, circle: ImageCircle | None
-) -> tuple[Camera, float]:
-    tried = candidates(observed, guess, known=known, best=_TRIED)
-    if not tried:
-        return guess, math.inf
-    thin = observed.thinned(_THIN)
-    # one problem for all: ideal lenses differ in the focal length alone, which has no prior here
-    problem = single_problem(thin, tried[0], options, circle)
-    rough = [_polished(problem, thin, camera, stage=1, focal_prior=known) for camera in tried]
-    rough.sort(key=lambda pair: pair[1])
-    finer = [
-        _polished(single_problem(thin, camera, options, circle), thin, camera, stage=3)
-        for camera, _ in rough[:_POLISHED]
-    ]
-    return min(finer, key=lambda pair: pair[1])
 
 
 def _polished(

@@ -59,7 +59,16 @@ def best_start(problem: FitProblem, observed: Sightings, start: FloatArray, *, p
     precision : (p,) prior precisions of the unknowns.
     """
     few = observed.select(slice(None, None, max(len(observed) // _FEW, 1)))
-    starts = [*_ransac_starts(problem, observed, start, precision), *_plain_starts(problem, few, start)]
+    starts = _ransac_starts(problem, observed, start, precision)
+    # least squares from an ideal lens: thinned, from other focal lengths, and in stages
+    fewer, plain = few.select(slice(None, None, max(len(few) // _FEWER, 1))), undistorted(start)
+    thinned = [fewer.select(slice(None, None, step)) for step in _THINNED]
+    starts += [least_squares(problem, some, plain, tolerance=_NEAR) for some in thinned]
+    for step in _FOCAL_STEPS:
+        other = plain.copy()
+        other[Whitened.FOCAL_LENGTH] += step
+        starts.append(least_squares(problem, fewer, other, tolerance=_NEAR))
+    starts.append(staged_least_squares(problem, fewer, start, tolerance=_NEAR))
     for _ in range(_SETTLING):
         # those that have come to one place go on as one
         distinct = distinct_starts(problem, few, starts)
@@ -150,18 +159,6 @@ def distance_sigmas(problem: FitProblem, observed: Sightings, unknowns: FloatArr
     residual = problem.residuals(unknowns, observed)
     distance = np.hypot(residual[:, 0], residual[:, 1]) * np.sqrt(observed.information)
     return np.where(problem.beyond(unknowns, observed), UNSEEN_PX, distance)
-
-
-def _plain_starts(problem: FitProblem, few: Sightings, start: FloatArray) -> list[FloatArray]:
-    """Return least-squares answers from an ideal lens: thinned, from other focal lengths, and in stages."""
-    plain = undistorted(start)
-    few = few.select(slice(None, None, max(len(few) // _FEWER, 1)))
-    found = [least_squares(problem, few.select(slice(None, None, step)), plain, tolerance=_NEAR) for step in _THINNED]
-    for step in _FOCAL_STEPS:
-        other = plain.copy()
-        other[Whitened.FOCAL_LENGTH] += step
-        found.append(least_squares(problem, few, other, tolerance=_NEAR))
-    return [*found, staged_least_squares(problem, few, start, tolerance=_NEAR)]
 
 
 def distinct_starts(problem: FitProblem, observed: Sightings, starts: list[FloatArray]) -> list[FloatArray]:
