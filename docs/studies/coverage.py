@@ -7,30 +7,34 @@ case names no field, a lens has one or none as the fit's prior has it (`ranks.py
 that the image holds: the median over lenses of the true error (px), the share of directions whose error lies within the
 stated 95 % ellipse, its 95 % interval by bootstrap over lenses, the shares within the ellipses for 50, 68, 95 and 99 %,
 for 50 and 95 % within 20 degrees of the sun's track and beyond 40 degrees, and by zenith angle (below 30 degrees, below
-60, beyond), and how many of the fits their own verdict accepts.
+60, beyond), and how many of the fits their own verdict accepts. With `--worlds` nothing is fitted: see
+`coverage_pairs.py`.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import math
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import asdict, dataclass, replace
+from functools import cache, partial
+from pathlib import Path
 
 import numpy as np
 import population as pop
-from coverage_statistics import bootstrap_interval, degrees_from_track, every_so_many, within_stated
+from coverage_statistics import SKY, TrueSky, bootstrap_interval, degrees_from_track, every_so_many, judged
 from numpy.typing import NDArray
 from ranks import FIELD_LENGTHS
 from ranks import amplitude_px as drawn_amplitude_px
+from real_lenses import best_projection, published, residual_radius
 
-from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.fit.effects import OUTWARDS_PX
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.optics.camera import Camera, camera_sees
+from sunarc.calibration.model.sightings import Sightings
+from sunarc.optics.camera import RADIAL_ORDERS, Camera, camera_sees
 from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles
 from sunarc.optics.projections import Projection, ideal_radius
 from sunarc.sky.refraction import ASSUMED_AIR_SD, DAILY_AIR_SD, raised, refraction_rad
@@ -40,7 +44,6 @@ FloatArray = NDArray[np.float64]
 Noise = Callable[[np.random.Generator, FloatArray, float], FloatArray]
 """Errors (n, 2), px, of sightings at zenith angles (n,), degrees, for a 1-sigma per axis."""
 
-_SKY = hemisphere(600)
 _CORRELATION = 0.9
 _SCALES = (7.0, 2.6), (1.2, 2.0)
 """Of radial distortion and decentering as the fit's prior has them: the median, px, and the factor of 1 sigma."""
@@ -74,7 +77,8 @@ class Case:
     length. rounded: to whole pixels. tilt_deg: None draws it (2.5 degrees). size: of the image, px. edge_deg: the angle
     off the axis that the image's shorter side ends at; NaN: 90, or 60 with a perspective lens. as_prior: the scales of
     radial distortion and decentering are drawn from the fit's prior, too, in place of 1.5 and 0.6 px, and so are air
-    and the bias of detections along the radius.
+    and the bias of detections along the radius. published: the radial distortion is that of a published lens curve,
+    which has a projection of its own, and the decentering is 1.2 px, as published lenses have it.
     """
 
     days: tuple[int, ...] = (0,)
@@ -90,6 +94,21 @@ class Case:
     edge_deg: float = math.nan
     site: Site = pop.SGP
     as_prior: bool = False
+    published: bool = False
+
+
+@cache
+def published_curves() -> list[tuple[Projection, tuple[float, ...]]]:
+    """Return the best simple projections of the published lens curves, and k2 … k9 of what is left."""
+    angle, curves = np.linspace(0.0, math.pi / 2.0, 91), []
+    powers = (angle / (math.pi / 2.0))[:, None] ** np.array(RADIAL_ORDERS)
+    for lens in published():
+        if lens.kind == "curve":
+            radius = np.asarray(np.polynomial.polynomial.polyval(angle, np.r_[0.0, lens.numbers]), dtype=np.float64)
+            projection = best_projection(radius, math.pi / 2.0)
+            left, focal = residual_radius(radius, projection, math.pi / 2.0)
+            curves.append((projection, tuple(np.linalg.lstsq(powers, left / focal)[0])))
+    return curves
 
 
 def at(latitude: float) -> Site:
@@ -123,6 +142,10 @@ CASES = {
     "as the prior, 7 days in a row": Case(as_prior=True, days=tuple(range(7))),
     "as the prior, tilt 15°": Case(as_prior=True, tilt_deg=15.0),
     "as the prior, latitude -41°": Case(as_prior=True, site=at(-41.0)),
+    "published curves, 1 day": Case(published=True),
+    "published curves, 4 days": Case(published=True, days=(0, 1, 20, 29)),
+    "published curves, tilt 15°": Case(published=True, tilt_deg=15.0),
+    "published curves, latitude -41°": Case(published=True, site=at(-41.0)),
     "AR(1) 0.9": Case(noise=correlated),
     "noise × 6 to the horizon": Case(noise=growing, sigma_px=0.25),
     "t3 noise": Case(noise=heavy_tailed, sigma_px=0.3),
@@ -145,18 +168,23 @@ CASES = {
 
 def lens_of(case: Case, rng: np.random.Generator) -> Camera:
     """Draw the true camera; its departures from the ideal are the same in angle whatever the image's size."""
-    edge = 60.0 if case.projection == "perspective" else 90.0
+    projection, radial = case.projection, None
+    if case.published:
+        curves = published_curves()
+        projection, radial = curves[rng.integers(len(curves))]
+    edge = 60.0 if projection == "perspective" else 90.0
     edge = edge if math.isnan(case.edge_deg) else case.edge_deg
-    focal = 0.4863 * min(case.size) / float(ideal_radius(case.projection, math.radians(edge)))
+    focal = 0.4863 * min(case.size) / float(ideal_radius(projection, math.radians(edge)))
     share = min(case.size) / pop.SIZE
     base = replace(
-        pop.CASE_3, width=case.size[0], height=case.size[1], projection=case.projection, focal_length_px=(focal, focal)
+        pop.CASE_3, width=case.size[0], height=case.size[1], projection=projection, focal_length_px=(focal, focal)
     )
-    radial_px, decentering_px = 1.5, 0.6
+    radial_px, decentering_px = 1.5, 1.2 if case.published else 0.6
     if case.as_prior:
         radial_px, decentering_px = (px * factor ** rng.normal() for px, factor in _SCALES)
     lenses = pop.Lenses(radial_px=radial_px * share, decentering_px=decentering_px * share, center_px=5.0 * share)
     camera = pop.random_camera(rng, lenses, base=base)
+    camera = camera if radial is None else replace(camera, radial=radial)
     if case.tilt_deg is None:
         return camera
     azimuth, turn = rng.uniform(-180.0, 180.0), rng.uniform(0.0, 360.0)
@@ -184,11 +212,8 @@ def in_other_air(directions: FloatArray, unix_s: FloatArray, site: Site, rng: np
     return raised(directions, share * refraction_rad(directions, site))
 
 
-def one_lens(seed: int, case: Case, *, search: bool = False) -> FloatArray:
-    """Return (16,): the RMS error over the sky, px, the verdict, and the shares within what is stated.
-
-    For 50, 68, 95 and 99 % over the sky; for 50 and 95 % near the track, far from it, and in three zones of the zenith.
-    """
+def drawn(seed: int, case: Case) -> tuple[Camera, Sightings, TrueSky]:
+    """Draw a camera, what it sees of the sun, and where it sees the sky."""
     rng = np.random.default_rng([seed, 20])
     truth = lens_of(case, rng)
     field = field_of(field_scales(case, rng), rng)
@@ -203,20 +228,29 @@ def one_lens(seed: int, case: Case, *, search: bool = False) -> FloatArray:
         points = replace(points, pixels=points.pixels + rng.normal(0.0, OUTWARDS_PX) * along)
     if case.rounded:
         points = replace(points, pixels=np.rint(points.pixels))
-    options = CalibrationOptions(projection=case.projection)
+    expected = pop.seen_at(truth, SKY, field)
+    away = degrees_from_track(SKY, every_so_many(sun.directions))
+    return truth, points, TrueSky(expected, camera_sees(truth, expected), away)
+
+
+def one_lens(seed: int, case: Case, *, search: bool = False) -> FloatArray:
+    """Return what `judged` says of the fit of one lens."""
+    truth, points, sky = drawn(seed, case)
+    options = CalibrationOptions(projection=truth.projection)
     start = None if search else truth
-    fit = calibrate(points, site=case.site, image_size=case.size, options=options, start=start)
-    expected = pop.seen_at(truth, _SKY, field)
-    found, covariance = project_with_covariance(fit, _SKY)
-    shown = camera_sees(truth, expected) & np.all(np.isfinite(found), axis=-1)
-    error = (found - expected)[shown]
-    covered = within_stated(fit, found[shown], error, covariance[shown])
-    away = degrees_from_track(_SKY[shown], every_so_many(sun.directions))
-    zenith = np.degrees(np.arccos(_SKY[shown, 2]))
-    zones = away < 20.0, away > 40.0, zenith < 30.0, (zenith >= 30.0) & (zenith < 60.0), zenith >= 60.0
-    shares = [covered[where][:, [0, 2]].mean(axis=0) if np.any(where) else np.full(2, math.nan) for where in zones]
-    rms = math.sqrt(float(np.mean(np.sum(error**2, axis=-1))))
-    return np.concatenate([[rms, fit.verdict.accepted], covered.mean(axis=0), *shares])
+    return judged(calibrate(points, site=case.site, image_size=case.size, options=options, start=start), sky)
+
+
+def write_worlds(path: Path, case: Case, seeds: range) -> None:
+    """Write what `coverage_pairs.py` fits by any version, for each lens."""
+    arrays: dict[str, NDArray[np.generic]] = {}
+    for seed in seeds:
+        truth, points, sky = drawn(seed, case)
+        plain = {"camera": asdict(truth), "site": asdict(case.site)}
+        arrays[f"{seed}.known"] = np.array(json.dumps(plain, default=np.ndarray.tolist))
+        arrays |= {f"{seed}.unix_s": points.unix_s, f"{seed}.sighted": points.pixels}
+        arrays |= {f"{seed}.{name}": values for name, values in sky._asdict().items()}
+    np.savez(path, allow_pickle=False, **arrays)
 
 
 def main() -> None:
@@ -227,7 +261,13 @@ def main() -> None:
     parser.add_argument("--case", action="append", choices=list(CASES))
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--search", action="store_true")
+    parser.add_argument("--worlds", type=Path, help="folder to write the lenses and their sightings to")
     chosen = parser.parse_args()
+    seeds = range(chosen.first, chosen.first + chosen.lenses)
+    if chosen.worlds is not None:
+        for name in chosen.case or CASES:
+            write_worlds(chosen.worlds / f"{name}.npz", CASES[name], seeds)
+        return
     columns = (
         "case",
         "lenses",
@@ -239,7 +279,6 @@ def main() -> None:
         "accepted",
     )
     print(f"| {' | '.join(columns)} |\n|{'---|' * len(columns)}")
-    seeds = range(chosen.first, chosen.first + chosen.lenses)
     for name in chosen.case or CASES:
         of_lens = partial(one_lens, case=CASES[name], search=chosen.search)
         with ProcessPoolExecutor(chosen.jobs) as pool:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.model.result import Calibration
 
 FloatArray = NDArray[np.float64]
@@ -13,8 +17,17 @@ CHI_SQUARE_95 = 5.991
 """The 95 % quantile of chi-square with two degrees of freedom."""
 STATED = (0.5, 0.68, 0.95, 0.99)
 """Shares for which ellipses are compared."""
+SKY = hemisphere(600)
 _DRAWS = 2000
 _PLACES = 400
+
+
+class TrueSky(NamedTuple):
+    """Where the true camera sees `SKY`, px, which of it lands in its image, and the degrees from the sun's track."""
+
+    pixels: FloatArray
+    seen: NDArray[np.bool_]
+    away: FloatArray
 
 
 def squared_sigmas(error: FloatArray, covariance: FloatArray) -> FloatArray:
@@ -26,10 +39,27 @@ def within_stated(fit: Calibration, pixels: FloatArray, error: FloatArray, covar
     """Return (n, 4): 1 where errors (n, 2) of pixels (n, 2), px, lie in what a fit states for 50, 68, 95 and 99 %."""
     square = squared_sigmas(error, covariance)
     factors = np.ones((4, square.size))
-    if fit.mixture is not None:
-        factors = np.array([fit.mixture.sigma_factors(pixels, share) for share in STATED])
+    mixture = getattr(fit, "mixture", None)  # versions before 0.4 have none: `coverage_pairs.py`
+    if mixture is not None:
+        factors = np.array([mixture.sigma_factors(pixels, share) for share in STATED])
     limits = -2.0 * np.log1p(-np.array(STATED)) * factors.T**2
     return np.asarray(square[:, None] < limits, dtype=float)
+
+
+def judged(fit: Calibration, true: TrueSky) -> FloatArray:
+    """Return (16,): the RMS error over the sky, px, the verdict, and the shares within what is stated.
+
+    For 50, 68, 95 and 99 % over the sky; for 50 and 95 % near the track, far from it, and in three zones of the zenith.
+    """
+    found, covariance = project_with_covariance(fit, SKY)
+    shown = true.seen & np.all(np.isfinite(found), axis=-1)
+    error = (found - true.pixels)[shown]
+    covered = within_stated(fit, found[shown], error, covariance[shown])
+    away, zenith = true.away[shown], np.degrees(np.arccos(SKY[shown, 2]))
+    zones = away < 20.0, away > 40.0, zenith < 30.0, (zenith >= 30.0) & (zenith < 60.0), zenith >= 60.0
+    shares = [covered[where][:, [0, 2]].mean(axis=0) if np.any(where) else np.full(2, math.nan) for where in zones]
+    rms = math.sqrt(float(np.mean(np.sum(error**2, axis=-1))))
+    return np.concatenate([[rms, fit.verdict.accepted], covered.mean(axis=0), *shares])
 
 
 def bootstrap_interval(values: FloatArray) -> tuple[float, float]:
