@@ -125,6 +125,8 @@ CALLS: dict[str, dict[str, Any]] = {
         "field": np.array([1, 0]),
         "left": np.ones((2, 2, 3, 5)),
         "right": np.ones((2, 2, 3, 5)),
+        "beside": np.ones((2, 3, 5)),
+        "shift": np.ones((2, 2, 5)),
     },
     "moments_below": {
         "moments": np.ones((4, 3, 5)),

@@ -96,21 +96,31 @@ DISPATCHED void add_row(const double* row, size_t q, size_t n, size_t i, const d
 }
 
 Result moments_of(In<double, -1, -1, -1> covariances, Indices field, In<double, -1, 2, -1, -1> left,
-                  In<double, -1, 2, -1, -1> right) {
+                  In<double, -1, 2, -1, -1> right, In<double, -1, 3, -1> beside, In<double, 2, -1, -1> shift) {
     const size_t k = covariances.shape(0), q = covariances.shape(1), fields = left.shape(0), n = left.shape(3);
     require(covariances.shape(2) == q && left.shape(2) == q && right.shape(2) == q, "not a row for each unknown");
     require(right.shape(0) == fields && right.shape(3) == n, "not as many places on both sides");
+    require(beside.shape(0) == fields && beside.shape(2) == n, "not as many moments as places");
+    require(shift.shape(1) == k && shift.shape(2) == n, "not as many shifts as places");
     require(field.shape(0) == k, "not a field for each covariance");
     const auto places = checked(field, fields, "no such field");
     Out<double> result({k, 3, n});
     {
         nb::gil_scoped_release unlocked;
         Table x(n), y(n);
-        std::fill_n(result.data, 3 * k * n, 0.0);
-        for (size_t choice = 0; choice < k; ++choice)
+        for (size_t choice = 0; choice < k; ++choice) {
+            double* sums = result.data + 3 * n * choice;
+            const double *own = beside.data() + 3 * n * places[choice], *off = shift.data() + n * choice;
+            for (size_t place = 0; place < n; ++place) {
+                const double by_x = off[place], by_y = off[n * k + place];
+                sums[place] = own[place] + by_x * by_x;
+                sums[n + place] = own[n + place] + by_x * by_y;
+                sums[2 * n + place] = own[2 * n + place] + by_y * by_y;
+            }
             for (size_t i = 0; i < q; ++i)
                 add_row(covariances.data() + (choice * q + i) * q, q, n, i, left.data() + 2 * q * n * places[choice],
-                        right.data() + 2 * q * n * places[choice], x.data(), y.data(), result.data + 3 * n * choice);
+                        right.data() + 2 * q * n * places[choice], x.data(), y.data(), sums);
+        }
     }
     return result.array();
 }
@@ -192,7 +202,8 @@ Result moments_below(In<double, -1, 3, -1> moments, Numbers share, Matrix stated
 void add_posterior(nb::module_& module) {
     module.def("evidence_terms", &evidence_terms, named("matrices"), named("vectors"), named("at"), named("precision"),
                named("order"), named("pairs"));
-    module.def("moments_of", &moments_of, named("covariances"), named("field"), named("left"), named("right"));
+    module.def("moments_of", &moments_of, named("covariances"), named("field"), named("left"), named("right"),
+               named("beside"), named("shift"));
     module.def("moments_below", &moments_below, named("moments"), named("share"), named("stated"), named("cosines"),
                named("bounds"), nb::arg("smallest"));
 }

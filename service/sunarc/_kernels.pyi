@@ -201,14 +201,25 @@ def evidence_terms(
     ValueError : lengths that differ, a place beyond the unknowns.
     """
 
-def moments_of(covariances: FloatArray, field: IntArray, left: FloatArray, right: FloatArray) -> FloatArray:
-    """Return (k, 3, n): L' C R made symmetric, its xx, xy and yy, of covariances (k, q, q), L and R (f, 2, q, n).
+def moments_of(
+    covariances: FloatArray,
+    field: IntArray,
+    left: FloatArray,
+    right: FloatArray,
+    beside: FloatArray,
+    shift: FloatArray,
+) -> FloatArray:
+    """Return second moments (k, 3, n), xx, xy and yy: L' C R made symmetric of covariances (k, q, q), and more.
 
-    `field` (k,) says which L and R each covariance has.
+    Parameters
+    ----------
+    field : (k,) which of the f L and R each covariance has.
+    left, right : L and R (f, 2, q, n).
+    beside : (f, 3, n) moments that are added. shift : (2, k, n) whose products are.
 
     Raises
     ------
-    ValueError : lengths that differ.
+    ValueError : lengths that differ, a field that is none.
     """
 
 def moments_below(

@@ -200,12 +200,15 @@ def test_moments_and_mean_are_those_of_each_choice_s_covariance(
 ) -> None:
     choices, rng = module.plausible(field_sums(system.normal(), grid), grid, at), np.random.default_rng(8)
     left, right = rng.standard_normal((2, len(choices.fields), 2, at.size, 5))
-    found, known, back = choices.moments(left, right), choices.known[choices.field], choices.back[choices.field]
+    beside, shift = rng.standard_normal((len(choices.fields), 3, 5)), rng.standard_normal((2, choices.field.size, 5))
+    found = choices.moments(left, right, beside, shift)
+    known, back = choices.known[choices.field], choices.back[choices.field]
     covariances = known + back @ choices.covariance @ back.swapaxes(1, 2)
     for k, n in np.ndindex(len(covariances), 5):
         field = choices.field[k]
         product = left[field, ..., n] @ covariances[k] @ right[field, ..., n].T
-        expected = 0.5 * (product + product.T)[[0, 0, 1], [0, 1, 1]]
+        product = 0.5 * (product + product.T) + np.outer(shift[:, k, n], shift[:, k, n])
+        expected = product[[0, 0, 1], [0, 1, 1]] + beside[field, :, n]
         np.testing.assert_allclose(found[k, :, n], expected, rtol=1e-9, atol=1e-9 * np.max(np.abs(product)))
     mean = np.tensordot(choices.share, covariances, 1) + (choices.shift.T * choices.share) @ choices.shift
     np.testing.assert_allclose(choices.mean_covariances()[0], mean, rtol=1e-9, atol=1e-12)

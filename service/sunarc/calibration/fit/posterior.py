@@ -207,14 +207,15 @@ class Choices:
             cross = cross + np.einsum("k,kp,kam->apm", self.share, self.shift, self.field_shift, optimize=True)
         return np.sum(means, axis=0) + self.beside + (self.shift.T * self.share) @ self.shift, cross
 
-    def moments(self, left: FloatArray, right: FloatArray) -> FloatArray:
-        """Return (k, 3, n): L' C R made symmetric, xx, xy and yy at n places, of each field's L and R (f, 2, p, n)."""
+    def moments(self, left: FloatArray, right: FloatArray, beside: FloatArray, shift: FloatArray) -> FloatArray:
+        """Return (k, 3, n): L' C R made symmetric, xx, xy and yy at n places, of each field's L and R (f, 2, p, n).
+
+        With what each field has `beside` it (f, 3, n), and the products of a shift (2, k, n) of each choice.
+        """
         through = self.known[:, None] @ right
-        own = np.stack([np.einsum("fpn,fpn->fn", left[:, a], through[:, b]) for a in (0, 1) for b in (0, 1)], axis=1)
-        own[:, 1] = 0.5 * (own[:, 1] + own[:, 2])
-        back = self.back.swapaxes(1, 2)[:, None]
-        by_turned = _kernels.moments_of(self.covariance, self.field, back @ left, back @ right)
-        return np.asarray(by_turned + own[:, [0, 1, 3]][self.field])
+        xx, xy, yx, yy = (np.einsum("fpn,fpn->fn", left[:, a], through[:, b]) for a in (0, 1) for b in (0, 1))
+        own, back = np.stack([xx, 0.5 * (xy + yx), yy], axis=1) + beside, self.back.swapaxes(1, 2)[:, None]
+        return _kernels.moments_of(self.covariance, self.field, back @ left, back @ right, own, shift)
 
 
 def stated_posterior(
@@ -346,9 +347,9 @@ def at_probes(choices: Choices, rows: FloatArray, values: FloatArray) -> FloatAr
     rows, values : derivatives by the unknowns there, (n, 2, p), and values of the field's basis, (n, m).
     """
     by_unknowns = np.ascontiguousarray(rows.transpose(1, 2, 0))
-    x, y = choices.shift @ by_unknowns
+    shift = choices.shift @ by_unknowns
     if choices.field_shift is not None:
-        x, y = np.stack([x, y]) + choices.field_shift.swapaxes(0, 1) @ values.T
+        shift = shift + choices.field_shift.swapaxes(0, 1) @ values.T
     axes = {field.length_px: field.turned.axes for field in choices.fields}
     in_axes = {length: values @ one.transform for length, one in axes.items()}
     # J' of each component with the field's posterior at the places; of either component what sightings leave of it
@@ -359,14 +360,9 @@ def at_probes(choices: Choices, rows: FloatArray, values: FloatArray) -> FloatAr
     if choices.field_shift is not None:
         left = right = by_unknowns - pull
         left_over -= [in_axes[one.length_px] ** 2 @ (one.amplitude_px**2 - one.shrink) for one in choices.fields]
-    moments = choices.moments(left, right)
     in_addition = (rows @ choices.beside @ rows.swapaxes(1, 2))[:, [0, 0, 1], [0, 1, 1]].T
     of_field = np.maximum(left_over, 0.0)[:, None] * np.array([1.0, 0.0, 1.0])[:, None]
-    moments += (in_addition + of_field)[choices.field]
-    moments[:, 0] += x * x
-    moments[:, 1] += x * y
-    moments[:, 2] += y * y
-    return moments
+    return choices.moments(left, right, in_addition + of_field, shift)
 
 
 def shown_sky(problem: FitProblem, unknowns: FloatArray) -> tuple[Sightings, FloatArray, FloatArray]:

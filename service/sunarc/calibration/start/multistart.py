@@ -127,10 +127,15 @@ def settled(
     problem: FitProblem, observed: Sightings, start: FloatArray, *, precision: FloatArray, tolerance: float = 1e-6
 ) -> FloatArray:
     """Return the robust fit from one start at the scale that it leaves over."""
-    distance = np.linalg.norm(problem.residuals(start, observed), axis=-1) * np.sqrt(observed.information)
-    share, epoch = surely_well_behaved(len(observed), problem.size), observed.epoch
+    residual, epoch = problem.residuals(start, observed), observed.epoch
+    distance = np.sqrt(residual[:, 0] ** 2 + residual[:, 1] ** 2) * np.sqrt(observed.information)
+    share = surely_well_behaved(len(observed), problem.size)
     # that of the pose that fits worst so far: by one that fits already, it would be left out whole
-    sigma = max(robust_sigma(distance[epoch == e], share=share, floor=SMALLEST_SIGMA_PX) for e in np.unique(epoch))
+    sigma = max(
+        robust_sigma(distance[epoch == e], share=share, floor=SMALLEST_SIGMA_PX)
+        for e in range(problem.n_epochs)
+        if np.any(epoch == e)
+    )
     return most_probable(
         problem, observed, start, precision=precision, sigma=sigma, iterations=20, tolerance=tolerance
     ).unknowns
