@@ -9,11 +9,13 @@ import tomllib
 import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
+from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import sunarc
 from sunarc.archive.csv_files import read_sightings
+from sunarc.array_types import FloatArray
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.change_points import calibrate_moved
 from sunarc.calibration.lens_library.first_pose import calibrate_with_lens
@@ -163,18 +165,23 @@ def calibrate_file(
         from sunarc.studies.reports import write_calibration_plots  # noqa: PLC0415 - the plot library is slow to load
 
         write_calibration_plots(solved, points, folder=plots)
-    now = clock.now()
     since = points.unix_s[points.epoch == points.epoch.max()] if len(points) else points.unix_s
-    first = utc_time(float(since.min())) if since.size else now
+    return _document(solved, since, clock.now(), camera=path.stem)
+
+
+def _document(
+    solved: Calibration, unix_s: FloatArray, now: datetime, *, camera: str, pose_epoch: str = ""
+) -> dict[str, Any]:
+    """Return the document of a calibration that is made now, valid since the first of its sightings' times (n,)."""
     return to_document(
         solved,
         id=uuid.uuid4().hex,
-        camera=path.stem,
+        camera=camera,
         state="candidate" if solved.verdict.accepted or solved.sigma_limit_deg is not None else "refused",
         created_at=now,
-        valid_from=first,
+        valid_from=utc_time(float(unix_s.min())) if unix_s.size else now,
         valid_until=None,
-        pose_epoch="",
+        pose_epoch=pose_epoch,
         software_version=sunarc.__version__,
     )
 
@@ -325,18 +332,7 @@ def calibrate_joint(path: Path, *, folder: Path, clock: Clock) -> list[dict[str,
     folder.mkdir(parents=True, exist_ok=True)
     now = clock.now()
     for entry, solved in zip(spec.entries, joint.calibrations, strict=True):
-        times = entry.points.unix_s
-        document = to_document(
-            solved,
-            id=uuid.uuid4().hex,
-            camera=entry.camera,
-            state="candidate" if solved.verdict.accepted else "refused",
-            created_at=now,
-            valid_from=utc_time(float(times.min())) if times.size else now,
-            valid_until=None,
-            pose_epoch=entry.epoch,
-            software_version=sunarc.__version__,
-        )
+        document = _document(solved, entry.points.unix_s, now, camera=entry.camera, pose_epoch=entry.epoch)
         name = "-".join(filter(None, (entry.camera, entry.epoch)))
         (folder / f"{name}.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
         documents.append(document)

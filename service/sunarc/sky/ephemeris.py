@@ -59,7 +59,10 @@ def geocentric(unix_s: FloatArray, delta_t_s: float) -> Geocentric:
         -before * place * beyond / 2.0,
         before * place * after / 6.0,
     )
-    x, y, z, distance, nutation = np.sum([weight * table[:, first + k] for k, weight in enumerate(weights)], axis=0)
+    columns = np.zeros((5, unix_s.size))
+    for k, weight in enumerate(weights):
+        columns += weight * table[:, first + k]
+    x, y, z, distance, nutation = columns
     return Geocentric(
         sidereal=(_mean_sidereal(unix_s) + nutation) % 360.0,
         right_ascension=np.degrees(np.arctan2(y, x)) % 360.0,

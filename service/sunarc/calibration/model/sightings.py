@@ -85,16 +85,18 @@ def static_sightings(pixels: FloatArray, directions: FloatArray, group: IntArray
     ordered = key[by_cell]
     cells = ordered[np.diff(ordered, prepend=-1) > 0]
     # cells of one column follow each other: the nine about one are three runs
-    firsts = [np.searchsorted(ordered, cells + column * width - 1) for column in (-1, 0, 1)]
-    lasts = [np.searchsorted(ordered, cells + column * width + 1, side="right") for column in (-1, 0, 1)]
-    around = np.sum(lasts, axis=0) - np.sum(firsts, axis=0)
+    firsts = np.stack([np.searchsorted(ordered, cells + column * width - 1) for column in (-1, 0, 1)])
+    lasts = np.stack([np.searchsorted(ordered, cells + column * width + 1, side="right") for column in (-1, 0, 1)])
+    around = np.sum(lasts - firsts, axis=0)
+    many = np.flatnonzero(around >= _FEWEST)
     sums = np.concatenate([np.zeros((1, 3)), np.cumsum(directions[by_cell], axis=0)])
-    mean = np.sum(sums[lasts] - sums[firsts], axis=0) / around[:, None]
+    mean = np.sum(sums[lasts[:, many]] - sums[firsts[:, many]], axis=0) / around[many, None]
     # the mean of unit vectors is short where they differ: cheap enough for every cell
-    suspect = np.flatnonzero((around >= _FEWEST) & (np.linalg.norm(mean, axis=-1) < _STILL))
+    suspect = many[np.linalg.norm(mean, axis=-1) < _STILL]
     static = np.zeros(pixels.shape[0], dtype=bool)
     for one in suspect:
-        rows = np.concatenate([by_cell[first[one] : last[one]] for first, last in zip(firsts, lasts, strict=True)])
+        runs = zip(firsts[:, one], lasts[:, one], strict=True)
+        rows = np.concatenate([by_cell[first:last] for first, last in runs])
         # most of them far from their middle: a few false sightings do not make it so
         middle = np.median(directions[rows], axis=0)
         middle /= max(float(np.linalg.norm(middle)), 1e-9)
@@ -363,10 +365,11 @@ def _of_the_air(points: Sightings, directions: FloatArray, day: IntArray, site: 
     night[other] = sun_angles(points.unix_s[other], site).apparent_zenith > _NIGHT_ZENITH_DEG
     days, number = np.unique(day, return_inverse=True)
     runs = min(days.size, _AIR_RUNS)
-    share = np.zeros((n, 2 + runs))
+    share = np.zeros((n, 2 + runs))  # of the refraction
     share[:, 0], share[:, 1] = MEASURED_AIR_SD * measured, ASSUMED_AIR_SD * ~measured
     share[np.arange(n), 2 + number * runs // max(days.size, 1)] = DAILY_AIR_SD * ~measured
-    return {"night": night, "refraction_sd": refraction_rad(directions, site)[:, None] * share}
+    share *= refraction_rad(directions, site)[:, None]
+    return {"night": night, "refraction_sd": share}
 
 
 def _relative_sigma(sigma_px: FloatArray, alone: BoolArray) -> tuple[FloatArray, float]:
