@@ -175,6 +175,19 @@ def test_parts_are_predicted_within_chance_and_a_part_from_elsewhere_is_not() ->
     assert elsewhere.rmse_px > 5.0
 
 
+def test_a_part_that_says_nothing_of_the_camera_is_not_judged() -> None:
+    """As where the bins of a part lie beyond what the fitted camera shows: their rows are 0."""
+    fit, usable = _fit(4)
+    silent = (np.arange(len(usable)) < PER_DAY)[np.unique(fit.member, return_index=True)[1]]
+    system = replace(fit.system, rows=np.where(silent[:, None, None], 0.0, fit.system.rows))
+    of_others = replace(fit, system=system)
+    found = doubts(of_others, usable, without_parts(of_others, usable))
+    assert found.n > 0
+    assert 0.0 < found.excess < 1.0
+    nothing = replace(fit, system=replace(fit.system, rows=0.0 * fit.system.rows))
+    assert doubts(nothing, usable, without_parts(nothing, usable)) == doubts(fit, usable, [])
+
+
 def test_a_day_whose_camera_is_turned_shows_by_how_much() -> None:
     fit, usable = _fit(4)
     pose, last = fit.problem.pose_slice(0), usable.day == 3

@@ -164,7 +164,8 @@ def doubts(fit: RobustFit, usable: Sightings, without: Sequence[_Without]) -> Do
     """
     # the sun's track is judged: whether stars agree with it is a question of its own (`night_check`)
     judged = (usable.kind == Kind.SUN) & (fit.noise.weight > 0.0)
-    parts = [_met(one, fit, usable, judged) for one in without if np.any(one.out & judged)]
+    met = (_met(one, fit, usable, judged) for one in without if np.any(one.out & judged))
+    parts = [part for part in met if part.errors.size]
     if not parts:
         return Doubts(0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0)
     worst = max(parts, key=lambda part: float(np.max(np.abs(part.errors))))

@@ -150,9 +150,9 @@ def _proven_effects(calibration: Calibration) -> Iterator[Finding]:
         yield Finding("clock_drifts", {"log_odds": proven["daily_clock"]})
     if "outwards" in proven:
         yield Finding("detections_biased", {"log_odds": proven["outwards"]})
-    if "sways" in proven:
-        east, north, up = calibration.evidence.pose_spread_deg or (0.0, 0.0, 0.0)
-        of_days = {"east_deg": east, "north_deg": north, "up_deg": up}
+    spread = calibration.evidence.pose_spread_deg
+    if "sways" in proven and spread is not None:
+        of_days = dict(zip(("east_deg", "north_deg", "up_deg"), spread, strict=True))
         yield Finding("mount_sways", {"log_odds": proven["sways"], **of_days})
 
 

@@ -295,7 +295,7 @@ def _reduced(part: ImagePart) -> tuple[FloatArray, float, float]:
     step = _glare_step(part.size)
     rows, columns = (max(1, size // step) for size in plane.shape)
     small = cv2.resize(shown[: rows * step, : columns * step], (columns, rows), interpolation=cv2.INTER_AREA)
-    blur = max(_GLARE_BLUR_PX * max(1, part.size // step) / _GLARE_PX, 0.5)
+    blur = _GLARE_BLUR_PX * (part.size // step) / _GLARE_PX
     return np.asarray(small, dtype=np.float64), float(step), blur
 
 
