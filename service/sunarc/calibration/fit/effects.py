@@ -19,6 +19,7 @@ from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.calibration.noise import lag_one, neighbours
 from sunarc.calibration.solve.priors import LENS, STRETCH, with_wide_pixels
 from sunarc.calibration.solve.problem import Block, FitProblem, by_elevation
+from sunarc.optics.camera import Param
 from sunarc.optics.forward import by_direction, project_with_rows_fast
 from sunarc.optics.projections import ideal_radius
 from sunarc.robust_statistics import counted_roots
@@ -125,8 +126,10 @@ def _seem_to_sway(view: _View, in_run: BoolArray, turns: FloatArray) -> bool:
     distance = np.linalg.norm(view.off, axis=-1) * np.sqrt(view.seen.information)
     root = counted_roots(distance, view.seen.information, floor=_NEGLIGIBLE_PX)
     rows, off = turns * root[:, None, None], view.off * root[:, None]
-    products = np.einsum("nr,nap,naq->rpq", in_run, rows, rows, optimize=True)
-    pulls = np.einsum("nr,nap,na->rp", in_run, rows, off, optimize=True)
+    x, y = np.moveaxis(np.concatenate([rows, off[..., None]], axis=-1), 1, 0)
+    of_each = (x[:, :, None] * x[:, None] + y[:, :, None] * y[:, None]).reshape(-1, 16)
+    of_runs = (in_run.T.astype(np.float64) @ of_each).reshape(-1, 4, 4)
+    products, pulls = of_runs[:, :3, :3], of_runs[:, :3, 3]
     if not np.all(np.diagonal(products, axis1=1, axis2=2) > 0.0):
         return False
     left = off - np.einsum("nap,np->na", rows, in_run @ _most_probable(products, pulls))
@@ -176,7 +179,7 @@ def with_effects(problem: FitProblem, unknowns: FloatArray, observed: Sightings)
     for name, found in _displacements(view):
         acts = np.any(np.abs(found) > _NEGLIGIBLE_PX, axis=(0, 1))
         if np.any(acts):
-            columns.append(found[:, :, acts])
+            columns.append(found if np.all(acts) else found[:, :, acts])
             blocks.append(Block(name, slice(start, start + int(acts.sum()))))
             start = blocks[-1].columns.stop
     together = np.concatenate([np.zeros((len(observed), 2, 0)), *columns], axis=-1)
@@ -187,7 +190,8 @@ def _view(problem: FitProblem, unknowns: FloatArray, observed: Sightings) -> _Vi
     """Return the sightings as the cameras of their epochs show them; 0 where one shows nothing."""
     n = len(observed)
     wide = with_wide_pixels(problem.prior).basis[:, STRETCH]
-    stretched = wide * np.any(wide != problem.prior.basis[:, STRETCH])
+    stretched = np.zeros((len(Param), 2))
+    stretched[LENS] = wide * np.any(wide != problem.prior.basis[:, STRETCH])
     (days, day), times = np.unique(observed.day, return_inverse=True), np.nan_to_num(observed.unix_s)
     view = _View(
         observed,
@@ -202,10 +206,10 @@ def _view(problem: FitProblem, unknowns: FloatArray, observed: Sightings) -> _Vi
         (times - (np.bincount(day, times) / np.bincount(day))[day]) / 3600.0,
     )
     for epoch in range(problem.n_epochs):
-        rows = observed.epoch == epoch
+        rows = observed.epoch == epoch if problem.n_epochs > 1 else slice(None)
         camera, directions = problem.camera(unknowns, epoch), observed.directions[rows]
         pixels, by_parameters = project_with_rows_fast(camera, directions)
-        view.stretch[rows] = by_parameters[..., LENS] @ stretched
+        view.stretch[rows] = by_parameters @ stretched
         view.by_direction[rows] = by_direction(camera, by_parameters)
         view.rise[rows] = by_elevation(camera, directions, by_parameters)
         view.off[rows] = np.nan_to_num(observed.pixels[rows] - pixels)

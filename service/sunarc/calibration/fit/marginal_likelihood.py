@@ -476,9 +476,9 @@ class Turned(NamedTuple):
 
     def absorbed(self, shrink: FloatArray) -> FloatArray:
         """Return (..., p, p): what fields of variances (..., r) take from the sightings' information on them."""
-        p = self.rows.shape[1]
-        both = (np.sqrt(shrink)[..., None, None, :] * self.rows).swapaxes(-3, -2).reshape(*shrink.shape[:-1], p, -1)
-        return np.asarray(both @ both.swapaxes(-1, -2))
+        p, (x, y) = self.rows.shape[1], self.rows
+        products = (x[:, None] * x + y[:, None] * y).reshape(p * p, -1)
+        return np.asarray(shrink @ products.T).reshape(*shrink.shape[:-1], p, p)
 
 
 # Which scales the data speak for: the field's amplitude and length, the radial distortion's and the decentering's.

@@ -275,7 +275,7 @@ def _possible(covariance: FloatArray, cross: FloatArray, variances: FloatArray) 
     """Return terms (2, p, m) of unknowns and waves of some variances (m,) that a covariance of both can have."""
     counts = variances > _NEGLIGIBLE_WAVE * variances.max()
     both = _whitened(covariance, cross[:, :, counts] / np.sqrt(variances[counts]))
-    return np.asarray(cross * counts / max(float(np.linalg.norm(both, 2)), 1.0))
+    return np.asarray(cross * counts / math.sqrt(max(float(np.linalg.eigvalsh(both @ both.T)[-1]), 1.0)))
 
 
 def plausible(
