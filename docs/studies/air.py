@@ -44,7 +44,7 @@ def one_lens(
         times.append(track)
         air.append(np.full(track.size, degrees))
     known = {"temperature": np.concatenate(air)} if measured else {}
-    points = Sightings.of(unix_s=np.concatenate(times), pixels=np.concatenate(pixels), **known)
+    points = Sightings.of(unix_s=np.concatenate(times), pixels=np.concatenate(pixels), clock_error_s=0.0, **known)
     fit = calibrate(points, site=pop.SGP, image_size=(pop.SIZE, pop.SIZE))
     sky = hemisphere(1000)
     found, covariance = project_with_covariance(fit, sky)

@@ -35,14 +35,20 @@ def squared_sigmas(error: FloatArray, covariance: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[..., None])[..., 0]))
 
 
-def within_stated(fit: Calibration, pixels: FloatArray, error: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return (n, 4): 1 where errors (n, 2) of pixels (n, 2), px, lie in what a fit states for 50, 68, 95 and 99 %."""
+def within_stated(
+    fit: Calibration,
+    pixels: FloatArray,
+    error: FloatArray,
+    covariance: FloatArray,
+    shares: tuple[float, ...] = STATED,
+) -> FloatArray:
+    """Return (n, m): 1 where errors (n, 2) of pixels (n, 2), px, lie in what a fit states for some shares (m,)."""
     square = squared_sigmas(error, covariance)
-    factors = np.ones((4, square.size))
+    factors = np.ones((len(shares), square.size))
     mixture = getattr(fit, "mixture", None)  # versions before 0.4 have none: `coverage_pairs.py`
     if mixture is not None:
-        factors = np.array([mixture.sigma_factors(pixels, share) for share in STATED])
-    limits = -2.0 * np.log1p(-np.array(STATED)) * factors.T**2
+        factors = np.array([mixture.sigma_factors(pixels, share) for share in shares])
+    limits = -2.0 * np.log1p(-np.array(shares)) * factors.T**2
     return np.asarray(square[:, None] < limits, dtype=float)
 
 

@@ -134,6 +134,7 @@ def stars_of(
         sigma_px=np.concatenate(sigma),
         directions=np.concatenate(directions),
         kind=np.full(sum(map(len, times)), Kind.STAR),
+        clock_error_s=0.0,
     )
 
 
@@ -141,7 +142,7 @@ def detected(camera: Camera, times: FloatArray, noise: FloatArray, *, field: pop
     """Return the sun's sightings."""
     pixels = project(camera, air.raised(sun_directions(times, pop.SGP), times))
     pixels = pixels if field is None else pixels + field(pixels)
-    return Sightings.of(unix_s=times, pixels=pixels + noise, sigma_px=np.full(times.size, 0.03))
+    return Sightings.of(unix_s=times, pixels=pixels + noise, sigma_px=np.full(times.size, 0.03), clock_error_s=0.0)
 
 
 def together(first: Sightings, second: Sightings) -> Sightings:

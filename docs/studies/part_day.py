@@ -41,7 +41,8 @@ def one_lens(
         return np.asarray(pixels + field(pixels))
 
     pixels = seen(sun_directions(times, pop.SGP)) + rng.normal(0.0, sigma_px, (count, 2))
-    fit = calibrate(Sightings.of(unix_s=times, pixels=pixels), site=pop.SGP, image_size=(pop.SIZE, pop.SIZE))
+    points = Sightings.of(unix_s=times, pixels=pixels, clock_error_s=0.0)
+    fit = calibrate(points, site=pop.SGP, image_size=(pop.SIZE, pop.SIZE))
     sky = hemisphere(1000)
     found, covariance = project_with_covariance(fit, sky)
     error = found - seen(sky)
