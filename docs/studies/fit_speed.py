@@ -28,6 +28,7 @@ from sunarc.calibration.solve.levenberg_marquardt import most_probable
 from sunarc.calibration.solve.priors import lens_prior
 from sunarc.calibration.solve.problem import problem_for
 from sunarc.optics.camera import Camera
+from sunarc.runtime.child_process import keep_freed_memory
 
 FloatArray = NDArray[np.float64]
 
@@ -108,6 +109,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--repeats", type=int, default=5)
     repeats = parser.parse_args().repeats
+    keep_freed_memory()  # as the process of a refit does
     whole_fits(repeats)
     solver_alone(repeats)
 

@@ -29,6 +29,7 @@ def refuse(increment: int) -> int:
 
 def test_a_solve_that_may_not_step_back_is_solved_as_an_equal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "nice", refuse)  # as the filter of deploy/sunarc.service does
+    monkeypatch.setattr("sunarc.runtime.child_process.keep_freed_memory", lambda: None)  # this process is no child
     receiving, sending = multiprocessing.Pipe()
     nothing = Sightings.of(unix_s=np.empty(0), pixels=np.empty((0, 2)))
     site = Site(latitude=36.6, longitude=-97.5, altitude=318.0)
@@ -52,6 +53,19 @@ def test_the_process_of_a_solve_imports_the_core_and_neither_workers_nor_the_dat
     imported = set(done.stdout.decode().split())
     assert "sunarc.calibration.calibrate" in imported
     assert not imported & {"sunarc.workers", "sunarc.archive", "sqlalchemy", "sunarc.runtime.status", "fastapi"}
+
+
+@pytest.mark.parametrize(("first", "fewest", "most"), [("", 20_000, 60_000), ("keep_freed_memory()", 500, 10_000)])
+def test_memory_that_is_kept_is_not_mapped_anew(first: str, fewest: int, most: int) -> None:
+    script = (
+        "import resource; from sunarc.runtime.child_process import keep_freed_memory\n"
+        f"{first}\n"
+        "for _ in range(30): bytearray(4_000_000)\n"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt)"
+    )
+    as_the_unit = {**os.environ, "MALLOC_MMAP_THRESHOLD_": "1048576"}
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, check=True, env=as_the_unit)
+    assert fewest < int(done.stdout) < most
 
 
 def test_the_process_of_a_solve_computes_with_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,10 +1,11 @@
-"""How computing processes share the host: threads, priority, and the child process of a long computation.
+"""How computing processes share the host: threads, memory, priority, and the child of a long computation.
 
 A module of its own that imports nothing: the child imports the packages of what it is to do, and no others.
 """
 
 from __future__ import annotations
 
+import ctypes
 import os
 from collections.abc import Callable
 from contextlib import suppress
@@ -30,6 +31,7 @@ def answer_call(connection: Connection[object, Callable[[], object]]) -> None:
         os.nice(_NICENESS)
     with suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text(_OOM_SCORE, encoding="ascii")
+    keep_freed_memory()
     call = connection.recv()
     try:
         answer = call()
@@ -37,6 +39,21 @@ def answer_call(connection: Connection[object, Callable[[], object]]) -> None:
         answer = f"{type(error).__name__}: {error}"
     with suppress(BrokenPipeError):  # the service was killed meanwhile; its next start begins anew
         connection.send(answer)
+
+
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
+_KEPT_BYTES, _LARGEST_BYTES = 1 << 29, 1 << 25
+
+
+def keep_freed_memory() -> None:
+    """Have glibc keep what this process frees, blocks below 32 MB, for what it asks for next.
+
+    A fit asks for some MB thousands of times. With the unit's setting, by which the service gives back what its frames
+    needed, every MB would be mapped and cleared anew: a third of the time of a fit of ten days.
+    """
+    with suppress(AttributeError):  # another C library
+        ctypes.CDLL(None).mallopt(_TRIM_THRESHOLD, _KEPT_BYTES)
+        ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, _LARGEST_BYTES)
 
 
 _VARIABLES = ("OMP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
