@@ -221,7 +221,7 @@ def _ransac_starts(
 def _distances(residual: FloatArray, rows: FloatArray, steps: FloatArray, weight: FloatArray) -> FloatArray:
     """Return (k, n): distances after steps (k, p), each by its weight (n,)."""
     after = residual.ravel() - steps @ rows.reshape(-1, steps.shape[-1]).T
-    return np.asarray(np.hypot(after[:, ::2], after[:, 1::2]) * weight)
+    return np.asarray(np.sqrt(after[:, ::2] ** 2 + after[:, 1::2] ** 2) * weight)
 
 
 def _disagreements(distances: FloatArray) -> FloatArray:
