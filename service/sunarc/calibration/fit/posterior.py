@@ -356,7 +356,7 @@ def at_probes(choices: Choices, rows: FloatArray, values: FloatArray) -> FloatAr
     pull = np.stack([(one.turned.rows * one.shrink) @ in_axes[one.length_px].T for one in choices.fields])
     left_over = np.square([one.amplitude_px for one in choices.fields])[:, None] + np.zeros(len(values))
     # camera and field: J C J' - J C X' - X C J', and with the field's mean in the prediction X C X' beside it
-    left, right = by_unknowns + np.zeros_like(pull), by_unknowns - 2.0 * pull
+    left, right = np.broadcast_to(by_unknowns, pull.shape), by_unknowns - 2.0 * pull
     if choices.field_shift is not None:
         left = right = by_unknowns - pull
         left_over -= [in_axes[one.length_px] ** 2 @ (one.amplitude_px**2 - one.shrink) for one in choices.fields]
