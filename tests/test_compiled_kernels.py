@@ -326,7 +326,16 @@ def test_numbers_that_are_none_end_in_an_answer(name: str, value: float) -> None
             assert flat(call(name, **{argument: np.full_like(array, worst)}))
 
 
-_BY_PLACE = ["most_probable", "residuals_and_columns_of", "paper_fit", "waves_at", "likelihood_of", "count_light"]
+_BY_PLACE = [
+    "most_probable",
+    "residuals_and_columns_of",
+    "paper_fit",
+    "waves_at",
+    "likelihood_of",
+    "count_light",
+    "evidence_terms",
+    "moments_of",
+]
 
 
 @pytest.mark.parametrize("name", _BY_PLACE)

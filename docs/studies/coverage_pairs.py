@@ -83,7 +83,7 @@ def pooled(pairs: list[tuple[Answers, Answers]], quantile: float) -> str:
     def mean(drawn: list[str]) -> float:
         ratios = []
         for old, new in pairs:
-            kept = [seed for seed in drawn if seed in old]
+            kept = [seed for seed in drawn if seed in old and seed in new]
             errors = np.array([[old[seed][0], new[seed][0]] for seed in kept])
             ratios.append(float(np.divide(*np.quantile(errors, quantile, axis=0)[::-1])))
         return float(np.exp(np.mean(np.log(ratios))))
@@ -108,7 +108,8 @@ def compare(before: Path, after: Path) -> None:
         print(f"| {case} | {len(both)} | {quantiles} | {', '.join(shares)} | {accepted} |")
         if not case.startswith("the pole"):
             pairs.append((olds[case], answers))
-    print(f"{len(pairs)} cases, ratio of the median {pooled(pairs, 0.5)}, of the P90 {pooled(pairs, 0.9)}")
+    if pairs:
+        print(f"{len(pairs)} cases, ratio of the median {pooled(pairs, 0.5)}, of the P90 {pooled(pairs, 0.9)}")
 
 
 def main() -> None:

@@ -11,7 +11,7 @@ constexpr size_t DECENTERINGS = 2, VARIED = RADIALS + DECENTERINGS;  // unknowns
 constexpr double DIAGONAL = 1.0 + 1e-13;  // marginal_likelihood.RIDGE is added to it
 
 // Eliminate the first `count` unknowns of a symmetric matrix (size, size), its upper half. Return the logarithm of their
-// determinant, no pivot taken for less than `least`; NaN where it is not positive.
+// determinant, no pivot taken for less than `least`; not finite where it is not positive.
 DISPATCHED double eliminate(double* matrix, size_t size, size_t count, double least) {
     double log_determinant = 0.0;
     for (size_t j = 0; j < count; ++j) {
@@ -187,6 +187,7 @@ Result moments_below(In<double, -1, 3, -1> moments, Numbers share, Matrix stated
                 }
                 double rest = bound - below, total = moment;
                 for (const Weighed& one : inside) {
+                    if (rest <= 0.0) break;  // what has no share may be no number
                     total += std::min(one.weight, rest) * one.value;
                     rest -= std::min(one.weight, rest);
                 }

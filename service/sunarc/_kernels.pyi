@@ -255,7 +255,7 @@ def residuals_of(
     directions: FloatArray,
     pixels: FloatArray,
 ) -> FloatArray:
-    """Return observed minus predicted pixels (n, 2), `robust_loss.UNSEEN_PX` where the lens shows nothing.
+    """Return observed minus predicted pixels (n, 2), `robust_statistics.UNSEEN_PX` where the lens shows nothing.
 
     Parameters
     ----------

@@ -85,9 +85,7 @@ def test_a_lost_database_is_restored_from_its_copy_at_the_start(field_computer: 
     assert field.restarts() == 0
 
 
-def test_a_flipped_bit_in_the_current_calibration_is_reported_and_the_one_before_is_served(
-    field_computer: Field,
-) -> None:
+def test_a_calibration_with_a_flipped_bit_is_reported_not_served_and_replaced(field_computer: Field) -> None:
     field = field_computer
     field.remember(days=2, a_day=200)
     first = refitted(field)

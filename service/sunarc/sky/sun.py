@@ -54,7 +54,9 @@ def sun_angles(
         empty = np.zeros(times.shape)
         return SunAngles(empty, empty.copy(), empty.copy())
     pressure_pa, celsius = (
-        assumed if measured is None else np.where(np.isfinite(measured), measured, assumed)
+        assumed
+        if measured is None
+        else np.where(np.isfinite(of := np.asarray(measured, dtype=np.float64)), of, assumed)
         for measured, assumed in ((pressure, site.pressure_pa), (temperature, site.temperature))
     )
     sun = geocentric(flat, terrestrial_minus_universal_s(flat))

@@ -314,7 +314,7 @@ class Calibration:
     parameter_names : what the covariance speaks of, in its order (see `PARAMETER_NAMES`).
     covariance : (p, p), clock and site errors folded into the pose.
     field : what no lens model says: its mean is in `camera.displacement`, what is not known of it in the uncertainty.
-    sky_rms_deg, sky_max_deg : 1-sigma per axis over the upper hemisphere that the camera sees.
+    sky_rms_deg, sky_max_deg : 1-sigma per axis over the upper hemisphere that the camera resolves.
     pose : the Table 2 angles.
     mixture : how the errors are spread about covariance and field; None: as a Gaussian's.
     left_out : (k,) rows of the sightings supplied that did not count; None where they are not at hand (of a calibration

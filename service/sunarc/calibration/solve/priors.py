@@ -191,4 +191,7 @@ def _radial_process(projection: Projection, length: float, upto: float) -> tuple
     shapes = np.linalg.svd((ideal @ powers)[None])[2][1:].T
     normal = shapes.T @ (powers.T @ powers + _RIDGE * np.eye(len(RADIAL_ORDERS))) @ shapes
     to_coefficients = shapes @ np.linalg.solve(normal, (powers @ shapes).T)
-    return to_coefficients, kernel, np.linalg.lstsq(powers, ideal)[0] * math.sqrt(_GRID) * _GAUGE
+    kept = to_coefficients, kernel, np.linalg.lstsq(powers, ideal)[0] * math.sqrt(_GRID) * _GAUGE
+    for array in kept:
+        array.setflags(write=False)
+    return kept

@@ -581,18 +581,16 @@ class CalibrationIntegrityCheck:
 
     def _report(self, code: str, *, calibration: str, **data: str) -> Reason:
         """Write an event the first time, and return the condition."""
-        finding, archive, name = (
-            Finding(code, {"calibration": calibration, **data}),
-            self.camera.archive,
-            self.camera.name,
-        )
-        written = archive.events.find(name, kind=code)
+        finding = Finding(code, {"calibration": calibration, **data})
+        if code == "calibration_damaged":
+            self._replace(calibration)
+        written = self.camera.archive.events.find(self.camera.name, kind=code)
         if all(event.details.get("calibration") != calibration for event in written):
             self.camera.add_event(finding, MESSAGES, time=self.now(), severity="alarm")
-            if code == "calibration_damaged":
-                archive.refits.request(
-                    Refit(
-                        id=uuid.uuid4().hex, camera=name, requested_at=self.now(), reason=f"in place of {calibration}"
-                    )
-                )
         return Reason.of(finding, MESSAGES)
+
+    def _replace(self, damaged: str) -> None:
+        """Ask for a refit in place of a damaged calibration, once."""
+        refits, name, reason = self.camera.archive.refits, self.camera.name, f"in place of {damaged}"
+        if all(asked.reason != reason for asked in refits.find(name)):
+            refits.request(Refit(id=uuid.uuid4().hex, camera=name, requested_at=self.now(), reason=reason))
