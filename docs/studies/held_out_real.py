@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from coverage_statistics import within_stated
+from coverage_statistics import STATED, within_stated
 from numpy.typing import NDArray
 
 from sunarc.archive.csv_files import read_sightings
@@ -52,7 +52,7 @@ def judged(
     pixels = points.pixels[~mask]
     found, covariance = project_with_covariance(fit, sun_directions(points.unix_s[~mask], site))
     covariance = covariance + fit.evidence.sigma_px**2 * np.eye(2)
-    within = within_stated(fit, found, pixels - found, covariance).mean(axis=0)[:3]
+    within = within_stated(fit, found, pixels - found, covariance, STATED[:3]).mean(axis=0)
     distance = float(np.nanmedian(np.linalg.norm(pixels - found, axis=-1)))
     return np.array([fit.verdict.accepted, fit.sky_rms_deg, distance, *within])
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import uuid
 from collections.abc import Callable, Container, Sequence
 from dataclasses import replace
 from datetime import date, datetime
@@ -380,9 +379,7 @@ class Service:
 
     def request_refit(self, reason: str) -> Refit:
         """Ask for a refit, or join the one that waits; the refit worker finds it in the archive."""
-        return self.archive.refits.request(
-            Refit(id=uuid.uuid4().hex, camera=self.settings.name, requested_at=self.frame_time.now(), reason=reason)
-        )
+        return self.archive.refits.request(Refit.asked(self.settings.name, reason, at=self.frame_time.now()))
 
     def _waiting_days(self) -> Container[date]:
         if self.folder is None or self.folder_archive is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import uuid
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from datetime import date, datetime
@@ -395,6 +396,11 @@ class Refit(Returned):
         str, described("How it ended, in a sentence; empty until then.", "1-sigma over the sky 0.0099 degrees")
     ] = ""
     findings: Findings = ()
+
+    @staticmethod
+    def asked(camera: str, reason: str, *, at: datetime) -> Refit:
+        """Return one that is asked for at a time, with an id of its own."""
+        return Refit(id=uuid.uuid4().hex, camera=camera, requested_at=at, reason=reason)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

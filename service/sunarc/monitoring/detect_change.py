@@ -45,7 +45,7 @@ from sunarc.calibration.start.initial_guess import ransac_rotation
 from sunarc.findings import Data, Finding
 from sunarc.monitoring.values import Change, ChangeKind, Hypothesis, Sighting, SightingWindow, WatchOptions
 from sunarc.optics.camera import Camera, Param
-from sunarc.optics.forward import project_fast, project_with_rows_fast
+from sunarc.optics.forward import by_direction, project_fast, project_with_rows_fast
 from sunarc.optics.pose import rotation_matrix
 from sunarc.robust_statistics import finite
 from sunarc.sky.refraction import ASSUMED_AIR_SD, DAILY_AIR_SD, refraction_rad
@@ -121,7 +121,7 @@ def wandering(unix_s: FloatArray, options: WatchOptions) -> FloatArray:
 def _of_air(camera: Camera, directions: FloatArray, site: Site) -> FloatArray:
     """Return (2n, 2n): the covariance of the sun's places from air that is not the assumed one, alike for all, px²."""
     _, by_parameters = project_with_rows_fast(camera, directions)
-    up = np.nan_to_num(by_elevation(camera, directions, by_parameters))
+    up = np.nan_to_num(by_elevation(directions, by_direction(camera, by_parameters)))
     shift = (up * (_AIR_SD * refraction_rad(directions, site))[:, None]).ravel()
     return np.outer(shift, shift)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import uuid
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -78,7 +77,7 @@ def calibrate_archive(
 
 def _carried_out(archive: Archive, settings: Settings, clock: Clock, *, keep_provisional: bool) -> Refit:
     """Return a refit that was requested and is finished; one that is interrupted has failed, and is not begun again."""
-    refit = Refit(id=uuid.uuid4().hex, camera=settings.name, requested_at=clock.now(), reason="sunarc calibrate")
+    refit = Refit.asked(settings.name, "sunarc calibrate", at=clock.now())
     archive.refits.add(refit)
     started_at = clock.now()
     worker = RefitWorker(

@@ -42,6 +42,7 @@ def answer_call(connection: Connection[object, Callable[[], object]]) -> None:
 
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
+"""Parameters of `mallopt` (glibc, malloc.h)."""
 _KEPT_BYTES, _LARGEST_BYTES = 1 << 29, 1 << 25
 
 

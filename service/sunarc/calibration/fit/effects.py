@@ -211,7 +211,7 @@ def _view(problem: FitProblem, unknowns: FloatArray, observed: Sightings) -> _Vi
         pixels, by_parameters = project_with_rows_fast(camera, directions)
         view.stretch[rows] = by_parameters @ stretched
         view.by_direction[rows] = by_direction(camera, by_parameters)
-        view.rise[rows] = by_elevation(camera, directions, by_parameters)
+        view.rise[rows] = by_elevation(directions, view.by_direction[rows])
         view.off[rows] = np.nan_to_num(observed.pixels[rows] - pixels)
         outwards = np.nan_to_num(pixels - np.array(camera.principal_point_px))
         far = np.linalg.norm(outwards, axis=-1)

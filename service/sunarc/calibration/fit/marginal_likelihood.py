@@ -83,8 +83,8 @@ def _longer(axes: FieldAxes, basis: WaveBasis, length_px: float, longer_px: floa
 
 def _axes_of(spread: FloatArray, factor: FloatArray) -> FieldAxes:
     """Return the axes where the products in units of the spread (m,) are B B' of a factor (m, few)."""
-    # B' B alone loses half of the digits: the axes that sightings tell little of would have a part in those that they
-    # tell much of, and exact sightings then no evidence; made orthogonal to these, they have none
+    # the eigenvectors of B' B have half of the digits: the weakly determined axes keep components along the strongly
+    # determined ones, and exact sightings would be no evidence; the QR decomposition removes these components
     turned = np.linalg.eigh(factor.T @ factor)[1][:, ::-1]
     vectors, upper = np.linalg.qr(factor @ turned)
     power = np.diag(upper) ** 2

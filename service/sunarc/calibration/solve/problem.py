@@ -15,7 +15,7 @@ from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.priors import LENS, N_LENS, LensPrior
 from sunarc.optics.camera import POSE, Camera, Param
-from sunarc.optics.forward import Optics, by_direction, kernel_optics
+from sunarc.optics.forward import Optics, kernel_optics
 from sunarc.optics.pose import rotation_matrix
 from sunarc.robust_statistics import UNSEEN_PX, is_shown
 from sunarc.sky.refraction import upward
@@ -203,14 +203,14 @@ class FitProblem:
         return np.asarray(vectors_of(prior.mean, np.ascontiguousarray(prior.basis), at, self.n_epochs))
 
 
-def by_elevation(camera: Camera, directions: FloatArray, by_parameters: FloatArray) -> FloatArray:
+def by_elevation(directions: FloatArray, by_directions: FloatArray) -> FloatArray:
     """Return (n, 2): px by which the image of directions (n, 3) moves per radian that they rise.
 
     Parameters
     ----------
-    by_parameters : (n, 2, 23) derivatives at these directions, see `project_with_rows_fast`.
+    by_directions : (n, 2, 3) derivatives by these directions, see `optics.forward.by_direction`.
     """
-    return np.asarray(np.einsum("nai,ni->na", by_direction(camera, by_parameters), upward(directions)))
+    return np.asarray(np.einsum("nai,ni->na", by_directions, upward(directions)))
 
 
 def problem_for(template: Camera, prior: LensPrior, *, n_epochs: int, max_angle: float = math.pi) -> FitProblem:

@@ -176,10 +176,10 @@ def first_cameras(
         thin = main.thinned(_THIN)
         # one problem for all: ideal lenses differ in the focal length alone, which has no prior here
         problem = single_problem(thin, tried[0], options, circle)
-        rough = [_polished(problem, thin, camera, stage=1, focal_prior=known) for camera in tried]
+        rough = [_polished(problem, thin, camera, whole=False, focal_prior=known) for camera in tried]
         rough.sort(key=lambda pair: pair[1])
         finer = [
-            _polished(single_problem(thin, camera, options, circle), thin, camera, stage=3)
+            _polished(single_problem(thin, camera, options, circle), thin, camera, whole=True)
             for camera, _ in rough[:_POLISHED]
         ]
         lens, cost = min(finer, key=lambda pair: pair[1])
@@ -187,15 +187,15 @@ def first_cameras(
 
 
 def _polished(
-    problem: FitProblem, observed: Sightings, camera: Camera, *, stage: int, focal_prior: bool = True
+    problem: FitProblem, observed: Sightings, camera: Camera, *, whole: bool, focal_prior: bool = True
 ) -> tuple[Camera, float]:
-    """Fit one candidate: stage 1 focal length, centre and pose; stage 3 everything, the radial part loosely."""
+    """Fit one candidate: focal length, centre and pose, or the whole of it, the radial part loosely."""
     unknowns = problem.unknowns([camera])
     precision = np.concatenate([precisions(_SEARCH_RADIAL_PX, _SEARCH_DECENTERING_PX), np.full(3, 1e-12)])
     if not focal_prior:
         precision[Whitened.FOCAL_LENGTH] = 1e-12
     free = np.ones(problem.size, dtype=bool)
-    if stage == 1:
+    if not whole:
         free[:N_LENS] = False
         free[[Whitened.FOCAL_LENGTH, Whitened.CENTER_X, Whitened.CENTER_Y]] = True
     for _ in range(3):

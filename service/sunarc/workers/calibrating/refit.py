@@ -593,4 +593,4 @@ class CalibrationIntegrityCheck:
         """Ask for a refit in place of a damaged calibration, once."""
         refits, name, reason = self.camera.archive.refits, self.camera.name, f"in place of {damaged}"
         if all(asked.reason != reason for asked in refits.find(name)):
-            refits.request(Refit(id=uuid.uuid4().hex, camera=name, requested_at=self.now(), reason=reason))
+            refits.request(Refit.asked(name, reason, at=self.now()))
