@@ -33,6 +33,7 @@ from sunarc.reanalysis.sources import Folder, hash_of
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.loop import DropOldestQueue, Loop
 from sunarc.runtime.status import CameraStatus, CaptureStatus, Reason, StatusRegistry
+from sunarc.workers.capture import NOT_WRITTEN
 from sunarc.workers.clock_watch import FrameTime
 from sunarc.workers.http_exchange import HttpAnswer, HttpRequest, Limit, UnfinishedError, fetch
 from sunarc.workers.messages import condition
@@ -244,7 +245,7 @@ class SnapshotWorker:
     ----------
     client : gets the pictures.
     kind : what the conditions' codes begin with: "http" or "rtsp".
-    keep_images : keep the pictures in the store; otherwise the last one alone.
+    keep_images : keep the pictures in the store where its disk has room; otherwise the last one alone.
     capture : the cadences, and down to where the sun is looked for.
     name : the camera's, on the board.
     images : looks for the sun.
@@ -332,10 +333,19 @@ class SnapshotWorker:
         return None
 
     def _written(self, found: Snapshot) -> Path:
-        """Write a picture where it is kept, or where the next one takes its place; return its path."""
+        """Write a picture where it is kept, or where the next one takes its place; return its path.
+
+        A disk without room costs the kept picture alone: the sun is found in it all the same.
+        """
         kind = f"hdr.{found.suffix}"
         if self.keep_images:
-            return self.store.write(found.time, found.content, kind=kind)
+            try:
+                kept = self.store.write(found.time, found.content, kind=kind)
+            except OutsideError as error:
+                self.board.set_condition(NOT_WRITTEN, condition(NOT_WRITTEN, error=str(error)))
+            else:
+                self.board.set_condition(NOT_WRITTEN, None)
+                return kept
         path = self.last / self.store.path(found.time, kind=kind).name
         try:
             write_atomically(path, found.content)

@@ -475,7 +475,8 @@ class ReplayWorker:
 
 # Composites from the normal exposures of a cycle, and their metadata.
 
-_NOT_WRITTEN = "images_not_written"
+NOT_WRITTEN = "images_not_written"
+"""Condition of a disk that refuses images."""
 
 
 @dataclass(eq=False)
@@ -525,9 +526,9 @@ class ComposeWorker:
             self.store.write(captured_at, png, kind="hdr.png")
             self.store.write(captured_at, jpeg, kind="hdr.jpg")
         except OutsideError as error:
-            self.board.set_condition(_NOT_WRITTEN, condition(_NOT_WRITTEN, error=str(error)))
+            self.board.set_condition(NOT_WRITTEN, condition(NOT_WRITTEN, error=str(error)))
         else:
-            self.board.set_condition(_NOT_WRITTEN, None)
+            self.board.set_condition(NOT_WRITTEN, None)
 
 
 def encode(image: Image, suffix: str) -> bytes:

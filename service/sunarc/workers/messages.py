@@ -314,8 +314,8 @@ MESSAGES = Messages(
     ),
     # disk and database
     images_not_written=Message(
-        "composite not written: {error}",
-        "Composites are missing.",
+        "images are not kept: {error}",
+        "Images are missing; the sun is looked for in each all the same.",
         "free space on the disk of the state folder, or make it writable",
     ),
     images_unreadable=Message(

@@ -159,6 +159,28 @@ def test_pictures_are_kept_where_that_is_set(camera: Camera, tmp_path: Path) -> 
     asked.service.archive.close()
 
 
+def test_a_disk_without_room_costs_kept_pictures_and_no_sighting(camera: Camera, tmp_path: Path) -> None:
+    asked = Asked(tmp_path, f"http://127.0.0.1:{camera.port}/", keep_images=True)
+    free_bytes = 1_199_000_000
+    asked.service.images._free_bytes = lambda _: free_bytes
+    for _ in range(3):
+        camera.answer = sent(shot(asked.clock.now()))
+        asked.take()
+    points = asked.service.archive.sightings.find("roof")
+    assert [(point.time, point.accepted) for point in points] == [
+        (MORNING + timedelta(seconds=30 * n), True) for n in range(3)
+    ]
+    assert asked.codes() == {"images_not_written"}
+    assert [path.name for path in (tmp_path / "state" / "snapshots").iterdir()] == ["20250513T150100.000Z_hdr.jpg"]
+    free_bytes = 10_000_000_000
+    camera.answer = sent(shot(asked.clock.now()))
+    asked.take()
+    assert len(list((tmp_path / "state").glob("images/*/*/*/*"))) == 1
+    assert asked.codes() == set()
+    assert len(asked.service.archive.sightings.find("roof", accepted=True)) == 4
+    asked.service.archive.close()
+
+
 def endless(request: BaseHTTPRequestHandler) -> None:
     request.send_response_only(200)
     request.end_headers()
