@@ -1,6 +1,7 @@
 """Figures of the code's size and shape: `python -m tests.house.figures [--json FILE]`, beside those of figures.json.
 
-Each function below is the definition of its figure. The package is `service/sunarc`; `client` is left out where said.
+Each function below is the definition of its figure. The package is `service/sunarc`, its compiled part
+`service/kernels`; `client` is left out where said.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ import argparse
 import ast
 import contextlib
 import dataclasses
+import functools
 import importlib
 import io
 import json
@@ -29,9 +31,22 @@ import pandas as pd
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "service" / "sunarc"
+KERNELS = ROOT / "service" / "kernels"
 BEFORE = Path(__file__).with_name("figures.json")
-"""The figures of the tree that the decision on its size began with."""
+"""The figures of the tree before its houses were parted."""
 NATIVE = {".c", ".cc", ".cpp", ".h", ".hpp", ".pyx"}
+HOUSES = ("imager", "archives", "hub", "lab", "client", "cli")
+"""Rooms of the first level that stand on the library; all others are the library."""
+RELATIVE_WHAT = re.compile(r"^(?:Whether|How)\b|\bwhat\b", re.IGNORECASE)
+"""A first line of a docstring with a relative "what", or one that begins as a question."""
+PHRASES = re.compile(
+    r"\b(?:is|are) none\b|\bsa(?:ys|id|y) of\b|\bspeaks? for\b|\blooks? at\b|\blooked at\b|\bbeside\b|\bgiven up\b|"
+    r"\bnone (?:if|where|of which)\b",
+    re.IGNORECASE,
+)
+"""Phrases of no textbook, in docstrings and in documents by hand."""
+GENERATED = {"codes.md", "settings.md", "metrics.md", "results.md", "booted.md", "campaign.md"}
+"""Pages that a command writes."""
 SHORT_LINES = 80
 LONG_SIGNATURE = 7
 ROW = re.compile(r"assert .*(?:match|in|==) *r?f?[\"'][^\"']* [^\"']* [^\"']*[\"']|match=r?f?[\"'][^\"']* [^\"']* ")
@@ -127,7 +142,7 @@ def import_lines(tree: ast.Module) -> set[int]:
 
 def native_code_lines() -> int:
     """Return the lines of compiled sources that are neither blank nor a comment of their own."""
-    files = [path for path in PACKAGE.rglob("*") if path.suffix in NATIVE]
+    files = [path for path in KERNELS.rglob("*") if path.suffix in NATIVE]
     lines = [line.strip() for path in files for line in path.read_text("utf-8").splitlines()]
     return sum(bool(line) and not line.startswith(("//", "/*", "*")) for line in lines)
 
@@ -231,13 +246,57 @@ def words_of_documents() -> dict[str, int]:
     counts = {"by hand": 0, "decisions": 0, "generated": 0}
     for path in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]:
         kind = "decisions" if path.parent.name == "decisions" else "by hand"
-        kind = (
-            "generated"
-            if path.name in {"codes.md", "settings.md", "metrics.md", "results.md", "booted.md", "campaign.md"}
-            else kind
-        )
+        kind = "generated" if path.name in GENERATED else kind
         counts[kind] += len(path.read_text("utf-8").split())
     return counts
+
+
+def docstrings(found: Mapping[str, Module]) -> Iterator[str]:
+    """Yield the docstrings of modules, classes and functions, and those under a field or a constant."""
+    for module in found.values():
+        for node in ast.walk(module.tree):
+            if _is_string(node):
+                yield node.value.value  # type: ignore[attr-defined]
+
+
+def prose(found: Mapping[str, Module]) -> dict[str, float]:
+    """Return the share of first lines with a relative "what", and the phrases in docstrings and in pages by hand."""
+    texts = list(docstrings(found))
+    first = [text.strip().split("\n")[0] for text in texts]
+    pages = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    by_hand = [path.read_text("utf-8") for path in pages if path.name not in GENERATED]
+    return {
+        "first lines with a relative what, %": _percent(
+            sum(RELATIVE_WHAT.search(one) is not None for one in first), len(first)
+        ),
+        "phrases in docstrings": sum(len(PHRASES.findall(text)) for text in texts),
+        "phrases in pages by hand": sum(len(PHRASES.findall(text)) for text in by_hand),
+    }
+
+
+def rooms_below(found: Mapping[str, Module]) -> dict[str, set[str]]:
+    """Return the rooms of the first level that each of them imports."""
+    below: dict[str, set[str]] = defaultdict(set)
+    for module in found.values():
+        below[module.room] |= {found[name].room for name in imports(module, found)} - {module.room, PACKAGE.name}
+    return below
+
+
+def floors(found: Mapping[str, Module]) -> int:
+    """Return the rooms on the longest way down through imports."""
+    below = rooms_below(found)
+
+    @functools.cache
+    def floor(room: str) -> int:
+        return 1 + max(map(floor, below[room]), default=0)
+
+    return max(map(floor, list(below)))
+
+
+def code_by_house(rooms: Mapping[str, int]) -> dict[str, int]:
+    """Return the code lines of the houses, of the library and of the compiled kernels."""
+    houses = {house: rooms.get(house, 0) for house in HOUSES}
+    return {"library": sum(rooms.values()) - sum(houses.values()), **houses, "kernels": native_code_lines()}
 
 
 def cost_of(*command: str) -> tuple[float, float]:
@@ -393,6 +452,9 @@ def figures() -> dict[str, object]:
     version, pixel = cost_of(sys.executable, "-m", "sunarc", "--version"), loaded_by(f"import {PIXEL}")
     return {
         "modules": len(found),
+        "rooms at the first level: folders": sum(_is_package(f"{PACKAGE.name}.{room}") for room in rooms),
+        "rooms at the first level: files": sum(not _is_package(f"{PACKAGE.name}.{room}") for room in rooms) - 1,
+        "floors": floors(found),
         "lines a module": round(sum(lines.values()) / len(found)),
         "modules that one other imports": len(single),
         "of them below 150 lines, no __init__": len([n for n in single if lines[n] < 150 and not _is_package(n)]),
@@ -416,6 +478,8 @@ def figures() -> dict[str, object]:
         "private names in tests": private_names_in_tests(),
         "asserts on a phrase": asserts_on_phrases(),
         "words of documents": words_of_documents(),
+        **prose(found),
+        "code lines by house": code_by_house(rooms),
         "code lines by room": dict(sorted(rooms.items())),
     }
 
