@@ -126,7 +126,7 @@ class Batch:
     def _robust(self, observed: Sightings, problem: FitProblem) -> Camera:
         plain = self._without_field(observed, problem)
         problem, observed = with_effects(problem, plain, observed)
-        found = robust_camera(problem, observed, plain, groups=self.groups, grid=self.grid, near_minimum=True)
+        found = robust_camera(problem, observed, plain, groups=self.groups, grid=self.grid)
         camera = found.problem.camera(found.unknowns)
         if found.state.field_odds <= 0.0:
             return camera

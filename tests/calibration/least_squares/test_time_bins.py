@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from tests.fixtures.calibration import observed, small_camera, small_problem, sun_arc
 
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.solve.problem import Bins, time_bins
+from sunarc.calibration.solve.problem import Bins, FitProblem, time_bins
+from sunarc.calibration.start.multistart import least_squares
+from sunarc.robust_statistics import UNSEEN_PX
 
 FloatArray = NDArray[np.float64]
+
+SIGMA = 0.1
+
+
+@pytest.fixture(scope="module")
+def problem() -> FitProblem:
+    return small_problem(small_camera())
 
 
 def _usable(unix_s: FloatArray, *, day: object = 0, epoch: object = 0) -> Sightings:
@@ -121,3 +134,31 @@ def test_a_run_s_first_bin_holds_sixteen_whatever_came_before() -> None:
     times = np.r_[np.arange(5.0), 86_400.0 + np.arange(40.0)]
     bins = time_bins(_usable(times, day=np.repeat([0, 1], [5, 40])))
     assert np.bincount(bins.member).tolist() == [5, 16, 16, 8]
+
+
+def test_least_squares_of_the_bins_means_is_that_of_all(problem: FitProblem) -> None:
+    at = problem.unknowns([small_camera()])
+    dense = observed(small_camera(), sun_arc(600), sigma_px=SIGMA)
+    bins = Bins(member=np.arange(600) // 8, count=75)
+    means = bins.observations(dense, problem, at, information=dense.information)
+    all_of_them, of_means = least_squares(problem, dense, at), least_squares(problem, means, at)
+    moved = problem.residuals(of_means, dense) - problem.residuals(all_of_them, dense)
+    assert np.max(np.abs(moved)) < 0.006
+    assert np.max(np.abs(problem.residuals(at, dense) - problem.residuals(all_of_them, dense))) > 0.02
+    ratio = np.sum(problem.residuals(of_means, dense) ** 2) / np.sum(problem.residuals(all_of_them, dense) ** 2)
+    assert ratio - 1.0 < 2e-4
+
+
+def test_a_sighting_where_the_lens_sees_nothing_takes_no_part_in_its_bin(problem: FitProblem) -> None:
+    at, seen = problem.unknowns([small_camera()]), observed(small_camera(), sun_arc(150), sigma_px=SIGMA)
+    narrow = replace(problem, template=replace(problem.template, max_angle=math.radians(60.0)))
+    unseen = np.any(narrow.residuals(at, seen) == UNSEEN_PX, axis=-1)
+    assert 5 < np.count_nonzero(unseen) < 100
+    bins = Bins(member=np.arange(150) // 10, count=15)
+    means = bins.observations(seen, narrow, at, information=seen.information)
+    seen_again = bins.observations(seen, problem, at, information=np.where(unseen, 0.0, seen.information))
+    np.testing.assert_allclose(means.information, seen_again.information)
+    counted = means.information > 0.0
+    off = narrow.residuals(at, means)[counted] - problem.residuals(at, seen_again)[counted]
+    shown = np.all(narrow.residuals(at, means)[counted] != UNSEEN_PX, axis=-1)
+    np.testing.assert_allclose(off[shown], 0.0, atol=1e-9)

@@ -1,4 +1,4 @@
-"""The rounds of the robust fit: the camera beside a field, held to what least squares reach without one.
+"""Rounds of the robust fit: the camera beside a field, which may not cost the camera the sightings.
 
 Rounds of: weigh the sightings by what the last fit leaves over, gather them into bins, ask which scales the data speak
 for, solve with the field marginalised. The first round lets the field be large, so that the noise is judged from what
@@ -34,8 +34,7 @@ from sunarc.calibration.fit.normal_equations import LinearSystem, linear_system,
 from sunarc.calibration.fit.posterior import prediction_variance
 from sunarc.calibration.model.result import STRONG_EVIDENCE, proves, suspects
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.noise import Noise, NoiseGroups, autocorrelation_inflation, measured_noise
-from sunarc.calibration.solve.levenberg_marquardt import most_probable
+from sunarc.calibration.noise import Noise, NoiseGroups, measured_noise
 from sunarc.calibration.solve.problem import Bins, FitProblem
 from sunarc.calibration.start import multistart
 from sunarc.robust_statistics import (
@@ -45,28 +44,12 @@ from sunarc.robust_statistics import (
     robust_sigma,
     surely_well_behaved,
     tukey_loss,
-    tukey_weights,
 )
 
-# Least squares as the reference that a robust fit must reach: its priors and its field may not cost it the data.
-#
-# The most probable camera meets the sightings a little worse than the best one does: priors and correlated noise hold
-# it back where the sightings say next to nothing, and that is what keeps the error over the sky small. The little is
-# bounded here. A fit that meets the sightings clearly worse than plain least squares (the paper's method without its
-# penalties) is brought towards the robust fit with loose priors, by as little as is needed.
-#
-# Clearly worse is more than chance: the parameters that the priors hold are free in least squares, and follow the
-# noise. What they gain by that grows with the noise's correlation, since neighbours that err alike are followed alike.
+# How well a fit must meet the sightings, by another one: a field, or a prior of a type of lens, may not cost the data.
 
 _SCALES = (0.7, 1.0, 1.4)
 """The cost is compared at these multiples of the noise: a fit must not win by the choice of its scale."""
-_COST_RATIO = 1.012
-"""Largest robust cost over that of least squares, of many sightings; what priors cost, why not less: decision 0023."""
-_CHANCE = 11.0
-"""Log likelihood that least squares gains by following the noise: half the chi-square of seven, the directions that the
-priors hold on one day's arc, is beyond that once in 500. Of 40 lenses it was 3.6 in the mean."""
-_MEDIAN_RATIO = 1.02
-"""Largest ratio of the median residuals: 1.05 to the paper's answer, which its penalties shift a little."""
 LENS_MISFIT_PX = 1.0
 """px per axis; lenses are not as modelled by tenths of px, the paper's own by 0.5 to 1.2. A field that takes more from
 the camera has taken over what its parameters explain."""
@@ -77,11 +60,7 @@ on several. 99 % of the chi-squares of four are below 3.3 times their mean, that
 itself estimated."""
 _MEDIAN_OF_SIGMA = math.sqrt(2.0 * math.log(2.0))
 """Median distance of a round Gaussian over its 1-sigma per axis."""
-_GAIN = 1e-4
-"""Share of the cost that a step of least squares must gain: far less than what `_COST_RATIO` leaves."""
 _FINEST = 0.9
-_HALVINGS = 7
-"""Bisections of the way: to 1 %."""
 
 
 class AllowedLevel(NamedTuple):
@@ -105,7 +84,7 @@ def allowed_level(
     sigma: float,
     field_px: float,
     weight: float = 1.0,
-    cost_ratio: float = _COST_RATIO,
+    cost_ratio: float,
     median_ratio: float = math.inf,
 ) -> AllowedLevel:
     """Return the level that a fit must reach beside another one that met the sightings at some distances.
@@ -132,88 +111,6 @@ def finest_weight(observed: Sightings) -> float:
     Beside 5,000 stars of 0.2 px a sun of 0.03 px counts six times, and so does what a field moves it by.
     """
     return float(np.quantile(np.sqrt(observed.information), _FINEST))
-
-
-def at_least_least_squares(
-    problem: FitProblem,
-    observed: Sightings,
-    groups: NoiseGroups,
-    unknowns: FloatArray,
-    *,
-    sigma: float,
-    field_px: float = 0.0,
-    near_minimum: bool = False,
-) -> FloatArray:
-    """Return the unknowns, or the nearest ones on the way to the loose robust fit that reach least squares.
-
-    Parameters
-    ----------
-    problem : the camera sought.
-    observed : all sightings.
-    groups : of the sightings: plain least squares looks at the means of its bins.
-    unknowns : (p,) the most probable ones.
-    sigma : px, scale of the robust loss.
-    field_px : 1-sigma of what no lens explains, px, see `allowed_level`.
-    near_minimum : whether least squares from the unknowns alone is enough.
-    """
-    means = groups.bins.observations(observed, problem, unknowns, information=observed.information)
-    plain = [multistart.least_squares(problem, means, unknowns, tolerance=_GAIN, sigma=sigma)]
-    if not near_minimum:
-        plain += [
-            multistart.least_squares(problem, means, multistart.undistorted(unknowns), tolerance=_GAIN, sigma=sigma),
-            multistart.staged_least_squares(problem, means, unknowns, tolerance=_GAIN, sigma=sigma),
-        ]
-    met = [multistart.distance_sigmas(problem, observed, at) for at in plain]
-    best = int(np.argmin([_costs(distance, np.array([sigma]))[0] for distance in met]))
-    residuals = problem.residuals(plain[best], observed)
-    chance = _share_by_chance(residuals, tukey_weights(met[best], sigma=sigma), groups)
-    level = allowed_level(
-        met[best],
-        sigma=sigma,
-        field_px=field_px,
-        weight=finest_weight(observed),
-        cost_ratio=max(_COST_RATIO, 1.0 + chance),
-        median_ratio=_MEDIAN_RATIO + max(chance - (_COST_RATIO - 1.0), 0.0),
-    )
-    if level.reached_by(multistart.distance_sigmas(problem, observed, unknowns)):
-        return unknowns
-    precision = multistart.loosened(problem, sigma=1.0)
-    # the loose robust fit may end in another local minimum: each start is tried until one reaches the level
-    for begin in (unknowns, *plain):
-        end = most_probable(problem, observed, begin, precision=precision, sigma=sigma, iterations=30).unknowns
-        if level.reached_by(multistart.distance_sigmas(problem, observed, end)):
-            return _nearest(problem, observed, unknowns, end, level)
-    return _nearest(problem, observed, unknowns, plain[best], level)
-
-
-def _share_by_chance(residuals: FloatArray, weight: FloatArray, groups: NoiseGroups) -> float:
-    """Return the share of its cost by which least squares is lower through following the noise, at most.
-
-    Parameters
-    ----------
-    residuals : (n, 2) px, that it leaves over: those of a fit that misses the sightings would excuse that fit.
-    weight : (n,) of the sightings.
-    groups : of the sightings.
-    """
-    counted = weight > 0.0
-    inflated = autocorrelation_inflation(residuals, counted, groups.follows, groups.run)
-    inflated = np.where(groups.alone, 1.0, inflated)[counted]
-    # the cost of each sighting is 1 in the mean: two axes of half a square
-    return _CHANCE * float(np.mean(inflated)) / inflated.size if inflated.size else 0.0
-
-
-def _nearest(
-    problem: FitProblem, observed: Sightings, start: FloatArray, end: FloatArray, level: AllowedLevel
-) -> FloatArray:
-    """Return the unknowns nearest to the start, on the line to the end, that reach the wanted level."""
-    low, high = 0.0, 1.0
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        if level.reached_by(multistart.distance_sigmas(problem, observed, start + middle * (end - start))):
-            high = middle
-        else:
-            low = middle
-    return np.asarray(start + high * (end - start))
 
 
 def _costs(distance: FloatArray, scales: FloatArray) -> FloatArray:
@@ -262,7 +159,7 @@ class RobustCamera:
     Attributes
     ----------
     problem : of the fit.
-    unknowns : (p,) the most probable ones, brought to what least squares reaches.
+    unknowns : (p,) the most probable ones.
     state, noise : as the last round left them.
     grid : the scales that were tried.
     last_round : the bins' equations of the last round.
@@ -292,7 +189,6 @@ def robust_camera(
     *,
     groups: NoiseGroups,
     grid: HyperparameterGrid,
-    near_minimum: bool = False,
 ) -> RobustCamera:
     """Return the fit beside a field from the robust fit without one.
 
@@ -303,8 +199,6 @@ def robust_camera(
     plain : unknowns of the fit without a field, those of the blocks apart.
     groups : of the sightings.
     grid : scales to try.
-    near_minimum : whether the fit without a field is known to be at the right minimum: least squares then
-        begins there alone.
     """
     plain = np.concatenate([plain, np.zeros(problem.n_unit)])
     if SWAYS in problem.names:
@@ -312,10 +206,7 @@ def robust_camera(
     state, noise, grid, last_round = _with_field(problem, observed, plain, grid, groups)
     informed = replace(observed, information=noise.information(observed))
     problem, state = _with_proven(problem, informed, groups.bins, last_round, state, grid)
-    weighed = replace(observed, information=observed.information * (noise.sigma_px / noise.scale) ** 2)
-    unknowns = _as_good_as_least_squares(
-        problem, weighed, groups, state, sigma=noise.sigma_px, near_minimum=near_minimum
-    )
+    unknowns = state.unknowns
     # weighed before the camera's last step, which may bring the edge of what it shows past a low sun
     shown = is_shown(problem.residuals(unknowns, observed))
     return RobustCamera(
@@ -392,30 +283,6 @@ def _round(
     return noise, linear_system(
         problem, observed, groups.bins, state.unknowns, information=information, basis=grid.basis
     )
-
-
-def _as_good_as_least_squares(
-    problem: FitProblem,
-    observed: Sightings,
-    groups: NoiseGroups,
-    state: RoundState,
-    *,
-    sigma: float,
-    near_minimum: bool,
-) -> FloatArray:
-    """Return the unknowns, those of the camera brought to what least squares reaches with the same shared errors."""
-    assumed, unknowns = replace(problem, blocks=()), state.unknowns
-    corrected = replace(observed, pixels=observed.pixels - problem.displaced(unknowns, observed))
-    camera = at_least_least_squares(
-        assumed,
-        corrected,
-        groups,
-        unknowns[: assumed.size],
-        sigma=sigma,
-        field_px=state.proven_field_px,
-        near_minimum=near_minimum,
-    )
-    return np.concatenate([camera, unknowns[assumed.size :]])
 
 
 def _judged(

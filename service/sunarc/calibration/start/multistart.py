@@ -42,8 +42,6 @@ _SETTLED = 1e-5
 _CENTRAL_SHARE = 0.5
 _LOOSENED = 1e-4
 """Prior precisions of plain least squares: the paper's method has no prior."""
-_LARGE_DECENTERING_PX = 3.0
-"""1-sigma of p1 and p2 there, px at the horizon: of published lenses none has more than 2.7 per 1,000 px of radius."""
 _FIXED = 1e8
 """Prior precision of what a stage leaves out: 1e-4 of the prior's sigma."""
 
@@ -77,15 +75,15 @@ def best_start(problem: FitProblem, observed: Sightings, start: FloatArray, *, p
 
 
 def least_squares(
-    problem: FitProblem, observed: Sightings, start: FloatArray, *, tolerance: float = 1e-6, sigma: float = 0.0
+    problem: FitProblem, observed: Sightings, start: FloatArray, *, tolerance: float = 1e-6
 ) -> FloatArray:
     """Return the unknowns (p,) of least squares over all sightings, none weighted down, hardly any prior."""
-    precision = loosened(problem, sigma=sigma)
+    precision = loosened(problem)
     return most_probable(problem, observed, start, precision=precision, iterations=25, tolerance=tolerance).unknowns
 
 
 def staged_least_squares(
-    problem: FitProblem, observed: Sightings, start: FloatArray, *, tolerance: float = 1e-6, sigma: float = 0.0
+    problem: FitProblem, observed: Sightings, start: FloatArray, *, tolerance: float = 1e-6
 ) -> FloatArray:
     """Return the unknowns (p,) of `least_squares` in the paper's three stages (section 4.2), from an ideal lens.
 
@@ -94,7 +92,7 @@ def staged_least_squares(
     """
     unknowns = undistorted(start)
     for held in ([RADIAL, DECENTERING], [DECENTERING], []):
-        precision = loosened(problem, sigma=sigma)
+        precision = loosened(problem)
         for part in held:
             precision[part] = _FIXED
         found = most_probable(problem, observed, unknowns, precision=precision, iterations=25, tolerance=tolerance)
@@ -102,17 +100,11 @@ def staged_least_squares(
     return unknowns
 
 
-def loosened(problem: FitProblem, *, sigma: float = 0.0) -> FloatArray:
-    """Return precisions (p,) that hardly hold anything but skew and aspect, which the paper's penalties hold, too.
-
-    What a day does not show of p1 … p4 follows the noise without a limit, and a fit that is brought to least squares
-    would follow it: beside sightings of that noise, in units of their sigma, they stay within those of real lenses.
-    """
+def loosened(problem: FitProblem) -> FloatArray:
+    """Return precisions (p,) that hardly hold anything but skew and aspect, which the paper's penalties hold, too."""
     precision = np.full(problem.size, 1e-9)
     precision[:N_LENS] = _LOOSENED
     precision[[Whitened.ASPECT, Whitened.SKEW]] = 1.0
-    precision[DECENTERING] = max((sigma / _LARGE_DECENTERING_PX) ** 2, _LOOSENED)
-    precision[HIGHER] = max(sigma**2, _LOOSENED)
     return precision
 
 
