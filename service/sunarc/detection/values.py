@@ -202,12 +202,17 @@ def require_raw(image: Image, sensor: Sensor) -> None:
         )
 
 
-def require_photo(image: Image, *, full_scale: int) -> None:
-    """Raise InputError unless the image is a (rows, columns) or (rows, columns, 3) array that holds the full scale."""
+def require_photo(image: Image, *, full_scale: int, bayer: Bayer | None = None) -> None:
+    """Raise InputError unless the image is a (rows, columns) or (rows, columns, 3) array that holds the full scale.
+
+    A raw mosaic has 2 x 2 pixels or more: a cell of its colours.
+    """
     if image.ndim not in {2, 3} or (image.ndim == 3 and image.shape[2] != 3) or min(image.shape) < 1:
         raise InputError(
             field="image", problem=f"its shape is {image.shape}", remedy="give rows, columns (and 3 colours)"
         )
+    if bayer is not None and image.ndim == 2 and min(image.shape) < 2:
+        raise InputError(field="image", problem=f"its shape is {image.shape}", remedy="give 2 x 2 px of a mosaic")
     if image.dtype not in (np.uint8, np.uint16) or not 0 < full_scale <= np.iinfo(image.dtype).max:
         raise InputError(
             field="image", problem=f"{image.dtype} with full scale {full_scale}", remedy="give uint8 or uint16 counts"

@@ -20,6 +20,7 @@ from sunarc.calibration.messages import MESSAGES as OF_CALIBRATION
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.detection.messages import MESSAGES as OF_DETECTION
 from sunarc.detection.messages import reason_of
 from sunarc.detection.stars.detect import detect_stars
 from sunarc.detection.stars.matching import StarMatches
@@ -43,7 +44,7 @@ from sunarc.stars.messages import MESSAGES as OF_STARS
 from sunarc.stars.views import StarView, match_views, matching_flip, predict_stars
 from sunarc.utc import DAY_S, rfc3339, utc_time
 
-_OF_CAMERA = Messages(OF_CALIBRATION | OF_STARS)
+_OF_CAMERA = Messages(OF_CALIBRATION | OF_STARS | OF_DETECTION)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

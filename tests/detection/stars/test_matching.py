@@ -194,6 +194,18 @@ def test_an_image_of_lamps_and_noise_is_refused() -> None:
     assert codes(match_stars(stars.select(np.arange(0)), sky())) == {"stars_few"}
 
 
+def test_detections_at_the_stars_places_without_their_brightness_are_refused() -> None:
+    predicted = sky()
+    stars = seen(predicted, seen_of=predicted.magnitude < 4.5)
+    # half ten magnitudes too bright, half too faint: none is as bright as any line says
+    flux = stars.flux[0] * 10.0 ** np.where(np.arange(len(stars)) % 2 == 0, 4.0, -4.0)
+    unlike = replace(stars, flux=flux).select(np.argsort(-flux, kind="stable"))
+    matched = match_stars(unlike, predicted)
+    assert not matched.accepted
+    assert codes(matched) >= {"stars_few"}
+    assert np.isfinite(matched.explained)
+
+
 def test_satellites_do_not_disturb_and_a_star_beside_another_is_left_out() -> None:
     rng = np.random.default_rng(6)
     predicted = sky()

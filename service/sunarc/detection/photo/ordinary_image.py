@@ -273,7 +273,7 @@ def detect_sun_in_photo(
     ------
     InputError : the array is not an image.
     """
-    require_photo(photo.image, full_scale=photo.full_scale)
+    require_photo(photo.image, full_scale=photo.full_scale, bayer=photo.bayer)
     zenith = None if expectation is None else expectation.apparent_zenith
     if zenith is not None and zenith > math.radians(_MAX_APPARENT_ZENITH_DEG):
         below = Finding("sun_below_horizon", {"zenith_deg": math.degrees(zenith)})

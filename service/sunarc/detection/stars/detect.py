@@ -352,7 +352,7 @@ def detect_stars(
     ------
     InputError : the array is not an image.
     """
-    require_photo(image, full_scale=full_scale)
+    require_photo(image, full_scale=full_scale, bayer=bayer)
     plane, clipped = plane_of(image, full_scale, bayer)
     ground = background_of(plane, least_noise=1e-4 * full_scale)
     usable = np.ones(plane.shape, dtype=bool) if mask is None else ~mask

@@ -93,7 +93,7 @@ def match_stars(stars: Stars, predicted: PredictedStars, *, trail_px: float = 0.
 def _matched(stars: Stars, predicted: PredictedStars, trail_px: float) -> StarMatches:
     radius = _SIGMAS * np.hypot(predicted.sigma_px, _SEEING_PX) + trail_px
     if len(stars) < _FEWEST:
-        return _refused(Finding("stars_few", {"n": 0, "limit": _FEWEST, "detected": len(stars)}))
+        return _refused(_few(0, stars))
     limit = next((one for one in LIMITS if _chance(predicted, radius, one) <= _MOST_CHANCE), None)
     if limit is None:
         return _refused(Finding("stars_prediction_uncertain", {"sigma_px": float(np.median(predicted.sigma_px))}))
@@ -101,11 +101,13 @@ def _matched(stars: Stars, predicted: PredictedStars, trail_px: float) -> StarMa
     considered = stars.select(np.arange(min(len(stars), _considered(int(bright.sum())))))
     pairs = _pairs(considered, predicted, predicted.pixels, radius, bright)
     if pairs.star.size < _FEWEST:
-        return _refused(Finding("stars_few", {"n": int(pairs.star.size), "limit": _FEWEST, "detected": len(stars)}))
+        return _refused(_few(pairs.star.size, stars))
     zero = _zero_point(considered, predicted, pairs)
     pairs = _like_in_brightness(considered, predicted, pairs, zero)
     explained = _explained(considered, predicted, radius, zero, limit)
     found = _found(considered, predicted, radius, zero, limit)
+    if pairs.star.size < _FEWEST:
+        return _refused(_few(pairs.star.size, stars), *_shares(explained, found), explained=explained, found=found)
     correction, scatter = _smooth(predicted.pixels[pairs.star], pairs.difference)
     findings = (
         *_shares(explained, found),
@@ -134,6 +136,8 @@ def _corrected(stars: Stars, predicted: PredictedStars, zero: FloatArray, scatte
         return _refused(*findings, **measured)
     pairs = _pairs(stars, predicted, predicted.pixels, near, np.ones(len(predicted), dtype=bool))
     pairs = _like_in_brightness(stars, predicted, pairs, zero)
+    if pairs.star.size < _FEWEST:
+        return _refused(_few(pairs.star.size, stars), **measured)
     matched = Finding("stars_matched", {"n": int(pairs.star.size), "explained": explained, "found": found})
     sound = stars.sound[pairs.detection]
     places, sigma = predicted.pixels[pairs.star[sound]], stars.sigma_px[pairs.detection[sound]]
@@ -279,6 +283,10 @@ def _found(stars: Stars, predicted: PredictedStars, radius: FloatArray, zero: Fl
     return share_where_clear(pixels, apart < radius[expected])
 
 
+def _few(count: int, stars: Stars) -> Finding:
+    return Finding("stars_few", {"n": int(count), "limit": _FEWEST, "detected": len(stars)})
+
+
 def _shares(explained: float, found: float) -> list[Finding]:
     shares = (("stars_not_explained", explained, _LEAST_EXPLAINED), ("stars_not_found", found, _LEAST_FOUND))
     return [Finding(code, {"share": share, "limit": least}) for code, share, least in shares if share < least]
@@ -286,8 +294,6 @@ def _shares(explained: float, found: float) -> list[Finding]:
 
 def _spread(predicted: PredictedStars, pairs: _Pairs) -> list[Finding]:
     azimuth = np.sort(predicted.azimuth_deg[pairs.star] % 360.0)
-    if azimuth.size < _FEWEST:
-        return [Finding("stars_few", {"n": int(azimuth.size), "limit": _FEWEST, "detected": int(azimuth.size)})]
     gap = float(np.max(np.diff(np.r_[azimuth, azimuth[0] + 360.0])))
     return [Finding("stars_one_sided", {"gap_deg": gap, "limit": _WIDEST_GAP_DEG})] if gap > _WIDEST_GAP_DEG else []
 
@@ -296,8 +302,6 @@ def _coherent(
     stars: Stars, predicted: PredictedStars, pairs: _Pairs, scatter: float, radius: FloatArray
 ) -> list[Finding]:
     """Return what shows that the pairs are made by chance: brightness without relation, differences without order."""
-    if pairs.star.size < _FEWEST:
-        return []
     correlation = float(np.corrcoef(_instrumental(stars)[pairs.detection], predicted.magnitude[pairs.star])[0, 1])
     usual = float(np.median(radius[pairs.star]))
     if correlation < _LEAST_CORRELATION:
