@@ -31,9 +31,9 @@ from sunarc.calibration.messages import text_of
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Kind, Sightings
+from sunarc.calibration.selection import MOST_STARS, image_parts, surest_of_parts
 from sunarc.calibration.solve.priors import LENS, N_LENS, Whitened, lens_prior, precisions
 from sunarc.detection.stars.matching import match_stars
-from sunarc.monitoring.selection import MOST_STARS, image_parts, surest_of_parts
 from sunarc.optics.camera import PRINCIPAL_POINT, Camera
 from sunarc.optics.forward import project
 from sunarc.sky.days import solar_days

@@ -33,10 +33,10 @@ from scipy.ndimage import gaussian_filter
 from sunarc.array_types import stacked
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Kind, Sightings
+from sunarc.calibration.selection import MOST_STARS, image_parts, surest_of_parts
 from sunarc.cameras.frame import Frame
 from sunarc.detection.values import Stars
 from sunarc.monitoring.acceptance import accept
-from sunarc.monitoring.selection import MOST_STARS, image_parts, surest_of_parts
 from sunarc.optics.camera import Camera
 from sunarc.simulation.options import SceneOptions, SensorModel, SimulatedNight
 from sunarc.simulation.scene import Scene

@@ -39,6 +39,7 @@ from sunarc.calibration.quality.day_arcs import unexplained_days
 from sunarc.calibration.quality.fit_checks import before_fit, determined, fit_verdict, provisional
 from sunarc.calibration.quality.tilt import tilt_question
 from sunarc.calibration.quality.widening import with_pose_spread
+from sunarc.calibration.selection import SelectionOptions, select_sightings, surest_of_epochs
 from sunarc.calibration.stated_prior import PriorTolerances, calibrate_with_prior
 from sunarc.monitoring.acceptance import accept, apart_sigmas, chi_square, disagreement, distance_px, pose_spread_deg
 from sunarc.monitoring.daily_rotations import (
@@ -52,7 +53,6 @@ from sunarc.monitoring.daily_rotations import (
 from sunarc.monitoring.day_quality import decide_day, measure_day
 from sunarc.monitoring.detect_change import update_window
 from sunarc.monitoring.first_motion import site_contradiction
-from sunarc.monitoring.selection import SelectionOptions, select_sightings, surest_of_epochs
 from sunarc.monitoring.values import Change, Sighting, SightingWindow, WatchOptions
 from sunarc.optics.backward import fit_backward
 from sunarc.optics.forward import project

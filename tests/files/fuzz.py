@@ -49,6 +49,7 @@ from sunarc.archive.csv_files import read_pairs, read_sightings
 from sunarc.archive.database.recovery import Column, leaf_rows
 from sunarc.archive.fleet.feed_rows import FeedRow, feed_lines, read_feed_lines
 from sunarc.calibration.model.result import Calibration
+from sunarc.detection.stars.warm_pixels import SensorFormat
 from sunarc.documents.calibration_document import from_document, to_document
 from sunarc.documents.lens_prior import lens_type_from_json
 from sunarc.errors import InputError, SunarcError
@@ -78,7 +79,7 @@ from sunarc.sky.site import Site
 from sunarc.studies.benchmark_cases import BenchmarkTruth
 from sunarc.studies.benchmark_files import read_case, read_entry
 from sunarc.studies.benchmark_scores import score
-from sunarc.workers.night.warm_pixels import SensorFormat, WarmPixelFile
+from sunarc.workers.night.images import WarmPixelFile
 
 ROOT = Path(__file__).resolve().parents[2]
 SLOWEST_S = 1.0

@@ -21,9 +21,9 @@ from tests.fixtures.command_line import Sunarc
 from sunarc.archive.csv_files import read_sightings
 from sunarc.calibration.answers.covariance import hemisphere, unproject_with_sigma
 from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.selection import MOST_STARS
 from sunarc.documents.calibration_document import from_document, to_document
 from sunarc.errors import InputError
-from sunarc.monitoring.selection import MOST_STARS
 from sunarc.offline.stars import StarOptions, find_stars, read_stars, write_star_sightings
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project

@@ -12,11 +12,11 @@ from annotated_types import Ge, Gt, Le, Lt
 
 from sunarc.bounds import OneOf, bounds_of
 from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.selection import SelectionOptions
 from sunarc.cameras.options import AravisOptions
 from sunarc.detection.values import DiscOptions
 from sunarc.errors import ConfigurationError, InputError
 from sunarc.imaging.exposure import SunExposureOptions
-from sunarc.monitoring.selection import SelectionOptions
 from sunarc.monitoring.values import WatchOptions
 from sunarc.runtime.supervisor import SupervisorOptions
 from sunarc.settings.load import load_settings

@@ -18,8 +18,9 @@ from tests.workers.test_night import BEGIN, CAMERA, Bench, bench
 from tests.workers.test_warm_pixels import MINUTES
 
 from sunarc.cameras.frame import Frame
+from sunarc.detection.stars.warm_pixels import SensorFormat, WarmPixelMap
 from sunarc.findings import Finding
-from sunarc.workers.night.warm_pixels import SensorFormat, WarmPixelFile, WarmPixelMap
+from sunarc.workers.night.images import WarmPixelFile
 
 __all__ = ["bench"]
 

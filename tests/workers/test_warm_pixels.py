@@ -14,10 +14,10 @@ from sunarc.array_types import Image
 from sunarc.cameras.frame import Frame
 from sunarc.detection.stars.detect import detect_stars, outstanding_pixels, repaired, warm_pixels
 from sunarc.detection.stars.matching import StarMatches, match_stars
+from sunarc.detection.stars.warm_pixels import WarmPixelMap
 from sunarc.simulation.truth import SGP
 from sunarc.sky.night import night_sky
 from sunarc.stars.views import predict_stars
-from sunarc.workers.night.warm_pixels import WarmPixelMap
 
 MINUTES = (0, 20, 40, 60, 80, 100)
 COUNT, LEVEL = 3000, 0.05 * 4095.0

@@ -32,8 +32,8 @@ from sunarc.archive.database.tables import calibration, is_number, stored_as, su
 from sunarc.archive.days import air_of_days, within_or_nan
 from sunarc.archive.values import SunPointColumns
 from sunarc.array_types import FloatArray, IntArray, NameArray
+from sunarc.calibration.selection import Candidates
 from sunarc.errors import InputError, NotFoundError
-from sunarc.monitoring.selection import Candidates
 from sunarc.sky.night import SUN
 from sunarc.sky.site import PA_PER_HPA, PRESSURE_BOUNDS_PA, TEMPERATURE_BOUNDS_C
 

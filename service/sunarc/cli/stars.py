@@ -10,11 +10,11 @@ import typer
 
 from sunarc.archive.csv_files import read_sightings
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.calibration.selection import MOST_STARS
 from sunarc.cli.options import SITE, Altitude, AsJson, choice_of, print_json, print_table
 from sunarc.detection.values import BAYERS
 from sunarc.errors import InputError, disk_errors
 from sunarc.extras import extra_module
-from sunarc.monitoring.selection import MOST_STARS
 from sunarc.offline.calibrate_files import image_circle_of
 from sunarc.offline.calibration_files import read_calibration
 from sunarc.offline.stars import StarImage, StarOptions, find_stars, find_stars_blind, write_star_sightings

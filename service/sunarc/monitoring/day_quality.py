@@ -14,8 +14,8 @@ from sunarc.array_types import FloatArray
 from sunarc.calibration.model.result import measures
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, Sightings, filter_sightings
 from sunarc.calibration.quality.day_arcs import arc_length_deg, smooth_arc
+from sunarc.calibration.selection import solid_angle_sr
 from sunarc.findings import Finding
-from sunarc.monitoring.selection import solid_angle_sr
 from sunarc.sky.days import date_of_day, day_bounds_unix_s, day_of_date, solar_date
 from sunarc.sky.site import Site
 from sunarc.sky.sun import hour_angle, sun_angles

@@ -20,6 +20,7 @@ from sunarc.calibration.messages import MESSAGES as OF_CALIBRATION
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.calibration.selection import MOST_STARS, image_parts, sky_parts, surest_of_parts
 from sunarc.detection.messages import MESSAGES as OF_DETECTION
 from sunarc.detection.messages import reason_of
 from sunarc.detection.stars.detect import detect_stars
@@ -28,7 +29,6 @@ from sunarc.detection.values import FWHM, Bayer, PredictedStars, Stars
 from sunarc.documents.calibration_document import to_document
 from sunarc.errors import InputError
 from sunarc.findings import Finding, Messages
-from sunarc.monitoring.selection import MOST_STARS, image_parts, sky_parts, surest_of_parts
 from sunarc.reanalysis.detect_files import estimated_full_scale
 from sunarc.reanalysis.files import read_file, read_image
 from sunarc.reanalysis.image_files import kind_of

@@ -17,10 +17,10 @@ from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.quality.fit_checks import provisional, tilt_in_doubt
 from sunarc.calibration.quality.tilt import tilt_question
 from sunarc.calibration.quality.widening import with_larger_errors, with_pose_spread
+from sunarc.calibration.selection import select_sightings, surest_of_epochs
 from sunarc.documents.calibration_document import to_document
 from sunarc.findings import Finding
 from sunarc.monitoring.acceptance import apart_sigmas
-from sunarc.monitoring.selection import select_sightings, surest_of_epochs
 from sunarc.optics.forward import project_fast
 from sunarc.reanalysis.epoch_changes import (
     DriftWithin,

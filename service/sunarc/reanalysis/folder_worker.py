@@ -44,11 +44,11 @@ from sunarc.runtime.clock import Clock
 from sunarc.runtime.loop import DropOldestQueue, Loop
 from sunarc.runtime.status import CameraStatus, CaptureStatus, Reason, StatusRegistry
 from sunarc.sky.days import solar_date
+from sunarc.sky.sun import DARK_ZENITH_DEG
 from sunarc.utc import utc_time
 from sunarc.workers.calibrating.monitor import LearnedCadence
 from sunarc.workers.clock_watch import FrameTime
 from sunarc.workers.messages import condition
-from sunarc.workers.night.exposures import DARK_ZENITH_DEG
 
 _log = logging.getLogger(__name__)
 

@@ -25,9 +25,8 @@ from sunarc.reanalysis.image_times import TimedFrame, TimeRules, timed_frames, u
 from sunarc.reanalysis.messages import RefusedImageError
 from sunarc.reanalysis.sources import open_source
 from sunarc.sky.site import Site
-from sunarc.sky.sun import sun_angles
+from sunarc.sky.sun import DARK_ZENITH_DEG, sun_angles
 from sunarc.utc import rfc3339, to_microseconds
-from sunarc.workers.night.exposures import DARK_ZENITH_DEG
 
 
 class ArchiveImage(NamedTuple):

@@ -16,6 +16,7 @@ from sunarc.calibration.model.sightings import Sightings
 from sunarc.cameras.frame import Frame
 from sunarc.detection.messages import reason_of
 from sunarc.detection.stars.detect import detect_stars
+from sunarc.detection.stars.warm_pixels import WarmPixelMap
 from sunarc.findings import Finding
 from sunarc.reanalysis.detect_files import estimated_full_scale
 from sunarc.reanalysis.image_files import images_in
@@ -26,10 +27,8 @@ from sunarc.reanalysis.sources import open_source
 from sunarc.reanalysis.states import Epoch, State
 from sunarc.sky.days import solar_date
 from sunarc.sky.night import body_directions
-from sunarc.stars.views import MatchedView, StarView, match_views
+from sunarc.stars.views import MatchedView, StarView, match_views, star_view, surest_named
 from sunarc.utc import DAY_S, utc_time
-from sunarc.workers.night.named_stars import star_view, surest_named
-from sunarc.workers.night.warm_pixels import WarmPixelMap
 
 MOST_IMAGES = 60
 """Of a night, evenly over it: more say nothing new of the camera."""

@@ -33,11 +33,11 @@ from sunarc.reanalysis.sources import Folder, hash_of
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.loop import DropOldestQueue, Loop
 from sunarc.runtime.status import CameraStatus, CaptureStatus, Reason, StatusRegistry
+from sunarc.sky.sun import DARK_ZENITH_DEG
 from sunarc.workers.capture import NOT_WRITTEN
 from sunarc.workers.clock_watch import FrameTime
 from sunarc.workers.http_exchange import HttpAnswer, HttpRequest, Limit, UnfinishedError, fetch
 from sunarc.workers.messages import condition
-from sunarc.workers.night.exposures import DARK_ZENITH_DEG
 from sunarc.workers.options import CaptureOptions, read_login
 
 _log = logging.getLogger(__name__)

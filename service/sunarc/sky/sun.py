@@ -20,6 +20,9 @@ from sunarc.sky.site import Site
 SOLAR_RADIUS = math.radians(0.2666)
 """The sun's mean angular radius, radians (959.63 arcseconds at one astronomical unit)."""
 
+DARK_ZENITH_DEG = 102.0
+"""The sun's apparent zenith angle from which on it is night, degrees: the end of nautical twilight."""
+
 _POLAR_RADIUS = 0.99664719
 """Of the earth, in its equatorial ones."""
 _EARTH_RADIUS_M = 6_378_140.0

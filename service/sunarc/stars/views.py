@@ -7,16 +7,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sunarc.array_types import FloatArray
+from sunarc.array_types import FloatArray, NameArray
 from sunarc.calibration.answers.covariance import project_with_covariance, sigma_px
 from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.selection import image_parts, surest_of_parts
 from sunarc.detection.stars.matching import StarMatches, match_stars, sky_motion, standing_still
 from sunarc.detection.values import PredictedStars, Stars
 from sunarc.optics.camera import Camera
 from sunarc.sky.directions import angles_from_direction
-from sunarc.sky.night import NightSky
-from sunarc.sky.site import relative_air_mass
+from sunarc.sky.night import FAINTEST_V, NightSky, night_sky
+from sunarc.sky.site import Site, relative_air_mass
 
+BENT_PX = 1.0
+"""1-sigma of how far the cold of the night bends a mount, beside the calibration's own uncertainty."""
+_MOST_A_FRAME = 30
+"""Sightings stored of an image: the surest of each part. A night of 50 images has as many as a day of the sun."""
 _EXTINCTION = 0.25
 """Magnitudes an air mass, of a clear sky in the visible: Rayleigh scattering 0.1, and as much and more of aerosol."""
 
@@ -136,3 +141,18 @@ def _furthest(view: StarView, every: Sequence[StarView]) -> StarView | None:
     apart = [(abs(view.unix_s - one.unix_s), index) for index, one in enumerate(every)]
     same_night = [pair for pair in apart if 0.0 < pair[0] < _LONGEST_NIGHT_S]
     return every[max(same_night)[1]] if same_night else None
+
+
+def star_view(stars: Stars, unix_s: float, *, site: Site, calibration: Calibration) -> StarView:
+    """Return the detections of an image beside the stars that a calibration predicts in it."""
+    sky = night_sky(unix_s, site, faintest=FAINTEST_V)
+    return StarView(unix_s=unix_s, sky=sky, stars=stars, predicted=predict_stars(calibration, sky, within_px=BENT_PX))
+
+
+def surest_named(view: StarView, found: MatchedView, image_size: tuple[int, int]) -> tuple[NameArray, Stars]:
+    """Return the named stars of an accepted image that are stored: those not clipped, the surest of each part."""
+    names, stars = np.array(found.names(view), dtype=np.str_), found.stars.select(found.matches.detection)
+    sound = stars.sound
+    names, stars = names[sound], stars.select(sound)
+    rows = surest_of_parts(image_parts(stars.pixels, image_size), stars.sigma_px, _MOST_A_FRAME)
+    return names[rows], stars.select(rows)

@@ -27,13 +27,13 @@ from sunarc.runtime.clock import Clock
 from sunarc.runtime.loop import DropOldestQueue, Loop, Pauses, entries
 from sunarc.runtime.status import CameraStatus, StatusRegistry
 from sunarc.sky.site import Site
-from sunarc.sky.sun import sun_angles
+from sunarc.sky.sun import DARK_ZENITH_DEG, sun_angles
 from sunarc.utc import rfc3339
 from sunarc.workers.capture_status import CaptureReport
 from sunarc.workers.clock_watch import FrameTime
 from sunarc.workers.exposures import ExposureSequence, SunExposures
 from sunarc.workers.messages import condition
-from sunarc.workers.night.exposures import DARK_ZENITH_DEG, NightCapture
+from sunarc.workers.night.exposures import NightCapture
 from sunarc.workers.options import CaptureOptions, SensorOptions, sensor_of
 from sunarc.workers.sun_prediction import SunPredictor
 

@@ -14,9 +14,9 @@ from sunarc.errors import CameraError, CameraTimeoutError, ConfigurationError, E
 from sunarc.imaging.brightness import is_dark
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import CameraStatus, CaptureStatus, Severity, StatusRegistry
+from sunarc.sky.sun import DARK_ZENITH_DEG
 from sunarc.workers.clock_watch import FrameTime
 from sunarc.workers.messages import condition
-from sunarc.workers.night.exposures import DARK_ZENITH_DEG
 
 LIT_ZENITH_DEG = 80.0
 """The sun's apparent zenith angle below which the longest normal exposure shows the sky in any weather."""

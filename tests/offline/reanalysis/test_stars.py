@@ -30,8 +30,8 @@ from sunarc.reanalysis.passes import Passes
 from sunarc.reanalysis.states import ArchiveCamera, Epoch, State
 from sunarc.sky.night import STAR, body_directions
 from sunarc.sky.sun import sun_directions
+from sunarc.stars.views import star_view
 from sunarc.utc import DAY_S
-from sunarc.workers.night.named_stars import star_view
 
 TIMES = ("20260313_060000", "20260313_064000", "20260313_072000")
 LATE_S = 3600.0

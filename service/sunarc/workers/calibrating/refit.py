@@ -24,12 +24,12 @@ from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
 from sunarc.calibration.quality.fit_checks import provisional
 from sunarc.calibration.quality.widening import with_pose_spread
+from sunarc.calibration.selection import Selection, SelectionOptions, select_sightings, surest_of_epochs
 from sunarc.documents.calibration_document import to_document
 from sunarc.errors import InputError, NotFoundError
 from sunarc.findings import Data, Finding
 from sunarc.monitoring.acceptance import accept, pose_spread_deg, unseen_points
 from sunarc.monitoring.day_quality import days_left_out
-from sunarc.monitoring.selection import Selection, SelectionOptions, select_sightings, surest_of_epochs
 from sunarc.monitoring.step_search import PoseStep
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.loop import Loop

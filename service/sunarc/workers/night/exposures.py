@@ -17,9 +17,6 @@ from sunarc.runtime.loop import DropOldestQueue
 from sunarc.sky.night import MoonDisc
 from sunarc.sky.site import relative_air_mass
 
-DARK_ZENITH_DEG = 102.0
-"""The sun's zenith angle from which on it is night: -12 degrees."""
-
 LADDER_US = (10e6, 5e6, 2.5e6, 1.25e6, 0.6e6, 0.3e6)
 """In 10 s the sky turns by 0.4 px at 600 px a radian; 0.3 s is short enough for a full moon."""
 _FIRST = 1

@@ -1,4 +1,4 @@
-"""The images of a night: what was measured in each, kept until the verdict, and the picture that is shown."""
+"""Files of a night: the measurements of its images until the verdict, the picture that is shown, the warm pixels."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from datetime import datetime
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
@@ -17,22 +18,24 @@ import numpy as np
 
 from sunarc.archive.archive import CameraArchive
 from sunarc.archive.days import NightImage
-from sunarc.archive.images import ImageStore
+from sunarc.archive.images import ImageStore, write_atomically
 from sunarc.array_types import BoolArray, Image, IntArray
 from sunarc.calibration.model.result import Calibration
 from sunarc.cameras.frame import Frame
 from sunarc.detection.moon import Cutout
 from sunarc.detection.stars.photometry import detected
+from sunarc.detection.stars.warm_pixels import SensorFormat
 from sunarc.detection.values import Stars
 from sunarc.errors import OutsideError
+from sunarc.findings import Finding
 from sunarc.imaging.metadata import jpeg_with
 from sunarc.optics.camera import camera_sees
 from sunarc.optics.forward import project
 from sunarc.sky.night import body_position, title_of
 from sunarc.stars.views import StarView
 from sunarc.utc import rfc3339
+from sunarc.workers.messages import text_of
 from sunarc.workers.night.named_stars import TakenImage
-from sunarc.workers.night.warm_pixels import SensorFormat
 
 _log = logging.getLogger(__name__)
 
@@ -282,3 +285,84 @@ def store_picture(
         _log.warning("picture of the night not written: %s", error)
         return False
     return True
+
+
+_LIST_VERSION = 1
+_MOST_PIXELS = 40_000
+"""Pixels of a list: an image has 20,000 that stand out, and a list those that do so in 70 % of the images."""
+_MOST_LIST_BYTES = 1 << 20
+"""A list of 40,000 pixels of up to 10 digits takes half of it; a larger file is none of ours."""
+
+
+@dataclass(eq=False)
+class WarmPixelFile:
+    """The file of a camera's warm pixels; a file that cannot be read or written is reported, and the night goes on.
+
+    Parameters
+    ----------
+    path : of the file.
+    report : stores a finding as an event.
+    """
+
+    path: Path
+    report: Callable[[Finding], object]
+
+    def read(self, sensor: SensorFormat) -> IntArray:
+        """Return the flat indices, ascending; none without a file, or where it is damaged or of another sensor."""
+        try:
+            with self.path.open("rb") as file:
+                content = file.read(_MOST_LIST_BYTES + 1)
+            stored, pixels = _parsed_list(content)
+        except FileNotFoundError:
+            return np.zeros(0, dtype=np.int64)
+        except (OSError, ValueError, OverflowError, RecursionError) as error:
+            why = error.strerror if isinstance(error, OSError) else None
+            self.report(Finding("warm_pixels_unread", {"file": self.path.name, "error": why or str(error)}))
+            return np.zeros(0, dtype=np.int64)
+        if stored != sensor:
+            data = {"file": self.path.name, "stored": _described(stored), "present": _described(sensor)}
+            self.report(Finding("warm_pixels_other_sensor", data))
+            return np.zeros(0, dtype=np.int64)
+        return pixels
+
+    def write(self, sensor: SensorFormat, pixels: IntArray) -> None:
+        """Write a list in place of the former one: the whole of it, or nothing."""
+        document = {"version": _LIST_VERSION, "sensor": sensor._asdict(), "pixels": pixels[:_MOST_PIXELS].tolist()}
+        try:
+            write_atomically(self.path, json.dumps(document).encode())
+        except OSError as error:
+            found = Finding("warm_pixels_unwritten", {"file": self.path.name, "error": error.strerror or str(error)})
+            # no event: a disk that is full has no room for one
+            _log.warning("%s: %s", found.code, text_of(found), extra={"event_kind": found.code})
+
+
+def _parsed_list(content: bytes) -> tuple[SensorFormat, IntArray]:
+    """Return what a file says; ValueError where it is not as it was written."""
+    if len(content) > _MOST_LIST_BYTES:
+        raise ValueError(f"more than {_MOST_LIST_BYTES} bytes")
+    document = json.loads(content)
+    if not isinstance(document, dict) or document.get("version") != _LIST_VERSION:
+        raise ValueError("not a list of this version")
+    sensor, pixels = _sensor_format(document.get("sensor")), document.get("pixels")
+    if not isinstance(pixels, list) or len(pixels) > _MOST_PIXELS or not all(type(one) is int for one in pixels):
+        raise ValueError("no list of pixels")
+    flat = np.array(pixels, dtype=np.int64)
+    if flat.size and (flat[0] < 0 or flat[-1] >= sensor.rows * sensor.columns or np.any(np.diff(flat) <= 0)):
+        raise ValueError("pixels outside the image, or not in ascending order")
+    return sensor, flat
+
+
+def _sensor_format(stored: Any) -> SensorFormat:  # noqa: ANN401 - of JSON
+    if not isinstance(stored, dict) or set(stored) != set(SensorFormat._fields):
+        raise ValueError("no sensor")
+    sensor = SensorFormat(**stored)
+    if any(type(one) is not kind for one, kind in zip(sensor, (int, int, str, int, str), strict=True)):
+        raise ValueError("no sensor")
+    return sensor
+
+
+def _described(sensor: SensorFormat) -> str:
+    binned = f", {sensor.binning}x{sensor.binning} binned" if sensor.binning > 1 else ""
+    return (
+        f"{sensor.columns}x{sensor.rows} px {sensor.pixel_format}{binned}, serial number {sensor.serial or 'unknown'}"
+    )

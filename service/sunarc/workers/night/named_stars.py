@@ -10,38 +10,16 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.archive.values import NightBand, NightSeries
-from sunarc.array_types import FloatArray, NameArray
+from sunarc.array_types import FloatArray
 from sunarc.calibration.model.result import Calibration
 from sunarc.detection.stars import photometry
 from sunarc.detection.values import FWHM, Stars
-from sunarc.monitoring.selection import image_parts, surest_of_parts
 from sunarc.robust_statistics import biweights, mad_sigma
 from sunarc.sky.directions import angles_from_direction
-from sunarc.sky.night import FAINTEST_V, night_sky
-from sunarc.sky.site import Site, relative_air_mass
-from sunarc.stars.views import MatchedView, StarView, predict_stars
+from sunarc.sky.night import FAINTEST_V
+from sunarc.sky.site import relative_air_mass
+from sunarc.stars.views import BENT_PX, MatchedView, StarView
 from sunarc.utc import utc_time
-
-BENT_PX = 1.0
-"""1-sigma of how far the cold of the night bends a mount, beside the calibration's own uncertainty."""
-_MOST_A_FRAME = 30
-"""Sightings stored of an image: the surest of each part. A night of 50 images has as many as a day of the sun."""
-
-
-def star_view(stars: Stars, unix_s: float, *, site: Site, calibration: Calibration) -> StarView:
-    """Return the detections of an image beside the stars that a calibration predicts in it."""
-    sky = night_sky(unix_s, site, faintest=FAINTEST_V)
-    return StarView(unix_s=unix_s, sky=sky, stars=stars, predicted=predict_stars(calibration, sky, within_px=BENT_PX))
-
-
-def surest_named(view: StarView, found: MatchedView, image_size: tuple[int, int]) -> tuple[NameArray, Stars]:
-    """Return the named stars of an accepted image that are stored: those not clipped, the surest of each part."""
-    names, stars = np.array(found.names(view), dtype=np.str_), found.stars.select(found.matches.detection)
-    sound = stars.sound
-    names, stars = names[sound], stars.select(sound)
-    rows = surest_of_parts(image_parts(stars.pixels, image_size), stars.sigma_px, _MOST_A_FRAME)
-    return names[rows], stars.select(rows)
-
 
 _POWERS = (1, 2, 3)
 _FEWEST = 60

@@ -21,39 +21,32 @@ from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
 from sunarc.cameras.frame import Frame
 from sunarc.detection.stars.detect import detect_stars
 from sunarc.detection.stars.photometry import NightLimits, NightTrend, dew_suspected, focus_ratio, star_halo
+from sunarc.detection.stars.warm_pixels import WarmPixelMap
 from sunarc.detection.values import FWHM, Stars
 from sunarc.findings import Finding
 from sunarc.runtime.loop import turns
 from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.sky.days import solar_date
 from sunarc.sky.night import body_position
-from sunarc.stars.views import MatchedView, StarView, match_views, matching_flip
+from sunarc.sky.sun import DARK_ZENITH_DEG
+from sunarc.stars.views import BENT_PX, MatchedView, StarView, match_views, matching_flip, star_view, surest_named
 from sunarc.utc import DAY_S, rfc3339
 from sunarc.workers.messages import MESSAGES, condition, text_of
-from sunarc.workers.night.exposures import DARK_ZENITH_DEG, NightCapture
+from sunarc.workers.night.exposures import NightCapture
 from sunarc.workers.night.images import (
     FrameNote,
     KeptImages,
     KeptMoon,
     KeptStars,
     NightPicture,
+    WarmPixelFile,
     better,
     named_bodies,
     night_picture,
     store_picture,
 )
 from sunarc.workers.night.moon import MoonImages
-from sunarc.workers.night.named_stars import (
-    BENT_PX,
-    TakenImage,
-    cloud_fraction,
-    limit_of,
-    numbers_of,
-    offset_of,
-    star_view,
-    surest_named,
-)
-from sunarc.workers.night.warm_pixels import WarmPixelFile, WarmPixelMap
+from sunarc.workers.night.named_stars import TakenImage, cloud_fraction, limit_of, numbers_of, offset_of
 from sunarc.workers.options import SensorOptions, sensor_of
 
 # What a night was like, by its images.

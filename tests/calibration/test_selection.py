@@ -9,8 +9,7 @@ import pytest
 
 from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.errors import InputError
-from sunarc.monitoring.selection import (
+from sunarc.calibration.selection import (
     Candidates,
     SelectionOptions,
     select_sightings,
@@ -18,6 +17,7 @@ from sunarc.monitoring.selection import (
     sky_patches,
     solid_angle_sr,
 )
+from sunarc.errors import InputError
 from sunarc.sky.days import solar_days
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions

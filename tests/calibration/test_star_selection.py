@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sunarc.monitoring.selection import image_parts, sky_parts, surest_of_parts
+from sunarc.calibration.selection import image_parts, sky_parts, surest_of_parts
 
 
 def test_the_parts_of_an_image_have_equal_areas() -> None:
