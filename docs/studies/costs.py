@@ -35,7 +35,8 @@ from tests.fixtures.postgresql import TEMPLATE, running_server
 from tests.fleet.hub_process import processor_s
 from tests.fleet.scale import fill
 
-from sunarc.api.app import create_app, create_hub_app
+from sunarc.api.app import create_app
+from sunarc.api.hub import create_hub_app
 from sunarc.api.options import ApiOptions
 from sunarc.archive.archive import open_archive
 from sunarc.archive.values import Refit

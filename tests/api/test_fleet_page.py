@@ -17,7 +17,7 @@ from tests.api.test_hub import CHECKS, TOKEN, save_checks
 from tests.fixtures.archive import make_empty
 from tests.fixtures.fleet import NOW, feed, new_imager, sighting
 
-from sunarc.api.app import create_hub_app
+from sunarc.api.hub import create_hub_app
 from sunarc.api.options import ApiOptions
 from sunarc.api.routes.feed import token_digest
 from sunarc.archive.archive import open_archive

@@ -23,8 +23,8 @@ from tests.fixtures.fleet import NOW, new_imager, next_batch, sighting
 from tests.fixtures.postgresql import TEMPLATE, running_server
 from tests.workers.test_full_disk import mounted
 
-from sunarc.api.app import create_hub_app
 from sunarc.api.fleet_states import SILENT
+from sunarc.api.hub import create_hub_app
 from sunarc.api.options import ApiOptions
 from sunarc.api.routes.feed import MOST_BYTES, MOST_LISTS, token_digest
 from sunarc.archive.archive import Archive, open_archive

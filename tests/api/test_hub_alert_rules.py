@@ -17,7 +17,7 @@ from tests.api.test_hub import TOKEN, Hub
 from tests.fixtures.fleet import NOW, new_imager, next_batch, sighting
 from tests.fixtures.postgresql import Server, running_server
 
-from sunarc.api.app import create_hub_app
+from sunarc.api.hub import create_hub_app
 from sunarc.api.options import ApiOptions
 from sunarc.api.routes.feed import token_digest
 from sunarc.archive.archive import Archive, open_archive

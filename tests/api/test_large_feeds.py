@@ -12,7 +12,7 @@ import pytest
 from tests.fixtures.archive import make_empty
 from tests.fixtures.fleet import NOW
 
-from sunarc.api.app import create_hub_app
+from sunarc.api.hub import create_hub_app
 from sunarc.api.options import ApiOptions
 from sunarc.api.routes.feed import LARGE_AT_ONCE, LARGE_BYTES, FeedReceiver, SentBody
 from sunarc.archive.archive import open_archive

@@ -8,7 +8,8 @@ from pathlib import Path
 from tests.fixtures.archive import make_empty, new_archive
 from tests.fixtures.fleet import NOW, feed, new_imager, sighting
 
-from sunarc.app.pushing import fleet_states, imager_states, push_workers
+from sunarc.app.hub import fleet_states
+from sunarc.app.pushing import imager_states, push_workers
 from sunarc.archive.archive import CameraArchive, open_archive
 from sunarc.archive.fleet.feed_rows import Refusal
 from sunarc.runtime.clock import VirtualClock

@@ -15,7 +15,7 @@ import pytest
 from tests.fixtures.archive import make_empty
 from tests.fixtures.calibration import current_document, distinctive_calibration
 
-from sunarc.api.app import create_hub_app
+from sunarc.api.hub import create_hub_app
 from sunarc.api.options import ApiOptions
 from sunarc.archive.archive import open_archive
 from sunarc.client import AsyncImager, Hub, Imager, ImagerError, LocalImager

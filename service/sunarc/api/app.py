@@ -1,4 +1,4 @@
-"""The applications of an imager and of a hub, made of what they are handed, and their description."""
+"""Application of an imager, made of its collaborators, and the parts that every application has."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from starlette.staticfiles import StaticFiles
 import sunarc
 from sunarc.api.arrays import MOST_BYTES_AHEAD
 from sunarc.api.bulk import ComputeSlots
-from sunarc.api.context import CAMERA_PREFIX, ApiContext, DaySites, SingleFlightCache, refuse_refit
+from sunarc.api.context import CAMERA_PREFIX, ApiContext, DaySites, SingleFlightCache
 from sunarc.api.middleware.admission import (
     AllowedHosts,
     ConcurrencyLimit,
@@ -35,8 +35,6 @@ from sunarc.api.options import ApiOptions
 from sunarc.api.problems import Fault, FaultGuard, FaultLog, Problem, add_problem_handlers, answers, require_known_names
 from sunarc.api.routes.calibrations import calibration_routes, decision_routes, refit_routes
 from sunarc.api.routes.directions import direction_routes
-from sunarc.api.routes.feed import FeedReceiver, FeedSizes, feed_routes
-from sunarc.api.routes.fleet import FleetCollector, fleet_page, fleet_routes, nightly_routes, pair_routes
 from sunarc.api.routes.geolocation import GeolocateRequest, geolocation_routes
 from sunarc.api.routes.health import camera_list_routes, health_routes
 from sunarc.api.routes.images import image_routes
@@ -324,56 +322,3 @@ def _add_dashboard(app: FastAPI) -> None:
         return FileResponse(STATIC / "docs" / "docs.html")
 
     app.mount("/static", StaticFiles(directory=STATIC))
-
-
-def create_hub_app(
-    *,
-    archive: Archive,
-    status: Callable[[], StatusSnapshot],
-    now: Callable[[], datetime],
-    options: ApiOptions,
-    registry: CollectorRegistry | None = None,
-    stopping: Callable[[], bool] = lambda: False,
-) -> FastAPI:
-    """Return an application that takes the rows of imagers, and answers for each of their cameras.
-
-    What an imager decides is not changed here: routes that change something answer 403.
-
-    Parameters
-    ----------
-    archive : the fleet's.
-    status : returns how the hub is.
-    now : real time.
-    options : limits and the token for reading.
-    registry : where Prometheus's numbers are registered; a new one by default.
-    stopping : returns whether the hub is about to stop: streams of events end then.
-    """
-    context = new_context(
-        archive=archive,
-        camera="",  # the hub has none of its own
-        site=Site(latitude=0.0, longitude=0.0),
-        status=status,
-        request_refit=refuse_refit,
-        frame_clock=now,
-        latest_image=lambda: None,
-        options=options,
-        images=None,
-        stopping=stopping,
-        token=None,
-    )
-    receiver = FeedReceiver(archive, now)
-    numbers = registry or CollectorRegistry()
-    numbers.register(FleetCollector(archive, now, status))
-    app = new_application("sunarc hub")
-    app.include_router(feed_routes(receiver))
-    add_camera_routes(app, context)
-    app.include_router(camera_list_routes(context))
-    app.include_router(fleet_routes(archive, now, numbers, status))
-    app.include_router(nightly_routes(archive))
-    app.include_router(pair_routes(context))
-    app.include_router(fleet_page(STATIC))
-    app.mount("/static", StaticFiles(directory=STATIC))
-    complete(app, context)
-    count_requests(app, numbers)
-    app.add_middleware(FeedSizes, receiver=receiver)
-    return app

@@ -5,14 +5,18 @@ from __future__ import annotations
 import os
 import signal
 import socket
+from collections.abc import Callable, Mapping
+from datetime import datetime
 
 import sunarc
-from sunarc.api.app import create_hub_app
-from sunarc.app.pushing import fleet_states, push_workers
+from sunarc.api.fleet_states import FleetMember, members
+from sunarc.api.hub import create_hub_app
+from sunarc.app.pushing import push_workers
 from sunarc.app.service import hub_recording
 from sunarc.app.serving import LOOP_STALE_S, new_server, running, stop_on_signals, supervised, with_credentials
 from sunarc.archive.archive import Archive, open_archive
 from sunarc.archive.fleet.feeds import HubRun
+from sunarc.archive.fleet.notices import CameraState
 from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.daily_job import Schedule
 from sunarc.runtime.host import listen, notifier_from
@@ -90,3 +94,30 @@ def _serve_at(listening: socket.socket, archive: Archive, settings: HubSettings)
         server.run(sockets=[listening])
         notifier.stopping()
     return 0
+
+
+def fleet_states(archive: Archive, now: Callable[[], datetime]) -> Callable[[], Mapping[str, CameraState]]:
+    """Return a function that returns the states of a hub's cameras, by what they last reported."""
+
+    def states() -> Mapping[str, CameraState]:
+        # What was registered and sent nothing yet has no state that could change.
+        known = [camera for camera in archive.feeds.fleet() if camera.received_at is not None]
+        return {
+            camera.camera: CameraState(
+                health=camera.state,
+                conditions=_fleet_conditions(camera),
+                calibration=camera.calibration,
+                calibrated_at=camera.calibrated_at,
+                sky_rms_deg=camera.sky_rms_deg,
+            )
+            for camera in members(tuple(known), now(), archive.nightly.cross_checks())
+        }
+
+    return states
+
+
+def _fleet_conditions(camera: FleetMember) -> Mapping[str, Mapping[str, object]]:
+    """Return what an imager reported of itself, and what the hub finds."""
+    reported = (camera.status or {}).get("conditions")
+    codes = [str(code) for code in reported] if isinstance(reported, list) else []
+    return {code: {"code": code} for code in (*codes, *(one.code for one in camera.why))}

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from datetime import datetime
 from functools import partial
 
-from sunarc.api.fleet_states import FleetMember, members
 from sunarc.archive.archive import Archive, CameraArchive
 from sunarc.archive.fleet.notices import CameraState
 from sunarc.runtime.clock import Clock
@@ -85,30 +83,3 @@ def imager_states(camera: CameraArchive, board: StatusRegistry) -> Callable[[], 
         return {camera.name: state}
 
     return states
-
-
-def fleet_states(archive: Archive, now: Callable[[], datetime]) -> Callable[[], Mapping[str, CameraState]]:
-    """Return a function that returns the states of a hub's cameras, by what they last reported."""
-
-    def states() -> Mapping[str, CameraState]:
-        # What was registered and sent nothing yet has no state that could change.
-        known = [camera for camera in archive.feeds.fleet() if camera.received_at is not None]
-        return {
-            camera.camera: CameraState(
-                health=camera.state,
-                conditions=_fleet_conditions(camera),
-                calibration=camera.calibration,
-                calibrated_at=camera.calibrated_at,
-                sky_rms_deg=camera.sky_rms_deg,
-            )
-            for camera in members(tuple(known), now(), archive.nightly.cross_checks())
-        }
-
-    return states
-
-
-def _fleet_conditions(camera: FleetMember) -> Mapping[str, Mapping[str, object]]:
-    """Return what an imager reported of itself, and what the hub finds."""
-    reported = (camera.status or {}).get("conditions")
-    codes = [str(code) for code in reported] if isinstance(reported, list) else []
-    return {code: {"code": code} for code in (*codes, *(one.code for one in camera.why))}

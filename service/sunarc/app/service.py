@@ -49,7 +49,7 @@ from sunarc.workers.sun_prediction import SunPredictor
 from sunarc.workers.upkeep import ConditionTimesWorker, DatabaseWorker, DiskWorker, HousekeepingWorker, StoreRoomWorker
 
 if TYPE_CHECKING:  # a GigE camera's process does without
-    from sunarc.reanalysis.folder_archive import FolderArchiveWorker
+    from sunarc.reanalysis.folder_archive import FolderAnalysis, FolderArchiveWorker
     from sunarc.reanalysis.folder_worker import FolderWorker
     from sunarc.reanalysis.snapshots import SnapshotWorker
 
@@ -152,6 +152,7 @@ class Service:
     clock : real time.
     open_camera : opens the camera that the settings name.
     recovered : what was done about a lost database before the start.
+    folder_analysis : of a followed folder's older images; None leaves them to `sunarc ingest`.
     """
 
     def __init__(
@@ -162,8 +163,10 @@ class Service:
         clock: Clock,
         open_camera: Callable[[], SkyCamera],
         recovered: Recovery | None = None,
+        folder_analysis: FolderAnalysis | None = None,
     ) -> None:
         self._recovered = recovered
+        self._folder_analysis = folder_analysis
         self.settings = settings
         self.archive = archive
         self.camera = CameraArchive(archive, name=settings.name, site=settings.site)
@@ -251,6 +254,7 @@ class Service:
             clock=self.clock,
             frame_time=self.frame_time,
             board=self.board,
+            analysis=self._folder_analysis,
             look_back=self.days.look_back,
         )
         images = LiveImages(

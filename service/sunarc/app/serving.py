@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 import uvicorn
 from fastapi import FastAPI
@@ -35,6 +35,9 @@ from sunarc.runtime.host import credential, listen, notifier_from, prepare_state
 from sunarc.runtime.status import StatusRegistry
 from sunarc.runtime.supervisor import Heartbeat, Monitored, Supervised, Supervisor, Watchdog
 from sunarc.settings.model import Settings
+
+if TYPE_CHECKING:  # its readers of files are loaded where a folder is followed
+    from sunarc.reanalysis.folder_archive import FolderAnalysis
 
 _STOP_WITHIN_S = 4.0
 
@@ -83,10 +86,15 @@ LOOP_STALE_S = 30.0  # the web server's loop turns every 0.1 s; its longest step
 LONGEST_CALL_S = 600.0  # of the scheduled job; judging a year of days that were missed takes a minute
 
 
-def serve_imager(settings: Settings) -> int:
+def serve_imager(settings: Settings, *, folder_analysis: FolderAnalysis | None = None) -> int:
     """Run the service until SIGTERM or SIGINT; return the process's exit code.
 
     SIGHUP is ignored: settings are read at the start, and a closed terminal is no reason to stop.
+
+    Parameters
+    ----------
+    settings : of the service.
+    folder_analysis : see `Service`.
 
     Raises
     ------
@@ -97,10 +105,10 @@ def serve_imager(settings: Settings) -> int:
     listening = listen(settings.api.host, settings.api.port)
     prepare_state(settings.state)
     with lock_state(settings.state):
-        return _serve_at(listening, settings)
+        return _serve_at(listening, settings, folder_analysis)
 
 
-def _serve_at(listening: socket.socket, settings: Settings) -> int:
+def _serve_at(listening: socket.socket, settings: Settings, folder_analysis: FolderAnalysis | None) -> int:
     clock = SystemClock()
     prepare_state(settings.images)
     _make_room(settings)
@@ -119,6 +127,7 @@ def _serve_at(listening: socket.socket, settings: Settings) -> int:
         clock=clock,
         open_camera=camera_opener(settings, clock),
         recovered=recovered,
+        folder_analysis=folder_analysis,
     )
     recording = imager_recording(service)
     notifier = notifier_from(os.environ)

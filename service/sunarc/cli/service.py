@@ -29,12 +29,28 @@ def serve(
 
     Example: sunarc serve --config /etc/sunarc/sunarc.toml
     """
-    from sunarc.app.hub import serve_hub
-    from sunarc.app.serving import end_process, serve_imager
+    from sunarc.app.serving import end_process
 
     is_hub = choice_of("--role", role, ("imager", "hub")) == "hub"
     start_log(os.environ)
-    end_process(serve_hub(load_hub_settings(config)) if is_hub else serve_imager(load_settings(config)))
+    end_process(_serve_hub(config) if is_hub else _serve_imager(config))
+
+
+def _serve_hub(config: Path | None) -> int:
+    from sunarc.app.hub import serve_hub
+
+    return serve_hub(load_hub_settings(config))
+
+
+def _serve_imager(config: Path | None) -> int:
+    from sunarc.app.serving import serve_imager
+
+    settings = load_settings(config)
+    if settings.source != "folder":
+        return serve_imager(settings)
+    from sunarc.reanalysis.ingest import ingest_followed
+
+    return serve_imager(settings, folder_analysis=ingest_followed)
 
 
 def simulate(

@@ -9,6 +9,7 @@ from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass
 from datetime import date, timedelta
 from functools import partial
+from typing import Protocol
 
 from sunarc.archive.archive import CameraArchive
 from sunarc.archive.seen_files import SeenFile
@@ -18,8 +19,6 @@ from sunarc.findings import Finding
 from sunarc.reanalysis.folder_files import changed_s
 from sunarc.reanalysis.image_files import SourceFile
 from sunarc.reanalysis.image_times import TimeRules
-from sunarc.reanalysis.ingest import IngestOptions, ingest_folder
-from sunarc.reanalysis.ingest_summary import IngestSummary
 from sunarc.reanalysis.messages import MESSAGES
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.loop import Attempts, Loop, Pauses
@@ -58,9 +57,16 @@ class DaysUntil:
         return isinstance(day, date) and (day <= self._last or day in self._others)
 
 
+class FolderAnalysis(Protocol):
+    """Analysis of the files of a followed folder in both passes of `sunarc ingest`; called in a process of its own."""
+
+    def __call__(self, settings: Settings, *, rules: TimeRules, only: frozenset[str] | None) -> bool:
+        """Store the sightings of the files that are named, or of all for None, and return that it was done."""
+
+
 @dataclass(eq=False)
 class FolderArchiveWorker:
-    """Analyses what is in the folder with both passes of `ingest`, in a child process, when there is a reason to.
+    """Analyses the older images of the folder in a child process, when there is a reason to.
 
     Reasons are many older files at a start; a day that ended before there was a calibration, whose images were searched
     without a prediction; and the first calibration, which predicts the sun in them.
@@ -73,6 +79,7 @@ class FolderArchiveWorker:
     camera : its archive.
     clock, frame_time : real time, and that of the images.
     board : where the progress is shown.
+    analysis : of the files; None leaves them to `sunarc ingest`.
     look_back : called once sightings of earlier days are stored: these may be judged.
     """
 
@@ -84,6 +91,7 @@ class FolderArchiveWorker:
     clock: Clock
     frame_time: FrameTime
     board: StatusRegistry
+    analysis: FolderAnalysis | None = None
     look_back: Callable[[], None] = lambda: None
 
     def __post_init__(self) -> None:
@@ -138,13 +146,13 @@ class FolderArchiveWorker:
 
     def step(self, stop: threading.Event, heartbeat: Callable[[], None]) -> bool:
         """Analyse the folder if there is a reason to; return whether that was done."""
-        if self._rests or not (self._older or self._is_due()):
+        if self.analysis is None or self._rests or not (self._older or self._is_due()):
             return False
         files = self._older[:_PORTION]
         self._working = True
         try:
-            answer = self._analyse(files, stop, heartbeat)
-            if isinstance(answer, IngestSummary):
+            answer = self._analyse(self.analysis, files, stop, heartbeat)
+            if answer is True:
                 self._succeeded(files)
             elif answer is not None:
                 self._fail(str(answer))
@@ -179,14 +187,15 @@ class FolderArchiveWorker:
     def _has_calibration(self) -> bool:
         return self.camera.archive.calibrations.current(self.camera.name) is not None
 
-    def _analyse(self, files: Sequence[SourceFile], stop: threading.Event, heartbeat: Callable[[], None]) -> object:
-        options = IngestOptions(
-            method=self.options.method,
-            rules=self.rules,
-            files=self.options.files,
-            only=frozenset(file.name for file in files) if files else None,
-        )
-        call = partial(ingest_folder, self.settings, self.options.path, options=options)
+    def _analyse(
+        self,
+        analysis: FolderAnalysis,
+        files: Sequence[SourceFile],
+        stop: threading.Event,
+        heartbeat: Callable[[], None],
+    ) -> object:
+        only = frozenset(file.name for file in files) if files else None
+        call = partial(analysis, self.settings, rules=self.rules, only=only)
         before, next_s = self._stored(), self.clock.monotonic()
 
         def show() -> None:

@@ -138,6 +138,23 @@ def ingest_folder(
     )
 
 
+def ingest_followed(settings: Settings, *, rules: TimeRules, only: frozenset[str] | None) -> bool:
+    """Ingest files of the folder that the service follows, and return that it was done (`FolderAnalysis`).
+
+    Parameters
+    ----------
+    settings : of the service; its `folder` names the files and the method.
+    rules : how times are read.
+    only : paths below the folder; None for all files.
+    """
+    folder = settings.folder
+    if folder is None:
+        raise ValueError("settings without [folder]")
+    options = IngestOptions(method=folder.method, rules=rules, files=folder.files, only=only)
+    ingest_folder(settings, folder.path, options=options)
+    return True
+
+
 def _plan(settings: Settings, folder: Path, options: IngestOptions, size: tuple[int, int] | None) -> CameraPlan:
     return CameraPlan(
         name=settings.name,

@@ -18,6 +18,7 @@ from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.documents.calibration_document import to_document
 from sunarc.reanalysis.folder_worker import FolderWorker
+from sunarc.reanalysis.ingest import ingest_followed
 from sunarc.runtime.clock import VirtualClock
 
 
@@ -40,6 +41,7 @@ class Followed:
             archive=open_archive(settings.archive),
             clock=self.clock,
             open_camera=never,  # type: ignore[arg-type]
+            folder_analysis=ingest_followed,
         )
 
     @property
