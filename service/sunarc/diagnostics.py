@@ -12,7 +12,7 @@ import threading
 import urllib.parse
 import urllib.request
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import replace
 from datetime import timedelta
 from functools import partial
@@ -30,6 +30,7 @@ from sunarc.app.serving import with_credentials
 from sunarc.archive.archive import Archive, open_archive
 from sunarc.archive.database.backup import newest_sound_copy
 from sunarc.archive.database.schema import check, head_revision
+from sunarc.archive.database.state_folder import as_owner
 from sunarc.archive.fleet.outbox import OutboxPosition
 from sunarc.array_types import Image
 from sunarc.cameras.aravis import AravisCamera, open_aravis
@@ -164,18 +165,19 @@ def run_checks(settings: Settings, *, clock: Clock) -> Iterator[CheckResult]:
     running = _running(settings)
     yield CheckResult("settings", "ok", f"camera {settings.name!r}, state in {settings.state}")
     yield _checked("versions", _versions)
-    yield _checked("state folder", lambda: _state(settings))
-    yield _checked("database", lambda: _database(settings))
-    yield _checked("backups", lambda: _backups(settings, clock))
+    with as_owner(settings.state):
+        yield _checked("state folder", lambda: _state(settings))
+        yield _checked("database", lambda: _database(settings))
+        yield _checked("backups", lambda: _backups(settings, clock))
     yield _checked("port", lambda: _port(settings, running))
     yield _checked("clock", check_clock)
-    with _rights_of_owner(settings.state):
+    with as_owner(settings.state):
         yield from _optional(settings, clock)
     if settings.source == "folder" and settings.folder is not None:
-        with _rights_of_owner(settings.state):
+        with as_owner(settings.state):
             yield from (CheckResult(*tried[:3]) for tried in _pictures(settings.folder, settings.site, None))
     elif settings.source in {"http", "rtsp"}:
-        with _rights_of_owner(settings.state):
+        with as_owner(settings.state):
             yield _checked(f"picture at {settings.source}.url", lambda: _snapshot(settings, None)[:2])
     else:
         yield _checked("camera", lambda: _camera(settings, clock) if running is None else _camera_in_use(running))
@@ -278,9 +280,9 @@ def _pictures(options: FolderOptions, site: Site, picture: Path | None) -> Itera
         if picture is None:
             return
         try:
-            picture.write_bytes(small_picture(image, tried.found))
-        except OSError as error:
-            unwritten.append(f"{picture} cannot be written: {error.strerror}; give --picture")
+            _write_small(picture, image, tried)
+        except errors.OutsideError as error:
+            unwritten.append(f"{error}; give --picture")
 
     tried = list(try_pictures(source, names, rules, most=_PICTURES, on_image=show))
     if not tried:
@@ -314,12 +316,16 @@ def _snapshot(settings: Settings, shown: Path | None) -> tuple[Outcome, str, str
     rule = "its Last-Modified" if settings.dated_by_camera else "this host's clock"
     tried = look_for_sun(TriedPicture(name=name, time=found.time, rule=rule), image)
     if shown is not None:
-        with errors.disk_errors(shown):
-            shown.write_bytes(small_picture(image, tried.found))
+        _write_small(shown, image, tried)
     judged = judge_site([tried], settings.site)
     if judged.code == "site_sun_down":
         return "warn", f"{tried.describe()}; {_sentence(judged)}", judged.code
     return "ok", tried.describe() + ("" if shown is None else f"; see {shown}"), ""
+
+
+def _write_small(target: Path, image: Image, tried: TriedPicture) -> None:
+    with as_owner(target.parent), errors.disk_errors(target):
+        target.write_bytes(small_picture(image, tried.found))
 
 
 def _picture_result(tried: TriedPicture, files: int, picture: Path | None) -> TriedResult:
@@ -425,24 +431,6 @@ def _within(call: Callable[[], object]) -> None:
         raise errors.OutsideError(f"no answer within {_RECEIVER_S:g} s")
     if ended[0] is not None:
         raise ended[0]
-
-
-@contextmanager
-def _rights_of_owner(folder: Path) -> Iterator[None]:
-    """Have the rights of a folder's owner meanwhile: root could read files that the service cannot."""
-    if os.geteuid() != 0 or not folder.exists():
-        yield
-        return
-    owner, groups = folder.stat(), os.getgroups()
-    os.setgroups([owner.st_gid])
-    os.setegid(owner.st_gid)
-    os.seteuid(owner.st_uid)
-    try:
-        yield
-    finally:
-        os.seteuid(0)
-        os.setegid(0)
-        os.setgroups(groups)
 
 
 def _checked(what: str, check_it: Callable[[], tuple[Outcome, str]]) -> CheckResult:

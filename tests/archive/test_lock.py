@@ -48,10 +48,15 @@ def test_a_lock_file_that_cannot_be_made_is_one_line(tmp_path: Path) -> None:
         pass
 
 
-def test_a_lock_in_another_users_folder_belongs_to_that_user(tmp_path: Path) -> None:
-    if os.geteuid() != 0:
-        pytest.skip("only root may give files away")
-    os.chown(tmp_path, 12345, 12346)
-    with lock_state(tmp_path):
-        found = (tmp_path / "lock").stat()
-    assert (found.st_uid, found.st_gid) == (12345, 12346)
+def test_a_lock_that_is_a_link_is_not_followed(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("kept\n")
+    (tmp_path / "lock").symlink_to(tmp_path / "file")
+    with pytest.raises(OutsideError, match="lock"), lock_state(tmp_path):
+        pass
+    assert lock_holder(tmp_path) is None
+    assert (tmp_path / "file").read_text() == "kept\n"
+
+
+def test_a_lock_that_is_a_pipe_holds_nobody_up(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "lock")
+    assert lock_holder(tmp_path) is None

@@ -20,6 +20,7 @@ from sunarc.cli.options import (
     print_json,
     print_rows,
     print_table,
+    service_settings,
 )
 from sunarc.errors import InputError
 from sunarc.findings import findings_of, significant
@@ -239,9 +240,8 @@ def calibrate(
     if points is None and config is not None:
         of_points = (latitude, longitude, image_size, image_circle, pressure, start, plots, pose_only or None)
         _require_settings_only(*of_points, lens_within, pose_within, focal_within, lens_prior)
-        from sunarc.settings.load import load_settings
 
-        calibrate_stored(load_settings(config), provisional=provisional, as_json=as_json)
+        calibrate_stored(service_settings(config), provisional=provisional, as_json=as_json)
         return
     if pose_only and start is None:
         raise InputError(field="--pose-only", problem="no lens to keep", remedy="name a calibration with --start")
@@ -352,9 +352,8 @@ def calibrate_stored(settings: Settings, *, provisional: bool, as_json: bool) ->
 
 def _solve_again(calibration_id: str, config: Path | None, *, as_json: bool) -> None:
     from sunarc.offline.calibrate_archive import solve_again
-    from sunarc.settings.load import load_settings
 
-    result = solve_again(load_settings(config), calibration_id)
+    result = solve_again(service_settings(config), calibration_id)
     if as_json:
         print_json(result)
     else:

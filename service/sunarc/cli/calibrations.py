@@ -9,9 +9,8 @@ import typer
 
 from sunarc.archive.archive import open_archive
 from sunarc.archive.values import CalibrationRecord, PoseEpoch
-from sunarc.cli.options import AsJson, Config, print_rows, print_text
+from sunarc.cli.options import AsJson, Config, print_rows, print_text, service_settings
 from sunarc.runtime.clock import SystemClock
-from sunarc.settings.load import load_settings
 from sunarc.utc import parse_time
 
 _SHOWN = ("id", "state", "pinned", "valid_from", "valid_until", "pose_epoch", "parent", "accepted")
@@ -38,7 +37,7 @@ def list_calibrations(
 
     Example: sunarc calibrations list --config sunarc.toml
     """
-    settings = load_settings(config)
+    settings = service_settings(config)
     with open_archive(settings.archive) as archive:
         rows = [_row(record) for record in archive.calibrations.find(settings.name, limit=limit)]
     print_rows(rows, ("id", "state", "from", "until", "1-sigma"), map(_cells, rows), as_json=as_json)
@@ -52,7 +51,7 @@ def activate(
 
     Example: sunarc calibrations activate 20130514T063000Z-ab12cd --reason "the last one was worse"
     """
-    with open_archive(load_settings(config).archive) as archive:
+    with open_archive(service_settings(config).archive) as archive:
         row = _row(archive.calibrations.reinstate(calibration, at=_time_or_now(start), reason=reason))
     print_text(row, f"{row['id']} is current from {row['valid_from']}", as_json=as_json)
 
@@ -63,7 +62,7 @@ def pin(calibration: Id, *, config: Config = None, reason: Reason = "by hand", a
 
     Example: sunarc calibrations pin 20130514T063000Z-ab12cd
     """
-    with open_archive(load_settings(config).archive) as archive:
+    with open_archive(service_settings(config).archive) as archive:
         row = _row(archive.calibrations.pin(calibration, at=_time_or_now(None), reason=reason))
     print_text(row, f"{row['id']} stays current until it is unpinned", as_json=as_json)
 
@@ -74,7 +73,7 @@ def unpin(calibration: Id, *, config: Config = None, reason: Reason = "by hand",
 
     Example: sunarc calibrations unpin 20130514T063000Z-ab12cd
     """
-    with open_archive(load_settings(config).archive) as archive:
+    with open_archive(service_settings(config).archive) as archive:
         row = _row(archive.calibrations.unpin(calibration, at=_time_or_now(None), reason=reason))
     print_text(row, f"{row['id']} may be replaced again", as_json=as_json)
 
@@ -85,7 +84,7 @@ def list_epochs(config: Config = None, *, as_json: AsJson = False) -> None:
 
     Example: sunarc epochs list --config sunarc.toml
     """
-    settings = load_settings(config)
+    settings = service_settings(config)
     with open_archive(settings.archive) as archive:
         rows = [_epoch_row(epoch) for epoch in archive.epochs.find(settings.name, include_closed=True)]
     cells = [
@@ -107,7 +106,7 @@ def close_epoch(
 
     Example: sunarc epochs close imager-2 --reason "the clock was ahead"
     """
-    with open_archive(load_settings(config).archive) as archive:
+    with open_archive(service_settings(config).archive) as archive:
         current = archive.calibrations.close_epoch(epoch, at=_time_or_now(None), reason=reason)
     row = {"id": epoch, "closed": True, "calibration": current}
     said = "no calibration was served before it" if current is None else f"calibration {current} is current"

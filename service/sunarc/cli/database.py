@@ -17,16 +17,14 @@ from sunarc.archive.database.connections import server_url
 from sunarc.archive.database.recovery import upgrade_present
 from sunarc.archive.database.schema import check, downgrade, require_file, upgrade_server
 from sunarc.archive.database.state_folder import lock_holder, lock_state
-from sunarc.cli.options import AsJson, Config, State, parse_image_size, print_rows
+from sunarc.cli.options import AsJson, Config, OptionalState, State, parse_image_size, print_rows, service_settings
 from sunarc.errors import InputError, disk_errors
 from sunarc.offline.archive_tables import database_of, export_everything, write_points
 from sunarc.offline.archive_tables import import_points as read_points
 from sunarc.runtime.clock import SystemClock
-from sunarc.settings.load import load_settings
 from sunarc.utc import parse_time
 
 points_cli = typer.Typer(no_args_is_help=True, help="Import and export sightings as CSV.")
-OptionalState = Annotated[Path | None, typer.Option("--state", help="The service's state folder.", show_default=False)]
 Store = Annotated[
     str | None, typer.Option("--store", help="A PostgreSQL database, as the setting `store`.", show_default=False)
 ]
@@ -48,7 +46,7 @@ def import_points(
 
     Example: sunarc points import points.csv --config sunarc.toml --image-size 1748,1748
     """
-    settings = load_settings(config)
+    settings = service_settings(config)
     size = None if image_size is None else parse_image_size(image_size)
     added, total, outside = read_points(settings, file, image_size=size)
     left_out = f", {outside} outside the image were left out" if outside else ""
@@ -67,7 +65,7 @@ def export_points(
     Example: sunarc points export --config sunarc.toml > points.csv
     """
     write_points(
-        load_settings(config),
+        service_settings(config),
         sys.stdout,
         since=_optional_time(since, "--since"),
         until=_optional_time(until, "--until"),
@@ -153,7 +151,7 @@ def restore_database(
 ) -> None:
     """Put a copy in the database's place, the service being stopped; the former one is kept.
 
-    The file belongs to the owner of the state folder, also when root asks.
+    Root acts as the owner of the state folder, here as in every command: that user needs to be able to read the copy.
 
     Example: sunarc db restore /var/lib/sunarc/backups/sunarc-20260501T020000Z.sqlite --state /var/lib/sunarc
     """

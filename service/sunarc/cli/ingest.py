@@ -9,7 +9,16 @@ import typer
 
 from sunarc.cli.calibrate import calibrate_stored
 from sunarc.cli.database import note_running_service
-from sunarc.cli.options import AsJson, Config, DetectionMethod, choice_of, print_json, print_table, progress_bars
+from sunarc.cli.options import (
+    AsJson,
+    Config,
+    DetectionMethod,
+    choice_of,
+    print_json,
+    print_table,
+    progress_bars,
+    service_settings,
+)
 from sunarc.errors import InputError
 from sunarc.reanalysis.detect_files import METHODS
 from sunarc.reanalysis.image_times import TimeRules, utc_offset_of
@@ -17,7 +26,6 @@ from sunarc.reanalysis.ingest import IngestOptions, ingest_folder
 from sunarc.reanalysis.ingest_summary import IngestSummary
 from sunarc.reanalysis.messages import sentence_of
 from sunarc.reanalysis.pool import usable_processors
-from sunarc.settings.load import load_settings
 
 _LISTED = 20
 """Images that are named with the reason why they were left out; --json lists all."""
@@ -57,7 +65,7 @@ def ingest(
 
     Example: sunarc ingest images/ --config sunarc.toml --calibrate
     """
-    settings = load_settings(config)
+    settings = service_settings(config)
     if workers is not None and workers < 1:
         raise InputError(field="--workers", problem=f"{workers} is below 1", remedy="give 1 or more")
     if as_json and calibrate:

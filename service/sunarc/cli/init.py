@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-import shutil
+import stat
 import sys
 import tempfile
 from collections.abc import Callable, Mapping
@@ -14,6 +14,7 @@ from typing import Annotated, Any, NamedTuple
 import typer
 from rich.markup import escape
 
+from sunarc.archive.database.state_folder import as_owner
 from sunarc.cli.options import AsJson, print_json, print_table
 from sunarc.diagnostics import TriedResult, try_first
 from sunarc.errors import InputError, disk_errors
@@ -126,7 +127,8 @@ def init(
         "folder.utc_offset": utc_offset,
         "folder.time_pattern": time_pattern,
     }
-    before = read_text(file)
+    with as_owner(file.parent):
+        before = read_text(file)
     answers = _Answers(NEW_FILE if before is None else before, given, ask=sys.stdin.isatty())
     plain: Mapping[str, Value | None] = {
         "name": name,
@@ -225,18 +227,17 @@ def _tried(answers: _Answers, file: Path, *, addresses: list[str], picture: Path
 
 def _write(file: Path, text: str) -> None:
     """Write a file whole or not at all, with the owner and the rights that it has."""
-    with disk_errors(file):
+    with as_owner(file.parent), disk_errors(file):
         file.parent.mkdir(parents=True, exist_ok=True)
         handle, temporary = tempfile.mkstemp(dir=file.parent, prefix=f".{file.name}.")
         try:
             with os.fdopen(handle, "w", encoding="utf-8", newline="") as out:
                 out.write(text)
-            if file.exists():
-                shutil.copymode(file, temporary)
-                with suppress(PermissionError):  # of another user, whose folder this one may write in
-                    os.chown(temporary, file.stat().st_uid, file.stat().st_gid)
-            else:
-                Path(temporary).chmod(0o644)
+                former = file.stat() if file.exists() else None
+                os.fchmod(handle, 0o644 if former is None else stat.S_IMODE(former.st_mode))
+                if former is not None:
+                    with suppress(PermissionError):  # of another user, whose folder this one may write in
+                        os.fchown(handle, former.st_uid, former.st_gid)
             Path(temporary).replace(file)
         except BaseException:
             Path(temporary).unlink(missing_ok=True)

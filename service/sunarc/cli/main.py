@@ -14,6 +14,7 @@ from typer.core import TyperGroup
 from typer.main import get_group
 
 from sunarc import __version__
+from sunarc.cli.options import until_the_end
 from sunarc.errors import ConfigurationError, InputError, OutsideError, SunarcError
 from sunarc.runtime.child_process import one_thread_each
 
@@ -108,7 +109,8 @@ def main() -> None:
     """Run the command line; every expected failure is one line on standard error."""
     one_thread_each()
     try:
-        cli(standalone_mode=True)
+        with until_the_end:
+            cli(standalone_mode=True)
     except (InputError, ConfigurationError) as error:
         _fail(error, 2)
     except SunarcError as error:

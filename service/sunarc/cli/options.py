@@ -6,17 +6,21 @@ import json
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from sunarc.archive.database.state_folder import as_owner
 from sunarc.errors import InputError
 from sunarc.runtime.clock import SystemClock
+
+if TYPE_CHECKING:
+    from sunarc.settings.model import HubSettings, Settings
 
 SITE = "Where the camera stands"
 """Heading of the site's options in `--help`."""
@@ -24,13 +28,46 @@ SITE = "Where the camera stands"
 Config = Annotated[
     Path | None, typer.Option("--config", envvar="SUNARC_CONFIG", help="Settings file (TOML).", show_default=False)
 ]
-State = Annotated[Path, typer.Option("--state", help="The service's state folder.")]
+until_the_end = ExitStack()
+"""Contexts that last until the command has ended; `main` closes them."""
+
+
+def act_as_owner(folder: Path | None) -> Path | None:
+    """Act as the owner of a state folder until the command has ended, where root asks; return the folder."""
+    if folder is not None:
+        until_the_end.enter_context(as_owner(folder))
+    return folder
+
+
+State = Annotated[Path, typer.Option("--state", callback=act_as_owner, help="The service's state folder.")]
+OptionalState = Annotated[
+    Path | None, typer.Option("--state", callback=act_as_owner, help="The service's state folder.", show_default=False)
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 Latitude = Annotated[float, typer.Option(help="Degrees, north positive.", rich_help_panel=SITE)]
 Longitude = Annotated[float, typer.Option(help="Degrees, east positive.", rich_help_panel=SITE)]
 Altitude = Annotated[float, typer.Option(help="Metres above sea level.", rich_help_panel=SITE)]
 CalibrationFile = Annotated[Path, typer.Option("--calibration", help="A calibration document (JSON).")]
 DetectionMethod = Annotated[str, typer.Option("--method", help="auto, disc (microsecond frames) or paper (ordinary).")]
+
+
+def service_settings(config: Path | None) -> Settings:
+    """Return the settings of a service, as whose user the command acts from then on."""
+    from sunarc.settings.load import load_settings
+
+    settings = load_settings(config)
+    act_as_owner(settings.state)
+    return settings
+
+
+def hub_settings(config: Path | None) -> HubSettings:
+    """Return the settings of a hub; where its archive is a file, the command acts as the file's user from then on."""
+    from sunarc.settings.load import load_hub_settings
+
+    settings = load_hub_settings(config)
+    act_as_owner(settings.state if settings.store is None else None)
+    return settings
+
 
 Choice = TypeVar("Choice", bound=str)
 

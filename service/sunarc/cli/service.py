@@ -10,11 +10,22 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
-from sunarc.cli.options import Altitude, AsJson, Config, Latitude, Longitude, choice_of, print_json, print_rows
+from sunarc.cli.options import (
+    Altitude,
+    AsJson,
+    Config,
+    Latitude,
+    Longitude,
+    choice_of,
+    hub_settings,
+    print_json,
+    print_rows,
+    service_settings,
+)
 from sunarc.errors import InputError
 from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.log_to_journal import start_log
-from sunarc.settings.load import load_hub_settings, load_settings
+from sunarc.settings.load import load_settings
 from sunarc.settings.reference import all_settings, as_markdown
 from sunarc.sky.site import Site
 from sunarc.utc import parse_time
@@ -39,13 +50,13 @@ def serve(
 def _serve_hub(config: Path | None) -> int:
     from sunarc.app.hub import serve_hub
 
-    return serve_hub(load_hub_settings(config))
+    return serve_hub(hub_settings(config))
 
 
 def _serve_imager(config: Path | None) -> int:
     from sunarc.app.serving import serve_imager
 
-    settings = load_settings(config)
+    settings = service_settings(config)
     if settings.source != "folder":
         return serve_imager(settings)
     from sunarc.reanalysis.ingest import ingest_followed

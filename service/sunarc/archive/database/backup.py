@@ -9,7 +9,7 @@ from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
 
-from sunarc.archive.database.state_folder import PRIVATE, give_to_owner_of
+from sunarc.archive.database.state_folder import PRIVATE
 from sunarc.errors import InputError, OutsideError, disk_errors
 
 _NAME = re.compile(r"sunarc-\d{8}T\d{6}Z\.sqlite")
@@ -36,11 +36,11 @@ def backup(path: Path, target: Path, *, replace: bool = False) -> Path:
     partial = target.with_name(f"{target.name}.partial")
     try:
         partial.unlink(missing_ok=True)  # of a copy that a power cut ended
+        os.close(os.open(partial, os.O_CREAT | os.O_EXCL | os.O_WRONLY, PRIVATE))  # SQLite does not say why it cannot
         with closing(sqlite3.connect(path)) as source, closing(sqlite3.connect(partial)) as copy:
             source.backup(copy)
             copy.execute("PRAGMA journal_mode=DELETE")  # a copy is one file
         partial.chmod(PRIVATE)
-        give_to_owner_of(target.parent, partial)
         # Renamed last: a copy that a power cut ended never has a name that a restore would take.
         partial.replace(target)
         keep_name(target.parent)
@@ -84,7 +84,7 @@ def backup_into(path: Path, folder: Path, *, keep: int, now: datetime) -> Path:
 
 
 def restore(path: Path, source: Path, *, now: datetime) -> Path | None:
-    """Put a copy in a database's place, in one step; the file belongs to the owner of the folder, also when root asks.
+    """Put a copy in a database's place, in one step.
 
     Returns
     -------
@@ -133,10 +133,11 @@ def require_sound(source: Path) -> None:
     if not source.is_file():
         raise InputError(field="source", problem=f"{source} is not there", remedy="name a copy of the database")
     try:
+        source.open("rb").close()  # SQLite does not say why it cannot
         with closing(sqlite3.connect(f"file:{source}?mode=ro", uri=True)) as connection:
             (answer,) = connection.execute("PRAGMA integrity_check(1)").fetchone()
             revision = connection.execute("SELECT version_num FROM alembic_version").fetchone()
-    except sqlite3.Error as error:
+    except (sqlite3.Error, OSError) as error:
         answer, revision = str(error), None
     if answer != "ok" or revision is None:
         raise InputError(

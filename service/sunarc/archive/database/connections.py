@@ -444,7 +444,7 @@ def _file_errors(engine: Engine) -> Iterator[None]:
     except OperationalError as error:
         if _result_code(error) == sqlite3.SQLITE_FULL:
             raise StoreFullError(f"the disk of the database {path} is full: {error.orig}") from error
-        may = os.access(str(path), os.R_OK | os.W_OK) or not Path(str(path)).exists()
+        may = os.access(str(path), os.R_OK | os.W_OK, effective_ids=True) or not Path(str(path)).exists()
         remedy = "" if may else "; give the file to the service's user (chown), or ask as that user"
         raise OutsideError(f"cannot use the database {path}: {error.orig}{remedy}") from error
     except DatabaseError as error:

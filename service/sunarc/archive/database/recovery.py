@@ -16,7 +16,7 @@ from sqlalchemy import URL
 from sunarc.archive.database.backup import backup, keep_aside, keep_name, newest_sound_copy, require_sound, restore
 from sunarc.archive.database.connections import DAMAGED, EMPTIED
 from sunarc.archive.database.schema import upgrade
-from sunarc.archive.database.state_folder import PRIVATE, give_to_owner_of
+from sunarc.archive.database.state_folder import PRIVATE
 from sunarc.archive.database.tables import metadata
 from sunarc.errors import InputError, OutsideError
 
@@ -392,7 +392,6 @@ def _put(path: Path, partial: Path, found: Recovery, *, problem: str, now: datet
     for leftover in ("-wal", "-shm"):
         path.with_name(path.name + leftover).unlink(missing_ok=True)
     partial.chmod(PRIVATE)
-    give_to_owner_of(path.parent, partial)
     partial.replace(path)
     keep_name(path.parent)
     return Recovery(kind=found.kind, text=f"the database {path} {problem}; it was {found.text}{aside}")

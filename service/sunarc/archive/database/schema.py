@@ -19,7 +19,6 @@ from sunarc.archive.database.connections import (
     require_writable,
     writing,
 )
-from sunarc.archive.database.state_folder import give_to_owner_of
 from sunarc.archive.database.tables import metadata
 from sunarc.errors import InputError, SchemaError, disk_errors
 
@@ -80,7 +79,6 @@ def upgrade(path: Path) -> Path | None:
         _migrate(engine, to="head")
     finally:
         engine.dispose()
-    give_to_owner_of(path.parent, path)
     remove_old_asides(path)
     return copy
 

@@ -1,0 +1,250 @@
+"""What root asks for in folders of another user, who has put links there."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.fixtures.archive import make_empty
+from tests.fixtures.ports import free_port
+
+if TYPE_CHECKING:
+    from tests.fixtures.command_line import Sunarc
+
+pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="only root follows where others may not go")
+
+USER, GROUP = 12345, 12346
+OTHER = b"of another, and nobody's to change\n"
+Snapshot = dict[str, tuple[bytes, int, int, int]]
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A state folder of `USER` with a database, and a folder of root's that nobody else may write into."""
+
+    state: Path
+    victims: Path
+
+    def by_user(self, script: str) -> None:
+        """Run a line of Python as the user, in the state folder; `V` is the folder of root's."""
+        prelude = f"import os; from pathlib import Path; os.chdir({str(self.state)!r}); V = Path({str(self.victims)!r})"
+        subprocess.run(
+            [sys.executable, "-c", f"{prelude}\n{script}"], check=True, user=USER, group=GROUP, extra_groups=[]
+        )
+
+    def seen(self) -> Snapshot:
+        """Return content, mode and owner of all in root's folder."""
+        seen = Snapshot()
+        for file in (self.victims, *self.victims.rglob("*")):
+            found = file.lstat()
+            content = file.read_bytes() if file.is_file() else b""
+            seen[str(file)] = content, found.st_mode, found.st_uid, found.st_gid
+        return seen
+
+    def owners(self) -> set[tuple[int, int]]:
+        """Return users and groups of all in the state folder."""
+        return {(file.lstat().st_uid, file.lstat().st_gid) for file in (self.state, *self.state.rglob("*"))}
+
+
+@pytest.fixture
+def place() -> Iterator[Place]:
+    base = Path(tempfile.mkdtemp(prefix="sunarc-root-", dir="/tmp"))
+    base.chmod(0o755)
+    made = Place(base / "theirs" / "state", base / "victims")
+    made.state.mkdir(parents=True)
+    make_empty(made.state / "sunarc.sqlite")
+    (made.state / "backups").mkdir()
+    shutil.copy(made.state / "sunarc.sqlite", made.state / "backups" / "sunarc-20260101T000000Z.sqlite")
+    for file in (made.state.parent, made.state, *made.state.rglob("*")):
+        os.chown(file, USER, GROUP)
+    image = made.victims / "images" / "2013" / "05" / "13" / "20130513T120000.000Z_hdr.png"
+    image.parent.mkdir(parents=True)
+    image.write_bytes(OTHER)
+    (made.victims / "copies").mkdir()
+    shutil.copy(made.state / "sunarc.sqlite", made.victims / "copies" / "sunarc-20260101T000000Z.sqlite")
+    shutil.copy(made.state / "sunarc.sqlite", made.victims / "secret.sqlite")
+    (made.victims / "secret.sqlite").chmod(0o600)
+    (made.victims / "file").write_bytes(OTHER)
+    (made.victims / "empty").write_bytes(b"")
+    yield made
+    shutil.rmtree(base)
+
+
+COMMANDS = [
+    ("upgrade",),
+    ("check",),
+    ("downgrade", "--to", "0001"),
+    ("backup", "STATE/backups", "--keep", "1"),
+    ("backup", "STATE/copy.sqlite"),
+    ("restore", "--latest"),
+    ("export", "STATE/everything"),
+]
+ATTACKS = {
+    "lock": "Path('lock').symlink_to(V / 'file')",
+    "database": "os.unlink('sunarc.sqlite'); Path('sunarc.sqlite').symlink_to(V / 'empty')",
+    "log": "Path('sunarc.sqlite-wal').symlink_to(V / 'file'); Path('sunarc.sqlite-shm').symlink_to(V / 'file')",
+    "journal": "Path('sunarc.sqlite-journal').symlink_to(V / 'file')",
+    "temporary": "[Path(n + '.partial').symlink_to(V / 'file') for n in ('sunarc.sqlite', 'copy.sqlite')]",
+    "temporary_journal": "Path('sunarc.sqlite.partial-journal').symlink_to(V / 'file')",
+    "target": "Path('copy.sqlite').symlink_to(V / 'new'); Path('everything').symlink_to(V / 'copies')",
+    "copies": "import shutil; shutil.rmtree('backups'); Path('backups').symlink_to(V / 'copies')",
+    "images": "Path('images').symlink_to(V / 'images')",
+    "folder": "os.rename('../state', '../was'); Path('../state').symlink_to(V)",
+}
+
+
+def words(place: Place, command: tuple[str, ...]) -> list[str]:
+    return ["db", *(word.replace("STATE", str(place.state)) for word in command), "--state", str(place.state)]
+
+
+@pytest.mark.parametrize("attack", ATTACKS)
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_no_link_in_a_state_folder_leads_root_out_of_it(
+    sunarc: Sunarc, place: Place, command: tuple[str, ...], attack: str
+) -> None:
+    place.by_user(ATTACKS[attack])
+    before = place.seen()
+    answer = sunarc(*words(place, command))
+    assert "Traceback" not in answer.err
+    assert place.seen() == before
+    assert os.geteuid() == 0
+
+
+@pytest.mark.parametrize("name", ["lock", "sunarc.sqlite-wal", "sunarc.sqlite.partial", "sunarc.sqlite"])
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_no_hard_link_in_a_state_folder_has_root_change_what_the_user_may_not(
+    sunarc: Sunarc, place: Place, command: tuple[str, ...], name: str
+) -> None:
+    (place.state / name).unlink(missing_ok=True)
+    os.link(place.victims / "file", place.state / name)  # of a kernel without fs.protected_hardlinks
+    before = place.seen()
+    assert "Traceback" not in sunarc(*words(place, command)).err
+    assert place.seen() == before
+
+
+RACE = """
+import os, sys
+victim, *names = sys.argv[1:]
+while True:
+    for name in names:
+        try:
+            os.symlink(victim, name)
+        except OSError:
+            pass
+"""
+
+
+@contextlib.contextmanager
+def racing(place: Place, victim: str, *names: str) -> Iterator[None]:
+    """Have the user put links back as soon as they are removed."""
+    command = [sys.executable, "-c", RACE, str(place.victims / victim), *(str(place.state / name) for name in names)]
+    with subprocess.Popen(command, user=USER, group=GROUP, extra_groups=[]) as attacker:
+        try:
+            yield
+        finally:
+            attacker.kill()
+
+
+def test_links_put_back_while_root_restores_lead_nowhere(sunarc: Sunarc, place: Place) -> None:
+    before = place.seen()
+    with racing(place, "empty", "sunarc.sqlite.partial", "sunarc.sqlite-wal", "sunarc.sqlite", "lock"):
+        for _ in range(20):
+            sunarc(*words(place, ("restore", "--latest")))
+    assert place.seen() == before
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_what_root_leaves_in_a_state_folder_belongs_to_its_owner(
+    sunarc: Sunarc, place: Place, command: tuple[str, ...]
+) -> None:
+    assert sunarc(*words(place, command)).code == 0
+    assert place.owners() == {(USER, GROUP)}
+
+
+def test_a_copy_that_the_owner_may_not_read_is_not_given_to_it(sunarc: Sunarc, place: Place) -> None:
+    place.by_user("Path('mine.sqlite').symlink_to(V / 'secret.sqlite')")
+    answer = sunarc(*words(place, ("restore", "STATE/mine.sqlite")))
+    assert (answer.code, "Permission denied" in answer.err) == (2, True)
+
+
+def test_a_target_that_the_owner_may_not_write_is_one_line_with_its_name(sunarc: Sunarc, place: Place) -> None:
+    answer = sunarc(*words(place, ("backup", str(place.victims / "copy.sqlite"))))
+    assert (answer.code, answer.err.count("\n")) == (3, 1)
+    assert str(place.victims / "copy.sqlite") in answer.err
+    place.victims.chmod(0o700)
+    hidden = sunarc(*words(place, ("backup", str(place.victims / "copy.sqlite"))))
+    assert (hidden.code, hidden.err.count("\n")) == (3, 1)
+    assert str(USER) in hidden.err
+
+
+@pytest.mark.parametrize("mode", [0o777, 0o775])
+def test_a_folder_of_roots_that_others_may_write_is_refused(sunarc: Sunarc, place: Place, mode: int) -> None:
+    os.chown(place.state.parent, 0, 0)
+    os.chown(place.state, 0, GROUP)
+    place.state.chmod(mode)
+    answer = sunarc(*words(place, ("upgrade",)))
+    assert (answer.code, f"{place.state} belongs to root" in answer.err) == (3, True)
+
+
+def test_a_link_of_roots_to_the_owners_folder_is_followed(sunarc: Sunarc, place: Place) -> None:
+    moved = place.victims.parent / "moved"
+    moved.symlink_to(place.state)
+    assert sunarc("db", "restore", "--latest", "--state", str(moved)).code == 0
+    assert place.owners() == {(USER, GROUP)}
+
+
+def test_commands_with_settings_act_as_the_owner(sunarc: Sunarc, place: Place) -> None:
+    config, points = place.victims.parent / "sunarc.toml", place.victims.parent / "points.csv"
+    config.write_text(f'name = "roof"\nstate = "{place.state}"\n[site]\nlatitude = 36.6\nlongitude = -97.5\n')
+    points.write_text("time_utc,x_px,y_px,sigma_px,body\n2013-05-13T18:30:00Z,871.5,883.25,0.01,sun\n")
+    given = ("--config", str(config))
+    assert sunarc("points", "import", str(points), "--image-size", "1748,1748", *given).code == 0
+    assert sunarc("calibrations", "list", *given).code == 0
+    assert place.owners() == {(USER, GROUP)}
+    place.by_user("Path('lock').symlink_to(V / 'file')")
+    before = place.seen()
+    assert sunarc("calibrate", *given).code == 3
+    assert place.seen() == before
+
+
+def test_init_follows_no_link_of_another_users_folder(
+    sunarc: Sunarc, place: Place, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(place.state)
+    (place.state / "pictures").mkdir()
+    place.by_user("Path('sunarc-init.png').symlink_to(V / 'file'); Path('sunarc.toml').symlink_to(V / 'file')")
+    before = place.seen()
+    site = ("--latitude", "36.6", "--longitude", "-97.5", "--altitude", "318")
+    source = ("--folder", str(place.state / "pictures"), "--state", str(place.state))
+    sunarc("init", str(place.state / "sunarc.toml"), *site, *source)
+    place.by_user("os.unlink('sunarc.toml')")
+    sunarc("init", str(place.state / "sunarc.toml"), *site, *source)
+    assert place.seen() == before
+    found = (place.state / "sunarc.toml").stat()
+    assert (found.st_uid, found.st_gid) == (USER, GROUP)
+
+
+def test_a_service_that_root_starts_acts_as_the_owner_of_its_state(place: Place) -> None:
+    place.by_user("Path('images').symlink_to(V / 'images')")
+    before = place.seen()
+    pictures = place.victims.parent / "pictures"
+    pictures.mkdir()
+    config = place.victims.parent / "sunarc.toml"
+    config.write_text(
+        f'name = "roof"\nsource = "folder"\nstate = "{place.state}"\n[site]\nlatitude = 36.6\nlongitude = -97.5\n'
+        f'[folder]\npath = "{pictures}"\n[api]\nport = {free_port()}\n[disk]\nkeep_free_mb = 1e9\n'
+    )
+    command = [sys.executable, "-m", "sunarc", "serve", "--config", str(config)]
+    refused = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60.0)
+    assert (refused.returncode, f"{place.state}/images: Permission denied" in refused.stderr) == (3, True)
+    assert place.seen() == before
+    assert place.owners() == {(USER, GROUP)}
