@@ -155,8 +155,14 @@ def source_file(name: str, state: os.stat_result) -> SourceFile:
 
 
 def changed_s(file: SourceFile) -> float:
-    """Return when a file of a folder was last changed, s since 1970-01-01."""
-    return int(file.stamp.partition("-")[2]) / 1e9
+    """Return when a file of a folder was last changed, s since 1970-01-01; at most that of the year 2200.
+
+    File systems keep times that no date can state.
+    """
+    return min(max(int(file.stamp.partition("-")[2]) / 1e9, 0.0), _LATEST_CHANGE_S)
+
+
+_LATEST_CHANGE_S = 7.258e9
 
 
 class Settling:

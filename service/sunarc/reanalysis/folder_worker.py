@@ -67,6 +67,7 @@ _LEFT_OUT_CODES = {
     "file_time_unknown": "images_without_time",
     "file_time_ambiguous": "images_without_time",
     "file_time_pattern": "images_without_time",
+    "file_time_range": "images_without_time",
     "file_size_differs": "images_of_another_size",
     "file_other_camera": "images_of_two_cameras",
     "file_time_future": "images_in_future",
@@ -158,7 +159,7 @@ _STACK_S = 20.0
 _NO_IMAGE_S, _NO_IMAGE_CADENCES = 600.0, 5.0
 _NO_IMAGE = "no_new_image"
 _FOLDER_CODES = ("folder_missing", "folder_not_permitted")
-_WRITTEN = timedelta(days=1)
+_WRITTEN_S = 86_400.0
 """For so long after its last change a subfolder is one that images are written into."""
 _SILENT_ZENITH_DEG = 85.0
 """Images are expected while the sun is higher."""
@@ -626,7 +627,7 @@ class FolderWorker:
     def _show_denied(self) -> None:
         """Set or clear the condition of a subfolder that the program still writes, and the service may not read."""
         one, reason = self._listing.denied, None
-        if one is not None and self.clock.now() - utc_time(one.changed_ns / 1e9) < _WRITTEN:
+        if one is not None and self.clock.now().timestamp() - one.changed_ns / 1e9 < _WRITTEN_S:
             found = Finding("folder_not_permitted", {"folder": str(self._root / one.name), "error": one.error})
             reason = Reason.of(found, MESSAGES)
         self.board.set_one_condition(_FOLDER_CODES, reason)

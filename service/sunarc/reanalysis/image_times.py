@@ -14,6 +14,7 @@ import json
 import math
 import re
 from collections.abc import Collection
+from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import PurePosixPath
 from typing import Any, BinaryIO, Literal, NamedTuple, TypeAlias
@@ -39,6 +40,15 @@ _PARTED = r"(\d{4})(\d{2})(\d{2})_(\d{2})(\d{2})(\d{2})()"
 _DAY_OR_MONTH_FIRST = re.compile(
     r"(?<!\d)(\d{2})[-_.]?(\d{2})[-_.]?((?:19|20)\d{2})[-_T. ]+(\d{2})[-_:h.]?(\d{2})[-_:m.]?(\d{2})(?!\d)"
 )
+
+
+_FIRST_YEAR, _LAST_YEAR = 1900, 2199
+"""Photographs of the sky have been taken since; the positions of sun and planets hold for them."""
+
+
+def is_of_images(time: datetime) -> bool:
+    """Return whether a time is within the years 1900 to 2199: others are of damaged names, headers and clocks."""
+    return _FIRST_YEAR <= time.year <= _LAST_YEAR
 
 
 class NameFamily(NamedTuple):
@@ -138,6 +148,8 @@ def time_in_name(name: str) -> NamedTime | None:
         try:
             time = datetime(*(int(number) for number in numbers), tzinfo=UTC)  # type: ignore[misc,arg-type]
         except ValueError:
+            continue
+        if not is_of_images(time):
             continue
         time += timedelta(seconds=float((fraction or "0").replace("_", "0.")))
         return NamedTime(family.name, prefix, time.replace(tzinfo=None), family.zone)
@@ -269,11 +281,23 @@ def timed_frames(source: ImageSource, name: str, rules: TimeRules, *, names: Col
     sidecar_name = path.with_suffix(".json").as_posix()
     frames = frames_in(source, name, sidecar=lambda: source.read(sidecar_name) if sidecar_name in names else None)
     named = time_in_name(path.name)
-    return [_of_header(frame, name, named, rules, family=_HEADER_FAMILIES[str(kind)]) for frame in frames]
+    family = _HEADER_FAMILIES[str(kind)]
+    return [_in_range(_of_header(frame, name, named, rules, family=family), name) for frame in frames]
+
+
+def _in_range(frame: TimedFrame, name: str) -> TimedFrame:
+    if is_of_images(frame.time):
+        return frame
+    written = frame.time.isoformat(timespec="seconds")
+    raise RefusedImageError(name, Finding("file_time_range", {"written": written}))
 
 
 def timed_picture(source: ImageSource, name: str, rules: TimeRules, *, names: Collection[str]) -> TimedFrame:
     """Return the image of a picture with its time; see `timed_frames`."""
+    return _in_range(_timed_picture(source, name, rules, names=names), name)
+
+
+def _timed_picture(source: ImageSource, name: str, rules: TimeRules, *, names: Collection[str]) -> TimedFrame:
     path = PurePosixPath(name)
     sidecar_name = path.with_suffix(".json").as_posix()
     named = time_in_name(path.name)
@@ -335,8 +359,9 @@ def _from_header(content: bytes) -> tuple[datetime, str] | None:
     match = _MOBOTIX.search(content[: 1 << 16])
     if match is not None:
         date, clock, hours = (part.decode() if part else "0" for part in match.groups())
-        local = datetime.fromisoformat(f"{date}T{clock}")
-        return local.replace(tzinfo=UTC) - timedelta(hours=int(hours)), "Mobotix header"
+        with suppress(ValueError, OverflowError):  # digits that are no date
+            local = datetime.fromisoformat(f"{date}T{clock}")
+            return local.replace(tzinfo=UTC) - timedelta(hours=int(hours)), "Mobotix header"
     time = exif_time(io.BytesIO(content))
     return None if time is None else (time, "EXIF")
 
@@ -351,11 +376,11 @@ def _utc(named: NamedTime, name: str, rules: TimeRules) -> datetime:
 
 
 def _in_utc(time: datetime, name: str, rules: TimeRules) -> datetime:
-    if time.tzinfo is not None:
-        return time.astimezone(UTC)
-    if rules.offset is None:
+    if time.tzinfo is None and rules.offset is None:
         raise _unknown_zone(name, time)
     try:
+        if time.tzinfo is not None or rules.offset is None:
+            return time.astimezone(UTC)
         return utc_of_local(time, rules.offset, name=name)
     except OverflowError:
         raise RefusedImageError(name, Finding("file_time_unknown")) from None

@@ -148,6 +148,11 @@ MESSAGES = Messages(
         "sigma of sightings in images ({method}): {factor:.2f} times the detector's, estimated from {n} sightings",
         "It was set to their scatter about the calibration; later sightings are stored with it.",
     ),
+    file_time_range=Message(
+        "its time, {written}, is not within the years 1900 to 2199",
+        _LEFT_OUT,
+        "correct the clock of the camera, or folder.time_pattern",
+    ),
     file_time_future=Message(
         "its time is {ahead_s:.0f} s ahead of this machine's clock",
         _LEFT_OUT,
@@ -225,6 +230,11 @@ MESSAGES = Messages(
         _NO_PICTURE,
         "write USER:PASSWORD in one line of http.token_file, readable by the service",
     ),
+    http_login=Message(
+        "{host} asks for a login by {offers}, which cannot be answered safely",
+        "The password is not sent.",
+        "set the camera's authentication to Digest (MD5 or SHA-256), or to Basic alone",
+    ),
     http_redirected=Message(
         "{host} refers to another host, {location}",
         "It is not followed, for it would be given the password.",
@@ -259,6 +269,11 @@ MESSAGES = Messages(
         "{host} answers {status}: it asks for another user or password",
         _NO_PICTURE,
         "write USER:PASSWORD in one line of rtsp.token_file, readable by the service",
+    ),
+    rtsp_login=Message(
+        "{host} asks for a login by {offers}, which the decoder cannot answer safely",
+        "The password is not sent.",
+        "set the camera's RTSP authentication to Digest with MD5 alone",
     ),
     rtsp_status=Message(
         "{host} answers {status}", _NO_PICTURE, "check the path of rtsp.url; an address that redirects is not followed"

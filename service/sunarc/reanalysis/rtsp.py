@@ -6,7 +6,7 @@ import math
 import os
 import socket
 import urllib.parse
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
@@ -17,9 +17,10 @@ import cv2
 from sunarc.cameras.options import RtspOptions, SnapshotOptions
 from sunarc.findings import Finding
 from sunarc.reanalysis.image_files import MOST_PIXELS
-from sunarc.reanalysis.snapshots import PictureClient, Snapshot, SnapshotClient, authorization
+from sunarc.reanalysis.snapshots import PictureClient, Snapshot, SnapshotClient
 from sunarc.runtime.clock import Clock
-from sunarc.workers.http_exchange import Limit, UnfinishedError
+from sunarc.workers.http_exchange import Limit, UnfinishedError, exchange_errors
+from sunarc.workers.http_login import authorization, challenges_in, offers
 from sunarc.workers.options import read_login
 
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # frames that are joined in the middle are no errors
@@ -60,9 +61,13 @@ class RtspClient:
         would follow the camera to another host with the password.
         """
         try:
-            status = self._described(Limit(self.options.timeout_s, monotonic=self.clock.monotonic, heartbeat=heartbeat))
-        except (OSError, UnfinishedError, ValueError) as error:
+            limit = Limit(self.options.timeout_s, monotonic=self.clock.monotonic, heartbeat=heartbeat)
+            with exchange_errors():
+                status = self._described(limit)
+        except (OSError, UnfinishedError) as error:
             return Finding("rtsp_unreachable", {"host": self.host, "error": str(error) or type(error).__name__})
+        if isinstance(status, Finding):
+            return status
         if status in {401, 403}:
             return Finding("rtsp_denied", {"host": self.host, "status": status})
         if status != 200:
@@ -71,12 +76,14 @@ class RtspClient:
             heartbeat()
             return self._key_frame(stream, heartbeat)
 
-    def _described(self, limit: Limit) -> int:
+    def _described(self, limit: Limit) -> int | Finding:
         """Return the status of the answer to DESCRIBE, with the login where the camera asks for it."""
-        status, challenges = self._ask(limit, "")
+        status, lines = self._ask(limit, "")
         if status == 401 and self._login is not None:
-            url = self._url.geturl()
-            answer = authorization(self._login, url, challenges, method="DESCRIBE", uri=url)
+            challenges = challenges_in(lines)
+            answer = authorization(self._login, challenges, method="DESCRIBE", uri=self._url.geturl())
+            if answer is None or not _decoder_answers(lines):
+                return Finding("rtsp_login", {"host": self.host, "offers": offers(challenges)})
             status, _ = self._ask(limit, f"Authorization: {answer}\r\n")
         return status
 
@@ -85,7 +92,7 @@ class RtspClient:
         text = f"DESCRIBE {self._url.geturl()} RTSP/1.0\r\nCSeq: 1\r\nAccept: application/sdp\r\n{header}\r\n"
         address = (self.host, self._url.port or _PORT)
         with closing(socket.create_connection(address, timeout=limit.left_s())) as channel:
-            limit.write(channel, text.encode("ascii"))
+            limit.write(channel, text.encode("latin-1"))
             head = b""
             while b"\r\n\r\n" not in head:
                 part = limit.read(channel)
@@ -135,6 +142,19 @@ class RtspClient:
 
     def _none(self, why: str) -> Finding:
         return Finding("rtsp_no_frame", {"host": self.host, "why": why, "within_s": self.options.timeout_s})
+
+
+def _decoder_answers(lines: Sequence[str]) -> bool:
+    """Return whether the decoder logs in as safely as DESCRIBE did.
+
+    FFmpeg takes the last line that begins with Digest, of MD5 alone; without one the password goes as Basic, even where
+    a line that begins with Basic offers Digest behind it.
+    """
+    if not any(one.scheme == "digest" for one in challenges_in(lines)):
+        return True
+    digests = [line for line in lines if line.lower().startswith("digest ")]
+    taken = challenges_in(digests[-1:])[:1]
+    return any(one.parameters.get("algorithm", "").lower() in {"", "md5", "md5-sess"} for one in taken)
 
 
 def client_of(options: SnapshotOptions | RtspOptions, clock: Clock, *, dated_by_camera: bool = False) -> PictureClient:

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import base64
 import io
 import logging
 import ssl
+import string
 import threading
 import urllib.parse
-import urllib.request
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass
 from datetime import datetime, timedelta
 from email.utils import parsedate_to_datetime
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-import h11
 from PIL import Image as Pictures
 
 from sunarc.archive.images import ImageStore, write_atomically
@@ -25,7 +23,7 @@ from sunarc.cameras.options import SnapshotOptions
 from sunarc.errors import ConfigurationError, InputError, OutsideError
 from sunarc.findings import Finding
 from sunarc.reanalysis.image_files import MOST_PIXELS, image_of, image_size
-from sunarc.reanalysis.image_times import exif_time
+from sunarc.reanalysis.image_times import exif_time, is_of_images
 from sunarc.reanalysis.live_images import LiveImage, LiveImages
 from sunarc.reanalysis.messages import MESSAGES
 from sunarc.reanalysis.nights import frame_of
@@ -36,7 +34,8 @@ from sunarc.runtime.status import CameraStatus, CaptureStatus, Reason, StatusReg
 from sunarc.sky.sun import DARK_ZENITH_DEG
 from sunarc.workers.capture import NOT_WRITTEN
 from sunarc.workers.clock_watch import FrameTime
-from sunarc.workers.http_exchange import HttpAnswer, HttpRequest, Limit, UnfinishedError, fetch
+from sunarc.workers.http_exchange import HttpAnswer, HttpRequest, Limit, UnfinishedError, fetch, target_of
+from sunarc.workers.http_login import authorization, challenges_in, offers
 from sunarc.workers.messages import condition
 from sunarc.workers.options import CaptureOptions, read_login
 
@@ -47,6 +46,9 @@ _SUFFIXES = {"JPEG": "jpg", "MPO": "jpg", "PNG": "png"}
 _REDIRECTS = frozenset({301, 302, 303, 307, 308})
 _STALE_S = 60.0
 """A picture that is older is not one of the moment of the request."""
+_SHOWN_CHARACTERS = 200
+_AGE_DIGITS = 12
+"""Of an Age, seconds; more digits would be infinite."""
 
 
 class Snapshot(NamedTuple):
@@ -87,7 +89,7 @@ class SnapshotClient:
             answer = self._answer(limit)
         except ssl.SSLCertVerificationError as error:
             return Finding("http_certificate", {"host": self.host, "error": error.verify_message})
-        except (OSError, UnfinishedError, h11.ProtocolError) as error:
+        except (OSError, UnfinishedError) as error:
             return Finding("http_unreachable", {"host": self.host, "error": str(error) or type(error).__name__})
         if isinstance(answer, Finding):
             return answer
@@ -102,14 +104,15 @@ class SnapshotClient:
             request = HttpRequest(method="GET", url=url, headers={"accept": "image/*", **login}, body=b"")
             answer = fetch(request, context=self._context, limit=limit, most_bytes=_MOST_BYTES + 1)
             if answer.status == 401 and self._login is not None and not asked:
-                challenges = answer.headers.get("www-authenticate", "").splitlines()
-                answered = authorization(self._login, url.geturl(), challenges)
+                challenges = challenges_in(answer.headers.get("www-authenticate", "").split("\n"))
+                answered = authorization(self._login, challenges, method="GET", uri=target_of(url))
+                if answered is None:
+                    return Finding("http_login", {"host": self.host, "offers": offers(challenges)})
                 login, asked = {"authorization": answered}, True
             elif answer.status in _REDIRECTS:
-                target = urllib.parse.urlsplit(urllib.parse.urljoin(url.geturl(), answer.headers.get("location", "")))
-                if (target.scheme, target.netloc) != (url.scheme, url.netloc):
-                    where = f"{target.scheme}://{target.hostname}"
-                    return Finding("http_redirected", {"host": self.host, "location": where})
+                target = _redirected(url, answer.headers.get("location", ""))
+                if isinstance(target, str):
+                    return Finding("http_redirected", {"host": self.host, "location": target})
                 url, asked = target, False
             else:
                 return self._accepted(answer)
@@ -149,37 +152,16 @@ class SnapshotClient:
         return Snapshot(content, suffix, stated, 0.0)
 
 
-def authorization(
-    login: tuple[str, str], url: str, challenges: Sequence[str], *, method: str = "GET", uri: str | None = None
-) -> str:
-    """Return the answer to the challenges of a camera: Digest (RFC 7616, MD5 or SHA) before Basic.
-
-    Parameters
-    ----------
-    login : user and password.
-    url : what is asked for.
-    challenges : of the camera's answer.
-    method, uri : of the request; unset: the path of `url`.
-
-    Raises
-    ------
-    OSError : the challenge is not understood.
-    """
-    user, password = login
-    digest = next((one for one in challenges if one.lower().startswith("digest ")), None)
-    if digest is None:
-        return f"Basic {base64.b64encode(f'{user}:{password}'.encode()).decode()}"
-    manager = urllib.request.HTTPPasswordMgrWithDefaultRealm()
-    manager.add_password(None, url, user, password)
-    handler = urllib.request.HTTPDigestAuthHandler(manager)
-    parts = urllib.request.parse_keqv_list(urllib.request.parse_http_list(digest.partition(" ")[2]))
-    request = urllib.request.Request(url, method=method)  # noqa: S310 - it is not opened
-    if uri is not None:
-        request.selector = uri
+def _redirected(url: urllib.parse.SplitResult, location: str) -> urllib.parse.SplitResult | str:
+    """Return the address on the same host that an answer refers to, or as text what is another host or no address."""
+    written = urllib.parse.quote(location, safe=string.punctuation, encoding="latin-1")
     try:
-        return f"Digest {handler.get_authorization(request, parts)}"
-    except (ValueError, KeyError) as error:
-        raise OSError(f"its challenge is not understood ({error})") from None
+        target = urllib.parse.urlsplit(urllib.parse.urljoin(url.geturl(), written))
+    except ValueError:
+        return written[:_SHOWN_CHARACTERS]
+    if (target.scheme, target.netloc) != (url.scheme, url.netloc):
+        return f"{target.scheme}://{target.hostname}"[:_SHOWN_CHARACTERS]
+    return target
 
 
 def _context(options: SnapshotOptions) -> ssl.SSLContext:
@@ -200,7 +182,7 @@ def _age_s(headers: Mapping[str, str], content: bytes, now: datetime) -> float:
     ages = [0.0]
     age = headers.get("age", "")
     if age.isdecimal():
-        ages.append(float(age))
+        ages.append(float(age[:_AGE_DIGITS]))
     date, modified = _http_date(headers.get("date")), _http_date(headers.get("last-modified"))
     if date is not None and modified is not None:
         ages.append((date - modified).total_seconds())
@@ -213,15 +195,15 @@ def _age_s(headers: Mapping[str, str], content: bytes, now: datetime) -> float:
 def _http_date(text: str | None) -> datetime | None:
     try:
         found = None if text is None else parsedate_to_datetime(text)
-    except ValueError:
+    except (ValueError, TypeError, IndexError, OverflowError):  # of what is no date the parser raises each of them
         return None
-    return found if found is None or found.tzinfo is not None else None
+    return found if found is not None and found.tzinfo is not None and is_of_images(found) else None
 
 
 CODES = (
-    *("http_unreachable", "http_certificate", "http_denied", "http_redirected", "http_status", "http_no_picture"),
-    *("http_too_large", "http_too_many_pixels", "http_stale", "http_refused", "rtsp_unreachable", "rtsp_denied"),
-    *("rtsp_status", "rtsp_no_frame", "rtsp_too_many_pixels", "rtsp_refused"),
+    *("http_unreachable", "http_certificate", "http_denied", "http_login", "http_redirected", "http_status"),
+    *("http_no_picture", "http_too_large", "http_too_many_pixels", "http_stale", "http_refused", "rtsp_unreachable"),
+    *("rtsp_denied", "rtsp_login", "rtsp_status", "rtsp_no_frame", "rtsp_too_many_pixels", "rtsp_refused"),
 )
 """Conditions of a camera that gives no picture, one at a time."""
 _REFUSED = {"http": "http_refused", "rtsp": "rtsp_refused"}

@@ -5,8 +5,8 @@ from __future__ import annotations
 import socket
 import ssl
 import urllib.parse
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import KW_ONLY, dataclass
 
 import h11
@@ -45,8 +45,29 @@ class HttpAnswer:
     body: bytes
 
 
+def target_of(url: urllib.parse.SplitResult) -> str:
+    """Return the path and query of an address, as a request has them."""
+    return (url.path or "/") + (f"?{url.query}" if url.query else "")
+
+
 class UnfinishedError(Exception):
-    """An exchange began, and did not end: it was cut off, or took longer than it may."""
+    """An exchange began, and did not end: it was cut off, took longer than it may, or the answer is no HTTP."""
+
+
+@contextmanager
+def exchange_errors() -> Iterator[None]:
+    """Raise each error of an exchange as `OSError` (nothing was exchanged) or as `UnfinishedError`.
+
+    Sockets, TLS, h11 and the encodings of host names and headers raise errors of their own kinds.
+    """
+    try:
+        yield
+    except (OSError, UnfinishedError):  # a refused certificate is a ValueError too
+        raise
+    except h11.RemoteProtocolError as error:
+        raise UnfinishedError(f"its answer is no HTTP ({error})") from error
+    except (h11.LocalProtocolError, ValueError) as error:
+        raise OSError(f"the request cannot be written ({error})") from error
 
 
 @dataclass(eq=False)
@@ -116,13 +137,12 @@ def fetch(request: HttpRequest, *, context: ssl.SSLContext | None, limit: Limit,
 
     Raises
     ------
-    UnfinishedError : the connection was made, and was cut off or took too long.
+    UnfinishedError : the connection was made, and was cut off or took too long; or the answer is no HTTP.
     OSError : no connection or no TLS in time.
-    h11.RemoteProtocolError : the answer is no HTTP, or ends too early.
     """
-    with connected(request, context, limit) as channel:
+    with exchange_errors(), connected(request, context, limit) as channel:
         whole = request.proxy is not None and context is None
-        target = (request.url.path or "/") + (f"?{request.url.query}" if request.url.query else "")
+        target = target_of(request.url)
         lines = {
             "host": request.url.netloc.encode("idna").decode(),
             "content-length": str(len(request.body)),
@@ -132,7 +152,7 @@ def fetch(request: HttpRequest, *, context: ssl.SSLContext | None, limit: Limit,
         head = h11.Request(
             method=request.method,
             target=f"{request.url.scheme}://{request.url.netloc}{target}" if whole else target,
-            headers=list(lines.items()),
+            headers=[(name, value.encode("latin-1")) for name, value in lines.items()],
         )
         try:
             return _answer(channel, [head, h11.Data(data=request.body), h11.EndOfMessage()], limit, most_bytes)

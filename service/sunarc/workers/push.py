@@ -17,8 +17,6 @@ from http import HTTPStatus
 from pathlib import Path
 from typing import Protocol
 
-import h11
-
 from sunarc.archive.archive import Archive
 from sunarc.archive.fleet.notices import CameraState, Notice
 from sunarc.errors import ConfigurationError, InputError, OutsideError
@@ -27,7 +25,7 @@ from sunarc.runtime.loop import Attempts, Loop, Pauses
 from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.runtime.supervisor import worker_code
 from sunarc.utc import rfc3339
-from sunarc.workers.http_exchange import HttpRequest, Limit, UnfinishedError, connected, exchange
+from sunarc.workers.http_exchange import HttpRequest, Limit, UnfinishedError, connected, exchange, exchange_errors
 from sunarc.workers.messages import condition, condition_of
 from sunarc.workers.options import read_secret
 
@@ -254,8 +252,9 @@ class Webhook:
         self._read_key()
         request = HttpRequest(method="POST", url=self._url, headers={}, body=b"")
         try:
-            connected(request, self._context, self._limit(lambda: None)).close()
-        except (OSError, ValueError) as error:
+            with exchange_errors():
+                connected(request, self._context, self._limit(lambda: None)).close()
+        except (OSError, UnfinishedError) as error:
             raise OutsideError(f"{self._url.hostname}: {error}") from error
 
     def close(self, *, graceful: bool) -> None:
@@ -276,7 +275,7 @@ class Webhook:
         request = HttpRequest(method="POST", url=self._url, headers=headers, body=body)
         try:
             status, _ = exchange(request, context=self._context, limit=self._limit(heartbeat))
-        except (OSError, ValueError, UnfinishedError, h11.RemoteProtocolError) as error:
+        except (OSError, UnfinishedError) as error:
             raise OutsideError(f"{self._url.hostname}: {error}") from error
         if HTTPStatus.OK <= status < HTTPStatus.MULTIPLE_CHOICES:
             return

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -358,3 +358,19 @@ def test_the_folder_is_never_written(followed: Followed) -> None:
     followed.turn()
     assert sorted(path.name for path in followed.root.rglob("*")) == before
     followed.root.chmod(0o755)
+
+
+def test_dates_that_no_image_has_are_left_out_and_the_next_image_is_taken(followed: Followed) -> None:
+    """Names, and times of change, that no date or only one of the year 1 can state."""
+    followed.turn()
+    followed.write("image-00010101000000.jpg", shot(MORNING))
+    followed.write("image-99991231235959.jpg", shot(MORNING, seed=1))
+    followed.write("notime.jpg", b"PRD=MOBOTIX\nDAT=2025-99-99\nTIM=23:59:59\nTZN=GMT+1\n")
+    for n, changed_s in enumerate((-(2**40), 2**40)):
+        path = followed.write(f"20250513_15000{n}.jpg", shot(MORNING, seed=2 + n))
+        with suppress(OSError, OverflowError):  # the file system may not keep it
+            os.utime(path, (changed_s, changed_s))
+    followed.turn()
+    followed.turn()
+    assert len(followed.points()) == 2
+    assert followed.codes() == {"images_without_time"}

@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.fixtures.settings import new_settings
+from tests.offline.live import exchange_fuzz
 from tests.offline.live.followed import never, serve_calibration_of
 from tests.offline.live.sky_pictures import Lens, jpeg, picture, sun_at
 
@@ -245,6 +246,54 @@ def test_what_is_no_picture_of_now_is_a_condition_until_there_is_one(
     asked.take()
     assert asked.codes() == set()
     assert [point.verdict for point in asked.service.archive.sightings.find("roof")] == ["clear"]
+
+
+def raw(head: bytes, content: bytes = b"") -> Answer:
+    """Return an answer of these very bytes."""
+
+    def answer(request: BaseHTTPRequestHandler) -> None:
+        request.wfile.write(head + b"\r\nContent-Length: %d\r\n\r\n" % len(content) + content)
+
+    return answer
+
+
+OK, FAR = b"HTTP/1.1 200 OK\r\n", b"Tue, 13 May 20250000000 15:00:00 GMT"
+
+
+@pytest.mark.parametrize(
+    ("answer", "code"),
+    [
+        (raw(b"HTTP/1.1 401 No\r\nWWW-Authenticate: Digest foo"), "http_login"),
+        (raw(b'HTTP/1.1 401 No\r\nWWW-Authenticate: Digest realm="c", nonce="n", qop='), "http_denied"),
+        (raw(b"HTTP/1.1 401 No\r\nWWW-Authenticate: Negotiate"), "http_login"),
+        (raw(b"HTTP/1.1 302 Found\r\nLocation: http://["), "http_redirected"),
+        (raw(b"HTTP/1.1 302 Found\r\nLocation: /caf\xe9"), "http_status"),
+        (raw(b"HTTP/1.1 302 Found\r\nLocation: http://\xe9lsewhere/"), "http_redirected"),
+        (raw(OK + b"Date: " + FAR + b"\r\nLast-Modified: " + FAR, b"no picture"), "http_no_picture"),
+        (raw(OK + b"Age: " + b"9" * 400, shot(MORNING)), "http_stale"),
+        (raw(b"HTTP/1.1 200 OK\r\nno colon"), "http_unreachable"),
+        (raw(b"ICY 200 OK"), "http_unreachable"),
+    ],
+)
+def test_an_answer_that_is_damaged_is_a_failed_slot(camera: Camera, tmp_path: Path, answer: Answer, code: str) -> None:
+    (tmp_path / "login").write_text("owner:secret\n")
+    asked = Asked(tmp_path, f"http://127.0.0.1:{camera.port}/", token_file=tmp_path / "login")
+    camera.answer = answer
+    asked.take()
+    assert asked.codes() == {code}
+    assert not any(given and given.startswith("Basic") for _, given in camera.asked)
+    camera.answer = raw(OK + b"Date: " + FAR + b"\r\nLast-Modified: " + FAR, shot(asked.clock.now()))
+    asked.take()
+    assert asked.codes() == set()
+    asked.service.archive.close()
+
+
+def test_whatever_a_camera_answers_and_files_are_named_nothing_is_raised() -> None:
+    codes = exchange_fuzz.ask(400, seed=1)
+    assert {"picture", "http_unreachable", "http_login", "http_redirected", "rtsp_login"} <= set(codes)
+    names = exchange_fuzz.read_names(400, seed=1)
+    assert {"dated", "file_time_unknown", "file_time_range"} <= set(names)
+    assert names["out of range"] == 0
 
 
 def test_where_the_cameras_clock_is_followed_a_picture_without_its_time_is_none(camera: Camera) -> None:
