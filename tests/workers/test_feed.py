@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import gzip
 import json
+import math
 import random
 import socket
+import sqlite3
 import ssl
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from http import HTTPStatus
 from itertools import pairwise
@@ -22,7 +24,7 @@ from tests.workers.test_webhook import certificate
 
 from sunarc.archive.archive import Archive, CameraArchive, open_archive
 from sunarc.archive.fleet.feed_rows import FeedBatch, FeedRow, Refusal, feed_lines, read_feed_lines
-from sunarc.archive.fleet.outbox import OutboxPosition
+from sunarc.archive.fleet.outbox import OutboxPosition, outbox_triggers
 from sunarc.archive.values import Event
 from sunarc.errors import ConfigurationError, InputError, OutsideError
 from sunarc.runtime.clock import SystemClock, VirtualClock
@@ -53,7 +55,7 @@ class Wire:
             raise OutsideError("the network is gone")
         if fault == "refused":
             raise HubRefusal(401, "forged_token: …")
-        if len(rows) > max(self.most_rows, 1) or (self.most_rows == 0 and rows[0].data is not None):
+        if len(rows) > max(self.most_rows, 1) or (self.most_rows == 0 and rows and rows[0].data):
             raise HubRefusal(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "too large")
         arrived = read_feed_lines(feed_lines(rows), after=position.committed)
         batch = FeedBatch(camera="roof", installation=position.installation, after=position.committed, rows=arrived)
@@ -201,6 +203,125 @@ def test_an_imager_that_was_put_back_goes_on_as_another_installation(bench: Benc
         assert bench.codes() == set()
 
 
+def put_back(folder: Path, copy: bytes) -> None:
+    for ending in ("", "-wal", "-shm"):
+        (folder / f"roof.sqlite{ending}").unlink(missing_ok=True)
+    (folder / "roof.sqlite").write_bytes(copy)
+
+
+def test_an_imager_that_was_put_back_while_the_hub_was_away_loses_no_row(bench: Bench, tmp_path: Path) -> None:
+    """Its new rows have the numbers of others that the hub has: they must not count as sent."""
+    send_all(bench.worker())
+    bench.imager.close()
+    copy = (tmp_path / "roof.sqlite").read_bytes()
+    with open_archive(tmp_path / "roof.sqlite") as before:
+        bench.imager = before
+        before.sightings.add(sighting(n) for n in range(22))
+        send_all(bench.worker())
+    put_back(tmp_path, copy)
+    with open_archive(tmp_path / "roof.sqlite") as again:
+        bench.imager = again
+        worker = bench.worker()
+        bench.wire.faults = ["cut"] * 30
+        for n in range(100, 140):
+            again.sightings.add([sighting(n)])
+            step(worker)
+        assert bench.wire.faults == []
+        assert "hub_refuses" in bench.codes()
+        bench.hub.feeds.accept_installation("roof", again.outbox.position().installation, now=NOW)
+        bench.clock.advance(100.0)
+        send_all(worker)
+        assert len(bench.hub.sightings.find("roof")) == 62  # what the copy did not have, too
+        assert again.outbox.waiting() == 0
+        assert bench.codes() == set()
+
+
+def test_a_database_that_is_put_back_while_the_worker_runs_is_noticed(bench: Bench, tmp_path: Path) -> None:
+    send_all(bench.worker())
+    bench.imager.close()
+    copy = (tmp_path / "roof.sqlite").read_bytes()
+    worker = None
+    with open_archive(tmp_path / "roof.sqlite") as before:
+        bench.imager = before
+        before.sightings.add(sighting(n) for n in range(5))
+        worker = bench.worker()
+        send_all(worker)
+    put_back(tmp_path, copy)
+    with open_archive(tmp_path / "roof.sqlite") as again:
+        bench.imager = again
+        worker.camera = bench.worker().camera
+        again.sightings.add(sighting(n) for n in range(100, 105))
+        step(worker)
+        assert "hub_refuses" in bench.codes()
+        assert again.outbox.waiting() == 7  # nothing is forgotten
+
+
+def test_a_database_that_was_put_together_without_its_triggers_is_sent_whole(bench: Bench, tmp_path: Path) -> None:
+    worker = bench.worker()
+    send_all(worker)
+    former = bench.imager.outbox.position().installation
+    with closing(sqlite3.connect(tmp_path / "roof.sqlite")) as hand, hand:
+        for name, _ in outbox_triggers():
+            hand.execute(f'DROP TRIGGER "{name}"')
+    bench.imager.sightings.add([sighting(1)])
+    assert bench.imager.outbox.waiting() == 0
+    bench.clock.advance(61.0)
+    step(worker)
+    assert bench.imager.outbox.position().installation != former
+    bench.hub.feeds.accept_installation("roof", bench.imager.outbox.position().installation, now=NOW)
+    bench.clock.advance(61.0)
+    send_all(worker)
+    assert bench.hub.sightings.find("roof") == bench.imager.sightings.find("roof")
+
+
+NO_NUMBERS = ["9e18", "1e2", "4.0", "-2", "NaN", "Infinity", '"4"', "true", "null", "[4]", "{}", f"{2**63}"]
+NOT_SENT = ["3", "7", "9000000000000000000"]
+
+
+@pytest.mark.parametrize("committed", [*NO_NUMBERS, *NOT_SENT])
+@pytest.mark.parametrize("agreed", [False, True])
+def test_an_answer_that_no_hub_can_give_is_said_and_queues_and_forgets_nothing(
+    bench: Bench, tmp_path: Path, committed: str, *, agreed: bool
+) -> None:
+    send_all(bench.worker())
+    bench.imager.sightings.add(sighting(n) for n in range(3))
+    before = [row.seq for row in bench.imager.outbox.rows(most=100, most_bytes=10**6)]
+    position = bench.imager.outbox.position()
+    assert (position.committed, before) == (3, [4, 5, 6])
+    first = [taken(3)] if agreed else []
+    with answering(*first, *[taken(committed)] * 12) as url:
+        worker = connected(bench, url, tmp_path)
+        worker._status_s = math.inf  # no status of its own
+        assert [step(worker) for _ in range(4)] == [5.0, 10.0, 20.0, 40.0]
+        assert [row.seq for row in bench.imager.outbox.rows(most=100, most_bytes=10**6)] == before
+        assert bench.imager.outbox.position().installation == position.installation
+        assert bench.codes() == {"hub_answer_invalid"}
+    worker.send = bench.wire
+    send_all(worker)
+    assert bench.codes() == set()
+    assert bench.hub.sightings.find("roof") == bench.imager.sightings.find("roof")
+
+
+@pytest.mark.parametrize("committed", [-1, 0, 2])
+def test_one_number_for_every_question_queues_all_rows_once(bench: Bench, tmp_path: Path, committed: int) -> None:
+    """It may be a hub's that was put back; that it takes nothing afterwards is no hub's."""
+    send_all(bench.worker())
+    with answering(*[taken(committed)] * 24) as url:
+        worker, pauses = connected(bench, url, tmp_path), []
+        for _ in range(8):
+            pauses.append(step(worker))
+        assert pauses == [5.0, 10.0, 20.0, 40.0, *[60.0] * 4]
+        assert {row.seq for row in bench.imager.outbox.rows(most=100, most_bytes=10**6)} <= {*range(4, 9)}
+        assert bench.codes() == {"hub_answer_invalid"}
+
+
+@pytest.mark.parametrize("answer", ["200 OK\r\ncontent-length: 9\r\n\r\n<p>hi</p>", f"200 OK\r\n\r\n{'[' * 60_000}"])
+def test_a_page_in_place_of_an_answer_is_said(bench: Bench, tmp_path: Path, answer: str) -> None:
+    with answering(answer) as url:
+        assert step(connected(bench, url, tmp_path)) == 5.0
+    assert bench.codes() == {"hub_answer_invalid"}
+
+
 def test_a_hub_that_is_silent_for_long_is_a_condition_and_is_asked_at_most_once_a_minute(bench: Bench) -> None:
     worker, bench.wire.faults = bench.worker(), ["cut"] * 100
     waits = [step(worker) for _ in range(12)]
@@ -331,27 +452,36 @@ def test_five_hundred_rows_drain_through_two_kilobytes_a_second(
     assert bench.hub.feeds.quarantine() == ()
 
 
+def taken(committed: object) -> str:
+    """Return a hub's answer, with whatever stands in the place of the number."""
+    body = f'{{"committed": {committed}}}'
+    return f"200 OK\r\ncontent-length: {len(body)}\r\n\r\n{body}"
+
+
 @contextmanager
-def answering(answer: str) -> Iterator[str]:
-    """Yield the address of a hub that answers once, whatever it is sent."""
+def answering(*answers: str) -> Iterator[str]:
+    """Yield the address of a hub that gives these answers one after the other, whatever it is sent."""
     with socket.create_server(("127.0.0.1", 0)) as listening:
 
         def say() -> None:
-            channel, _ = listening.accept()
-            with channel:
-                channel.recv(65_536)
-                channel.sendall(f"HTTP/1.1 {answer}".encode())
+            with suppress(OSError):
+                for answer in answers:
+                    channel, _ = listening.accept()
+                    with channel:
+                        channel.recv(65_536)
+                        channel.sendall(f"HTTP/1.1 {answer}".encode())
 
         thread = threading.Thread(target=say)
         thread.start()
         yield f"http://127.0.0.1:{listening.getsockname()[1]}"
+        listening.shutdown(socket.SHUT_RDWR)
         thread.join()
 
 
 @pytest.mark.parametrize("status", [408, 504])
 def test_an_answer_that_it_took_too_long_makes_batches_smaller(bench: Bench, tmp_path: Path, status: int) -> None:
     bench.imager.sightings.add(sighting(n) for n in range(7))
-    with answering(f"{status} No\r\ncontent-length: 0\r\n\r\n") as url:
+    with answering(taken(0), f"{status} No\r\ncontent-length: 0\r\n\r\n") as url:
         worker = connected(bench, url, tmp_path)
         assert step(worker) == 5.0
     waiting = bench.imager.outbox.waiting()
@@ -375,7 +505,7 @@ def test_a_worker_waits_as_long_as_the_hub_asks(  # noqa: PLR0917 - of an answer
     bench: Bench, tmp_path: Path, status: str, asked: str, least_s: float, most_s: float
 ) -> None:
     bench.imager.sightings.add([sighting(1)])
-    body = json.dumps({"committed": 1})
+    body = json.dumps({"committed": 0})
     head = f"{status}\r\nretry-after: {asked}\r\ncontent-length: {len(body)}\r\n\r\n{body}"
     with answering(head) as url:
         worker = connected(bench, url, tmp_path)

@@ -11,6 +11,7 @@ import ssl
 import threading
 import urllib.parse
 import urllib.request
+import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -38,6 +39,7 @@ _WITHIN_S = 30.0
 _LEAST_BYTES_PER_S = 500.0
 """One row can be sent in no parts: it has the time that it takes at this rate besides."""
 _MOST_READ_BYTES = 65_536
+_MOST_QUOTED = 100
 _LONGEST_ASKED_S = 600.0
 """No answer makes a sender wait for longer: a proxy's own may name hours."""
 _COMPRESSION_LEVEL = 4  # rows become a tenth; higher levels cost more time than they save
@@ -59,6 +61,10 @@ class HubRefusal(Exception):  # noqa: N818 - an answer, and no fault
 
 class HubUnfinishedError(OutsideError):
     """The hub was reached, and not all was sent, stored and answered in time: fewer rows may be."""
+
+
+class HubAnswerError(OutsideError):
+    """The answer cannot be a hub's: a proxy gave it, or a hub that is at fault."""
 
 
 Send = Callable[[OutboxPosition, Sequence[FeedRow], Callable[[], None]], int]
@@ -101,6 +107,7 @@ class HubConnection:
         ------
         HubRefusal : the hub understood and refused.
         HubUnfinishedError : it was reached, and the exchange was cut off or took too long.
+        HubAnswerError : the answer has no number that a hub could give.
         OutsideError : it was not reached, or was not able to.
         """
         request = HttpRequest(
@@ -123,13 +130,26 @@ class HubConnection:
             asked = answer.headers.get("retry-after", "")
             asked_s = float(asked) if asked.isdecimal() else 0.0  # a date is no hub's
             self._asked_until_s = self._clock.monotonic() + min(asked_s, _LONGEST_ASKED_S)
-            if HTTPStatus.OK <= answer.status < HTTPStatus.MULTIPLE_CHOICES:
-                return int(json.loads(answer.body)["committed"])
         except (UnfinishedError, h11.RemoteProtocolError) as error:
             raise HubUnfinishedError(f"the hub {self._url}: {error}") from error
-        except (OSError, ValueError, KeyError, TypeError, h11.LocalProtocolError) as error:
+        except (OSError, ValueError, h11.LocalProtocolError) as error:
             raise OutsideError(f"the hub {self._url}: {error}") from error
+        if HTTPStatus.OK <= answer.status < HTTPStatus.MULTIPLE_CHOICES:
+            return _committed(answer.body)
         raise _failure(answer.status, answer.body)
+
+
+def _committed(body: bytes) -> int:
+    """Return the number of an answer."""
+    try:
+        found = json.loads(body)
+    except (ValueError, RecursionError):
+        found = None
+    number = found.get("committed") if isinstance(found, dict) else None
+    if type(number) is not int or not -1 <= number < 2**63:
+        text = body[:_MOST_QUOTED].decode("utf-8", "replace")
+        raise HubAnswerError(f"{text!r} has no number `committed` from -1 on")
+    return number
 
 
 def _failure(status: int, body: bytes) -> HubRefusal | OutsideError:
@@ -169,7 +189,7 @@ _STATUS_EVERY_S = 60.0
 LONGEST_WAIT_S = 60.0
 SILENT_S = 900.0
 """A hub that was not reached for so long is a condition; a network that is lost for minutes is none."""
-_UNREACHABLE, _REFUSED = "hub_unreachable", "hub_refuses"
+_UNREACHABLE, _REFUSED, _INVALID = "hub_unreachable", "hub_refuses", "hub_answer_invalid"
 
 
 @dataclass(kw_only=True, eq=False)
@@ -205,7 +225,9 @@ class FeedWorker:
             after_s=SILENT_S,
         )
         self._status_s = -math.inf
-        self._enabled = False
+        self._agreed: OutboxPosition | None = None
+        """Where the outbox stood when the hub last said that it stands there, too; None until it has."""
+        self._next_installation = uuid.uuid4().hex
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Send until stopped."""
@@ -222,27 +244,79 @@ class FeedWorker:
         return max(pause_s, self.asked_s())
 
     def _send_some(self, heartbeat: Callable[[], None]) -> float | None:
-        more = self._send_next(heartbeat)
+        try:
+            more = self._send_next(heartbeat)
+        except HubAnswerError as error:
+            self.board.set_condition(_INVALID, condition(_INVALID, error=str(error)))
+            raise
         self.board.set_condition(_REFUSED, None)
+        self.board.set_condition(_INVALID, None)
         return 0.0 if more else None
 
     def _send_next(self, heartbeat: Callable[[], None]) -> bool:
         """Send the next rows, if there are any, and return whether there may be more."""
-        if not self._enabled:
-            if self.camera.archive.outbox.enable():
-                _log.info("all rows of the archive are queued for the hub")
-            self._enabled = True
+        outbox = self.camera.archive.outbox
         if self.clock.monotonic() - self._status_s >= _STATUS_EVERY_S:
-            self.camera.archive.outbox.queue_status(self._status())
+            if outbox.enable():  # also when the database was put together anew, which takes its triggers away
+                _log.info("all rows of the archive are queued for the hub")
+            outbox.queue_status(self._status())
             self._status_s = self.clock.monotonic()
-        position = self.camera.archive.outbox.position()
-        rows = self.camera.archive.outbox.rows(most=self._most_rows, most_bytes=_MOST_BYTES)
-        if not rows:
-            return False
-        # Before they are sent: a database that is put back to before this knows less than the hub, and finds it out.
-        self.camera.archive.outbox.mark_sent(rows[-1].seq)
-        self._follow(position, rows, self._sent(position, rows, heartbeat))
-        return True
+        if self._agreed is None or outbox.position() != self._agreed:
+            self._agree(heartbeat)
+            if self.asked_s() > 0.0:
+                return False
+        position, self._agreed = self._agreed, None
+        rows = () if position is None else outbox.rows_to_send(position, most=self._most_rows, most_bytes=_MOST_BYTES)
+        if position is None or rows is None:
+            return True  # the database was put back meanwhile
+        if rows:
+            self._follow(position, self._sent(position, rows, heartbeat), heartbeat)
+        self._agreed = outbox.position()
+        return bool(rows)
+
+    def _agree(self, heartbeat: Callable[[], None]) -> None:
+        """Ask the hub where it stands, and go on from there.
+
+        Until it has answered no number counts as sent: a database that was put back to an earlier copy knows of less
+        than the hub has, however long the hub is away.
+        """
+        outbox = self.camera.archive.outbox
+        position = outbox.position()
+        committed = self.send(replace(position, committed=-1), (), heartbeat)
+        if committed > position.sent:
+            self._begin_anew(position, committed, heartbeat)
+        elif committed > position.committed:
+            self._acknowledge(committed)
+        elif committed < position.committed:
+            _log.warning(
+                "the hub has rows up to %d, and had them up to %d: all go again", committed, position.committed
+            )
+            outbox.send_again(committed=committed)
+        self._agreed = outbox.position()
+
+    def _begin_anew(self, position: OutboxPosition, committed: int, heartbeat: Callable[[], None]) -> None:
+        """Go on under a new id, with all rows: the hub has rows of this one that were never sent from here.
+
+        A hub has nothing under the new id, and wants an operator to accept it; another answer is no hub's.
+        """
+        new = OutboxPosition(installation=self._next_installation, committed=-1, sent=0)
+        refused = None
+        try:
+            found = self.send(new, (), heartbeat)
+        except HubRefusal as refusal:
+            if refusal.status != HTTPStatus.CONFLICT:
+                raise
+            found, refused = 0, refusal
+        if found != 0:
+            raise HubAnswerError(f"the number {committed} of rows that were not sent, and {found} for a new sender")
+        self.camera.archive.outbox.begin_installation(new.installation)
+        self._next_installation = uuid.uuid4().hex
+        _log.warning(
+            "the hub has rows up to %d of installation %s, of which %d were sent from here: going on as %s",
+            *(committed, position.installation, position.sent, new.installation),
+        )
+        if refused is not None:
+            raise refused
 
     def _sent(self, position: OutboxPosition, rows: Sequence[FeedRow], heartbeat: Callable[[], None]) -> int:
         """Send rows, the next time fewer where they took too long or were too large, and more where it was quick.
@@ -266,20 +340,18 @@ class FeedWorker:
             self._most_rows = min(2 * self._most_rows, _MOST_ROWS)
         return committed
 
-    def _follow(self, position: OutboxPosition, rows: Sequence[FeedRow], committed: int) -> None:
-        """Do what the hub's number asks for."""
-        if committed < position.committed:
-            _log.warning(
-                "the hub has rows up to %d, and had them up to %d: all go again", committed, position.committed
-            )
-            self.camera.archive.outbox.send_again(committed=committed)
-        elif committed > max(rows[-1].seq, position.sent):
-            former, new = position.installation, self.camera.archive.outbox.begin_installation()
-            _log.warning("the hub has later rows of installation %s than were sent: going on as %s", former, new)
-        elif committed == position.committed:
-            raise OutsideError(f"the hub took nothing of {len(rows)} rows")
-        else:
-            self.camera.archive.outbox.acknowledge(committed)
+    def _follow(self, position: OutboxPosition, committed: int, heartbeat: Callable[[], None]) -> None:
+        """Forget the rows that the hub has, or find out where it stands where it stands no more at `position`."""
+        if committed > position.committed:
+            self._acknowledge(committed)
+            return
+        self._agree(heartbeat)
+        if self._agreed == self.camera.archive.outbox.position() and self._agreed.committed == position.committed:
+            raise HubAnswerError(f"{committed} where rows after {position.committed} were sent")
+
+    def _acknowledge(self, committed: int) -> None:
+        if not self.camera.archive.outbox.acknowledge(committed):
+            raise HubAnswerError(f"the number {committed}, of no row that was sent")
 
     def _status(self) -> Mapping[str, Any]:
         """Return what the fleet page shows of this imager."""

@@ -206,6 +206,11 @@ MESSAGES = Messages(
         "Rows wait in the outbox, without a limit; measurements continue.",
         "see the hub's /v1/quarantine; make a token there with `sunarc hub token`, or accept the installation",
     ),
+    hub_answer_invalid=Message(
+        "the hub, or a proxy before it, answers {error}",
+        "Rows wait in the outbox, without a limit; measurements continue.",
+        "check hub.url, the proxies on the way, and the hub's version",
+    ),
     # nightly work of a hub
     nightly_failed=Message(
         "nightly jobs of {night} failed: {jobs}; first error: {error}",

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import chain
 from typing import Any
 
-from sqlalchemy import JSON, Column, Connection, Date, Float, Text, delete, func, insert, select, text, update
+from sqlalchemy import JSON, Column, Connection, Date, Float, Row, Text, delete, func, insert, select, text, update
 
 from sunarc.archive.database.connections import json_text, parsed_json
 from sunarc.archive.database.store import Part
@@ -28,7 +28,7 @@ class OutboxPosition:
     ----------
     installation : id of this database's outbox; a database that was put back to an earlier state needs another.
     committed : the hub has everything up to this number.
-    sent : nothing beyond this number was ever sent.
+    sent : nothing beyond this number was ever sent; raised only after the hub has said where it stands.
     """
 
     installation: str
@@ -53,9 +53,11 @@ class Outbox(Part):
         if self._database.file is None:
             raise ConfigurationError("hub.url: only an archive in SQLite is sent to a hub; unset `store` or `hub.url`")
         wanted = dict(outbox_triggers())
+        with self._database.reading() as connection:
+            if _begun(connection) and _triggers(connection) == wanted:
+                return False
         with self._database.writing() as connection:
-            present = {str(name): str(sql) for name, sql in connection.execute(text(_TRIGGERS))}
-            begun = connection.scalar(select(func.count()).select_from(outbox_position)) == 1
+            present, begun = _triggers(connection), _begun(connection)
             new = [kind for kind in FED if not present.keys() & _names(kind)]
             others = {name: sql for name, sql in wanted.items() if not any(name in _names(kind) for kind in new)}
             if begun and present and present == others:
@@ -85,12 +87,12 @@ class Outbox(Part):
     def enabled(self) -> bool:
         """Return whether changes are written to the outbox."""
         with self._database.reading() as connection:
-            return connection.scalar(select(func.count()).select_from(outbox_position)) == 1
+            return _begun(connection)
 
     def position(self) -> OutboxPosition:
         """Return how far the outbox came; it has to be enabled."""
         with self._database.reading() as connection:
-            return OutboxPosition(**connection.execute(select(outbox_position)).mappings().one())
+            return _position(connection)
 
     def waiting(self) -> int:
         """Return how many rows wait."""
@@ -100,16 +102,27 @@ class Outbox(Part):
     def rows(self, *, most: int, most_bytes: int) -> tuple[FeedRow, ...]:
         """Return the next rows in their order: at most so many, and so many bytes, but at least one."""
         with self._database.reading() as connection:
-            stored = connection.execute(select(outbox).order_by(outbox.c.seq).limit(most)).all()
-        rows: list[FeedRow] = []
-        size = 0
-        for seq, kind, data in stored:
-            size += len(data)
-            if rows and size > most_bytes:
-                break
-            values = parsed_json(data) or {}
-            rows.append(FeedRow(seq=seq, kind=kind, data=values if kind == STATUS else from_trigger(kind, values)))
-        return tuple(rows)
+            stored = _next(connection, most, most_bytes)
+        return _parsed(stored)
+
+    def rows_to_send(self, position: OutboxPosition, *, most: int, most_bytes: int) -> tuple[FeedRow, ...] | None:
+        """Return the next rows as `rows` does, and note that the hub may have them.
+
+        Both in one transaction: the database may be put back to an earlier copy at any time, and must then not know of
+        rows that only the copy's successor had.
+
+        Returns
+        -------
+        The rows; None where the outbox does not stand at `position`.
+        """
+        with self._database.writing() as connection:
+            if _position(connection) != position:
+                return None
+            stored = _next(connection, most, most_bytes)
+            if stored:
+                c = outbox_position.c
+                connection.execute(update(outbox_position).where(c.sent < stored[-1].seq).values(sent=stored[-1].seq))
+        return _parsed(stored)
 
     def queue_status(self, status: Mapping[str, Any]) -> None:
         """Queue the imager's own state, in place of what was not sent yet."""
@@ -118,17 +131,20 @@ class Outbox(Part):
             connection.execute(delete(outbox).where(outbox.c.kind == STATUS, outbox.c.seq > sent))
             connection.execute(insert(outbox).values(kind=STATUS, data=json_text(status)))
 
-    def mark_sent(self, seq: int) -> None:
-        """Remember, before rows are sent, that the hub may have them up to a number."""
-        c = outbox_position.c
-        with self._database.writing() as connection:
-            connection.execute(update(outbox_position).where(c.sent < seq).values(sent=seq))
+    def acknowledge(self, seq: int) -> bool:
+        """Forget the rows up to a number, which the hub has; none where some come before it, and none has it.
 
-    def acknowledge(self, seq: int) -> None:
-        """Forget the rows up to a number: the hub has them."""
+        Returns
+        -------
+        Whether the number can be one that the hub was sent.
+        """
         with self._database.writing() as connection:
+            newest = connection.scalar(select(func.max(outbox.c.seq)).where(outbox.c.seq <= seq))
+            if newest not in {None, seq} or seq > _position(connection).sent:
+                return False
             connection.execute(delete(outbox).where(outbox.c.seq <= seq))
             connection.execute(update(outbox_position).values(committed=seq))
+        return True
 
     def send_again(self, *, committed: int) -> None:
         """Queue all rows again: the hub has less than it once confirmed."""
@@ -136,13 +152,43 @@ class Outbox(Part):
             _queue_all(connection)
             connection.execute(update(outbox_position).values(committed=committed))
 
-    def begin_installation(self) -> str:
-        """Begin a feed of its own with all rows, and return its id: another one went on under the former id."""
-        new = OutboxPosition(installation=uuid.uuid4().hex, committed=0, sent=0)
+    def begin_installation(self, installation: str) -> None:
+        """Begin a feed of its own with all rows, under an id: another one went on under the former id."""
         with self._database.writing() as connection:
             _queue_all(connection)
-            _set_position(connection, new)
-        return new.installation
+            _set_position(connection, OutboxPosition(installation=installation, committed=0, sent=0))
+
+
+def _begun(connection: Connection) -> bool:
+    return connection.scalar(select(func.count()).select_from(outbox_position)) == 1
+
+
+def _triggers(connection: Connection) -> dict[str, str]:
+    return {str(name): str(sql) for name, sql in connection.execute(text(_TRIGGERS))}
+
+
+def _position(connection: Connection) -> OutboxPosition:
+    return OutboxPosition(**connection.execute(select(outbox_position)).mappings().one())
+
+
+def _next(connection: Connection, most: int, most_bytes: int) -> list[Row[Any]]:
+    """Return the next rows as they are stored: at most so many, and so many bytes, but at least one."""
+    found: list[Row[Any]] = []
+    size = 0
+    for row in connection.execute(select(outbox).order_by(outbox.c.seq).limit(most)):
+        size += len(row.data)
+        if found and size > most_bytes:
+            break
+        found.append(row)
+    return found
+
+
+def _parsed(stored: Iterable[Row[Any]]) -> tuple[FeedRow, ...]:
+    rows: list[FeedRow] = []
+    for seq, kind, data in stored:
+        values = parsed_json(data) or {}
+        rows.append(FeedRow(seq=seq, kind=kind, data=values if kind == STATUS else from_trigger(kind, values)))
+    return tuple(rows)
 
 
 def _set_position(connection: Connection, position: OutboxPosition) -> None:
