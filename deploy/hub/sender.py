@@ -38,7 +38,9 @@ class Feed:
             asked = urllib.request.Request(f"{self.url}?after={after}", body, self.headers, method="PUT")
             try:
                 with urllib.request.urlopen(asked, timeout=60.0) as answer:
-                    committed = int(json.loads(answer.read())["committed"])
+                    committed = json.loads(answer.read()).get("committed")
+                    if type(committed) is not int or not -1 <= committed < 2**63 or (rows and committed == after):
+                        raise ValueError("no hub answers so")
                     time.sleep(float(answer.headers.get("retry-after", 0)))
                     return committed
             except urllib.error.HTTPError as error:
@@ -51,7 +53,7 @@ class Feed:
                 if error.code not in AGAIN_LATER:
                     sys.exit(f"the hub refuses ({error.code}): {error.read().decode(errors='replace')}")
                 pause_s = float(error.headers.get("retry-after", wait_s))
-            except (OSError, http.client.HTTPException, ValueError):  # no answer, or not all of it
+            except (OSError, http.client.HTTPException, ValueError, AttributeError):  # no answer, or no hub's
                 pause_s = wait_s
             time.sleep(pause_s)
             wait_s = min(2.0 * wait_s, 60.0)
