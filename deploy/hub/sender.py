@@ -39,10 +39,11 @@ class Feed:
             try:
                 with urllib.request.urlopen(asked, timeout=60.0) as answer:
                     committed = json.loads(answer.read()).get("committed")
-                    if type(committed) is not int or not -1 <= committed < 2**63 or (rows and committed == after):
-                        raise ValueError("no hub answers so")
-                    time.sleep(float(answer.headers.get("retry-after", 0)))
+                    pause_s = float(answer.headers.get("retry-after", 0))
+                if type(committed) is int and -1 <= committed < 2**63 and not (rows and committed == after):
+                    time.sleep(pause_s)
                     return committed
+                pause_s = wait_s  # no hub answers so
             except urllib.error.HTTPError as error:
                 if error.code == 413 and len(rows) > 1:
                     rows = rows[: len(rows) // 2]

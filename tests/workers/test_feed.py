@@ -307,10 +307,8 @@ def test_one_number_for_every_question_queues_all_rows_once(bench: Bench, tmp_pa
     """It may be a hub's that was put back; that it takes nothing afterwards is no hub's."""
     send_all(bench.worker())
     with answering(*[taken(committed)] * 24) as url:
-        worker, pauses = connected(bench, url, tmp_path), []
-        for _ in range(8):
-            pauses.append(step(worker))
-        assert pauses == [5.0, 10.0, 20.0, 40.0, *[60.0] * 4]
+        worker = connected(bench, url, tmp_path)
+        assert [step(worker) for _ in range(8)] == [5.0, 10.0, 20.0, 40.0, *[60.0] * 4]
         assert {row.seq for row in bench.imager.outbox.rows(most=100, most_bytes=10**6)} <= {*range(4, 9)}
         assert bench.codes() == {"hub_answer_invalid"}
 
