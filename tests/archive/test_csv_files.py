@@ -9,7 +9,10 @@ import pytest
 
 from sunarc.archive.csv_files import read_pairs, read_sightings, write_columns, write_sightings
 from sunarc.errors import InputError
+from sunarc.sky.night import body_directions
+from sunarc.sky.site import Site
 
+SITE = Site(latitude=36.604, longitude=-97.485, altitude=318.0)
 HEADER = "time_utc,x_px,y_px,sigma_px,body"
 ROW = "2013-05-13T18:30:00Z,871.5,883.25,0.01,sun"
 
@@ -95,6 +98,38 @@ def test_a_stated_direction_overrides_the_body() -> None:
     found = read_sightings([header, *rows], name="points.csv").directions
     np.testing.assert_allclose(found[0], [0.5, 0.0, math.sqrt(0.75)], atol=1e-12)
     assert np.all(np.isnan(found[1]))
+
+
+def test_stars_planets_and_the_moon_are_known_by_name_where_the_site_is() -> None:
+    pytest.importorskip("ephem")
+    header = "camera,time_utc,file,x_px,y_px,sigma_px,body,verdict,epoch"
+    names = ("star:HIP91262", "moon", "jupiter", "sun")
+    rows = [f"roof,2013-05-13T06:00:00Z,a.png,{n},2,0.1,{name},clear,001" for n, name in enumerate(names)]
+    found = read_sightings([header, *rows], name="stars.csv", site=SITE)
+    assert found.kind.tolist() == [1, 2, 1, 0]
+    expected = body_directions(np.array(names), np.full(4, found.unix_s[0]), SITE)
+    np.testing.assert_allclose(found.directions, expected, atol=1e-12)
+    assert np.isfinite(expected[:3]).all()
+    assert np.isnan(expected[3]).all()
+    # before midnight in May Vega is half way up the eastern sky of 36.6 N
+    assert found.directions[0, 0] > 0.6
+    assert 0.7 < found.directions[0, 2] < 0.75
+    with pytest.raises(InputError, match="line 3, body: 'star:HIP1' is not known"):
+        read_sightings([header, rows[0], rows[0].replace("91262", "1")], name="stars.csv", site=SITE)
+    with pytest.raises(InputError, match="line 2, body: 'star:HIP91262' is not known"):
+        read_sightings([header, *rows], name="stars.csv")
+
+
+def test_the_epochs_of_a_camera_are_poses_and_two_cameras_are_refused() -> None:
+    header = "camera,time_utc,x_px,y_px,epoch"
+    row = "{},2013-05-13T18:30:00Z,871.5,883.25,{}"
+    rows = [row.format("roof", epoch) for epoch in ("001", "002", "001")]
+    assert read_sightings([header, *rows], name="s.csv").epoch.tolist() == [0, 1, 0]
+    # without a camera an epoch is a column of somebody else's
+    without = read_sightings(["time_utc,x_px,y_px,epoch", "2013-05-13T18:30:00Z,1,2,1368469800"], name="s.csv")
+    assert without.epoch.tolist() == [0]
+    with pytest.raises(InputError, match="2 cameras: mast, roof"):
+        read_sightings([header, *rows, row.format("mast", "001")], name="s.csv")
 
 
 @pytest.mark.parametrize(

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from tests.fixtures.command_line import Sunarc
+
+from sunarc.archive.csv_files import read_sightings
+from sunarc.calibration.model.sightings import Kind
+from sunarc.documents.calibration_document import from_document
+from sunarc.optics.forward import project
 
 CASES = Path(__file__).parents[2] / "../shared/cases"
 
@@ -23,3 +30,20 @@ def test_lamps_and_roofs_at_the_places_of_stars_get_an_answer(sunarc: Sunarc) ->
     done = sunarc("stars", case("real/petnica_20151203_042345.jpg"), "--blind", *site, *when)
     assert done.code in {0, 1}, done.err
     assert "{'" not in done.out  # a sentence for every finding
+
+
+def test_a_few_biased_suns_do_not_veto_the_stars(sunarc: Sunarc) -> None:
+    site = ["--latitude", "37.0916", "--longitude", "-2.3636", "--altitude", "490.6", "--image-size", "1000,1000"]
+    table = case("peers/mix2.csv")
+    done = sunarc("calibrate", table, *site)
+    assert done.code == 0, done.err
+    assert "30 sightings of the day" in done.out + done.err
+    document = json.loads(sunarc("calibrate", table, *site, "--json").out)
+    assert "day_contradicts_night" in {one["code"] for one in document["verdict"]["findings"]}
+    assert document["uncertainty"]["sky_rms_deg"] < 0.03
+    # the stars alone, whose camera is right to 0.02 degrees
+    of_stars = from_document(document)
+    points = read_sightings(Path(table).read_text(encoding="utf-8").splitlines(), name="mix2")
+    stars = points.select(points.kind == Kind.STAR)
+    off = np.linalg.norm(stars.pixels - project(of_stars.camera, stars.directions), axis=-1)
+    assert 0.04 < np.median(off) < 0.1

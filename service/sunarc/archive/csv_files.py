@@ -10,11 +10,12 @@ from typing import TextIO
 
 import numpy as np
 
-from sunarc.array_types import FloatArray
+from sunarc.array_types import FloatArray, IntArray, NameArray
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.errors import InputError
 from sunarc.sky.directions import angles_from_direction, direction_from_angles
-from sunarc.sky.site import PA_PER_HPA, PRESSURE_BOUNDS_HPA, TEMPERATURE_BOUNDS_C
+from sunarc.sky.night import SUN, body_directions
+from sunarc.sky.site import PA_PER_HPA, PRESSURE_BOUNDS_HPA, TEMPERATURE_BOUNDS_C, Site
 from sunarc.utc import parse_time, rfc3339
 
 SIGHTING_COLUMNS = ("time_utc", "x_px", "y_px", "sigma_px", "body")
@@ -24,25 +25,32 @@ _DIRECTION_COLUMNS = ("zenith_deg", "azimuth_deg")
 _ZENITH_BOUNDS_DEG, _AZIMUTH_BOUNDS_DEG = (0.0, 180.0), (-360.0, 360.0)
 
 
-def read_sightings(lines: Iterable[str], *, name: str) -> Sightings:
+def read_sightings(lines: Iterable[str], *, name: str, site: Site | None = None) -> Sightings:
     """Read `time_utc,x_px,y_px[,sigma_px][,body][,zenith_deg,azimuth_deg][,temperature_c][,pressure_hpa]`.
 
     Times are ISO 8601 with Z; the header is required, other columns are ignored. A zenith angle and an azimuth
-    (apparent, clockwise from north) override the body; without them the body is the sun. What is not stated is NaN.
+    (apparent, clockwise from north) override the body; without them the body is the sun, or one whose direction the
+    site gives. What is not stated is NaN. A `camera` column names one camera; beside it an `epoch` column numbers the
+    pose epochs, as in the tables of `sunarc reanalyse`.
 
     Parameters
     ----------
     lines : the file, or any lines.
     name : what to call it in an error.
+    site : where the camera stands, for stars, planets and the moon by their names; None: their angles are needed.
 
     Raises
     ------
     InputError : naming the line and column, the problem and the remedy.
     """
+    wheres: list[str] = []
+    of_camera: list[tuple[str, str]] = []
     rows: list[tuple[float, ...]] = []
     body: list[str] = []
     for where, row in _rows(lines, name=name, required=_REQUIRED):
         direction = _direction(row, where=where)
+        wheres.append(where)
+        of_camera.append((row.get("camera") or "", row.get("epoch") or ""))
         body.append((row.get("body") or "").strip() or "sun")
         rows.append(
             (
@@ -56,15 +64,51 @@ def read_sightings(lines: Iterable[str], *, name: str) -> Sightings:
             )
         )
     columns = np.array(rows, dtype=np.float64).reshape(-1, 8)
+    bodies, stated = np.array(body, dtype=np.str_), columns[:, 6]
+    directions = direction_from_angles(zenith_deg=stated, azimuth_deg=columns[:, 7])
+    named = np.flatnonzero(np.isnan(stated) & (bodies != SUN)) if rows else np.zeros(0, dtype=np.int64)
+    if named.size:
+        directions[named] = _named_directions(bodies[named], columns[named], [wheres[n] for n in named.tolist()], site)
     return Sightings.of(
+        epoch=_epochs(of_camera, name=name),
         unix_s=columns[:, 0],
         pixels=columns[:, 1:3],
         sigma_px=columns[:, 3],
         temperature=columns[:, 4],
         pressure=columns[:, 5],
-        directions=direction_from_angles(zenith_deg=columns[:, 6], azimuth_deg=columns[:, 7]),
-        body=np.array(body, dtype=np.str_),
+        directions=directions,
+        body=bodies,
     )
+
+
+def _named_directions(names: NameArray, columns: FloatArray, wheres: Sequence[str], site: Site | None) -> FloatArray:
+    """Return the directions (n, 3) of bodies by their names; InputError names the first that no body has."""
+    found = np.full((names.size, 3), np.nan)
+    if site is not None:
+        air = {"temperature": columns[:, 4], "pressure": columns[:, 5]}
+        found = body_directions(names, columns[:, 0], site, **air)
+    unknown = np.flatnonzero(np.isnan(found[:, 0]))
+    if unknown.size:
+        raise InputError(
+            field=f"{wheres[int(unknown[0])]}, body",
+            problem=f"{str(names[unknown[0]])!r} is not known",
+            remedy="give its zenith_deg and azimuth_deg, or sun sightings",
+        )
+    return found
+
+
+def _epochs(of_camera: Sequence[tuple[str, str]], *, name: str) -> IntArray:
+    """Return the pose epochs (n,) of rows by their cameras and epochs; InputError where they are of several cameras."""
+    cameras = sorted({camera for camera, _ in of_camera})
+    if len(cameras) > 1:
+        raise InputError(
+            field=f"{name}, camera",
+            problem=f"has rows of {len(cameras)} cameras: {', '.join(cameras[:3])}",
+            remedy="give the rows of one camera",
+        )
+    if cameras in ([], [""]):
+        return np.zeros(len(of_camera), dtype=np.int64)
+    return np.unique([epoch for _, epoch in of_camera], return_inverse=True)[1].astype(np.int64)
 
 
 def _direction(row: dict[str, str], *, where: str) -> tuple[float, float]:
@@ -76,13 +120,6 @@ def _direction(row: dict[str, str], *, where: str) -> tuple[float, float]:
     if math.isnan(zenith) != math.isnan(azimuth):
         missing = _DIRECTION_COLUMNS[0] if math.isnan(zenith) else _DIRECTION_COLUMNS[1]
         raise InputError(field=f"{where}, {missing}", problem="is empty beside the other angle", remedy="give both")
-    body = row.get("body") or "sun"
-    if math.isnan(zenith) and body != "sun":
-        raise InputError(
-            field=f"{where}, body",
-            problem=f"{body!r} is not known",
-            remedy="give its zenith_deg and azimuth_deg, or sun sightings",
-        )
     return zenith, azimuth
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from sunarc.calibration.fit.assemble import Job, calibration_from_fit, refused, robust_outcome
-from sunarc.calibration.fit.cross_validation import contradiction, without_night
+from sunarc.calibration.fit.cross_validation import contradiction, day_contradicts_night, of_one_kind
 from sunarc.calibration.fit.robust_fit import RobustFit, fit_robustly
 from sunarc.calibration.model.options import (
     USUAL_OPTIONS,
@@ -111,9 +111,21 @@ def calibration_of(fit: RobustFit, job: Job, picked: Start) -> Calibration:
     """Return the calibration that a robust fit makes; that of the day alone where the night contradicts it."""
     found = contradiction(fit, job.usable)
     if found is not None:
-        return _calibrated(job._replace(usable=without_night(job.usable, found)))
+        return _of_one_kind(job, found)
     outcome = robust_outcome(fit, job.usable, job.options, parts=job.parts)
     return _explained(calibration_from_fit(outcome, job, ambiguous=picked.ambiguous), job, picked.cost)
+
+
+def _of_one_kind(job: Job, found: Finding) -> Calibration:
+    """Return the fit of the day's sightings; of the night's where the day's are at fault."""
+    day = _calibrated(job._replace(usable=of_one_kind(job.usable, found, night=False)))
+    night = _calibrated(job._replace(usable=of_one_kind(job.usable, found, night=True)))
+    suns = job.usable.select(~job.usable.night)
+    suns = replace(suns, sigma_px=job.points.sigma_px[suns.index])
+    fault = day_contradicts_night(found, day, night, suns)
+    if fault is None:
+        return day
+    return _calibrated(job._replace(usable=of_one_kind(job.usable, fault, night=True)))
 
 
 def most_plausible_start(job: Job) -> Start | None:

@@ -68,6 +68,12 @@ MESSAGES = Messages(
         "sun's track over that of its own fit; sky: change over the sky in 1-sigma of the day's fit.",
         "check the mount and the clock of the night",
     ),
+    day_contradicts_night=Message(
+        "{n} sightings of the day contradict those of the night: the night's camera is within {night_sigmas:.1f} sigma "
+        "of the day's fit, the day's {day_sigmas:.0f} sigma from the night's",
+        "The fit is of the night's sightings alone: those of the sun are too few, or biased by what they state.",
+        "collect sightings of the sun on a whole clear day",
+    ),
     sigma_of_parts=Message(
         "fits without a part of the sightings are off by {factor:.2g} times what they state; the larger one is stated",
         "The fit is used, its covariance widened.",

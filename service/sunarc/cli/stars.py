@@ -101,16 +101,19 @@ def stars(
         gain_e_per_count=gain,
         clock_error_s=clock_error,
     )
-    sun = None if beside is None else read_sightings(read_lines(beside), name=beside.name)
-    if blind:
-        place = _site(calibration, latitude, longitude, altitude)
+    known_camera = None if blind or calibration is None else read_calibration(calibration)
+    place = (
+        known_camera.site
+        if known_camera is not None
+        else _site(calibration, latitude, longitude, altitude, blind=blind)
+    )
+    sun = None if beside is None else read_sightings(read_lines(beside), name=beside.name, site=place)
+    if known_camera is None:
         circle = None if image_circle is None else image_circle_of(image_circle)
         known = BlindOptions(level_within_deg=level_within, circle=circle)
         found = _found_blind(images, place, options, known, write_calibration, as_json=as_json)
-    elif calibration is None:
-        raise InputError(field="--calibration", problem="is missing", remedy="give one, or --blind and the site")
     else:
-        found = find_stars(images, read_calibration(calibration), options)
+        found = find_stars(images, known_camera, options)
         if as_json:
             print_json([image.as_json() for image in found])
         else:
@@ -125,7 +128,12 @@ def stars(
         raise typer.Exit(1)
 
 
-def _site(calibration: Path | None, latitude: float | None, longitude: float | None, altitude: float) -> Site:
+def _site(
+    calibration: Path | None, latitude: float | None, longitude: float | None, altitude: float, *, blind: bool
+) -> Site:
+    """Return the site of a blind start; InputError where it, or what takes its place, is not given."""
+    if not blind:
+        raise InputError(field="--calibration", problem="is missing", remedy="give one, or --blind and the site")
     if calibration is not None:
         raise InputError(field="--calibration", problem="beside --blind", remedy="give one of them")
     if latitude is None or longitude is None:

@@ -208,7 +208,7 @@ def import_points(settings: Settings, path: Path, *, image_size: tuple[int, int]
     InputError : a row is wrong, many lie outside the image, the image size is not known, or the archive's camera is
         another one.
     """
-    table = read_sightings(read_lines(path), name=path.name)
+    table = read_sightings(read_lines(path), name=path.name, site=settings.site)
     size = image_size or _size_in_archive(settings) or _size_in_settings(settings)
     if size is None:
         raise InputError(

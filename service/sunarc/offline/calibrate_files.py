@@ -139,7 +139,7 @@ def calibrate_file(
     """
     if plots is not None:
         extra_module("matplotlib", extra="studies")  # before the fit, which takes minutes
-    points = read_points(path, image_size)
+    points = read_points(path, image_size, site)
     if lens is not None:
         require_lens(lens, image_size=image_size, options=options, known=projection_known)
         solved, points = calibrate_with_lens(points, lens=lens, site=site, options=options, circle=circle)
@@ -235,9 +235,9 @@ def _posed(
     )
 
 
-def read_points(path: Path, image_size: tuple[int, int]) -> Sightings:
+def read_points(path: Path, image_size: tuple[int, int], site: Site) -> Sightings:
     """Return a CSV file's sightings; InputError where they are of images of another size, or the file is none."""
-    points = read_sightings(read_lines(path), name=path.name)
+    points = read_sightings(read_lines(path), name=path.name, site=site)
     require_inside(points.pixels, image_size, name=path.name)
     return points
 
@@ -381,7 +381,7 @@ def _entry(where: str, given: object, common: Mapping[str, Any], folder: Path) -
     of_fit = {key: values[key] for key in _FIT if key in values}
     site = _converted(where, Site, of_site)
     options = _converted(where, CalibrationOptions, of_fit)
-    points = read_points(folder / str(values["file"]), size)
+    points = read_points(folder / str(values["file"]), size, site)
     return Entry(camera=camera, epoch=epoch, points=points, site=site, image_size=size, options=options)
 
 

@@ -8,14 +8,18 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtri
+from scipy.special import chdtri, fdtri
 
 from sunarc.array_types import BoolArray, FloatArray
+from sunarc.calibration.answers.covariance import project_with_covariance, seen_sky
 from sunarc.calibration.fit.marginal_likelihood import MarginalFit, field_at, inverses, marginal_fit, prior_precision
 from sunarc.calibration.fit.posterior import prediction_variance, shown_sky
 from sunarc.calibration.fit.robust_fit import RobustFit
+from sunarc.calibration.fit.robust_rounds import leverage_of
+from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.findings import Finding
+from sunarc.optics.forward import project
 from sunarc.optics.pose import right_jacobian
 from sunarc.robust_statistics import robust_sigma
 
@@ -226,6 +230,10 @@ _SKY_SIGMAS = 3.0
 """Change over the sky (root mean square) in units of what the day's sightings state of themselves."""
 _MOST_REJECTED = 0.3
 """Share of the night's sightings without any weight; clouds and twinkling make a few per cent."""
+_OF_EITHER = {"sun_scatter", "sky"}
+"""Contradictions that the sun's sightings may cause; a turn, an offset and rejected stars are the night's."""
+_AS_STATED_SUNS = 1.0
+"""Scatter of the suns about the night's camera over what they state, up to which nothing of them speaks against it."""
 _SUN_SCATTER = 1.15
 """Scatter of the sun's track beside the fit of both over that beside its own fit."""
 
@@ -243,7 +251,7 @@ def contradiction(fit: RobustFit, usable: Sightings) -> Finding | None:
         ("pose_difference", float(np.linalg.norm(turn)), _PRIOR_SIGMAS),
         ("star_offset", float(np.linalg.norm(offset)), _PRIOR_SIGMAS),
         ("rejected", float(np.mean(fit.noise.weight[night] == 0.0)), _MOST_REJECTED),
-        ("sun_scatter", _sun_scatter(fit, alone, usable), _SUN_SCATTER),
+        ("sun_scatter", *_sun_scatter(fit, alone, usable, of_day)),
         ("sky", _change_over_the_sky(fit, alone), _SKY_SIGMAS),
     )
     for cause, value, limit in measured:
@@ -254,28 +262,73 @@ def contradiction(fit: RobustFit, usable: Sightings) -> Finding | None:
     return None
 
 
-def without_night(usable: Sightings, finding: Finding) -> Sightings:
-    """Return the sightings of the day, with the finding that says why the others were left out."""
-    day = usable.select(~usable.night)
-    filtering = day.filtering._replace(dropped=(*day.filtering.dropped, finding))
-    sigma_px = day.sigma_px / np.median(day.sigma_px)
-    return replace(day, sigma_px=sigma_px, information=sigma_px**-2.0, filtering=filtering)
+def of_one_kind(usable: Sightings, finding: Finding, *, night: bool) -> Sightings:
+    """Return the sightings of the night or of the day, with the finding that says why the others were left out."""
+    kind = usable.select(usable.night == night)
+    filtering = kind.filtering._replace(dropped=(*kind.filtering.dropped, finding))
+    sigma_px = kind.sigma_px / np.median(kind.sigma_px)
+    return replace(kind, sigma_px=sigma_px, information=sigma_px**-2.0, filtering=filtering)
 
 
-def _sun_scatter(fit: RobustFit, alone: MarginalFit, usable: Sightings) -> float:
-    """Return the scatter of the track beside the fit of both over that beside the day's own."""
+def day_contradicts_night(found: Finding, day: Calibration, night: Calibration, suns: Sightings) -> Finding | None:
+    """Return that the day's sightings are at fault where they and the night's contradict each other; else None.
+
+    Asked where the two differ by no turn or offset that nights have. The day's are at fault where the night's camera is
+    within what they, and a fit of them, state, and the day's camera is not within what a fit of the night's states.
+
+    Parameters
+    ----------
+    found : by which they contradict each other, see `contradiction`.
+    day, night : the fits of either alone.
+    suns : sightings of the day, with their directions and the 1-sigma that was stated of each, px.
+    """
+    if found.data["cause"] not in _OF_EITHER or not night.verdict.accepted or not len(suns):
+        return None
+    off = np.linalg.norm(suns.pixels - project(night.camera, suns.directions), axis=-1) / suns.sigma_px
+    scatter = robust_sigma(off, floor=0.0) if np.all(np.isfinite(off)) else math.inf
+    of_day, of_night = _apart(day, night), _apart(night, day)
+    if not (scatter <= _AS_STATED_SUNS and of_day <= _SKY_SIGMAS < of_night):
+        return None
+    return Finding("day_contradicts_night", {"n": len(suns), "night_sigmas": of_day, "day_sigmas": of_night})
+
+
+def _apart(one: Calibration, other: Calibration) -> float:
+    """Return how far another camera is from a calibration over the sky, in units of what that states."""
+    sky = seen_sky(one.camera)
+    pixels, covariance = project_with_covariance(one, sky)
+    variance = np.trace(covariance, axis1=-2, axis2=-1)
+    square = np.sum((pixels - project(other.camera, sky)) ** 2, axis=-1)
+    both = np.isfinite(square) & np.isfinite(variance)
+    return math.sqrt(float(np.sum(square[both])) / max(float(np.sum(variance[both])), 1e-12))
+
+
+def _sun_scatter(fit: RobustFit, alone: MarginalFit, usable: Sightings, of_day: BoolArray) -> tuple[float, float]:
+    """Return the scatter of the track beside the fit of both over that beside the day's own, and the largest by chance.
+
+    Each is over its degrees of freedom: few suns are followed by a fit of their own alone. The fit of both is one of
+    those that the day's might have been, and what that gains by chance has the distribution F.
+    """
     system, track = fit.system, ~usable.alone
     if not np.any(track):
-        return 0.0
+        return 0.0, _SUN_SCATTER
+    normal = system.normal()
+    together = marginal_fit(normal, fit.grid.basis, fit.scales)
     step = system.rows @ (alone.unknowns - system.at)
-    both = field_at(system.normal(), fit.grid.basis, fit.scales)
+    both = field_at(normal, fit.grid.basis, fit.scales)
     smooth = [system.basis_values @ coefficients.T for coefficients in (both, alone.coefficients)]
     residuals = [fit.residual - smooth[0][fit.member], fit.residual - (step + smooth[1])[fit.member]]
     scatter = [
         robust_sigma(np.linalg.norm(residual[track], axis=-1) / usable.sigma_px[track], floor=1e-9)
         for residual in residuals
     ]
-    return scatter[0] / scatter[1]
+    sums = ((normal, together), (system.normal_of(of_day), alone))
+    followed = [2.0 * float(np.sum(leverage_of(system, *one, fit.scales, which=of_day))) for one in sums]
+    count = 2.0 * np.count_nonzero(track)
+    free_both, free_alone = (max(count - one, 1.0) for one in followed)
+    more = max(free_both - free_alone, 1.0)
+    by_chance = (1.0 + more / free_alone * float(fdtri(more, free_alone, 1.0 - _CHANCE))) * free_alone / free_both
+    value = scatter[0] / scatter[1] * math.sqrt(free_alone / free_both)
+    return value, max(_SUN_SCATTER, math.sqrt(by_chance))
 
 
 def _change_over_the_sky(fit: RobustFit, alone: MarginalFit) -> float:
