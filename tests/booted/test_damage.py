@@ -117,6 +117,20 @@ def test_a_flipped_bit_in_the_kernels_is_found_by_the_package_s_sums(field_compu
     module.write_bytes(raw)
     assert module.name in field.call("dpkg", "--verify", "sunarc").stdout
     field.wait_for_sightings(2)
+    field.call("systemctl", "restart", "sunarc")
+    wait_for(
+        lambda: field.call("systemctl", "is-failed", "sunarc").stdout.strip() == "failed",
+        within_s=120.0,
+        what="the end",
+    )
+    assert f"{module.name} is damaged; dpkg --verify sunarc" in field.journal()
+    by_unit = ("journalctl", "-u", "sunarc-failed", "-o", "cat", "--no-pager", "-p", "crit")
+    wait_for(lambda: module.name in field.do(*by_unit), within_s=60.0, what="the list of damaged files")
+    raw[len(raw) // 2] ^= 1
+    module.write_bytes(raw)
+    field.do("systemctl", "reset-failed", "sunarc")
+    field.do("systemctl", "start", "sunarc")
+    field.wait_until_ready()
 
 
 def refitted(field: Field) -> str:

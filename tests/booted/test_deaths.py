@@ -105,5 +105,7 @@ def test_a_service_that_cannot_stay_up_is_told_of_and_tried_again(field_computer
     assert field.do("systemctl", "is-active", "sunarc-retry.timer").strip() == "active"
     field.do("systemctl", "stop", "occupier")
     field.do("systemctl", "reset-failed", "sunarc")  # what five minutes do
-    field.do("systemctl", "start", "sunarc-retry.service")  # what the timer does
+    field.write("/etc/systemd/system/sunarc-retry.timer.d/soon.conf", "[Timer]\nOnActiveSec=\nOnActiveSec=2\n")
+    field.do("systemctl", "daemon-reload")
+    field.do("systemctl", "restart", "sunarc-retry.timer")
     field.wait_until_ready()

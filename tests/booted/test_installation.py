@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from .conftest import AS_SUNARC
 from .machine import wait_for
 
 if TYPE_CHECKING:
@@ -33,6 +34,15 @@ for folder, folders, files in os.walk("/"):
 """
 
 
+LINKS = """
+import os
+os.chdir("/var/lib/sunarc")
+for second in range(3):
+    name = f"before-0-2020010{second + 1}T000000Z.sqlite"
+    os.symlink("/etc/victim", name)
+open("before-\\n1 victim\\n-20200101T000000Z.sqlite", "w").close()
+os.symlink("/etc/victim", "contact-sheet.png.part")
+"""
 LOCKING = """
 import fcntl, pathlib, time
 with open("/var/lib/dpkg/lock-frontend", "w") as lock:
@@ -79,6 +89,8 @@ def test_the_script_installs_on_a_fresh_machine_and_once_more_over_itself(new_fi
     assert "install: ready: serving at" in printed
     stored = field.wait_for_sightings(2)
     pid = field.main_pid()
+    field.do("sh", "-c", "cd / && echo kept >victim && echo kept >/etc/victim")
+    field.do(*AS_SUNARC, "python3", "-c", LINKS)
     field.do("systemd-run", "--unit=upgrading", "python3", "-c", LOCKING)  # as unattended-upgrades does
     wait_for(lambda: field.call("test", "-e", "/run/locked").returncode == 0, within_s=60.0, what="the lock")
     printed = run_script(field, work / "sunarc.deb")
@@ -86,7 +98,11 @@ def test_the_script_installs_on_a_fresh_machine_and_once_more_over_itself(new_fi
     assert "install: copying the database to /var/lib/sunarc/before-" in printed
     assert "install: ready: serving at" in printed
     assert field.main_pid() != pid
-    assert field.do("sh", "-c", COPIES).strip() == "1"
+    assert field.do("sh", "-c", "cat /victim /etc/victim && stat -c %U:%a /victim /etc/victim").split() == [
+        *("kept", "kept"),
+        *("root:644", "root:644"),
+    ]
+    assert field.do("find", "/var/lib/sunarc", "-not", "-user", "sunarc") == ""
     assert field.wait_for_sightings(1) > stored
 
 
@@ -118,7 +134,7 @@ def test_the_units_are_sound_and_the_services_exposure_is_small(field_computer: 
     assert "/lib/systemd/system/sunarc.service" in names
     verified = field.call("systemd-analyze", "verify", "--man=no", *names)
     assert (verified.returncode, verified.stdout + verified.stderr) == (0, "")
-    for unit, threshold in (("sunarc.service", 14), ("sunarc-failed.service", 35)):
+    for unit, threshold in (("sunarc.service", 14), ("sunarc-failed.service", 35), ("sunarc-backup.service", 29)):
         offline = ["systemd-analyze", "security", "--offline=true", f"--threshold={threshold}"]
         judged = field.call(*offline, f"/lib/systemd/system/{unit}")
         assert judged.returncode == 0, judged.stdout
