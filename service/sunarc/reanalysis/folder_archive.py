@@ -150,6 +150,7 @@ class FolderArchiveWorker:
             return False
         files = self._older[:_PORTION]
         self._working = True
+        self.board.set_condition(_FAILED, None)
         try:
             answer = self._analyse(self.analysis, files, stop, heartbeat)
             if answer is True:

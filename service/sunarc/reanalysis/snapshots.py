@@ -34,7 +34,7 @@ from sunarc.runtime.status import CameraStatus, CaptureStatus, Reason, StatusReg
 from sunarc.sky.sun import DARK_ZENITH_DEG
 from sunarc.workers.capture import NOT_WRITTEN
 from sunarc.workers.clock_watch import FrameTime
-from sunarc.workers.http_exchange import HttpAnswer, HttpRequest, Limit, UnfinishedError, fetch, target_of
+from sunarc.workers.http_exchange import HttpAnswer, HttpRequest, Limit, Trust, UnfinishedError, fetch, target_of
 from sunarc.workers.http_login import authorization, challenges_in, offers
 from sunarc.workers.messages import condition
 from sunarc.workers.options import CaptureOptions, read_login
@@ -78,7 +78,7 @@ class SnapshotClient:
         self._options, self._clock, self._dated_by_camera = options, clock, dated_by_camera
         self._url = urllib.parse.urlsplit(options.url)
         self._login = read_login(options.token_file, setting="http.token_file")
-        self._context = _context(options) if self._url.scheme == "https" else None
+        self._trust = _trust(options) if self._url.scheme == "https" else None
         self.host = self._url.hostname or ""
 
     def picture(self, heartbeat: Callable[[], None] = lambda: None) -> Snapshot | Finding:
@@ -102,7 +102,8 @@ class SnapshotClient:
         asked = False
         for _ in range(_MOST_REDIRECTS + 2):
             request = HttpRequest(method="GET", url=url, headers={"accept": "image/*", **login}, body=b"")
-            answer = fetch(request, context=self._context, limit=limit, most_bytes=_MOST_BYTES + 1)
+            context = None if self._trust is None else self._trust.context()
+            answer = fetch(request, context=context, limit=limit, most_bytes=_MOST_BYTES + 1)
             if answer.status == 401 and self._login is not None and not asked:
                 challenges = challenges_in(answer.headers.get("www-authenticate", "").split("\n"))
                 answered = authorization(self._login, challenges, method="GET", uri=target_of(url))
@@ -164,14 +165,11 @@ def _redirected(url: urllib.parse.SplitResult, location: str) -> urllib.parse.Sp
     return target
 
 
-def _context(options: SnapshotOptions) -> ssl.SSLContext:
-    context = ssl.create_default_context()
-    if options.ca_file is not None:
-        try:
-            context.load_verify_locations(options.ca_file)
-        except (OSError, ssl.SSLError) as error:
-            raise ConfigurationError(f"http.ca_file {options.ca_file}: {error}") from error
-    return context
+def _trust(options: SnapshotOptions) -> Trust:
+    try:
+        return Trust(options.ca_file)
+    except OSError as error:
+        raise ConfigurationError(f"http.ca_file {options.ca_file}: {error}") from error
 
 
 def _age_s(headers: Mapping[str, str], content: bytes, now: datetime) -> float:

@@ -7,7 +7,6 @@ import http.client
 import json
 import logging
 import math
-import ssl
 import threading
 import urllib.parse
 import urllib.request
@@ -30,7 +29,7 @@ from sunarc.runtime.clock import Clock
 from sunarc.runtime.loop import Attempts, Loop, Pauses
 from sunarc.runtime.status import StatusRegistry
 from sunarc.utc import rfc3339
-from sunarc.workers.http_exchange import HttpRequest, Limit, UnfinishedError, fetch
+from sunarc.workers.http_exchange import HttpRequest, Limit, Trust, UnfinishedError, fetch
 from sunarc.workers.messages import condition
 from sunarc.workers.options import HubOptions
 
@@ -89,7 +88,7 @@ class HubConnection:
         address = (options.url or "").rstrip("/")
         self._url = f"{address}/v1/cameras/{urllib.parse.quote(camera, safe='')}/feed"
         self._token = _token(options.token_file)
-        self._context = ssl.create_default_context() if self._url.startswith("https:") else None
+        self._trust = Trust() if self._url.startswith("https:") else None
         self._clock = clock
         self._asked_until_s = -math.inf
 
@@ -126,7 +125,8 @@ class HubConnection:
         within_s = _WITHIN_S + (len(request.body) / _LEAST_BYTES_PER_S if len(rows) == 1 else 0.0)
         limit = Limit(within_s, monotonic=self._clock.monotonic, heartbeat=heartbeat)
         try:
-            answer = fetch(request, context=self._context, limit=limit, most_bytes=_MOST_READ_BYTES)
+            context = None if self._trust is None else self._trust.context()
+            answer = fetch(request, context=context, limit=limit, most_bytes=_MOST_READ_BYTES)
             asked = answer.headers.get("retry-after", "")
             asked_s = float(asked) if asked.isdecimal() else 0.0  # a date is no hub's
             self._asked_until_s = self._clock.monotonic() + min(asked_s, _LONGEST_ASKED_S)

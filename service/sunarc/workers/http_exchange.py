@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import logging
 import socket
 import ssl
 import urllib.parse
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import KW_ONLY, dataclass
+from pathlib import Path
 
 import h11
 
+_log = logging.getLogger(__name__)
 _MOST_ADDRESSES = 4
 """Of a host that has many."""
 _PART_BYTES = 65_536
@@ -48,6 +51,54 @@ class HttpAnswer:
 def target_of(url: urllib.parse.SplitResult) -> str:
     """Return the path and query of an address, as a request has them."""
     return (url.path or "/") + (f"?{url.query}" if url.query else "")
+
+
+class Trust:
+    """The certificates that a client of TLS trusts, the system's and a file's; read anew where either has changed.
+
+    Parameters
+    ----------
+    ca_file : with certificates beside those of the system.
+
+    Raises
+    ------
+    OSError : the file cannot be read, or is none.
+    """
+
+    def __init__(self, ca_file: Path | None = None) -> None:
+        system = ssl.get_default_verify_paths()
+        self._ca_file = ca_file
+        self._files = [Path(name) for name in (system.cafile, system.capath, ca_file) if name is not None]
+        self._stamps = self._present_stamps()
+        self._context = self._new_context()
+
+    def context(self) -> ssl.SSLContext:
+        """Return the context of now; where a changed file cannot be read, the one before."""
+        stamps = self._present_stamps()
+        if stamps != self._stamps:
+            self._stamps = stamps
+            try:
+                self._context = self._new_context()
+            except OSError as error:  # half written: it changes again
+                _log.warning("certificates of %s cannot be read, the former ones are used: %s", self._ca_file, error)
+        return self._context
+
+    def _new_context(self) -> ssl.SSLContext:
+        context = ssl.create_default_context()
+        if self._ca_file is not None:
+            context.load_verify_locations(self._ca_file)
+        return context
+
+    def _present_stamps(self) -> list[tuple[int, int, int] | None]:
+        return [_stamp(file) for file in self._files]
+
+
+def _stamp(file: Path) -> tuple[int, int, int] | None:
+    try:
+        found = file.stat()
+    except OSError:
+        return None
+    return found.st_ino, found.st_size, found.st_mtime_ns
 
 
 class UnfinishedError(Exception):

@@ -67,7 +67,7 @@ class MqttBroker:
         url = urllib.parse.urlsplit(self.options.mqtt or "")
         tls = url.scheme == "mqtts"
         self._host, self._port = url.hostname or "", url.port or (8883 if tls else 1883)
-        self._context = ssl.create_default_context() if tls else None
+        self._tls = tls
         self._login_file = self.options.mqtt_login_file
         self._availability = f"{_ROOT}/{topic_name(self.client)}/availability"
         self._connection: Client | None = None
@@ -155,8 +155,8 @@ class MqttBroker:
         client.connect_timeout = _WITHIN_S
         if login is not None:
             client.username_pw_set(*login)
-        if self._context is not None:
-            client.tls_set_context(self._context)
+        if self._tls:
+            client.tls_set_context(ssl.create_default_context())
         accepted: list[str | None] = []
         self._accepted = accepted
 

@@ -25,7 +25,15 @@ from sunarc.runtime.loop import Attempts, Loop, Pauses
 from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.runtime.supervisor import worker_code
 from sunarc.utc import rfc3339
-from sunarc.workers.http_exchange import HttpRequest, Limit, UnfinishedError, connected, exchange, exchange_errors
+from sunarc.workers.http_exchange import (
+    HttpRequest,
+    Limit,
+    Trust,
+    UnfinishedError,
+    connected,
+    exchange,
+    exchange_errors,
+)
 from sunarc.workers.messages import condition, condition_of
 from sunarc.workers.options import read_secret
 
@@ -240,7 +248,7 @@ class Webhook:
         self.name = webhook_name(self.url)
         self._url = urllib.parse.urlsplit(self.url)
         self._key = b""
-        self._context = ssl.create_default_context() if self._url.scheme == "https" else None
+        self._trust = Trust() if self._url.scheme == "https" else None
 
     def publish_states(self, heartbeat: Callable[[], None]) -> None:
         """Read the key, if it is not there yet: a webhook keeps no state of the cameras."""
@@ -253,7 +261,7 @@ class Webhook:
         request = HttpRequest(method="POST", url=self._url, headers={}, body=b"")
         try:
             with exchange_errors():
-                connected(request, self._context, self._limit(lambda: None)).close()
+                connected(request, self._context(), self._limit(lambda: None)).close()
         except (OSError, UnfinishedError) as error:
             raise OutsideError(f"{self._url.hostname}: {error}") from error
 
@@ -274,7 +282,7 @@ class Webhook:
         }
         request = HttpRequest(method="POST", url=self._url, headers=headers, body=body)
         try:
-            status, _ = exchange(request, context=self._context, limit=self._limit(heartbeat))
+            status, _ = exchange(request, context=self._context(), limit=self._limit(heartbeat))
         except (OSError, UnfinishedError) as error:
             raise OutsideError(f"{self._url.hostname}: {error}") from error
         if HTTPStatus.OK <= status < HTTPStatus.MULTIPLE_CHOICES:
@@ -282,6 +290,9 @@ class Webhook:
         if status >= HTTPStatus.INTERNAL_SERVER_ERROR or status in _RETRIED:
             raise OutsideError(f"{self._url.hostname} answers {status}")
         raise NoticeRefusedError(f"{self._url.hostname} answers {status}")
+
+    def _context(self) -> ssl.SSLContext | None:
+        return None if self._trust is None else self._trust.context()
 
     def _read_key(self) -> None:
         self._key = self._key or read_secret(self.secret_file)

@@ -14,6 +14,7 @@ from tests.offline.live.test_folder import allsky, shot
 
 from sunarc.errors import OutsideError
 from sunarc.reanalysis import folder_archive, folder_worker
+from sunarc.workers.calibrating.solver_process import ChildControl
 
 MORNING = datetime(2025, 5, 13, 15, 0, tzinfo=UTC)
 
@@ -108,7 +109,17 @@ def test_an_analysis_that_fails_does_not_keep_days_from_being_judged_and_is_done
     followed.clock.advance(59.0)
     assert not behind.step(threading.Event(), lambda: None)
     followed.clock.advance(2.0)
+    shown: list[set[str]] = []
+
+    def look_and_die(_: object, control: ChildControl) -> object:
+        control.heartbeat()
+        shown.append(followed.codes())
+        return died()
+
+    monkeypatch.setattr(folder_archive, "in_child", look_and_die)
     assert behind.step(threading.Event(), lambda: None)
+    assert shown == [{"archive_in_work"}]
+    assert followed.codes() == {"archive_failed"}
     followed.clock.advance(61.0)  # the second pause is longer
     assert not behind.step(threading.Event(), lambda: None)
     followed.clock.advance(60.0)

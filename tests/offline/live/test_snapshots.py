@@ -370,6 +370,31 @@ def test_a_certificate_is_verified_and_the_cameras_own_can_be_named(tmp_path: Pa
     assert codes == [{"http_certificate"}, set()]
 
 
+def test_a_new_certificate_file_is_read_without_a_restart_and_a_broken_one_changes_nothing(tmp_path: Path) -> None:
+    named = tmp_path / "ca.pem"
+    for name in ("first", "second"):
+        command = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "9", "-subj", "/CN=127.0.0.1"]
+        command += ["-addext", "subjectAltName=IP:127.0.0.1", "-keyout", str(tmp_path / f"{name}.both")]
+        subprocess.run([*command, "-out", str(tmp_path / f"{name}.pem")], check=True, capture_output=True)
+        both = tmp_path / f"{name}.both"
+        both.write_bytes(both.read_bytes() + (tmp_path / f"{name}.pem").read_bytes())
+    named.write_bytes((tmp_path / "first.pem").read_bytes())
+    camera = Camera(tmp_path / "second.both")
+    camera.answer = sent(shot(MORNING))
+    asked = Asked(tmp_path, f"https://127.0.0.1:{camera.port}/", ca_file=named)
+    codes = []
+    for content in (None, "second", None, "broken"):
+        if content is not None:
+            new = tmp_path / "new"
+            new.write_bytes(b"none" if content == "broken" else (tmp_path / f"{content}.pem").read_bytes())
+            new.replace(named)
+        asked.take()
+        codes.append(asked.codes())
+    camera.close()
+    asked.service.archive.close()
+    assert codes == [{"http_certificate"}, set(), set(), set()]
+
+
 @pytest.mark.parametrize("url", ["ftp://camera/", "http://", "http://user:secret@camera/", "http://ca mera/", "camera"])
 def test_an_address_that_is_none_is_refused(url: str) -> None:
     with pytest.raises(InputError) as refused:
