@@ -143,6 +143,21 @@ def test_a_body_where_none_belongs_is_not_kept(flat: Running) -> None:
     assert sent < 64 * MEGABYTE
 
 
+@pytest.mark.parametrize("path", ["/v1/back-project", "/healthz"])
+def test_a_length_with_chunks_is_refused_and_ends_the_connection(flat: Running, path: str) -> None:
+    hidden = b"GET /v1/status HTTP/1.1\r\nhost: localhost\r\n\r\n"
+    head = f"POST {path} HTTP/1.1\r\nhost: localhost\r\ncontent-type: application/json\r\ncontent-length: 5\r\n"
+    with socket.create_connection(("127.0.0.1", flat.port), timeout=20.0) as connection:
+        connection.sendall(f"{head}transfer-encoding: chunked\r\n\r\n0\r\n\r\n".encode() + hidden)
+        told = b""
+        while more := connection.recv(100_000):
+            told += more
+    assert told.startswith(b"HTTP/1.1 400")
+    assert told.count(b"HTTP/1.1 ") == 1  # what follows is no request
+    problem = json.loads(told.partition(b"\r\n\r\n")[2])
+    assert (problem["type"], problem["errors"][0]["field"]) == ("urn:sunarc:problem:malformed", "content-length")
+
+
 def test_a_thousand_open_connections_keep_nobody_out(flat: Running) -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, min(hard, 4096)), hard))

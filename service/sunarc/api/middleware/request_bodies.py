@@ -148,7 +148,7 @@ _HEADERS = {
 
 @dataclass(kw_only=True, eq=False)
 class Boundary(HttpMiddleware):
-    """Refuses bodies that announce themselves as too large, and adds the headers that keep browsers strict.
+    """Refuses bodies that announce themselves as too large or in two ways, and adds the headers that keep browsers strict.
 
     Parameters
     ----------
@@ -162,15 +162,24 @@ class Boundary(HttpMiddleware):
     async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it."""
         guarded = _with_headers(send)
-        most = self.max_array_bytes if is_array(scope) else self.max_body_bytes
-        if _announced_bytes(scope) > most:
+        most, headers = self.max_array_bytes if is_array(scope) else self.max_body_bytes, Headers(scope=scope)
+        if "content-length" in headers and "transfer-encoding" in headers:
+            await _TWO_LENGTHS.response(scope["path"])(scope, receive, guarded)
+        elif _announced_bytes(headers) > most:
             await too_large(most).response(scope["path"])(scope, receive, guarded)
-            return
-        await self.app(scope, receive, guarded)
+        else:
+            await self.app(scope, receive, guarded)
 
 
-def _announced_bytes(scope: Scope) -> int:
-    length = Headers(scope=scope).get("content-length", "")
+_TWO_LENGTHS = UnreadError(
+    HTTPStatus.BAD_REQUEST,
+    Fault(field="content-length", problem="was sent with transfer-encoding", remedy="send one of them"),
+)
+"""A proxy may go by the other one and take the rest of the body for a request of its own (RFC 9112, section 11.2)."""
+
+
+def _announced_bytes(headers: Headers) -> int:
+    length = headers.get("content-length", "")
     return int(length) if length.isdecimal() else 0
 
 
