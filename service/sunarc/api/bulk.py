@@ -10,13 +10,11 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from http import HTTPStatus
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from fastapi import Request
-from fastapi.exceptions import RequestValidationError
 from fastapi.responses import Response
-from pydantic import BaseModel, ValidationError
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 
@@ -230,8 +228,6 @@ class ComputeSlots:
         self._free += 1
 
 
-RequestModel = TypeVar("RequestModel", bound=BaseModel)
-
 _JSON = "application/json"
 _SMALL_BYTES = 4096
 """A question of this size is answered faster than a thread takes over."""
@@ -301,15 +297,6 @@ async def compute(
         answer = await run_in_threadpool(_json, computation, context, request, body, question)
     request.state.use.grow(len(answer.body))
     return answer
-
-
-def parsed_body(model: type[RequestModel], body: bytes) -> RequestModel:
-    """Return what a JSON body asks; RequestValidationError, as FastAPI's own, where it is not of the model."""
-    try:
-        return model.model_validate_json(body)
-    except ValidationError as error:
-        faults = error.errors(include_url=False, include_context=False, include_input=False)
-        raise RequestValidationError([{**fault, "loc": ("body", *fault["loc"])} for fault in faults]) from None
 
 
 def body_of(schema: str, rows: str) -> dict[str, Any]:

@@ -18,6 +18,9 @@ from sunarc.utc import MICROSECOND, from_microseconds, to_microseconds
 MOST_ROWS = 10_000
 """At most so many rows in one answer."""
 
+Element = TypeVar("Element")
+ListOf = Annotated[list[Element], Field(fail_fast=True)]
+"""List of a request, read until its first error: a million errors would be a gigabyte."""
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Pixel = Annotated[
     list[Number], Field(min_length=2, max_length=2, description="x, y in px.", examples=[[871.96, 883.0]])

@@ -16,6 +16,7 @@ from sunarc.api.parameters import (
     AnsweringId,
     Answers,
     Body,
+    ListOf,
     Next,
     Number,
     Pair,
@@ -157,7 +158,7 @@ class Cameras(BaseModel):
 class BackProjectRequest(Body):
     """Pixels whose directions are wanted."""
 
-    pixels: list[Pixel] = Field(description="(n, 2) px.", examples=[[[871.96, 883.0], [400.0, 912.5]]])
+    pixels: ListOf[Pixel] = Field(description="(n, 2) px.", examples=[[[871.96, 883.0], [400.0, 912.5]]])
 
 
 class DirectionDraws(BaseModel):
@@ -195,13 +196,13 @@ class BackProjectAnswer(BaseModel):
 class ProjectRequest(Body):
     """Directions whose pixels are wanted: zenith and azimuth (as many of each), or vectors (none of length 0)."""
 
-    zenith_deg: list[Number] | None = Field(
+    zenith_deg: ListOf[Number] | None = Field(
         default=None, description="Apparent zenith, degrees; with azimuth_deg.", examples=[[41.7]]
     )
-    azimuth_deg: list[Number] | None = Field(
+    azimuth_deg: ListOf[Number] | None = Field(
         default=None, description="Degrees clockwise from north; with zenith_deg.", examples=[[262.3]]
     )
-    direction_enu: list[Vector] | None = Field(
+    direction_enu: ListOf[Vector] | None = Field(
         default=None, description="(n, 3) east-north-up; in place of the angles.", examples=[[[0.0, 0.6, 0.8]]]
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 from dataclasses import dataclass
 from functools import partial
 from http import HTTPStatus
@@ -16,6 +17,9 @@ from sunarc.api.options import MIN_RATE_BYTES_PER_S
 from sunarc.api.problems import Fault, RefusedError, UnreadError, refusal_response
 
 _WITHOUT_BODY = frozenset({"GET", "HEAD", "OPTIONS"})
+_WITH_ROWS = re.compile(r"/v1(?:/cameras/[^/]+)?/(?:back-project|feed|geolocate|project)")
+_MOST_WITHOUT_ROWS = 16_384
+"""Bytes of any other body, which the web framework reads on the event loop: a few numbers, a reason."""
 
 
 @dataclass(kw_only=True, eq=False)
@@ -24,7 +28,7 @@ class BodyReader(HttpMiddleware):
 
     Parameters
     ----------
-    max_body_bytes, max_array_bytes : a larger body, or one of .npy, is refused (413).
+    max_body_bytes, max_array_bytes : a larger body of rows, or one of .npy, is refused (413).
     within_s : a body that is not there after so many seconds, and of which in so many seconds hardly any more came, is
         refused (408).
     quota : bounds the memory of all bodies.
@@ -45,7 +49,7 @@ class BodyReader(HttpMiddleware):
             await answer_held(use, answer, scope=scope, receive=receive, send=send)
 
     async def _pass(self, scope: Scope, receive: Receive, use: QuotaUse, send: Send) -> None:
-        most = self.max_array_bytes if is_array(scope) else self.max_body_bytes
+        most = _most_bytes(scope, self.max_body_bytes, self.max_array_bytes)
         try:
             body = await self._read(receive, use, most)
         except UnreadError as error:
@@ -117,6 +121,13 @@ def _replayed(body: bytes, receive: Receive) -> Receive:
     return replaying
 
 
+def _most_bytes(scope: Scope, max_body_bytes: int, max_array_bytes: int) -> int:
+    """Return how large the body of a request may be."""
+    if not _WITH_ROWS.fullmatch(scope["path"]):
+        return min(_MOST_WITHOUT_ROWS, max_body_bytes)
+    return max_array_bytes if is_array(scope) else max_body_bytes
+
+
 def is_array(scope: Scope) -> bool:
     """Return whether a request says that its body is .npy."""
     kind: bytes = next((value for name, value in scope["headers"] if name == b"content-type"), b"")
@@ -148,11 +159,11 @@ _HEADERS = {
 
 @dataclass(kw_only=True, eq=False)
 class Boundary(HttpMiddleware):
-    """Refuses bodies that announce themselves as too large or in two ways, and adds the headers that keep browsers strict.
+    """Refuses bodies that announce too many bytes, or two lengths, and adds the headers that keep browsers strict.
 
     Parameters
     ----------
-    max_body_bytes : a larger body is refused (413), before it is read.
+    max_body_bytes : a larger body of rows is refused (413), before it is read.
     max_array_bytes : likewise, of .npy.
     """
 
@@ -162,7 +173,7 @@ class Boundary(HttpMiddleware):
     async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it."""
         guarded = _with_headers(send)
-        most, headers = self.max_array_bytes if is_array(scope) else self.max_body_bytes, Headers(scope=scope)
+        most, headers = _most_bytes(scope, self.max_body_bytes, self.max_array_bytes), Headers(scope=scope)
         if "content-length" in headers and "transfer-encoding" in headers:
             await _TWO_LENGTHS.response(scope["path"])(scope, receive, guarded)
         elif _announced_bytes(headers) > most:

@@ -8,9 +8,10 @@ import numpy as np
 from fastapi import APIRouter, Request
 from fastapi.responses import Response
 
-from sunarc.api.arrays import Rows, require_few
-from sunarc.api.bulk import Answering, Computation, ComputeSlots, Question, body_of, compute, parsed_body, row_responses
+from sunarc.api.arrays import Rows
+from sunarc.api.bulk import Answering, Computation, ComputeSlots, Question, body_of, compute, row_responses
 from sunarc.api.context import ApiContext
+from sunarc.api.json_bodies import parsed_body
 from sunarc.api.parameters import BY_CALIBRATION, At, Draws, Seed
 from sunarc.api.problems import answers
 from sunarc.api.schemas import BackProjectAnswer, BackProjectRequest, ProjectAnswer, ProjectRequest
@@ -52,8 +53,7 @@ def direction_routes(context: ApiContext, slots: ComputeSlots) -> APIRouter:
 
 def read_pixels(body: bytes, most: int) -> FloatArray:
     """Return the pixels (n, 2) that a JSON body holds."""
-    pixels = parsed_body(BackProjectRequest, body).pixels
-    require_few(len(pixels), most=most, field="pixels")
+    pixels = parsed_body(BackProjectRequest, body, most=most).pixels
     return np.array(pixels, dtype=np.float64).reshape(-1, 2)
 
 
@@ -76,11 +76,9 @@ def _directions_json(_answering: Answering, rows: Rows) -> dict[str, Any]:
 
 
 def _read_directions(body: bytes, most: int) -> FloatArray:
-    request = parsed_body(ProjectRequest, body)
+    request = parsed_body(ProjectRequest, body, most=most, named="directions")
     if request.direction_enu is not None:
-        require_few(len(request.direction_enu), most=most, field="directions")
         return np.array(request.direction_enu, dtype=np.float64).reshape(-1, 3)
-    require_few(len(request.zenith_deg or []), most=most, field="directions")
     return direction_from_angles(zenith_deg=request.zenith_deg or [], azimuth_deg=request.azimuth_deg or [])
 
 

@@ -9,7 +9,7 @@ from fastapi import APIRouter, Request
 from fastapi.responses import Response
 from pydantic import BaseModel, Field, model_validator
 
-from sunarc.api.arrays import Rows, require_few
+from sunarc.api.arrays import Rows
 from sunarc.api.bulk import (
     Answering,
     Computation,
@@ -19,11 +19,11 @@ from sunarc.api.bulk import (
     body_of,
     compute,
     moment,
-    parsed_body,
     row_responses,
 )
 from sunarc.api.context import ApiContext
-from sunarc.api.parameters import BY_CALIBRATION, Answers, At, Body, Draws, Number, Pair, Pixel, Seed
+from sunarc.api.json_bodies import parsed_body
+from sunarc.api.parameters import BY_CALIBRATION, Answers, At, Body, Draws, ListOf, Number, Pair, Pixel, Seed
 from sunarc.api.problems import answers
 from sunarc.api.routes.directions import finite_rows
 from sunarc.array_types import BoolArray, FloatArray
@@ -46,18 +46,18 @@ Point = Annotated[list[Number], Field(min_length=3, max_length=3, description="x
 class GeolocateRequest(Body):
     """Pixels and the height of the cloud base that they see: one for all (height_m), or one each (points)."""
 
-    pixels: list[Pixel] | None = Field(
+    pixels: ListOf[Pixel] | None = Field(
         default=None, description="(n, 2) px; with height_m.", examples=[[[400.0, 912.5]]]
     )
     height_m: Height | None = Field(default=None, description="Of all pixels, m.", examples=[1500.0])
-    points: list[Point] | None = Field(
+    points: ListOf[Point] | None = Field(
         default=None,
         description="(n, 3) px, px, metres (above 0, at most 30 000), in place of pixels and height_m.",
         examples=[[[400.0, 912.5, 1500.0]]],
     )
 
     height_sigma_m: HeightSigma = Field(default=0.0, examples=[100.0])
-    at: list[Time] | None = Field(
+    at: ListOf[Time] | None = Field(
         default=None,
         description="A time for each point: it chooses the calibration and the sun; in place of the query's `at`, "
         "without draws.",
@@ -190,14 +190,12 @@ def geolocation_routes(context: ApiContext, slots: ComputeSlots) -> APIRouter:
 
 
 def _read(body: bytes, most: int) -> FloatArray:
-    request = parsed_body(GeolocateRequest, body)
+    request = parsed_body(GeolocateRequest, body, most=most)
     if request.points is not None:
-        require_few(len(request.points), most=most, field="points")
         points = np.array(request.points, dtype=np.float64).reshape(-1, 3)
         _require_heights(points[:, 2])
     else:
         pixels = np.array(request.pixels or [], dtype=np.float64).reshape(-1, 2)
-        require_few(len(pixels), most=most, field="pixels")
         points = np.concatenate([pixels, np.full((len(pixels), 1), request.height_m)], axis=1)
     columns = [points, np.full((len(points), 1), request.height_sigma_m)]
     if request.at is not None:
