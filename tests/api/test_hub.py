@@ -6,9 +6,10 @@ import gzip
 import json
 import os
 import shutil
+import sqlite3
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from datetime import date, timedelta
 from pathlib import Path
@@ -290,6 +291,76 @@ def test_the_fleet_has_the_worst_first(hub: Hub, tmp_path: Path) -> None:
     assert [one["state"] for one in hub.client.get("/v1/fleet").json()["cameras"]][1] == "not_ready"
     hub.now[0] = NOW + SILENT + timedelta(seconds=1)
     assert {one["state"] for one in hub.client.get("/v1/fleet").json()["cameras"]} == {"silent"}
+
+
+def nested(levels: int) -> list[Any]:
+    found: list[Any] = []
+    for _ in range(levels - 1):
+        found = [found]
+    return found
+
+
+UNSHOWABLE: dict[str, list[Any]] = {
+    "deep": nested(300),
+    "long": ["x" * 1_000_000] * 5,
+    "many": ["drift"] * 20_000,
+    "no text": ["\ud800"],
+}
+
+
+def others_are_shown(hub: Hub) -> dict[str, Any]:
+    for path in ("/", "/metrics", "/v1/quarantine", "/readyz", "/v1/cameras"):
+        assert hub.client.get(path).status_code == 200, path
+    answer = hub.client.get("/v1/fleet")
+    assert answer.status_code == 200
+    fleet: dict[str, Any] = {one["camera"]: one for one in answer.json()["cameras"]}
+    assert fleet["mast"]["status"] == {"health": "ready", "conditions": []}
+    return dict(fleet["roof"])
+
+
+@pytest.fixture
+def with_mast(hub: Hub) -> Hub:
+    hub.archive.feeds.add_token("mast", token_digest(TOKEN + "mast"), now=NOW, former_until=NOW)
+    good = gzip.compress(b'{"seq": 1, "kind": "status", "data": {"health": "ready", "conditions": []}}\n')
+    assert hub.put(good, camera="mast", token=TOKEN + "mast").status_code == 200
+    return hub
+
+
+@pytest.mark.parametrize("kind", UNSHOWABLE)
+def test_a_status_that_cannot_be_shown_is_set_apart_and_what_follows_it_is_stored(with_mast: Hub, kind: str) -> None:
+    rows = [{"seq": 1, "kind": "status", "data": {"conditions": UNSHOWABLE[kind]}}]
+    rows += [{"seq": 2, "kind": "status", "data": {"health": "ready", "free": UNSHOWABLE[kind]}}]
+    rows += [{"seq": 3, "kind": "status", "data": {"health": "degraded", "conditions": ["drift"]}}]
+    body = gzip.compress("".join(f"{json.dumps(row)}\n" for row in rows).encode())
+    answer = with_mast.put(body)
+    assert (answer.status_code, answer.json()) == (200, {"committed": 3})
+    assert len(with_mast.reasons()) == 2
+    assert set(with_mast.reasons()) <= {"body_too_large", "malformed"}
+    assert others_are_shown(with_mast)["status"] == {"health": "degraded", "conditions": ["drift"]}
+
+
+@pytest.mark.parametrize("kind", UNSHOWABLE)
+def test_a_camera_whose_stored_status_cannot_be_shown_is_named_and_the_others_are_shown(
+    with_mast: Hub, tmp_path: Path, kind: str
+) -> None:
+    status = json.dumps({"health": "ready", "conditions": UNSHOWABLE[kind]})
+    assert (
+        with_mast.put(gzip.compress(b'{"seq": 1, "kind": "status", "data": {"health": "ready"}}\n')).status_code == 200
+    )
+    with closing(sqlite3.connect(tmp_path / "hub.sqlite", isolation_level=None)) as other:
+        other.execute("UPDATE fleet SET status = ? WHERE camera = 'roof'", (status,))
+    roof = others_are_shown(with_mast)
+    assert (roof["state"], roof["status"], roof["why"][0]["code"]) == ("degraded", None, "status_unreadable")
+
+
+@pytest.mark.parametrize(("levels", "is_stored"), [(32, True), (33, False)])
+def test_a_row_may_have_so_many_levels(hub: Hub, levels: int, is_stored: bool) -> None:  # noqa: FBT001
+    data = {"more": nested(levels - 1)}
+    assert (
+        hub.put(gzip.compress(f'{{"seq": 1, "kind": "status", "data": {json.dumps(data)}}}\n'.encode())).status_code
+        == 200
+    )
+    assert (hub.archive.feeds.fleet()[0].status == data, hub.reasons() == []) == (is_stored, is_stored)
 
 
 def test_every_camera_has_its_numbers_and_the_document_names_them(hub: Hub, tmp_path: Path) -> None:

@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+import gzip
 import http.client
+import itertools
 import json
 import resource
 import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from tests.fixtures.archive import make_empty
+
+from sunarc.api.routes.feed import token_digest
+from sunarc.archive.archive import open_archive
+from sunarc.archive.database.schema import head_revision
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(170)]
 
@@ -51,31 +60,45 @@ class Running:
         finally:
             connection.close()
 
-    def memory_bytes(self) -> int:
+    def send(self, method: str, path: str, body: bytes, headers: dict[str, str]) -> int:
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=100.0)
+        try:
+            connection.request(method, path, body=body, headers=headers)
+            with connection.getresponse() as answer:
+                answer.read()
+                return answer.status
+        except ConnectionError:
+            return 413  # refused unread: the reset may overtake the answer
+        finally:
+            connection.close()
+
+    def memory_bytes(self, *, largest: bool = False) -> int:
         status = Path(f"/proc/{self.process.pid}/status").read_text()
-        return int(status.split("VmRSS:")[1].split()[0]) * 1024
+        return int(status.split("VmHWM:" if largest else "VmRSS:")[1].split()[0]) * 1024
+
+    def forget_largest(self) -> None:
+        Path(f"/proc/{self.process.pid}/clear_refs").write_text("5")  # proc(5): the peak is the present from now on
 
     def open_files(self) -> int:
         return len(list(Path(f"/proc/{self.process.pid}/fd").iterdir()))
 
 
-@pytest.fixture(scope="module")
-def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
-    folder = tmp_path_factory.mktemp("hostile")
+def serve(folder: Path, *role: str) -> Iterator[Running]:
     with socket.socket() as trial:
         trial.bind(("127.0.0.1", 0))
         port = int(trial.getsockname()[1])
     (folder / "token").write_text(TOKEN)
+    (folder / "state").mkdir(exist_ok=True)
     (folder / "sunarc.toml").write_text(CONFIG.format(state=folder / "state", port=port, token=folder / "token"))
     log = folder / "log"
     with log.open("wb") as output:
-        command = [sys.executable, "-m", "sunarc", "serve", "--config", str(folder / "sunarc.toml")]
+        command = [sys.executable, "-m", "sunarc", "serve", *role, "--config", str(folder / "sunarc.toml")]
         process = subprocess.Popen(command, stdout=output, stderr=output)
     service = Running(port, process, log)
     try:
         for _ in range(550):
             try:
-                service.get("/v1/status")
+                service.get("/healthz")
                 break
             except OSError:
                 time.sleep(0.2)  # noqa: TID251 - a real process is waited for
@@ -83,6 +106,22 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     finally:
         process.kill()
         process.wait()
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    yield from serve(tmp_path_factory.mktemp("hostile"))
+
+
+@pytest.fixture(scope="module")
+def hub(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    folder = tmp_path_factory.mktemp("hub")
+    (folder / "state").mkdir()
+    make_empty(folder / "state" / "sunarc.sqlite")
+    with open_archive(folder / "state" / "sunarc.sqlite") as archive:
+        now = datetime.now(UTC)  # noqa: TID251 - of a real process
+        archive.feeds.add_token("roof", token_digest(TOKEN), now=now, former_until=now)
+    yield from serve(folder, "--role", "hub")
 
 
 @pytest.fixture
@@ -208,3 +247,73 @@ def test_a_forged_token_changes_nothing_and_no_token_is_written_down(flat: Runni
     log = flat.log.read_text()
     assert "forged" not in log
     assert TOKEN[:-1] not in log
+
+
+def repeated(part: bytes, *, before: bytes, after: bytes, size: int = 7_900_000) -> bytes:
+    return before + b",".join([part] * (size // (len(part) + 1))) + after
+
+
+BODIES: dict[str, Callable[[], bytes]] = {
+    "names": lambda: b"{" + b",".join(b'"k%d":1' % number for number in range(600_000)) + b"}",
+    "names of a list": lambda: repeated(b'"pixels":[[1,1]]', before=b"{", after=b"}"),
+    "objects": lambda: repeated(b'{"a":1}', before=b'{"direction_enu":[', after=b"]}"),
+    "unknown objects": lambda: repeated(b'{"a":1}', before=b'{"directions":[', after=b"]}"),
+    "empty lists": lambda: repeated(b"[]", before=b'{"pixels":[', after=b"]}"),
+    "numbers of one row": lambda: repeated(b"1", before=b'{"pixels":[[', after=b"]]}"),
+    "wrong rows": lambda: repeated(b'["a","b"]', before=b'{"pixels":[', after=b"]}", size=990_000),
+    "levels": lambda: b'{"pixels":' + b"[" * 7_900_000,
+    "long text": lambda: b'{"pixels":"' + b"a" * 7_900_000 + b'"}',
+    "long name": lambda: b'{"' + b"a" * 7_900_000 + b'":1}',
+    "NaN": lambda: repeated(b"[NaN,NaN]", before=b'{"pixels":[', after=b"]}", size=990_000),
+}
+DOCUMENTED_BYTES = 4 * 132_000_000
+"""Bound of what requests may hold, docs/operating/install.md."""
+
+
+def attack(service: Running, requests: list[tuple[str, str, bytes, dict[str, str]]]) -> tuple[set[int], int, list[int]]:
+    """Send requests at once; return their statuses, how far the memory rose, and what /healthz said meanwhile."""
+    service.forget_largest()
+    before = service.memory_bytes()
+    alive: list[int] = []
+    with ThreadPoolExecutor(len(requests)) as pool:
+        sent = [pool.submit(service.send, *request) for request in requests]
+        while not all(one.done() for one in sent):
+            alive.append(service.get("/healthz"))
+            time.sleep(0.05)  # noqa: TID251 - a real process is asked
+    return {one.result() for one in sent}, service.memory_bytes(largest=True) - before, alive
+
+
+@pytest.mark.parametrize("role", ["running", "hub"])
+@pytest.mark.parametrize("kind", BODIES)
+def test_forty_large_bodies_of_json_stay_within_the_documented_memory(
+    request: pytest.FixtureRequest, role: str, kind: str
+) -> None:
+    service: Running = request.getfixturevalue(role)
+    body, camera = BODIES[kind](), "" if role == "running" else "/cameras/roof"
+    paths = [f"/v1{camera}/{route}" for route in ("back-project", "project", "geolocate")]
+    paths.append("/v1/days/2013-05-13/air" if role == "running" else "/v1/pairs/roof/mast/height")
+    methods = {"/v1/days/2013-05-13/air": "PUT"}
+    headers = {"content-type": "application/json"}
+    asked = [(methods.get(path, "POST"), path, body, headers) for path in itertools.islice(itertools.cycle(paths), 40)]
+    statuses, rise, alive = attack(service, asked)
+    assert statuses <= {413, 422, 429, 503}
+    assert rise < DOCUMENTED_BYTES
+    assert set(alive) == {200}
+
+
+ROWS: dict[str, Callable[[], bytes]] = {
+    "names": lambda: b'{"x":{' + b",".join(b'"k%d":1' % number for number in range(1_500_000)) + b"}}",
+    "numbers": lambda: repeated(b"1.5", before=b'{"x":[', after=b"]}", size=15_000_000),
+    "empty lists": lambda: repeated(b"[]", before=b'{"x":[', after=b"]}", size=15_000_000),
+    "short texts": lambda: repeated(b'"\xc3\xa9"', before=b'{"x":[', after=b"]}", size=15_000_000),
+}
+
+
+@pytest.mark.parametrize("kind", ROWS)
+def test_sixteen_large_feeds_stay_within_the_documented_memory(hub: Running, kind: str) -> None:
+    body = gzip.compress(b'{"seq": 1, "kind": "status", "data": %s}\n' % ROWS[kind](), 1)
+    headers = {"authorization": f"Bearer {TOKEN}", "sunarc-installation": "here", "sunarc-revision": head_revision()}
+    statuses, rise, alive = attack(hub, [("PUT", "/v1/cameras/roof/feed?after=0", body, headers)] * 16)
+    assert statuses <= {200, 413, 422, 429, 503}
+    assert rise < DOCUMENTED_BYTES
+    assert set(alive) == {200}

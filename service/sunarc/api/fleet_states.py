@@ -92,6 +92,9 @@ def _reasons(camera: FleetCamera, now: datetime) -> Iterator[tuple[State, FleetR
         yield "silent", FleetReason(code="silent", text="has never sent anything")
     elif now - received_at > SILENT:
         yield "silent", FleetReason(code="silent", text=f"nothing for {_span(now - received_at)}")
+    if camera.status is None and camera.status_at is not None:
+        text = "its last report of itself cannot be shown: too large, too deep, or no text"
+        yield "degraded", FleetReason(code="status_unreadable", text=text)
     yield from _reported(camera)
     if received_at is not None:
         yield from _found(camera, now)

@@ -90,7 +90,7 @@ def _readers(model: type[BaseModel]) -> tuple[msgspec.json.Decoder[Any], msgspec
 def _count(part: bytes) -> int:
     """Return the number of a field's rows: its lists, or its values where they are more than rows have."""
     n_rows, n_values = part.count(b"[") - 1, part.count(b",") + 1
-    return n_rows if 0 < n_rows and n_values <= _WIDEST * n_rows else n_values
+    return n_rows if n_rows > 0 and n_values <= _WIDEST * n_rows else n_values
 
 
 def _refusal(kind: str) -> RequestValidationError:

@@ -34,8 +34,8 @@ MOST_BYTES = 16_000_000
 """Of a body when it is decompressed; an imager sends a million at once, and one calibration has a few."""
 LARGE_BYTES, LARGE_CONTENT_BYTES = 10_000, 200_000
 """Of a compressed body and of what it holds, about 200 rows: what an imager sends that was away."""
-MOST_LISTS = 200_000
-"""Lists and objects of JSON in a body: an empty one takes 27 times as much memory as of its text."""
+MOST_LISTS, MOST_VALUES = 200_000, 1_000_000
+"""Lists and objects of JSON in a body, and values: an empty list takes 27 times as much memory as of its text."""
 _PATIENCE = 3
 """Batches in succession of which nothing could be stored, until the sender waits: 1 s, twice as long each time."""
 _LONGEST_WAIT_S = 60
@@ -295,6 +295,8 @@ def _bounded(content: bytes | None) -> bytes:
         raise _TooLargeError(f"the body is larger than {MOST_BYTES} bytes when decompressed")
     if content.count(b"[") + content.count(b"{") > MOST_LISTS:
         raise _TooLargeError(f"the body has more than {MOST_LISTS} lists and objects")
+    if content.count(b",") > MOST_VALUES:
+        raise _TooLargeError(f"the body has more than {MOST_VALUES} values")
     if content.count(b"\n") > MOST_ROWS:
         raise _TooLargeError(f"the body has more than {MOST_ROWS} rows")
     return content

@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
+from itertools import chain
 from typing import Annotated, Any, Literal
 
 from sqlalchemy import JSON, Boolean, Column, Float, Table, TypeDecorator
@@ -38,6 +39,11 @@ STATUS = "status"
 """Kind of the imager's own state; the hub keeps the newest."""
 MOST_ROWS = 10_000
 """Of a body."""
+MOST_LEVELS = 32
+"""Of lists and objects in a row; what answers requests ends at some 250, a calibration document has 6."""
+MOST_ROW_BYTES: Mapping[str, int] = {STATUS: 65_536, "calibration": 16_000_000}
+"""Of a row as JSON."""
+_MOST_OTHER_BYTES = 1_000_000
 REMOVED = ".removed"
 """Ending of the kind of a row that is there no more, or not under that key."""
 _NUMBERED = frozenset({"sun_point", "event"})
@@ -105,7 +111,7 @@ class FeedRow:
     ----------
     seq : its number in the outbox.
     kind : the table, with ".removed" where the row is there no more; or "status".
-    data : the columns; None where they were too large to be sent.
+    data : the columns; None where they were too large to be sent, or are too large or too deep to be stored.
     """
 
     seq: int
@@ -143,7 +149,20 @@ def _row(line: bytes) -> FeedRow | None:
     except (ValueError, TypeError, KeyError, RecursionError):
         return None
     formed = type(seq) is int and 0 < seq < 2**63 and isinstance(kind, str) and isinstance(data, dict | None)
+    if formed and (len(line) > MOST_ROW_BYTES.get(kind, _MOST_OTHER_BYTES) or is_deep(data)):
+        data = None
     return FeedRow(seq=seq, kind=kind, data=data) if formed else None
+
+
+def is_deep(value: object) -> bool:
+    """Return whether a value of JSON has more levels than a row may have."""
+    level = [value]
+    for _ in range(MOST_LEVELS + 1):
+        inner = [one.values() if isinstance(one, dict) else one for one in level if isinstance(one, dict | list)]
+        if not inner:
+            return False
+        level = [*chain.from_iterable(inner)]
+    return True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,6 +6,7 @@ what `feed_schema` returns.
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Callable, Mapping
@@ -26,7 +27,7 @@ from sunarc.archive.database.tables import (
     Word,
     findings_of_text,
 )
-from sunarc.archive.fleet.feed_rows import FED, REMOVED, STATUS, columns_of, plain_type
+from sunarc.archive.fleet.feed_rows import FED, MOST_ROW_BYTES, REMOVED, STATUS, columns_of, plain_type
 from sunarc.findings import from_json
 from sunarc.json_fields import descriptions
 from sunarc.utc import from_microseconds, to_microseconds
@@ -117,6 +118,15 @@ def _is_text(value: object) -> bool:
     )
 
 
+def _is_text_throughout(value: object) -> bool:
+    """Whether no text of a list or an object has half of a surrogate pair, which no answer could hold."""
+    try:
+        json.dumps(value, ensure_ascii=False).encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
 def _is_date(value: object) -> bool:
     return type(value) is str and _IS_DATE.fullmatch(value) is not None
 
@@ -127,8 +137,8 @@ _TEXT = _Rule({"type": "string", "pattern": "^[^\\u0000]*$"}, _is_text)
 _FLAG = _Rule({"type": "boolean"}, lambda value: type(value) is bool)
 _TIME = _within(0, LATEST_US - 1)
 _DAY = _Rule({"type": "string", "format": "date", "pattern": _DATE}, _is_date)
-_LIST = _Rule({"type": "array"}, lambda value: type(value) is list)
-_OBJECT = _Rule({"type": "object"}, lambda value: type(value) is dict)
+_LIST = _Rule({"type": "array"}, lambda value: type(value) is list and _is_text_throughout(value))
+_OBJECT = _Rule({"type": "object"}, lambda value: type(value) is dict and _is_text_throughout(value))
 
 
 def _words(words: tuple[str, ...]) -> _Rule:
@@ -206,6 +216,11 @@ def _named(rule: _Rule) -> str:
 
 def problem_of(kind: str, data: Mapping[str, Any], *, only_key: bool = False) -> str | None:
     """Return what is wrong with the form of a row that was sent; None where nothing is."""
+    if kind == STATUS:
+        if len(json.dumps(data)) > MOST_ROW_BYTES[STATUS]:
+            return f"the status is larger than {MOST_ROW_BYTES[STATUS]} bytes"
+        if not _is_text_throughout(data):
+            return "a text has half of a surrogate pair"
     checks = _checks(kind, only_key)
     unknown = set() if kind == STATUS else data.keys() - {one.name for one in checks}
     if unknown:

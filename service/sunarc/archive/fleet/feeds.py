@@ -48,6 +48,7 @@ from sunarc.archive.database.tables import (
 from sunarc.archive.days import night_of_event, row_of_night
 from sunarc.archive.fleet.feed_rows import (
     FED,
+    MOST_LEVELS,
     REMOVED,
     STATUS,
     FeedBatch,
@@ -55,6 +56,7 @@ from sunarc.archive.fleet.feed_rows import (
     FleetCamera,
     Quarantined,
     Refusal,
+    is_deep,
 )
 from sunarc.archive.fleet.feed_schema import LATEST_US, problem_of, typed
 from sunarc.documents.calibration_document import READ_SCHEMAS
@@ -273,7 +275,8 @@ class FeedStore(Part):
             .order_by(known.c.camera)
         )
         with self._database.reading() as connection:
-            return tuple(FleetCamera(**row) for row in connection.execute(statement).mappings())
+            rows = connection.execute(statement).mappings().all()
+        return tuple(FleetCamera(**{**row, "status": _shown(row["status"])}) for row in rows)
 
     def add_token(self, camera: str, digest: str, *, now: datetime, former_until: datetime) -> None:
         """Register a camera by the digest of its token; tokens that it has end at `former_until`.
@@ -400,11 +403,19 @@ def _sighting_time(row: FeedRow) -> datetime | None:
     return from_microseconds(time) if type(time) is int and 0 <= time < LATEST_US else None
 
 
+def _shown(status: object) -> dict[str, Any] | None:
+    """Return a stored status; None of one that would not be stored today: it would take every camera off the page."""
+    if not isinstance(status, dict) or is_deep(status) or problem_of(STATUS, status) is not None:
+        return None
+    return status
+
+
 def _refusal(camera: str, row: FeedRow, now: datetime) -> Refusal | None:
     """Return why a row is not stored, as far as it says itself."""
     kind = row.kind.removesuffix(REMOVED)
     if row.data is None:
-        return Refusal(reason="body_too_large", text=f"a row of kind {row.kind} was too large to be sent")
+        text = f"a row of kind {row.kind} was too large to be sent or stored, or has more than {MOST_LEVELS} levels"
+        return Refusal(reason="body_too_large", text=text)
     if row.kind not in {STATUS, *_KINDS}:
         return Refusal(reason="malformed", text=f"kind {row.kind} is unknown")
     problem = problem_of(kind, row.data, only_key=row.kind != kind)
