@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from functools import cache
+from itertools import chain
 from typing import Any, TypeVar
 
 import msgspec
@@ -38,16 +39,17 @@ def parsed_body(model: type[RequestModel], body: bytes, *, most: int, named: str
     """
     parts = _parts(model, body)
     for name, part in parts.items():
-        require_few(_count(part), most=most, field=named or name)
-    bounded = b",".join(b"%b:%b" % (json.dumps(name).encode(), part) for name, part in parts.items())
+        require_few(_count(bytes(part)), most=most, field=named or name)
+    separated = [(b",", json.dumps(name).encode(), b":", part) for name, part in parts.items()]
+    bounded = b"".join([b"{", *[*chain.from_iterable(separated)][1:], b"}"])  # the one copy
     try:
-        return model.model_validate_json(b"{%b}" % bounded)
+        return model.model_validate_json(bounded)
     except ValidationError as error:
         faults = error.errors(include_url=False, include_context=False, include_input=False)
         raise RequestValidationError([{**fault, "loc": ("body", *fault["loc"])} for fault in faults]) from None
 
 
-def _parts(model: type[BaseModel], body: bytes) -> dict[str, bytes]:
+def _parts(model: type[BaseModel], body: bytes) -> dict[str, msgspec.Raw]:
     """Return the JSON text of each field that a body has."""
     try:
         return _split(model, body)
@@ -63,19 +65,19 @@ def _parts(model: type[BaseModel], body: bytes) -> dict[str, bytes]:
     return _parts(model, text)
 
 
-def _split(model: type[BaseModel], body: bytes) -> dict[str, bytes]:
+def _split(model: type[BaseModel], body: bytes) -> dict[str, msgspec.Raw]:
     """Return the text of each field, and null for the first name that is no field; no value is made."""
     strict, lenient = _readers(model)
-    unknown: dict[str, bytes] = {}
+    unknown: dict[str, msgspec.Raw] = {}
     try:
         found = strict.decode(body)
     except msgspec.ValidationError as error:
         name = _UNKNOWN.fullmatch(str(error))
         if name is None:
             raise
-        unknown, found = {name[1]: b"null"}, lenient.decode(body)
+        unknown, found = {name[1]: msgspec.Raw(b"null")}, lenient.decode(body)
     given = ((name, getattr(found, name)) for name in model.model_fields)
-    return {name: bytes(part) for name, part in given if part is not msgspec.UNSET} | unknown
+    return {name: part for name, part in given if part is not msgspec.UNSET} | unknown
 
 
 @cache
