@@ -37,6 +37,7 @@ from sunarc.cameras.aravis import AravisCamera, open_aravis
 from sunarc.cameras.frame import SkyCamera
 from sunarc.cameras.options import AravisOptions, FolderOptions
 from sunarc.findings import Finding
+from sunarc.foreign_files import name_text
 from sunarc.offline.first_look import MESSAGES as OF_FIRST_LOOK
 from sunarc.offline.first_look import TriedPicture, judge_site, look_for_sun, small_picture, try_pictures
 from sunarc.reanalysis.folder_files import is_image
@@ -270,7 +271,7 @@ def _pictures(options: FolderOptions, site: Site, picture: Path | None) -> Itera
         text = f"{options.path} is no folder; give --folder, or let the other program make it"
         yield TriedResult("folder", "fail", text, ("folder_missing",))
         return
-    source = open_source(str(options.path))
+    source = open_source(name_text(options.path))
     names = [file.name for file in source.files() if is_image(file.name, options.files)]
     rules = time_rules(options)
 
@@ -310,7 +311,7 @@ def _snapshot(settings: Settings, shown: Path | None) -> tuple[Outcome, str, str
     with tempfile.TemporaryDirectory() as place:
         name = f"picture.{found.suffix}"
         (Path(place) / name).write_bytes(found.content)
-        image = image_of(Folder(place), name)
+        image = image_of(Folder(name_text(place)), name)
     if isinstance(image, Finding):
         return "fail", f"{OF_FILES.text_of(image)}; {OF_FILES.remedy_of(image)} [{image.code}]", image.code
     rule = "its Last-Modified" if settings.dated_by_camera else "this host's clock"

@@ -16,6 +16,7 @@ from sunarc.array_types import Image
 from sunarc.cameras.frame import CameraCondition, CameraInfo, Frame, full_scale_of
 from sunarc.cameras.options import ReplayOptions
 from sunarc.errors import CameraLostError, InputError
+from sunarc.foreign_files import read_regular
 from sunarc.imaging.preview import decoded
 
 _SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff"}
@@ -99,7 +100,7 @@ class ReplayCamera:
         shape: tuple[int, ...] | None = None
         for number, (time, exposure_us, path) in enumerate(self._files, start=1):
             try:
-                image = decoded(path.read_bytes())
+                image = decoded(read_regular(path))
             except OSError:  # taken away since the folder was listed
                 image = None
             reason = _unusable(image, shape, self._options.pixel_format)

@@ -19,6 +19,7 @@ from sunarc.cli.options import AsJson, print_json, print_table
 from sunarc.diagnostics import TriedResult, try_first
 from sunarc.errors import InputError, disk_errors
 from sunarc.findings import Finding
+from sunarc.foreign_files import name_text
 from sunarc.offline.first_look import RefusedAnswerError, parse_angle
 from sunarc.settings.file_text import NEW_FILE, Value, read_text, value_in, with_values
 from sunarc.settings.load import settings_of
@@ -249,7 +250,7 @@ def _print(file: Path, changed: Mapping[str, Value], results: list[TriedResult],
     following = f"sunarc init {file} …" if failed else f"sunarc check --config {file}"
     if as_json:
         checks = [result._asdict() for result in results]
-        print_json({"file": str(file), "changed": dict(changed), "checks": checks, "next": following})
+        print_json({"file": name_text(file), "changed": dict(changed), "checks": checks, "next": following})
         return
     print_table(("", "", ""), [[result.outcome, result.what, escape(result.text)] for result in results])
     print(f"wrote {file}: {', '.join(changed)}" if changed else f"{file} is as it was")

@@ -108,6 +108,8 @@ for _name, _command in COMMANDS.items():
 def main() -> None:
     """Run the command line; every expected failure is one line on standard error."""
     one_thread_each()
+    for stream in (sys.stdout, sys.stderr):  # a name of bytes that are no text ends no command
+        stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     try:
         with until_the_end:
             cli(standalone_mode=True)

@@ -23,10 +23,11 @@ from sunarc.cli.options import (
 )
 from sunarc.errors import InputError
 from sunarc.findings import significant
+from sunarc.foreign_files import name_text
 from sunarc.reanalysis.cluster import WORKER_BYTES, Cluster, Workers
 from sunarc.reanalysis.detect_files import METHODS
 from sunarc.reanalysis.image_times import TimeRules, utc_offset_of
-from sunarc.reanalysis.index import CameraPlan, Indexed, Selector, index_archive, read_cameras
+from sunarc.reanalysis.index import CameraPlan, Indexed, Selector, index_archive, new_camera_name, read_cameras
 from sunarc.reanalysis.messages import sentence_of
 from sunarc.reanalysis.pool import usable_processors
 from sunarc.reanalysis.results import Summary
@@ -89,7 +90,7 @@ def reanalyse_archive(
     common = CameraPlan(
         name="camera",
         site=_site(latitude, longitude, altitude, cameras),
-        selector=Selector(tuple(sources or ())),
+        selector=Selector(tuple(one if "://" in one else name_text(one) for one in sources or ())),
         rules=TimeRules(
             _common_pattern(time_pattern),
             None if utc_offset is None else utc_offset_of(utc_offset, field="--utc-offset"),
@@ -143,9 +144,7 @@ def _plans(common: CameraPlan) -> list[CameraPlan]:
         raise InputError(field="SOURCE", problem="missing", remedy="name a folder or archive, or give --cameras FILE")
     plans: dict[str, CameraPlan] = {}
     for address in common.selector.sources:
-        name = Path(address.rstrip("/")).name.partition(".")[0] or "camera"
-        while name in plans:
-            name += "-2"
+        name = new_camera_name(Path(address.rstrip("/")).name.partition(".")[0] or "camera", taken=plans)
         plans[name] = replace(common, name=name, selector=Selector((address,)))
     return list(plans.values())
 

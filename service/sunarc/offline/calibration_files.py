@@ -26,6 +26,7 @@ from sunarc.exports.remap import Grid, grid_directions, reach_m, remap_tables, r
 from sunarc.exports.tables import netcdf_bytes, npz_bytes
 from sunarc.exports.view import ZENITH_RANGES_DEG, Comparison, View, compare
 from sunarc.extras import extra_module
+from sunarc.foreign_files import is_regular, name_text
 from sunarc.imaging.metadata import document_of
 from sunarc.imaging.preview import demosaiced
 from sunarc.optics.camera import camera_sees
@@ -84,7 +85,7 @@ def read_view_file(path: Path) -> View:
 
     def beside(name: str) -> bytes | None:
         other = path.parent / name
-        return read_file(other) if other.is_file() else None
+        return read_file(other) if is_regular(other) else None
 
     return read_view(read_file(path), name=path.name, beside=beside)
 
@@ -195,7 +196,9 @@ def rectify_files(
                 target.write_bytes(cv2.imencode(".png", found)[1].tobytes())
         else:
             _write_geotiff(target, found, solved, pixel_m=2.0 * half_width / (size - 1))
-        written.append({"file": str(path), "written": str(target), "seen": float(np.mean(tables[0] >= -0.5))})
+        written.append(
+            {"file": name_text(path), "written": name_text(target), "seen": float(np.mean(tables[0] >= -0.5))}
+        )
     return written
 
 

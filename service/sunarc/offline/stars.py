@@ -29,6 +29,7 @@ from sunarc.detection.values import FWHM, Bayer, PredictedStars, Stars
 from sunarc.documents.calibration_document import to_document
 from sunarc.errors import InputError
 from sunarc.findings import Finding, Messages
+from sunarc.foreign_files import is_regular, name_text
 from sunarc.reanalysis.detect_files import estimated_full_scale
 from sunarc.reanalysis.files import read_file, read_image
 from sunarc.reanalysis.image_files import kind_of
@@ -222,13 +223,13 @@ def read_stars(path: Path, site: Site, options: StarOptions, *, size: tuple[int,
     try:
         time, image, bayer = _read(path, options)
     except RefusedImageError as refused:
-        return StarImage(file=str(path), reason=MESSAGES.text_of(refused.finding), findings=(refused.finding,))
+        return StarImage(file=name_text(path), reason=MESSAGES.text_of(refused.finding), findings=(refused.finding,))
     except InputError as error:
         unreadable = Finding("file_unreadable", {"error": str(error)})
-        return StarImage(file=str(path), reason=reason_of([unreadable]), findings=(unreadable,))
+        return StarImage(file=name_text(path), reason=reason_of([unreadable]), findings=(unreadable,))
     if (elsewhere := _other_site(path, site)) is not None:
         reason = MESSAGES.text_of(elsewhere)
-        return StarImage(file=str(path), reason=reason, findings=(elsewhere,), time=time)
+        return StarImage(file=name_text(path), reason=reason, findings=(elsewhere,), time=time)
     found = (image.shape[1], image.shape[0])
     _require_size(path, found, size)
     stars = detect_stars(
@@ -238,7 +239,7 @@ def read_stars(path: Path, site: Site, options: StarOptions, *, size: tuple[int,
         gain_e_per_count=options.gain_e_per_count,
     )
     sky = night_sky(time.timestamp(), site, faintest=FAINTEST_V)
-    return StarImage(file=str(path), reason="", findings=(), time=time, sky=sky, stars=stars, size=found)
+    return StarImage(file=name_text(path), reason="", findings=(), time=time, sky=sky, stars=stars, size=found)
 
 
 _FARTHEST_DEG = 2.0
@@ -289,14 +290,14 @@ def _read(path: Path, options: StarOptions) -> tuple[datetime, Image, Bayer | No
 
 def _stated_time(path: Path, rules: TimeRules) -> datetime:
     beside = path.with_suffix(".json")
-    names = [beside.name] if beside.exists() else []
-    return timed_picture(Folder(str(path.parent)), path.name, rules, names=names).time
+    names = [name_text(beside.name)] if is_regular(beside) else []
+    return timed_picture(Folder(name_text(path.parent)), name_text(path.name), rules, names=names).time
 
 
 def _require_size(path: Path, found: tuple[int, int], size: tuple[int, int] | None) -> None:
     if size is not None and found != size:
         raise InputError(
-            field=str(path),
+            field=name_text(path),
             problem=f"is {found[0]}x{found[1]}, the calibration of {size[0]}x{size[1]} images",
             remedy="give images of the calibrated camera",
         )

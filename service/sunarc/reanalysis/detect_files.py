@@ -16,6 +16,7 @@ from sunarc.detection.photo.ordinary_image import Photo, detect_sun_in_photo
 from sunarc.detection.values import Bayer, Detection, Expectation, Sensor
 from sunarc.errors import InputError, disk_errors
 from sunarc.findings import Finding
+from sunarc.foreign_files import name_text
 from sunarc.imaging.preview import preview
 from sunarc.reanalysis.files import read_image
 
@@ -105,7 +106,7 @@ def _row(path: Path, *, method: Method, full_scale: int | None, bayer: Bayer | N
         unreadable = Finding("file_unreadable", {"error": str(error)})
         found = Detection(method="disc", accepted=False, verdict="no_frame", findings=(unreadable,))
     names = ("reason" if name == "findings" else name for name in Detection.__slots__)
-    return {"file": str(path), **{name: getattr(found, name) for name in names}}
+    return {"file": name_text(path), **{name: getattr(found, name) for name in names}}
 
 
 def selected_method(image: Image, method: Method, *, full_scale: int) -> Literal["disc", "paper"]:

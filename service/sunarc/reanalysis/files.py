@@ -8,6 +8,7 @@ import numpy as np
 
 from sunarc.array_types import FloatArray, Image
 from sunarc.errors import InputError
+from sunarc.foreign_files import name_text, read_regular
 from sunarc.imaging.preview import decoded
 from sunarc.optics.camera import inside_image
 
@@ -15,10 +16,10 @@ from sunarc.optics.camera import inside_image
 def read_file(path: Path) -> bytes:
     """Return a file's bytes; InputError when it cannot be read."""
     try:
-        return path.read_bytes()
+        return read_regular(path)
     except OSError as error:
         raise InputError(
-            field=str(path), problem=error.strerror or str(error), remedy="name a file that can be read"
+            field=name_text(path), problem=error.strerror or str(error), remedy="name a file that can be read"
         ) from None
 
 
@@ -27,7 +28,7 @@ def read_lines(path: Path) -> list[str]:
     try:
         return read_file(path).decode("utf-8-sig").splitlines()
     except UnicodeDecodeError:
-        raise InputError(field=str(path), problem="is not text", remedy="give a CSV file in UTF-8") from None
+        raise InputError(field=name_text(path), problem="is not text", remedy="give a CSV file in UTF-8") from None
 
 
 def read_image(path: Path) -> Image:
@@ -40,7 +41,7 @@ def read_image(path: Path) -> Image:
     if image is not None and image.dtype == np.uint16:
         return image.astype(np.uint16)
     raise InputError(
-        field=str(path), problem="is not an image of 8 or 16 bits", remedy="give a whole PNG, JPEG or TIFF file"
+        field=name_text(path), problem="is not an image of 8 or 16 bits", remedy="give a whole PNG, JPEG or TIFF file"
     )
 
 

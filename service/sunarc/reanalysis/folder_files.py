@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import watchfiles
 
+from sunarc.foreign_files import name_path, name_text, require_regular
 from sunarc.reanalysis.image_files import SourceFile, kind_of
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.loop import Loop
@@ -98,15 +99,15 @@ class FolderListing:
 
     def _below(self, folder: str, again: set[str], above: set[tuple[int, int]], now_ns: int) -> Iterator[SourceFile]:
         try:
-            state = (self._root / folder).stat()
+            state = (self._root / name_path(folder)).stat()
             here = (state.st_dev, state.st_ino)
             if here in above:  # a link to a folder above it
                 return
             known = self._known.get(folder)
             if known is None or known.changed_ns != state.st_mtime_ns or folder in again:
-                with os.scandir(self._root / folder) as entries:
+                with os.scandir(self._root / name_path(folder)) as entries:
                     found = sorted(entries, key=lambda one: one.name)
-                subfolders = tuple(f"{folder}{one.name}/" for one in found if _is_folder(one))
+                subfolders = tuple(f"{folder}{name_text(one.name)}/" for one in found if _is_folder(one))
                 yield from self._images(folder, found)
                 # a name may be added within the resolution of the folder's own time: it is listed again then
                 is_settled = now_ns - state.st_mtime_ns > _COARSE_NS
@@ -116,7 +117,7 @@ class FolderListing:
                 raise
             if isinstance(error, PermissionError):
                 self._note_denied(folder, error)
-            _log.warning("%s/%s cannot be listed: %s", self._root, folder, error.strerror)
+            _log.warning("%s/%s cannot be listed: %s", name_text(self._root), folder, error.strerror)
             return
         for one in known.subfolders:
             yield from self._below(one, again, above | {here}, now_ns)
@@ -124,23 +125,22 @@ class FolderListing:
     def _note_denied(self, folder: str, error: PermissionError) -> None:
         """Keep the subfolder that changed last of those that may not be read."""
         with suppress(OSError):
-            changed_ns = (self._root / folder).stat().st_mtime_ns
+            changed_ns = (self._root / name_path(folder)).stat().st_mtime_ns
             if self.denied is None or changed_ns > self.denied.changed_ns:
                 self.denied = DeniedFolder(folder, changed_ns, error.strerror or str(error))
 
     def _images(self, folder: str, entries: list[os.DirEntry[str]]) -> Iterator[SourceFile]:
         for entry in entries:
-            name = folder + entry.name
+            name = folder + name_text(entry.name)
             if is_image(name, self._pattern):
                 try:
-                    found = source_file(name, entry.stat()) if entry.is_file() else None
+                    found = source_file(name, entry.stat())
                 except PermissionError as error:  # its folder may be listed and not entered
                     self._note_denied(folder, error)
                     return
-                except OSError:  # it is gone again
+                except OSError:  # it is gone again, or no file
                     continue
-                if found is not None:
-                    yield found
+                yield found
 
 
 def _is_folder(entry: os.DirEntry[str]) -> bool:
@@ -150,7 +150,8 @@ def _is_folder(entry: os.DirEntry[str]) -> bool:
 
 
 def source_file(name: str, state: os.stat_result) -> SourceFile:
-    """Return a file with its size, and a stamp that changes when it is written over."""
+    """Return a file with its size, and a stamp that changes when it is written over; UnfitFileError for others."""
+    require_regular(state, name)
     return SourceFile(name, state.st_size, f"{state.st_size}-{state.st_mtime_ns}")
 
 
@@ -198,7 +199,7 @@ class Settling:
             if now_s - since_s < self._settle_s:
                 continue
             try:
-                file = source_file(name, (self._root / name).stat())
+                file = source_file(name, (self._root / name_path(name)).stat())
             except OSError:  # renamed, or removed
                 del self._waiting[name]
                 continue
@@ -273,9 +274,11 @@ class FolderWatch:
                 )  # fmt: skip
             changed = next(self._events, set())
         except (OSError, RuntimeError) as error:
-            _log.warning("%s cannot be watched and is listed every %g s instead: %s", self._root, self._poll_s, error)
+            _log.warning(
+                "%s cannot be watched and is listed every %g s instead: %s", name_text(self._root), self._poll_s, error
+            )
             self.close()
             self._polling = True
             return set()
         root = str(self._root)
-        return {path.removeprefix(root).lstrip("/") for _, path in changed}
+        return {name_text(path.removeprefix(root).lstrip("/")) for _, path in changed}

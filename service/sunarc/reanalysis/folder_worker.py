@@ -23,9 +23,9 @@ from sunarc.cameras.frame import Frame
 from sunarc.cameras.options import FolderOptions
 from sunarc.errors import InputError, OutsideError
 from sunarc.findings import Finding
+from sunarc.foreign_files import MOST_BYTES, is_regular, name_path, name_text
 from sunarc.reanalysis.folder_files import FolderListing, FolderWatch, Settling, changed_s, is_image, source_file
 from sunarc.reanalysis.image_files import (
-    MOST_BYTES,
     MOST_PIXELS,
     NOT_READ,
     SourceFile,
@@ -217,7 +217,7 @@ class FolderWorker:
         """Begin without a file."""
         self._rules = time_rules(self.options)
         self._root = self.options.path
-        self._source = Folder(str(self._root))
+        self._source = Folder(name_text(self._root))
         self._listing = FolderListing(self._root, self.options.files)
         self._settling = Settling(self._root, self.options.settle_s)
         self._left_out = LeftOut(self.board)
@@ -271,7 +271,7 @@ class FolderWorker:
             return False
         self._listed_s = now_s
         self._show_denied()
-        self.board.note(camera=CameraStatus(name=self.camera.name, connected=True, address=str(self._root)))
+        self.board.note(camera=CameraStatus(name=self.camera.name, connected=True, address=name_text(self._root)))
         new = [file for file in listed if self._is_new(file)]
         if not self._reads:
             self._reads = True
@@ -287,7 +287,7 @@ class FolderWorker:
         for name in names:
             if is_image(name, self.options.files):
                 try:
-                    file = source_file(name, (self._root / name).stat())
+                    file = source_file(name, (self._root / name_path(name)).stat())
                 except OSError:
                     continue
                 if self._is_new(file):
@@ -329,8 +329,8 @@ class FolderWorker:
         """The newest image that a browser shows; None where it is none, or gone."""
         if self._newest is None or PurePosixPath(self._newest[0]).suffix.lower() not in _SHOWN:
             return None
-        path = self._root / self._newest[0]
-        return path if path.is_file() else None
+        path = self._root / name_path(self._newest[0])
+        return path if is_regular(path) else None
 
     @property
     def waiting_days(self) -> set[date]:
@@ -460,7 +460,7 @@ class FolderWorker:
         if file.size > MOST_BYTES:
             raise RefusedImageError(file.name, Finding("file_too_large", {"bytes": file.size, "most": MOST_BYTES}))
         sidecar = PurePosixPath(file.name).with_suffix(".json").as_posix()
-        names = {sidecar} if (self._root / sidecar).is_file() else set[str]()
+        names = {sidecar} if is_regular(self._root / name_path(sidecar)) else set[str]()
         frame = timed_frames(self._source, file.name, self._rules, names=names)[0]
         ahead_s = (frame.time - self.frame_time.now()).total_seconds()
         if self.frame_time.speed == 1.0 and ahead_s > self.options.clock_error_s + _FUTURE_S:
@@ -501,7 +501,7 @@ class FolderWorker:
                 self._refuse(one.file, Finding("file_time_repeated", {"n": len(every), "most": MOST_EXPOSURES}), one)
             return
         self._stack_size = len(every) if live else self._stack_size
-        found = dict(zip([one.file for one in every], self.images.take(str(self._root), every), strict=True))
+        found = dict(zip([one.file for one in every], self.images.take(name_text(self._root), every), strict=True))
         for one in new:
             finding = found[one.file.name]
             if finding is not None and finding.code == _TRUNCATED and self._may_grow(one.file):
@@ -521,7 +521,7 @@ class FolderWorker:
         for one in seen:
             if one.code is None and one.file not in without:
                 with suppress(OSError):  # it is gone
-                    dated = self._dated(source_file(one.file, (self._root / one.file).stat()))
+                    dated = self._dated(source_file(one.file, (self._root / name_path(one.file)).stat()))
                     if dated is not None and dated.frame.time == one.time:
                         yield dated
 
@@ -619,16 +619,19 @@ class FolderWorker:
     def _unreadable(self, error: OSError) -> None:
         denied = isinstance(error, PermissionError)
         code = "folder_not_permitted" if denied else "folder_missing"
-        found = Finding(code, {"folder": str(self._root), "error": error.strerror or str(error)})
+        found = Finding(code, {"folder": name_text(self._root), "error": error.strerror or str(error)})
         self.board.set_one_condition(_FOLDER_CODES, Reason.of(found, MESSAGES, severity="not_ready"))
-        self.board.note(camera=CameraStatus(name=self.camera.name, connected=False, address=str(self._root)))
+        self.board.note(camera=CameraStatus(name=self.camera.name, connected=False, address=name_text(self._root)))
         self._listing.forget()
 
     def _show_denied(self) -> None:
         """Set or clear the condition of a subfolder that the program still writes, and the service may not read."""
         one, reason = self._listing.denied, None
         if one is not None and self.clock.now().timestamp() - one.changed_ns / 1e9 < _WRITTEN_S:
-            found = Finding("folder_not_permitted", {"folder": str(self._root / one.name), "error": one.error})
+            found = Finding(
+                "folder_not_permitted",
+                {"folder": f"{name_text(self._root)}/{one.name}".rstrip("/"), "error": one.error},
+            )
             reason = Reason.of(found, MESSAGES)
         self.board.set_one_condition(_FOLDER_CODES, reason)
 

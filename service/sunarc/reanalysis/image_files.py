@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path, PurePosixPath
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, BinaryIO, Literal, NamedTuple, Protocol
 
 import cv2
 import numpy as np
@@ -25,6 +25,7 @@ from sunarc.detection.values import BAYERS, Bayer
 from sunarc.errors import InputError
 from sunarc.extras import extra_module
 from sunarc.findings import Finding
+from sunarc.foreign_files import UnfitFileError, open_regular, read_regular
 from sunarc.imaging.metadata import document_of
 from sunarc.imaging.preview import decoded
 from sunarc.reanalysis.messages import RefusedImageError
@@ -102,7 +103,7 @@ def _unreadable(name: str, error: str) -> RefusedImageError:
 def _not_read(name: str, error: OSError) -> RefusedImageError:
     """Return the refusal of a file that cannot be read: one that is there may be readable later."""
     text = error.strerror or str(error)
-    if isinstance(error, FileNotFoundError | IsADirectoryError | NotADirectoryError):
+    if isinstance(error, FileNotFoundError | NotADirectoryError | UnfitFileError):
         return _unreadable(name, text)
     return RefusedImageError(name, Finding(NOT_READ, {"error": text}))
 
@@ -187,8 +188,6 @@ _KINDS: dict[str, Kind] = {
     **dict.fromkeys((".nc", ".nc4"), "netcdf"),
     **dict.fromkeys((".mp4", ".m4v", ".mov", ".avi"), "video"),
 }
-MOST_BYTES = 1 << 30
-"""Size of a file that is still read: larger ones are no images, and would take a worker's memory."""
 MOST_PIXELS = 100_000_000
 """Of an image that a running service decodes: its camera has the size that it always has."""
 NOT_READ = "file_not_read"
@@ -279,7 +278,7 @@ def image_size(source: ImageSource, name: str, number: int = 0) -> tuple[int, in
     """Return width and height of an image of a file, px, as a picture's header states it; None where unread."""
     try:
         if kind_of(name) == "picture":
-            with Pictures.open(source.path(name) or io.BytesIO(source.read(name)), formats=_FORMATS) as picture:
+            with _opened(source, name) as file, Pictures.open(file, formats=_FORMATS) as picture:
                 return picture.size
     except (OSError, ValueError, SyntaxError, Pictures.DecompressionBombError):
         return None
@@ -295,6 +294,11 @@ def content_of(source: ImageSource, name: str) -> bytes:
         raise _not_read(name, error) from None
 
 
+def _opened(source: ImageSource, name: str) -> BinaryIO:
+    path = source.path(name)
+    return io.BytesIO(source.read(name)) if path is None else open_regular(path)
+
+
 def document_in(source: ImageSource, name: str) -> Mapping[str, Any]:
     """Return the document of our own composites in a picture, empty in others.
 
@@ -302,9 +306,8 @@ def document_in(source: ImageSource, name: str) -> Mapping[str, Any]:
     ------
     RefusedImageError : it is the preview of a composite, or cannot be read.
     """
-    path = source.path(name)
     try:
-        with io.BytesIO(source.read(name)) if path is None else path.open("rb") as file:
+        with _opened(source, name) as file:
             document = document_of(file.read(_HEAD_BYTES)) or {}
     except OSError as error:
         raise _not_read(name, error) from None
@@ -480,8 +483,8 @@ def netcdf_images(
 def _netcdf(file: Path | bytes) -> Iterator[Any]:
     """Open a file; by h5py first, since h5netcdf prints a trace of its own where that fails."""
     hdf5, legacy = extra_module("h5py", extra="netcdf"), extra_module("h5netcdf", extra="netcdf")
-    content = io.BytesIO(file) if isinstance(file, bytes) else file
-    with hdf5.File(content, "r") as raw, legacy.File(raw, "r") as opened:
+    content = io.BytesIO(file) if isinstance(file, bytes) else open_regular(file)
+    with content, hdf5.File(content, "r") as raw, legacy.File(raw, "r") as opened:
         yield opened
 
 
@@ -582,16 +585,20 @@ def _video(file: Path | bytes, name: str) -> Iterator[cv2.VideoCapture]:
 
 @contextmanager
 def _path(file: Path | bytes, name: str) -> Iterator[Path]:
-    """Give a path of a video; one within an archive is laid into memory, never onto the disk."""
-    if isinstance(file, Path):
-        yield file
-        return
-    descriptor = os.memfd_create(Path(name).name)
+    """Give a path of a file that is open; one within an archive is laid into memory, never onto the disk."""
     try:
-        os.write(descriptor, file)
-        yield Path(f"/proc/self/fd/{descriptor}")
-    finally:
-        os.close(descriptor)
+        opened = open_regular(file) if isinstance(file, Path) else _in_memory(file)
+    except OSError as error:
+        raise _not_read(name, error) from None
+    with opened:
+        yield Path(f"/proc/self/fd/{opened.fileno()}")
+
+
+def _in_memory(content: bytes) -> BinaryIO:
+    file = os.fdopen(os.memfd_create("video"), "w+b")
+    file.write(content)
+    file.flush()
+    return file
 
 
 def _sidecar_times(text: bytes, name: str, count: int) -> list[datetime]:
@@ -612,7 +619,10 @@ def _sidecar_times(text: bytes, name: str, count: int) -> list[datetime]:
 
 def _created(file: Path | bytes) -> datetime | None:
     """Return when a container says that its recording began: the `mvhd` box; None where it does not say."""
-    content = file if isinstance(file, bytes) else file.read_bytes()
+    try:
+        content = file if isinstance(file, bytes) else read_regular(file)
+    except OSError:
+        return None
     at = content.find(b"mvhd")
     if at < 0 or at + 16 > len(content):
         return None

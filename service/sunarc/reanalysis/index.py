@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import tomllib
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatch
 from pathlib import Path, PurePosixPath
@@ -18,9 +19,10 @@ from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.errors import InputError
 from sunarc.extras import is_installed
 from sunarc.findings import Finding
+from sunarc.foreign_files import MOST_BYTES, name_path, name_text
 from sunarc.reanalysis.detect_files import Method
 from sunarc.reanalysis.files import read_file
-from sunarc.reanalysis.image_files import MOST_BYTES, ImageSource, SourceFile, image_size, kind_of
+from sunarc.reanalysis.image_files import ImageSource, SourceFile, image_size, kind_of
 from sunarc.reanalysis.image_times import TimedFrame, TimeRules, timed_frames, utc_offset_of
 from sunarc.reanalysis.messages import RefusedImageError
 from sunarc.reanalysis.sources import open_source
@@ -177,15 +179,17 @@ def index_archive(plans: Sequence[CameraPlan]) -> Indexed:
     ------
     InputError : a source cannot be opened.
     """
-    indexed = Indexed([], [], [])
+    indexed, taken = Indexed([], [], []), {plan.name for plan in plans}
     for plan in plans:
         found, failed = _found(plan)
         indexed.failures.extend(Failure(_shown(address, file), finding) for address, file, finding in failed)
+        taken.discard(plan.name)
         by_prefix = defaultdict(list)
         for one in found:
             by_prefix[one.frame.prefix].append(one)
         for prefix, members in sorted(by_prefix.items()):
-            named = plan if len(by_prefix) == 1 else replace(plan, name=_camera_name(plan.name, prefix))
+            named = plan if len(by_prefix) == 1 else replace(plan, name=_camera_name(plan.name, prefix, taken))
+            taken.add(named.name)
             _add(indexed, named, members)
         if not found:
             unmatched = Finding("camera_without_files", {"files": plan.selector.files})
@@ -194,9 +198,20 @@ def index_archive(plans: Sequence[CameraPlan]) -> Indexed:
     return indexed
 
 
-def _camera_name(name: str, prefix: str) -> str:
+def _camera_name(name: str, prefix: str, taken: Container[str]) -> str:
     cleaned = "".join(letter if letter.isalnum() else "-" for letter in prefix).strip("-")
-    return f"{name}-{cleaned}" if cleaned else name
+    return new_camera_name(f"{name}-{cleaned}" if cleaned else name, taken=taken)
+
+
+_LONGEST_NAME = 120
+"""Of a camera, bytes: folders and files of its results are named after it, and a name has 255 at most."""
+
+
+def new_camera_name(wanted: str, *, taken: Container[str]) -> str:
+    """Return a camera's name like the wanted one, short enough for the names of files, and not taken yet."""
+    name = wanted.encode()[:_LONGEST_NAME].decode(errors="ignore")
+    others = (f"{name}-{number}" for number in itertools.count(2))
+    return next(one for one in itertools.chain([name], others) if one not in taken)
 
 
 def index_folder(plan: CameraPlan) -> tuple[CameraImages, list[Failure]]:
@@ -207,7 +222,7 @@ def index_folder(plan: CameraPlan) -> tuple[CameraImages, list[Failure]]:
     InputError : it is no folder, or has no images.
     """
     folder = plan.selector.sources[0]
-    if not Path(folder).is_dir():
+    if not Path(name_path(folder)).is_dir():
         raise InputError(field=folder, problem="is no folder", remedy="name a folder of images")
     found, failed = _found(plan)
     if not found and not failed and plan.selector.only is None:
@@ -368,7 +383,7 @@ def _plan(name: str, table: object, common: CameraPlan, path: Path) -> CameraPla
         unknown = sorted(set(table) - _KEYS) if isinstance(table, dict) else [str(table)]
         problem, remedy = f"{', '.join(unknown)} is unknown", f"use {', '.join(sorted(_KEYS))}"
         raise InputError(field=where, problem=problem, remedy=remedy)
-    if not name or "/" in name or name.startswith("."):
+    if not name or "/" in name or name.startswith(".") or len(name.encode()) > _LONGEST_NAME:
         raise InputError(field=where, problem="cannot be the name of a folder", remedy="use letters, numbers and -")
     try:
         return _filled(name, table, common, path.parent)
@@ -406,7 +421,7 @@ def _get(table: Mapping[str, Any], key: str, convert: Callable[[Any], Any], defa
 def _sources(given: object, folder: Path) -> tuple[str, ...]:
     if not isinstance(given, list) or not given:
         raise ValueError(f"sources is {given!r}, not a list of folders or archives")
-    return tuple(str(one) if "://" in str(one) else str(folder / str(one)) for one in given)
+    return tuple(str(one) if "://" in str(one) else name_text(folder / str(one)) for one in given)
 
 
 def _size(given: Sequence[Any]) -> tuple[int, int]:

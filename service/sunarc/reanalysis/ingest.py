@@ -24,6 +24,7 @@ from sunarc.calibration.model.sightings import Sightings
 from sunarc.detection.values import Detection, Expectation, Verdict
 from sunarc.detection.values import Method as DetectionMethod
 from sunarc.findings import Finding
+from sunarc.foreign_files import name_text
 from sunarc.reanalysis.cameras import known_camera, register_camera
 from sunarc.reanalysis.detect_files import Method
 from sunarc.reanalysis.fit import CameraSightings, Rough, first_analysis
@@ -159,7 +160,7 @@ def _plan(settings: Settings, folder: Path, options: IngestOptions, size: tuple[
     return CameraPlan(
         name=settings.name,
         site=settings.site,
-        selector=Selector((str(folder),), options.files, options.only),
+        selector=Selector((name_text(folder),), options.files, options.only),
         rules=options.rules,
         image_size=size,
         method=options.method,

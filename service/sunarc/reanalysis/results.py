@@ -20,6 +20,7 @@ from sunarc.detection.values import Expectation
 from sunarc.errors import InputError, disk_errors
 from sunarc.extras import extra_module, is_installed
 from sunarc.findings import Finding
+from sunarc.foreign_files import is_regular, read_regular
 from sunarc.optics.forward import project
 from sunarc.reanalysis.fit import Final, Rough, document_of
 from sunarc.reanalysis.index import CameraImages, Failure, Indexed
@@ -446,7 +447,7 @@ def _write_exports(
 
 def _is_there(folder: Path, files: Mapping[str, str]) -> bool:
     """Return whether a folder's files have the content that they were written with."""
-    return all((path := folder / name).is_file() and hash_of(path.read_bytes()) == one for name, one in files.items())
+    return all(is_regular(path := folder / name) and hash_of(read_regular(path)) == one for name, one in files.items())
 
 
 def exports_of(document: Document) -> tuple[dict[str, bytes], dict[str, str]]:

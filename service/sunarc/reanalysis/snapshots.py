@@ -22,6 +22,7 @@ from sunarc.cameras.frame import Frame
 from sunarc.cameras.options import SnapshotOptions
 from sunarc.errors import ConfigurationError, InputError, OutsideError
 from sunarc.findings import Finding
+from sunarc.foreign_files import name_text
 from sunarc.reanalysis.image_files import MOST_PIXELS, image_of, image_size
 from sunarc.reanalysis.image_times import exif_time, is_of_images
 from sunarc.reanalysis.live_images import LiveImage, LiveImages
@@ -296,7 +297,7 @@ class SnapshotWorker:
         self.within_s = found.within_s
         self.board.note(last_frame_at=found.time, capture=CaptureStatus(frames=self._n_frames))
         self.newest_picture = path
-        source, zenith = Folder(str(path.parent)), self.apparent_zenith(found.time)
+        source, zenith = Folder(name_text(path.parent)), self.apparent_zenith(found.time)
         if zenith < self.capture.sun_zenith_deg:
             content = hash_of(found.content)
             try:

@@ -8,19 +8,24 @@ import tarfile
 import zipfile
 import zlib
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from lzma import LZMAError
 from pathlib import Path
+from stat import S_ISREG
 from typing import Any, NamedTuple
 
 from sunarc.errors import InputError, OutsideError
 from sunarc.extras import extra_module
+from sunarc.foreign_files import name_path, name_text, open_regular, read_regular
 from sunarc.reanalysis.image_files import ImageSource, SourceFile, kind_of
 
 
 def open_source(address: str) -> ImageSource:
     """Return the source at an address: a folder, a zip or tar archive, an image file, or one of fsspec (`scheme://…`).
+
+    An address is the `name_text` of a path.
 
     Raises
     ------
@@ -28,7 +33,7 @@ def open_source(address: str) -> ImageSource:
     """
     if "://" in address:
         return Remote(address)
-    path = Path(address)
+    path = Path(name_path(address))
     if path.is_dir() or (path.is_file() and kind_of(address) is not None):
         return Folder(address)
     if not path.is_file():
@@ -50,25 +55,24 @@ class Folder:
 
     def files(self) -> Iterator[SourceFile]:
         """Yield all files below it; stamped with the time of their last change."""
-        root = Path(self.address)
-        paths = [root] if root.is_file() else sorted(root.rglob("*"))
-        for path in paths:
-            if path.is_file():
+        root, folder = Path(name_path(self.address)), self._root
+        for path in [root] if root.is_file() else sorted(root.rglob("*")):
+            with suppress(OSError):  # it is gone again
                 state = path.stat()
-                name = path.relative_to(self._root).as_posix()
-                yield SourceFile(name, state.st_size, str(state.st_mtime_ns))
+                if S_ISREG(state.st_mode):
+                    yield SourceFile(name_text(path.relative_to(folder)), state.st_size, str(state.st_mtime_ns))
 
     def read(self, name: str) -> bytes:
         """Return a file's content."""
-        return self.path(name).read_bytes()
+        return read_regular(self.path(name))
 
     def path(self, name: str) -> Path:
         """Return where a file is."""
-        return self._root / name
+        return self._root / name_path(name)
 
     @property
     def _root(self) -> Path:
-        root = Path(self.address)
+        root = Path(name_path(self.address))
         return root.parent if root.is_file() else root
 
 
@@ -134,12 +138,12 @@ class Remote:
         for path in sorted(found):
             info = found[path]
             stamp = next((str(info[name]) for name in _STAMPS if info.get(name) is not None), "")
-            yield SourceFile(path.removeprefix(root).lstrip("/"), int(info.get("size") or 0), stamp)
+            yield SourceFile(name_text(path.removeprefix(root).lstrip("/")), int(info.get("size") or 0), stamp)
 
     def read(self, name: str) -> bytes:
         """Return a file's content."""
         system, root = _system_of(self.address)
-        return bytes(system.cat_file(f"{root.rstrip('/')}/{name}"))
+        return bytes(system.cat_file(f"{root.rstrip('/')}/{name_path(name)}"))
 
     def path(self, name: str) -> None:
         """Return None: it is elsewhere."""
@@ -181,7 +185,7 @@ class TarFile:
             raise FileNotFoundError(2, "is not in the archive", name)
         member = opened.members[name]
         if opened.archive is None:
-            with Path(self.address).open("rb") as file:
+            with open_regular(Path(name_path(self.address))) as file:
                 file.seek(member.offset_data)
                 content = file.read(member.size)
         else:
@@ -214,7 +218,7 @@ def _extracted(archive: tarfile.TarFile, member: tarfile.TarInfo) -> bytes:
 def _tar_of(address: str) -> _Opened:
     for mode in ("r:", "r:*"):
         try:
-            archive = tarfile.open(address, mode)  # noqa: SIM115 - closed below
+            archive = tarfile.open(name_path(address), mode)  # noqa: SIM115 - closed below
         except (*_FAULTS, OSError):
             continue
         return _listed(address, archive, compressed=mode == "r:*")
@@ -223,7 +227,7 @@ def _tar_of(address: str) -> _Opened:
 
 def _listed(address: str, archive: tarfile.TarFile, *, compressed: bool) -> _Opened:
     try:
-        members = {info.name: info for info in archive.getmembers() if info.isfile()}
+        members = {name_text(info.name): info for info in archive.getmembers() if info.isfile()}
     except (*_FAULTS, OSError) as error:
         archive.close()
         raise InputError(
@@ -244,14 +248,14 @@ class ZipFile:
 
     def files(self) -> Iterator[SourceFile]:
         """Yield all files in it; stamped with the checksum of their content."""
-        for info in sorted(_zip_of(self.address).infolist(), key=lambda one: one.filename):
-            if not info.is_dir():
-                yield SourceFile(info.filename, info.file_size, f"{info.CRC:08x}")
+        members = _members_of(self.address)
+        for name in sorted(members):
+            yield SourceFile(name, members[name].file_size, f"{members[name].CRC:08x}")
 
     def read(self, name: str) -> bytes:
         """Return a file's content."""
         try:
-            return _zip_of(self.address).read(name)
+            return _zip_of(self.address).read(_members_of(self.address)[name])
         except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, KeyError) as error:
             raise OSError(f"{type(error).__name__}: {error}") from None
 
@@ -263,8 +267,13 @@ class ZipFile:
 @cache  # the directory of a large archive takes seconds to read, and a process reads it once
 def _zip_of(address: str) -> zipfile.ZipFile:
     try:
-        return zipfile.ZipFile(address)
-    except (zipfile.BadZipFile, OSError) as error:
+        return zipfile.ZipFile(name_path(address))
+    except (zipfile.BadZipFile, OSError, ValueError) as error:  # a ValueError of names that are not as it states
         raise InputError(
             field=address, problem=f"is not a complete zip archive ({error})", remedy="copy it again"
         ) from None
+
+
+@cache
+def _members_of(address: str) -> dict[str, zipfile.ZipInfo]:
+    return {name_text(one.filename): one for one in _zip_of(address).infolist() if not one.is_dir()}

@@ -7,6 +7,7 @@ import hashlib
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from sunarc.calibration.model.sightings import Sightings
 from sunarc.documents.calibration_document import from_document
 from sunarc.errors import InputError, disk_errors
 from sunarc.findings import Finding
+from sunarc.foreign_files import open_regular, read_regular
 from sunarc.sky.directions import angles_from_direction, direction_from_angles
 from sunarc.sky.night import SUN
 from sunarc.sky.site import Site
@@ -69,7 +71,7 @@ def truth_hash(folder: Path) -> str:
     digest = hashlib.sha256()
     for path in sorted(folder.iterdir()):
         if path.suffix in {".csv", ".json"}:
-            digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+            digest.update(path.name.encode() + b"\0" + read_regular(path) + b"\0")
     return digest.hexdigest()
 
 
@@ -324,7 +326,7 @@ def _errors(rows: Sequence[Mapping[str, str]]) -> FloatArray | None:
 
 def _object(path: Path) -> dict[str, Any]:
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        found = json.loads(read_regular(path))
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(field=str(path), problem=f"cannot be read: {error}", remedy="give a JSON file") from error
     if not isinstance(found, dict):
@@ -335,7 +337,7 @@ def _object(path: Path) -> dict[str, Any]:
 def _table(path: Path, required: Sequence[str]) -> Iterator[dict[str, str]]:
     """Yield the rows of a CSV file, without cells that are beyond its header."""
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
+        with TextIOWrapper(open_regular(path), newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file)
             missing = [name for name in required if name not in (reader.fieldnames or ())]
             if missing:

@@ -25,6 +25,7 @@ from sunarc.archive.database.schema import head_revision
 from sunarc.archive.fleet.feed_rows import FeedRow, feed_lines
 from sunarc.archive.fleet.outbox import OutboxPosition
 from sunarc.errors import ConfigurationError, OutsideError
+from sunarc.foreign_files import MOST_SECRET_BYTES, read_regular
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.loop import Attempts, Loop, Pauses
 from sunarc.runtime.status import StatusRegistry
@@ -175,7 +176,7 @@ def _proxy_of(url: str) -> urllib.parse.SplitResult | None:
 
 def _token(path: Path | None) -> str:
     try:
-        return "" if path is None else path.read_text("ascii").strip()
+        return "" if path is None else read_regular(path, most_bytes=MOST_SECRET_BYTES).decode("ascii").strip()
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"hub.token_file {path}: {error}") from error
 

@@ -17,6 +17,7 @@ from sunarc.calibration.model.options import FirstPoseOptions
 from sunarc.cameras.frame import Frame
 from sunarc.detection.values import Sensor, bayer_of
 from sunarc.errors import ConfigurationError, InputError
+from sunarc.foreign_files import MOST_SECRET_BYTES, read_regular
 
 _MOST_WEBHOOKS = 8
 _LEAST_SECRET = 16  # bytes: half of what HMAC-SHA256 makes of it
@@ -104,7 +105,7 @@ def read_secret(path: Path | None) -> bytes:
 
 def _line(setting: str, path: Path) -> str:
     try:
-        return path.read_text("utf-8").strip()
+        return read_regular(path, most_bytes=MOST_SECRET_BYTES).decode("utf-8").strip()
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"{setting} {path}: {error}") from error
 

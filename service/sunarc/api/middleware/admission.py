@@ -27,6 +27,7 @@ from sunarc.api.middleware.shared_quota import ClientAddressError, SharedQuota, 
 from sunarc.api.options import ApiOptions
 from sunarc.api.problems import Fault, RefusedError, problem_response, refusal_response
 from sunarc.errors import ConfigurationError
+from sunarc.foreign_files import MOST_SECRET_BYTES, read_regular
 
 _SHORTEST_TOKEN = 16
 _OPEN_PATHS = frozenset({"/", "/docs", "/healthz", "/readyz"})
@@ -48,7 +49,7 @@ def read_token(path: Path | None, *, setting: str) -> bytes | None:
     if path is None:
         return None
     try:
-        token = path.read_bytes().strip()
+        token = read_regular(path, most_bytes=MOST_SECRET_BYTES).strip()
     except OSError as error:
         raise ConfigurationError(f"{setting} {path}: {error.strerror}") from error
     if len(token) < _SHORTEST_TOKEN:

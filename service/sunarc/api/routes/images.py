@@ -21,7 +21,9 @@ from sunarc.api.problems import Fault, RefusedError, answers
 from sunarc.api.routes.calibrations import decimal, matches
 from sunarc.api.routes.stored_answers import RANGED, byte_range
 from sunarc.errors import NotFoundError, OutsideError
+from sunarc.foreign_files import read_regular
 from sunarc.imaging.metadata import document_of
+from sunarc.imaging.preview import decoded
 from sunarc.json_fields import Time
 from sunarc.utc import rfc3339
 
@@ -153,7 +155,10 @@ def composite_file(context: ApiContext, time: datetime, kind: Kind) -> Path:
 
 def decoded_preview(path: Path) -> NDArray[np.uint8]:
     """Return the pixels (rows, columns, 3) of a preview, blue, green, red."""
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    try:
+        image = decoded(read_regular(path), cv2.IMREAD_COLOR)
+    except OSError:
+        image = None
     if image is None:
         raise OutsideError(f"the image {path.name} cannot be decoded")
     return np.asarray(image, dtype=np.uint8)

@@ -34,7 +34,9 @@ from sunarc.exports.exported import Variable
 from sunarc.exports.formats import FORMATS
 from sunarc.exports.remap import Grid, grid_directions, reach_m, remap_table, remap_tables, remapped
 from sunarc.exports.tables import MAP_FORMATS, MapFormat, map_table, table_bytes
+from sunarc.foreign_files import read_regular
 from sunarc.geolocation.locate import clouds
+from sunarc.imaging.preview import decoded
 from sunarc.optics.camera import Camera
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions
@@ -143,7 +145,10 @@ def hidden_by_obstructions(context: ApiContext, record: CalibrationRecord) -> Bo
     path = context.options.obstruction_mask
     if path is None or record.camera != context.camera:
         return None
-    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    try:
+        image = decoded(read_regular(path), cv2.IMREAD_GRAYSCALE)
+    except OSError as error:
+        raise OutsideError(f"api.obstruction_mask {path}: {error.strerror}") from error
     camera = context.ready.get(record).camera
     if image is None or image.shape != (camera.height, camera.width):
         raise OutsideError(f"api.obstruction_mask {path}: is not an image of {camera.width}x{camera.height} pixels")

@@ -25,6 +25,7 @@ from sunarc.api.schemas import DayAirIn, DayAirOut, Days, DayWithAir, Events
 from sunarc.archive.fleet.notices import NoticeKind, condition_changes, stored_changes
 from sunarc.archive.values import Day, DayAir, EventSeverity, Housekeeping, HousekeepingStep, fields_of
 from sunarc.errors import InputError, NotFoundError, OutsideError
+from sunarc.foreign_files import read_regular
 from sunarc.json_fields import SolarDate, described
 from sunarc.runtime.status import StatusSnapshot
 from sunarc.utc import rfc3339
@@ -147,7 +148,7 @@ def _image(context: ApiContext, if_none_match: str | None, width: int | None) ->
     if matches(if_none_match, headers["etag"]):
         return Response(status_code=304, headers=headers)
     try:
-        content = path.read_bytes()
+        content = read_regular(path)
     except OSError as error:
         raise OutsideError(f"the image {path.name} cannot be read: {error.strerror}") from error
     if width is not None:

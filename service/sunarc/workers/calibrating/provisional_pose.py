@@ -26,6 +26,7 @@ from sunarc.calibration.pose import estimate_pose
 from sunarc.documents.calibration_document import to_document
 from sunarc.documents.lens_prior import lens_type_from_json
 from sunarc.errors import InputError
+from sunarc.foreign_files import read_regular
 from sunarc.workers.calibrating.solver_process import points_of
 from sunarc.workers.options import LensPriorOptions
 
@@ -52,7 +53,7 @@ def read_lens_prior(path: Path) -> LensType:
     """Return the type of lens of a lens prior file; InputError names what is wrong with it."""
     remedy = "name a file of sunarc calibrate --write-lens-prior"
     try:
-        return lens_type_from_json(json.loads(path.read_bytes()))
+        return lens_type_from_json(json.loads(read_regular(path)))
     except OSError as error:
         raise InputError(field=str(path), problem=error.strerror or str(error), remedy=remedy) from None
     except (ValueError, RecursionError):

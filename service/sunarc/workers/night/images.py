@@ -28,6 +28,7 @@ from sunarc.detection.stars.warm_pixels import SensorFormat
 from sunarc.detection.values import Stars
 from sunarc.errors import OutsideError
 from sunarc.findings import Finding
+from sunarc.foreign_files import read_regular
 from sunarc.imaging.metadata import jpeg_with
 from sunarc.optics.camera import camera_sees
 from sunarc.optics.forward import project
@@ -310,9 +311,7 @@ class WarmPixelFile:
     def read(self, sensor: SensorFormat) -> IntArray:
         """Return the flat indices, ascending; none without a file, or where it is damaged or of another sensor."""
         try:
-            with self.path.open("rb") as file:
-                content = file.read(_MOST_LIST_BYTES + 1)
-            stored, pixels = _parsed_list(content)
+            stored, pixels = _parsed_list(read_regular(self.path, most_bytes=_MOST_LIST_BYTES))
         except FileNotFoundError:
             return np.zeros(0, dtype=np.int64)
         except (OSError, ValueError, OverflowError, RecursionError) as error:
@@ -338,8 +337,6 @@ class WarmPixelFile:
 
 def _parsed_list(content: bytes) -> tuple[SensorFormat, IntArray]:
     """Return what a file says; ValueError where it is not as it was written."""
-    if len(content) > _MOST_LIST_BYTES:
-        raise ValueError(f"more than {_MOST_LIST_BYTES} bytes")
     document = json.loads(content)
     if not isinstance(document, dict) or document.get("version") != _LIST_VERSION:
         raise ValueError("not a list of this version")
