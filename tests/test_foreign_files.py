@@ -55,6 +55,11 @@ def test_a_file_is_read_up_to_the_limit_and_none_that_is_larger(tmp_path: Path) 
         read_regular(path)
 
 
+def read_again_and_again(path: Path) -> None:
+    while True:
+        read_regular(path, most_bytes=1_000_000)
+
+
 def test_a_file_that_grows_without_end_is_refused(tmp_path: Path) -> None:
     path, stop = tmp_path / "a", threading.Event()
     path.write_bytes(bytes(1000))
@@ -68,8 +73,7 @@ def test_a_file_that_grows_without_end_is_refused(tmp_path: Path) -> None:
     writer.start()
     try:
         with pytest.raises(UnfitFileError):
-            while True:
-                read_regular(path, most_bytes=1_000_000)
+            read_again_and_again(path)
     finally:
         stop.set()
         writer.join()
