@@ -10,10 +10,11 @@ import population as pop
 import pytest
 from numpy.typing import NDArray
 
+from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.fit.assemble import Job
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
-from sunarc.calibration.projection_choice import ProjectionChoice, calibrate_unknown_lens, compare_projections
+from sunarc.calibration.projection_choice import ProjectionChoice, compare_projections, options_as_served
 from sunarc.optics.camera import Camera
 from sunarc.optics.projections import PROJECTIONS, Projection, ideal_radius
 
@@ -48,37 +49,40 @@ def test_the_true_projection_is_found(projection: Projection) -> None:
     choice = _choice(points)
     assert choice.projection == projection
     assert choice.log_evidence[projection] == 0.0
-    assert choice.finding.code == "projection_chosen"
+    assert choice.finding(0.0).code == "projection_chosen"
     # the two nearest ones, equidistant and equisolid, are told apart by a factor of ten thousand and more
-    assert 3.5 < float(choice.finding.data["log10_odds"]) < 1e4
+    assert 3.5 < float(choice.finding(0.0).data["log10_odds"]) < 1e4
     assert choice.n == len(points)
 
 
 def test_the_calibration_is_that_of_the_projection_that_is_found() -> None:
     points = _day(_lens("stereographic", 3))
-    found = calibrate_unknown_lens(points, site=pop.SGP, image_size=SIZE, options=CalibrationOptions()).calibration
+    found = calibrate(points, site=pop.SGP, image_size=SIZE)
     assert found.camera.projection == "stereographic"
     assert found.verdict.accepted
     assert found.verdict.findings[-1].code == "projection_chosen"
     assert found.verdict.findings[-1].data["projection"] == "stereographic"
 
 
-def test_few_sightings_do_not_name_a_projection() -> None:
-    points = _day(_lens("equidistant", 4), cadence_s=1200.0, sigma_px=0.05)
+def test_few_sightings_do_not_name_a_projection_and_state_how_far_the_others_are() -> None:
+    whole = _day(_lens("equidistant", 4), cadence_s=600.0, sigma_px=0.05)
+    points = whole.select(np.arange(len(whole)) < len(whole) // 3)
     assert 20 < len(points) < 60
-    found = calibrate_unknown_lens(points, site=pop.SGP, image_size=SIZE, options=CalibrationOptions()).calibration
-    assert not found.verdict.accepted
-    assert "projection_ambiguous" in [one.code for one in found.verdict.findings]
+    found = calibrate(points, site=pop.SGP, image_size=SIZE)
+    (note,) = [one for one in found.verdict.findings if one.code == "projection_ambiguous"]
+    stated = calibrate(
+        points, site=pop.SGP, image_size=SIZE, options=CalibrationOptions(projection=found.camera.projection)
+    )
+    off_deg = float(note.data["off_deg"])
+    assert off_deg > 0.1
+    # per axis half of the square distance
+    assert found.sky_rms_deg == pytest.approx(math.hypot(stated.sky_rms_deg, off_deg / math.sqrt(2.0)), rel=0.1)
+    assert found.verdict.accepted == (found.sky_rms_deg <= CalibrationOptions().max_sky_deg)
 
 
 def test_of_a_morning_the_hours_are_named_that_are_missing() -> None:
-    whole = _day(_lens("equidistant", 4), cadence_s=600.0, sigma_px=0.05)
-    found = calibrate_unknown_lens(
-        whole.select(np.arange(len(whole)) < len(whole) // 3),
-        site=pop.SGP,
-        image_size=SIZE,
-        options=CalibrationOptions(),
-    ).calibration
+    whole = _day(_lens("equidistant", 4), cadence_s=600.0, sigma_px=0.4)
+    found = calibrate(whole.select(np.arange(len(whole)) < len(whole) // 3), site=pop.SGP, image_size=SIZE)
     assert not found.verdict.accepted
     (hours,) = [one.data for one in found.verdict.findings if one.code == "hours_missing"]
     assert 2.0 <= float(hours["covered_h"]) <= 6.0
@@ -89,7 +93,7 @@ def test_without_sightings_no_projection_is_called_probable() -> None:
     nothing = _day(_lens("equidistant", 4)).select(np.zeros(0, dtype=np.int64))
     choice = _choice(nothing)
     assert not choice.compared
-    found = calibrate_unknown_lens(nothing, site=pop.SGP, image_size=SIZE, options=CalibrationOptions()).calibration
+    found = calibrate(nothing, site=pop.SGP, image_size=SIZE)
     assert [one.code for one in found.verdict.findings] == ["too_few_sightings"]
 
 
@@ -97,8 +101,8 @@ def test_too_few_sightings_leave_the_named_one_and_say_so() -> None:
     points = _day(_lens("equidistant", 4), cadence_s=7200.0)
     options = CalibrationOptions(projection="orthographic")
     choice = _choice(points, "orthographic")
-    assert (choice.projection, choice.finding.code) == ("orthographic", "projection_ambiguous")
-    found = calibrate_unknown_lens(points, site=pop.SGP, image_size=SIZE, options=options).calibration
+    assert (choice.projection, choice.finding(0.0).code) == ("orthographic", "projection_ambiguous")
+    found = calibrate(points, site=pop.SGP, image_size=SIZE, options=options)
     assert found.verdict.findings[0].code == "too_few_sightings"
 
 
@@ -108,7 +112,33 @@ def test_too_few_sightings_leave_the_named_one_and_say_so() -> None:
 )
 def test_twenty_to_one_and_sixty_sightings_decide(log_odds: float, n: int, code: str) -> None:
     evidence = dict.fromkeys(PROJECTIONS, -math.inf) | {"equisolid": 0.0, "equidistant": -log_odds}
-    finding = ProjectionChoice("equisolid", evidence, n).finding
+    finding = ProjectionChoice("equisolid", evidence, n).finding(0.5)
     assert finding.code == code
     assert finding.data["next"] == "equidistant"
     assert finding.data["log10_odds"] == pytest.approx(log_odds / math.log(10.0))
+
+
+@pytest.mark.parametrize(
+    ("log_odds", "n", "possible"),
+    [(4.5, 60, ("equidistant",)), (4.7, 60, ()), (19.9, 59, ("equidistant",)), (20.1, 59, ())],
+)
+def test_what_is_probable_to_one_percent_is_possible(log_odds: float, n: int, possible: tuple[str, ...]) -> None:
+    evidence = dict.fromkeys(PROJECTIONS, -math.inf) | {"equisolid": 0.0, "equidistant": -log_odds}
+    assert ProjectionChoice("equisolid", evidence, n).possible == possible
+
+
+def test_a_camera_that_is_served_states_what_the_settings_do_not() -> None:
+    lens = replace(_lens("stereographic", 3), mirrored=True)
+    usual = CalibrationOptions()
+    served = calibrate(_day(lens), site=pop.SGP, image_size=SIZE, options=replace(usual, mirrored="yes"))
+    found = options_as_served(usual, served)
+    assert (found.projection, found.mirrored) == ("stereographic", "yes")
+    stated = replace(usual, projection="equidistant", mirrored="no")
+    assert options_as_served(stated, served) == stated
+    assert options_as_served(usual, None) == usual
+    assert options_as_served(usual, replace(served, sigma_limit_deg=1.5)) == usual
+    (chosen,) = [one for one in served.verdict.findings if one.code == "projection_chosen"]
+    undecided = replace(
+        served, verdict=replace(served.verdict, findings=(replace(chosen, code="projection_ambiguous"),))
+    )
+    assert options_as_served(usual, undecided).projection == "auto"

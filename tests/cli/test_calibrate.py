@@ -152,14 +152,16 @@ def test_real_detections_of_a_consumer_fisheye_fit_to_less_than_a_pixel(sunarc: 
     ("change", "told"),
     [
         (("--image-size", "big"), "--image-size: 'big' is not W,H"),
-        (("--projection", "mercator"), "projection: 'mercator' is not allowed"),
+        (("--projection", "mercator"), "--projection: 'mercator' is unknown"),
         (("--latitude", "136"), "latitude: 136.0 is not allowed"),
-        (("--mirrored", "perhaps"), "mirrored: 'perhaps' is not allowed"),
+        (("--mirrored", "perhaps"), "--mirrored: 'perhaps' is unknown"),
+        (("--mirrored", "yes", "--mirrored", "no"), "--mirrored: given twice: yes, no"),
+        (("--projection", "equisolid", "--projection", "equidistant"), "--projection: given twice"),
         (("--image-size", "500,500"), "is outside the 500x500 image"),
     ],
 )
 def test_a_wrong_option_is_one_line_and_exit_2(
-    sunarc: Sunarc, points: Path, change: tuple[str, str], told: str
+    sunarc: Sunarc, points: Path, change: tuple[str, ...], told: str
 ) -> None:
     answer = sunarc("calibrate", str(points), *AT_SGP, *change)
     assert answer.code == 2

@@ -54,6 +54,7 @@ def test_times_are_confirmed_or_the_command_ends(sunarc: Sunarc, images: Path, t
         (("/nowhere", *SITE), "/nowhere"),
         (("IMAGES", *SITE, "--image-size", "wide"), "--image-size"),
         (("IMAGES", *SITE, "--mirrored", "perhaps"), "--mirrored"),
+        (("IMAGES", *SITE, "--mirrored", "yes", "--mirrored", "yes"), "--mirrored"),
         (("IMAGES", *SITE, "--level-within", "100"), "calibration.level_within_deg"),
         (("--cameras", "/nowhere.toml"), "/nowhere.toml"),
     ],

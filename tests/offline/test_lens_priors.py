@@ -76,7 +76,6 @@ def test_a_lens_prior_is_written_combined_read_and_used(document: Document, tmp_
         image_size=(1748, 1748),
         options=CalibrationOptions(),
         clock=VirtualClock(NOW),
-        projection_known=False,
         lens=read,
     )
     assert found["verdict"]["accepted"]

@@ -19,11 +19,11 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from sunarc.array_types import BoolArray, FloatArray, IntArray
-from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.calibrate import calibrate, calibrate_chosen, prepared
 from sunarc.calibration.evidence import RECORD_GAIN, log_marginal, matern_3_2
 from sunarc.calibration.model.options import USUAL_OPTIONS, CalibrationOptions, ImageCircle, LensTolerances
 from sunarc.calibration.model.result import Calibration, Move, residuals_by_pose
-from sunarc.calibration.model.sightings import Sightings, filter_sightings
+from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.priors import LENS, N_LENS, lens_prior, precisions
 from sunarc.findings import Finding
 from sunarc.optics.camera import POSE, Camera, Param
@@ -355,7 +355,6 @@ def calibrate_moved(
     options: CalibrationOptions = USUAL_OPTIONS,
     circle: ImageCircle | None = None,
     start: Camera | None = None,
-    solved: tuple[Calibration, Sightings] | None = None,
     parts: bool = True,
 ) -> Moved:
     """Fit a camera that may have been moved among the sightings: one lens, and a pose before and after every move.
@@ -368,16 +367,15 @@ def calibrate_moved(
     Parameters
     ----------
     points, site, image_size, options, circle, start, parts : as `calibrate` takes them.
-    solved : what `calibrate` makes of them, and which are usable, where that is known.
     """
+    lens = prepared(points, site=site, image_size=image_size, options=options, circle=circle, start=start, parts=parts)
+    options, usable = lens.job.options, lens.job.usable
     judged = partial(calibrate, site=site, image_size=image_size, options=options, circle=circle, parts=parts)
     # what is only compared with another need not explain its days
     fit = partial(judged, options=replace(options, max_unexplained=1.0), parts=False)
-    if solved is None:
-        solved = judged(points, start=start), filter_sightings(points, site=site, image_size=image_size)
-    found, usable = solved[0], solved[1].select(~solved[1].alone)
+    found, usable = calibrate_chosen(lens), usable.select(~usable.alone)
     if not len(usable) or np.any(points.epoch != points.epoch[:1]) or options.method != "robust":
-        return Moved(found, points)
+        return Moved(lens.allowed_for(found), points)
     begin: Camera | None = None
     for _ in range(_MOST):
         better = _with_one_more(points, usable, found, fit)
@@ -388,7 +386,7 @@ def calibrate_moved(
         usable = replace(usable, epoch=points.epoch[usable.index])
     if begin is not None:
         found = judged(points, start=begin)
-    return Moved(_with_moves(found, usable), points)
+    return Moved(lens.allowed_for(_with_moves(found, usable)), points)
 
 
 def _with_one_more(points: Sightings, usable: Sightings, solved: Calibration, fit: _Fit) -> Moved | None:

@@ -133,19 +133,29 @@ MESSAGES = Messages(
     mirroring_ambiguous=Message(
         "the mirrored and the unmirrored camera fit the sightings equally well",
         _REFUSED,
-        'set calibration.mirrored to "no" or "yes" (command line: --mirrored)',
+        "if writing in the picture is readable give --mirrored no, if it is mirror writing --mirrored yes "
+        "(settings: calibration.mirrored)",
     ),
     projection_ambiguous=Message(
         "the sightings do not determine the lens's projection: from {n} (at least {least} are needed) {projection} is "
-        "10^{log10_odds:.1f} times as probable as {next} (at least 10^{least_log10_odds:.1f} are needed)",
-        _REFUSED,
+        "10^{log10_odds:.1f} times as probable as {next} (at least 10^{least_log10_odds:.1f} are needed); the "
+        "difference to the possible ones, {off_deg:~2}° over the sky, is in the stated uncertainty",
+        "The most probable one is fitted; the fit is refused only where its uncertainty is too large.",
         "name the projection with --projection, or collect sightings of a whole clear day",
     ),
     other_handedness_fits=Message(
-        "the sightings fit far better with --mirrored {mirrored} (--mirrored {stated} is set): the image's mirroring "
-        "is not as stated, or x and y are swapped",
-        "In addition to the reason for which the fit is refused.",
-        "give --mirrored {mirrored}, in the settings calibration.mirrored; or swap the columns x_px and y_px",
+        "the sightings fit far better with --mirrored {mirrored} (--mirrored {stated} is set or assumed): the sign of "
+        "the latitude or the image's mirroring is not as stated, or x and y are swapped",
+        _REFUSED,
+        "give --latitude {latitude:.6g} where its sign is wrong;\n"
+        "or --mirrored {mirrored} (settings: calibration.mirrored) where writing in the picture says so; or swap x_px "
+        "and y_px",
+    ),
+    latitude_of_other_sign_fits=Message(
+        "a camera that is not mirrored fits the sightings about as well at latitude {latitude:.6g}",
+        "The fit of a mirrored image is refused, unless its mirroring is stated.",
+        "give --latitude {latitude:.6g} where its sign is wrong;\n"
+        "or --mirrored yes (settings: calibration.mirrored) where writing in the picture is mirror writing",
     ),
     rmse_too_large=Message(
         "the RMSE of the sightings is {rmse_px:.2f} px (at most {limit_px:g} px allowed)",
@@ -160,7 +170,7 @@ MESSAGES = Messages(
         "half-days deviate by more than {far:g} sigma, most of all on {day}, by {off_px:.1f} px ({sigmas:.1f} sigma)",
         _REFUSED,
         "look for a change of lens, focus, mount or image size within these days, and fit the sightings before and "
-        "after it separately",
+        "after it separately; where rows of two cameras are mixed, give one camera's",
     ),
     direction_sigma_too_large=Message(
         "direction uncertainty {sigma_deg:~2}° (at most {limit_deg:g}°), of {n:sighting} on {days:day} that scatter by "

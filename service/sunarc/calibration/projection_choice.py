@@ -1,55 +1,46 @@
-"""Which of the five projections a lens has, where none is named: by the evidence of the sightings.
+"""Choice of the projection of a lens for which none is stated, by the evidence of the sightings.
 
-Cameras are compared by their log evidence: over lens and pose (Laplace's approximation), over the scales of the
-residual distortion, and over those of the field. All are looked at with the noise and the weights of one of them, that
-of the lowest robust cost, else each would have a likelihood of its own. The start with each projection is looked at
-first; the two most probable ones, and what comes near them, are fitted, and looked at again.
+Cameras are compared by their log evidence (`compared_fits`): first about the start with each projection; the two most
+probable ones, and what comes near them, are fitted, and compared again.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.array_types import FloatArray
-from sunarc.calibration.answers.covariance import seen_sky, sigma_deg
-from sunarc.calibration.calibrate import Start, calibration_of, most_plausible_start
-from sunarc.calibration.change_points import Moved, calibrate_moved
+from sunarc.calibration.answers.covariance import seen_sky, sky_sigma_deg, with_covariance
+from sunarc.calibration.compared_fits import ComparedLens, closest, log_evidences, log_evidences_of_fits
 from sunarc.calibration.fit.assemble import Job
-from sunarc.calibration.fit.marginal_likelihood import (
-    HyperparameterGrid,
-    log_evidence,
-    log_weights,
-)
-from sunarc.calibration.fit.normal_equations import linear_system
-from sunarc.calibration.fit.robust_fit import RobustFit, fit_robustly, grid_of
-from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
+from sunarc.calibration.fit.robust_fit import fit_robustly, grid_of
+from sunarc.calibration.handedness import Fitted
+from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import STRONG_EVIDENCE, Calibration, Verdict
-from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.noise import NoiseGroups, measured_noise
-from sunarc.calibration.quality.fit_checks import before_fit, determined
-from sunarc.calibration.quality.widening import with_larger_errors
-from sunarc.calibration.solve.problem import Bins, FitProblem
+from sunarc.calibration.plausible_start import Start, most_plausible_start
+from sunarc.calibration.quality.fit_checks import before_fit, too_uncertain
 from sunarc.calibration.start.initial_guess import single_problem
-from sunarc.calibration.start.multistart import SMALLEST_SIGMA_PX, distance_sigmas
 from sunarc.findings import Finding
-from sunarc.optics.forward import project
+from sunarc.optics.camera import PARAMETER_NAMES, Camera
+from sunarc.optics.forward import project, project_with_rows_fast
 from sunarc.optics.inverse import unproject
 from sunarc.optics.projections import PROJECTIONS, Projection
-from sunarc.robust_statistics import robust_sigma, tukey_loss
 from sunarc.sky.directions import angular_distance
-from sunarc.sky.site import Site
 
 _IMPOSSIBLE = -1e4
 """Log evidence below which the odds are not given any more."""
 _NEAR = 20.0
 """Log evidence at the start, beside the best, within which a projection is fitted. Of 200 it rose by 44 at most by the
 fit, and never changed which one is the best."""
-_POSSIBLE = 10.0
-"""Log evidence beside the best's within which a projection is possible where sightings do not decide."""
+_LEAST_PROBABILITY = 0.01
+"""Probability above which the difference to another projection's camera enters the stated uncertainty."""
+_RIDGE = 1e-6
+"""Share of the largest singular value below which a direction of the parameters images nothing."""
 _FEWEST = 60
 """Usable sightings that a choice needs: of 35, a third of them drawn aside by cloud, a wrong lens was made by far the
 most probable one."""
@@ -71,8 +62,17 @@ class ProjectionChoice(NamedTuple):
         return sum(math.isfinite(value) for value in self.log_evidence.values()) > 1
 
     @property
-    def finding(self) -> Finding:
-        """How far the sightings decide: `projection_chosen` or `projection_ambiguous`, with the next best one."""
+    def possible(self) -> tuple[Projection, ...]:
+        """The other projections whose probability is above a hundredth; of few sightings all that come near it."""
+        total = sum(math.exp(value) for value in self.log_evidence.values())
+        least = math.log(_LEAST_PROBABILITY * total) if self.n >= _FEWEST else -_NEAR
+        return tuple(name for name, value in self.log_evidence.items() if name != self.projection and value > least)
+
+    def finding(self, off_deg: float) -> Finding:
+        """Return how far the sightings decide: `projection_chosen` or `projection_ambiguous`, with the next best one.
+
+        `off_deg` is the difference to the possible ones that the stated uncertainty holds.
+        """
         others = {name: value for name, value in self.log_evidence.items() if name != self.projection}
         name = max(others, key=lambda one: others[one])
         decided = self.n >= _FEWEST and others[name] < -STRONG_EVIDENCE
@@ -82,6 +82,7 @@ class ProjectionChoice(NamedTuple):
                 "projection": self.projection,
                 "next": name,
                 "log10_odds": -max(others[name], _IMPOSSIBLE) / math.log(10.0),
+                "off_deg": off_deg,
                 "n": self.n,
                 "least": _FEWEST,
                 "least_log10_odds": STRONG_EVIDENCE / math.log(10.0),
@@ -89,72 +90,95 @@ class ProjectionChoice(NamedTuple):
         )
 
 
-class _Lens(NamedTuple):
-    """A camera about which the evidence is looked at, what it was found from, and the scales that are tried."""
+class ChosenLens(NamedTuple):
+    """A job whose projection is stated or chosen, and the fits by which it was chosen; None and none where stated."""
 
-    problem: FitProblem
-    observed: Sightings
-    unknowns: FloatArray
-    grid: HyperparameterGrid
+    job: Job
+    choice: ProjectionChoice | None = None
+    fits: Mapping[Projection, Fitted] = MappingProxyType({})
+
+    @property
+    def fitted(self) -> Fitted | None:
+        """The fit with the projection; None where there is none yet."""
+        return None if self.choice is None else self.fits.get(self.choice.projection)
+
+    def allowed_for(self, calibration: Calibration) -> Calibration:
+        """Return the calibration with the choice in its verdict, and possible projections in its uncertainty.
+
+        The difference to the cameras with other projections that are probable above 1 % enters the covariance. The fit
+        is refused where the sum is too large.
+        """
+        if self.choice is None or not self.choice.compared:
+            return calibration
+        cameras = [fitted_camera(self.fits[name]) for name in self.choice.possible if name in self.fits]
+        widened, off_deg = _with_differences(calibration, cameras)
+        verdict, finding = widened.verdict, self.choice.finding(off_deg)
+        against = tuple(too_uncertain(widened, self.job.usable, self.job.options)) if verdict.accepted else ()
+        if against:
+            return replace(widened, verdict=Verdict(accepted=False, findings=(*against, finding)))
+        found = (_with_sigma(one, widened.sky_rms_deg) for one in verdict.findings)
+        return replace(widened, verdict=replace(verdict, findings=(*found, finding)))
 
 
-class Fitted(NamedTuple):
-    """The fit with one projection, and where it began."""
-
-    start: Start
-    fit: RobustFit
-
-
-def calibrate_unknown_lens(
-    points: Sightings,
-    *,
-    site: Site,
-    image_size: tuple[int, int],
-    options: CalibrationOptions,
-    circle: ImageCircle | None = None,
-) -> Moved:
-    """Return what `calibrate_moved` does with the most probable projection, and its verdict with the choice.
-
-    Where the sightings do not decide, the fit is refused: two lenses that meet the sun's track alike differ elsewhere.
-
-    Parameters
-    ----------
-    points, site, image_size, options, circle : as `calibrate_moved` takes them; the options' projection has no effect.
-    """
-    usable = filter_sightings(points, site=site, image_size=image_size)
-    job = Job(points=points, usable=usable, site=site, image_size=image_size, options=options, circle=circle)
+def chosen_lens(job: Job) -> ChosenLens:
+    """Return a job with the projection that is stated, that of its start, or the most probable one."""
+    if job.start is not None:
+        return ChosenLens(job._replace(options=replace(job.options, projection=job.start.projection)))
+    if job.options.projection != "auto":
+        return ChosenLens(job)
     choice, fits = compare_projections(job)
-    finding, options = choice.finding, replace(options, projection=choice.projection)
-    solved = None
-    if fits and options.method == "robust":
-        of_lens = fits[choice.projection]
-        solved = calibration_of(of_lens.fit, job._replace(options=options, parts=True), of_lens.start), usable
-    moved = calibrate_moved(points, site=site, image_size=image_size, options=options, circle=circle, solved=solved)
-    if finding.code == "projection_ambiguous":
-        moved = moved._replace(calibration=_with_others(moved.calibration, choice, fits))
-    verdict = moved.calibration.verdict
-    if finding.code == "projection_ambiguous" and verdict.accepted:
-        verdict = Verdict(accepted=False, findings=(finding, *determined(moved.calibration, job.usable)))
-    elif choice.compared:
-        verdict = replace(verdict, findings=(*verdict.findings, finding))
-    return moved._replace(calibration=replace(moved.calibration, verdict=verdict))
+    return ChosenLens(job._replace(options=replace(job.options, projection=choice.projection)), choice, fits)
 
 
-def _with_others(calibration: Calibration, choice: ProjectionChoice, fits: dict[Projection, Fitted]) -> Calibration:
-    """Return a calibration whose uncertainty holds its mean square distance to the fits with other projections, too.
+def options_as_served(options: CalibrationOptions, served: Calibration | None) -> CalibrationOptions:
+    """Return options that state the projection and the handedness of a calibration, where they state none themselves.
 
-    Those that are not out of the question count alike: few sightings do not weigh them.
+    One that is provisional states neither, and one whose sightings did not determine the projection states none.
     """
-    directions = seen_sky(calibration.camera)
-    sigma, squares = sigma_deg(calibration, directions), [0.0]
-    for name, fitted in fits.items():
-        if name != choice.projection and choice.log_evidence[name] > -_POSSIBLE:
-            other = fitted.fit.problem.camera(fitted.fit.unknowns)
-            off = angular_distance(unproject(calibration.camera, project(other, directions)), directions)
-            square = 0.5 * (np.degrees(off) / sigma) ** 2
-            squares.append(float(np.mean(square[np.isfinite(square)])) if np.any(np.isfinite(square)) else 0.0)
-    factor = math.sqrt(1.0 + float(np.mean(squares)))
-    return with_larger_errors(calibration, factor) if factor > 1.0 else calibration
+    if served is None or served.sigma_limit_deg is not None:
+        return options
+    undecided = any(one.code == "projection_ambiguous" for one in served.verdict.findings)
+    if options.projection == "auto" and not undecided:
+        options = replace(options, projection=served.camera.projection)
+    if options.mirrored not in {"no", "yes"}:
+        options = replace(options, mirrored="yes" if served.camera.mirrored else "no")
+    return options
+
+
+def _with_sigma(finding: Finding, sigma_deg: float) -> Finding:
+    """Return a finding, that of the stated uncertainty with another value."""
+    return Finding(finding.code, {"sigma_deg": sigma_deg}) if finding.code == "direction_sigma" else finding
+
+
+def fitted_camera(fitted: Fitted) -> Camera:
+    """Return the camera of the last pose of a fit."""
+    return fitted.fit.problem.camera(fitted.fit.unknowns, fitted.fit.problem.n_epochs - 1)
+
+
+def _with_differences(calibration: Calibration, others: Sequence[Camera]) -> tuple[Calibration, float]:
+    """Return a calibration whose covariance holds its mean square difference to other cameras, and that in degrees."""
+    if not others:
+        return calibration, 0.0
+    camera = calibration.camera
+    directions = seen_sky(camera)
+    pixels, by_parameters = project_with_rows_fast(camera, directions)
+    rows = by_parameters[..., [PARAMETER_NAMES.index(name) for name in calibration.parameter_names]]
+    scale = np.sqrt(np.maximum(np.diag(calibration.covariance), np.finfo(float).tiny))
+    more, squares = np.zeros_like(calibration.covariance), []
+    for other in others:
+        there = project(other, directions)
+        seen = np.all(np.isfinite(there - pixels), axis=-1) & np.all(np.isfinite(rows), axis=(1, 2))
+        if not np.any(seen):
+            continue
+        design, apart = (rows[seen] * scale).reshape(-1, scale.size), (there - pixels)[seen].ravel()
+        change = scale * np.linalg.lstsq(design, apart, rcond=_RIDGE)[0]
+        more += np.outer(change, change) / len(others)
+        off = np.degrees(angular_distance(unproject(camera, there[seen]), directions[seen]))
+        squares.append(float(np.nanmean(off**2)))
+    widened = with_covariance(calibration, calibration.covariance + more)
+    rms, most = sky_sigma_deg(widened)
+    off_deg = math.sqrt(sum(squares) / len(others))
+    return replace(widened, sky_rms_deg=rms, sky_max_deg=most), off_deg
 
 
 def compare_projections(job: Job) -> tuple[ProjectionChoice, dict[Projection, Fitted]]:
@@ -166,47 +190,27 @@ def compare_projections(job: Job) -> tuple[ProjectionChoice, dict[Projection, Fi
     observed, groups = job.usable, NoiseGroups.of(job.usable)
     jobs = {name: job._replace(options=replace(job.options, projection=name)) for name in PROJECTIONS}
     tried = {} if before_fit(job.usable, job.options) else {n: most_plausible_start(jobs[n]) for n in jobs}
-    starts = {name: start for name, start in tried.items() if start is not None}
+    starts: dict[Projection, Start] = {name: start for name, start in tried.items() if start is not None}
     if not starts:
-        return _choice({job.options.projection: 0.0}, len(observed)), {}
-    lenses: dict[Projection, _Lens] = {}
-    for name, (cameras, _, _) in starts.items():
+        return _choice({job.options.assumed_projection: 0.0}, len(observed)), {}
+    lenses: dict[Projection, ComparedLens] = {}
+    for name, (cameras, _) in starts.items():
         options = jobs[name].options
         problem = single_problem(observed, cameras[0], options, job.circle, n_epochs=len(cameras))
-        lenses[name] = _Lens(problem, observed, problem.unknowns(cameras), grid_of(problem.template, options))
-    best = lenses[_closest(lenses)]
+        lenses[name] = ComparedLens(problem, observed, problem.unknowns(cameras), grid_of(problem.template, options))
+    best = lenses[closest(lenses)]
     noise = measured_noise(best.problem.residuals(best.unknowns, observed), observed, groups)
-    rough = _log_evidences(lenses, groups.bins, noise.information(observed))
+    rough = log_evidences(lenses, groups.bins, noise.information(observed))
     order = sorted(rough, key=lambda name: -rough[name])
     near = [name for k, name in enumerate(order) if k < 2 or rough[name] > -_NEAR]
     fits = {
         name: Fitted(starts[name], fit_robustly(observed, starts[name].cameras, jobs[name].options, job.circle))
         for name in near
     }
-    lenses = {n: _Lens(one.fit.problem, one.fit.observed, one.fit.unknowns, one.fit.grid) for n, one in fits.items()}
-    closest = fits[_closest(lenses)].fit
-    exact = _log_evidences(lenses, groups.bins, closest.noise.information(closest.observed))
+    exact = log_evidences_of_fits({name: one.fit for name, one in fits.items()}, groups.bins)
     return _choice({**rough, **exact}, len(observed)), fits
 
 
 def _choice(evidence: dict[Projection, float], n: int) -> ProjectionChoice:
     best = max(evidence, key=lambda name: evidence[name])
     return ProjectionChoice(best, {name: evidence.get(name, -math.inf) for name in PROJECTIONS}, n)
-
-
-def _closest(lenses: dict[Projection, _Lens]) -> Projection:
-    """Return the one of the lowest robust cost, at one scale for all."""
-    distances = {name: distance_sigmas(one.problem, one.observed, one.unknowns) for name, one in lenses.items()}
-    sigma = min(robust_sigma(distance, floor=SMALLEST_SIGMA_PX) for distance in distances.values())
-    return min(distances, key=lambda name: float(np.sum(tukey_loss(distances[name], sigma=sigma))))
-
-
-@np.errstate(invalid="ignore", over="ignore")
-def _log_evidences(lenses: dict[Projection, _Lens], bins: Bins, information: FloatArray) -> dict[Projection, float]:
-    """Return the log evidence of each over the best's, the sightings of some information (n,), px⁻²."""
-    found: dict[Projection, float] = {}
-    for name, (problem, observed, at, grid) in lenses.items():
-        system = linear_system(problem, observed, bins, at, information=information, basis=grid.basis)
-        value = log_evidence(log_weights(system.normal(), grid))
-        found[name] = -math.inf if math.isnan(value) else value  # a camera may miss the sightings by 1e11 px
-    return {name: value - max(found.values()) for name, value in found.items()}

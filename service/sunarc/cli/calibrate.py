@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar, get_args
 
 import typer
 
 from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread
 from sunarc.calibration.messages import MESSAGES
-from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.options import CalibrationOptions, Mirrored
 from sunarc.calibration.stated_prior import PriorTolerances
 from sunarc.cli.options import (
     SITE,
     Altitude,
     AsJson,
     Config,
+    MirroredOption,
+    ProjectionOption,
     parse_image_size,
     print_json,
     print_rows,
     print_table,
     service_settings,
+    stated_once,
 )
 from sunarc.errors import InputError
 from sunarc.findings import findings_of, significant
@@ -31,6 +34,7 @@ from sunarc.offline.calibrate_files import (
     image_circle_of,
     write_lens_prior,
 )
+from sunarc.optics.projections import PROJECTIONS
 from sunarc.runtime.clock import SystemClock
 from sunarc.sky.site import Site
 
@@ -167,11 +171,9 @@ def calibrate(
     altitude: Altitude = 0.0,
     pressure: Annotated[float | None, typer.Option(help="Pa; from the altitude unless given.")] = None,
     temperature: Annotated[float, typer.Option(help="Annual mean, degrees Celsius.")] = 12.0,
-    projection: Annotated[
-        str, typer.Option(help="The lens's ideal projection; auto: the one that the sightings make most probable.")
-    ] = "auto",
+    projection: ProjectionOption = None,
     method: Annotated[str, typer.Option(help="robust or paper.")] = "robust",
-    mirrored: Annotated[str, typer.Option(help="no, yes or auto.")] = "no",
+    mirrored: MirroredOption = None,
     level_within: Annotated[
         float | None, typer.Option(help="A camera tilted by more degrees is refused; unless given, it is asked about.")
     ] = None,
@@ -239,7 +241,8 @@ def calibrate(
         return
     if points is None and config is not None:
         of_points = (latitude, longitude, image_size, image_circle, pressure, start, plots, pose_only or None)
-        _require_settings_only(*of_points, lens_within, pose_within, focal_within, lens_prior)
+        of_fit = (projection or None, mirrored or None, level_within)
+        _require_settings_only(*of_points, *of_fit, lens_within, pose_within, focal_within, lens_prior)
 
         calibrate_stored(service_settings(config), provisional=provisional, as_json=as_json)
         return
@@ -251,12 +254,11 @@ def calibrate(
         image_size=parse_image_size(_given(image_size, "--image-size")),
         options=CalibrationOptions(
             method=method,  # type: ignore[arg-type]
-            projection=CalibrationOptions().projection if projection == "auto" else projection,  # type: ignore[arg-type]
-            mirrored=mirrored,  # type: ignore[arg-type]
+            projection=stated_once("--projection", projection, (*PROJECTIONS, "auto")) or "auto",
+            mirrored=stated_once("--mirrored", mirrored, get_args(Mirrored)),
             level_within_deg=level_within,
         ),
         clock=SystemClock(),
-        projection_known=projection != "auto",
         circle=None if image_circle is None else image_circle_of(image_circle),
         start=start,
         pose_only=pose_only,

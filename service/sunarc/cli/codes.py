@@ -83,4 +83,4 @@ def codes_as_markdown(codes: Iterable[Code]) -> str:
 def _plain(template: str) -> str:
     """Return a template with the names of its data only, and bars that do not end a cell of the table."""
     counted = re.sub(r"\{(\w+):([a-z]{3,})\}", r"{\1} \2s", template)
-    return re.sub(r"\{(\w+)[^}]*\}", r"{\1}", counted).replace("|", "\\|")
+    return re.sub(r"\{(\w+)[^}]*\}", r"{\1}", counted).replace("|", "\\|").replace("\n", " ")

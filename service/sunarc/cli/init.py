@@ -35,7 +35,7 @@ class _SettingQuestion(NamedTuple):
     setting: str
     option: str
     text: str
-    read: Callable[[str], Value]
+    read: Callable[[str], Value | None]
     default: str | None = None
 
 
@@ -69,6 +69,24 @@ _OF_SOURCE = {
     "http": _SettingQuestion("http.url", "--url", "The address of the camera's picture", str.strip),
     "rtsp": _SettingQuestion("rtsp.url", "--url", "The address of the camera's stream", str.strip),
 }
+_WRITING = {"readable": "no", "mirrored": "yes", "unknown": None}
+"""Whether the image is mirrored, by how writing in it looks."""
+
+
+def _writing(text: str) -> Value | None:
+    if text.strip() not in _WRITING:
+        given = {"given": text, "choices": ", ".join(_WRITING)}
+        raise RefusedAnswerError("--writing", Finding("answer_unknown", given))
+    return _WRITING[text.strip()]
+
+
+_MIRRORED = _SettingQuestion(
+    "calibration.mirrored",
+    "--writing",
+    f"Writing in the picture, as on a sign or a wall: {', '.join(_WRITING)}",
+    _writing,
+    "unknown",
+)
 _OFFSET = _SettingQuestion(
     "folder.utc_offset",
     "--utc-offset",
@@ -101,6 +119,9 @@ def init(
         str | None, typer.Option(help="How far times in names are ahead of UTC: hours, or a zone as Europe/Berlin.")
     ] = None,
     time_pattern: Annotated[str | None, typer.Option(help="strptime pattern of the names, without suffix.")] = None,
+    writing: Annotated[
+        str | None, typer.Option(help="How writing in the picture looks: readable, mirrored or unknown.")
+    ] = None,
     name: Annotated[str | None, typer.Option(help="The camera's name in the archive and in documents.")] = None,
     state: Annotated[Path | None, typer.Option(help="Folder of the database and the images.")] = None,
     port: Annotated[int | None, typer.Option(help="Of the dashboard and the REST service.")] = None,
@@ -125,6 +146,7 @@ def init(
         "folder.path": None if folder is None else str(folder.absolute()),
         "http.url": url,
         "rtsp.url": url,
+        "calibration.mirrored": writing,
         "folder.utc_offset": utc_offset,
         "folder.time_pattern": time_pattern,
     }
@@ -144,6 +166,7 @@ def init(
     answers.answer(_OF_SOURCE[kind])
     if token_file is not None and kind in {"http", "rtsp"}:
         answers.set({f"{kind}.token_file": str(token_file.absolute())})
+    answers.answer(_MIRRORED)
     for optional in (_OFFSET, _PATTERN):
         answers.answer(optional, needed=False)
     results = _tried(answers, file, addresses=camera or [], picture=picture)
@@ -199,7 +222,7 @@ class _Answers:
         elif needed and self.value(question.setting) is None:
             self.set({question.setting: self._asked(question)})
 
-    def _asked(self, question: _SettingQuestion) -> Value:
+    def _asked(self, question: _SettingQuestion) -> Value | None:
         if not self.ask:
             if question.default is not None:
                 return question.read(question.default)

@@ -50,6 +50,24 @@ Altitude = Annotated[float, typer.Option(help="Metres above sea level.", rich_he
 CalibrationFile = Annotated[Path, typer.Option("--calibration", help="A calibration document (JSON).")]
 DetectionMethod = Annotated[str, typer.Option("--method", help="auto, disc (microsecond frames) or paper (ordinary).")]
 
+ProjectionOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--projection",
+        metavar="TEXT",
+        help="The lens's ideal projection; unless given, the one that the sightings make most probable.",
+    ),
+]
+MirroredOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--mirrored",
+        metavar="TEXT",
+        help="Whether the images are mirror images: no, yes, auto. Unless given they are not, and a fit is refused "
+        "where they may be.",
+    ),
+]
+
 
 def service_settings(config: Path | None) -> Settings:
     """Return the settings of a service, as whose user the command acts from then on."""
@@ -70,6 +88,15 @@ def hub_settings(config: Path | None) -> HubSettings:
 
 
 Choice = TypeVar("Choice", bound=str)
+
+
+def stated_once(option: str, given: Sequence[str] | None, choices: tuple[Choice, ...]) -> Choice | None:
+    """Return the choice that an option names, None where it is not given; InputError where it is given twice."""
+    if not given:
+        return None
+    if len(given) > 1:
+        raise InputError(field=option, problem=f"given twice: {', '.join(given)}", remedy="give it once")
+    return choice_of(option, given[0], choices)
 
 
 def choice_of(option: str, text: str, choices: tuple[Choice, ...]) -> Choice:

@@ -6,24 +6,28 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, get_args
 
 import typer
 
-from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.options import CalibrationOptions, Mirrored
 from sunarc.cli.options import (
     SITE,
     AsJson,
     DetectionMethod,
+    MirroredOption,
+    ProjectionOption,
     choice_of,
     parse_image_size,
     print_json,
     print_table,
     progress_bars,
+    stated_once,
 )
 from sunarc.errors import InputError
 from sunarc.findings import significant
 from sunarc.foreign_files import name_text
+from sunarc.optics.projections import PROJECTIONS
 from sunarc.reanalysis.cluster import WORKER_BYTES, Cluster, Workers
 from sunarc.reanalysis.detect_files import METHODS
 from sunarc.reanalysis.image_times import TimeRules, utc_offset_of
@@ -64,7 +68,8 @@ def reanalyse_archive(
         typer.Option(help="How far times without a zone are ahead of UTC: hours, 0, or a zone as Europe/Berlin."),
     ] = None,
     method: DetectionMethod = "auto",
-    mirrored: Annotated[str, typer.Option(help="Whether the images are mirror images: no, yes, auto.")] = "no",
+    projection: ProjectionOption = None,
+    mirrored: MirroredOption = None,
     level_within: Annotated[
         float | None, typer.Option(help="A camera tilted by more degrees is refused; unless given, it is asked about.")
     ] = None,
@@ -98,7 +103,9 @@ def reanalyse_archive(
         image_size=None if image_size is None else parse_image_size(image_size),
         method=choice_of("--method", method, METHODS),
         options=CalibrationOptions(
-            mirrored=choice_of("--mirrored", mirrored, ("no", "yes", "auto")), level_within_deg=level_within
+            projection=stated_once("--projection", projection, (*PROJECTIONS, "auto")) or "auto",
+            mirrored=stated_once("--mirrored", mirrored, get_args(Mirrored)),
+            level_within_deg=level_within,
         ),
         stacks=True,
     )

@@ -17,6 +17,7 @@ from sunarc.calibration.evidence import DAYS_GAIN
 from sunarc.calibration.model.options import USUAL_OPTIONS, CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import Calibration, Move
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
+from sunarc.calibration.projection_choice import options_as_served
 from sunarc.monitoring.daily_rotations import DailyRotations, daily_pose_offset, step_gains
 from sunarc.sky.site import Site
 
@@ -80,13 +81,18 @@ class StepSearch(NamedTuple):
 
     def steps(self, points: Sightings, lens: Calibration | None) -> list[PoseStep]:
         """Return the steps within one epoch."""
+        stated = options_as_served(self.options, lens)
+        if stated != self.options:
+            return self._replace(options=stated).steps(points, lens)
         thin, day = _thinned(points, self.site)
         days = np.unique(day)
         if days.size <= 2 * _BESIDE:
             spans = [(days[0], days[-1])] if days.size else []
         else:
-            fitted_lens = self._lens(thin, day, days) if lens is None else lens
-            spans = [] if fitted_lens is None else step_spans(self._daily(thin, day, fitted_lens))
+            if lens is None:
+                lens = self._lens(thin, day, days)
+                return [] if lens is None else self.steps(points, lens)
+            spans = step_spans(self._daily(thin, day, lens))
         found: list[PoseStep] = []
         for first, last in spans:
             found += self._verified(points, thin.select((day >= first) & (day <= last)))

@@ -25,7 +25,6 @@ from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Mi
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.pose import estimate_pose
-from sunarc.calibration.projection_choice import calibrate_unknown_lens
 from sunarc.calibration.quality.fit_checks import provisional
 from sunarc.calibration.stated_prior import PriorTolerances, calibrate_with_prior
 from sunarc.documents.calibration_document import from_document, to_document
@@ -69,7 +68,7 @@ def combined_lens(documents: Sequence[dict[str, Any]], files: Sequence[Path], *,
     return lens_type_of(list(units.values()), spread=spread)
 
 
-def require_lens(lens: LensType, *, image_size: tuple[int, int], options: CalibrationOptions, known: bool) -> None:
+def require_lens(lens: LensType, *, image_size: tuple[int, int], options: CalibrationOptions) -> None:
     """Raise InputError where a camera cannot be of a type of lens.
 
     Parameters
@@ -77,14 +76,17 @@ def require_lens(lens: LensType, *, image_size: tuple[int, int], options: Calibr
     lens : the type.
     image_size : of the camera, px.
     options : of its fit.
-    known : whether the options' projection is stated.
     """
     camera = lens.camera
     hand = "yes" if camera.mirrored else "no"
     for what, given, stated in (
         ("image size", image_size, (camera.width, camera.height)),
-        ("projection", options.projection if known else camera.projection, camera.projection),
-        ("mirrored", hand if options.mirrored == "auto" else options.mirrored, hand),
+        (
+            "projection",
+            camera.projection if options.projection == "auto" else options.projection,
+            camera.projection,
+        ),
+        ("mirrored", options.mirrored if options.mirrored in {"no", "yes"} else hand, hand),
     ):
         if given != stated:
             raise InputError(
@@ -122,7 +124,6 @@ def calibrate_file(
     image_size: tuple[int, int],
     options: CalibrationOptions,
     clock: Clock,
-    projection_known: bool = True,
     circle: ImageCircle | None = None,
     start: Path | None = None,
     pose_only: bool = False,
@@ -134,26 +135,24 @@ def calibrate_file(
     """Fit a file of sightings, draw the result into a folder where one is named, and return the document.
 
     `start` is of any format that is read; `pose_only` keeps its lens, see `_posed`; `within` makes it a prior of these
-    tolerances; `lens` is the camera's type of lens, in place of `start`. A projection that is not known comes from
+    tolerances; `lens` is the camera's type of lens, in place of `start`. A projection that is not stated comes from
     `start`, or is chosen by the sightings. `keep_provisional`: see `provisional`.
     """
     if plots is not None:
         extra_module("matplotlib", extra="studies")  # before the fit, which takes minutes
     points = read_points(path, image_size, site)
     if lens is not None:
-        require_lens(lens, image_size=image_size, options=options, known=projection_known)
+        require_lens(lens, image_size=image_size, options=options)
         solved, points = calibrate_with_lens(points, lens=lens, site=site, options=options, circle=circle)
     elif start is not None and pose_only:
         solved = _posed(points, start, image_size=image_size, site=site, options=options)
     elif start is not None and within is not None:
         prior = start_camera(start, image_size, options, posed=within.pose_deg is not None)
         solved = calibrate_with_prior(points, prior=prior, tolerances=within, site=site, options=options)
-    elif start is None and not projection_known:
-        solved, points = calibrate_unknown_lens(
-            points, site=site, image_size=image_size, options=options, circle=circle
-        )
     else:
         begin = None if start is None else start_camera(start, image_size, options)
+        if begin is not None:  # the file states the handedness
+            options = replace(options, mirrored="yes" if begin.mirrored else "no")
         solved, points = calibrate_moved(
             points, site=site, image_size=image_size, options=options, circle=circle, start=begin
         )
@@ -199,7 +198,7 @@ def _explained(
     if not alone.verdict.accepted or alone.camera.mirrored == solved.camera.mirrored:
         return solved
     other: Mirrored = "no" if stated == "yes" else "yes"
-    found = Finding("other_handedness_fits", {"mirrored": other, "stated": stated})
+    found = Finding("other_handedness_fits", {"mirrored": other, "stated": stated, "latitude": -solved.site.latitude})
     return replace(solved, verdict=replace(solved.verdict, findings=(found, *solved.verdict.findings)))
 
 
@@ -256,15 +255,21 @@ def start_camera(
         )
     camera = view.camera
     if camera is None:
-        closest, _ = closest_camera(view, projection=options.projection)
+        closest, _ = closest_camera(view, projection=options.assumed_projection)
         camera = replace(closest, max_angle=math.radians(options.max_angle_deg))
     _require_size(camera, image_size)
-    if options.mirrored != "auto" and camera.mirrored != (options.mirrored == "yes"):
+    if options.projection not in {"auto", camera.projection}:
+        raise InputError(
+            field="--start",
+            problem=f"its lens is {camera.projection}, where --projection {options.projection} is given",
+            remedy="leave --projection out, or name a camera of this projection",
+        )
+    if options.mirrored in {"no", "yes"} and camera.mirrored != (options.mirrored == "yes"):
         hands = ("not mirrored", "mirrored")
         raise InputError(
             field="--start",
             problem=f"is {hands[camera.mirrored]}, where --mirrored {options.mirrored} is set",
-            remedy="set --mirrored auto, or name a camera of this handedness",
+            remedy="leave --mirrored out, or name a camera of this handedness",
         )
     return camera
 

@@ -12,8 +12,10 @@ import numpy as np
 import sunarc
 from sunarc.array_types import FloatArray, IntArray, stacked
 from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.options import CalibrationOptions, Mirrored
 from sunarc.calibration.model.result import Calibration, refused_for
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.calibration.projection_choice import options_as_served
 from sunarc.calibration.quality.fit_checks import provisional, tilt_in_doubt
 from sunarc.calibration.quality.tilt import tilt_question
 from sunarc.calibration.quality.widening import with_larger_errors, with_pose_spread
@@ -147,7 +149,7 @@ def fit_poses(
     together = joined(points, path, states)
     lens_of = {state.pose: state.lens for state in states}
     lenses = np.array([lens_of[int(pose)] for pose in together.epoch], dtype=np.int64)
-    fitted = {}
+    fitted, options_of = {}, dict[int, CalibrationOptions]()
     for pose in np.unique(together.epoch).tolist():
         rows = np.flatnonzero(lenses == lens_of[pose])
         of_lens = together.select(rows)
@@ -160,11 +162,15 @@ def fit_poses(
         selection = select_sightings(ordered, site=camera.site, slot_s=1.0)
         selected = ordered.select(selection.index)
         given = selected if beside is None else _merged(selected, beside)
-        solved = calibrate(given, site=camera.site, image_size=camera.size, options=camera.options)
+        # the poses of a lens are fitted to the same sightings: projection and handedness are sought once
+        options = options_of.get(lens_of[pose], camera.options)
+        solved = calibrate(given, site=camera.site, image_size=camera.size, options=options)
         if not solved.verdict.accepted:  # the search for a start may have ended elsewhere
             near = next(state.calibration.camera for state in states if state.pose == pose)
-            again = calibrate(given, site=camera.site, image_size=camera.size, options=camera.options, start=near)
+            again = calibrate(given, site=camera.site, image_size=camera.size, options=options, start=near)
             solved = again if again.verdict.accepted else solved
+        if solved.verdict.accepted:
+            options_of[lens_of[pose]] = options_as_served(options, solved)
         evidence = replace(solved.evidence, selection=selection.counts())
         fitted[int(pose)] = FittedPose(replace(solved, evidence=evidence), rows[selection.index], beside)
     return fitted
@@ -407,7 +413,8 @@ def _held_to_parts(final: Final, given: CameraSightings) -> Final:
         of_pose = together.select(one.rows[together.epoch[one.rows] == pose])
         if not whole.verdict.accepted or len(of_pose) < 2 * _FEWEST_OF_PART:
             continue
-        options = replace(camera.options, mirrored="yes" if whole.camera.mirrored else "no")
+        hand: Mirrored = "yes" if whole.camera.mirrored else "no"
+        options = replace(camera.options, mirrored=hand, projection=whole.camera.projection)
         apart = [0.0]
         for part in _parts_of(replace(of_pose, epoch=np.zeros(len(of_pose), dtype=np.int64))):
             alone = calibrate(

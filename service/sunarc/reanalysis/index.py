@@ -10,16 +10,17 @@ from collections.abc import Callable, Collection, Container, Iterator, Mapping, 
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatch
 from pathlib import Path, PurePosixPath
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
 from sunarc.archive.sightings import ImageKey
-from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.options import CalibrationOptions, Mirrored
 from sunarc.errors import InputError
 from sunarc.extras import is_installed
 from sunarc.findings import Finding
 from sunarc.foreign_files import MOST_BYTES, name_path, name_text
+from sunarc.optics.projections import PROJECTIONS
 from sunarc.reanalysis.detect_files import Method
 from sunarc.reanalysis.files import read_file
 from sunarc.reanalysis.image_files import ImageSource, SourceFile, image_size, kind_of
@@ -352,7 +353,8 @@ def _usual_size(images: Sequence[ArchiveImage]) -> tuple[int, int] | None:
 
 _NUMBERS = ("latitude", "longitude", "altitude")
 _KEYS = {
-    "sources", "files", "utc_offset", "time_pattern", *_NUMBERS, "image_size", "mirrored", "level_within", "method",
+    "sources", "files", "utc_offset", "time_pattern", *_NUMBERS, "image_size", "projection", "mirrored", "level_within",
+    "method",
 }  # fmt: skip
 
 
@@ -408,10 +410,19 @@ def _filled(name: str, table: Mapping[str, Any], common: CameraPlan, folder: Pat
         method=_get(table, "method", _one_of("auto", "disc", "paper"), common.method),
         options=replace(
             common.options,
-            mirrored=_get(table, "mirrored", _one_of("no", "yes", "auto"), common.options.mirrored),
+            projection=_stated(table, "projection", (*PROJECTIONS, "auto"), common.options.projection, unstated="auto"),
+            mirrored=_stated(table, "mirrored", get_args(Mirrored), common.options.mirrored, unstated=None),
             level_within_deg=_get(table, "level_within", float, common.options.level_within_deg),
         ),
     )
+
+
+def _stated(table: Mapping[str, Any], key: str, choices: Sequence[str], common: Any, *, unstated: str | None) -> Any:  # noqa: ANN401
+    """Return what a camera or the command line states; ValueError where both do, and differently."""
+    found = _get(table, key, _one_of(*choices), common)
+    if common not in {unstated, found}:
+        raise ValueError(f"{key} is {found!r}, where --{key} {common} is given; give it in one place")
+    return found
 
 
 def _get(table: Mapping[str, Any], key: str, convert: Callable[[Any], Any], default: Any) -> Any:  # noqa: ANN401

@@ -244,7 +244,7 @@ def _is_time_zone(offset_s: float) -> bool:
 def _mirrored(states: Sequence[State], settings: Settings) -> tuple[Finding, ...]:
     """Return that the camera is mirrored, or is not, where the settings say otherwise."""
     mirrored = any(one.calibration.camera.mirrored for one in states)
-    if settings.calibration.mirrored != ("no" if mirrored else "yes"):
+    if (settings.calibration.mirrored or "no") != ("no" if mirrored else "yes"):
         return ()
     return (Finding("mirrored_setting_differs", {"mirrored": "yes" if mirrored else "no"}),)
 

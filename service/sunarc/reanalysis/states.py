@@ -318,8 +318,12 @@ def _with_other_lens(
 ) -> tuple[State | None, Finding | None]:
     """Return a new lens, and why there is none; unless it has to be determined, also one that is not."""
     clock = states[-1].clock_offset_s if states else 0.0
-    hand: Mirrored = "auto" if not states else "yes" if states[-1].calibration.camera.mirrored else "no"
-    options = replace(camera.loosely(), mirrored=hand)
+    options = replace(camera.loosely(), mirrored="auto")
+    if states:  # a lens of another projection is met as well; an image may be flipped only where that is asked for
+        last = states[-1].calibration.camera
+        hand: Mirrored = "yes" if last.mirrored else "no"
+        flips = camera.options.mirrored == "auto"
+        options = replace(options, projection=last.projection, mirrored="auto" if flips else hand)
     fitted = calibrate(
         camera.shifted(points, clock),
         site=camera.site,

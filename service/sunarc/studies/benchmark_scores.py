@@ -17,7 +17,6 @@ from sunarc.calibration.answers.covariance import direction_covariance, project_
 from sunarc.calibration.change_points import calibrate_moved
 from sunarc.calibration.model.options import CalibrationOptions, Method
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.projection_choice import calibrate_unknown_lens
 from sunarc.findings import Finding, significant
 from sunarc.optics.inverse import unproject
 from sunarc.sky.directions import angles_from_direction, angular_distance
@@ -164,9 +163,8 @@ def answers_of(calibration: Calibration, pixels: FloatArray, *, processor_s: flo
 
 def calibrate_case(case: BenchmarkCase, method: Method) -> Calibration:
     """Return this package's calibration of a case, as `sunarc calibrate` would make it."""
-    options = CalibrationOptions(method=method, projection=case.projection or CalibrationOptions().projection)
-    fit = calibrate_unknown_lens if case.projection is None else calibrate_moved
-    return fit(case.sightings, site=case.site, image_size=case.image_size, options=options).calibration
+    options = CalibrationOptions(method=method, projection=case.projection or "auto")
+    return calibrate_moved(case.sightings, site=case.site, image_size=case.image_size, options=options).calibration
 
 
 def score(entrant: str, truths: Mapping[str, BenchmarkTruth], answers: Mapping[str, Answered]) -> Score:

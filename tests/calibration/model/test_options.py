@@ -81,7 +81,7 @@ def test_what_is_no_circle_is_refused(wrong: dict[str, float]) -> None:
 def test_the_defaults_are_those_of_the_documents() -> None:
     """Each is written down: a change of a default is a change of every fit."""
     options, lens, paper = CalibrationOptions(), LensTolerances(), PaperOptions()
-    assert (options.method, options.projection, options.mirrored) == ("robust", "equisolid", "no")
+    assert (options.method, options.projection, options.mirrored) == ("robust", "auto", None)
     assert (options.level_within_deg, options.max_angle_deg, options.max_rmse_px) == (None, 100.0, 3.0)
     assert (options.max_rejected, options.max_sky_deg) == (0.6, 1.5)
     assert (options.max_unexplained, options.max_below_horizon) == (0.25, 0.03)

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
+import population as pop
 import pytest
 from tests.finding_codes import codes
 from tests.fixtures.calibration import SGP, filtered_sightings, small_camera, stated_calibration, sun_arc
 
+from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Filtering, Sightings, filter_sightings
 from sunarc.calibration.quality.fit_checks import before_fit, fit_verdict
-from sunarc.optics.pose import rotation_matrix
+from sunarc.optics.pose import rotation_matrix, rotation_vector
 
 NOON = 1_368_469_800.0  # 2013-05-13T18:30:00Z
 
@@ -112,3 +115,19 @@ def test_arcs_of_several_days_count_together_and_gaps_between_them_do_not(
     assert ("arc_too_short" in codes(found)) is refused
     if refused:
         assert {one.code: one for one in found}["arc_too_short"].data["arc_deg"] == pytest.approx(arc_deg * days)
+
+
+@pytest.mark.parametrize(("share", "refused"), [(0.5, True), (0.35, True), (0.15, False)])
+def test_rows_of_two_cameras_are_not_fitted_as_one(share: float, *, refused: bool) -> None:
+    rng = np.random.default_rng(4)
+    camera = pop.random_camera(rng)
+    turn = rotation_matrix((0.0, 0.0, math.radians(0.5)))
+    other = replace(camera, rotation_cam_enu=rotation_vector(rotation_matrix(camera.rotation_cam_enu) @ turn))
+    times = pop.sun_track(np.zeros(1), cadence_s=60.0)
+    noise = pop.white_noise(rng, times.size, 0.2)
+    own, others = (pop.sightings(one, times, noise) for one in (camera, other))
+    mixed = replace(own, pixels=np.where((rng.random(times.size) < share)[:, None], others.pixels, own.pixels))
+    options = CalibrationOptions(projection="equisolid")
+    found = calibrate(mixed, site=pop.SGP, image_size=(pop.SIZE, pop.SIZE), options=options)
+    assert found.verdict.accepted != refused, found.verdict.reasons
+    assert ("epoch_does_not_explain_its_days" in codes(found.verdict.findings)) == refused

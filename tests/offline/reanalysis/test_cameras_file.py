@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
 
 import pytest
 
+from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.errors import InputError
 from sunarc.reanalysis.image_times import TimeRules
 from sunarc.reanalysis.index import CameraPlan, Selector, read_cameras
@@ -55,6 +57,29 @@ def test_what_a_camera_has_goes_first(tmp_path: Path) -> None:
     assert (roof.image_size, roof.options.mirrored, roof.method) == ((640, 480), "yes", "paper")
     assert roof.options.level_within_deg == 20.0
     assert (mast.site.altitude, mast.image_size) == (5.0, (9, 9))
+
+
+@pytest.mark.parametrize(
+    ("options", "text", "said"),
+    [
+        (CalibrationOptions(mirrored="no"), 'mirrored = "yes"', "mirrored is 'yes', where --mirrored no is given"),
+        (CalibrationOptions(projection="equisolid"), 'projection = "perspective"', "projection is 'perspective'"),
+        (CalibrationOptions(mirrored="yes", projection="equisolid"), 'mirrored = "yes"', None),
+        (CalibrationOptions(), 'mirrored = "yes"\nprojection = "equidistant"', None),
+    ],
+)
+def test_what_is_stated_twice_and_differently_is_refused(
+    tmp_path: Path, options: CalibrationOptions, text: str, said: str | None
+) -> None:
+    path = tmp_path / "cameras.toml"
+    path.write_text(f"[cameras.roof]\n{text}\n")
+    if said is None:
+        (plan,) = read_cameras(path, common=replace(COMMON, options=options))
+        assert plan.options.mirrored == "yes"
+        return
+    with pytest.raises(InputError) as refused:
+        read_cameras(path, common=replace(COMMON, options=options))
+    assert said in refused.value.problem
 
 
 @pytest.mark.parametrize(("text", "lacking"), [("latitude = 3", "longitude"), ("latitude = 3\nlongitude = 8", None)])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from types import MappingProxyType
 from typing import Literal, NamedTuple
@@ -85,8 +85,8 @@ class FitOutcome(NamedTuple):
     sways_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
-def calibration_from_fit(fitted: FitOutcome, job: Job, *, ambiguous: bool = False) -> Calibration:
-    """Return the calibration that a fit makes; `ambiguous`: whether the other handedness fits as well."""
+def calibration_from_fit(fitted: FitOutcome, job: Job, *, others: Sequence[Finding] = ()) -> Calibration:
+    """Return the calibration that a fit makes; `others`: findings about other cameras that refuse it."""
     usable, options = job.usable, job.options
     cameras = [tidied(camera, options) for camera in fitted.cameras]
     camera = cameras[-1]
@@ -116,7 +116,7 @@ def calibration_from_fit(fitted: FitOutcome, job: Job, *, ambiguous: bool = Fals
     calibration = with_covariance(calibration, 0.5 * (covariance + covariance.T))
     rms, most = sky_sigma_deg(calibration)
     calibration = with_pose_spread(replace(calibration, sky_rms_deg=rms, sky_max_deg=most), fitted.sways_deg)
-    return replace(calibration, verdict=fit_verdict(calibration, usable, options, ambiguous=ambiguous))
+    return replace(calibration, verdict=fit_verdict(calibration, usable, options, others=others))
 
 
 def tidied(camera: Camera, options: CalibrationOptions) -> Camera:

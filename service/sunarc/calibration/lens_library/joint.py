@@ -249,6 +249,10 @@ def calibrate_jointly(entries: Sequence[Entry], *, spread: UnitSpread | None = N
     names = list(dict.fromkeys(entry.camera for entry in entries))
     together = {name: [entry for entry in entries if entry.camera == name] for name in names}
     alone = {id(entry): _of_epoch(together[entry.camera], entry) for entry in entries}
+    options = _of_surest(list(alone.values()), entries[0].options)
+    for entry in entries:  # of one type of lens
+        if alone[id(entry)].camera.projection != options.assumed_projection:
+            alone[id(entry)] = _of_epoch(together[entry.camera], entry, options)
     # all epochs of a camera have one lens: any of its calibrations states it
     units = {name: Unit(name, alone[id(together[name][-1])]) for name in names}
     accepted = [unit for unit in units.values() if unit.calibration.verdict.accepted]
@@ -288,10 +292,17 @@ def _require_shared(entries: Sequence[Entry]) -> None:
             )
 
 
-def _of_epoch(entries: Sequence[Entry], latest: Entry) -> Calibration:
-    """Return the calibration of one epoch of a camera, by the sightings of all."""
+def _of_surest(fits: Sequence[Calibration], options: CalibrationOptions) -> CalibrationOptions:
+    """Return options with the projection of the accepted fit of smallest uncertainty, where they state none."""
+    accepted = [one for one in fits if one.verdict.accepted] or fits
+    surest = min(accepted, key=lambda one: one.sky_rms_deg)
+    return replace(options, projection=surest.camera.projection) if options.projection == "auto" else options
+
+
+def _of_epoch(entries: Sequence[Entry], latest: Entry, options: CalibrationOptions | None = None) -> Calibration:
+    """Return the calibration of one epoch of a camera, by the sightings of all; options are its own unless given."""
     points = _stacked(entries, latest)
-    return calibrate(points, site=latest.site, image_size=latest.image_size, options=latest.options)
+    return calibrate(points, site=latest.site, image_size=latest.image_size, options=options or latest.options)
 
 
 def _stacked(entries: Sequence[Entry], latest: Entry) -> Sightings:

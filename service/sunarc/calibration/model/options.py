@@ -12,6 +12,7 @@ from sunarc.optics.projections import Projection
 
 Method = Literal["robust", "paper"]
 Mirrored = Literal["no", "yes", "auto"]
+LensProjection = Literal[Projection, "auto"]
 EllipseScope = Literal["focal_lengths", "with_decentering"]
 
 
@@ -80,8 +81,9 @@ class CalibrationOptions:
     Attributes
     ----------
     method : "robust" (the service's) or "paper" (the reference).
-    projection : the lens's ideal projection.
-    mirrored : whether the image is a mirror image; "auto" tries both and reports which it took.
+    projection : the lens's ideal projection; "auto": the most probable one, see `projection_choice`.
+    mirrored : whether the image is a mirror image; "auto" tries both and reports which it took. Unset: it is not, and
+        the fit is refused where a mirrored one is about as probable.
     level_within_deg : a camera tilted by more is refused; unset: one tilted by any angle up to 75 degrees is accepted,
         unless times of another zone or another latitude, which would make it level, are more probable than a tilt.
     max_angle_deg : how far off the axis the model is asked to answer.
@@ -99,8 +101,8 @@ class CalibrationOptions:
     """
 
     method: Method = "robust"
-    projection: Projection = "equisolid"
-    mirrored: Mirrored = "no"
+    projection: LensProjection = "auto"
+    mirrored: Mirrored | None = None
     level_within_deg: Annotated[float, Gt(0.0), Le(90.0)] | None = None
     max_angle_deg: Annotated[float, Gt(0.0), Le(180.0)] = 100.0
     max_rmse_px: Positive = 3.0
@@ -116,6 +118,11 @@ class CalibrationOptions:
     def __post_init__(self) -> None:
         """Refuse choices that are none."""
         require_bounds(self, section_path="calibration")
+
+    @property
+    def assumed_projection(self) -> Projection:
+        """The projection, equisolid where it is to be found."""
+        return "equisolid" if self.projection == "auto" else self.projection
 
 
 USUAL_OPTIONS = CalibrationOptions()

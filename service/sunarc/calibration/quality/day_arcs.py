@@ -101,7 +101,7 @@ def unexplained_days(calibration: Calibration, usable: Sightings, limit: float) 
     """Return by how much a fit fails to explain the days of its sightings; None where it explains them.
 
     Of the sun's track alone. A day is clear where its sightings run smoothly about the fit, however far off they lie:
-    false sightings scatter, and those of another lens do not.
+    false sightings scatter, and those of another lens do not. So is one whose left-out sightings run smoothly.
 
     Parameters
     ----------
@@ -122,13 +122,16 @@ def unexplained_days(calibration: Calibration, usable: Sightings, limit: float) 
     for rows in np.split(on_track, np.flatnonzero(fresh) + 1):
         if rows.size < _FEWEST_OF_HALF:
             continue
-        _, rough, weight = smooth_arc(residual[rows], usable.unix_s[rows] / DAY_S)
         largest = max(_CLEAR_SIGMA_PX, _CLEAR_SIGMAS * calibration.evidence.sigma_px)
-        smooth = float(np.mean(weight > 0.0)) >= _SMOOTH_SHARE
-        few = rows.size < _FEWEST_TO_JUDGE
-        clear[rows] = few or (smooth and robust_sigma(np.linalg.norm(rough, axis=-1), floor=_FLOOR_PX) <= largest)
+        smooth, rough = _runs_smoothly(residual[rows], usable.unix_s[rows], largest)
+        clear[rows] = smooth or rows.size < _FEWEST_TO_JUDGE
         if clear[rows[0]]:
             halves += _half_days(calibration, usable, rows, residual[rows], rough)
+            continue
+        # those of another camera, row by row among the used ones, run as smoothly as these do
+        left_out = rows[~used[rows]]
+        if left_out.size >= _FEWEST_FOR_SHARE:
+            clear[rows] = _runs_smoothly(residual[left_out], usable.unix_s[left_out], largest)[0]
     share, n = max(_left_out(clear, used), _left_out(clear & (usable.epoch == usable.epoch.max(initial=0)), used))
     far = [one for one in halves if one.sigmas > _FAR]
     if share <= limit and len(far) <= _FEW_HALF_DAYS * len(halves):
@@ -148,6 +151,13 @@ def unexplained_days(calibration: Calibration, usable: Sightings, limit: float) 
             "day": date_of_day(worst.day).isoformat(),
         },
     )
+
+
+def _runs_smoothly(residual: FloatArray, unix_s: FloatArray, largest_px: float) -> tuple[bool, FloatArray]:
+    """Return whether residuals (n, 2) of a day run smoothly to a scatter, px, and what they scatter by, (n, 2)."""
+    _, rough, weight = smooth_arc(residual, unix_s / DAY_S)
+    scatter_px = robust_sigma(np.linalg.norm(rough, axis=-1), floor=_FLOOR_PX)
+    return float(np.mean(weight > 0.0)) >= _SMOOTH_SHARE and scatter_px <= largest_px, rough
 
 
 def _left_out(counted: BoolArray, used: BoolArray) -> tuple[float, int]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -105,17 +105,20 @@ def _positions(usable: Sightings) -> str:
 
 
 def fit_verdict(
-    calibration: Calibration, usable: Sightings, options: CalibrationOptions, *, ambiguous: bool = False
+    calibration: Calibration,
+    usable: Sightings,
+    options: CalibrationOptions,
+    *,
+    others: Sequence[Finding] = (),
 ) -> Verdict:
-    """Return whether a fit may be used, judged by itself; `ambiguous`: whether the other handedness fits as well."""
+    """Return whether a fit may be used, judged by itself; `others`: findings about other cameras that refuse it."""
     below = below_horizon(usable, options)
     question = tilt_question(calibration.camera, calibration.site)
     against = [*below, *_against_scatter(calibration, usable, options), *_against_camera(calibration, options)]
     against += _against_ring(calibration, usable)
     if below and question is not None:
         against.insert(1, question)  # what it names would bring the sun above the horizon, too
-    if ambiguous:
-        against.append(Finding("mirroring_ambiguous"))
+    against[:0] = others
     if against:
         return Verdict(accepted=False, findings=tuple(against))
     metrics, days = calibration.metrics, len(calibration.evidence.days)
@@ -168,7 +171,7 @@ def _off_center(calibration: Calibration) -> Iterator[Finding]:
 
 
 def _against_scatter(calibration: Calibration, usable: Sightings, options: CalibrationOptions) -> Iterator[Finding]:
-    rmse, sigma = calibration.metrics.rmse_px, calibration.sky_rms_deg
+    rmse = calibration.metrics.rmse_px
     # the largest that is no fault: that of the options, or 2-D distances by what the sightings state of themselves
     stated = _OVER_STATED * math.sqrt(2.0) * usable.filtering.stated_sigma_px
     limit = max(options.max_rmse_px, stated) if math.isfinite(stated) else options.max_rmse_px
@@ -188,6 +191,12 @@ def _against_scatter(calibration: Calibration, usable: Sightings, options: Calib
         unexplained = unexplained_days(calibration, usable, options.max_unexplained)
         if unexplained is not None:
             yield unexplained
+    yield from too_uncertain(calibration, usable, options)
+
+
+def too_uncertain(calibration: Calibration, usable: Sightings, options: CalibrationOptions) -> Iterator[Finding]:
+    """Yield that the uncertainty over the sky is too large, with what the sightings determine."""
+    sigma = calibration.sky_rms_deg
     known = calibration.evidence.options.get("free", "all") != "all"
     largest_deg = max(options.max_sky_deg, _KNOWN_LENS_SKY_DEG if known else 0.0)
     seen = {"n": calibration.metrics.n, "days": len(calibration.evidence.days)}

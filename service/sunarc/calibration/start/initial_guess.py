@@ -37,18 +37,19 @@ def level_camera(circle: ImageCircle | None, *, image_size: tuple[int, int], opt
     Without a circle its field is 180 degrees (perspective: 120) across the image's shorter side.
     """
     width, height = image_size
-    mirrored, flat = options.mirrored == "yes", options.projection == "perspective"
+    mirrored, projection = options.mirrored == "yes", options.assumed_projection
+    flat = projection == "perspective"
     if circle is None:
         angle, radius = math.radians(60.0) if flat else math.pi / 2, 0.5 * min(image_size)
         center = ((width - 1) / 2.0, (height - 1) / 2.0)
     else:
         angle, radius = min(math.radians(circle.angle_deg), math.radians(80.0) if flat else math.pi / 2), circle.radius
         center = (width - 1.0 - circle.x if mirrored else circle.x, circle.y)
-    focal = radius / float(ideal_radius(options.projection, angle))
+    focal = radius / float(ideal_radius(projection, angle))
     return Camera(
         width=width,
         height=height,
-        projection=options.projection,
+        projection=projection,
         focal_length_px=(focal, focal),
         principal_point_px=center,
         rotation_cam_enu=(0.0, 0.0, 0.0),

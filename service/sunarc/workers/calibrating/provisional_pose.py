@@ -121,7 +121,7 @@ class ProvisionalPoseEstimator:
     def mirrored(self) -> Mirrored:
         """The handedness of the images, as the settings or the type of lens say it."""
         if self.first is None:
-            return self.options.mirrored
+            return self.options.mirrored or "no"
         return "yes" if self.first.lens.camera.mirrored else "no"
 
     def improve(self) -> bool:

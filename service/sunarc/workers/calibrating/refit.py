@@ -22,6 +22,7 @@ from sunarc.calibration.messages import MESSAGES as CHANGES
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
+from sunarc.calibration.projection_choice import options_as_served
 from sunarc.calibration.quality.fit_checks import provisional
 from sunarc.calibration.quality.widening import with_pose_spread
 from sunarc.calibration.selection import Selection, SelectionOptions, select_sightings, surest_of_epochs
@@ -360,10 +361,11 @@ class RefitWorker:
         # Left unfinished in the archive: the next start begins it again.
         if stop.is_set():
             return
+        served = self.camera.archive.calibrations.current_model(self.camera.name)
         task = next_task(
             self.camera,
             cadence_s=self.cadence_s,
-            options=self.calibration,
+            options=options_as_served(self.calibration, served),
             circle=self._circle(),
             now=self.now(),
         )

@@ -1,0 +1,137 @@
+"""Handedness of an image: the finished fits of both, compared by their evidence and by how cameras are mounted.
+
+The mirrored track of the sun is that of another latitude: at the equator of the same one, elsewhere of about the one
+with the other sign. So both are fitted where nobody stated the handedness, and a mirrored camera is compared with one
+that is not mirrored at the latitude of the other sign.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from sunarc.calibration.compared_fits import log_evidences_of_fits
+from sunarc.calibration.fit.assemble import Job
+from sunarc.calibration.fit.robust_fit import RobustFit, fit_robustly
+from sunarc.calibration.model.sightings import Kind, filter_sightings
+from sunarc.calibration.noise import NoiseGroups
+from sunarc.calibration.plausible_start import Hand, Start, plausible_start
+from sunarc.calibration.quality.fit_checks import below_horizon
+from sunarc.calibration.quality.tilt import mount_density
+from sunarc.findings import Finding
+from sunarc.optics.pose import rotation_matrix
+
+_AMBIGUOUS = 3.0
+"""Half squares by which the finished fit of one handedness must be the more probable one."""
+_BETTER = 10.0
+"""Half squares by which another camera must be more probable to be named as the right one."""
+_FAR = 60.0
+"""Half squares between starts from which the worse one is not fitted: of 36 days near the equator none became the
+better one by the fit."""
+
+
+class Fitted(NamedTuple):
+    """The robust fit of one handedness, and its start."""
+
+    start: Start
+    fit: RobustFit
+
+
+class HandChoice(NamedTuple):
+    """The fit whose handedness is taken, the findings that refuse it, and those that are said of an accepted one."""
+
+    fitted: Fitted
+    against: tuple[Finding, ...] = ()
+    found: tuple[Finding, ...] = ()
+
+
+def chosen_hand(fitted: Fitted, job: Job) -> HandChoice:
+    """Return the fit of the handedness that is stated or more probable, and the findings about the other one.
+
+    Parameters
+    ----------
+    fitted : of the handedness that is assumed.
+    job : its input; "no" and "yes" are stated, all else is asked about.
+    """
+    stated = job.options.mirrored
+    gain = math.inf if stated in {"no", "yes"} else -math.inf
+    if stated not in {"no", "yes"}:
+        other = fit_of_hand(job, _other(fitted.start.hand), than=fitted.start.cost)
+        gain = math.inf if other is None else -gain_of_other(fitted, other, job)
+        if other is not None and stated == "auto" and gain < 0.0:
+            fitted, gain = other, -gain
+    if gain < -_BETTER:
+        return HandChoice(fitted, (other_hand_fits(job, _other(fitted.start.hand)),))
+    if gain < _AMBIGUOUS:
+        return HandChoice(fitted, (Finding("mirroring_ambiguous"),))
+    twin = _of_other_latitude(fitted, job) if fitted.start.hand == "yes" else None
+    if twin is None:
+        return HandChoice(fitted)
+    return HandChoice(fitted, found=(twin,)) if stated == "yes" else HandChoice(fitted, (twin,))
+
+
+def named_other(fitted: Fitted | None, job: Job) -> tuple[Finding, ...]:
+    """Return the finding that the handedness which is not assumed fits far better; nothing where it does not."""
+    hand = fitted.start.hand if fitted is not None else "yes" if job.options.mirrored == "yes" else "no"
+    other = fit_of_hand(job, _other(hand), than=math.inf if fitted is None else fitted.start.cost)
+    if other is None or (fitted is not None and gain_of_other(fitted, other, job) < _BETTER):
+        return ()
+    return (other_hand_fits(job, _other(hand)),)
+
+
+def other_hand_fits(job: Job, other: Hand) -> Finding:
+    """Return the finding that the sightings are of an image of another handedness, or of a site of another latitude."""
+    return Finding(
+        "other_handedness_fits", {"mirrored": other, "stated": _other(other), "latitude": -job.site.latitude}
+    )
+
+
+def fit_of_hand(job: Job, hand: Hand, *, than: float) -> Fitted | None:
+    """Return the fit of one handedness; None where no camera is found, or its start costs far more than another."""
+    start = plausible_start(job, hand)
+    if start is None or start.cost > than + _FAR:
+        return None
+    return Fitted(start, fit_robustly(job.usable, start.cameras, job.options, job.circle))
+
+
+def gain_of_other(fitted: Fitted, other: Fitted, job: Job) -> float:
+    """Return by how many half squares another fit of the job's sightings is more probable, mounts considered."""
+    both = {False: fitted.fit, True: other.fit}
+    evidence = log_evidences_of_fits(both, NoiseGroups.of(job.usable).bins)
+    return evidence[True] - evidence[False] + _log_density(other.fit) - _log_density(fitted.fit)
+
+
+def _log_density(fit: RobustFit) -> float:
+    """Return the log density of a mount that holds the optical axis of the last pose."""
+    camera = fit.problem.camera(fit.unknowns, fit.problem.n_epochs - 1)
+    return math.log(float(mount_density(rotation_matrix(camera.rotation_cam_enu)[2])))
+
+
+def _other(hand: Hand) -> Hand:
+    return "no" if hand == "yes" else "yes"
+
+
+def _of_other_latitude(fitted: Fitted, job: Job) -> Finding | None:
+    """Return that a camera that is not mirrored fits about as well at the latitude of the other sign; None otherwise.
+
+    The stars tell a latitude, and stated directions are of one: only the sun's track is asked.
+    """
+    if np.any(job.usable.kind != Kind.SUN) or np.any(job.usable.alone):
+        return None
+    site = replace(job.site, latitude=-job.site.latitude)
+    usable = filter_sightings(job.points, site=site, image_size=job.image_size)
+    if len(usable) == 0 or below_horizon(usable, job.options):
+        return None
+    there, here = np.isin(usable.index, job.usable.index), np.isin(job.usable.index, usable.index)
+    twin = fit_of_hand(job._replace(usable=usable.select(there), site=site, start=None), "no", than=fitted.start.cost)
+    if twin is None:
+        return None
+    if not np.all(here):  # the same sightings on both sides
+        job = job._replace(usable=job.usable.select(here))
+        fitted = fitted._replace(fit=fit_robustly(job.usable, fitted.start.cameras, job.options, job.circle))
+    if gain_of_other(fitted, twin, job) <= -_BETTER:
+        return None
+    return Finding("latitude_of_other_sign_fits", {"latitude": -job.site.latitude})
