@@ -137,7 +137,7 @@ class SnapshotOptions:
     ----------
     url : of the picture, as "https://camera.example/snapshot.jpg"; without user and password.
     token_file : a file whose one line is USER:PASSWORD (Basic or Digest, as the camera asks).
-    ca_file : certificate that the camera's is verified by, beside those of the system.
+    ca_file : certificate that the camera's is verified by, beside those of the system; read anew where it changes.
     clock_error_s : bound of how far a picture's time is from the request, beyond the time that the answer takes.
     timeout_s : of a request as a whole, s.
     keep_images : keep the pictures as they came, in `state`/images; see [disk].
