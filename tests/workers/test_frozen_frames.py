@@ -194,3 +194,19 @@ def test_a_copy_of_a_frame_that_was_never_searched_for_the_sun_is_rejected(
         frozen.remember(frame)
     assert frozen.checked(first, seen(40.0)).accepted
     assert frozen.checked(frame_at(60.0, shown_s=0.0), seen(39.0)).verdict == FROZEN
+
+
+@pytest.mark.parametrize("sun", [True, False])
+def test_a_camera_that_is_frozen_under_a_clock_that_runs_is_frozen(
+    new_worker: Callable[[], DetectWorker], board: StatusRegistry, *, sun: bool
+) -> None:
+    clouds = np.random.default_rng(1).integers(1000, 1400, (SIDE, SIDE), dtype=np.uint16)
+    worker = new_worker()
+    verdicts = []
+    for n in range(5):
+        frame = frame_at(30.0 * n, shown_s=0.0)
+        image = frame.image.copy() if sun else clouds.copy()
+        image[:12, :60] = np.random.default_rng(n).choice([0, 300], (12, 60))
+        verdicts.append(worker.process(replace(frame, image=image)).verdict)
+    assert verdicts[1:] == 4 * [FROZEN]
+    assert codes(board) == {"camera_frozen"}

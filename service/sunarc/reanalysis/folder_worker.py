@@ -113,6 +113,9 @@ class LeftOut:
 
 
 _QUARTER_S, _SAME_S = 900.0, 120.0
+_LATE_TIME_S, _SPREAD_SHARE = 180.0, 0.2
+"""Images come within a minute or two of their exposure; the same lateness of all of them is a clock's."""
+_ARRIVAL_CODES = ("image_times_offset", "image_times_late")
 _COMPARED = 8
 
 
@@ -122,10 +125,12 @@ class ArrivalTimes:
     Parameters
     ----------
     board : where the condition is set.
+    settle_s : how long a file is not changed before it counts as complete.
     """
 
-    def __init__(self, board: StatusRegistry) -> None:
+    def __init__(self, board: StatusRegistry, *, settle_s: float = 0.0) -> None:
         self._board = board
+        self._most_late_s = _LATE_TIME_S + settle_s
         self._late_s: deque[float] = deque(maxlen=_COMPARED)
 
     def note(self, stated: datetime, came: datetime) -> None:
@@ -138,7 +143,10 @@ class ArrivalTimes:
         quarters = round(late_s / _QUARTER_S)
         wrong = quarters != 0 and spread_s < _SAME_S and abs(late_s - quarters * _QUARTER_S) < _SAME_S
         found = Finding("image_times_offset", {"hours": quarters / 4.0})
-        self._board.set_condition("image_times_offset", Reason.of(found, MESSAGES) if wrong else None)
+        late = not wrong and late_s > self._most_late_s and spread_s < max(_SAME_S, _SPREAD_SHARE * late_s)
+        if late:
+            found = Finding("image_times_late", {"late_s": round(late_s)})
+        self._board.set_one_condition(_ARRIVAL_CODES, Reason.of(found, MESSAGES) if wrong or late else None)
 
 
 class _Dated(NamedTuple):
@@ -221,7 +229,7 @@ class FolderWorker:
         self._listing = FolderListing(self._root, self.options.files)
         self._settling = Settling(self._root, self.options.settle_s)
         self._left_out = LeftOut(self.board)
-        self._arrivals = ArrivalTimes(self.board)
+        self._arrivals = ArrivalTimes(self.board, settle_s=self.options.settle_s)
         self._stamps: dict[str, str] = {}
         self._remembers = False
         self._ready: dict[str, tuple[SourceFile, float]] = {}

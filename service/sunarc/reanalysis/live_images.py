@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections import Counter, OrderedDict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from datetime import datetime
 from typing import NamedTuple
@@ -14,25 +14,27 @@ import numpy as np
 from sunarc.archive.archive import CameraArchive
 from sunarc.archive.sightings import ELSEWHERE, FROZEN, sun_point_of
 from sunarc.archive.values import CalibrationRecord, SunPoint
+from sunarc.array_types import Image
 from sunarc.calibration.model.result import Calibration
 from sunarc.detection.values import Detection, Expectation
 from sunarc.errors import InputError
 from sunarc.findings import Finding
+from sunarc.imaging.image_tiles import image_tiles
 from sunarc.reanalysis.cameras import register_camera
 from sunarc.reanalysis.detect_files import Method
+from sunarc.reanalysis.image_files import image_of
 from sunarc.reanalysis.learned_sigma import ValidCamera, factor_in_force, learn_sigma, with_factor
 from sunarc.reanalysis.look import IN_STACK, Answer, Chunk, Item, look_at
 from sunarc.reanalysis.passes import PREDICTED, SEARCHED, as_predicted, expectations
-from sunarc.runtime.status import Reason, StatusRegistry
+from sunarc.reanalysis.sources import open_source
+from sunarc.runtime.status import StatusRegistry
 from sunarc.settings.model import Settings
 from sunarc.workers.calibrating.provisional_pose import is_provisional
-from sunarc.workers.messages import MESSAGES
+from sunarc.workers.image_faults import FrozenAlarm, RepeatedImages, TransferFaults
 
 _log = logging.getLogger(__name__)
 _CONTENTS = 512
 """Hashes that are remembered: a camera that serves one picture for an hour and more is found."""
-_LASTING = 3
-_FROZEN_CODE = "camera_frozen"
 _PERHAPS_ELSEWHERE = frozenset({"hidden", "reflection"})
 
 
@@ -50,47 +52,50 @@ class LiveImage(NamedTuple):
 
 
 class Repetitions:
-    """Finds pictures that came before with another time, and reports a camera that repeats itself.
+    """Finds pictures that came before with another time, and reports a camera with a fault.
 
     Parameters
     ----------
     camera : whose archive gets the event.
-    board : where the condition is set.
+    board : where the conditions are set.
     """
 
     def __init__(self, camera: CameraArchive, board: StatusRegistry) -> None:
-        self._camera, self._board = camera, board
+        self._camera = camera
+        self._alarm, self._faults = FrozenAlarm(camera, board), TransferFaults(board)
+        self._images = RepeatedImages(camera.site)
         self._times: OrderedDict[str, datetime] = OrderedDict()
-        self._in_a_row = 0
 
     def resume(self) -> None:
-        """Remember the pictures from before the start."""
+        """Remember the files from before the start."""
         for one in reversed(self._camera.archive.seen_files.newest(self._camera.name, limit=_CONTENTS)):
             if one.content is not None and one.time is not None:
                 self._times.setdefault(one.content, one.time)
 
-    def earlier(self, image: LiveImage) -> datetime | None:
-        """Return when the same picture came before; None for a new one."""
+    def earlier(self, image: LiveImage, pixels: Image, sun: tuple[float, float] | None) -> datetime | None:
+        """Return when the same picture came before; None for a new one.
+
+        Parameters
+        ----------
+        image, pixels : the picture.
+        sun : where one was found in it, x and y px.
+        """
+        tiles = image_tiles(pixels)
         first = self._times.setdefault(image.content, image.time)
         self._times.move_to_end(image.content)
         if len(self._times) > _CONTENTS:
             self._times.popitem(last=False)
-        repeated = None if first == image.time else first
-        self._count(image.time, repeated)
-        return repeated
-
-    def _count(self, time: datetime, earlier: datetime | None) -> None:
-        if earlier is None:
-            self._in_a_row = 0
-            self._board.set_condition(_FROZEN_CODE, None)
-            return
-        self._in_a_row += 1
-        if self._in_a_row < _LASTING:
-            return
-        found = Finding(_FROZEN_CODE, {"n": self._in_a_row, "time": earlier.isoformat(timespec="seconds")})
-        self._board.set_condition(_FROZEN_CODE, Reason.of(found, MESSAGES), log=False)
-        if self._in_a_row == _LASTING:
-            self._camera.add_event(found, MESSAGES, time=time, severity="alarm")
+        repeated = None
+        if first != image.time:
+            repeated = self._images.compared(tiles, tiles, first, image.time, sun)
+        repeated = repeated or self._images.earlier(tiles, image.time, sun)
+        self._faults.note(pixels)
+        if repeated is None:
+            self._alarm.clear()
+            return None
+        if repeated.is_sure:
+            self._alarm.note(image.time, repeated.time)
+        return repeated.time
 
 
 @dataclass(eq=False)
@@ -151,20 +156,19 @@ class LiveImages:
         OutsideError : the archive cannot store them; nothing is.
         """
         time = images[0].time
-        earlier = self.repetitions.earlier(images[0])
-        if earlier is not None:
-            repeated = Finding("frame_repeated", {"time": earlier.isoformat(timespec="seconds")})
-            self._store([self._point(one, _frozen(repeated), SEARCHED) for one in images])
-            return [repeated for _ in images]
         record = self.camera.archive.calibrations.current(self.camera.name, at=time)
         model = None if record is None else self._model(record)
         expected = None if model is None else self._expected(model, time)
         answers = self._look(address, images, expected, outside=model is not None and expected is None)
         suns = {one.file: one.found for one in answers if isinstance(one.found, Detection)}
+        accepted = any(found.accepted for found in suns.values())
+        if expected is not None and not accepted:
+            self._add_elsewhere(address, images, suns)
+        repeated = self._repeated(address, images[0], suns)
+        if repeated is not None:
+            self._store([self._point(one, _frozen(repeated), SEARCHED) for one in images])
+            return [repeated for _ in images]
         if suns:
-            accepted = any(found.accepted for found in suns.values())
-            if expected is not None and not accepted:
-                self._add_elsewhere(address, images, suns)
             number = SEARCHED if model is None else PREDICTED
             self._store([self._point(one, suns[one.file], number) for one in images if one.file in suns])
             if accepted:
@@ -172,6 +176,16 @@ class LiveImages:
         self._notice(time, suns.values())
         self._learn(record, model)
         return [one.found if isinstance(one.found, Finding) else None for one in answers]
+
+    def _repeated(self, address: str, image: LiveImage, suns: Mapping[str, Detection]) -> Finding | None:
+        """Return the finding of a picture that came before; None for a new one, and for one that cannot be read."""
+        pixels = image_of(open_source(address), image.file)
+        if isinstance(pixels, Finding):
+            return None
+        places = ((one.x_px, one.y_px) for one in suns.values())  # of a bright region that is refused too
+        sun = next(((x, y) for x, y in places if x is not None and y is not None), None)
+        earlier = self.repetitions.earlier(image, pixels, sun)
+        return None if earlier is None else Finding("frame_repeated", {"time": earlier.isoformat(timespec="seconds")})
 
     def _show_sighting(self, time: datetime) -> None:
         """Show the newest sighting: images may come late, and out of order."""

@@ -200,6 +200,11 @@ MESSAGES = Messages(
         "The sun stood elsewhere at those times: no calibration can come of them.",
         "correct folder.utc_offset; where images really are delivered so late there is nothing to do",
     ),
+    image_times_late=Message(
+        "images come {late_s} s after the times that they state, each of the last ones alike",
+        "A clock that is wrong by so much turns north by 0.25° a minute; no calibration can tell.",
+        "compare the camera's clock with this host's (NTP); where images really come so late there is nothing to do",
+    ),
     folder_missing=Message(
         "{folder} cannot be read: {error}",
         "No image comes; it is looked for again every few seconds.",

@@ -23,12 +23,12 @@ from sunarc.detection.disc.series import beside
 from sunarc.detection.values import Detection, DiscOptions, Expectation
 from sunarc.errors import OutsideError
 from sunarc.findings import Finding
+from sunarc.imaging.image_tiles import image_tiles
 from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.loop import DropOldestQueue, entries
-from sunarc.runtime.status import Reason, StatusRegistry
-from sunarc.sky.directions import angular_distance
-from sunarc.sky.sun import sun_directions
-from sunarc.workers.messages import MESSAGES, condition
+from sunarc.runtime.status import StatusRegistry
+from sunarc.workers.image_faults import FrozenAlarm, RepeatedImages, TransferFaults, sun_moved
+from sunarc.workers.messages import condition
 from sunarc.workers.options import SensorOptions, sensor_of
 from sunarc.workers.sun_prediction import SunPredictor
 
@@ -40,14 +40,10 @@ _FEWEST_PIXELS = 100
 """An image that differs from a constant in fewer pixels (hot ones) may truly come again: black, without noise."""
 _SAME_PX = 1e-6
 """Two fits of the disc to images with noise differ by a thousand times more."""
-_SUN_MOVED_RAD = np.radians(0.02)
-"""The sun moves so far in 5 s, which is 0.1 px of the coarsest lens."""
 _HALF_PX = 6  # around the disc
 _FEWEST_LIT = 10
 """Pixels of the disc, not saturated: with their noise, and a sun that moves, so many are never all equal by chance."""
 _LIT, _LEAST_COUNTS, _SATURATED = 0.1, 3.0, 0.98
-_LASTING = 3
-_FROZEN_CODE = "camera_frozen"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +86,8 @@ class FrozenFrames:
         self._images: OrderedDict[bytes, datetime] = OrderedDict()
         self._positions: deque[tuple[datetime, float, float]] | None = None
         self._discs: deque[_Disc] = deque(maxlen=_MAX_POSITIONS)
-        self._in_a_row = 0
+        self._tiles = RepeatedImages(self.camera.site, noisy=True)
+        self._alarm = FrozenAlarm(self.camera, self.board)
 
     def remember(self, frame: Frame) -> None:
         """Take note of a frame that may never be searched for the sun; a later one with its image is a copy.
@@ -106,10 +103,13 @@ class FrozenFrames:
         if earlier is None:
             earlier = self._same_position(frame.time, detection)
         if earlier is None:
-            if self._in_a_row and _is_informative(frame.image):
-                self._clear()
+            repeated = self._tiles.earlier(image_tiles(frame.image), frame.time, None)
+            earlier = None if repeated is None else repeated.time
+        if earlier is None:
+            if _is_informative(frame.image):
+                self._alarm.clear()
             return self._without_earlier_disc(frame, detection)
-        self._count(frame.time, earlier)
+        self._alarm.note(frame.time, earlier)
         repeated = Finding("frame_repeated", {"time": earlier.isoformat(timespec="seconds")})
         return replace(detection, accepted=False, verdict=FROZEN, findings=(repeated,))
 
@@ -133,10 +133,9 @@ class FrozenFrames:
             self._positions = self._stored(time)
         x_px, y_px = detection.x_px, detection.y_px
         for earlier, x, y in self._positions:
-            if abs(x - x_px) < _SAME_PX and abs(y - y_px) < _SAME_PX:
-                before, now = sun_directions(np.array([earlier.timestamp(), time.timestamp()]), self.camera.site)
-                if float(angular_distance(before, now)) > _SUN_MOVED_RAD:
-                    return earlier
+            same = abs(x - x_px) < _SAME_PX and abs(y - y_px) < _SAME_PX
+            if same and sun_moved(earlier, time, self.camera.site):
+                return earlier
         self._positions.append((time, x_px, y_px))
         return None
 
@@ -166,25 +165,6 @@ class FrozenFrames:
         suns = [p for p in points if _is_sun(p)]
         found = [(p.time, p.x_px, p.y_px) for p in suns if p.x_px is not None and p.y_px is not None]
         return deque(reversed(found), maxlen=_MAX_POSITIONS)
-
-    def _count(self, time: datetime, earlier: datetime) -> None:
-        self._in_a_row += 1
-        if self._in_a_row < _LASTING:
-            return
-        finding = Finding(_FROZEN_CODE, {"n": self._in_a_row, "time": earlier.isoformat(timespec="seconds")})
-        self.board.set_condition(_FROZEN_CODE, Reason.of(finding, MESSAGES), log=False)
-        if self._in_a_row == _LASTING:
-            self._store(finding, time)
-
-    def _clear(self) -> None:
-        self._in_a_row = 0
-        self.board.set_condition(_FROZEN_CODE, None)
-
-    def _store(self, finding: Finding, time: datetime) -> None:
-        try:
-            self.camera.add_event(finding, MESSAGES, time=time, severity="alarm")
-        except OutsideError as error:
-            _log.warning("could not store an event: %s", error)
 
 
 def _is_sun(sighting: Detection | SunPoint) -> bool:
@@ -337,6 +317,7 @@ class DetectWorker:
         """Begin without a bracket."""
         self._bracket_of = timedelta(seconds=0.5 * self.cadence_s)
         self._bracket: list[_FrameResult] = []
+        self._faults = TransferFaults(self.board)
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Work until stopped, and then until nothing waits."""
@@ -360,6 +341,7 @@ class DetectWorker:
         detection = self._beside_bracket(frame, detection, expectation)
         detection = self._or_elsewhere(frame, detection, expectation)
         detection = self.frozen.checked(frame, detection)
+        self._faults.note(frame.image)
         point = sun_point_of(
             detection,
             camera=self.camera,

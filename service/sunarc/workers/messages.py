@@ -313,9 +313,19 @@ MESSAGES = Messages(
         "spill into others, set sensor.blooming",
     ),
     camera_frozen=Message(
-        "the camera repeats its images: {n} sun exposures in a row are copies of earlier ones (the last: of {time})",
+        "the camera repeats its images: {n} in a row are copies of earlier ones (the last: of {time})",
         "No sighting is accepted.",
         "restart the camera (power), and update its firmware if it happens again",
+    ),
+    image_rows_repeated=Message(
+        "{n} rows of the last images, one below the other, are the same",
+        "The sun is not seen there, as behind cloud.",
+        "restart the camera (power); check its cable and network, and update its firmware",
+    ),
+    image_levels_missing=Message(
+        "the last images have {n} levels of brightness in all",
+        "The place of the sun is coarse, or it is not seen, as behind cloud.",
+        "restart the camera (power); check its pixel format, digital gain and contrast settings, and its cable",
     ),
     # disk and database
     images_not_written=Message(

@@ -67,6 +67,13 @@ def picture(
     return image
 
 
+def with_clock(image: NDArray[np.uint8], second: int) -> NDArray[np.uint8]:
+    """Return a picture with a time of day burnt into its upper left."""
+    text = f"2025-05-13 15:{second // 60:02d}:{second % 60:02d}"
+    shown = cv2.rectangle(image.copy(), (0, 0), (190, 15), (0, 0, 0), -1)
+    return np.asarray(cv2.putText(shown, text, (2, 12), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (255, 255, 255), 1))
+
+
 def jpeg(image: NDArray[np.uint8]) -> bytes:
     """Return an image as a camera sends it."""
     return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 92])[1].tobytes()

@@ -360,6 +360,21 @@ def test_the_folder_is_never_written(followed: Followed) -> None:
     followed.root.chmod(0o755)
 
 
+@pytest.mark.parametrize(
+    ("late_s", "codes"), [(300.0, {"image_times_late"}), (60.0, set()), (3600.0, {"image_times_offset"})]
+)
+def test_images_that_always_come_late_are_said_before_the_first_calibration(
+    followed: Followed, late_s: float, codes: set[str]
+) -> None:
+    followed.turn()
+    for _ in range(9):
+        time = followed.clock.now().replace(microsecond=0) - timedelta(seconds=late_s)
+        followed.write(allsky(time), shot(time))
+        followed.turn()
+        followed.clock.advance(57.0)
+    assert followed.codes() == codes
+
+
 def test_dates_that_no_image_has_are_left_out_and_the_next_image_is_taken(followed: Followed) -> None:
     """Names, and times of change, that no date or only one of the year 1 can state."""
     followed.turn()

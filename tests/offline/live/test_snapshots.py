@@ -15,12 +15,13 @@ from datetime import UTC, datetime, timedelta
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from tests.fixtures.settings import new_settings
 from tests.offline.live import exchange_fuzz
 from tests.offline.live.followed import never, serve_calibration_of
-from tests.offline.live.sky_pictures import Lens, jpeg, picture, sun_at
+from tests.offline.live.sky_pictures import Lens, jpeg, picture, sun_at, with_clock
 
 from sunarc.app.service import Service
 from sunarc.archive.archive import open_archive
@@ -316,6 +317,81 @@ def test_a_camera_that_serves_one_picture_for_an_hour_is_frozen(asked: Asked, ca
         asked.take()
     assert [point.verdict for point in asked.service.archive.sightings.find("roof")] == ["clear"] + 5 * ["frozen"]
     assert asked.codes() == {"camera_frozen"}
+
+
+def with_comment(content: bytes, text: bytes) -> bytes:
+    """Return a JPEG with a comment, as cameras write the time into it."""
+    return content[:2] + b"\xff\xfe" + struct.pack(">H", len(text) + 2) + text + content[2:]
+
+
+@pytest.mark.parametrize("calibrated", [False, True])
+@pytest.mark.parametrize("text", ["comment", "burnt in"])
+def test_a_picture_that_is_frozen_under_text_that_changes_is_frozen(
+    asked: Asked, camera: Camera, text: str, *, calibrated: bool
+) -> None:
+    if calibrated:
+        camera.answer = sent(shot(asked.clock.now()))
+        asked.take()
+        serve_calibration_of(asked.service, LENS, MORNING - timedelta(hours=2))
+    began = len(asked.service.archive.sightings.find("roof"))
+    still = picture(asked.clock.now(), LENS, np.random.default_rng(3))
+    for n in range(6):
+        shown = with_comment(jpeg(still), b"%d" % n) if text == "comment" else jpeg(with_clock(still, n))
+        camera.answer = sent(shown)
+        asked.take()
+    assert [one.verdict for one in asked.service.archive.sightings.find("roof")][began + 1 :] == 5 * ["frozen"]
+    assert asked.codes() == {"camera_frozen"}
+    assert [event.kind for event in asked.service.archive.events.find("roof", severity="alarm")] == ["camera_frozen"]
+    camera.answer = sent(shot(asked.clock.now()))
+    asked.take()
+    assert asked.codes() == set()
+
+
+def test_clouds_that_are_frozen_under_text_are_known_by_the_noise_that_stands_still(
+    asked: Asked, camera: Camera
+) -> None:
+    for n in range(12):
+        camera.answer = sent(jpeg(picture(asked.clock.now(), LENS, np.random.default_rng(n), cloud=True)))
+        asked.take()
+    assert asked.codes() == set()
+    for n in range(4):
+        still = picture(MORNING, LENS, np.random.default_rng(99), cloud=True)
+        camera.answer = sent(jpeg(with_clock(still, n)))
+        asked.take()
+    assert asked.codes() == {"camera_frozen"}
+
+
+@pytest.mark.parametrize("level", [0, 2, 255])
+def test_a_black_or_overexposed_picture_with_a_clock_is_not_frozen(asked: Asked, camera: Camera, level: int) -> None:
+    for n in range(140):
+        camera.answer = sent(jpeg(with_clock(np.full((320, 320, 3), level, np.uint8), n)))
+        asked.take()
+    assert asked.codes() == set()
+
+
+def smeared(image: np.ndarray) -> np.ndarray:
+    image[120:] = image[120]
+    return image
+
+
+def of_four_bits(image: np.ndarray) -> np.ndarray:
+    return image & 0xF0
+
+
+@pytest.mark.parametrize(
+    ("damaged", "code"), [(smeared, "image_rows_repeated"), (of_four_bits, "image_levels_missing")]
+)
+def test_rows_and_bits_that_are_missing_are_said(
+    asked: Asked, camera: Camera, damaged: Callable[[np.ndarray], np.ndarray], code: str
+) -> None:
+    for n in range(4):
+        image = damaged(picture(asked.clock.now(), LENS, np.random.default_rng(n)))
+        camera.answer = sent(cv2.imencode(".png", image)[1].tobytes(), "image/png")
+        asked.take()
+    assert asked.codes() == {code}
+    camera.answer = sent(shot(asked.clock.now()))
+    asked.take()
+    assert asked.codes() == set()
 
 
 def test_basic_and_digest_are_answered_with_the_login_of_a_file_and_never_before(

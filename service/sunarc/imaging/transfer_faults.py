@@ -1,0 +1,67 @@
+"""Faults of the way from the sensor that look like cloud: rows that repeat, and bits that do not change."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.array_types import Image
+
+_FEWEST_ROWS, _ROWS_SHARE = 16, 0.05
+_LEAST_STRUCTURE = 0.125
+"""Of the pixels of a row that are mid-tones other than their neighbours: a mast before a white sky has few."""
+_MID_TONES = (0.02, 0.98)
+_FEWEST_LEVELS = 6
+"""A drawn or overexposed image has fewer."""
+_COARSEST_STEPS = 32
+"""Levels of 5 bits; images of fewer are named."""
+_LEAST_RANGE = 0.25
+
+
+def repeated_rows(image: Image) -> int:
+    """Return how many rows of an image one below the other are the same, where each has structure; 0 for few.
+
+    Parameters
+    ----------
+    image : (rows, columns) or (rows, columns, channels), in counts.
+    """
+    values = image.reshape(len(image), -1)
+    full = _full_scale(image)
+    channels = max(values.shape[1] // max(image.shape[1], 1), 1)
+    same = np.zeros(len(values), np.bool_)
+    same[1:] = np.all(values[1:] == values[:-1], axis=1)
+    if not same.any():
+        return 0
+    low, high = (bound * full for bound in _MID_TONES)
+    alike = values[same]
+    mid = (alike[:, channels:] > low) & (alike[:, channels:] < high)
+    same[same] = np.mean(mid & (alike[:, channels:] != alike[:, :-channels]), axis=1) >= _LEAST_STRUCTURE
+    longest = _longest_run(same)
+    return longest + 1 if longest >= max(_FEWEST_ROWS, _ROWS_SHARE * len(values)) else 0
+
+
+def missing_levels(image: Image) -> int:
+    """Return the number of steps that an image's full scale has, where these are 32 or fewer; 0 for a sound image.
+
+    Parameters
+    ----------
+    image : in counts.
+    """
+    if image.dtype.kind not in "ui" or image.size == 0:
+        return 0
+    full = _full_scale(image)
+    levels = np.flatnonzero(np.bincount(image.ravel())) if image.dtype.itemsize <= 2 else np.unique(image)
+    span = float(levels[-1] - levels[0])
+    if len(levels) < _FEWEST_LEVELS or span < _LEAST_RANGE * full:
+        return 0
+    steps = round(full / float(np.gcd.reduce(levels - levels[0])))
+    return steps + 1 if steps <= _COARSEST_STEPS else 0
+
+
+def _full_scale(image: Image) -> float:
+    return 255.0 if image.dtype == np.uint8 else max(float(image.max(initial=0)), 1.0)
+
+
+def _longest_run(marked: NDArray[np.bool_]) -> int:
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], marked, [False]]).astype(np.int8)))
+    return int(np.max(edges[1::2] - edges[::2], initial=0))
