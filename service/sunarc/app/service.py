@@ -21,7 +21,7 @@ from sunarc.archive.sightings import ELSEWHERE
 from sunarc.archive.values import Refit
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
 from sunarc.cameras.frame import Frame, SkyCamera
-from sunarc.cameras.options import SnapshotOptions
+from sunarc.cameras.options import WHOLE_SECONDS_S, SnapshotOptions
 from sunarc.detection.values import Detection
 from sunarc.errors import OutsideError
 from sunarc.extras import extra_module
@@ -224,7 +224,7 @@ class Service:
     def _stated_clock_error_s(self) -> float | None:
         """Bound of the error of times that frames or files state; None where the host's clock dates them."""
         if self.settings.folder is not None and self.settings.source == "folder":
-            return self.settings.folder.clock_error_s
+            return WHOLE_SECONDS_S
         return self.settings.capture.camera_clock_error_s if self.settings.dated_by_camera else None
 
     @property
@@ -538,6 +538,7 @@ class Service:
                 wander_deg=settings.watch.wander_deg,
                 now=self.frame_time.now,
                 first=FirstPose.of(settings.first_pose),
+                clock_error_s=settings.stated_clock_error_s,
             ),
             now=self.frame_time.now,
             board=self.board,
@@ -559,6 +560,8 @@ class Service:
             clock=self.clock,
             now=self.frame_time.now,
             board=self.board,
+            clock_error_s=self.settings.stated_clock_error_s,
+            clock_assumed=self.settings.source == "folder",
             may_solve=lambda: self.frame_time.is_known and self.clock_watch.trusted(),
         )
 

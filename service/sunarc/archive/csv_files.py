@@ -22,16 +22,18 @@ SIGHTING_COLUMNS = ("time_utc", "x_px", "y_px", "sigma_px", "body")
 _REQUIRED = ("time_utc", "x_px", "y_px")
 _AIR_COLUMNS = ("temperature_c", "pressure_hpa")
 _DIRECTION_COLUMNS = ("zenith_deg", "azimuth_deg")
+_CLOCK_BOUNDS_S = (0.0, 86_400.0)
 _ZENITH_BOUNDS_DEG, _AZIMUTH_BOUNDS_DEG = (0.0, 180.0), (-360.0, 360.0)
 
 
 def read_sightings(lines: Iterable[str], *, name: str, site: Site | None = None) -> Sightings:
-    """Read `time_utc,x_px,y_px[,sigma_px][,body][,zenith_deg,azimuth_deg][,temperature_c][,pressure_hpa]`.
+    """Read sightings: `time_utc,x_px,y_px` and the optional columns.
 
-    Times are ISO 8601 with Z; the header is required, other columns are ignored. A zenith angle and an azimuth
-    (apparent, clockwise from north) override the body; without them the body is the sun, or one whose direction the
-    site gives. What is not stated is NaN. A `camera` column names one camera; beside it an `epoch` column numbers the
-    pose epochs, as in the tables of `sunarc reanalyse`.
+    These are `sigma_px`, `body`, `zenith_deg,azimuth_deg`, `temperature_c`, `pressure_hpa` and `clock_error_s`. Times
+    are ISO 8601 with Z; the header is required, other columns are ignored. A zenith angle and an azimuth (apparent,
+    clockwise from north) override the body; without them the body is the sun, or one whose direction the site gives.
+    What is not stated is NaN. A `camera` column names one camera; beside it an `epoch` column numbers the pose epochs,
+    as in the tables of `sunarc reanalyse`.
 
     Parameters
     ----------
@@ -60,12 +62,13 @@ def read_sightings(lines: Iterable[str], *, name: str, site: Site | None = None)
                 _sigma(row.get("sigma_px"), where=f"{where}, sigma_px"),
                 _between(row.get("temperature_c"), *TEMPERATURE_BOUNDS_C, where=f"{where}, temperature_c"),
                 PA_PER_HPA * _between(row.get("pressure_hpa"), *PRESSURE_BOUNDS_HPA, where=f"{where}, pressure_hpa"),
+                _between(row.get("clock_error_s"), *_CLOCK_BOUNDS_S, where=f"{where}, clock_error_s"),
                 *direction,
             )
         )
-    columns = np.array(rows, dtype=np.float64).reshape(-1, 8)
-    bodies, stated = np.array(body, dtype=np.str_), columns[:, 6]
-    directions = direction_from_angles(zenith_deg=stated, azimuth_deg=columns[:, 7])
+    columns = np.array(rows, dtype=np.float64).reshape(-1, 9)
+    bodies, stated = np.array(body, dtype=np.str_), columns[:, 7]
+    directions = direction_from_angles(zenith_deg=stated, azimuth_deg=columns[:, 8])
     named = np.flatnonzero(np.isnan(stated) & (bodies != SUN)) if rows else np.zeros(0, dtype=np.int64)
     if named.size:
         directions[named] = _named_directions(bodies[named], columns[named], [wheres[n] for n in named.tolist()], site)
@@ -76,6 +79,7 @@ def read_sightings(lines: Iterable[str], *, name: str, site: Site | None = None)
         sigma_px=columns[:, 3],
         temperature=columns[:, 4],
         pressure=columns[:, 5],
+        clock_error_s=columns[:, 6],
         directions=directions,
         body=bodies,
     )

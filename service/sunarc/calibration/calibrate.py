@@ -7,6 +7,7 @@ from functools import reduce
 
 from sunarc.calibration.fit.assemble import Job, calibration_from_fit, refused, robust_outcome
 from sunarc.calibration.fit.cross_validation import contradiction, day_contradicts_night, of_one_kind
+from sunarc.calibration.fit.level_evidence import log_odds_of_tilt
 from sunarc.calibration.fit.robust_fit import fit_robustly
 from sunarc.calibration.handedness import Fitted, HandChoice, chosen_hand, named_other
 from sunarc.calibration.model.options import USUAL_OPTIONS, CalibrationOptions, ImageCircle
@@ -15,7 +16,7 @@ from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.paper import fit_as_paper
 from sunarc.calibration.plausible_start import most_plausible_start
 from sunarc.calibration.projection_choice import ChosenLens, chosen_lens
-from sunarc.calibration.quality.fit_checks import before_fit, below_horizon
+from sunarc.calibration.quality.fit_checks import TILT, before_fit, below_horizon
 from sunarc.errors import InputError
 from sunarc.findings import Finding
 from sunarc.optics.camera import Camera
@@ -31,6 +32,7 @@ def calibrate(
     circle: ImageCircle | None = None,
     start: Camera | None = None,
     parts: bool = True,
+    tilt_known: bool = False,
 ) -> Calibration:
     """Fit a camera to sightings of the sun.
 
@@ -46,13 +48,23 @@ def calibrate(
     start : a camera to start from, in place of a search.
     parts : whether parts of the sightings are held against the fit, and the other handedness; one that is only
         compared with others needs it not.
+    tilt_known : whether the camera was accepted before at this site by this clock: its tilt is not asked about.
 
     Raises
     ------
     InputError
         Where the image size is not a size.
     """
-    lens = prepared(points, site=site, image_size=image_size, options=options, circle=circle, start=start, parts=parts)
+    lens = prepared(
+        points,
+        site=site,
+        image_size=image_size,
+        options=options,
+        circle=circle,
+        start=start,
+        parts=parts,
+        tilt_known=tilt_known,
+    )
     return lens.allowed_for(calibrate_chosen(lens))
 
 
@@ -65,13 +77,16 @@ def prepared(
     circle: ImageCircle | None,
     start: Camera | None,
     parts: bool,
+    tilt_known: bool,
 ) -> ChosenLens:
     """Return the input of a fit with the usable sightings and the projection; arguments as of `calibrate`."""
     if min(image_size) < 16:
         raise InputError(field="image size", problem=f"{image_size} px", remedy="give width and height in px")
     usable = filter_sightings(points, site=site, image_size=image_size)
     begin = None if start is None else start.lens_alone()
-    return chosen_lens(Job(points, usable, site, image_size, options, circle, begin, parts=parts))
+    return chosen_lens(
+        Job(points, usable, site, image_size, options, circle, begin, parts=parts, tilt_known=tilt_known)
+    )
 
 
 def calibrate_chosen(lens: ChosenLens) -> Calibration:
@@ -100,6 +115,9 @@ def _calibrated(job: Job, fitted: Fitted | None = None) -> Calibration:
         outcome = fit_as_paper(job.usable, start.cameras, options=job.options)
     else:
         outcome = robust_outcome(fit, job.usable, job.options, parts=job.parts)
+        of_tilt = log_odds_of_tilt(fit, outcome.cameras[-1], job.site) if job.parts else None
+        if of_tilt is not None:
+            outcome = outcome._replace(log_odds={**outcome.log_odds, TILT: of_tilt})
     calibration = calibration_from_fit(outcome, job, others=hand.against)
     if calibration.verdict.accepted:
         return reduce(with_finding, hand.found, calibration)

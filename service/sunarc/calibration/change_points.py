@@ -356,6 +356,7 @@ def calibrate_moved(
     circle: ImageCircle | None = None,
     start: Camera | None = None,
     parts: bool = True,
+    tilt_known: bool = False,
 ) -> Moved:
     """Fit a camera that may have been moved among the sightings: one lens, and a pose before and after every move.
 
@@ -366,11 +367,28 @@ def calibrate_moved(
 
     Parameters
     ----------
-    points, site, image_size, options, circle, start, parts : as `calibrate` takes them.
+    points, site, image_size, options, circle, start, parts, tilt_known : as `calibrate` takes them.
     """
-    lens = prepared(points, site=site, image_size=image_size, options=options, circle=circle, start=start, parts=parts)
+    lens = prepared(
+        points,
+        site=site,
+        image_size=image_size,
+        options=options,
+        circle=circle,
+        start=start,
+        parts=parts,
+        tilt_known=tilt_known,
+    )
     options, usable = lens.job.options, lens.job.usable
-    judged = partial(calibrate, site=site, image_size=image_size, options=options, circle=circle, parts=parts)
+    judged = partial(
+        calibrate,
+        site=site,
+        image_size=image_size,
+        options=options,
+        circle=circle,
+        parts=parts,
+        tilt_known=tilt_known,
+    )
     # what is only compared with another need not explain its days
     fit = partial(judged, options=replace(options, max_unexplained=1.0), parts=False)
     found, usable = calibrate_chosen(lens), usable.select(~usable.alone)

@@ -6,7 +6,10 @@ from sunarc.findings import Message, Messages
 
 _ACTIVE_STAYS = "The fit is refused, or kept as a candidate where the verdict is marginal; the active one stays."
 _REFUSED = "The fit is refused."
-_ASKED = "Where the odds are above 1 the fit is kept as a candidate that a person may serve; else it is used."
+_ASKED = "A tilt of more than 5° that is not stated refuses a first fit, see `tilt_in_doubt`; a stated one is used."
+_TILTED = "the sightings fit a camera tilted by {tilt_deg:.1f}°; "
+_ODDS = ", which is {odds:.2g} times as probable as such a tilt"
+_OR_TILTED = "; where the camera is tilted, give --level-within {level_within_deg:.0f}"
 _MORE_DAYS = "collect sightings on further clear days"
 
 MESSAGES = Messages(
@@ -113,10 +116,11 @@ MESSAGES = Messages(
         "check clock and site; where the camera is tilted, give --level-within",
     ),
     tilt_in_doubt=Message(
-        "the sightings fit a camera tilted by {tilt_deg:.1f}°, whose pose they determine to {pose_deg:~2}° (1-sigma "
-        "about the least certain axis): it may be level",
-        "The fit is refused.",
-        "collect sightings in other hours of the day; where the camera is tilted, give --level-within",
+        "the camera is tilted by {tilt_deg:.1f}° (1-sigma {pose_deg:~2}°), which is not stated: by the sun alone a "
+        "tilted camera and a wrong place or clock are the same",
+        _REFUSED,
+        "check clock and site; where the camera is tilted, give --level-within {level_within_deg:.0f} "
+        "(calibration.level_within_deg)",
     ),
     mirrored=Message("the image is mirrored", "Both were tried, and one fits."),
     not_mirrored=Message("the image is not mirrored", "Both were tried, and one fits."),
@@ -236,6 +240,18 @@ MESSAGES = Messages(
         "The fit is used, with what the clock may be off in its uncertainty.",
         "synchronise the camera's clock (NTP, PTP), and state its bound",
     ),
+    site_assumed=Message(
+        "the camera is tilted by {tilt_deg:.1f}° if it stands at latitude {latitude:g}, longitude {longitude:g}; a "
+        "site that is wrong by 1° turns every direction by 1°, which no sighting shows",
+        "The fit is used. Said of a camera's first fit.",
+        "check the site",
+    ),
+    clock_unbounded=Message(
+        "the clock is assumed right to {clock_error_s:g} s: each minute of a constant error turns the camera about the "
+        "pole by {turn_deg_per_minute:.2f}°, which no sighting shows",
+        "The fit is used; its uncertainty holds no larger error of the clock.",
+        "state the bound of the clock (--clock-error S, folder.clock_error_s)",
+    ),
     mount_drifts=Message(
         "the camera turns all the time, by {turn_deg:.2f}° in {days:.1f} days (log odds {log_odds:.0f})",
         "The epoch is refused: no camera holds for all of its days.",
@@ -259,31 +275,46 @@ MESSAGES = Messages(
         "check the exposure of the sun's frames and the focus",
     ),
     camera_tilted=Message(
-        "the sightings fit a camera tilted by {tilt_deg:.1f}°; no other zone or latitude makes it level",
-        "The fit is used.",
-        "check that the camera is tilted",
+        _TILTED + "at latitude {latitude:.1f}, longitude {longitude:.1f} it is level",
+        _ASKED,
+        "check --latitude (north is positive) and --longitude (east is positive)" + _OR_TILTED,
+    ),
+    camera_tilted_by_exchange=Message(
+        _TILTED + "with latitude and longitude exchanged it is level to {level_deg:.1f}°" + _ODDS,
+        _ASKED,
+        "give --latitude {latitude:g} --longitude {longitude:g}" + _OR_TILTED,
     ),
     camera_tilted_by_clock=Message(
-        "the sightings fit a camera tilted by {tilt_deg:.1f}°; with clocks {hours:+g} h ahead, or at a longitude of "
-        "{longitude:.1f} (no camera can distinguish these), it is level, which is {odds:.2g} times as probable as such "
-        "a tilt",
+        _TILTED + "with clocks ahead by {minutes:.0f} ± {minutes_sigma:.0f} minutes ({hours:+.1f} h), or a longitude "
+        "that is off by {longitude_off_deg:.1f} ± {longitude_sigma_deg:.1f}° (no camera can distinguish these), it is "
+        "level to {level_deg:.1f}°" + _ODDS,
         _ASKED,
-        "check the clock's zone (--utc-offset) and the longitude (east is positive); where the camera is tilted, give "
-        "--level-within",
+        "check the clock and its zone (--utc-offset), and --longitude (east is positive)" + _OR_TILTED,
     ),
     camera_tilted_by_longitude=Message(
-        "the sightings fit a camera tilted by {tilt_deg:.1f}°; at a longitude of {longitude:.1f}, or with clocks "
-        "{hours:+.2g} h ahead (no camera can distinguish these), it is level, which is {odds:.2g} times as probable as "
-        "such a tilt",
+        _TILTED
+        + "with a longitude that is off by {longitude_off_deg:.1f} ± {longitude_sigma_deg:.1f}°, or clocks ahead "
+        "by {minutes:.0f} ± {minutes_sigma:.0f} minutes ({hours:+.1f} h; no camera can distinguish these), it is level "
+        "to {level_deg:.1f}°" + _ODDS,
         _ASKED,
-        "check the longitude (east is positive) and the clock's zone (--utc-offset); where the camera is tilted, give "
-        "--level-within",
+        "give --longitude {longitude:.2f} (east is positive), or check the clock and its zone (--utc-offset)"
+        + _OR_TILTED,
     ),
     camera_tilted_by_latitude=Message(
-        "the sightings fit a camera tilted by {tilt_deg:.1f}°; at a latitude of {latitude:.1f} it is level, which is "
-        "{odds:.2g} times as probable as such a tilt",
+        _TILTED + "at a latitude of {latitude:.1f} it is level to {level_deg:.1f}°" + _ODDS,
         _ASKED,
-        "check the latitude (north is positive); where the camera is tilted, give --level-within",
+        "check the latitude (north is positive): --latitude {latitude:.2f}" + _OR_TILTED,
+    ),
+    camera_tilted_shown=Message(
+        "the camera is tilted by {tilt_deg:.1f}°: refraction and horizon make that 10^{log10_odds:.1f} times as "
+        "probable as a level camera at another place",
+        "The fit is used.",
+    ),
+    sun_seen_below_horizon=Message(
+        "{n} of {n_all} sightings are where the camera sees the sun, and it was below the horizon: the site or the "
+        "clock is wrong",
+        _REFUSED,
+        "check --latitude (north is positive), --longitude (east is positive) and the times (UTC, or --utc-offset)",
     ),
     principal_point_outside=Message(
         "the principal point ({x_px:.0f}, {y_px:.0f}) px is outside the image", _REFUSED, _MORE_DAYS

@@ -86,6 +86,7 @@ def calibrate_with_prior(
     size = (prior.width, prior.height)
     usable = filter_sightings(points, site=site, image_size=size)
     job = Job(points=points, usable=usable, site=site, image_size=size, options=options, start=prior, free="prior")
+    job = job._replace(tilt_known=tolerances.pose_deg is not None)  # a stated pose states its tilt
     if len(usable) < FEWEST:
         return refused(job, (Finding("too_few_sightings", {"n": len(usable), "least": FEWEST}),))
     basis = whitened_basis(prior, tolerances)

@@ -91,6 +91,11 @@ class ReplayOptions:
             full_scale_of(self.pixel_format, field="replay.pixel_format")
 
 
+WHOLE_SECONDS_S = 1.0
+"""Bound of the error of times that names have in whole seconds, s: sightings carry it, whatever is stated of the clock.
+A clock's constant error is not theirs: it turns the camera, see `answers.covariance.pose_error`."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FolderOptions:
     """A folder that another program fills with images, one after the other.
@@ -103,7 +108,8 @@ class FolderOptions:
         follow summer time; unset: such images are left out.
     time_pattern : strptime pattern of the names without suffix, where no known one fits, as "%d-%m-%Y_%H-%M-%S".
     method : how the sun is found: "paper" in ordinary images, "disc" in raw microsecond exposures, "auto" by the image.
-    clock_error_s : bound of the error of the images' times; names have whole seconds.
+    clock_error_s : bound of the error of the images' times, which the uncertainty of calibrations then holds; unset:
+        not stated, the names' whole seconds are assumed to be right.
     cadence_s : seconds between images by day; unset: learned from them.
     polling : list the folder every `poll_s` though its file system reports changes.
     poll_s : seconds between two listings, where the file system reports no changes (NFS, SMB) or `polling` is set.
@@ -115,7 +121,7 @@ class FolderOptions:
     utc_offset: str | None = None
     time_pattern: str | None = None
     method: Literal["auto", "disc", "paper"] = "auto"
-    clock_error_s: Annotated[float, Ge(0.0), Le(3600.0)] = 1.0
+    clock_error_s: Annotated[float, Ge(0.0), Le(3600.0)] | None = None
     cadence_s: Annotated[float, Ge(1.0), Le(3600.0)] | None = None
     polling: bool = False
     poll_s: Annotated[float, Ge(0.2), Le(3600.0)] = 10.0

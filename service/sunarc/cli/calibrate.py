@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar, get_args
 
@@ -15,7 +16,9 @@ from sunarc.cli.options import (
     SITE,
     Altitude,
     AsJson,
+    ClockError,
     Config,
+    LevelWithin,
     MirroredOption,
     ProjectionOption,
     parse_image_size,
@@ -157,7 +160,7 @@ def calibrate(
         Path | None,
         typer.Argument(
             help="Sightings: time_utc,x_px,y_px[,sigma_px][,body][,zenith_deg,azimuth_deg]"
-            "[,temperature_c][,pressure_hpa].",
+            "[,temperature_c][,pressure_hpa][,clock_error_s].",
             show_default=False,
         ),
     ] = None,
@@ -174,9 +177,8 @@ def calibrate(
     projection: ProjectionOption = None,
     method: Annotated[str, typer.Option(help="robust or paper.")] = "robust",
     mirrored: MirroredOption = None,
-    level_within: Annotated[
-        float | None, typer.Option(help="A camera tilted by more degrees is refused; unless given, it is asked about.")
-    ] = None,
+    level_within: LevelWithin = None,
+    clock_error: ClockError = None,
     start: Annotated[
         Path | None, typer.Option(help="Begin at the camera of this file: a calibration document or another format.")
     ] = None,
@@ -241,10 +243,11 @@ def calibrate(
         return
     if points is None and config is not None:
         of_points = (latitude, longitude, image_size, image_circle, pressure, start, plots, pose_only or None)
-        of_fit = (projection or None, mirrored or None, level_within)
+        of_fit = (projection or None, mirrored or None)
         _require_settings_only(*of_points, *of_fit, lens_within, pose_within, focal_within, lens_prior)
 
-        calibrate_stored(service_settings(config), provisional=provisional, as_json=as_json)
+        settings = stated_level(service_settings(config), level_within)
+        calibrate_stored(settings, provisional=provisional, as_json=as_json, clock_error_s=clock_error)
         return
     if pose_only and start is None:
         raise InputError(field="--pose-only", problem="no lens to keep", remedy="name a calibration with --start")
@@ -266,6 +269,7 @@ def calibrate(
         lens=known_lens(lens_prior, start=start, writes=write_lens_prior is not None),
         plots=plots,
         keep_provisional=provisional,
+        clock_error_s=clock_error,
     )
     to_write.write([document])
     _print_result(document, plots, as_json=as_json)
@@ -336,11 +340,23 @@ def _require_settings_only(*options: object) -> None:
         )
 
 
-def calibrate_stored(settings: Settings, *, provisional: bool, as_json: bool) -> None:
+def stated_level(settings: Settings, level_within_deg: float | None) -> Settings:
+    """Return settings with the limit of the tilt that an option states."""
+    if level_within_deg is None:
+        return settings
+    options = replace(settings.calibration, level_within_deg=level_within_deg)
+    return settings.model_copy(update={"calibration": options})
+
+
+def calibrate_stored(
+    settings: Settings, *, provisional: bool, as_json: bool, clock_error_s: float | None = None
+) -> None:
     """Fit the camera to the archive's sightings, store and print the result; exit 1 when it is refused."""
     from sunarc.offline.calibrate_archive import calibrate_archive
 
-    refit, document = calibrate_archive(settings, clock=SystemClock(), keep_provisional=provisional)
+    refit, document = calibrate_archive(
+        settings, clock=SystemClock(), keep_provisional=provisional, clock_error_s=clock_error_s
+    )
     if as_json:
         print_json({"state": refit.state, "message": refit.message, "calibration": document})
     elif document is None:

@@ -7,12 +7,14 @@ from typing import Annotated
 
 import typer
 
-from sunarc.cli.calibrate import calibrate_stored
+from sunarc.cli.calibrate import calibrate_stored, stated_level
 from sunarc.cli.database import note_running_service
 from sunarc.cli.options import (
     AsJson,
+    ClockError,
     Config,
     DetectionMethod,
+    LevelWithin,
     choice_of,
     print_json,
     print_table,
@@ -55,6 +57,8 @@ def ingest(
     provisional: Annotated[
         bool, typer.Option("--provisional", help="With --calibrate: as sunarc calibrate --provisional.")
     ] = False,
+    level_within: LevelWithin = None,
+    clock_error: ClockError = None,
     as_json: AsJson = False,
 ) -> None:
     """Find the sun in a folder of archived images and fill the archive; images that are in it are skipped.
@@ -65,7 +69,7 @@ def ingest(
 
     Example: sunarc ingest images/ --config sunarc.toml --calibrate
     """
-    settings = service_settings(config)
+    settings = stated_level(service_settings(config), level_within)
     if workers is not None and workers < 1:
         raise InputError(field="--workers", problem=f"{workers} is below 1", remedy="give 1 or more")
     if as_json and calibrate:
@@ -85,7 +89,7 @@ def ingest(
         return
     _print_summary(summary)
     if calibrate:
-        calibrate_stored(settings, provisional=provisional, as_json=False)
+        calibrate_stored(settings, provisional=provisional, as_json=False, clock_error_s=clock_error)
     else:
         print(_next_command(summary, config))
 

@@ -87,6 +87,13 @@ _MIRRORED = _SettingQuestion(
     _writing,
     "unknown",
 )
+_LEVEL = _SettingQuestion(
+    "calibration.level_within_deg",
+    "--level-within",
+    "Is the camera level to 5 degrees? Largest tilt, degrees",
+    _number("--level-within"),
+    "5",
+)
 _OFFSET = _SettingQuestion(
     "folder.utc_offset",
     "--utc-offset",
@@ -117,6 +124,9 @@ def init(
     token_file: Annotated[Path | None, typer.Option(help="File with USER:PASSWORD for --url.")] = None,
     utc_offset: Annotated[
         str | None, typer.Option(help="How far times in names are ahead of UTC: hours, or a zone as Europe/Berlin.")
+    ] = None,
+    level_within: Annotated[
+        str | None, typer.Option(help="Largest tilt of the camera, degrees; 5 for one that is level.")
     ] = None,
     time_pattern: Annotated[str | None, typer.Option(help="strptime pattern of the names, without suffix.")] = None,
     writing: Annotated[
@@ -149,6 +159,7 @@ def init(
         "calibration.mirrored": writing,
         "folder.utc_offset": utc_offset,
         "folder.time_pattern": time_pattern,
+        "calibration.level_within_deg": level_within,
     }
     with as_owner(file.parent):
         before = read_text(file)
@@ -169,6 +180,7 @@ def init(
     answers.answer(_MIRRORED)
     for optional in (_OFFSET, _PATTERN):
         answers.answer(optional, needed=False)
+    answers.answer(_LEVEL, needed=answers.ask)  # where nobody is asked, the first fit asks
     results = _tried(answers, file, addresses=camera or [], picture=picture)
     changed = {} if before == answers.text else answers.changes
     if before != answers.text:

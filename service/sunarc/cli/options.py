@@ -50,6 +50,24 @@ Altitude = Annotated[float, typer.Option(help="Metres above sea level.", rich_he
 CalibrationFile = Annotated[Path, typer.Option("--calibration", help="A calibration document (JSON).")]
 DetectionMethod = Annotated[str, typer.Option("--method", help="auto, disc (microsecond frames) or paper (ordinary).")]
 
+LevelWithin = Annotated[
+    float | None,
+    typer.Option(
+        help="Largest tilt of the camera, degrees. Unless given, a first fit that is tilted by more than 5 is "
+        "refused: a wrong site or clock looks the same.",
+        min=0.0,
+        max=90.0,
+    ),
+]
+ClockError = Annotated[
+    float | None,
+    typer.Option(
+        help="Bound of the clock's error, seconds, which the stated uncertainty then holds; unless given, 2 s are "
+        "assumed.",
+        min=0.0,
+        max=86_400.0,
+    ),
+]
 ProjectionOption = Annotated[
     list[str] | None,
     typer.Option(

@@ -14,7 +14,9 @@ from sunarc.calibration.model.options import CalibrationOptions, Mirrored
 from sunarc.cli.options import (
     SITE,
     AsJson,
+    ClockError,
     DetectionMethod,
+    LevelWithin,
     MirroredOption,
     ProjectionOption,
     choice_of,
@@ -70,9 +72,8 @@ def reanalyse_archive(
     method: DetectionMethod = "auto",
     projection: ProjectionOption = None,
     mirrored: MirroredOption = None,
-    level_within: Annotated[
-        float | None, typer.Option(help="A camera tilted by more degrees is refused; unless given, it is asked about.")
-    ] = None,
+    level_within: LevelWithin = None,
+    clock_error: ClockError = None,
     scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler, tcp://….")] = None,
     workers: Annotated[
         int | None, typer.Option(help="Processes on this machine; one for each processor unless given.", min=1)
@@ -107,6 +108,7 @@ def reanalyse_archive(
             mirrored=stated_once("--mirrored", mirrored, get_args(Mirrored)),
             level_within_deg=level_within,
         ),
+        clock_error_s=clock_error,
         stacks=True,
     )
     missing = [name for name, given in (("latitude", latitude), ("longitude", longitude)) if given is None]

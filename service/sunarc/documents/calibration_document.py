@@ -177,9 +177,16 @@ def _uncertainty(calibration: Calibration) -> Document:
         "field": field_document(calibration.field, calibration.camera.displacement),
         "mixture": None if calibration.mixture is None else _mixture_document(calibration.mixture),
         "sky_rms_deg": _number(calibration.sky_rms_deg),
+        "sky_rms_without_clock_deg": _number(_without_clock_deg(calibration)),
         "sky_max_deg": _number(calibration.sky_max_deg),
         **({} if calibration.sigma_limit_deg is None else {"sigma_limit_deg": calibration.sigma_limit_deg}),
     }
+
+
+def _without_clock_deg(calibration: Calibration) -> float:
+    """Return the 1-sigma over the sky without the clock's error that is stated for all sightings, degrees."""
+    without_deg = calibration.sky_rms_without_clock_deg
+    return calibration.sky_rms_deg if without_deg is None else without_deg
 
 
 def _mixture_document(mixture: ErrorMixture) -> Document:
@@ -302,12 +309,19 @@ def from_document(document: object) -> Calibration:
         mixture=_read_mixture(read),
         night=_read_night(read),
         sigma_limit_deg=_read_limit(read),
+        sky_rms_without_clock_deg=_read_without_clock(read),
     )
 
 
 def _read_limit(read: DocumentReader) -> float | None:
     """Return the 1-sigma up to which a provisional calibration answers; None where it has no limit."""
     found = read.number("uncertainty.sigma_limit_deg", needed=False)
+    return found if math.isfinite(found) else None
+
+
+def _read_without_clock(read: DocumentReader) -> float | None:
+    """Return the 1-sigma over the sky without the clock's error; None in documents of version 0.3 and before."""
+    found = read.number("uncertainty.sky_rms_without_clock_deg", needed=False)
     return found if math.isfinite(found) else None
 
 
@@ -400,6 +414,8 @@ def _read_metrics(read: DocumentReader) -> Metrics:
 
 def _read_evidence(read: DocumentReader) -> Provenance:
     options = read.value("evidence.options")
+    clock_s, beyond_s = (read.number(f"evidence.{name}", needed=False) for name in ("clock_error_s", "clock_beyond_s"))
+    stated = read.value("evidence.clock_stated", needed=False)
     return Provenance(
         days=tuple(str(d) for d in read.items("evidence.days")),
         n_supplied=read.count("evidence.n_supplied"),
@@ -409,7 +425,9 @@ def _read_evidence(read: DocumentReader) -> Provenance:
         sigma_px=read.number("evidence.sigma_px", needed=False),
         inflation=read.number("evidence.inflation", needed=False),
         radial_px=read.number("evidence.radial_px", needed=False),
-        clock_error_s=read.number("evidence.clock_error_s", needed=False),
+        clock_error_s=clock_s,
+        clock_stated=clock_s > 0.0 if stated is None else bool(stated),
+        clock_beyond_s=beyond_s if 0.0 <= beyond_s < math.inf else 0.0,
         circle=read.value("evidence.circle", needed=False),
         start=read.value("evidence.start", needed=False),
         selection=read.value("evidence.selection", needed=False) or {},

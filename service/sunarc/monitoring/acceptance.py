@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance, without_clock
 from sunarc.calibration.evidence import squared_sigmas
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import Sightings, apparent_directions
@@ -94,6 +94,8 @@ def accept(
     """
     if not candidate.verdict.accepted:
         return candidate.verdict
+    if current is not None:
+        current = without_clock(current)
     found = (Finding("first_calibration"), *candidate.verdict.findings)
     against = [*_held_out_problems(candidate)]
     if current is not None:
@@ -229,7 +231,7 @@ def _in_joint_sigmas(first: Calibration, second: Calibration) -> tuple[FloatArra
 def _over_the_sky(first: Calibration, second: Calibration) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return how far two calibrations are apart, (n, 2) px, and the covariances of both where they see the sky."""
     directions = hemisphere(400)
-    a, a_covariance = project_with_covariance(first, directions)
-    b, b_covariance = project_with_covariance(second, directions)
+    a, a_covariance = project_with_covariance(without_clock(first), directions)
+    b, b_covariance = project_with_covariance(without_clock(second), directions)
     both = np.all(np.isfinite(a), axis=-1) & np.all(np.isfinite(b), axis=-1)
     return (a - b)[both], a_covariance[both], b_covariance[both]

@@ -22,6 +22,7 @@ from sunarc.documents.calibration_document import from_document, to_document
 from sunarc.errors import InputError
 from sunarc.findings import Finding
 from sunarc.monitoring.acceptance import distance_px
+from sunarc.offline.calibrate_files import require_level
 from sunarc.optics.camera import Camera
 from sunarc.reanalysis.cameras import known_camera
 from sunarc.reanalysis.learned_sigma import ValidCamera, learn_sigma
@@ -33,7 +34,7 @@ from sunarc.workers.calibrating.solver_process import points_of
 
 
 def calibrate_archive(
-    settings: Settings, *, clock: Clock, keep_provisional: bool = False
+    settings: Settings, *, clock: Clock, keep_provisional: bool = False, clock_error_s: float | None = None
 ) -> tuple[Refit, dict[str, Any] | None]:
     """Fit the camera to the accepted sightings of the archive, as a refit of the service does.
 
@@ -44,6 +45,7 @@ def calibrate_archive(
     settings : camera, site, state folder, and how to fit.
     clock : dates the calibration.
     keep_provisional : see `provisional`.
+    clock_error_s : the bound of the clock, s; None for that of the settings.
 
     Returns
     -------
@@ -51,7 +53,8 @@ def calibrate_archive(
 
     Raises
     ------
-    InputError : the archive has no images or sightings of this camera.
+    InputError : the archive has no images or sightings of this camera; or the served one is tilted by more than the
+        settings state.
     OutsideError : a service uses the state folder.
     """
     if settings.store is None:
@@ -65,7 +68,12 @@ def calibrate_archive(
                     problem=f"missing, and the archive has no camera {settings.name!r}",
                     remedy="fill it with sunarc ingest or sunarc points import",
                 )
-            refit = _carried_out(archive, settings, clock, keep_provisional=keep_provisional)
+            _require_level(archive, settings)
+            worker = _worker(archive, settings, clock)
+            worker.keep_provisional = keep_provisional
+            if clock_error_s is not None:
+                worker.clock_error_s, worker.clock_assumed = clock_error_s, False
+            refit = _carried_out(worker)
             if refit.calibration is None:
                 return refit, None
             if refit.state == "accepted":
@@ -75,12 +83,21 @@ def calibrate_archive(
             return refit, dict(archive.calibrations.get(refit.calibration).document)
 
 
-def _carried_out(archive: Archive, settings: Settings, clock: Clock, *, keep_provisional: bool) -> Refit:
-    """Return a refit that was requested and is finished; one that is interrupted has failed, and is not begun again."""
-    refit = Refit.asked(settings.name, "sunarc calibrate", at=clock.now())
-    archive.refits.add(refit)
+def _require_level(archive: Archive, settings: Settings) -> None:
+    """Raise InputError where the camera that is served in its present pose is tilted by more than is stated."""
+    record, served = archive.calibrations.current(settings.name), archive.calibrations.current_model(settings.name)
+    epochs = archive.epochs.find(settings.name)
+    if record is None or served is None or not epochs or record.pose_epoch != epochs[-1].id:
+        return
+    name = f"calibration {record.id}"
+    field = "calibration.level_within_deg"
+    require_level(served.pose.theta_zz_deg, settings.calibration.level_within_deg, field=field, name=name)
+
+
+def _worker(archive: Archive, settings: Settings, clock: Clock) -> RefitWorker:
+    """Return what fits the archive's sightings by the settings."""
     started_at = clock.now()
-    worker = RefitWorker(
+    return RefitWorker(
         CameraArchive(archive, name=settings.name, site=settings.site),
         options=settings.refit,
         calibration=settings.calibration,
@@ -88,8 +105,16 @@ def _carried_out(archive: Archive, settings: Settings, clock: Clock, *, keep_pro
         clock=clock,
         now=clock.now,
         board=StatusRegistry(version=sunarc.__version__, started_at=started_at, monotonic=clock.monotonic),
-        keep_provisional=keep_provisional,
+        clock_error_s=settings.stated_clock_error_s,
+        clock_assumed=settings.source == "folder",
     )
+
+
+def _carried_out(worker: RefitWorker) -> Refit:
+    """Return a refit that was requested and is finished; one that is interrupted has failed, and is not begun again."""
+    archive, clock = worker.camera.archive, worker.clock
+    refit = Refit.asked(worker.camera.name, "sunarc calibrate", at=clock.now())
+    archive.refits.add(refit)
     try:
         worker.carry_out(refit, threading.Event(), lambda: None)
     except BaseException as error:

@@ -13,6 +13,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 import sunarc
 from sunarc.archive.csv_files import read_sightings
 from sunarc.array_types import FloatArray
@@ -26,6 +28,8 @@ from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.pose import estimate_pose
 from sunarc.calibration.quality.fit_checks import provisional
+from sunarc.calibration.quality.tilt import proposed_limit_deg
+from sunarc.calibration.quality.widening import with_clock
 from sunarc.calibration.stated_prior import PriorTolerances, calibrate_with_prior
 from sunarc.documents.calibration_document import from_document, to_document
 from sunarc.documents.lens_prior import lens_type_to_json
@@ -131,16 +135,21 @@ def calibrate_file(
     lens: LensType | None = None,
     plots: Path | None = None,
     keep_provisional: bool = False,
+    clock_error_s: float | None = None,
 ) -> dict[str, Any]:
     """Fit a file of sightings, draw the result into a folder where one is named, and return the document.
 
     `start` is of any format that is read; `pose_only` keeps its lens, see `_posed`; `within` makes it a prior of these
     tolerances; `lens` is the camera's type of lens, in place of `start`. A projection that is not stated comes from
-    `start`, or is chosen by the sightings. `keep_provisional`: see `provisional`.
+    `start`, or is chosen by the sightings. `keep_provisional`: see `provisional`. `clock_error_s`: the bound of the
+    clock, where it is stated; that of the file's column clock_error_s unless given.
     """
     if plots is not None:
         extra_module("matplotlib", extra="studies")  # before the fit, which takes minutes
-    points = read_points(path, image_size, site)
+    points, clock_error_s = _without_clock_column(read_points(path, image_size, site), clock_error_s)
+    known = None if start is None else _accepted_here(start, site)
+    if known is not None:
+        require_level(known.pose.theta_zz_deg, options.level_within_deg, field="--level-within", name=str(start))
     if lens is not None:
         require_lens(lens, image_size=image_size, options=options)
         solved, points = calibrate_with_lens(points, lens=lens, site=site, options=options, circle=circle)
@@ -154,18 +163,48 @@ def calibrate_file(
         if begin is not None:  # the file states the handedness
             options = replace(options, mirrored="yes" if begin.mirrored else "no")
         solved, points = calibrate_moved(
-            points, site=site, image_size=image_size, options=options, circle=circle, start=begin
+            points,
+            site=site,
+            image_size=image_size,
+            options=options,
+            circle=circle,
+            start=begin,
+            tilt_known=known is not None,
         )
     if start is not None or lens is not None:
         solved = _explained(solved, points, options=options, circle=circle)
     if keep_provisional:
         solved = provisional(solved, limit_deg=options.max_sky_deg)
+    solved = with_clock(solved, clock_error_s)
     if plots is not None:
         from sunarc.studies.reports import write_calibration_plots  # noqa: PLC0415 - the plot library is slow to load
 
         write_calibration_plots(solved, points, folder=plots)
     since = points.unix_s[points.epoch == points.epoch.max()] if len(points) else points.unix_s
     return _document(solved, since, clock.now(), camera=path.stem)
+
+
+_SAME_SITE_DEG = 0.1
+"""Difference of latitude or longitude up to which a camera was accepted at the same site."""
+
+
+def _accepted_here(start: Path, site: Site) -> Calibration | None:
+    """Return the calibration of a file that was accepted at a site; None of another site, and of other formats."""
+    if read_view_file(start).camera is None:
+        return None
+    known = read_calibration(start)
+    off_deg = abs(known.site.latitude - site.latitude), abs(known.site.longitude - site.longitude)
+    return known if known.verdict.accepted and max(off_deg) < _SAME_SITE_DEG else None
+
+
+def require_level(tilt_deg: float, limit_deg: float | None, *, field: str, name: str) -> None:
+    """Raise InputError where a camera was accepted with a larger tilt than is stated now."""
+    if limit_deg is not None and tilt_deg > limit_deg:
+        raise InputError(
+            field=field,
+            problem=f"is {limit_deg:g}°, where the camera of {name} is tilted by {tilt_deg:.1f}°",
+            remedy=f"give {proposed_limit_deg(tilt_deg):g} or leave it out; or leave out that calibration",
+        )
 
 
 def _document(
@@ -232,6 +271,21 @@ def _posed(
     return calibrate_with_prior(
         points, prior=camera, tolerances=PriorTolerances(lens_px=lens_px), site=site, options=options
     )
+
+
+def _without_clock_column(points: Sightings, clock_error_s: float | None) -> tuple[Sightings, float | None]:
+    """Return sightings whose clock is one error of all, and its bound: that of the option, or the column's largest."""
+    stated = points.clock_error_s[np.isfinite(points.clock_error_s)]
+    if stated.size == 0:
+        return points, clock_error_s
+    largest_s = float(np.max(stated))
+    if clock_error_s is not None and clock_error_s != largest_s:
+        raise InputError(
+            field="--clock-error",
+            problem=f"{clock_error_s:g} s, where the column clock_error_s has {largest_s:g} s",
+            remedy="leave out one of them",
+        )
+    return replace(points, clock_error_s=np.full(1, np.nan)), largest_s
 
 
 def read_points(path: Path, image_size: tuple[int, int], site: Site) -> Sightings:

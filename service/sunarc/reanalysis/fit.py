@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,12 +14,12 @@ import sunarc
 from sunarc.array_types import FloatArray, IntArray, stacked
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions, Mirrored
-from sunarc.calibration.model.result import Calibration, refused_for
+from sunarc.calibration.model.result import Calibration, refused_for, with_finding
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.projection_choice import options_as_served
-from sunarc.calibration.quality.fit_checks import provisional, tilt_in_doubt
+from sunarc.calibration.quality.fit_checks import provisional, site_assumed, tilt_in_doubt
 from sunarc.calibration.quality.tilt import tilt_question
-from sunarc.calibration.quality.widening import with_larger_errors, with_pose_spread
+from sunarc.calibration.quality.widening import with_clock, with_larger_errors, with_pose_spread
 from sunarc.calibration.selection import select_sightings, surest_of_epochs
 from sunarc.documents.calibration_document import to_document
 from sunarc.findings import Finding
@@ -164,10 +165,12 @@ def fit_poses(
         given = selected if beside is None else _merged(selected, beside)
         # the poses of a lens are fitted to the same sightings: projection and handedness are sought once
         options = options_of.get(lens_of[pose], camera.options)
-        solved = calibrate(given, site=camera.site, image_size=camera.size, options=options)
+        # the tilt is asked about where all poses are known, see `_held_to_level`
+        fit = partial(calibrate, given, site=camera.site, image_size=camera.size, options=options, tilt_known=True)
+        solved = fit()
         if not solved.verdict.accepted:  # the search for a start may have ended elsewhere
             near = next(state.calibration.camera for state in states if state.pose == pose)
-            again = calibrate(given, site=camera.site, image_size=camera.size, options=options, start=near)
+            again = fit(start=near)
             solved = again if again.verdict.accepted else solved
         if solved.verdict.accepted:
             options_of[lens_of[pose]] = options_as_served(options, solved)
@@ -223,13 +226,20 @@ def _as_steady(both: FittedPose, one: FittedPose) -> FittedPose:
 
 
 def document_of(
-    fitted: FittedPose, points: Sightings, epoch: Epoch, *, camera: str, name: str, evidence: Mapping[str, object]
+    fitted: FittedPose,
+    points: Sightings,
+    epoch: Epoch,
+    *,
+    camera: str,
+    name: str,
+    evidence: Mapping[str, object],
+    clock_error_s: float | None = None,
 ) -> dict[str, Any]:
     """Return the calibration document of an epoch, valid from its first to its last sighting.
 
     Its id is made of the sightings, so that the same archive gives the same one.
     """
-    solved, offset = fitted.calibration, points
+    solved, offset = with_clock(fitted.calibration, clock_error_s), points
     rows = fitted.rows
     stars = fitted.stars
     beside = () if stars is None else (stars.unix_s.tobytes(), stars.pixels.tobytes())
@@ -366,8 +376,8 @@ def _longest(run: Sequence[Epoch]) -> Epoch:
     return max(run, key=lambda one: one.last - one.first)
 
 
-def _refused(fitted: FittedPose, finding: Finding) -> FittedPose:
-    return fitted._replace(calibration=refused_for(fitted.calibration, finding))
+def _refused(fitted: FittedPose, *findings: Finding) -> FittedPose:
+    return fitted._replace(calibration=refused_for(fitted.calibration, *findings))
 
 
 def _of_path(former: Final, final: Final, points: Sightings) -> Final:
@@ -441,12 +451,23 @@ def _held_to(fitted: FittedPose, sigmas: float) -> FittedPose:
 
 
 def _held_to_level(final: Final) -> Final:
-    """Return calibrations, those refused whose tilt is not stated, and is determined by few sightings only."""
+    """Return calibrations, those refused whose tilt is not stated, unless the camera stood level in another pose.
+
+    Site and clock are those of all poses.
+    """
+    accepted = {pose: one for pose, one in final.fitted.items() if one.calibration.verdict.accepted}
+    doubts_of = {pose: tilt_in_doubt(one.calibration) for pose, one in accepted.items()}
     fitted = dict(final.fitted)
-    for pose, one in final.fitted.items():
-        doubt = tilt_in_doubt(one.calibration)
-        if doubt is not None and one.calibration.verdict.accepted:
-            fitted[pose] = _refused(one, doubt)
+    if not all(doubts_of.values()):
+        for pose, one in accepted.items():
+            said = one.calibration
+            for finding in site_assumed(said):
+                said = with_finding(said, finding)
+            fitted[pose] = one._replace(calibration=said)
+        return final._replace(fitted=fitted)
+    for pose, doubt in doubts_of.items():
+        question = tilt_question(fitted[pose].calibration.camera, fitted[pose].calibration.site)
+        fitted[pose] = _refused(fitted[pose], *filter(None, (question, doubt)))
     return final._replace(fitted=fitted)
 
 
@@ -471,7 +492,9 @@ def _held_to_days(final: Final, given: CameraSightings, noise: FloatArray) -> Fi
         seen = camera.shifted(points.select(rows), state.clock_offset_s)
         residual = seen.pixels - project_fast(refused.camera, sun_directions(seen.unix_s, camera.site))
         for run in agreeing_days(finite(residual), noise[rows], seen.unix_s, camera.site)[:1]:
-            alone = calibrate(seen.select(run), site=camera.site, image_size=camera.size, options=camera.options)
+            alone = calibrate(
+                seen.select(run), site=camera.site, image_size=camera.size, options=camera.options, tilt_known=True
+            )
             if not alone.verdict.accepted:
                 continue
             pose, lens = (1 + max(getattr(one, name) for one in states) for name in ("pose", "lens"))

@@ -20,7 +20,7 @@ from sunarc.archive.archive import CameraArchive
 from sunarc.archive.seen_files import SeenFile
 from sunarc.array_types import Image
 from sunarc.cameras.frame import Frame
-from sunarc.cameras.options import FolderOptions
+from sunarc.cameras.options import WHOLE_SECONDS_S, FolderOptions
 from sunarc.errors import InputError, OutsideError
 from sunarc.findings import Finding
 from sunarc.foreign_files import MOST_BYTES, is_regular, name_path, name_text
@@ -471,7 +471,7 @@ class FolderWorker:
         names = {sidecar} if is_regular(self._root / name_path(sidecar)) else set[str]()
         frame = timed_frames(self._source, file.name, self._rules, names=names)[0]
         ahead_s = (frame.time - self.frame_time.now()).total_seconds()
-        if self.frame_time.speed == 1.0 and ahead_s > self.options.clock_error_s + _FUTURE_S:
+        if self.frame_time.speed == 1.0 and ahead_s > (self.options.clock_error_s or WHOLE_SECONDS_S) + _FUTURE_S:
             raise RefusedImageError(file.name, Finding("file_time_future", {"ahead_s": ahead_s}))
         return frame
 

@@ -106,6 +106,7 @@ class CameraPlan:
     image_size : width and height, px; None for what most of its images have.
     method : see `detect_in_image`.
     options : how it is calibrated.
+    clock_error_s : bound of the error of its times, s; None where none is stated.
     largest_zenith_deg : apparent zenith angle of the sun beyond which an image is not one of the day.
     stacks : whether images of one time are exposures of one scene, with one sighting.
     one_by_one : whether each is a unit of work, so that a run that is ended loses few.
@@ -118,6 +119,7 @@ class CameraPlan:
     image_size: tuple[int, int] | None = None
     method: Method = "auto"
     options: CalibrationOptions = field(default_factory=CalibrationOptions)
+    clock_error_s: float | None = None
     largest_zenith_deg: float = 90.0
     stacks: bool = False
     one_by_one: bool = False
@@ -354,7 +356,7 @@ def _usual_size(images: Sequence[ArchiveImage]) -> tuple[int, int] | None:
 _NUMBERS = ("latitude", "longitude", "altitude")
 _KEYS = {
     "sources", "files", "utc_offset", "time_pattern", *_NUMBERS, "image_size", "projection", "mirrored", "level_within",
-    "method",
+    "method", "clock_error",
 }  # fmt: skip
 
 
@@ -407,6 +409,7 @@ def _filled(name: str, table: Mapping[str, Any], common: CameraPlan, folder: Pat
         selector=Selector(sources, str(table.get("files", "*"))),
         rules=rules,
         image_size=_get(table, "image_size", _size, common.image_size),
+        clock_error_s=_get(table, "clock_error", clock_bound_s, common.clock_error_s),
         method=_get(table, "method", _one_of("auto", "disc", "paper"), common.method),
         options=replace(
             common.options,
@@ -423,6 +426,18 @@ def _stated(table: Mapping[str, Any], key: str, choices: Sequence[str], common: 
     if common not in {unstated, found}:
         raise ValueError(f"{key} is {found!r}, where --{key} {common} is given; give it in one place")
     return found
+
+
+_MOST_CLOCK_S = 86_400.0
+"""A clock that is off by more than a day has no bound."""
+
+
+def clock_bound_s(given: float | str) -> float:
+    """Return the bound of a clock's error, s, from 0 to a day."""
+    bound_s = float(given)
+    if not 0.0 <= bound_s <= _MOST_CLOCK_S:
+        raise ValueError(f"clock_error is {bound_s:g}, not within 0 to {_MOST_CLOCK_S:g} s")
+    return bound_s
 
 
 def _get(table: Mapping[str, Any], key: str, convert: Callable[[Any], Any], default: Any) -> Any:  # noqa: ANN401

@@ -13,7 +13,7 @@ import numpy as np
 
 from sunarc.archive.values import SunPoint
 from sunarc.array_types import FloatArray
-from sunarc.calibration.answers.covariance import project_with_covariance
+from sunarc.calibration.answers.covariance import project_with_covariance, without_clock
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.detection.values import Detection, Expectation, Verdict
@@ -424,7 +424,7 @@ def expectations(
     if unix_s.size == 0:
         return []
     directions = sun_directions(unix_s, site)
-    pixels, covariance = project_with_covariance(calibration, directions)
+    pixels, covariance = project_with_covariance(without_clock(calibration), directions)
     stretch = local_stretch(calibration.camera, directions)
     zenith = np.radians(np.asarray(sun_angles(unix_s, site).apparent_zenith))
     scatter = np.nan_to_num(calibration.evidence.sigma_px) if misfit_px is None else misfit_px

@@ -274,6 +274,7 @@ def _document(result: CameraResult, number: int) -> Document:
         camera=result.name,
         name=epoch_name(number),
         evidence=evidence,
+        clock_error_s=result.camera.plan.clock_error_s,
     )
 
 

@@ -126,6 +126,11 @@ class Settings(_WithStore):
         return self.camera is None or self.camera.timestamps == "camera"
 
     @property
+    def stated_clock_error_s(self) -> float | None:
+        """The bound of the clock that dated the images, s; None where none is stated, or sightings carry theirs."""
+        return self.folder.clock_error_s if self.folder is not None and self.source == "folder" else None
+
+    @property
     def backups(self) -> Path:
         """The folder of the dated copies of the archive."""
         return self.state / "backups"

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sunarc.array_types import FloatArray, NameArray
-from sunarc.calibration.answers.covariance import project_with_covariance, sigma_px
+from sunarc.calibration.answers.covariance import project_with_covariance, sigma_px, without_clock
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.selection import image_parts, surest_of_parts
 from sunarc.detection.stars.matching import StarMatches, match_stars, sky_motion, standing_still
@@ -42,7 +42,7 @@ def predict_stars(
     -------
     Those within the image, as in `sky`: the brightest first.
     """
-    pixels, covariance = project_with_covariance(calibration, sky.directions)
+    pixels, covariance = project_with_covariance(without_clock(calibration), sky.directions)
     sigma = np.hypot(sigma_px(covariance), within_px)
     return stars_in_image(calibration.camera, sky, pixels, sigma, furthest_deg=furthest_deg)
 

@@ -34,6 +34,13 @@ MESSAGES = Messages(
         "The calibration is served, but cannot be reproduced.",
         "restore a copy with `sunarc db restore`, or request a refit",
     ),
+    tilt_unstated=Message(
+        "the camera of calibration {calibration} is tilted by {tilt_deg:.1f}°, where calibration.level_within_deg is "
+        "{stated}: a wrong site or clock looks the same",
+        "It was accepted before, and is served on. A first fit of such a camera is refused.",
+        "check site and clock; where the camera is tilted, write under [calibration]: "
+        "level_within_deg = {level_within_deg:.0f}",
+    ),
     provisional_pose=Message(
         "pose estimated from {n} sightings since the camera moved, 1-sigma {sigma_deg:.3f}°",
         "The stated uncertainty includes that of the pose.",

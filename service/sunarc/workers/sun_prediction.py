@@ -9,7 +9,7 @@ from datetime import datetime, timedelta
 import numpy as np
 
 from sunarc.archive.archive import CameraArchive
-from sunarc.calibration.answers.covariance import project_with_covariance
+from sunarc.calibration.answers.covariance import project_with_covariance, without_clock
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
 from sunarc.detection.disc.series import ClearSun, clear_sun
 from sunarc.detection.values import Expectation
@@ -77,7 +77,7 @@ class SunPredictor:
             return None
         site = self._camera.site_with_air_at(time)
         direction = sun_directions(time.timestamp(), site)
-        pixel, covariance = project_with_covariance(calibration, direction)
+        pixel, covariance = project_with_covariance(without_clock(calibration), direction)
         if not np.all(np.isfinite(pixel)):
             return None
         (a, b), (c, d) = local_stretch(calibration.camera, direction).tolist()

@@ -1,4 +1,4 @@
-"""The question to clock and site of a tilted camera, held against its definition written out, over random cameras."""
+"""Question to clock and site of a tilted camera, by its definition on the unit sphere, over random cameras."""
 
 from __future__ import annotations
 
@@ -11,19 +11,22 @@ from scipy.spatial.transform import Rotation
 from tests.fixtures.calibration import ideal_camera
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration.quality.tilt import mount_density, tilt_question
+from sunarc.calibration.quality.tilt import Place, distance_deg, level_place, mount_density, tilt_question
 from sunarc.optics.camera import Camera
 from sunarc.sky.site import Site
 
-EAST = np.array([1.0, 0.0, 0.0])
+
+def zenith_of(latitude: float, longitude: float) -> FloatArray:
+    """Return the zenith of a place in axes fixed to the earth."""
+    a, b = math.radians(latitude), math.radians(longitude)
+    return np.array([math.cos(a) * math.cos(b), math.cos(a) * math.sin(b), math.sin(a)])
 
 
-def pole_at(latitude: float) -> FloatArray:
-    return np.array([0.0, math.cos(math.radians(latitude)), math.sin(math.radians(latitude))])
-
-
-def wrapped(degrees: float) -> float:
-    return (degrees + 180.0) % 360.0 - 180.0
+def axes_of(site: Site) -> FloatArray:
+    """Return east, north and up of a place as rows."""
+    up, pole = zenith_of(site.latitude, site.longitude), np.array([0.0, 0.0, 1.0])
+    east = np.cross(pole, up) / np.linalg.norm(np.cross(pole, up))
+    return np.stack([east, np.cross(up, east), up])
 
 
 def looking(axis: FloatArray) -> Camera:
@@ -31,6 +34,10 @@ def looking(axis: FloatArray) -> Camera:
     across = np.cross(axis, [0.0, 0.0, 1.0])
     turn = across / np.linalg.norm(across) * math.acos(axis[2])
     return replace(ideal_camera(), rotation_cam_enu=tuple(turn.tolist()))
+
+
+def apart_deg(one: FloatArray, other: FloatArray) -> float:
+    return math.degrees(math.atan2(float(np.linalg.norm(np.cross(one, other))), float(one @ other)))
 
 
 def mounted(axis: FloatArray) -> FloatArray:
@@ -41,62 +48,85 @@ def mounted(axis: FloatArray) -> FloatArray:
     return 0.95 * by_hand + 0.05 * np.where(tilt <= 75.0, 1.0, 0.01) / cap
 
 
-def question_by_definition(axis: FloatArray, site: Site) -> tuple[str, dict[str, float]] | None:
-    """Return code and data of the likeliest mistake that would make a camera level."""
-    tilt = math.degrees(math.acos(axis[2]))
-    if tilt <= 5.0:
-        return None
-    hours = {k / 2.0: 1.0 if k % 2 == 0 else 0.1 for k in range(-28, 29) if k}
-    every = sum(hours.values())
-    longitudes = [(k / 2.0, 0.001 / 720.0) for k in range(-360, 360)] + [(2.0 * site.longitude, 0.005)]
-    latitudes = [(k / 2.0 - site.latitude, 0.001 / 360.0) for k in range(-180, 180)] + [(-2.0 * site.latitude, 0.005)]
-    mistakes = {
-        "camera_tilted_by_clock": (pole_at(site.latitude), [(15.0 * h, 0.02 * w / every) for h, w in hours.items()]),
-        "camera_tilted_by_longitude": (pole_at(site.latitude), longitudes),
-        "camera_tilted_by_latitude": (EAST, latitudes),
+def densities(level: FloatArray, site: Site) -> dict[str, float]:
+    """Return the largest density per steradian of each kind of mistake."""
+    latitude, longitude = site.latitude, site.longitude
+
+    def of_place(share: float, at: FloatArray) -> float:
+        off = apart_deg(level, at)
+        wide = 2.0 * math.pi * math.radians(2.0) ** 2
+        return share * math.exp(-0.5 * (off / 2.0) ** 2) / wide if off <= 5.0 else 0.0
+
+    def of_line(per_rad: float, at: FloatArray) -> float:
+        off = apart_deg(level, at)
+        wide = math.sqrt(2.0 * math.pi) * math.radians(2.0)
+        return per_rad * math.exp(-0.5 * (off / 2.0) ** 2) / wide if off <= 5.0 else 0.0
+
+    there = math.degrees(math.atan2(level[1], level[0]))
+    turn = abs((there - longitude + 180.0) % 360.0 - 180.0)
+    whole = {h: 1.0 / abs(h) for h in range(-14, 15) if h}
+    zones = [
+        of_place(0.02 * w / sum(whole.values()), zenith_of(latitude, longitude - 15.0 * h)) for h, w in whole.items()
+    ]
+    along, up = zenith_of(latitude, there), zenith_of(math.degrees(math.asin(level[2])), longitude)
+    clock = 0.02 * math.exp(-turn / 7.5) / 15.0 * 180.0 / math.pi
+    exchanged = of_place(0.005, zenith_of(longitude, latitude)) if abs(longitude) <= 90.0 else 0.0
+    return {
+        "camera_tilted": max(0.001 / (4.0 * math.pi), of_place(0.005, zenith_of(-latitude, -longitude))),
+        "camera_tilted_by_exchange": exchanged,
+        "camera_tilted_by_clock": max(*zones, of_line(clock, along)),
+        "camera_tilted_by_longitude": max(
+            of_place(0.005, zenith_of(latitude, -longitude)), of_line(0.001 / (2.0 * math.pi), along)
+        ),
+        "camera_tilted_by_latitude": max(
+            of_place(0.005, zenith_of(-latitude, longitude)), of_line(0.001 / math.pi, up)
+        ),
     }
-    best, code, turn = -1.0, "", 0.0
-    for name, (about, turns) in mistakes.items():
-        degrees, share = np.array(turns).T
-        density = share * mounted(Rotation.from_rotvec(np.radians(degrees)[:, None] * about).apply(axis))
-        if density.sum() > best:
-            best, code, turn = float(density.sum()), name, float(degrees[np.argmax(density)])
-    odds = best / ((1.0 - 0.02 - 2.0 * 0.006) * float(mounted(axis)))
-    if odds < 0.01:
-        return "camera_tilted", {"tilt_deg": tilt, "odds": 0.0}
-    if code == "camera_tilted_by_latitude":
-        return code, {"latitude": site.latitude + turn, "tilt_deg": tilt, "odds": odds}
-    level = {"hours": turn / 15.0, "longitude": wrapped(site.longitude - turn)}
-    return code, {**level, "tilt_deg": tilt, "odds": odds}
 
 
 def test_the_likeliest_mistake_and_its_odds_are_those_of_the_shares_of_mounts_and_sites() -> None:
-    rng, seen = np.random.default_rng(7), []
-    for k in range(160):
-        site = Site(latitude=rng.uniform(-65.0, 65.0), longitude=rng.uniform(-180.0, 180.0))
-        lean = rng.uniform(0.0, 2.0 * math.pi)
-        tilt = math.radians(rng.uniform(4.0, 80.0) if k % 2 else rng.rayleigh(2.0))
-        axis = np.array([math.sin(tilt) * math.cos(lean), math.sin(tilt) * math.sin(lean), math.cos(tilt)])
-        mistake = [
-            15.0 * round(rng.uniform(-20.0, 20.0)) / 2.0 * pole_at(site.latitude),
-            -2.0 * site.longitude * pole_at(site.latitude),
-            rng.uniform(-90.0, 90.0) * pole_at(site.latitude),
-            (2.0 * site.latitude if k % 3 else rng.uniform(-40.0, 40.0)) * EAST,
-        ][k // 2 % 4]
-        if k % 2 == 0:
-            axis = Rotation.from_rotvec(np.radians(mistake)).apply(axis)
-        question, expected = tilt_question(looking(axis), site), question_by_definition(axis, site)
-        if expected is None:
+    rng, seen = np.random.default_rng(7), set()
+    for k in range(300):
+        latitude, longitude = float(rng.uniform(-65.0, 65.0)), float(rng.uniform(-170.0, 170.0))
+        true = zenith_of(*[
+            (longitude, latitude), (-latitude, longitude), (latitude, -longitude), (-latitude, -longitude),
+            (latitude, longitude - 15.0 * rng.integers(1, 5)), (latitude, longitude + rng.uniform(6.0, 12.0)),
+            (latitude + 8.0, longitude), (float(rng.uniform(-80.0, 80.0)), float(rng.uniform(-170.0, 170.0))),
+        ][k % 8])  # fmt: skip
+        site = Site(latitude=latitude, longitude=longitude)
+        level = Rotation.from_rotvec(np.radians(rng.normal(0.0, 1.2, 3))).apply(true)
+        axis = axes_of(site) @ level
+        if axis[2] < math.cos(math.radians(80.0)):
+            continue
+        tilt, question = math.degrees(math.acos(axis[2])), tilt_question(looking(axis), site)
+        if tilt <= 5.0:
             assert question is None
             continue
+        expected = densities(level, site)
+        code = max(expected, key=lambda name: expected[name])
         assert question is not None
-        assert question.code == expected[0]
-        assert dict(question.data) == pytest.approx(expected[1], rel=1e-7, abs=1e-7)
-        seen.append(question)
-    codes = [one.code.rsplit("_", 1)[-1] for one in seen]
-    assert min(codes.count(one) for one in ("clock", "longitude", "latitude", "tilted")) >= 8
-    # the least odds that are worth a question are met from both sides
-    assert any(0.01 <= float(one.data["odds"]) < 0.015 for one in seen)
+        assert question.code == code
+        assert question.data["tilt_deg"] == pytest.approx(tilt, abs=1e-6)
+        none = 1.0 - 0.005 - 3.0 * 0.005 - 0.02 - 0.02 - 3.0 * 0.001
+        assert question.data["odds"] == pytest.approx(expected[code] / (none * float(mounted(axis))), rel=1e-6)
+        place = zenith_of(float(question.data["latitude"]), float(question.data["longitude"]))
+        assert question.data["level_deg"] == pytest.approx(apart_deg(place, level), abs=1e-6)
+        assert 0.0 <= float(question.data["level_within_deg"]) - tilt < 5.0
+        seen.add(code)
+    assert seen == set(expected)
+
+
+def test_a_camera_is_level_where_its_axis_is_the_zenith() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(50):
+        site = Site(latitude=rng.uniform(-89.0, 89.0), longitude=rng.uniform(-180.0, 180.0))
+        axis = rng.normal(0.0, 1.0, 3)
+        axis /= np.linalg.norm(axis)
+        place = level_place(looking(axis), site)
+        np.testing.assert_allclose(axes_of(site) @ zenith_of(*place), axis, atol=1e-9)
+        here = zenith_of(site.latitude, site.longitude)
+        apart = distance_deg(place, Place(site.latitude, site.longitude))
+        assert apart == pytest.approx(apart_deg(zenith_of(*place), here), abs=1e-9)
 
 
 def test_the_shares_of_mounts_are_those_of_levelled_and_of_tilted_ones() -> None:

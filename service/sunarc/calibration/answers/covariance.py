@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.model.result import Calibration
 from sunarc.optics import pose
-from sunarc.optics.camera import PARAMETER_NAMES, Camera, camera_sees
+from sunarc.optics.camera import PARAMETER_NAMES, POSE, Camera, camera_sees
 from sunarc.optics.forward import by_direction, project, project_with_rows_fast, resolved_limit, tangent_basis
 from sunarc.optics.inverse import unproject
 from sunarc.sky.refraction import ASSUMED_AIR_SD, DAILY_AIR_SD, MEASURED_AIR_SD, raised, refraction_rad
@@ -250,6 +250,26 @@ def pose_error(camera: Camera, site: Site, *, clock_error_s: float, site_error_m
     eastward = np.array([0.0, 1.0, math.tan(latitude) if abs(latitude) < _POLAR else 0.0])
     enu_covariance += (site_error_m / _EARTH_RADIUS_M) ** 2 * (np.diag([1.0, 0.0, 0.0]) + np.outer(eastward, eastward))
     return rotation_covariance(camera, enu_covariance)
+
+
+def without_clock(calibration: Calibration) -> Calibration:
+    """Return a calibration without the clock's error that is stated for all of its sightings.
+
+    Sightings by the same clock have the same error: between two fits of one camera, and where the next sighting is,
+    it plays no part.
+    """
+    beyond_s = calibration.evidence.clock_beyond_s
+    if beyond_s == 0.0:
+        return calibration
+    covariance = calibration.covariance.copy()
+    covariance[POSE, POSE] -= pose_error(calibration.camera, calibration.site, clock_error_s=beyond_s, site_error_m=0.0)
+    rms = calibration.sky_rms_without_clock_deg
+    return replace(
+        calibration,
+        covariance=covariance,
+        sky_rms_deg=calibration.sky_rms_deg if rms is None else rms,
+        evidence=replace(calibration.evidence, clock_beyond_s=0.0),
+    )
 
 
 def rotation_covariance(camera: Camera, enu_covariance: FloatArray) -> FloatArray:

@@ -16,6 +16,7 @@ import numpy as np
 
 from sunarc import _kernels
 from sunarc.array_types import FloatArray, IntArray
+from sunarc.calibration.answers.covariance import without_clock
 from sunarc.calibration.answers.direction_table import polar_spline
 from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.result import Calibration
@@ -100,7 +101,7 @@ def error_model_of(calibration: Calibration) -> CameraErrorModel:
         selected=np.array([PARAMETER_NAMES.index(name) for name in names]),
         rotation=rotation,
         mean=np.zeros(len(names)),
-        covariance=to_rotation @ calibration.covariance @ to_rotation.T,
+        covariance=to_rotation @ without_clock(calibration).covariance @ to_rotation.T,
         field=Field(
             amplitude_px=stated.amplitude_px,
             length_px=length,

@@ -13,7 +13,7 @@ import numpy as np
 from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.answers.covariance import pose_error, sky_sigma_deg, with_covariance
 from sunarc.calibration.fit.cross_validation import Doubts, HeldOut, doubts, held_out, without_parts
-from sunarc.calibration.fit.effects import N_RADIAL, OFFSET_PX, POSE_DIFFERENCE_DEG, SWAY_DEG, SWAYS
+from sunarc.calibration.fit.effects import CLOCK_OFFSET_S, N_RADIAL, OFFSET_PX, POSE_DIFFERENCE_DEG, SWAY_DEG, SWAYS
 from sunarc.calibration.fit.robust_fit import RobustFit
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.residual_field import Field
@@ -47,7 +47,10 @@ _UNKNOWN_POSE = math.pi**2
 
 
 class Job(NamedTuple):
-    """Input of a calibration, and the sightings that it can use; `parts`: whether parts of them are held against it."""
+    """Input of a calibration, and the sightings that it can use.
+
+    parts: whether parts of them are held against it. tilt_known: see `fit_verdict`.
+    """
 
     points: Sightings
     usable: Sightings
@@ -58,6 +61,7 @@ class Job(NamedTuple):
     start: Camera | None = None
     free: Literal["all", "pose", "prior"] = "all"
     parts: bool = True
+    tilt_known: bool = False
 
 
 class FitOutcome(NamedTuple):
@@ -92,7 +96,10 @@ def calibration_from_fit(fitted: FitOutcome, job: Job, *, others: Sequence[Findi
     camera = cameras[-1]
     evidence, covariance = _evidence(job, fitted), fitted.covariance.copy()
     covariance[POSE, POSE] += pose_error(
-        camera, job.site, clock_error_s=evidence.clock_error_s, site_error_m=options.site_error_m
+        camera,
+        job.site,
+        clock_error_s=evidence.clock_error_s if evidence.clock_stated else 0.0,
+        site_error_m=options.site_error_m,
     )
     calibration = Calibration(
         camera=camera,
@@ -116,7 +123,9 @@ def calibration_from_fit(fitted: FitOutcome, job: Job, *, others: Sequence[Findi
     calibration = with_covariance(calibration, 0.5 * (covariance + covariance.T))
     rms, most = sky_sigma_deg(calibration)
     calibration = with_pose_spread(replace(calibration, sky_rms_deg=rms, sky_max_deg=most), fitted.sways_deg)
-    return replace(calibration, verdict=fit_verdict(calibration, usable, options, others=others))
+    known = job.tilt_known or not job.parts  # one that is only compared with others is not asked
+    verdict = fit_verdict(calibration, usable, options, others=others, tilt_known=known)
+    return replace(calibration, verdict=verdict)
 
 
 def tidied(camera: Camera, options: CalibrationOptions) -> Camera:
@@ -146,7 +155,7 @@ def _metrics(fitted: FitOutcome, usable: Sightings, cameras: list[Camera]) -> Me
 
 def _evidence(job: Job, fitted: FitOutcome | None = None) -> Provenance:
     """Return what a fit rests on, or what there is without one."""
-    known = job.points.clock_error_s
+    known = job.points.clock_error_s[np.isfinite(job.points.clock_error_s)]
     none = Provenance(
         days=tuple(date_of_day(int(day)).isoformat() for day in np.unique(job.usable.day)),
         n_supplied=len(job.points),
@@ -156,7 +165,8 @@ def _evidence(job: Job, fitted: FitOutcome | None = None) -> Provenance:
         sigma_px=math.nan,
         inflation=math.nan,
         radial_px=math.nan,
-        clock_error_s=float(np.max(np.abs(known[np.isfinite(known)]), initial=0.0)),
+        clock_error_s=float(np.max(np.abs(known))) if known.size else CLOCK_OFFSET_S,
+        clock_stated=known.size > 0,
         circle=None if job.circle is None else asdict(job.circle),
         start=None if job.start is None else asdict(job.start.lens_alone()),
     )

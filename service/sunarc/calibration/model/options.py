@@ -84,8 +84,8 @@ class CalibrationOptions:
     projection : the lens's ideal projection; "auto": the most probable one, see `projection_choice`.
     mirrored : whether the image is a mirror image; "auto" tries both and reports which it took. Unset: it is not, and
         the fit is refused where a mirrored one is about as probable.
-    level_within_deg : a camera tilted by more is refused; unset: one tilted by any angle up to 75 degrees is accepted,
-        unless times of another zone or another latitude, which would make it level, are more probable than a tilt.
+    level_within_deg : a camera tilted by more is refused; unset: a first fit of one that is tilted by more than 5
+        degrees is refused, unless refraction and horizon show its tilt: a wrong site or clock looks the same.
     max_angle_deg : how far off the axis the model is asked to answer.
     max_rmse_px : a fit whose used sightings scatter by more, and by 1.5 times more than they state, is refused.
     max_below_horizon : a fit of whose sightings a larger share is of times with the sun below the horizon is refused.

@@ -183,7 +183,9 @@ class Provenance:
     sigma_px : noise of a sighting, px per axis, as found.
     inflation : by how much neighbours erring alike inflates a sighting's variance (mean).
     radial_px : scale of the residual radial distortion, as found.
-    clock_error_s : the largest stated bound of the clock's error.
+    clock_error_s : the largest stated bound of the clock's error, s; the one that is assumed where none is stated.
+    clock_stated : whether it is stated, with the sightings or for all of them.
+    clock_beyond_s : 1-sigma of the clock by which the pose was widened beyond what is stated with the sightings.
     circle : the image circle that was given, by name; None without one.
     start : the camera that the fit began at, by name; None where it was sought.
     selection : how the sightings were picked from a longer record: limits and counts; empty where all were given.
@@ -212,6 +214,8 @@ class Provenance:
     moves: tuple[Move, ...] = ()
     log_odds: Mapping[str, float] = field(default_factory=dict)
     held_out: Mapping[str, float] = field(default_factory=dict)
+    clock_stated: bool = False
+    clock_beyond_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -315,6 +319,8 @@ class Calibration:
     covariance : (p, p), clock and site errors folded into the pose.
     field : what no lens model says: its mean is in `camera.displacement`, what is not known of it in the uncertainty.
     sky_rms_deg, sky_max_deg : 1-sigma per axis over the upper hemisphere that the camera resolves.
+    sky_rms_without_clock_deg : the former without the clock's error that is stated for all sightings; None where none
+        is.
     pose : the Table 2 angles.
     mixture : how the errors are spread about covariance and field; None: as a Gaussian's.
     left_out : (k,) rows of the sightings supplied that did not count; None where they are not at hand (of a calibration
@@ -341,6 +347,7 @@ class Calibration:
     left_out: IntArray | None = None
     night: NightDifference | None = None
     sigma_limit_deg: float | None = None
+    sky_rms_without_clock_deg: float | None = None
 
 
 def residuals_by_pose(camera: Camera, poses: Sequence[tuple[float, float, float]], usable: Sightings) -> FloatArray:

@@ -132,13 +132,14 @@ class Filtering(NamedTuple):
 
     dropped: how many were left out, a finding for each cause. static: positions left out that do not move with the sun.
     stated_sigma_px: root mean square of the stated 1-sigma, px per axis; NaN where none is stated. n_below_horizon:
-    sightings of the sun left out because it was below the horizon.
+    sightings of the sun left out because it was below the horizon. below: their pixels (n, 2) and directions (n, 3).
     """
 
     dropped: tuple[Finding, ...] = ()
     static: tuple[StaticPosition, ...] = ()
     stated_sigma_px: float = math.nan
     n_below_horizon: int = 0
+    below: tuple[FloatArray, FloatArray] = (np.zeros((0, 2)), np.zeros((0, 3)))
 
 
 _OF_THE_TABLE = {"pixels", "filtering"}
@@ -336,12 +337,14 @@ def filter_sightings(points: Sightings, *, site: Site, image_size: tuple[int, in
     }
     static = static_positions(points.pixels[retained[still]])
     retained, day = retained[~still], day[~still]
+    below = inside & ~above & ~alone
     sigma_px, stated_px = _relative_sigma(points.sigma_px[retained], alone[retained])
     filtering = Filtering(
         dropped=tuple(Finding(code, {"n": int(n)}) for code, n in counts.items() if n),
         static=static,
         stated_sigma_px=stated_px,
-        n_below_horizon=int(np.sum(inside & ~above & ~alone)),
+        n_below_horizon=int(np.sum(below)),
+        below=(points.pixels[below], directions[below]),
     )
     usable, directions = points.select(retained), directions[retained]
     return replace(

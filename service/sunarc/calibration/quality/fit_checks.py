@@ -13,11 +13,13 @@ from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration, Verdict, proves, refused_for
 from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.calibration.quality.day_arcs import arc_length_deg, unexplained_days
-from sunarc.calibration.quality.tilt import tilt_question
+from sunarc.calibration.quality.tilt import proposed_limit_deg, tilt_question
 from sunarc.findings import Finding
 from sunarc.optics.camera import PARAMETER_NAMES, POSE
+from sunarc.optics.inverse import unproject
 from sunarc.optics.pose import right_jacobian, rotation_matrix
 from sunarc.sky.days import date_of_day, day_bounds_unix_s
+from sunarc.sky.directions import angular_distance
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles
 
@@ -45,10 +47,18 @@ _UNDETERMINED = frozenset(
     }
 )
 """What a fit is refused for that contradicts nothing."""
+TILT = "tilt"
+"""Name of the tilt among the log odds of a fit."""
+_MOST_ODDS = 1e4
+"""Powers of ten above which odds are not given any more."""
 _LEAST_SHARE = 0.05
 """Share of the sky in the image that a provisional calibration answers for at least."""
 _SURELY_TILTED = 5.0
 """Stated sigmas of the pose: 23 suns of a morning tilted cameras that are level to 3 degrees by up to 4.0 of them."""
+_TILT_SHOWN = 2.0 * math.log(10.0)
+"""Log odds of a tilt against a level camera at another place from which on refraction and horizon show the tilt."""
+_SEEN_BELOW_DEG = 1.0
+"""Angle from where the camera sees a sun that was below the horizon, within which a sighting is of the sun."""
 _LOW_SUN_DEG = 85.0
 """Zenith angle, degrees, up to which a sun is expected to be seen."""
 _OFF_CENTER = 0.04
@@ -97,6 +107,16 @@ def below_horizon(usable: Sightings, options: CalibrationOptions) -> tuple[Findi
     return (Finding("sightings_below_horizon", {"n": below, "n_all": n_all, "share": below / n_all, "limit": limit}),)
 
 
+def _seen_below_horizon(calibration: Calibration, usable: Sightings) -> tuple[Finding, ...]:
+    """Return the finding of sightings where the camera sees a sun that was below the horizon; none of false ones."""
+    pixels, directions = usable.filtering.below
+    off_deg = np.degrees(angular_distance(unproject(calibration.camera, pixels), directions))
+    n, n_all = int(np.sum(off_deg < _SEEN_BELOW_DEG)), len(usable) + len(pixels)
+    if n < _FEWEST_BELOW:
+        return ()
+    return (Finding("sun_seen_below_horizon", {"n": n, "n_all": n_all}),)
+
+
 def _positions(usable: Sightings) -> str:
     """Return where sightings stand still: counts and pixels."""
     named = [f"{one.n} at x {one.x:.0f}, y {one.y:.0f}" for one in usable.filtering.static[:_POSITIONS_NAMED]]
@@ -110,15 +130,20 @@ def fit_verdict(
     options: CalibrationOptions,
     *,
     others: Sequence[Finding] = (),
+    tilt_known: bool = False,
 ) -> Verdict:
-    """Return whether a fit may be used, judged by itself; `others`: findings about other cameras that refuse it."""
-    below = below_horizon(usable, options)
+    """Return whether a fit may be used, judged by itself.
+
+    Parameters
+    ----------
+    calibration : the fit.
+    usable : its sightings.
+    options : the limits.
+    others : findings about other cameras that refuse it.
+    tilt_known : whether the camera was accepted before at this site by this clock: its tilt is not asked about.
+    """
     question = tilt_question(calibration.camera, calibration.site)
-    against = [*below, *_against_scatter(calibration, usable, options), *_against_camera(calibration, options)]
-    against += _against_ring(calibration, usable)
-    if below and question is not None:
-        against.insert(1, question)  # what it names would bring the sun above the horizon, too
-    against[:0] = others
+    against = [*others, *_against(calibration, usable, options, question=question, tilt_known=tilt_known)]
     if against:
         return Verdict(accepted=False, findings=tuple(against))
     metrics, days = calibration.metrics, len(calibration.evidence.days)
@@ -136,11 +161,34 @@ def fit_verdict(
     if options.mirrored == "auto":
         found.append(Finding("mirrored" if calibration.camera.mirrored else "not_mirrored"))
     found += [*_off_center(calibration), *_proven_effects(calibration)]
-    if question is None or options.level_within_deg is not None:
-        return Verdict(accepted=True, findings=tuple(found))
-    # a camera that was bumped has been level before, by the same clock and at the same place
-    doubtful = float(question.data["odds"]) > 1.0 and calibration.evidence.options.get("free") != "pose"
-    return Verdict(accepted=not doubtful, marginal=doubtful, findings=(question, *found))
+    if question is not None:
+        found.insert(0, _tilt_shown(calibration) or question)
+    if not tilt_known:
+        found += site_assumed(calibration)
+    return Verdict(accepted=True, findings=tuple(found))
+
+
+def _against(
+    calibration: Calibration,
+    usable: Sightings,
+    options: CalibrationOptions,
+    *,
+    question: Finding | None,
+    tilt_known: bool,
+) -> list[Finding]:
+    """Return what refuses a fit; a tilt that is asked about with what else may be behind it."""
+    below = below_horizon(usable, options) or _seen_below_horizon(calibration, usable)
+    against = [*below, *_against_scatter(calibration, usable, options), *_against_camera(calibration, options)]
+    against += _against_ring(calibration, usable)
+    if below and question is not None:
+        return [question, *against]  # what it names would bring the sun above the horizon, too
+    doubt = None if tilt_known else tilt_in_doubt(calibration)
+    if doubt is None or question is None:
+        return against
+    # a tilt that the sightings hardly determine explains no other refusal
+    sure = float(doubt.data["tilt_deg"]) > _SURELY_TILTED * float(doubt.data["pose_deg"])
+    asked = not against or (sure and {one.code for one in against} <= _UNDETERMINED)
+    return [question, doubt, *against] if asked else against
 
 
 def _proven_effects(calibration: Calibration) -> Iterator[Finding]:
@@ -236,7 +284,15 @@ def _pose_sigma_deg(calibration: Calibration) -> float:
     return min(math.degrees(math.sqrt(max(float(np.max(np.linalg.eigvalsh(spread))), 0.0))), 180.0)
 
 
-def _unstated_tilt_deg(calibration: Calibration) -> float | None:
+def site_assumed(calibration: Calibration) -> tuple[Finding, ...]:
+    """Return that a first fit takes the site for right, which no sighting shows; nothing of a pose of a known lens."""
+    if calibration.evidence.options.get("free") == "pose":
+        return ()
+    site, tilt_deg = calibration.site, calibration.pose.theta_zz_deg
+    return (Finding("site_assumed", {"tilt_deg": tilt_deg, "latitude": site.latitude, "longitude": site.longitude}),)
+
+
+def unstated_tilt_deg(calibration: Calibration) -> float | None:
     """Return the tilt of a fit that is asked about; None where it is as good as level, or its limit is stated."""
     if calibration.evidence.options.get("level_within_deg") is not None:
         return None
@@ -245,14 +301,34 @@ def _unstated_tilt_deg(calibration: Calibration) -> float | None:
 
 
 def tilt_in_doubt(calibration: Calibration) -> Finding | None:
-    """Return that a camera may be level though the fit is tilted, by a tilt that is not stated; None where it is not.
+    """Return that a camera may be level at another place, by a tilt that is not stated; None where it is not.
 
-    Errors of the lens that few sightings do not show tilt the camera by more than its stated sigma.
+    A pose of a known lens is not asked about, nor a tilt that refraction and horizon show.
     """
-    tilt_deg, pose_deg = _unstated_tilt_deg(calibration), _pose_sigma_deg(calibration)
-    if tilt_deg is None or tilt_deg > _SURELY_TILTED * pose_deg:
+    tilt_deg = unstated_tilt_deg(calibration)
+    if tilt_deg is None or calibration.evidence.options.get("free") == "pose" or _tilt_shown(calibration) is not None:
         return None
-    return Finding("tilt_in_doubt", {"tilt_deg": tilt_deg, "pose_deg": pose_deg})
+    limit_deg = proposed_limit_deg(tilt_deg)
+    return Finding(
+        "tilt_in_doubt",
+        {"tilt_deg": tilt_deg, "pose_deg": _pose_sigma_deg(calibration), "level_within_deg": limit_deg},
+    )
+
+
+def is_tilt_shown(calibration: Calibration) -> bool:
+    """Return whether refraction and horizon show that a camera is tilted."""
+    return _tilt_shown(calibration) is not None
+
+
+def _tilt_shown(calibration: Calibration) -> Finding | None:
+    """Return that the sightings fit a level camera at another place worse; None where they do not show it."""
+    log_odds = calibration.evidence.log_odds.get(TILT, 0.0)
+    if log_odds < _TILT_SHOWN:
+        return None
+    tilt_deg = calibration.pose.theta_zz_deg
+    return Finding(
+        "camera_tilted_shown", {"tilt_deg": tilt_deg, "log10_odds": min(log_odds / math.log(10.0), _MOST_ODDS)}
+    )
 
 
 def is_undetermined(verdict: Verdict) -> bool:
@@ -270,7 +346,7 @@ def provisional(calibration: Calibration, *, limit_deg: float) -> Calibration:
     verdict = calibration.verdict
     if not is_undetermined(verdict):
         return calibration
-    tilt_deg = _unstated_tilt_deg(calibration)
+    tilt_deg = unstated_tilt_deg(calibration)
     if tilt_deg is not None:
         return refused_for(calibration, Finding("provisional_tilted", {"tilt_deg": tilt_deg}))
     seen = seen_sky(calibration.camera)

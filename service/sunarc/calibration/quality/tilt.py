@@ -1,12 +1,14 @@
-"""Whether clock and site are as stated, by a tilt that may be none.
+"""Tilt of a camera that may be a wrong place or clock.
 
 A wrong zone or longitude turns the sky about its pole, a wrong latitude turns it about the east, and the fit turns the
-camera with it. No residual tells these from a tilt; how cameras are mounted and how often such mistakes are made does.
+camera with it. Every tilted camera is level at one other place: where its optical axis is the zenith. No residual but
+refraction's tells the two apart; how cameras are mounted and how often such mistakes are made does.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -18,90 +20,149 @@ from sunarc.optics.pose import rotation_matrix
 from sunarc.sky.directions import angles_from_direction, wrapped_deg
 from sunarc.sky.site import Site
 
-_TURN_DEG_PER_H = 15.0
-_LARGEST_ZONE_H = 14.0
-_QUESTIONED_DEG = 5.0
-"""degrees; a mount that was levelled by hand and eye is level to 2."""
+LEVEL_DEG = 5.0
+"""degrees; a camera tilted by more is asked about. A mount that was levelled by hand and eye is level to 2."""
+_DEG_PER_H, _MIN_PER_DEG = 15.0, 4.0
 _LEVELLED_DEG = 2.0
 _TILTED_ON_PURPOSE = 0.05
 _STEEPEST_DEG = 75.0
 """1-sigma of a levelled mount about each axis; share of mounts that were not levelled: any tilt up to the steepest."""
-_WRONG_ZONE, _WRONG_SIGN, _WRONG_COORDINATE = 0.02, 0.005, 0.001
-"""Shares of sites whose times are of another zone (steps of half an hour), one of whose coordinates has the wrong sign,
-or is wrong by any amount. Chosen, not measured."""
-_NO_MISTAKE = 1.0 - _WRONG_ZONE - 2.0 * (_WRONG_SIGN + _WRONG_COORDINATE)
-_STEP_DEG = 0.5
-_HALF_HOURS = 0.1
-"""How much rarer zones of half an hour are than those of whole ones."""
-_NOT_WORTH_ASKING = 0.01
-"""Odds."""
+_LARGEST_ZONE_H = 14
+_EXCHANGED, _WRONG_SIGN, _WRONG_ZONE, _WRONG_CLOCK, _WRONG_COORDINATE = 0.005, 0.005, 0.02, 0.02, 0.001
+"""Shares of sites whose coordinates are exchanged, or one of whose coordinates has the wrong sign; whose times are of
+another zone (whole hours, the rarer the more), by a clock that is off, or one of whose coordinates is wrong by any
+amount. Chosen, not measured."""
+_CLOCK_DEG = 7.5
+"""Mean turn of the sky by a clock that is off: half an hour."""
+_NO_MISTAKE = 1.0 - _EXCHANGED - 3.0 * _WRONG_SIGN - _WRONG_ZONE - _WRONG_CLOCK - 3.0 * _WRONG_COORDINATE
+_LEAST_COSINE = 0.02
+"""Of a latitude: 89 degrees."""
+_STEP_DEG = 5.0
+"""The limit that is proposed is rounded up to a whole number of these."""
+
+
+class Place(NamedTuple):
+    """A place on the ground: latitude and longitude, degrees."""
+
+    latitude: float
+    longitude: float
 
 
 class _Explanation(NamedTuple):
-    """What makes the camera level: by how many degrees the sky is turned about an axis, and how probable that is."""
+    """Mistake that makes the camera level: its code, its probability per steradian, and the place that is then true."""
 
     code: str
     density: float
-    turn_deg: float
+    place: Place
 
 
-def tilt_question(camera: Camera, site: Site) -> Finding | None:
-    """Return what else than a tilt may be behind a tilted camera, with its odds; None where it is level to 5 degrees.
-
-    The data are `tilt_deg`; the `hours` that the clocks are ahead and the `longitude`, either of which makes the
-    camera level, or the `latitude` that does; and `odds`, how much more probable that is than a real tilt: 0 where
-    nothing simple makes it level.
-    """
-    axis = rotation_matrix(camera.rotation_cam_enu)[2]
-    tilt_deg = float(angles_from_direction(axis)[0])
-    if tilt_deg <= _QUESTIONED_DEG:
-        return None
-    best = max(_explanations(axis, site), key=lambda one: one.density)
-    odds = best.density / (_NO_MISTAKE * float(mount_density(axis)))
-    if odds < _NOT_WORTH_ASKING:
-        return Finding("camera_tilted", {"tilt_deg": tilt_deg, "odds": 0.0})
-    if best.code == "camera_tilted_by_latitude":
-        level = {"latitude": site.latitude + best.turn_deg}
-    else:  # a turn about the pole is one thing to a camera, whichever of the two is wrong
-        hours, longitude = best.turn_deg / _TURN_DEG_PER_H, float(wrapped_deg(site.longitude - best.turn_deg))
-        level = {"hours": hours, "longitude": longitude}
-    return Finding(best.code, {**level, "tilt_deg": tilt_deg, "odds": odds})
-
-
-def _explanations(axis: FloatArray, site: Site) -> tuple[_Explanation, ...]:
+def level_place(camera: Camera, site: Site) -> Place:
+    """Return the place at which a camera that was fitted at a site is level: its optical axis is the zenith there."""
+    east, north, up = rotation_matrix(camera.rotation_cam_enu)[2].tolist()
     latitude = math.radians(site.latitude)
-    pole, east = np.array([0.0, math.cos(latitude), math.sin(latitude)]), np.array([1.0, 0.0, 0.0])
-    hours = np.arange(-_LARGEST_ZONE_H, _LARGEST_ZONE_H + 0.25, 0.5)
-    hours = hours[hours != 0.0]
-    zones = np.where(np.mod(hours, 1.0) == 0.0, 1.0, _HALF_HOURS)
-    around = np.arange(-180.0, 180.0, _STEP_DEG)
-    to_poles = np.arange(-90.0, 90.0, _STEP_DEG) - site.latitude
-    return (
-        _explained("camera_tilted_by_clock", axis, pole, _TURN_DEG_PER_H * hours, _WRONG_ZONE * zones / zones.sum()),
-        _explained("camera_tilted_by_longitude", axis, pole, *_any_or(around, 2.0 * site.longitude)),
-        _explained("camera_tilted_by_latitude", axis, east, *_any_or(to_poles, -2.0 * site.latitude)),
+    meridian = math.cos(latitude) * up - math.sin(latitude) * north
+    declination = math.atan2(math.sin(latitude) * up + math.cos(latitude) * north, math.hypot(meridian, east))
+    longitude = site.longitude + math.degrees(math.atan2(east, meridian))
+    return Place(math.degrees(declination), float(wrapped_deg(longitude)))
+
+
+def distance_deg(one: Place, other: Place) -> float:
+    """Return the angle between two places at the centre of the earth: the tilt that taking one for the other makes."""
+    a, b = math.radians(one.latitude), math.radians(other.latitude)
+    turn = math.radians(other.longitude - one.longitude)
+    x = math.cos(a) * math.sin(b) - math.sin(a) * math.cos(b) * math.cos(turn)
+    y = math.cos(b) * math.sin(turn)
+    return math.degrees(
+        math.atan2(math.hypot(x, y), math.sin(a) * math.sin(b) + math.cos(a) * math.cos(b) * math.cos(turn))
     )
 
 
-def _any_or(turns_deg: FloatArray, of_other_sign: float) -> tuple[FloatArray, FloatArray]:
-    """Return turns with that of a wrong sign among them, and the shares of sites that have them."""
-    evenly = np.full(turns_deg.size, _WRONG_COORDINATE / turns_deg.size)
-    return np.append(turns_deg, of_other_sign), np.append(evenly, _WRONG_SIGN)
+def tilt_deg(camera: Camera) -> float:
+    """Return the angle between the optical axis and the zenith, degrees."""
+    return float(angles_from_direction(rotation_matrix(camera.rotation_cam_enu)[2])[0])
 
 
-def _explained(
-    code: str, axis: FloatArray, about: FloatArray, turns_deg: FloatArray, shares: FloatArray
-) -> _Explanation:
-    """Return the explanation of the optical axis by turns of the sky, with the one that counts most."""
-    turned = rotation_matrix(np.radians(turns_deg)[:, None] * about) @ axis
-    densities = shares * mount_density(turned)
-    return _Explanation(code, float(densities.sum()), float(turns_deg[np.argmax(densities)]))
+def proposed_limit_deg(tilt: float) -> float:
+    """Return the limit that allows a tilt, degrees: the next multiple of 5."""
+    return _STEP_DEG * math.ceil(tilt / _STEP_DEG)
+
+
+def tilt_question(camera: Camera, site: Site) -> Finding | None:
+    """Return the mistake that may be behind a tilted camera, with its odds; None where it is level to 5 degrees.
+
+    The data are `tilt_deg`; the `latitude` and `longitude` at which the camera is level by this mistake, to
+    `level_deg`; where a turn about the pole makes it level, the `hours` and `minutes` that the clocks are ahead, and
+    `longitude_off_deg`, with the sigmas that the mount leaves open; `odds`, how much more probable the mistake is than
+    a real tilt; and `level_within_deg`, the limit that allows the tilt.
+    """
+    tilt = tilt_deg(camera)
+    if tilt <= LEVEL_DEG:
+        return None
+    level = level_place(camera, site)
+    best = max(_explanations(level, Place(site.latitude, site.longitude)), key=lambda one: one.density)
+    axis = rotation_matrix(camera.rotation_cam_enu)[2]
+    data = {
+        "tilt_deg": tilt,
+        "latitude": best.place.latitude,
+        "longitude": best.place.longitude,
+        "level_deg": distance_deg(best.place, level),
+        "odds": best.density / (_NO_MISTAKE * float(mount_density(axis))),
+        "level_within_deg": proposed_limit_deg(tilt),
+    }
+    ahead_deg = float(wrapped_deg(site.longitude - best.place.longitude))
+    if best.code in ("camera_tilted_by_clock", "camera_tilted_by_longitude"):
+        sigma_deg = _LEVELLED_DEG / max(math.cos(math.radians(site.latitude)), _LEAST_COSINE)
+        data |= {
+            "hours": ahead_deg / _DEG_PER_H,
+            "minutes": _MIN_PER_DEG * ahead_deg,
+            "minutes_sigma": _MIN_PER_DEG * sigma_deg,
+            "longitude_off_deg": ahead_deg,
+            "longitude_sigma_deg": sigma_deg,
+        }
+    return Finding(best.code, data)
+
+
+def _explanations(level: Place, stated: Place) -> Iterator[_Explanation]:
+    """Yield the mistakes by which a place may have been stated in place of the one where the camera is level.
+
+    One that leaves the camera tilted by more than a levelled one is explains nothing.
+    """
+    latitude, longitude = stated
+    if abs(longitude) <= 90.0:
+        yield _of_place("camera_tilted_by_exchange", _EXCHANGED, Place(longitude, latitude), level)
+    yield _of_place("camera_tilted_by_latitude", _WRONG_SIGN, Place(-latitude, longitude), level)
+    yield _of_place("camera_tilted_by_longitude", _WRONG_SIGN, Place(latitude, -longitude), level)
+    yield _of_place("camera_tilted", _WRONG_SIGN, Place(-latitude, -longitude), level)
+    shares = {hours: 1.0 / abs(hours) for hours in range(-_LARGEST_ZONE_H, _LARGEST_ZONE_H + 1) if hours}
+    for hours, share in shares.items():
+        place = Place(latitude, float(wrapped_deg(longitude - _DEG_PER_H * hours)))
+        yield _of_place("camera_tilted_by_clock", _WRONG_ZONE * share / sum(shares.values()), place, level)
+    turn = abs(float(wrapped_deg(level.longitude - longitude)))
+    by_clock = _WRONG_CLOCK * math.exp(-turn / _CLOCK_DEG) / (2.0 * _CLOCK_DEG)
+    yield _of_line("camera_tilted_by_clock", by_clock, Place(latitude, level.longitude), level)
+    yield _of_line("camera_tilted_by_longitude", _WRONG_COORDINATE / 360.0, Place(latitude, level.longitude), level)
+    yield _of_line("camera_tilted_by_latitude", _WRONG_COORDINATE / 180.0, Place(level.latitude, longitude), level)
+    yield _Explanation("camera_tilted", _WRONG_COORDINATE / (4.0 * math.pi), level)
+
+
+def _of_place(code: str, share: float, place: Place, level: Place) -> _Explanation:
+    """Return a mistake of which one place is true."""
+    off, sigma = distance_deg(place, level), math.radians(_LEVELLED_DEG)
+    density = share * math.exp(-0.5 * (off / _LEVELLED_DEG) ** 2) / (2.0 * math.pi * sigma**2)
+    return _Explanation(code, density if off <= LEVEL_DEG else 0.0, place)
+
+
+def _of_line(code: str, per_deg: float, place: Place, level: Place) -> _Explanation:
+    """Return a mistake of any size, whose share per degree is stated, with the place nearest to the level one."""
+    off, sigma = distance_deg(place, level), math.radians(_LEVELLED_DEG)
+    density = math.degrees(per_deg) * math.exp(-0.5 * (off / _LEVELLED_DEG) ** 2) / (math.sqrt(2.0 * math.pi) * sigma)
+    return _Explanation(code, density if off <= LEVEL_DEG else 0.0, place)
 
 
 def mount_density(axis: FloatArray) -> FloatArray:
     """Return (...): how probable it is that a mount holds the optical axis in directions (..., 3), per steradian."""
-    tilt_deg, sigma = angles_from_direction(axis)[0], math.radians(_LEVELLED_DEG)
-    levelled = np.exp(-0.5 * (tilt_deg / _LEVELLED_DEG) ** 2) / (2.0 * math.pi * sigma**2)
+    tilt, sigma = angles_from_direction(axis)[0], math.radians(_LEVELLED_DEG)
+    levelled = np.exp(-0.5 * (tilt / _LEVELLED_DEG) ** 2) / (2.0 * math.pi * sigma**2)
     cap = 2.0 * math.pi * (1.0 - math.cos(math.radians(_STEEPEST_DEG)))
-    on_purpose = np.where(tilt_deg <= _STEEPEST_DEG, 1.0, 0.01) / cap
+    on_purpose = np.where(tilt <= _STEEPEST_DEG, 1.0, 0.01) / cap
     return np.asarray((1.0 - _TILTED_ON_PURPOSE) * levelled + _TILTED_ON_PURPOSE * on_purpose)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -9,9 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration.answers.covariance import rotation_covariance, sky_sigma_deg, with_covariance
-from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.answers.covariance import pose_error, rotation_covariance, sky_sigma_deg, with_covariance
+from sunarc.calibration.model.result import Calibration, with_finding
+from sunarc.findings import Finding
 from sunarc.optics.camera import POSE
+from sunarc.sky.site import EARTH_RATE
 
 
 def with_pose_spread(calibration: Calibration, spread_deg: Sequence[float]) -> Calibration:
@@ -56,6 +59,48 @@ def fit_direction_sigma_rms_deg(calibration: Calibration) -> float:
 def _widened(calibration: Calibration, sign: float, spread_deg: ArrayLike) -> Calibration:
     enu_covariance = np.diag(np.radians(np.asarray(spread_deg, dtype=np.float64)) ** 2)
     return with_pose_errors(calibration, sign * rotation_covariance(calibration.camera, enu_covariance))
+
+
+def with_clock(calibration: Calibration, clock_error_s: float | None, *, assumed: bool = False) -> Calibration:
+    """Return a calibration whose uncertainty holds an error of the clock that is stated for all of its sightings.
+
+    The sun, the planets and the stars turn about the pole alike: no residual shows a constant error. Where none is
+    stated, an accepted verdict says what is assumed.
+
+    Parameters
+    ----------
+    calibration : as it was fitted; the pose of a known lens has the clock of its sightings.
+    clock_error_s : the bound, s; None where none is stated.
+    assumed : whether the bound that the sightings carry is a default that nobody stated.
+    """
+    evidence = calibration.evidence
+    if clock_error_s is None:
+        if evidence.clock_stated and not assumed:
+            return calibration
+        unstated = replace(calibration, evidence=replace(evidence, clock_stated=False))
+        first = calibration.verdict.accepted and evidence.options.get("free") != "pose"
+        return with_finding(unstated, _unbounded(unstated)) if first else unstated
+    known_s = evidence.clock_error_s if evidence.clock_stated else 0.0
+    beyond_s = math.sqrt(max(clock_error_s**2 - known_s**2, 0.0))
+    more = pose_error(calibration.camera, calibration.site, clock_error_s=beyond_s, site_error_m=0.0)
+    stated = replace(evidence, clock_error_s=max(clock_error_s, known_s), clock_stated=True, clock_beyond_s=beyond_s)
+    return replace(
+        with_pose_errors(calibration, more), evidence=stated, sky_rms_without_clock_deg=calibration.sky_rms_deg
+    )
+
+
+def _unbounded(calibration: Calibration) -> Finding:
+    a_minute_deg = math.degrees(60.0 * EARTH_RATE)
+    latitude = math.radians(calibration.site.latitude)
+    return Finding(
+        "clock_unbounded",
+        {
+            "clock_error_s": calibration.evidence.clock_error_s,
+            "turn_deg_per_minute": a_minute_deg,
+            "north_deg_per_minute": a_minute_deg * abs(math.sin(latitude)),
+            "tilt_deg_per_minute": a_minute_deg * math.cos(latitude),
+        },
+    )
 
 
 def with_pose_errors(calibration: Calibration, more: FloatArray) -> Calibration:

@@ -23,6 +23,7 @@ from sunarc.calibration.model.options import CalibrationOptions, FirstPoseOption
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, Sightings
 from sunarc.calibration.pose import estimate_pose
+from sunarc.calibration.quality.widening import with_clock
 from sunarc.documents.calibration_document import to_document
 from sunarc.documents.lens_prior import lens_type_from_json
 from sunarc.errors import InputError
@@ -96,6 +97,7 @@ class ProvisionalPoseEstimator:
     wander_deg : 1-sigma by which the mount wanders.
     now : frame time, which dates calibrations; pose epochs and sightings dated later are not used.
     first : the type of lens, where no calibration knows the lens; None: there is no pose before the first full fit.
+    clock_error_s : the bound of the clock that is stated for all sightings, s; None where none is.
 
     Attributes
     ----------
@@ -110,6 +112,7 @@ class ProvisionalPoseEstimator:
     wander_deg: float
     now: Callable[[], datetime]
     first: FirstPose | None = None
+    clock_error_s: float | None = None
 
     def __post_init__(self) -> None:
         """Begin without a pose."""
@@ -195,7 +198,7 @@ class ProvisionalPoseEstimator:
     def _document(self, posed: Calibration, epoch: PoseEpoch, count: int) -> dict[str, object]:
         now = self.now()
         return to_document(
-            posed,
+            with_clock(posed, self.clock_error_s),
             id=f"{now.astimezone(UTC):%Y%m%dT%H%M%SZ}-pose{count}",
             camera=self.camera.name,
             state="candidate",

@@ -23,8 +23,9 @@ from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
 from sunarc.calibration.projection_choice import options_as_served
-from sunarc.calibration.quality.fit_checks import provisional
-from sunarc.calibration.quality.widening import with_pose_spread
+from sunarc.calibration.quality.fit_checks import is_tilt_shown, provisional
+from sunarc.calibration.quality.tilt import LEVEL_DEG, proposed_limit_deg
+from sunarc.calibration.quality.widening import with_clock, with_pose_spread
 from sunarc.calibration.selection import Selection, SelectionOptions, select_sightings, surest_of_epochs
 from sunarc.documents.calibration_document import to_document
 from sunarc.errors import InputError, NotFoundError
@@ -255,8 +256,23 @@ def next_task(
         image_size=record.image_size,
         options=options,
         circle=circle,
+        tilt_known=_is_tilt_known(camera),
     )
     return RefitTask(problem=problem, used=used, selection=selection)
+
+
+_SAME_SITE_DEG = 0.1
+"""Difference of latitude or longitude up to which a site was surveyed better: it turns directions by as much."""
+
+
+def _is_tilt_known(camera: CameraArchive) -> bool:
+    """Return whether a calibration is served that was accepted at this site: a tilt since then is not asked about."""
+    served = camera.archive.calibrations.current_model(camera.name)
+    if served is None or not served.verdict.accepted:
+        return False
+    before, site = served.site, camera.site
+    off_deg = abs(before.latitude - site.latitude), abs(before.longitude - site.longitude)
+    return max(off_deg) < _SAME_SITE_DEG
 
 
 def _stars(others: SunPointColumns, epochs: Sequence[str], image_size: tuple[int, int]) -> IntArray:
@@ -297,6 +313,7 @@ class RefitWorker:
     may_solve : whether a refit may begin now; the others wait.
     solve, search : how a problem is solved, and searched for pose epochs; see `solve_in_child`, `search_in_child`.
     keep_provisional : whether a fit that its sightings do not determine is kept as a candidate, see `provisional`.
+    clock_error_s, clock_assumed : the clock that is stated for all sightings, see `with_clock`.
     """
 
     camera: CameraArchive
@@ -311,10 +328,14 @@ class RefitWorker:
     solve: Callable[..., Calibration | None] = solver_process.solve_in_child
     search: Callable[..., tuple[PoseStep, ...] | None] = solver_process.search_in_child
     keep_provisional: bool = False
+    clock_error_s: float | None = None
+    clock_assumed: bool = False
 
     def __post_init__(self) -> None:
         """Begin without a refit that waits."""
-        self._integrity = CalibrationIntegrityCheck(self.camera, now=self.now, board=self.board)
+        self._integrity = CalibrationIntegrityCheck(
+            self.camera, now=self.now, board=self.board, level_within_deg=self.calibration.level_within_deg
+        )
         self._waits_since_s: float | None = None
         self._epochs = EpochSearch(
             self.camera,
@@ -469,7 +490,7 @@ class RefitWorker:
         """Store the calibration; the first one of a pose epoch answers from the epoch's beginning."""
         now, epoch = self.now(), pose_epoch or task.pose_epoch
         document = to_document(
-            solved,
+            with_clock(solved, self.clock_error_s, assumed=self.clock_assumed),
             id=f"{now.astimezone(UTC):%Y%m%dT%H%M%SZ}-{uuid.uuid4().hex[:6]}",
             camera=self.camera.name,
             state="candidate" if solved.verdict.accepted or solved.verdict.marginal else "refused",
@@ -528,12 +549,14 @@ class CalibrationIntegrityCheck:
     camera : its archive.
     now : frame time, which dates events.
     board : where the lack of a calibration that can be used is shown.
+    level_within_deg : the tilt that is stated; None where none is.
     """
 
     camera: CameraArchive
     _: KW_ONLY
     now: Callable[[], datetime]
     board: StatusRegistry
+    level_within_deg: float | None = None
 
     def __post_init__(self) -> None:
         """Begin without a check."""
@@ -555,6 +578,7 @@ class CalibrationIntegrityCheck:
         current = self.camera.archive.calibrations.current(self.camera.name)
         self._current = None if current is None else current.id
         self.board.set_one_condition(_CODES, self._reason(current))
+        self.board.set_condition("tilt_unstated", self._unstated_tilt(current))
         if current is not None:
             self._check_sightings(current)
 
@@ -572,6 +596,27 @@ class CalibrationIntegrityCheck:
             except InputError as error:
                 reason = self._report("calibration_unreadable", calibration=current.id, error=str(error))
         return reason
+
+    def _unstated_tilt(self, current: CalibrationRecord | None) -> Reason | None:
+        """Return that the served camera is tilted by more than is stated, and what would state it."""
+        if current is None:
+            return None
+        try:
+            served = self.camera.archive.calibrations.model(current.id)
+        except InputError:
+            return None
+        tilt_deg, limit_deg = served.pose.theta_zz_deg, self.level_within_deg
+        if tilt_deg <= LEVEL_DEG if limit_deg is None else tilt_deg <= limit_deg:
+            return None
+        if limit_deg is None and is_tilt_shown(served):
+            return None
+        return condition(
+            "tilt_unstated",
+            calibration=current.id,
+            tilt_deg=tilt_deg,
+            stated="unset" if limit_deg is None else f"{limit_deg:g}",
+            level_within_deg=proposed_limit_deg(tilt_deg),
+        )
 
     def _check_sightings(self, current: CalibrationRecord) -> None:
         try:

@@ -51,7 +51,10 @@ class SolverDiedError(SolveFailedError):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SolveProblem:
-    """What `sunarc.calibration.calibrate` or `find_pose_steps` is given; `lens` is for the latter alone."""
+    """What `sunarc.calibration.calibrate` or `find_pose_steps` is given.
+
+    `tilt_known` is for the former alone, `lens` for the latter.
+    """
 
     points: Sightings
     site: Site
@@ -59,6 +62,7 @@ class SolveProblem:
     options: CalibrationOptions
     circle: ImageCircle | None = None
     lens: Calibration | None = None
+    tilt_known: bool = False
 
 
 class ChildControl(NamedTuple):
@@ -82,7 +86,7 @@ def solve_in_child(problem: SolveProblem, control: ChildControl) -> Calibration 
     SolverDiedError : when the process died.
     SolveFailedError : when it failed, or took too long.
     """
-    answer = in_child(call_on(problem, calibrate), control)
+    answer = in_child(partial(call_on(problem, calibrate), tilt_known=problem.tilt_known), control)
     if answer is not None and not isinstance(answer, Calibration):
         raise SolveFailedError(Finding("solve_failed", {"error": str(answer)}))
     return answer

@@ -11,7 +11,7 @@ import numpy as np
 
 from sunarc.archive.archive import CameraArchive
 from sunarc.archive.values import SunPoint
-from sunarc.calibration.answers.covariance import project_with_covariance
+from sunarc.calibration.answers.covariance import project_with_covariance, without_clock
 from sunarc.calibration.model.result import Calibration
 from sunarc.cameras.frame import Frame
 from sunarc.detection.moon import Cutout, MoonExpectation, brightest_cutouts, cutout_around, detect_moon
@@ -210,7 +210,7 @@ def predicted_moon(calibration: Calibration, disc: MoonDisc, *, within_px: float
     """
     directions = disc.direction + np.concatenate([np.zeros((1, 3)), disc.edges.T, -disc.edges.T])
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
-    pixels, covariance = project_with_covariance(calibration, directions)
+    pixels, covariance = project_with_covariance(without_clock(calibration), directions)
     camera = calibration.camera
     if not np.all(np.isfinite(pixels)):
         return None

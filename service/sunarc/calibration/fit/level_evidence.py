@@ -1,0 +1,105 @@
+"""Evidence of a tilted camera against its being level at another place: refraction and horizon tell them apart."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from sunarc.array_types import FloatArray
+from sunarc.calibration.fit.marginal_likelihood import log_evidence, log_weights
+from sunarc.calibration.fit.normal_equations import linear_system
+from sunarc.calibration.fit.robust_fit import RobustFit
+from sunarc.calibration.model.sightings import Kind
+from sunarc.calibration.quality.tilt import Place, level_place, tilt_question
+from sunarc.calibration.solve.problem import Bins
+from sunarc.optics.camera import Camera
+from sunarc.optics.pose import rotation_matrix
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_directions
+
+_RINGS_DEG, _AROUND = (2.0, 4.0), 8
+"""Tilts of a levelled mount, degrees, and directions of each: the place that is true lies so near the level one."""
+_LARGEST = 1e4
+"""Log odds that are not exceeded, where the sun was below the horizon at every other place."""
+_LOWEST_UP = -math.sin(math.radians(1.0))
+_MOST_BELOW = 0.03
+"""Share of sightings that may be of a sun below the horizon: false ones at dusk."""
+
+
+def log_odds_of_tilt(fit: RobustFit, camera: Camera, site: Site) -> float | None:
+    """Return the natural log odds of a fit's camera against the most probable one that is level at another place.
+
+    The sightings are the same, and the sky is turned as a whole: only the refraction of the sun's light differs.
+    None where the camera is level where it is said to stand.
+
+    Parameters
+    ----------
+    fit : by sightings of the sun, at the site that was stated.
+    camera : of the latest pose.
+    site : the one that was stated.
+    """
+    question = tilt_question(camera, site)
+    if question is None:
+        return None
+    level = level_place(camera, site)
+    places = [Place(float(question.data["latitude"]), float(question.data["longitude"])), *_near(level)]
+    here = _log_evidence(fit, fit.observed.directions)
+    elsewhere = max(_log_evidence(fit, _directions(fit, site, place)) for place in places)
+    return min(here - elsewhere, _LARGEST)
+
+
+def _near(level: Place) -> list[Place]:
+    """Return a place and those around it."""
+    latitude, longitude = math.radians(level.latitude), math.radians(level.longitude)
+    up = np.array(
+        [math.cos(latitude) * math.cos(longitude), math.cos(latitude) * math.sin(longitude), math.sin(latitude)]
+    )
+    east = np.array([-math.sin(longitude), math.cos(longitude), 0.0])
+    north, found = np.cross(up, east), [level]
+    for radius in np.radians(_RINGS_DEG).tolist():
+        for turn in (2.0 * math.pi * np.arange(_AROUND) / _AROUND).tolist():
+            x, y, z = math.cos(radius) * up + math.sin(radius) * (math.cos(turn) * east + math.sin(turn) * north)
+            found.append(Place(math.degrees(math.asin(z)), math.degrees(math.atan2(y, x))))
+    return found
+
+
+def _directions(fit: RobustFit, site: Site, place: Place) -> FloatArray | None:
+    """Return (n, 3): apparent directions at a place in the axes of the site; None where the sun was below the horizon.
+
+    Sightings of other bodies keep theirs.
+    """
+    observed = fit.observed
+    of_sun = (observed.kind == Kind.SUN) & ~observed.alone
+    there = sun_directions(
+        observed.unix_s[of_sun],
+        replace(site, latitude=place.latitude, longitude=place.longitude),
+        temperature=observed.temperature[of_sun],
+        pressure=observed.pressure[of_sun],
+    )
+    if np.mean(there[:, 2] < _LOWEST_UP) > _MOST_BELOW:
+        return None
+    directions = np.array(observed.directions)
+    directions[of_sun] = there @ _axes(place) @ _axes(Place(site.latitude, site.longitude)).T
+    return directions
+
+
+def _axes(place: Place) -> FloatArray:
+    """Return (3, 3): east, north and up of a place as rows, in axes that are fixed to the earth."""
+    latitude, longitude = math.radians(place.latitude), math.radians(place.longitude)
+    about_pole = rotation_matrix((0.0, 0.0, -(longitude + 0.5 * math.pi)))
+    return np.asarray(rotation_matrix((latitude - 0.5 * math.pi, 0.0, 0.0)) @ about_pole)
+
+
+def _log_evidence(fit: RobustFit, directions: FloatArray | None) -> float:
+    """Return the log evidence of the sightings where the sun was in some directions."""
+    if directions is None:
+        return -math.inf
+    observed, bins = (
+        replace(fit.observed, directions=directions),
+        Bins(member=fit.member, count=int(fit.member.max()) + 1),
+    )
+    information = fit.noise.information(fit.observed)
+    system = linear_system(fit.problem, observed, bins, fit.unknowns, information=information, basis=fit.grid.basis)
+    return log_evidence(log_weights(system.normal(), fit.grid))
