@@ -17,7 +17,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -29,8 +29,8 @@ from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.projection_choice import calibrate_unknown_lens
 from sunarc.optics.inverse import unproject
+from sunarc.optics.projections import Projection
 from sunarc.sky.site import Site
 
 FloatArray = NDArray[np.float64]
@@ -134,9 +134,8 @@ def fitted(world: World, slip: str, number: int) -> Calibration:
     }.get(slip, world.site)
     site = Site(latitude=typed[0], longitude=typed[1])
     stated = 15.0 if slip == "none, tilt stated" else None
-    options = CalibrationOptions(projection="equidistant", level_within_deg=stated)
-    if slip == "projection not told":
-        return calibrate_unknown_lens(points, site=site, image_size=(_SIZE, _SIZE), options=options).calibration
+    projection: Projection | Literal["auto"] = "auto" if slip == "projection not told" else "equidistant"
+    options = CalibrationOptions(projection=projection, level_within_deg=stated)
     return calibrate(points, site=site, image_size=(_SIZE, _SIZE), options=options)
 
 
