@@ -18,7 +18,8 @@ from tests.fixtures.nights import judged, whole_night
 from sunarc.archive.archive import Archive
 from sunarc.archive.fleet.feed_rows import FED, FeedBatch, FeedRow, Refusal, read_feed_lines
 from sunarc.archive.fleet.feeds import FUTURE, KEPT
-from sunarc.archive.values import Day, DayAir, Event, Refit, fields_of
+from sunarc.archive.sightings import ImageKey
+from sunarc.archive.values import Day, DayAir, Event, Refit, SunPoint, fields_of
 from sunarc.errors import NotFoundError
 from sunarc.findings import Finding, uncoded
 
@@ -136,7 +137,8 @@ def test_a_removed_row_is_removed(imager: Archive, hub: Archive) -> None:
     imager.days.set_air(
         DayAir(camera="roof", date=date(2026, 5, 13), temperature_c=None, pressure_hpa=None, set_at=NOON)
     )
-    imager.sightings.name_files("roof", [(int(NOON.timestamp() * 1e6), 47.3, "a.png")])
+    key = ImageKey(int(NOON.timestamp() * 1e6), 47.3, "")
+    imager.sightings.rename_files("roof", {key: key._replace(file="a.png")})
     feed(imager, hub)
     assert contents(hub) == contents(imager)
     assert hub.days.air("roof") == ()
@@ -480,3 +482,26 @@ def test_a_calibrations_parent_may_come_in_the_same_batch_and_not_after_it(image
     hub.feeds.take(replace(batch, rows=tuple(turned)), now=NOW)
     assert [one.id for one in hub.calibrations.find("roof")] == ["a"]
     assert reasons(hub) == ["contradiction", "contradiction"]
+
+
+def test_a_former_imager_sends_sightings_without_a_folder_and_has_them_removed(imager: Archive, hub: Archive) -> None:
+    live_a_little(imager)
+    feed(imager, hub)
+    (first, *_) = [one for one in hub.sightings.find("roof") if one.body == "sun"]
+    assert first.folder == ""
+    row = {name: value for name, value in _key_of(first).items() if name != "folder"}
+    position = imager.outbox.position()
+    after = hub.feeds.take(
+        FeedBatch(camera="roof", installation=position.installation, after=position.committed, rows=()), now=NOW
+    )
+    rows = (FeedRow(seq=after + 1, kind="sun_point.removed", data=row),)
+    n_before = len(hub.sightings.find("roof"))
+    batch = FeedBatch(camera="roof", installation=position.installation, after=after, rows=rows)
+    assert hub.feeds.take(batch, now=NOW) == after + 1
+    assert len(hub.sightings.find("roof")) == n_before - 1
+    assert hub.feeds.quarantine("roof") == ()
+
+
+def _key_of(point: SunPoint) -> dict[str, object]:
+    values = {name: getattr(point, name) for name in FED["sun_point"][1]}
+    return {**values, "time": int(point.time.timestamp() * 1e6)}

@@ -14,7 +14,7 @@ import pytest
 
 from sunarc.archive.archive import Archive, open_archive
 from sunarc.archive.database.schema import downgrade, upgrade
-from sunarc.archive.sightings import image_key
+from sunarc.archive.sightings import ImageKey, image_key
 from sunarc.archive.values import Event, SunPoint
 from sunarc.errors import InputError
 from sunarc.utc import to_microseconds
@@ -83,7 +83,7 @@ def test_what_is_stored_of_files_is_found_by_its_time(archive: Archive) -> None:
     later = replace(REFUSED, time=NOON + timedelta(seconds=1))
     archive.sightings.replace([FOUND, later, replace(FOUND, body="moon", file="c.jpg")])
     (found,) = archive.sightings.of_files("roof", times_us=AT_NOON)
-    assert found.key == image_key(NOON, None, "a.jpg")
+    assert found.key == ImageKey(to_microseconds(NOON), 0.0, "a.jpg", "")
     assert (found.accepted, found.verdict, found.ingest_pass) == (True, "clear", 1)
     assert (found.x_px, found.y_px, found.sigma_px) == (900.0, 700.0, 2.0)
     assert archive.sightings.of_files("attic", times_us=AT_NOON) == []
@@ -92,7 +92,8 @@ def test_what_is_stored_of_files_is_found_by_its_time(archive: Archive) -> None:
 def test_sightings_of_version_0_2_get_the_names_of_their_files(archive: Archive) -> None:
     unnamed = replace(FOUND, file="", exposure_us=20.0)
     archive.sightings.replace([unnamed, replace(unnamed, exposure_us=40.0)])
-    archive.sightings.name_files("roof", [image_key(NOON, 20.0, "short.png")])
+    former = ImageKey(to_microseconds(NOON), 20.0, "")
+    archive.sightings.rename_files("roof", {former: image_key(NOON, 20.0, "short.png")})
     assert [p.file for p in archive.sightings.find("roof")] == ["short.png", ""]
 
 

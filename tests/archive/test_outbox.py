@@ -20,6 +20,7 @@ from sunarc.archive.database.tables import metadata
 from sunarc.archive.fleet.feed_rows import FED, STATUS, FeedRow, columns_of, feed_lines, read_feed_lines
 from sunarc.archive.fleet.feed_schema import problem_of
 from sunarc.archive.fleet.outbox import outbox_triggers
+from sunarc.archive.sightings import ImageKey
 from sunarc.archive.values import Day, DayAir, Event, Housekeeping, Refit
 from sunarc.errors import InputError
 from sunarc.findings import Finding, uncoded
@@ -141,7 +142,8 @@ def test_a_row_that_moves_to_another_key_or_goes_is_said_to_be_removed(imager: A
     imager.sightings.replace([sighting(0)])
     forget(imager)
     imager.days.set_air(replace(air, temperature_c=None))
-    imager.sightings.name_files("roof", [(int(NOON.timestamp() * 1e6), 47.3, "a.png")])
+    key = ImageKey(int(NOON.timestamp() * 1e6), 47.3, "")
+    imager.sightings.rename_files("roof", {key: key._replace(file="a.png")})
     removed_air, removed, moved = waiting(imager)
     assert (removed_air.kind, removed_air.data) == ("day_air.removed", {"camera": "roof", "date": "2026-05-13"})
     assert removed.kind == "sun_point.removed"

@@ -49,7 +49,7 @@ def test_an_upgrade_from_nothing_reaches_the_head_and_a_second_one_does_nothing(
     assert path.read_bytes() == before
     looked = check(path)
     assert looked.sound
-    assert looked.revision == head_revision() == "0019"
+    assert looked.revision == head_revision() == "0020"
     assert set(looked.rows) == set(metadata.tables)
 
 
@@ -83,7 +83,7 @@ def test_a_missing_database_is_refused_with_the_command_that_makes_one(path: Pat
 def test_a_database_without_tables_is_refused_with_the_command(path: Path) -> None:
     path.parent.mkdir()
     path.touch()
-    with pytest.raises(SchemaError, match=r"None.*0019.*do this"):
+    with pytest.raises(SchemaError, match=r"None.*0020.*do this"):
         open_archive(path, upgrade_command="do this")
 
 

@@ -13,6 +13,11 @@ from sunarc.monitoring.values import ChangeKind
 
 MESSAGES = Messages(
     # sightings
+    two_pictures_of_one_time=Message(
+        "{file} and {other} are pictures of one time",
+        "Where their suns are within 1 px of one another one counts, else neither.",
+        "set [folder] path (or ingest's folder) to that of one camera's unprocessed pictures",
+    ),
     sighting_superseded=Message(
         "another method's sighting of the same image is accepted", "Set aside: an image counts once."
     ),

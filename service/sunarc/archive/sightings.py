@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from datetime import date, datetime, timedelta
+from pathlib import PurePosixPath
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -39,6 +40,7 @@ from sunarc.archive.database import tables
 from sunarc.archive.database.store import Database, Part, given, insert_new, upsert, values_of
 from sunarc.archive.database.tables import sun_point
 from sunarc.archive.events import insert_event
+from sunarc.archive.pictures_of_one_time import ELSEWHERE, judge_pictures
 from sunarc.archive.values import CameraRecord, Event, PoseEpoch, SightingCounts, SunPoint, SunPointColumns, fields_of
 from sunarc.array_types import FloatArray, IntArray
 from sunarc.detection.values import Detection
@@ -55,9 +57,20 @@ _NOT_NAMED_AGAIN = (Finding("star_not_named_again"),)
 FIRST_SIGHTING = "first sighting"
 """Reason of a camera's first pose epoch."""
 _STAR = "star"
-ImageKey = tuple[int, float, str]
-"""Time (microseconds since 1970-01-01 UTC), exposure (us, 0 where not known) and file name of an image."""
-_KEY = ("camera", "time", "body", "exposure_us", "method", "file")
+_KEY = ("camera", "time", "body", "exposure_us", "method", "file", "folder")
+
+
+class ImageKey(NamedTuple):
+    """What distinguishes an image from others of its camera.
+
+    time_us: microseconds since 1970-01-01 UTC. exposure_us: 0 where not known. file: its name, empty where not known
+    (version 0.2). folder: below its source, "." for the source itself; empty where not known (revision 0019).
+    """
+
+    time_us: int
+    exposure_us: float
+    file: str
+    folder: str = ""
 
 
 class FileSighting(NamedTuple):
@@ -74,28 +87,39 @@ class FileSighting(NamedTuple):
     y_px: float | None = None
     sigma_px: float | None = None
     radius_px: float | None = None
+    folder: str = ""
 
     @property
     def key(self) -> ImageKey:
         """What distinguishes the image from others."""
-        return self.time_us, self.exposure_us, self.file
+        return ImageKey(self.time_us, self.exposure_us, self.file, self.folder)
 
 
 def _set_others_aside(connection: Connection, point: SunPoint) -> None:
-    c = sun_point.c
-    same_image = (c.camera == point.camera, c.time == point.time, c.body == point.body, c.file == point.file)
-    others = (c.exposure_us == point.exposure_us, c.method != point.method, c.accepted.is_(True))
-    change = update(sun_point).where(*same_image, *others)
+    others = (*_same_image(point), sun_point.c.method != point.method, sun_point.c.accepted.is_(True))
+    change = update(sun_point).where(*others, sun_point.c.folder == point.folder)
     connection.execute(change.values(accepted=False, verdict="set_aside", findings=SUPERSEDED))
 
 
-def image_key(time: datetime, exposure_us: float | None, file: str) -> ImageKey:
-    """Return the key of an image that was not looked at yet."""
-    return to_microseconds(time), exposure_us or 0.0, file
+def _name_folder(connection: Connection, point: SunPoint) -> None:
+    """Give former sightings of an image whose folder is not known (revision 0019) that of a new one."""
+    here = select(sun_point.c.id).where(*_same_image(point), sun_point.c.folder == point.folder)
+    unknown = (*_same_image(point), sun_point.c.folder == "", sun_point.c.method == point.method)
+    connection.execute(update(sun_point).where(*unknown, ~here.exists()).values(folder=point.folder))
 
 
-ELSEWHERE = "elsewhere"
-"""Verdict on a clean disc where the sun should not be, as far as the calibration knows."""
+def _same_image(point: SunPoint) -> tuple[ColumnElement[bool], ...]:
+    c = sun_point.c
+    same_time = (c.camera == point.camera, c.time == point.time, c.body == point.body)
+    return *same_time, c.exposure_us == point.exposure_us, c.file == point.file
+
+
+def image_key(time: datetime, exposure_us: float | None, path: str) -> ImageKey:
+    """Return the key of an image that was not looked at yet, by its file's path below the source."""
+    file = PurePosixPath(path)
+    return ImageKey(to_microseconds(time), exposure_us or 0.0, file.name, file.parent.as_posix())
+
+
 FROZEN: Literal["frozen"] = "frozen"
 """Verdict on a sighting in an image that the camera had delivered before."""
 MOVED = (Finding("camera_had_moved"),)
@@ -287,22 +311,24 @@ class SightingStore(Part):
         with self._database.reading() as connection:
             return [FileSighting(*row) for row in connection.execute(rows.order_by(c.id)) if row[0] in times_us]
 
-    def name_files(self, camera: str, keys: Iterable[ImageKey]) -> None:
-        """Give sightings that have no file name, of the keys' times and exposures, the names in the keys."""
-        c = sun_point.c
+    def rename_files(self, camera: str, renamed: Mapping[ImageKey, ImageKey]) -> None:
+        """Give sightings of the sun in image files the names and folders of other keys."""
         with self._database.writing() as connection:
-            for time_us, exposure_us, file in keys:
-                unnamed = (c.camera == camera, type_coerce(c.time, BigInteger) == time_us, c.file == "")
-                change = update(sun_point).where(*unnamed, c.exposure_us == exposure_us, c.body == "sun")
-                connection.execute(change.values(file=file))
+            for former, new in renamed.items():
+                change = update(sun_point).where(*_of_image(camera, former))
+                connection.execute(change.values(file=new.file, folder=new.folder))
 
-    def replace(self, points: Iterable[SunPoint], *, first_epoch: str = FIRST_SIGHTING) -> None:
+    def replace(self, points: Iterable[SunPoint], *, first_epoch: str = FIRST_SIGHTING) -> dict[str, Finding]:
         """Store sightings of image files; one that is there already (see the key) is replaced, and keeps its id.
 
         Where one is accepted, sightings of the same image by other methods are set aside: an image counts once. So are
         those of the other images of its stack, which are among the points.
+
+        Returns
+        -------
+        What was set aside of pictures of one time in several folders, by their paths; see `judge_pictures`.
         """
-        kept = tuple(points)
+        kept, aside = tuple(points), dict[str, Finding]()
         stacked = {point.time for point in kept if point.accepted}
         c = sun_point.c
         self._database.prepare_months([point.time for point in kept])
@@ -311,9 +337,15 @@ class SightingStore(Part):
                 times = [point.time for point in kept if point.camera == camera]
                 keep_measured(connection, camera, (c.camera == camera, c.time.between(min(times), max(times))))
             for point in _in_epochs(connection, kept, first_epoch):
+                if point.folder:
+                    _name_folder(connection, point)
                 upsert(connection, sun_point, fields_of(point), key=_KEY)
                 if point.accepted or (point.verdict == "in_stack" and point.time in stacked):
                     _set_others_aside(connection, point)
+            for camera in {point.camera for point in kept if point.folder}:
+                of_folders = {point.time for point in kept if point.camera == camera and point.folder}
+                aside |= judge_pictures(connection, camera, of_folders)
+        return aside
 
     def replace_stars(self, camera: str, points: Iterable[SunPoint]) -> int:
         """Store the stars of images that were looked at again, and return how many sightings are new.
@@ -336,11 +368,9 @@ class SightingStore(Part):
 
     def mark_predicted(self, camera: str, keys: Iterable[ImageKey], *, ingest_pass: int) -> None:
         """Set the `ingest_pass` of the sightings of image files."""
-        c = sun_point.c
         with self._database.writing() as connection:
-            for time_us, exposure_us, file in keys:
-                same = (c.camera == camera, type_coerce(c.time, BigInteger) == time_us, c.file == file, c.body == "sun")
-                change = update(sun_point).where(*same, c.exposure_us == exposure_us)
+            for key in keys:
+                change = update(sun_point).where(*_of_image(camera, key))
                 connection.execute(change.values(ingest_pass=ingest_pass))
 
     def methods_of_files(self, camera: str) -> tuple[str, ...]:
@@ -538,6 +568,13 @@ class SightingStore(Part):
         return tuple(_of_day(one, by_day[one]) for one in sorted(by_day, reverse=True))
 
 
+def _of_image(camera: str, key: ImageKey) -> tuple[ColumnElement[bool], ...]:
+    """Return the conditions that a row is of the sun in an image."""
+    c = sun_point.c
+    same_time = (type_coerce(c.time, BigInteger) == key.time_us, c.exposure_us == key.exposure_us)
+    return c.camera == camera, *same_time, c.file == key.file, c.folder == key.folder, c.body == SUN
+
+
 def _of_day(day: int, rows: list[tuple[str, bool, int, float | None]]) -> SightingCounts:
     verdicts: Counter[str] = Counter()
     for verdict, _, count, _ in rows:
@@ -605,6 +642,7 @@ def sun_point_of(
     exposure_us: float = 0.0,
     clock_error_s: float | None = None,
     file: str = "",
+    folder: str = "",
     ingest_pass: int | None = None,
 ) -> SunPoint:
     """Return the sighting that a detection amounts to, accepted or not."""
@@ -615,6 +653,7 @@ def sun_point_of(
         exposure_us=exposure_us,
         clock_error_s=clock_error_s,
         file=file,
+        folder=folder,
         ingest_pass=ingest_pass,
         **{name: getattr(detection, name) for name in _SHARED},
     )

@@ -100,6 +100,7 @@ class SunPoint(Returned):
     pressure_hpa: Annotated[float | None, Field(exclude=True)] = None  # None takes the day's (`DayAir`)
     file: Annotated[str, Field(exclude=True)] = ""  # name of the image file; "" for a frame of the camera
     ingest_pass: Annotated[int | None, Field(exclude=True)] = None  # 1 without a prediction, 2 with one; None: no file
+    folder: Annotated[str, Field(exclude=True)] = ""  # of the image file: "." is the source itself, "" not known
 
     def __post_init__(self) -> None:
         """Refuse an accepted sighting without a pixel."""

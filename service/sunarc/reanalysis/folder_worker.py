@@ -17,6 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.archive.archive import CameraArchive
+from sunarc.archive.messages import MESSAGES as OF_ARCHIVE
+from sunarc.archive.pictures_of_one_time import TWO_PICTURES
 from sunarc.archive.seen_files import SeenFile
 from sunarc.array_types import Image
 from sunarc.cameras.frame import Frame
@@ -71,6 +73,7 @@ _LEFT_OUT_CODES = {
     "file_size_differs": "images_of_another_size",
     "file_other_camera": "images_of_two_cameras",
     "file_time_future": "images_in_future",
+    TWO_PICTURES: TWO_PICTURES,
 }
 LEFT_OUT = tuple(dict.fromkeys([*_LEFT_OUT_CODES.values(), "images_left_out"]))
 """Conditions of images that are left out, one at a time."""
@@ -104,12 +107,16 @@ class LeftOut:
         counts = Counter(one for one in self._last.values() if one is not None)
         worst, n = counts.most_common(1)[0] if counts else ("", 0)
         if finding is not None and cause == worst and n >= _LEAST and n >= _SHARE * len(self._last):
-            shown = Finding(
-                worst, {"n": n, "file": file, "why": MESSAGES.text_of(finding), "remedy": MESSAGES.remedy_of(finding)}
-            )
-            self._board.set_one_condition(LEFT_OUT, Reason.of(shown, MESSAGES))
+            self._board.set_one_condition(LEFT_OUT, _reason_of(worst, n, file, finding))
         elif n < max(_LEAST, _SHARE * len(self._last)):
             self._board.set_one_condition(LEFT_OUT, None)
+
+
+def _reason_of(code: str, n: int, file: str, finding: Finding) -> Reason:
+    if finding.code == code:
+        return Reason.of(finding, OF_ARCHIVE)
+    why, remedy = MESSAGES.text_of(finding), MESSAGES.remedy_of(finding)
+    return Reason.of(Finding(code, {"n": n, "file": file, "why": why, "remedy": remedy}), MESSAGES)
 
 
 _QUARTER_S, _SAME_S = 900.0, 120.0
@@ -514,9 +521,9 @@ class FolderWorker:
             finding = found[one.file.name]
             if finding is not None and finding.code == _TRUNCATED and self._may_grow(one.file):
                 self._again[one.file.name] = self.clock.monotonic() + _AGAIN_S
-            elif finding is None:
+            elif finding is None or finding.code == TWO_PICTURES:
                 self._seen(one)
-                self._left_out.note(one.file.name, None)
+                self._left_out.note(one.file.name, finding)
             else:
                 self._refuse(one.file, finding, one)
         if not live:
@@ -663,8 +670,7 @@ class FolderWorker:
 
 
 def _live(one: _Dated) -> LiveImage:
-    name = PurePosixPath(one.file.name).name
-    return LiveImage(one.file.name, name, one.frame.time, one.frame.exposure_us, one.content)
+    return LiveImage(one.file.name, one.frame.time, one.frame.exposure_us, one.content)
 
 
 def _mono(image: Image) -> Image:

@@ -26,7 +26,7 @@ from sunarc.reanalysis.files import read_file
 from sunarc.reanalysis.image_files import ImageSource, SourceFile, image_size, kind_of
 from sunarc.reanalysis.image_times import TimedFrame, TimeRules, timed_frames, utc_offset_of
 from sunarc.reanalysis.messages import RefusedImageError
-from sunarc.reanalysis.sources import open_source
+from sunarc.reanalysis.sources import hash_of, open_source
 from sunarc.sky.site import Site
 from sunarc.sky.sun import DARK_ZENITH_DEG, sun_angles
 from sunarc.utc import rfc3339, to_microseconds
@@ -61,9 +61,15 @@ class ArchiveImage(NamedTuple):
         return _shown(self.address, self.path)
 
     @property
+    def named(self) -> ImageKey:
+        """What copies of it have in common: its key without the folder."""
+        return self.key._replace(folder="")
+
+    @property
     def key(self) -> ImageKey:
-        """What distinguishes it from other images of its camera; of two with one key the second is a copy."""
-        return self.time_us, self.exposure_us or 0.0, PurePosixPath(self.path).name
+        """What distinguishes it from other images of its camera."""
+        path = PurePosixPath(self.path)
+        return ImageKey(self.time_us, self.exposure_us or 0.0, path.name, path.parent.as_posix())
 
 
 def _shown(address: str, path: str) -> str:
@@ -230,7 +236,7 @@ def index_folder(plan: CameraPlan) -> tuple[CameraImages, list[Failure]]:
     found, failed = _found(plan)
     if not found and not failed and plan.selector.only is None:
         raise InputError(field=folder, problem="has no images", remedy="name a folder of PNG, JPEG or TIFF files")
-    images, copies = _single(sorted(one.image for one in found))
+    images, copies = _single(sorted(one.image for one in found), same=_content_of)
     parts = _by_sun(images, plan, nights=True)
     left_out = [
         *((file, finding) for _, file, finding in failed),
@@ -276,7 +282,7 @@ def _add(indexed: Indexed, plan: CameraPlan, members: list[_Found]) -> None:
             "copies": len(copies),
             "images": len(members),
             "file": copies[0].name,
-            "other": next(one.name for one in images if one.key == copies[0].key),
+            "other": next(one.name for one in images if one.named == copies[0].named),
         }
         indexed.refused.append(Failure(plan.name, Finding("cameras_mixed", mixed)))
         return
@@ -334,11 +340,32 @@ def at_night(zenith_deg: float) -> Finding:
     return Finding("file_at_night", {"zenith_deg": zenith_deg})
 
 
-def _single(images: Sequence[ArchiveImage]) -> tuple[list[ArchiveImage], list[ArchiveImage]]:
-    """Return images, and the copies of those before them."""
-    single: dict[ImageKey, ArchiveImage] = {}
-    copies = [image for image in images if single.setdefault(image.key, image) is not image]
+def _single(
+    images: Sequence[ArchiveImage], *, same: Callable[[ArchiveImage], object] = lambda _: None
+) -> tuple[list[ArchiveImage], list[ArchiveImage]]:
+    """Return images, and the copies of those before them: of the same name, time and exposure.
+
+    Parameters
+    ----------
+    images : sorted.
+    same : what copies have in common besides; asked of images with another of their name, time and exposure.
+    """
+    alike = Counter(image.named for image in images)
+    single: dict[tuple[object, ...], ArchiveImage] = {}
+    copies = []
+    for image in images:
+        key = (image.named, same(image) if alike[image.named] > 1 else None)
+        if single.setdefault(key, image) is not image:
+            copies.append(image)
     return list(single.values()), copies
+
+
+def _content_of(image: ArchiveImage) -> str:
+    """Return the hash of the content of an image's file; of one that cannot be read its path."""
+    try:
+        return hash_of(open_source(image.address).read(image.file))
+    except OSError:
+        return image.path
 
 
 def _copy_of(copy: ArchiveImage) -> Finding:

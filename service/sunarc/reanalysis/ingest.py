@@ -24,7 +24,7 @@ from sunarc.calibration.model.sightings import Sightings
 from sunarc.detection.values import Detection, Expectation, Verdict
 from sunarc.detection.values import Method as DetectionMethod
 from sunarc.findings import Finding
-from sunarc.foreign_files import name_text
+from sunarc.foreign_files import is_regular, name_path, name_text
 from sunarc.reanalysis.cameras import known_camera, register_camera
 from sunarc.reanalysis.detect_files import Method
 from sunarc.reanalysis.fit import CameraSightings, Rough, first_analysis
@@ -133,7 +133,7 @@ def ingest_folder(
         by_verdict=dict(Counter(one.verdict for one in found.values()).most_common()),
         skipped=(*failures, *store.failures, *nights.failures),
         contact_sheet=sheet if found else None,
-        camera_findings=(*findings, *nights.findings),
+        camera_findings=(*findings, *nights.findings, *list(store.set_aside.values())[:1]),
         nights=nights.looked_at,
         nights_known=nights.known,
     )
@@ -272,18 +272,21 @@ class FolderLedger:
     ----------
     looked_at : images that were looked at without a prediction.
     failures : those of them that are left out.
+    set_aside : of pictures of one time in several folders what was set aside, by their paths.
     """
 
     def __init__(self, archive: Archive, settings: Settings, camera: CameraImages, options: IngestOptions) -> None:
         self.archive, self.settings, self.camera = archive, settings, camera
         self.looked_at: list[ArchiveImage] = []
         self.failures: list[Failure] = []
+        self.set_aside: dict[str, Finding] = {}
         self._options = options
         self._images = {id_of(image): image for image in camera.images}
         self._expected: dict[ImageId, Expectation | None] = {}
         self._waiting: list[SunPoint] = []
 
     def __enter__(self) -> Self:
+        self._adopt()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, at: TracebackType | None) -> None:
@@ -370,36 +373,50 @@ class FolderLedger:
         return self.archive.sightings.of_files(self.settings.name, times_us=times_us)
 
     def _known(self) -> set[ImageKey]:
-        """Return the keys of the images that have a sighting by the method asked for, or by any where that is open.
-
-        Sightings of version 0.2 have no file name: they get that of the first image of their time and exposure.
-        """
+        """Return the keys of the images that have a sighting by the method asked for, or by any where that is open."""
         if self._options.reprocess:
             return set()
-        stored = self._stored()
-        unnamed = {one.key[:2] for one in stored if one.file == ""}
-        named = {one.key for one in stored if one.file != ""}
-        adopted: dict[tuple[int, float], ImageKey] = {}
+        return {one.key for one in self._stored() if self._options.method in {"auto", one.method}}
+
+    def _adopt(self) -> None:
+        """Give sightings whose file is not here the name and folder of an image of their time and exposure.
+
+        It has the same name, or is the first one where that is not known (version 0.2): a folder that is ingested by
+        another of its parents, or was moved, has the images that were looked at.
+        """
+        stored, here = {one.key: None for one in self._stored()}, {image.key for image in self.camera.images}
+        free: dict[ImageKey, list[ImageKey]] = {}
         for image in self.camera.images:
-            if image.key[:2] in unnamed and image.key not in named:
-                adopted.setdefault(image.key[:2], image.key)
-        self.archive.sightings.name_files(self.settings.name, adopted.values())
-        method = self._options.method
-        return {one.key for one in (self._stored() if adopted else stored) if method in {"auto", one.method}}
+            for former in (image.named, image.named._replace(file="")) if image.key not in stored else ():
+                free.setdefault(former, []).append(image.key)
+        renamed: dict[ImageKey, ImageKey] = {}
+        taken = set[ImageKey]()
+        for former in stored:
+            options = () if former in here else free.get(former._replace(folder=""), ())
+            new = next((one for one in options if one not in taken), None)
+            if new is not None and not self._is_there(former):
+                renamed[former] = new
+                taken.add(new)
+        self.archive.sightings.rename_files(self.settings.name, renamed)
+
+    def _is_there(self, key: ImageKey) -> bool:
+        """Return whether a file is below the folder, though it is not looked at in this run."""
+        root = Path(name_path(self.camera.plan.selector.sources[0]))
+        return key.folder != "" and is_regular(root / name_path(key.folder) / name_path(key.file.partition("#")[0]))
 
     def _write(self) -> None:
         points, self._waiting = self._waiting, []
         if points:
-            self.archive.sightings.replace(points, first_epoch="first image")
+            self.set_aside |= self.archive.sightings.replace(points, first_epoch="first image")
 
     def _point(self, image: ArchiveImage, found: Detection, pass_number: int) -> SunPoint:
-        time_us, exposure_us, file = image.key
         return sun_point_of(
             found,
             camera=self.settings.name,
             pose_epoch="",
-            time=from_microseconds(time_us),
-            exposure_us=exposure_us,
-            file=file,
+            time=from_microseconds(image.time_us),
+            exposure_us=image.key.exposure_us,
+            file=image.key.file,
+            folder=image.key.folder,
             ingest_pass=pass_number,
         )

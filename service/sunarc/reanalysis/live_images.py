@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.archive.archive import CameraArchive
-from sunarc.archive.sightings import ELSEWHERE, FROZEN, sun_point_of
+from sunarc.archive.sightings import ELSEWHERE, FROZEN, image_key, sun_point_of
 from sunarc.archive.values import CalibrationRecord, SunPoint
 from sunarc.array_types import Image
 from sunarc.calibration.model.result import Calibration
@@ -39,13 +39,12 @@ _PERHAPS_ELSEWHERE = frozenset({"hidden", "reflection"})
 
 
 class LiveImage(NamedTuple):
-    """An image that has come: its file below the folder, the name it is stored by, when, how exposed, and its content.
+    """An image that has come: its file below the folder, when, how exposed, and its content.
 
     content: hash of the file's bytes.
     """
 
     file: str
-    name: str
     time: datetime
     exposure_us: float | None
     content: str
@@ -146,6 +145,8 @@ class LiveImages:
     def take(self, address: str, images: Sequence[LiveImage]) -> list[Finding | None]:
         """Look at the images of one time, store their sightings, and return why each was left out, None where not.
 
+        `TWO_PICTURES` is of one that is stored, and was set aside.
+
         Parameters
         ----------
         address : of the source that the files are in.
@@ -168,14 +169,15 @@ class LiveImages:
         if repeated is not None:
             self._store([self._point(one, _frozen(repeated), SEARCHED) for one in images])
             return [repeated for _ in images]
+        aside: dict[str, Finding] = {}
         if suns:
             number = SEARCHED if model is None else PREDICTED
-            self._store([self._point(one, suns[one.file], number) for one in images if one.file in suns])
-            if accepted:
+            aside = self._store([self._point(one, suns[one.file], number) for one in images if one.file in suns])
+            if accepted and not suns.keys() <= aside.keys():
                 self._show_sighting(time)
-        self._notice(time, suns.values())
+        self._notice(time, (found for file, found in suns.items() if file not in aside))
         self._learn(record, model)
-        return [one.found if isinstance(one.found, Finding) else None for one in answers]
+        return [one.found if isinstance(one.found, Finding) else aside.get(one.file) for one in answers]
 
     def _repeated(self, address: str, image: LiveImage, suns: Mapping[str, Detection]) -> Finding | None:
         """Return the finding of a picture that came before; None for a new one, and for one that cannot be read."""
@@ -240,19 +242,21 @@ class LiveImages:
                 suns[one.file] = replace(one.found, accepted=False, verdict="elsewhere", findings=findings)
 
     def _point(self, image: LiveImage, found: Detection, ingest_pass: int) -> SunPoint:
+        key = image_key(image.time, image.exposure_us, image.file)
         return sun_point_of(
             found,
             camera=self.camera.name,
             pose_epoch="",
             time=image.time,
-            exposure_us=image.exposure_us or 0.0,
+            exposure_us=key.exposure_us,
             clock_error_s=self.clock_error_s(image.time),
-            file=image.name,
+            file=key.file,
+            folder=key.folder,
             ingest_pass=ingest_pass,
         )
 
-    def _store(self, points: list[SunPoint]) -> None:
-        self.camera.archive.sightings.replace(points, first_epoch="first image")
+    def _store(self, points: list[SunPoint]) -> dict[str, Finding]:
+        return self.camera.archive.sightings.replace(points, first_epoch="first image")
 
     def _learn(self, record: CalibrationRecord | None, model: Calibration | None) -> None:
         """Learn the sigma of the sightings in images once from each calibration of a full fit."""

@@ -126,7 +126,7 @@ def look_at(chunk: Chunk) -> list[Answer]:
     cv2.setNumThreads(1)
     static = None if chunk.static is None else chunk.static.unpacked()
     if chunk.stack:
-        return _look_at_stack(chunk, static)
+        return _look_at_folders(chunk, static)
     source, answers = HashedSource(open_source(chunk.address)), list[Answer]()
     for file, members in itertools.groupby(chunk.items, key=lambda item: item.file):
         items = {item.number: item for item in members}
@@ -143,6 +143,19 @@ def look_at(chunk: Chunk) -> list[Answer]:
                 for number, image in images_in(source, file, changed, size=chunk.size)
             ]
     return answers
+
+
+def _look_at_folders(chunk: Chunk, static: BoolArray | None) -> list[Answer]:
+    """Look at the exposures of each folder as a stack: those of another one are of another camera, or copies."""
+    folders: dict[PurePosixPath, list[Item]] = {}
+    for item in chunk.items:
+        folders.setdefault(PurePosixPath(item.file).parent, []).append(item)
+    answers = {
+        (one.file, one.number): one
+        for items in folders.values()
+        for one in _look_at_stack(chunk._replace(items=tuple(items)), static)
+    }
+    return [answers[item.file, item.number] for item in chunk.items]
 
 
 def _is_unchanged(source: HashedSource, item: Item) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from sunarc.archive.messages import MESSAGES as OF_ARCHIVE
 from sunarc.calibration.messages import MESSAGES as OF_CALIBRATION
 from sunarc.errors import InputError
 from sunarc.findings import Finding, Message, Messages
@@ -326,5 +327,7 @@ class RefusedImageError(InputError):
 
 def sentence_of(finding: Finding) -> str:
     """Return a finding of a run over an archive as a sentence, with what to do about it."""
-    table = next((table for table in (MESSAGES, OF_CALIBRATION, OF_WORKERS) if finding.code in table), MESSAGES)
+    table = next(
+        (table for table in (MESSAGES, OF_ARCHIVE, OF_CALIBRATION, OF_WORKERS) if finding.code in table), MESSAGES
+    )
     return f"{table.text_of(finding)}; {table.remedy_of(finding)}"

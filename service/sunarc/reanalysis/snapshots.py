@@ -303,7 +303,7 @@ class SnapshotWorker:
             try:
                 size = image_size(source, path.name)
                 self.images.register([] if size is None else [size])
-                return self.images.take(source.address, [LiveImage(path.name, path.name, found.time, None, content)])[0]
+                return self.images.take(source.address, [LiveImage(path.name, found.time, None, content)])[0]
             except InputError as error:
                 return Finding("file_not_image", {"error": str(error)})
         if self.night is not None and zenith >= DARK_ZENITH_DEG:

@@ -367,7 +367,8 @@ sun_point = Table(
     Column("pressure_hpa", Number),
     Column("file", Text, nullable=False, server_default=""),
     Column("ingest_pass", Integer),
-    UniqueConstraint("camera", "time", "body", "exposure_us", "method", "file"),
+    Column("folder", Text, nullable=False, server_default=""),
+    UniqueConstraint("camera", "time", "body", "exposure_us", "method", "file", "folder"),
 )
 
 day = Table(

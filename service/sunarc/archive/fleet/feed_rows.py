@@ -24,7 +24,7 @@ from sunarc.json_fields import EXAMPLE_TIME, Returned, Time, described
 FED: Mapping[str, tuple[Table, tuple[str, ...]]] = {
     "camera": (tables.camera, ("name",)),
     "pose_epoch": (tables.pose_epoch, ("id",)),
-    "sun_point": (tables.sun_point, ("camera", "time", "body", "exposure_us", "method", "file")),
+    "sun_point": (tables.sun_point, ("camera", "time", "body", "exposure_us", "method", "file", "folder")),
     "day": (tables.day, ("camera", "date")),
     "day_air": (tables.day_air, ("camera", "date")),
     "calibration": (tables.calibration, ("id",)),
@@ -35,6 +35,8 @@ FED: Mapping[str, tuple[Table, tuple[str, ...]]] = {
 }
 """The tables that are sent, each after those that it refers to, with what makes a row of it another one."""
 
+SINCE = frozenset({("sun_point", "folder")})
+"""Columns of keys that former imagers do not send: they are empty there."""
 STATUS = "status"
 """Kind of the imager's own state; the hub keeps the newest."""
 MOST_ROWS = 10_000

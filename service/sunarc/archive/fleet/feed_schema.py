@@ -27,7 +27,7 @@ from sunarc.archive.database.tables import (
     Word,
     findings_of_text,
 )
-from sunarc.archive.fleet.feed_rows import FED, MOST_ROW_BYTES, REMOVED, STATUS, columns_of, plain_type
+from sunarc.archive.fleet.feed_rows import FED, MOST_ROW_BYTES, REMOVED, SINCE, STATUS, columns_of, plain_type
 from sunarc.findings import from_json
 from sunarc.json_fields import descriptions
 from sunarc.utc import from_microseconds, to_microseconds
@@ -63,6 +63,7 @@ _MEANINGS: Mapping[str, str] = {
     "sun_point.temperature_c": "Of the air, measured with it, degrees Celsius; null takes the day's.",
     "sun_point.pressure_hpa": "Of the air, measured with it, hPa; null takes the day's.",
     "sun_point.file": "Name of the image file; empty for a frame of the camera.",
+    "sun_point.folder": "Folder of the image file; empty where it is not known.",
     "sun_point.ingest_pass": "1: found without a prediction, 2: with one; null: of no file.",
     "day_air.date": "Local mean solar date.",
     "day_air.temperature_c": "Mean over the hours of sun, degrees Celsius; null where not measured.",
@@ -205,7 +206,9 @@ def _checks(kind: str, only_key: bool) -> tuple[_Check, ...]:  # noqa: FBT001
     for name in FED[kind][1] if only_key else columns:
         column, rule = columns[name], _rule(columns[name])
         # an event without a camera concerns all that an imager has: at the hub it is the camera's
-        required = only_key or column.server_default is None or (kind, name) in _SENT_ALWAYS
+        required = (
+            (only_key and (kind, name) not in SINCE) or column.server_default is None or (kind, name) in _SENT_ALWAYS
+        )
         made.append(_Check(name, required and not column.nullable, bool(column.nullable), rule.fits, _named(rule)))
     return tuple(made)
 

@@ -50,6 +50,7 @@ from sunarc.archive.fleet.feed_rows import (
     FED,
     MOST_LEVELS,
     REMOVED,
+    SINCE,
     STATUS,
     FeedBatch,
     FeedRow,
@@ -577,7 +578,8 @@ def _remove(connection: Connection, camera_name: str, kind: str, rows: Sequence[
     table, key = FED[kind]
     owner = table.c["name" if kind == "camera" else "camera"]
     for row in rows:
-        values = typed(kind, row.data or {}) | {owner.name: camera_name}
+        empty = {name: "" for of, name in SINCE if of == kind}
+        values = empty | typed(kind, row.data or {}) | {owner.name: camera_name}
         this = [table.c[name] == values[name] for name in key]
         found = connection.scalar(select(owner).where(*this).limit(1))
         if found not in {None, camera_name}:
