@@ -348,6 +348,9 @@ def test_sentences_of_sightings_become_findings_in_the_partitions(url: URL) -> N
             connection.execute(text("UPDATE sun_point SET reason = 'the camera had moved' WHERE id = 1"))
             connection.execute(text("UPDATE sun_point SET reason = 'of another version' WHERE id > 1"))
             connection.execute(text("DROP TABLE seen_file"))
+            connection.execute(text("ALTER TABLE sun_point DROP CONSTRAINT uq_sun_point, DROP COLUMN folder"))
+            key = "camera, time, body, exposure_us, method, file"
+            connection.execute(text(f"ALTER TABLE sun_point ADD CONSTRAINT uq_sun_point UNIQUE ({key})"))
             connection.execute(text("UPDATE alembic_version SET version_num = '0017'"))
     assert upgrade_server(url)
     with open_archive(url) as archive:
