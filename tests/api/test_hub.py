@@ -6,22 +6,24 @@ import gzip
 import json
 import os
 import shutil
+import signal
 import sqlite3
 import tempfile
-from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from dataclasses import dataclass
 from datetime import date, timedelta
 from pathlib import Path
 from typing import Any
 
 import httpx
+import psycopg
 import pytest
 from sqlalchemy import URL
 from tests.api.conftest import Client
 from tests.fixtures.archive import make_empty
 from tests.fixtures.fleet import NOW, new_imager, next_batch, sighting
-from tests.fixtures.postgresql import TEMPLATE, running_server
+from tests.fixtures.postgresql import TEMPLATE, Server, running_server
 from tests.workers.test_full_disk import mounted
 
 from sunarc.api.fleet_states import SILENT
@@ -554,3 +556,107 @@ def test_a_hub_whose_disk_is_full_is_not_ready_and_goes_on_when_there_is_room(im
         now[0] += timedelta(seconds=61)
         assert hub.client.get("/readyz").status_code == 503  # although nobody sent anything
         assert hub.reasons() == []
+
+
+@contextmanager
+def read_only(server: Server) -> Iterator[None]:
+    server.sql("postgres", "ALTER SYSTEM SET default_transaction_read_only = on", "SELECT pg_reload_conf()")
+    yield
+    server.sql(
+        "postgres",
+        "SET default_transaction_read_only = off",
+        "ALTER SYSTEM RESET default_transaction_read_only",
+        "SELECT pg_reload_conf()",
+    )
+
+
+@contextmanager
+def table_locked(server: Server) -> Iterator[None]:
+    with psycopg.connect(host=str(server.folder), user="test", dbname=TEMPLATE) as other:
+        other.execute("LOCK TABLE sun_point IN ACCESS EXCLUSIVE MODE")
+        yield
+
+
+@contextmanager
+def inserts_refused(server: Server) -> Iterator[None]:
+    server.sql(TEMPLATE, "REVOKE INSERT ON sun_point FROM feeding")
+    yield
+    server.sql(TEMPLATE, "GRANT INSERT ON sun_point TO feeding")
+
+
+@contextmanager
+def backends_stopped(server: Server) -> Iterator[None]:
+    pids = [int(pid) for pid in Path(f"/proc/{server.pid}/task/{server.pid}/children").read_text().split()]
+    for pid in pids:
+        os.kill(pid, signal.SIGSTOP)
+    yield
+    for pid in pids:
+        os.kill(pid, signal.SIGCONT)
+
+
+@pytest.mark.parametrize("fault", [read_only, table_locked, inserts_refused, backends_stopped])
+def test_a_hub_that_can_store_nothing_is_not_ready_says_why_and_answers_no_200(
+    imager: Archive, fault: Callable[[Server], AbstractContextManager[None]]
+) -> None:
+    if os.geteuid() != 0:
+        pytest.skip("stopping another user's processes needs root")
+    now = [NOW]
+    with running_server() as server:
+        server.sql("postgres", "CREATE ROLE feeding LOGIN")
+        server.sql(
+            TEMPLATE,
+            "GRANT SELECT, INSERT, UPDATE ON ALL TABLES IN SCHEMA public TO feeding",
+            "GRANT USAGE ON ALL SEQUENCES IN SCHEMA public TO feeding",
+            "GRANT DELETE ON quarantine TO feeding",
+            "GRANT EXECUTE ON FUNCTION sunarc_require_month(bigint) TO feeding",
+        )
+        with open_archive(server.url(TEMPLATE, user="feeding")) as archive:
+            archive.feeds.add_token("roof", token_digest(TOKEN), now=NOW, former_until=NOW)
+            app = create_hub_app(
+                archive=archive,
+                status=lambda: StatusSnapshot(version="1", started_at=NOW),
+                now=lambda: now[0],
+                options=ApiOptions(allowed_hosts=("imager",)),
+            )
+            hub = Hub(archive, Client(app), now)
+            assert hub.client.get("/readyz").status_code == 200
+            assert hub.put(body_of(imager)).json() == {"committed": 5}
+            imager.outbox.acknowledge(5)
+            imager.sightings.add([sighting(9)])
+            now[0] += timedelta(seconds=11)
+            with fault(server):
+                for _ in range(2):
+                    answer = hub.client.get("/readyz")
+                    assert answer.status_code == 503
+                    assert "database" in answer.json()["detail"] or "sun_point" in answer.json()["detail"]
+                    now[0] += timedelta(seconds=1)
+                if fault in {read_only, inserts_refused}:  # the others are waited for
+                    assert hub.put(body_of(imager), after=5).status_code == 503
+            now[0] += timedelta(seconds=11)
+            assert hub.put(body_of(imager), after=5).json() == {"committed": 6}
+            assert hub.client.get("/readyz").status_code == 200
+            assert (len(archive.sightings.find("roof")), hub.reasons()) == (4, [])
+
+
+def test_a_hub_whose_file_is_locked_by_another_is_not_ready(hub: Hub, tmp_path: Path) -> None:
+    clock = VirtualClock(NOW)
+    board = StatusRegistry(version="1", started_at=NOW, monotonic=clock.monotonic)
+    room = StoreRoomWorker(archive=hub.archive, clock=clock, board=board)
+    room.check()
+    assert board.snapshot().reasons == ()
+    assert hub.client.get("/readyz").status_code == 200
+    with closing(sqlite3.connect(tmp_path / "hub.sqlite", isolation_level=None)) as other:
+        other.execute("BEGIN EXCLUSIVE")
+        for _ in range(3):
+            hub.now[0] += timedelta(seconds=11)
+            assert hub.client.get("/readyz").status_code == 503
+        clock.advance(12.0)
+        room.check()
+        assert [(one.code, one.severity) for one in board.snapshot().reasons] == [("store_failed", "not_ready")]
+        other.execute("ROLLBACK")
+    hub.now[0] += timedelta(seconds=11)
+    for _ in range(50):  # the trial that waited has to end
+        if hub.client.get("/readyz").status_code == 200:
+            return
+        hub.now[0] += timedelta(seconds=6)
+    pytest.fail("not ready again")

@@ -279,7 +279,7 @@ def test_the_feeds_role_stores_what_imagers_send_and_changes_no_table(fleet: Ser
 
 def test_each_table_whose_rows_the_role_may_not_store_is_named(fleet: Server) -> None:
     with open_archive(fleet.url("sunarc", user="sunarc_feed")) as archive:
-        archive.feeds.require_privileges()
+        archive.feeds.require_storing()
         month = "sunarc_require_month(bigint)"
         for what, privilege, named in (
             ("sun_point", "INSERT", "sun_point"),
@@ -289,9 +289,9 @@ def test_each_table_whose_rows_the_role_may_not_store_is_named(fleet: Server) ->
         ):
             fleet.sql("sunarc", f"REVOKE {privilege} ON {what} FROM sunarc_feed", user="sunarc_owner")
             with pytest.raises(OutsideError, match=f"rows of {named} cannot"):
-                archive.feeds.require_privileges()
+                archive.feeds.require_storing()
             fleet.sql("sunarc", f"GRANT {privilege} ON {what} TO sunarc_feed", user="sunarc_owner")
-        archive.feeds.require_privileges()
+        archive.feeds.require_storing()
 
 
 def test_the_readers_role_reads_and_writes_nothing(fleet: Server) -> None:

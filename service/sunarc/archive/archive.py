@@ -79,7 +79,7 @@ class Archive:
         self.notices = NoticeStore(database)
         self.nightly = NightlyStore(database)
         self.revision = database.revision
-        self.require_room = database.require_room
+        self.require_storing = database.require_storing
 
     def __enter__(self) -> Self:
         return self

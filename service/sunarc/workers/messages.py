@@ -224,6 +224,11 @@ MESSAGES = Messages(
         "Summaries, cross-checks or retention of a hub are late; nothing is lost.",
         "it is tried again every hour; the log has the stack, /v1/nightly the errors",
     ),
+    store_failed=Message(
+        "no row can be stored: {error}",
+        "A hub stores nothing; imagers keep their rows and send them again. Not ready.",
+        "let the database answer and take rows (not read-only, no table locked); the hub then continues by itself",
+    ),
     store_full=Message(
         "no row can be stored: {error}",
         "A hub stores nothing; imagers keep their rows and send them again. Not ready.",

@@ -108,7 +108,7 @@ class DiskWorker:
 
 _DATABASE_EVERY_S = 2.0
 _MISSING = "database_missing"
-_STORE_FULL = "store_full"
+_STORE_FULL, _STORE_FAILED = "store_full", "store_failed"
 
 
 @dataclass(kw_only=True, eq=False)
@@ -181,13 +181,13 @@ def _publish(board: StatusRegistry, done: Recovery) -> None:
 
 @dataclass(kw_only=True, eq=False)
 class StoreRoomWorker:
-    """Checks whether a hub's database can store a row, and shows where its disk is full.
+    """Checks whether a hub's database can store a row, and shows why not.
 
     Parameters
     ----------
     archive : the hub's.
     clock : real time.
-    board : where a full disk is shown.
+    board : where it is shown.
     """
 
     archive: Archive
@@ -199,15 +199,14 @@ class StoreRoomWorker:
         Loop(self.clock, stop, heartbeat).every(_DATABASE_EVERY_S, self.check)
 
     def check(self) -> None:
-        """Check once; where the database does not answer, nothing is known of its disk."""
+        """Check once."""
+        failure = None
         try:
-            self.archive.require_room(now=self.clock.now())
-        except StoreFullError as error:
-            self.board.set_condition(_STORE_FULL, condition(_STORE_FULL, severity="not_ready", error=str(error)))
+            self.archive.require_storing(now=self.clock.now())
         except OutsideError as error:
-            _log.debug("not known whether there is room: %s", error)
-        else:
-            self.board.set_condition(_STORE_FULL, None)
+            code = _STORE_FULL if isinstance(error, StoreFullError) else _STORE_FAILED
+            failure = condition(code, severity="not_ready", error=str(error))
+        self.board.set_one_condition((_STORE_FULL, _STORE_FAILED), failure)
 
 
 _SAMPLE_EVERY_S = 10.0

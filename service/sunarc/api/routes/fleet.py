@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from datetime import date, datetime
@@ -30,7 +31,11 @@ from sunarc.archive.fleet.nightly import CrossChecks, DaySummary, NightlyRun
 from sunarc.errors import InputError, OutsideError
 from sunarc.geolocation.pair_height import PairView, pair_height
 from sunarc.json_fields import Time, described
+from sunarc.runtime.deadline import SingleCall
 from sunarc.runtime.status import StatusSnapshot
+
+_READY_WITHIN_S = 8.0
+"""Longer than a trial row and a lock are waited for, whose errors say more."""
 
 
 class Fleet(BaseModel):
@@ -79,18 +84,26 @@ def fleet_routes(
         """Return 200 while the process answers."""
         return Alive()
 
-    @routes.get("/readyz", response_model=HubReadiness, responses=answers(503))
-    def readyz(request: Request) -> HubReadiness | JSONResponse:
-        """Return whether rows of every kind can be stored (503 if not), and which of the hub's jobs fail."""
+    def storing() -> tuple[HubRun, ...]:
+        """Return the hubs beside each other, where rows of every kind can be stored."""
         archive.cameras.all()
-        archive.feeds.require_privileges()
-        snapshot = status()
-        if snapshot.health != "not_ready":
-            archive.require_room(now=now())
-        found = readiness(snapshot, request.url.path)
-        if isinstance(found, JSONResponse):
-            return found
-        return HubReadiness(**dict(found), hubs=list(archive.feeds.hubs()))
+        archive.feeds.require_storing()
+        if status().health != "not_ready":
+            archive.require_storing(now=now())
+        return archive.feeds.hubs()
+
+    trial = SingleCall(storing, name="readiness")
+
+    @routes.get("/readyz", response_model=HubReadiness, responses=answers(503))
+    async def readyz(request: Request) -> HubReadiness | JSONResponse:
+        """Return whether rows of every kind can be stored (503 if not), and which of the hub's jobs fail."""
+        # A database that has stopped holds every thread of the pool: this one is not of it.
+        try:
+            hubs = await asyncio.wait_for(asyncio.shield(asyncio.wrap_future(trial.start())), _READY_WITHIN_S)
+        except TimeoutError:
+            raise OutsideError(f"the database did not answer within {_READY_WITHIN_S:g} s") from None
+        found = readiness(status(), request.url.path)
+        return found if isinstance(found, JSONResponse) else HubReadiness(**dict(found), hubs=list(hubs))
 
     @routes.get(
         "/metrics",

@@ -28,6 +28,7 @@ from sqlalchemy.exc import (
     OperationalError,
     ProgrammingError,
 )
+from sqlalchemy.exc import TimeoutError as NoConnectionError
 
 from sunarc.errors import ConfigurationError, InputError, OutsideError, StoreFullError
 from sunarc.extras import extra_module
@@ -215,6 +216,8 @@ def server_errors(engine: Engine) -> Iterator[None]:
     where = name_of(engine.url)
     try:
         yield
+    except NoConnectionError as error:
+        raise OutsideError(f"cannot use the database {where}: every connection waits for it") from error
     except IntegrityError as error:
         raise contradiction(_first_line(error)) from error
     except (OperationalError, ProgrammingError, InternalError) as error:

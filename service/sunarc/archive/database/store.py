@@ -43,6 +43,7 @@ from sunarc.archive.database.connections import (
 from sunarc.archive.database.tables import quarantine
 from sunarc.archive.images import replacing
 from sunarc.errors import InputError, OutsideError, StoreFullError
+from sunarc.runtime.deadline import SingleCall
 
 _log = logging.getLogger(__name__)
 
@@ -73,9 +74,12 @@ class Database:
         self._usable.set()
         # our own threads wait here and are woken at once; other processes poll in SQLite (busy_timeout)
         self._lock = threading.Lock()
-        self._full: str | None = None
-        """What the last write said that found the disk full; None when there was room since (see `require_room`)."""
+        self._unstored: OutsideError | None = None
+        """Why the last trial failed, or the last write that found the disk full; None when a trial succeeded since."""
+        self._tried_at: datetime | None = None
         self._room_tried_at: datetime | None = None
+        self._trial: SingleCall[None] = SingleCall(self._try_to_store, name="trial row")
+        self._trial_bytes = 0
 
     def close(self) -> None:
         """Close the connections that are not in use."""
@@ -117,9 +121,9 @@ class Database:
         try:
             yield
         except StoreFullError as error:
-            if self._full is None:
-                self._room_tried_at = None
-            self._full = str(error)
+            if not isinstance(self._unstored, StoreFullError):
+                self._tried_at = None
+            self._unstored = error
             raise
 
     @contextmanager
@@ -148,44 +152,65 @@ class Database:
             rows = connection.execute(statement.group_by(by)).all()
         return {str(name): int(n) for name, n in rows if name is not None}
 
-    def require_room(self, *, now: datetime) -> None:
-        """Find out whether a row can be stored: once a minute, and every 5 s after a write that found the disk full.
+    def require_storing(self, *, now: datetime) -> None:
+        """Find out whether a row can be stored: a trial every 10 s, and every 5 s after one that failed.
 
         Raises
         ------
-        StoreFullError : it cannot. The first call after such a write only says so.
-        OutsideError : the database does not answer.
+        StoreFullError : the disk is full. The first call after a write that found it so only says so.
+        OutsideError : the database does not answer, or takes no row within 5 s.
         """
-        tried_at, full = self._room_tried_at, self._full
-        waits = tried_at is not None and timedelta(0) <= now - tried_at < (_TRIED_AGAIN_AFTER if full else _TRIED_EVERY)
-        if full is not None and (waits or tried_at is None):
-            self._room_tried_at = tried_at or now
-            raise StoreFullError(full)
+        tried_at, failure = self._tried_at, self._unstored
+        pause = _TRIED_EVERY if failure is None else _TRIED_AGAIN_AFTER
+        waits = tried_at is not None and timedelta(0) <= now - tried_at < pause
+        if failure is not None and (waits or tried_at is None):
+            self._tried_at = tried_at or now
+            raise type(failure)(str(failure))
         if waits:
             return
-        self._room_tried_at = now
-        self._try_to_store(_NEEDED_BYTES if full else _TRIED_BYTES)
-        self._full = None
+        self._tried_at = now
+        self._trial_bytes = self._bytes_to_try(failure, now)
+        try:
+            self._trial.start().result(_TRIED_FOR_S)
+        except OutsideError as error:
+            self._unstored = error
+            raise
+        except TimeoutError:
+            where = "" if self.file is None else f" {self.file.path}"
+            self._unstored = OutsideError(f"the database{where} stored no row within {_TRIED_FOR_S:g} s")
+            raise self._unstored from None
+        self._unstored = None
 
-    def _try_to_store(self, count: int) -> None:
+    def _bytes_to_try(self, failure: OutsideError | None, now: datetime) -> int:
+        """Return the size of the next trial's row: once a minute more than is left of a page."""
+        if isinstance(failure, StoreFullError):
+            return _NEEDED_BYTES
+        if self._room_tried_at is not None and timedelta(0) <= now - self._room_tried_at < _ROOM_TRIED_EVERY:
+            return 0
+        self._room_tried_at = now
+        return _TRIED_BYTES
+
+    def _try_to_store(self) -> None:
         """Store so many bytes, and take them back."""
+        count = self._trial_bytes
         if self.file is not None:
-            try:
-                with tempfile.TemporaryFile(dir=self.file.path.parent) as file:
-                    os.posix_fallocate(file.fileno(), 0, count)
-            except OSError as error:
-                if error.errno not in {errno.ENOSPC, errno.EDQUOT}:
-                    raise OutsideError(f"cannot write beside the database {self.file.path}: {error}") from error
-                self._full = f"the disk of the database {self.file.path} is full: {error}"
-                raise StoreFullError(self._full) from error
-            return
+            self._try_to_allocate(self.file.path, count)
         text = base64.b85encode(os.urandom(count)).decode()  # compressed by the server, it would be no smaller
         words = dict.fromkeys(("installation", "reason", "kind", "text"), "")
-        row = {**words, "camera": _WITHOUT_CAMERA, "seq": 0, "data": text, "n": 0}
-        time = self._room_tried_at
+        row = {**words, "camera": _WITHOUT_CAMERA, "seq": 0, "data": text if self.file is None else "", "n": 0}
+        time = self._tried_at
         with self.writing(camera=_WITHOUT_CAMERA) as connection, connection.begin_nested() as tried:
             connection.execute(insert(quarantine).values(**row, first_at=time, last_at=time))
             tried.rollback()
+
+    def _try_to_allocate(self, path: Path, count: int) -> None:
+        try:
+            with tempfile.TemporaryFile(dir=path.parent) as file:
+                os.posix_fallocate(file.fileno(), 0, max(count, 1))
+        except OSError as error:
+            if error.errno not in {errno.ENOSPC, errno.EDQUOT}:
+                raise OutsideError(f"cannot write beside the database {path}: {error}") from error
+            raise StoreFullError(f"the disk of the database {path} is full: {error}") from error
 
     def values(self, statement: Select[Any], kind: type[Value]) -> tuple[Value, ...]:
         """Return one value per row; see `values_of`."""
@@ -376,7 +401,8 @@ def _of_records(table: str, columns: tuple[str, ...], key: tuple[str, ...]) -> T
     )
 
 
-_TRIED_EVERY, _TRIED_AGAIN_AFTER = timedelta(minutes=1), timedelta(seconds=5)
+_TRIED_EVERY, _ROOM_TRIED_EVERY, _TRIED_AGAIN_AFTER = timedelta(seconds=10), timedelta(minutes=1), timedelta(seconds=5)
+_TRIED_FOR_S = 5.0
 _TRIED_BYTES, _NEEDED_BYTES = 32_768, 1_048_576
 """Stored to see whether there is room; and after a write that found none, when a page that is left is no room."""
 _WITHOUT_CAMERA = ""

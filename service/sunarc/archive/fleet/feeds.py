@@ -95,6 +95,7 @@ SELECT name FROM unnest(CAST(:tables AS text[])) name WHERE NOT coalesce(
     AND has_table_privilege(to_regclass(name), 'SELECT'), false)
 UNION ALL SELECT 'new months' WHERE NOT has_function_privilege('sunarc_require_month(bigint)', 'EXECUTE')
 """
+_LOCK_WITHIN_MS = 2000
 KEPT = timedelta(days=90)
 """What did not come again for so long leaves the quarantine."""
 _OTHERS = "(others)"
@@ -218,12 +219,12 @@ class FeedStore(Part):
             old = or_(quarantine.c.last_at < now - KEPT, ~_standing())
             return connection.execute(delete(quarantine).where(old)).rowcount
 
-    def require_privileges(self) -> None:
-        """Find out whether this role may store rows of every kind; on SQLite every user of the file may.
+    def require_storing(self) -> None:
+        """Find out whether this role may and can store rows of every kind; on SQLite every user of the file may.
 
         Raises
         ------
-        OutsideError : it may not; each table is named.
+        OutsideError : it may not; each table is named. Or another holds one of them locked for more than 2 s.
         """
         with self._database.reading() as connection:
             if connection.dialect.name != "postgresql":
@@ -235,6 +236,9 @@ class FeedStore(Part):
                 f"rows of {', '.join(lacking)} cannot be stored: the role may not insert and update them; "
                 "as their owner run deploy/hub/grants.sql"
             )
+        with self._database.writing(camera="") as connection:
+            connection.execute(text(f"SET LOCAL lock_timeout = {_LOCK_WITHIN_MS}"))
+            connection.execute(text(f"LOCK TABLE {', '.join(tables)} IN ROW EXCLUSIVE MODE"))  # as an insert does
 
     def quarantine(self, camera: str | None = None, *, limit: int | None = None) -> tuple[Quarantined, ...]:
         """Return what was refused or set apart, the newest first."""
@@ -536,7 +540,8 @@ class _Storing:
             with self.connection.begin_nested() if self.one_by_one else nullcontext():
                 _write(self.connection, self.batch.camera, kind, rows)
         except StatementError as error:
-            if isinstance(error, DBAPIError) and not is_of_row(self.connection, error):
+            not_allowed = _NOT_ALLOWED in str(error) and not kind.endswith(REMOVED)  # no hub may remove some rows
+            if isinstance(error, DBAPIError) and (not_allowed or not is_of_row(self.connection, error)):
                 raise
             if not self.one_by_one:
                 raise _RowError from error
