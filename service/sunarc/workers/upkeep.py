@@ -108,7 +108,8 @@ class DiskWorker:
 
 _DATABASE_EVERY_S = 2.0
 _MISSING = "database_missing"
-_STORE_FULL, _STORE_FAILED = "store_full", "store_failed"
+_STORE_FULL = "store_full"
+_STORE_FAILED = "store_failed"
 
 
 @dataclass(kw_only=True, eq=False)
@@ -203,9 +204,10 @@ class StoreRoomWorker:
         failure = None
         try:
             self.archive.require_storing(now=self.clock.now())
+        except StoreFullError as error:
+            failure = condition(_STORE_FULL, severity="not_ready", error=str(error))
         except OutsideError as error:
-            code = _STORE_FULL if isinstance(error, StoreFullError) else _STORE_FAILED
-            failure = condition(code, severity="not_ready", error=str(error))
+            failure = condition(_STORE_FAILED, severity="not_ready", error=str(error))
         self.board.set_one_condition((_STORE_FULL, _STORE_FAILED), failure)
 
 
