@@ -236,7 +236,7 @@ def drawn(seed: int, case: Case) -> tuple[Camera, Sightings, TrueSky]:
 def one_lens(seed: int, case: Case, *, search: bool = False) -> FloatArray:
     """Return what `judged` says of the fit of one lens."""
     truth, points, sky = drawn(seed, case)
-    options = CalibrationOptions(projection=truth.projection)
+    options = CalibrationOptions(projection=truth.projection, level_within_deg=60.0)
     start = None if search else truth
     return judged(calibrate(points, site=case.site, image_size=case.size, options=options, start=start), sky)
 

@@ -110,7 +110,7 @@ def fit_of(case: Case, truth: Camera, points: Sightings, scales: tuple[float, fl
 
     basis = projected_radial_basis if control == "gauge projected" else priors.radial_basis
     with patch.object(robust_fit, "grid_of", grid_of), patch.object(priors, "radial_basis", basis):
-        options = CalibrationOptions(projection=case.projection)
+        options = CalibrationOptions(projection=case.projection, level_within_deg=60.0)
         return calibrate(points, site=case.site, image_size=case.size, options=options, start=truth)
 
 

@@ -50,7 +50,7 @@ def fitted(path: Path, tolerances: LensTolerances) -> Answers:
                 points,
                 site=Site(**known["site"]),
                 image_size=(camera.width, camera.height),
-                options=CalibrationOptions(projection=camera.projection, tolerances=tolerances),
+                options=CalibrationOptions(projection=camera.projection, tolerances=tolerances, level_within_deg=60.0),
                 start=camera,
             )
             true = TrueSky(*(worlds[f"{seed}.{name}"] for name in TrueSky._fields))

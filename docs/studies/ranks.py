@@ -72,7 +72,9 @@ def ranks(seed: int, case: Case) -> FloatArray:
     field = pop.smooth_field(rng, amplitude_px=amplitude, length_px=length) if amplitude else None
     noise = pop.white_noise(rng, sun.unix_s.size, case.sigma_px)
     points = pop.sightings_of(truth, sun.unix_s, sun.directions, noise, field=field)
-    fit = calibrate(points, site=pop.SGP, image_size=(pop.SIZE, pop.SIZE), options=CalibrationOptions())
+    fit = calibrate(
+        points, site=pop.SGP, image_size=(pop.SIZE, pop.SIZE), options=CalibrationOptions(level_within_deg=60.0)
+    )
     found, covariance = project_with_covariance(fit, _SKY)
     error = found - pop.seen_at(truth, _SKY, field)
     return np.asarray(within_stated(fit, found, error, covariance, _SHARES).mean(axis=0))

@@ -34,6 +34,8 @@ BANDS: Mapping[str, tuple[float, float]] = {
 """Zenith angles, degrees, from and below."""
 FAR_SIGMAS = 3.0
 """Stated sigmas beyond which an answered case is off by more than it says."""
+_TILTED_DEG = 45.0
+"""Tilt that is stated of the cases, which hold cameras tilted by up to 40 degrees."""
 _ZERO_DEG = 1e-12
 _MEDIAN = 2.0 * math.log(2.0)
 """Of the square of a distance in 1-sigmas of two axes."""
@@ -163,7 +165,7 @@ def answers_of(calibration: Calibration, pixels: FloatArray, *, processor_s: flo
 
 def calibrate_case(case: BenchmarkCase, method: Method) -> Calibration:
     """Return this package's calibration of a case, as `sunarc calibrate` would make it."""
-    options = CalibrationOptions(method=method, projection=case.projection or "auto")
+    options = CalibrationOptions(method=method, projection=case.projection or "auto", level_within_deg=_TILTED_DEG)
     return calibrate_moved(case.sightings, site=case.site, image_size=case.image_size, options=options).calibration
 
 
