@@ -14,12 +14,13 @@ from scipy.special import gammaln
 from scipy.stats import binom
 
 from sunarc.calibration.answers.covariance import hemisphere
+from sunarc.detection.stars.matching import match_stars
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
-from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles, rotation_matrix
+from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles, rotation_matrix, rotation_vector
 from sunarc.stars.blind_start import BlindOptions, BlindStart, NightDetections, blind_start
 from sunarc.stars.star_pattern import Bright, bright_stars, log10_chance, patterns
-from sunarc.stars.views import seen_magnitude
+from sunarc.stars.views import StarView, match_views, seen_magnitude, stars_in_image
 
 POSE = PoseAngles(phi_xz_deg=-60.0, theta_zz_deg=4.0, psi_z_deg=200.0)
 CAMERA = Camera(
@@ -81,6 +82,54 @@ def test_one_image_gives_the_camera(camera: Camera, night: nights.Night) -> None
     assert float(codes["blind_by_pattern"]["log10_chance"]) < -10.0
     assert codes["blind_found"]["images"] == 1
     assert found.matches[0].star.size > 40
+
+
+def view_of(image: NightDetections, camera: Camera, sigma_px: float) -> StarView:
+    pixels = project(camera, image.sky.directions)
+    predicted = stars_in_image(camera, image.sky, pixels, np.full(len(image.sky), sigma_px))
+    return StarView(unix_s=image.unix_s, sky=image.sky, stars=image.stars, predicted=predicted, camera=camera)
+
+
+def among_lights(image: NightDetections, count: int) -> NightDetections:
+    """Return an image with bright lights that are no stars, as aurora and roofs have: brighter than most stars."""
+    rng = np.random.default_rng(9)
+    places = rng.uniform([0.0, 0.0], [CAMERA.width - 1.0, CAMERA.height - 1.0], (count, 2))
+    rows = rng.integers(0, len(image.stars) // 3, count)
+    both = np.concatenate([np.arange(len(image.stars)), rows])
+    stars = image.stars.select(both)
+    stars = replace(stars, pixels=np.concatenate([image.stars.pixels, places]))
+    return replace(image, stars=stars.select(np.argsort(-stars.flux, kind="stable")))
+
+
+def test_a_camera_that_one_image_gave_names_its_stars_again() -> None:
+    image = among_lights(image_of(CAMERA, NIGHT), 500)
+    found = found_in(image)
+    assert found.accepted, [one.code for one in found.findings]
+    assert found.camera is not None
+    for camera, sigma_px in ((found.camera, 0.7), (CAMERA, 0.3)):
+        view = view_of(image, camera, sigma_px)
+        assert not match_stars(image.stars, view.predicted).accepted  # the lights are no stars
+        (again,) = match_views([view])
+        assert again.matches.accepted
+        names = set(again.names(view))
+        assert len(names) > 0.8 * found.matches[0].star.size
+
+
+def test_wrong_cameras_name_no_stars_among_lights() -> None:
+    image = among_lights(image_of(CAMERA, NIGHT), 500)
+    rng = np.random.default_rng(10)
+    for k in range(12):
+        turn = rotation_matrix(np.radians(rng.uniform(6.0, 20.0)) * axis_of(rng))
+        pose = rotation_vector(rotation_matrix(CAMERA.rotation_cam_enu) @ turn)
+        wrong = replace(CAMERA, rotation_cam_enu=pose, mirrored=k % 4 == 0)
+        for sigma_px in (0.3, 4.0):
+            (matched,) = match_views([view_of(image, wrong, sigma_px)])
+            assert not matched.matches.accepted
+
+
+def axis_of(rng: np.random.Generator) -> np.ndarray:
+    axis = rng.normal(size=3)
+    return np.asarray(axis / np.linalg.norm(axis))
 
 
 def test_lights_that_are_no_stars_give_none() -> None:

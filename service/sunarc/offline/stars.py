@@ -30,6 +30,7 @@ from sunarc.documents.calibration_document import to_document
 from sunarc.errors import InputError
 from sunarc.findings import Finding, Messages
 from sunarc.foreign_files import is_regular, name_text
+from sunarc.optics.camera import Camera
 from sunarc.reanalysis.detect_files import estimated_full_scale
 from sunarc.reanalysis.files import read_file, read_image
 from sunarc.reanalysis.image_files import kind_of
@@ -135,7 +136,8 @@ def _with_flips(named: list[StarImage], seen: Sequence[StarImage], calibration: 
     """Return images; where no image's stars match, and those of flipped ones do, their findings say which flip."""
     if any(one.matches is not None and one.matches.accepted for one in named):
         return named
-    read = [_view(replace(one, stars=as_read.stars)) for one, as_read in zip(named, seen, strict=True)]
+    pairs = zip(named, seen, strict=True)
+    read = [_view(replace(one, stars=as_read.stars), calibration.camera) for one, as_read in pairs]
     size = (calibration.camera.width, calibration.camera.height)
     flip, counts = matching_flip([view for view in read if view is not None], size)
     count_of = iter(counts)
@@ -154,7 +156,7 @@ def named_stars(images: Sequence[StarImage], calibration: Calibration, *, within
         one if one.sky is None else replace(one, predicted=predict_stars(calibration, one.sky, within_px=within_px))
         for one in images
     ]
-    views = {row: view for row, one in enumerate(seen) if (view := _view(one)) is not None}
+    views = {row: view for row, one in enumerate(seen) if (view := _view(one, calibration.camera)) is not None}
     found = dict(zip(views, match_views(list(views.values())), strict=True))
     return [
         replace(
@@ -303,11 +305,12 @@ def _require_size(path: Path, found: tuple[int, int], size: tuple[int, int] | No
         )
 
 
-def _view(image: StarImage) -> StarView | None:
+def _view(image: StarImage, camera: Camera) -> StarView | None:
     """Return what an image shows; None where it could not be read."""
     if image.time is None or image.sky is None or image.stars is None or image.predicted is None:
         return None
-    return StarView(unix_s=image.time.timestamp(), sky=image.sky, stars=image.stars, predicted=image.predicted)
+    unix_s = image.time.timestamp()
+    return StarView(unix_s=unix_s, sky=image.sky, stars=image.stars, predicted=image.predicted, camera=camera)
 
 
 def _finite_or_none(value: float) -> float | None:
@@ -416,8 +419,6 @@ def find_stars_blind(
     fitted = calibrate(points, site=site, image_size=size, options=choice, start=start.camera)
     if not fitted.verdict.accepted:
         return BlindResult(start=start, images=seen, calibration=fitted)
-    if len(images) == 1:  # hot pixels are left out by the start: there is no other image to tell them by
-        seen = [replace(one, stars=start.stars[0]) if one is night[0] else one for one in seen]
     named = named_stars(seen, fitted, within_px=options.within_px)
     stated = with_clock_error(fitted, options.clock_error_s, limit_deg=choice.max_sky_deg)
     return BlindResult(start=start, images=[_dated(one, images[0].unix_s) for one in named], calibration=stated)

@@ -41,8 +41,16 @@ from sunarc.stars.sky_turn import (
     turnings,
     unmirrored,
 )
-from sunarc.stars.star_pattern import Bright, Pattern, bright_stars, camera_of, log10_chance, patterns
-from sunarc.stars.views import MatchedView, StarView, match_views, seen_magnitude, stars_in_image
+from sunarc.stars.star_pattern import Bright, Pattern, bright_stars, camera_of, patterns
+from sunarc.stars.views import (
+    MOST_LOG10_CHANCE,
+    MatchedView,
+    StarView,
+    match_views,
+    pattern_log10_chance,
+    seen_magnitude,
+    stars_in_image,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -281,11 +289,7 @@ _CENTRE_LIKE_TILT_DEG = 5.0
 """By how much a centre that is off the image's looks like a tilt more."""
 _PATTERNS, _PATTERNS_REFINED = 40, 5
 _FIRST_ROUNDS, _LAST_ROUNDS = ((0.06, 3.0), (0.04, 3.5)), _ROUNDS[4:]
-_MOST_LOG10_CHANCE = -4.0
-"""One camera in 10,000 images is expected by chance."""
 _MOST_TRIED = 2
-_STAR_WITHIN = 4.0
-"""1-sigmas of the prediction from a star's place, within which a detection may be it."""
 
 
 def _by_pattern(
@@ -299,9 +303,9 @@ def _by_pattern(
         return _no_camera(Finding("blind_few_images", few))
     found = [one for image in lit[:_MOST_TRIED] for one in _of_pattern(image, images, site, image_size, known)]
     found.sort(key=lambda one: one.log10_chance)
-    if not found or found[0].log10_chance > _MOST_LOG10_CHANCE:
+    if not found or found[0].log10_chance > MOST_LOG10_CHANCE:
         chance = found[0].log10_chance if found else 0.0
-        data = {"log10_chance": chance, "limit": _MOST_LOG10_CHANCE, "n": len(lit[0].stars)}
+        data = {"log10_chance": chance, "limit": MOST_LOG10_CHANCE, "n": len(lit[0].stars)}
         return _no_camera(Finding("blind_no_pattern", data))
     if found[0].stars == 0:
         unnamed = {"log10_chance": found[0].log10_chance}
@@ -331,8 +335,7 @@ def _of_pattern(
     alone = [NightDetections(unix_s=image.unix_s, stars=clear, sky=sky)]
 
     def chance(camera: Camera) -> float:
-        up = _of_image(camera, sky)
-        return log10_chance(camera, up.directions, seen_magnitude(up), clear.pixels)
+        return pattern_log10_chance(camera, sky, image.stars)
 
     x, y = field.centre
     centres = {False: (x, y), True: (image_size[0] - 1.0 - x, y)}
@@ -343,7 +346,7 @@ def _of_pattern(
     for one in first[:_PATTERNS_REFINED]:
         better = refined(one, alone, _LAST_ROUNDS)
         if better is not None and not any(_same(better.camera, other.camera) for other in found):
-            found.append(_judged(better, images, by_pattern=True)._replace(log10_chance=chance(better.camera)))
+            found.append(_judged(better, images)._replace(log10_chance=chance(better.camera)))
     return found
 
 
@@ -400,23 +403,16 @@ def _hypotheses(
     return sorted(found, key=lambda one: -one.stars)
 
 
-def _judged(one: Refined, images: Sequence[NightDetections], *, by_pattern: bool = False) -> _Hypothesis:
-    """Return what a camera names; by one image's pattern without the detections that are far from any star."""
+def _judged(one: Refined, images: Sequence[NightDetections]) -> _Hypothesis:
+    """Return what a camera names."""
     camera = one.camera
     sigma = max(_LEAST_SIGMA_PX, one.scatter_px, _OF_FOCAL * camera.focal_length_px[0])
     views = []
     for image in images:
         pixels = project(camera, image.sky.directions)
         predicted = stars_in_image(camera, image.sky, pixels, np.full(len(image.sky), sigma))
-        above = (
-            unproject(camera, image.stars.pixels)[:, 2] > 0.0
-        )  # text beside the image circle does not look at the sky
-        seen = image.stars.select(above)
-        if by_pattern and len(predicted) and len(seen):
-            # hot pixels and lamps, which one image does not tell: that the rest is stars is proven by its pattern
-            apart = np.asarray(cKDTree(predicted.pixels).query(seen.pixels)[0])
-            seen = seen.select(apart < _STAR_WITHIN * sigma)
-        views.append(StarView(unix_s=image.unix_s, sky=image.sky, stars=seen, predicted=predicted))
+        view = StarView(unix_s=image.unix_s, sky=image.sky, stars=image.stars, predicted=predicted, camera=camera)
+        views.append(view)
     matched = match_views(views)
     stars = sum(found.matches.star.size for found in matched if found.matches.accepted)
     return _Hypothesis(camera, tuple(views), tuple(matched), stars)

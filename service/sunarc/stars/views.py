@@ -6,17 +6,21 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from sunarc.array_types import FloatArray, NameArray
+from sunarc.array_types import BoolArray, FloatArray, NameArray
 from sunarc.calibration.answers.covariance import project_with_covariance, sigma_px, without_clock
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.selection import image_parts, surest_of_parts
-from sunarc.detection.stars.matching import StarMatches, match_stars, sky_motion, standing_still
+from sunarc.detection.stars.matching import StarMatches, match_stars, on_cloud, sky_motion, standing_still
 from sunarc.detection.values import PredictedStars, Stars
-from sunarc.optics.camera import Camera
+from sunarc.optics.camera import Camera, inside_image
+from sunarc.optics.forward import project
+from sunarc.optics.inverse import unproject
 from sunarc.sky.directions import angles_from_direction
 from sunarc.sky.night import FAINTEST_V, NightSky, night_sky
 from sunarc.sky.site import Site, relative_air_mass
+from sunarc.stars.star_pattern import log10_chance
 
 BENT_PX = 1.0
 """1-sigma of how far the cold of the night bends a mount, beside the calibration's own uncertainty."""
@@ -84,6 +88,7 @@ class StarView:
     sky: NightSky
     stars: Stars
     predicted: PredictedStars
+    camera: Camera
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -127,13 +132,39 @@ def matching_flip(views: Sequence[StarView], image_size: tuple[int, int]) -> tup
 
 
 def _matched(view: StarView, every: Sequence[StarView]) -> MatchedView:
-    stars, other = view.stars, _furthest(view, every)
+    # text beside the image circle does not look at the sky
+    stars = view.stars.select(unproject(view.camera, view.stars.pixels)[:, 2] > 0.0)
+    other = _furthest(view, every)
     if other is not None:
         moved = sky_motion(stars, view.predicted, other.predicted)
         stars = stars.select(~standing_still(stars, other.stars, moved_px=moved))
     matches = match_stars(stars, view.predicted)
+    if not matches.accepted and pattern_log10_chance(view.camera, view.sky, stars) <= MOST_LOG10_CHANCE:
+        # aurora, lamps and hot pixels: that the rest is stars is proven by its pattern
+        near = stars.select(_near_a_star(stars, view.predicted))
+        again = match_stars(near, view.predicted)
+        stars, matches = (near, again) if again.accepted else (stars, matches)
     # what the fit of a star's centre does not know of: the point spread's shape, the air, the grid of pixels
     return MatchedView(stars=replace(stars, sigma_px=np.hypot(stars.sigma_px, matches.floor_px)), matches=matches)
+
+
+MOST_LOG10_CHANCE = -4.0
+"""One camera in 10,000 images is expected to match the bright stars so well by chance."""
+_STAR_WITHIN = 4.0
+"""1-sigmas of the prediction from a star's place, within which a detection may be it."""
+
+
+def pattern_log10_chance(camera: Camera, sky: NightSky, stars: Stars) -> float:
+    """Return the logarithm of how many cameras would match the bright stars of an image as well by chance."""
+    up = sky.select(inside_image(project(camera, sky.directions), (camera.width, camera.height)))
+    return log10_chance(camera, up.directions, seen_magnitude(up), stars.pixels[~on_cloud(stars)])
+
+
+def _near_a_star(stars: Stars, predicted: PredictedStars) -> BoolArray:
+    if not len(stars) or not len(predicted):
+        return np.zeros(len(stars), dtype=np.bool_)
+    apart, row = cKDTree(predicted.pixels).query(stars.pixels)
+    return np.asarray(np.asarray(apart) < _STAR_WITHIN * predicted.sigma_px[np.asarray(row)])
 
 
 def _furthest(view: StarView, every: Sequence[StarView]) -> StarView | None:
@@ -146,7 +177,8 @@ def _furthest(view: StarView, every: Sequence[StarView]) -> StarView | None:
 def star_view(stars: Stars, unix_s: float, *, site: Site, calibration: Calibration) -> StarView:
     """Return the detections of an image beside the stars that a calibration predicts in it."""
     sky = night_sky(unix_s, site, faintest=FAINTEST_V)
-    return StarView(unix_s=unix_s, sky=sky, stars=stars, predicted=predict_stars(calibration, sky, within_px=BENT_PX))
+    predicted = predict_stars(calibration, sky, within_px=BENT_PX)
+    return StarView(unix_s=unix_s, sky=sky, stars=stars, predicted=predicted, camera=calibration.camera)
 
 
 def surest_named(view: StarView, found: MatchedView, image_size: tuple[int, int]) -> tuple[NameArray, Stars]:
