@@ -13,7 +13,15 @@ from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.priors import FREE_NAMES
 from sunarc.detection.values import Detection, Expectation
 from sunarc.optics.forward import project
-from sunarc.reanalysis.passes import FoundSun, as_predicted, expectations, is_consistent, scatter_beyond_px
+from sunarc.reanalysis.passes import (
+    FoundSun,
+    Looked,
+    as_predicted,
+    expectations,
+    is_consistent,
+    scatter_beyond_px,
+    without_lifted,
+)
 from sunarc.sky.sun import sun_angles, sun_directions
 
 CAMERA = small_camera()
@@ -89,3 +97,12 @@ def test_the_misfit_is_what_the_sightings_scatter_beyond_their_sigma(sigma: floa
     camera = stated_calibration(CAMERA, sigma_px=7.0)
     assert scatter_beyond_px(camera, points, site=SGP) == pytest.approx(expected, abs=0.25)
     assert scatter_beyond_px(camera, points.select(np.arange(3)), site=SGP) == 7.0
+
+
+def test_the_prediction_of_a_refused_epoch_lifts_no_refusal() -> None:
+    veiled, moved = sighting(None, accepted=False), sighting(104.0)
+    searched = Looked((), (veiled, veiled, sighting(100.0), sighting(100.0)))
+    looked = Looked((), (sighting(161.0), sighting(161.0), moved, veiled))
+    held = without_lifted(searched, looked, [True, False, True, True])
+    # what the first pass refused stays refused; what it accepted may move, or be refused
+    assert held.found == (veiled, sighting(161.0), moved, veiled)

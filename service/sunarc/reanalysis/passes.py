@@ -332,6 +332,24 @@ def _not_as_expected(looked: Looked, expected: Sequence[Expectation | None]) -> 
     ]
 
 
+def without_lifted(searched: Looked, looked: Looked, refused: Sequence[bool]) -> Looked:
+    """Return the second pass with the first one's answer where that refused a sun, and a refused epoch's place did not.
+
+    Parameters
+    ----------
+    searched, looked : both passes over the same images.
+    refused : of each image, whether the calibration of its epoch is refused: its prediction proves nothing.
+    """
+    pairs = zip(searched.found, looked.found, refused, strict=True)
+    found = (first if is_refused and _lifted(first, second) else second for first, second, is_refused in pairs)
+    return Looked(looked.images, tuple(found))
+
+
+def _lifted(first: Found, second: Found) -> bool:
+    suns = isinstance(first, FoundSun) and isinstance(second, FoundSun)
+    return suns and second.accepted and not first.accepted
+
+
 def _place(found: FoundSun) -> tuple[float, float] | None:
     return None if found.x_px is None or found.y_px is None else (found.x_px, found.y_px)
 

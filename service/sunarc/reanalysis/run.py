@@ -25,7 +25,7 @@ from sunarc.reanalysis.index import CameraImages, Indexed
 from sunarc.reanalysis.ledger import Ledger
 from sunarc.reanalysis.messages import MESSAGES
 from sunarc.reanalysis.nights import NightsLooked, name_stars, nights_of, star_points
-from sunarc.reanalysis.passes import Looked, Passes, ReportProgress, predictions
+from sunarc.reanalysis.passes import Looked, Passes, ReportProgress, epoch_at, predictions, without_lifted
 from sunarc.reanalysis.report import write_report
 from sunarc.reanalysis.results import CameraResult, Horizon, Summary, learn_horizon, write_results
 from sunarc.reanalysis.states import ArchiveCamera
@@ -115,13 +115,19 @@ def _results(cameras: Sequence[CameraImages], passes: Passes, ledger: Ledger) ->
     expected = (predictions(cameras[n], rough[n].states, rough[n].epochs) for n in found)
     waiting = [(cameras[n], searched[n]) for n in found]
     looked = dict(zip(found, passes.predict(waiting, expected, [masks[n] for n in found]), strict=True))
-    again = [CameraSightings(looked[n].points()[0], given[n].camera, rough[n].states) for n in found]
+    again = {n: CameraSightings(looked[n].points()[0], given[n].camera, rough[n].states) for n in found}
     passes.progress("calibrations", 0, len(found))
-    fitted = ledger.each(each, final_analysis, again, names=[names[n] for n in found])
+    fitted = ledger.each(each, final_analysis, list(again.values()), names=[names[n] for n in found])
     final = dict(zip(found, fitted, strict=True))
+    held = {n: _of_accepted_epochs(searched[n], looked[n], one) for n, one in final.items() if one is not None}
+    fewer = [n for n, one in held.items() if one.found != looked[n].found]
+    looked |= held
+    again |= {n: CameraSightings(looked[n].points()[0], given[n].camera, rough[n].states) for n in fewer}
+    fitted = ledger.each(each, final_analysis, [again[n] for n in fewer], names=[f"{names[n]}, fewer" for n in fewer])
+    final |= dict(zip(fewer, fitted, strict=True))
     passes.progress("calibrations", len(found), len(found))
     nights = _nights(cameras, final, passes)
-    final |= _with_stars(nights, final, dict(zip(found, again, strict=True)), passes, ledger)
+    final |= _with_stars(nights, final, again, passes, ledger)
     return [
         CameraResult(
             camera=camera,
@@ -134,6 +140,15 @@ def _results(cameras: Sequence[CameraImages], passes: Passes, ledger: Ledger) ->
         )
         for n, camera in enumerate(cameras)
     ]
+
+
+def _of_accepted_epochs(searched: Looked, looked: Looked, final: Final) -> Looked:
+    """Return the second pass without the suns that only the prediction of a refused epoch has accepted."""
+    if not final.epochs:
+        return looked
+    accepted = [final.fitted[final.states[one.state].pose].calibration.verdict.accepted for one in final.epochs]
+    refused = [not accepted[epoch_at(final.epochs, image.unix_s)] for image in looked.images]
+    return without_lifted(searched, looked, refused)
 
 
 def _kept_provisional(result: CameraResult) -> CameraResult:
