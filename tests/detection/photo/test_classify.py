@@ -26,6 +26,7 @@ RIM = Rim(
     near=0.8,
     far=0.66,
     uneven=0.3,
+    pull=0.0,
     circles=3,
 )
 SEEN = Candidate(

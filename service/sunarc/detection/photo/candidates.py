@@ -163,6 +163,11 @@ _SCATTER, _SPREAD, _OFFSET = 7.0, 0.5, 0.45
 """Sigma over the square of the scatter (over the share) over the radius, over the spread and over the offset: by
 maximum likelihood on 28 real suns and 283 stand-ins without an edge, each series of equal weight, rounded
 (docs/studies.md, "Stand-ins"). Cloud that scatters the rim also moves it, by a share that grows with the scatter."""
+_PULL = 0.7
+"""Sigma over the pull of a rim without an edge: at blown-out horizons the centre is outwards by 0.4 to 1.0 of it."""
+_CLOUDY, _CLOUDY_RADIUS = 0.9, 0.7
+"""Unevenness from which on the light about a rim without an edge is broken cloud's, and sigma over the radius and the
+excess: real clear suns had 0.9 and less; of 47 suns behind broken cloud 17 are left, within 3.1 sigma."""
 _EDGED_RADIUS, _EDGED_SHARE, _EDGED_UNEVEN = 0.04, 0.25, 0.9
 """Sigma of a rim with an edge over the radius, over that times the share that does not follow, and over that times the
 squared unevenness: cloud before a sun in a short exposure is a gap in the rim (docs/studies.md, "A day of clouds")."""
@@ -280,6 +285,8 @@ def sigma_px(rim: Rim) -> float:
         _SPREAD * rim.spread,
         _OFFSET * rim.offset,
         _EDGED_UNEVEN * rim.radius * rim.uneven**2 * is_glare_cut,
+        _PULL * rim.pull * (not rim.edged),
+        _CLOUDY_RADIUS * rim.radius * max(rim.uneven - _CLOUDY, 0.0) * (not rim.edged),
         _EDGED_SHARE * rim.radius * (1.0 - rim.share) * is_glare_cut,
     )
 
@@ -344,6 +351,7 @@ def _in_the_image(seen: Candidate, part: ImagePart) -> Candidate:
         scatter=cell * rim.scatter,
         spread=cell * rim.spread,
         offset=cell * rim.offset,
+        pull=cell * rim.pull,
     )
     return Candidate(
         rim=larger,

@@ -53,6 +53,10 @@ _LEAST_POINTS, _LEAST_SHARE = 20, 0.25
 _FOLLOWED, _FOLLOWED_SCALES = 0.06, 3.0  # of the radius, and scales, within which the rim follows the circle
 _AT = (1.7, 2.6)  # radii at which the light around is taken
 
+_GRADIENT = (0.7, 0.85)
+"""Share of the light's variance around a rim that is once around, from which it is a gradient's: at blown-out horizons
+it was 0.82 to 0.98, of the texture of the glare about stand-ins of real suns 0.73 and less."""
+
 _CLIPPED = 0.6  # share of a plateau that is level where it is clipped
 _WITHIN, _FLAT, _FLAT_COUNTS = 0.75, 0.006, 1.5  # radii; of the level, and counts at least: JPEG's noise
 _LEAST_FALL = 0.01  # of the level: less is JPEG's noise
@@ -82,8 +86,8 @@ class Rim(NamedTuple):
     inscribed circle, px. ellipticity : 1 - minor/major axis. level : of the plateau, counts. flat : share of the light
     within the rim that is level to within JPEG's noise: 1 where the sun is clipped. near, far : light at 1.7 and 2.6
     radii over the level, medians over the rays. uneven : width of the middle 70 % of the light at 1.7 radii over its
-    fall from the plateau. circles : how many levels have one. edged : whether the light falls to half within twice
-    the radius: in a short exposure, or no sun.
+    fall from the plateau. pull : see `_pull`, px. circles : how many levels have one. edged : whether the light falls
+    to half within twice the radius: in a short exposure, or no sun.
     """
 
     x: float
@@ -99,6 +103,7 @@ class Rim(NamedTuple):
     near: float
     far: float
     uneven: float
+    pull: float
     circles: int
     edged: bool = False
 
@@ -141,11 +146,11 @@ def rim_of(plane: Image, plateau: Plateau, *, static: BoolArray | None = None) -
         if math.hypot(x - plateau.x, y - plateau.y) > plateau.radius:
             return None
         radius = min(fitted, 2.0 * plateau.radius)
-    return _summary(plateau, rays, crossing[0], circles, (x, y, fitted))._replace(edged=edged)
+    return _summary(plateau, rays, crossing, circles, (x, y, fitted))._replace(edged=edged)
 
 
 def _summary(
-    plateau: Plateau, rays: _Rays, crossing: FloatArray, circles: list[Circle], center: tuple[float, float, float]
+    plateau: Plateau, rays: _Rays, crossing: list[FloatArray], circles: list[Circle], center: tuple[float, float, float]
 ) -> Rim:
     x, y, radius = center
     squares = [(c.x - x) ** 2 + (c.y - y) ** 2 for c in circles]
@@ -158,12 +163,13 @@ def _summary(
         share=float(np.median([c.share for c in circles])),
         spread=math.sqrt(float(np.mean(squares))),
         offset=math.hypot(x - plateau.x, y - plateau.y),
-        ellipticity=_ellipticity(crossing, radius),
+        ellipticity=_ellipticity(crossing[0], radius),
         level=plateau.level,
         flat=_flatness(rays, radius, plateau.level),
         near=near,
         far=far,
         uneven=_unevenness(rays, _AT[0] * radius),
+        pull=_pull(rays, crossing, radius),
         circles=len(circles),
     )
 
@@ -207,6 +213,29 @@ def _unevenness(rays: _Rays, radius: float) -> float:
         return 1.0
     low, middle, high = np.quantile(ring, (0.15, 0.5, 0.85))
     return float((high - low) / max(1.0 - middle, _LEAST_FALL))
+
+
+def _pull(rays: _Rays, crossing: list[FloatArray], radius: float) -> float:
+    """Return by how much light that rises across the glare moves a level's circle, px: towards the lighter side.
+
+    A gradient g moves the circle of radius R by g R / s, s being the fall of the glare there: from the first to the
+    last level. About that circle the light at k R has then an amplitude g R (k - q) once around, q being its fall at
+    k R over s. Light that varies in other ways, too, is the glare's own, and moves its levels far less.
+    """
+    near, far = _AT[0] * radius, _AT[1] * radius
+    ring = rays.light[:, min(int(np.searchsorted(rays.radii, near)), rays.radii.size - 1)]
+    known = np.isfinite(ring)
+    apart = crossing[-1] - crossing[0]
+    apart = apart[np.isfinite(apart)]
+    if np.count_nonzero(known) < _LEAST_POINTS or not apart.size:
+        return 0.0
+    fall = (_LEVELS[0] - _LEVELS[-1]) / max(float(np.median(apart)), _LEAST_SCALE_PX)
+    design = np.column_stack([np.ones(RAYS), _COSINE, _SINE])[known]
+    once = np.linalg.lstsq(design, ring[known])[0]
+    left = float(np.var(ring[known] - design @ once) / max(float(np.var(ring[known])), np.finfo(np.float64).tiny))
+    even = float(np.interp(1.0 - left, _GRADIENT, (0.0, 1.0)))
+    beyond = max(_light_at(rays, near) - _light_at(rays, far), 0.0) / (far - near)
+    return even * math.hypot(*once[1:]) / (fall * (_AT[0] - min(beyond / fall, 1.0)))
 
 
 def _middle_level(rays: _Rays, radius: float, level: float) -> float:
