@@ -21,7 +21,7 @@ OWN = ("/var/lib/sunarc", "/tmp", "/var/tmp", "/dev/", "/proc/")
 SCRIPT = Path(__file__).parents[2] / "deploy" / "install"
 START_PROCESSOR_S = 10.0
 """Of the first start and of one after a boot, until ready: of an idle computer with 1 core, less than half a minute."""
-COPIES = "ls /var/lib/sunarc/before-*.sqlite | wc -l"
+COPIES = "ls /var/lib/sunarc/before-0.*.sqlite | wc -l"
 WRITABLE = """
 import os, stat
 for folder, folders, files in os.walk("/"):
