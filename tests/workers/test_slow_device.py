@@ -15,13 +15,16 @@ from tests.fixtures.archive import new_archive
 from tests.fixtures.calibrations import SITE
 
 from sunarc.archive.archive import CameraArchive
+from sunarc.archive.values import SunPoint
 from sunarc.cameras.frame import Frame
 from sunarc.detection.values import DiscOptions
 from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.loop import DropOldestQueue
 from sunarc.runtime.status import StatusRegistry
+from sunarc.workers import upkeep
 from sunarc.workers.detect import DetectWorker, FrozenFrames, SightingWriteBuffer
 from sunarc.workers.options import SensorOptions
+from sunarc.workers.upkeep import DatabaseWorker
 
 from .conftest import NOON
 
@@ -33,7 +36,9 @@ FRAME = Frame(image=np.zeros((6, 8), np.uint16), time=NOON, exposure_us=20.0, ga
 
 
 @pytest.mark.waits
-def test_commits_that_stall_cost_no_frame_and_no_heartbeat_and_are_told(tmp_path: Path, board: StatusRegistry) -> None:
+def test_commits_that_stall_cost_no_frame_and_no_heartbeat_and_are_told(
+    tmp_path: Path, board: StatusRegistry, monkeypatch: pytest.MonkeyPatch
+) -> None:
     archive, clock = new_archive(tmp_path), SystemClock()
     stalls, never = [True], threading.Event()
     commits = list[float]()
@@ -65,16 +70,36 @@ def test_commits_that_stall_cost_no_frame_and_no_heartbeat_and_are_told(tmp_path
     for number in range(CYCLES * FRAMES):
         frames.put(replace(FRAME, time=NOON + timedelta(seconds=number)))
         clock.wait(never, CADENCE_S if number % FRAMES == FRAMES - 1 else 0.01)
-    told = {reason.code for reason in board.snapshot().reasons}
+    watch = DatabaseWorker(archive=archive, clock=clock, now=clock.now, board=board, waiting=lambda: 7)
+    watch.check()
+    told = {reason.code: dict(reason.data) for reason in board.snapshot().reasons}
     stalls[0] = False
     stop.set()
     thread.join(20.0)
     assert len(commits) >= CYCLES
     assert frames.dropped == 0
     assert len(archive.sightings.find("roof")) == CYCLES * FRAMES
-    assert told == {"database_slow"}
+    assert set(told) == {"database_slow"}
+    assert told["database_slow"]["waiting"] == 7
+    assert 0.5 <= float(str(told["database_slow"]["seconds"])) < 5.0
     assert max(np.diff(beats)) < 5.0
     for number in range(CYCLES * FRAMES, CYCLES * FRAMES + 10):
         worker.process(replace(FRAME, time=NOON + timedelta(seconds=number)))
+    monkeypatch.setattr(upkeep, "_SLOW_WITHIN_S", 0.0)
+    watch.check()
     assert board.snapshot().reasons == ()
+    archive.close()
+
+
+def test_a_commit_that_has_not_ended_is_said_within_seconds(tmp_path: Path, board: StatusRegistry) -> None:
+    archive, clock, ended = new_archive(tmp_path), SystemClock(), threading.Event()
+    event.listen(archive.database.engine, "commit", lambda _: ended.wait(20.0))
+    sighting = SunPoint(camera="roof", pose_epoch="", time=NOON, method="disc", accepted=False, verdict="hidden")
+    thread = threading.Thread(target=archive.sightings.add, args=([sighting],), kwargs={"first_epoch": "first frame"})
+    thread.start()
+    clock.wait(threading.Event(), 1.0)
+    DatabaseWorker(archive=archive, clock=clock, now=clock.now, board=board).check()
+    assert {reason.code for reason in board.snapshot().reasons} == {"database_slow"}
+    ended.set()
+    thread.join(20.0)
     archive.close()

@@ -491,6 +491,9 @@ class Service:
             now=self.frame_time.now,
             board=self.board,
             recovered=recovered,
+            waiting=lambda: (
+                self.keeper.waiting + len(self.sun_frames) + (0 if self.folder is None else self.folder.n_waiting)
+            ),
         )
 
     def detect_worker(self) -> DetectWorker:

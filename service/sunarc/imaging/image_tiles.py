@@ -67,8 +67,9 @@ def image_tiles(image: Image) -> ImageTiles:
         tiles = padded[row * _TILE_PX : (row + 1) * _TILE_PX].reshape(_TILE_PX, columns, wide)
         counts = tiles.astype(np.uint64) if tiles.dtype.kind != "f" else tiles.astype(np.float64).view(np.uint64)
         hashes[row] = np.einsum("ijk,ik->j", counts, weights)
-        mid = np.mean((tiles > low) & (tiles < high), axis=(0, 2))
-        spread = tiles.max(axis=(0, 2)).astype(np.float64) - tiles.min(axis=(0, 2))
+        tones = tiles.astype(np.float64)
+        mid = np.mean((tones > low) & (tones < high), axis=(0, 2))
+        spread = np.ptp(tones, axis=(0, 2))
         textured[row] = (spread >= least) & (mid >= _LEAST_MID)
     return ImageTiles(hashes, textured, _has_noise(image[::_NOISE_ROWS], (low, high)))
 

@@ -340,6 +340,11 @@ class FolderWorker:
         return {name: self._ready.pop(name) for name in names}
 
     @property
+    def n_waiting(self) -> int:
+        """How many files are complete and not looked at, or are tried again."""
+        return len(self._ready) + len(self._again)
+
+    @property
     def newest_picture(self) -> Path | None:
         """The newest image that a browser shows; None where it is none, or gone."""
         if self._newest is None or PurePosixPath(self._newest[0]).suffix.lower() not in _SHOWN:

@@ -24,7 +24,6 @@ from sunarc.detection.values import Detection, DiscOptions, Expectation
 from sunarc.errors import OutsideError
 from sunarc.findings import Finding
 from sunarc.imaging.image_tiles import image_tiles
-from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.loop import DropOldestQueue, entries
 from sunarc.runtime.status import StatusRegistry
 from sunarc.workers.image_faults import FrozenAlarm, RepeatedImages, TransferFaults, sun_moved
@@ -180,11 +179,6 @@ def _is_informative(image: Image) -> bool:
 _CAPACITY = 20_000  # a week of two a cycle, and 10 MB
 _AT_A_TIME = 200
 _NOT_STORED = "sightings_not_stored"
-_SLOW = "database_slow"
-_SLOW_S = 0.5
-"""From here on a commit tells of a device that stalls; a sound one takes some milliseconds."""
-_QUICK_STORES = 10
-"""So many in a row end the condition: a device stalls now and then, not every time."""
 
 
 @dataclass(eq=False)
@@ -205,9 +199,6 @@ class SightingWriteBuffer:
 
     def __post_init__(self) -> None:
         """Begin with nothing that waits."""
-        self._monotonic = SystemClock().monotonic
-        self._slowest_s = 0.0
-        self._quick = 0
         self._waiting: deque[SunPoint] = deque()
         self._lost = 0
         self._stored = 0
@@ -239,7 +230,6 @@ class SightingWriteBuffer:
 
     def store(self) -> None:
         """Try to store what waits."""
-        began_s = self._monotonic()
         try:
             while self._waiting:
                 some = [self._waiting[number] for number in range(min(len(self._waiting), _AT_A_TIME))]
@@ -254,22 +244,11 @@ class SightingWriteBuffer:
         else:
             self._lost = 0
             self.board.set_condition(_NOT_STORED, None)
-            self._note_duration(self._monotonic() - began_s)
 
     def give_up(self) -> None:
         """Log how many sightings are lost with the end of the process."""
         if self._waiting:
             _log.error("%d sightings could not be stored and are lost", len(self._waiting))
-
-    def _note_duration(self, seconds: float) -> None:
-        """Set the condition of a slow device, or clear it after stores that were quick."""
-        self._quick = self._quick + 1 if seconds < _SLOW_S else 0
-        if self._quick == 0:
-            self._slowest_s = max(self._slowest_s, seconds)
-            self.board.set_condition(_SLOW, condition(_SLOW, seconds=self._slowest_s))
-        elif self._quick >= _QUICK_STORES:
-            self._slowest_s = 0.0
-            self.board.set_condition(_SLOW, None)
 
 
 _PERHAPS_ELSEWHERE = frozenset({"hidden", "reflection", "obstructed"})

@@ -29,8 +29,6 @@ _SUN_MOVED_RAD = np.radians(0.02)
 _MOST_IMAGES = 16
 _NOISE_SHARE, _NOISE_PAIRS = 0.02, 10
 """Of the textured tiles, in common at most to so many pairs in a row: the camera's noise reaches all of its images."""
-_LIGHT_CHANGES = timedelta(hours=3)
-"""Within which the light of a day changes, without noise too."""
 _GLARE_CHANGES = timedelta(minutes=10)
 """Within which what surrounds the sun changes, by 2.5 degrees."""
 
@@ -52,8 +50,8 @@ class RepeatedImages:
     """Finds images that came before, whatever text changes in them.
 
     An image with a sun repeats an earlier one where all around the sun is the same: the sun moved. It is sure that the
-    camera stands still where the image has noise, in itself or by the earlier ones, or after a time: a still sky
-    without noise gives the same image for a while, and a lamp may be what is taken for the sun.
+    camera stands still where the image has noise, in itself or by the earlier ones, or after a time: a lamp may be
+    what is taken for the sun. Without noise a still sky without a sun gives the same image for hours: it says nothing.
 
     Parameters
     ----------
@@ -89,7 +87,7 @@ class RepeatedImages:
         """Return whether an image repeats that of a time before; None where it does not, or it may be by chance."""
         apart = abs(time - before)
         noisy = self._pairs >= _NOISE_PAIRS or (now.has_noise and image.has_noise)
-        if (noisy or apart >= _LIGHT_CHANGES) and is_same_texture(now, image):
+        if noisy and is_same_texture(now, image):
             return Repetition(before, is_sure=True)
         if sun is None or not is_same_sun(now, image, sun) or not sun_moved(before, time, self._site):
             return None

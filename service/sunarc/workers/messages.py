@@ -378,7 +378,7 @@ MESSAGES = Messages(
         "check the disk and the state folder; retried automatically, do not restart before",
     ),
     database_slow=Message(
-        "storing sightings took up to {seconds:.1f} s",
+        "storing took up to {seconds:.1f} s at once; {waiting} images or sightings wait",
         "Nothing is lost: exposures continue, and sightings wait in memory.",
         "check the disk of the state folder (journalctl -k, smartctl, iostat), or move the folder to another one",
     ),

@@ -108,6 +108,10 @@ class DiskWorker:
 
 _DATABASE_EVERY_S = 2.0
 _MISSING = "database_missing"
+_SLOW = "database_slow"
+_SLOW_S, _SLOW_WITHIN_S = 0.5, 60.0
+"""From here on a commit tells of a device that stalls; a sound one takes some milliseconds. It does now and then, not
+every time: the condition lasts so long after the last one."""
 _STORE_FULL = "store_full"
 _STORE_FAILED = "store_failed"
 
@@ -123,6 +127,7 @@ class DatabaseWorker:
     now : frame time, which dates events.
     board : where a lost database is shown.
     recovered : what was done about a lost database at the start; None when it was in place.
+    waiting : how many images and sightings wait to be stored.
     """
 
     archive: Archive
@@ -130,6 +135,7 @@ class DatabaseWorker:
     now: Callable[[], datetime]
     board: StatusRegistry
     recovered: Recovery | None = None
+    waiting: Callable[[], int] = lambda: 0
 
     def __post_init__(self) -> None:
         """Look every few seconds, and show what was done before."""
@@ -152,6 +158,9 @@ class DatabaseWorker:
         return self._attempts.attempt(self._check)
 
     def _check(self) -> None:
+        seconds = self.archive.database.commits.slowest_s(_SLOW_WITHIN_S)
+        slow = condition(_SLOW, seconds=seconds, waiting=self.waiting()) if seconds >= _SLOW_S else None
+        self.board.set_condition(_SLOW, slow)
         done = self.archive.recover(now=self.clock.now())
         if done is not None:
             self.recovered = done

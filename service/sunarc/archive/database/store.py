@@ -9,11 +9,13 @@ import os
 import sqlite3
 import tempfile
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from datetime import datetime, timedelta
 from functools import cache
 from pathlib import Path
+from time import perf_counter
 from typing import Any, TypeVar, cast
 
 from sqlalchemy import (
@@ -52,8 +54,39 @@ _UNREADABLE = "\ufffd"
 
 Value = TypeVar("Value")
 
+_REMEMBERED_COMMITS = 1000
 _REBUILT_WITHIN_S = 60.0
 """A read waits no longer for a database that is being put back."""
+
+
+class CommitTimes:
+    """How long commits took of late, and how long those that are under way have taken; safe to use from any thread."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._running: dict[object, float] = {}
+        self._ended: deque[tuple[float, float]] = deque(maxlen=_REMEMBERED_COMMITS)
+
+    def begin(self) -> object:
+        """Take note of a commit that begins, and return what `end` takes."""
+        commit = object()
+        with self._lock:
+            self._running[commit] = perf_counter()
+        return commit
+
+    def end(self, commit: object) -> None:
+        """Take note that a commit ended, or failed."""
+        now_s = perf_counter()
+        with self._lock:
+            self._ended.append((now_s, now_s - self._running.pop(commit)))
+
+    def slowest_s(self, within_s: float) -> float:
+        """Return the longest time that a commit took which ended so lately or has not ended; 0 without any."""
+        now_s = perf_counter()
+        with self._lock:
+            running = [now_s - began_s for began_s in self._running.values()]
+            ended = [took_s for ended_s, took_s in self._ended if now_s - ended_s <= within_s]
+        return max([*running, *ended], default=0.0)
 
 
 class Database:
@@ -70,6 +103,7 @@ class Database:
         self.file = file
         self._changes = SnapshotVersion(engine) if file is None else Changes(engine, file)
         self.months = Months(engine) if file is None else None
+        self.commits = CommitTimes()
         self._usable = threading.Event()
         self._usable.set()
         # our own threads wait here and are woken at once; other processes poll in SQLite (busy_timeout)
@@ -106,8 +140,14 @@ class Database:
             # A deleted file stays writable in the connections that are open, and is lost with the process.
             if self.file is not None:
                 self.file.require_in_place()
-            with writing(self.engine, camera=camera) as connection:
-                yield connection
+            commit: object | None = None
+            try:
+                with writing(self.engine, camera=camera) as connection:
+                    yield connection
+                    commit = self.commits.begin()
+            finally:
+                if commit is not None:
+                    self.commits.end(commit)
 
     def prepare_months(self, times: Sequence[datetime]) -> None:
         """Make the partitions that sightings of these times go to; SQLite has none."""
