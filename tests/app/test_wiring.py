@@ -25,7 +25,7 @@ from sunarc.app.service import Service, imager_recording
 from sunarc.app.serving import Server, daily_schedule, monitored_parts, serve_imager, with_credentials
 from sunarc.archive.archive import open_archive
 from sunarc.archive.database.schema import upgrade
-from sunarc.archive.sightings import ELSEWHERE
+from sunarc.archive.pictures_of_one_time import ELSEWHERE
 from sunarc.cameras.frame import CameraCondition, CameraInfo, Frame
 from sunarc.cli import service as commands
 from sunarc.detection.values import Detection

@@ -17,7 +17,7 @@ from sunarc.archive.archive import Archive, CameraArchive
 from sunarc.archive.database.recovery import Recovery
 from sunarc.archive.database.store import Reserve
 from sunarc.archive.images import ImageStore
-from sunarc.archive.sightings import ELSEWHERE
+from sunarc.archive.pictures_of_one_time import ELSEWHERE
 from sunarc.archive.values import Refit
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
 from sunarc.cameras.frame import Frame, SkyCamera

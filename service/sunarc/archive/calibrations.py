@@ -31,7 +31,8 @@ from sunarc.archive.database.store import Database, Part, given, values_of
 from sunarc.archive.database.tables import calibration, pose_epoch, sun_point
 from sunarc.archive.events import insert_event
 from sunarc.archive.messages import MESSAGES, text_of
-from sunarc.archive.sightings import ELSEWHERE, LENS_CHANGED, MOVED, not_closed
+from sunarc.archive.pictures_of_one_time import ELSEWHERE
+from sunarc.archive.sightings import LENS_CHANGED, MOVED, not_closed
 from sunarc.archive.values import CalibrationRecord, CalibrationState, Event, PoseEpoch, SunPointColumns
 from sunarc.calibration.model.result import Calibration
 from sunarc.documents.calibration_document import from_document

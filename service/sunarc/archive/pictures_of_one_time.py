@@ -51,10 +51,13 @@ def judge_pictures(connection: Connection, camera: str, times: Collection[dateti
     c = sun_point.c
     of_folders = (c.camera == camera, c.body == SUN, c.folder != "", c.verdict.not_in(_NO_PICTURES))
     columns = (c.id, c.time, c.folder, c.file, c.accepted, c.verdict, c.findings, c.x_px, c.y_px)
-    rows = connection.execute(select(*columns).where(*of_folders, c.time.in_(times)).order_by(c.time, c.folder, c.id))
+    sightings = select(*columns).where(*of_folders, c.time.in_(times)).order_by(c.time, c.folder, c.id)
+    rows: list[Any] = [*connection.execute(sightings)]
     found: dict[str, Finding] = {}
-    for _, of_time in itertools.groupby(rows.all(), key=lambda row: row.time):
-        folders = [list(members) for _, members in itertools.groupby(of_time, key=lambda row: row.folder)]
+    for _, of_time in itertools.groupby(rows, key=lambda row: row.time):
+        folders: list[list[Row[Any]]] = [
+            list(members) for _, members in itertools.groupby(of_time, key=lambda row: row.folder)
+        ]
         if len(folders) > 1:
             found |= _judge(connection, folders)
     return found

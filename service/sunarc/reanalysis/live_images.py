@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.archive.archive import CameraArchive
-from sunarc.archive.sightings import ELSEWHERE, FROZEN, image_key, sun_point_of
+from sunarc.archive.pictures_of_one_time import ELSEWHERE
+from sunarc.archive.sightings import FROZEN, image_key, sun_point_of
 from sunarc.archive.values import CalibrationRecord, SunPoint
 from sunarc.array_types import Image
 from sunarc.calibration.model.result import Calibration

@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.archive.archive import Archive, CameraArchive
-from sunarc.archive.sightings import ELSEWHERE, FROZEN, sun_point_of
+from sunarc.archive.pictures_of_one_time import ELSEWHERE
+from sunarc.archive.sightings import FROZEN, sun_point_of
 from sunarc.archive.values import SunPoint
 from sunarc.array_types import Image
 from sunarc.cameras.frame import Frame

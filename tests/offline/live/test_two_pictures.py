@@ -35,6 +35,7 @@ def followed(tmp_path: Path) -> Iterator[Followed]:
 def annotated(content: bytes) -> bytes:
     """Return a picture with a text in a corner, compressed anew."""
     image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
+    assert image is not None
     cv2.putText(image, "ROOF", (5, 20), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (200, 200, 200), 1)
     return cv2.imencode(".jpg", image)[1].tobytes()
 

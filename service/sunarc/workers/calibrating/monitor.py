@@ -14,7 +14,8 @@ import numpy as np
 
 from sunarc.archive.archive import CameraArchive
 from sunarc.archive.calibrations import EPOCH_CLOSED
-from sunarc.archive.sightings import ELSEWHERE, LENS_CHANGED
+from sunarc.archive.pictures_of_one_time import ELSEWHERE
+from sunarc.archive.sightings import LENS_CHANGED
 from sunarc.archive.values import Day, PoseEpoch, Refit, SunPoint, SunPointColumns
 from sunarc.calibration.lens_library.first_pose import north_sigma_deg, top_azimuth_deg
 from sunarc.calibration.messages import MESSAGES as OF_FITS
