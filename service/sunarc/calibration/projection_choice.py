@@ -166,11 +166,12 @@ def _with_differences(calibration: Calibration, others: Sequence[Camera]) -> tup
     scale = np.sqrt(np.maximum(np.diag(calibration.covariance), np.finfo(float).tiny))
     more, squares = np.zeros_like(calibration.covariance), []
     for other in others:
-        there = project(other, directions)
-        seen = np.all(np.isfinite(there - pixels), axis=-1) & np.all(np.isfinite(rows), axis=(1, 2))
+        # another lens may image the horizon far outside of the image
+        there = np.clip(project(other, directions), 0.0, (camera.width - 1.0, camera.height - 1.0))
+        seen = np.all(np.isfinite(pixels), axis=-1) & np.all(np.isfinite(rows), axis=(1, 2))
         if not np.any(seen):
             continue
-        design, apart = (rows[seen] * scale).reshape(-1, scale.size), (there - pixels)[seen].ravel()
+        design, apart = (rows[seen] * scale).reshape(-1, scale.size), np.nan_to_num((there - pixels)[seen]).ravel()
         change = scale * np.linalg.lstsq(design, apart, rcond=_RIDGE)[0]
         more += np.outer(change, change) / len(others)
         off = np.degrees(angular_distance(unproject(camera, there[seen]), directions[seen]))

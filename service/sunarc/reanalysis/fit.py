@@ -17,7 +17,7 @@ from sunarc.calibration.model.options import CalibrationOptions, Mirrored
 from sunarc.calibration.model.result import Calibration, refused_for, with_finding
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.projection_choice import options_as_served
-from sunarc.calibration.quality.fit_checks import provisional, site_assumed, tilt_in_doubt
+from sunarc.calibration.quality.fit_checks import is_undetermined, provisional, site_assumed, tilt_in_doubt
 from sunarc.calibration.quality.tilt import tilt_question
 from sunarc.calibration.quality.widening import with_clock, with_larger_errors, with_pose_spread
 from sunarc.calibration.selection import select_sightings, surest_of_epochs
@@ -168,7 +168,9 @@ def fit_poses(
         # the tilt is asked about where all poses are known, see `_held_to_level`
         fit = partial(calibrate, given, site=camera.site, image_size=camera.size, options=options, tilt_known=True)
         solved = fit()
-        if not solved.verdict.accepted:  # the search for a start may have ended elsewhere
+        # the search for a start may have ended elsewhere; a start of some projection does not make it known
+        undecided = options.projection == "auto" and is_undetermined(solved.verdict)
+        if not solved.verdict.accepted and not undecided:
             near = next(state.calibration.camera for state in states if state.pose == pose)
             again = fit(start=near)
             solved = again if again.verdict.accepted else solved
