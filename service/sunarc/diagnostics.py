@@ -52,7 +52,7 @@ from sunarc.settings.model import Settings
 from sunarc.sky.site import Site
 from sunarc.utc import utc_time
 from sunarc.workers.calibrating.provisional_pose import FirstPose
-from sunarc.workers.feed import HubConnection, HubRefusal
+from sunarc.workers.hub_connection import HubConnection, HubRefusal
 from sunarc.workers.push import Sink
 
 # Checks of a camera: abilities, stream, exposures, and a few trial frames.

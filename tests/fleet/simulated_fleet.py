@@ -36,7 +36,8 @@ from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.status import StatusRegistry
 from sunarc.sky.site import Site
 from sunarc.workers import feed
-from sunarc.workers.feed import FeedWorker, HubConnection
+from sunarc.workers.feed import FeedWorker
+from sunarc.workers.hub_connection import HubConnection
 from sunarc.workers.options import HubOptions
 
 START = datetime(2026, 1, 1, 12, tzinfo=UTC)
@@ -93,6 +94,7 @@ def feed_worker(archive: Archive, name: str, options: HubOptions) -> FeedWorker:
     return FeedWorker(
         camera=CameraArchive(archive, name=name, site=Site(latitude=36.6, longitude=-97.5)),
         send=hub.send,
+        ask=hub.stored_days,
         asked_s=hub.wait_s,
         clock=clock,
         board=StatusRegistry(version="1", started_at=clock.now(), monotonic=clock.monotonic),

@@ -13,6 +13,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
+from datetime import date, datetime
 from http import HTTPStatus
 from itertools import pairwise
 from pathlib import Path
@@ -23,6 +24,8 @@ from tests.fixtures.fleet import NOON, NOW, new_imager, sighting
 from tests.workers.test_webhook import certificate
 
 from sunarc.archive.archive import Archive, CameraArchive, open_archive
+from sunarc.archive.database.schema import head_revision
+from sunarc.archive.fleet.day_digests import StoredDays
 from sunarc.archive.fleet.feed_rows import FeedBatch, FeedRow, Refusal, feed_lines, read_feed_lines
 from sunarc.archive.fleet.outbox import OutboxPosition, outbox_triggers
 from sunarc.archive.values import Event
@@ -31,9 +34,9 @@ from sunarc.runtime.clock import SystemClock, VirtualClock
 from sunarc.runtime.status import StatusRegistry
 from sunarc.runtime.supervisor import Supervised, Supervisor, SupervisorOptions
 from sunarc.sky.site import Site
-from sunarc.workers import feed
-from sunarc.workers import feed as hub_connection
-from sunarc.workers.feed import LONGEST_WAIT_S, SILENT_S, FeedWorker, HubConnection, HubRefusal
+from sunarc.workers import feed, hub_connection
+from sunarc.workers.feed import LONGEST_WAIT_S, SILENT_S, FeedWorker
+from sunarc.workers.hub_connection import HubConnection, HubRefusal
 from sunarc.workers.options import HubOptions
 
 _TICK_S = 0.05
@@ -44,6 +47,7 @@ class Wire:
     """Carries rows to a hub's archive, with the faults that it is told to have."""
 
     hub: Archive
+    now: Callable[[], datetime]
     faults: list[str] = field(default_factory=list)
     most_rows: int = 10**6
     late: list[FeedBatch] = field(default_factory=list)
@@ -62,15 +66,22 @@ class Wire:
         if fault == "late":
             self.late.append(batch)
             raise OutsideError("no answer; what was sent arrives later")
-        committed = self.hub.feeds.take(batch, now=NOW)
+        committed = self.hub.feeds.take(batch, now=self.now())
         for late in self.late:
-            self.hub.feeds.take(late, now=NOW)
+            self.hub.feeds.take(late, now=self.now())
         self.late.clear()
         if fault == "answer_lost":
             raise OutsideError("the answer did not come back")
         if isinstance(committed, Refusal):
             raise HubRefusal(409, committed.text)
         return committed
+
+    def ask(self, installation: str, since: date, until: date, heartbeat: Callable[[], None]) -> StoredDays:
+        heartbeat()
+        found = self.hub.feeds.digests("roof", installation, since=since, until=until)
+        if found is None:
+            raise HubRefusal(409, "second_installation")
+        return StoredDays(revision=head_revision(), until=found.until, days=found.days)
 
 
 @dataclass
@@ -83,7 +94,7 @@ class Bench:
 
     def worker(self) -> FeedWorker:
         camera = CameraArchive(self.imager, name="roof", site=Site(latitude=36.6, longitude=-97.5))
-        return FeedWorker(camera=camera, send=self.wire, clock=self.clock, board=self.board)
+        return FeedWorker(camera=camera, send=self.wire, ask=self.wire.ask, clock=self.clock, board=self.board)
 
     def codes(self) -> set[str]:
         return {reason.code for reason in self.board.snapshot().reasons}
@@ -95,7 +106,7 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
     clock = VirtualClock(NOW)
     board = StatusRegistry(version="1", started_at=NOW, monotonic=clock.monotonic)
     with new_imager(tmp_path) as imager, open_archive(tmp_path / "hub.sqlite") as hub:
-        yield Bench(imager, hub, Wire(hub), clock, board)
+        yield Bench(imager, hub, Wire(hub, clock.now), clock, board)
 
 
 def step(worker: FeedWorker) -> float:
@@ -402,7 +413,9 @@ def connected(bench: Bench, url: str, folder: Path) -> FeedWorker:
     clock = SystemClock()
     hub = HubConnection(HubOptions(url=url, token_file=folder / "token"), camera="roof", clock=clock)
     camera = CameraArchive(bench.imager, name="roof", site=Site(latitude=36.6, longitude=-97.5))
-    return FeedWorker(camera=camera, send=hub.send, clock=clock, board=bench.board, asked_s=hub.wait_s)
+    return FeedWorker(
+        camera=camera, send=hub.send, ask=bench.wire.ask, clock=clock, board=bench.board, asked_s=hub.wait_s
+    )
 
 
 @pytest.mark.waits

@@ -41,7 +41,8 @@ from sunarc.workers.capture_status import OverdueSightings
 from sunarc.workers.clock_watch import ClockWatch, FrameTime
 from sunarc.workers.detect import DetectWorker, FrozenFrames, SightingWriteBuffer
 from sunarc.workers.exposures import SunExposures
-from sunarc.workers.feed import FeedWorker, HubConnection
+from sunarc.workers.feed import FeedWorker
+from sunarc.workers.hub_connection import HubConnection
 from sunarc.workers.night.exposures import MoonCapture, MoonExposures, NightCapture, NightExposures
 from sunarc.workers.night.night import NightWorker
 from sunarc.workers.options import NightOptions
@@ -551,7 +552,14 @@ class Service:
     def feed_worker(self) -> FeedWorker:
         """Return the worker that sends the archive's rows to the hub."""
         hub = HubConnection(self.settings.hub, camera=self.settings.name, clock=self.clock)
-        return FeedWorker(camera=self.camera, send=hub.send, clock=self.clock, board=self.board, asked_s=hub.wait_s)
+        return FeedWorker(
+            camera=self.camera,
+            send=hub.send,
+            ask=hub.stored_days,
+            clock=self.clock,
+            board=self.board,
+            asked_s=hub.wait_s,
+        )
 
     def refit_worker(self) -> RefitWorker:
         """Return the worker that solves the camera anew."""

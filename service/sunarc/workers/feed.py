@@ -2,184 +2,26 @@
 
 from __future__ import annotations
 
-import gzip
-import http.client
-import json
 import logging
 import math
 import threading
-import urllib.parse
-import urllib.request
 import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from http import HTTPStatus
-from pathlib import Path
 from typing import Any
 
-import h11
-
 from sunarc.archive.archive import CameraArchive
-from sunarc.archive.database.schema import head_revision
-from sunarc.archive.fleet.feed_rows import FeedRow, feed_lines
+from sunarc.archive.fleet.feed_rows import FeedRow
 from sunarc.archive.fleet.outbox import OutboxPosition
-from sunarc.errors import ConfigurationError, OutsideError
-from sunarc.foreign_files import MOST_SECRET_BYTES, read_regular
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.loop import Attempts, Loop, Pauses
 from sunarc.runtime.status import StatusRegistry
 from sunarc.utc import rfc3339
-from sunarc.workers.http_exchange import HttpRequest, Limit, Trust, UnfinishedError, fetch
+from sunarc.workers.feed_comparison import FeedComparison
+from sunarc.workers.hub_connection import AskStoredDays, HubAnswerError, HubRefusal, HubUnfinishedError, Send
 from sunarc.workers.messages import condition
-from sunarc.workers.options import HubOptions
-
-_WITHIN_S = 30.0
-"""From the beginning of the connection to the end of the answer; more rows than go in that time are sent in parts."""
-_LEAST_BYTES_PER_S = 500.0
-"""One row can be sent in no parts: it has the time that it takes at this rate besides."""
-_MOST_READ_BYTES = 65_536
-_MOST_QUOTED = 100
-_LONGEST_ASKED_S = 600.0
-"""No answer makes a sender wait for longer: a proxy's own may name hours."""
-_COMPRESSION_LEVEL = 4  # rows become a tenth; higher levels cost more time than they save
-
-
-class HubRefusal(Exception):  # noqa: N818 - an answer, and no fault
-    """The hub refuses what was sent.
-
-    Parameters
-    ----------
-    status : the HTTP status.
-    text : why.
-    """
-
-    def __init__(self, status: int, text: str) -> None:
-        super().__init__(text)
-        self.status = status
-
-
-class HubUnfinishedError(OutsideError):
-    """The hub was reached, and not all was sent, stored and answered in time: fewer rows may be."""
-
-
-class HubAnswerError(OutsideError):
-    """The answer cannot be a hub's: a proxy gave it, or a hub that is at fault."""
-
-
-Send = Callable[[OutboxPosition, Sequence[FeedRow], Callable[[], None]], int]
-"""Sends rows that follow a position, with the caller's heartbeat, and returns the number that the hub answers."""
-
-
-class HubConnection:
-    """Sends rows of one camera to a hub.
-
-    Parameters
-    ----------
-    options : with an address.
-    camera : its name.
-    clock : real time.
-
-    Raises
-    ------
-    ConfigurationError : the token cannot be read.
-    """
-
-    def __init__(self, options: HubOptions, *, camera: str, clock: Clock) -> None:
-        address = (options.url or "").rstrip("/")
-        self._url = f"{address}/v1/cameras/{urllib.parse.quote(camera, safe='')}/feed"
-        self._token = _token(options.token_file)
-        self._trust = Trust() if self._url.startswith("https:") else None
-        self._clock = clock
-        self._asked_until_s = -math.inf
-
-    def wait_s(self) -> float:
-        """Return for how many seconds more the hub's last answer asks to wait (Retry-After)."""
-        return max(self._asked_until_s - self._clock.monotonic(), 0.0)
-
-    def send(self, position: OutboxPosition, rows: Sequence[FeedRow], heartbeat: Callable[[], None]) -> int:
-        """Send rows that follow a position, and return the number up to which the hub has them.
-
-        All of it takes at most 30 s, for one row more by its size; redirects are not followed, since the token would
-        go to whatever host they name.
-
-        Raises
-        ------
-        HubRefusal : the hub understood and refused.
-        HubUnfinishedError : it was reached, and the exchange was cut off or took too long.
-        HubAnswerError : the answer has no number that a hub could give.
-        OutsideError : it was not reached, or was not able to.
-        """
-        request = HttpRequest(
-            method="PUT",
-            url=urllib.parse.urlsplit(f"{self._url}?after={position.committed}"),
-            body=gzip.compress(feed_lines(rows), _COMPRESSION_LEVEL, mtime=0),
-            headers={
-                "authorization": f"Bearer {self._token}",
-                "content-type": "application/x-ndjson",
-                "content-encoding": "gzip",
-                "sunarc-installation": position.installation,
-                "sunarc-revision": head_revision(),
-            },
-            proxy=_proxy_of(self._url),
-        )
-        within_s = _WITHIN_S + (len(request.body) / _LEAST_BYTES_PER_S if len(rows) == 1 else 0.0)
-        limit = Limit(within_s, monotonic=self._clock.monotonic, heartbeat=heartbeat)
-        try:
-            context = None if self._trust is None else self._trust.context()
-            answer = fetch(request, context=context, limit=limit, most_bytes=_MOST_READ_BYTES)
-            asked = answer.headers.get("retry-after", "")
-            asked_s = float(asked) if asked.isdecimal() else 0.0  # a date is no hub's
-            self._asked_until_s = self._clock.monotonic() + min(asked_s, _LONGEST_ASKED_S)
-        except (UnfinishedError, h11.RemoteProtocolError) as error:
-            raise HubUnfinishedError(f"the hub {self._url}: {error}") from error
-        except (OSError, ValueError, h11.LocalProtocolError) as error:
-            raise OutsideError(f"the hub {self._url}: {error}") from error
-        if HTTPStatus.OK <= answer.status < HTTPStatus.MULTIPLE_CHOICES:
-            return _committed(answer.body)
-        raise _failure(answer.status, answer.body)
-
-
-def _committed(body: bytes) -> int:
-    """Return the number of an answer."""
-    try:
-        found = json.loads(body)
-    except (ValueError, RecursionError):
-        found = None
-    number = found.get("committed") if isinstance(found, dict) else None
-    if type(number) is not int or not -1 <= number < 2**63:
-        text = body[:_MOST_QUOTED].decode("utf-8", "replace")
-        raise HubAnswerError(f"{text!r} has no number `committed` from -1 on")
-    return number
-
-
-def _failure(status: int, body: bytes) -> HubRefusal | OutsideError:
-    try:
-        text = str(json.loads(body)["detail"])
-    except (ValueError, KeyError, TypeError):
-        text = http.client.responses.get(status, "")
-    if status in {HTTPStatus.REQUEST_TIMEOUT, HTTPStatus.GATEWAY_TIMEOUT}:
-        return HubUnfinishedError(f"the hub answers {status}: {text}")
-    if status >= HTTPStatus.INTERNAL_SERVER_ERROR or status == HTTPStatus.TOO_MANY_REQUESTS:
-        return OutsideError(f"the hub answers {status}: {text}")
-    return HubRefusal(status, text)
-
-
-def _proxy_of(url: str) -> urllib.parse.SplitResult | None:
-    """Return the proxy that the environment names for an address (`https_proxy`, `no_proxy`); None without one."""
-    parts = urllib.parse.urlsplit(url)
-    found = urllib.request.getproxies_environment().get(parts.scheme)
-    if not found or urllib.request.proxy_bypass(parts.netloc):
-        return None
-    return urllib.parse.urlsplit(found if "//" in found else f"//{found}")
-
-
-def _token(path: Path | None) -> str:
-    try:
-        return "" if path is None else read_regular(path, most_bytes=MOST_SECRET_BYTES).decode("ascii").strip()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"hub.token_file {path}: {error}") from error
-
 
 _log = logging.getLogger(__name__)
 _MOST_ROWS = 1000
@@ -201,6 +43,7 @@ class FeedWorker:
     ----------
     camera : whose archive.
     send : sends rows.
+    ask : asks what the hub has.
     clock : real time.
     board : whose status the hub gets, and where a hub that does not answer is shown.
     every_s : seconds between two looks at the outbox.
@@ -209,6 +52,7 @@ class FeedWorker:
 
     camera: CameraArchive
     send: Send
+    ask: AskStoredDays
     clock: Clock
     board: StatusRegistry
     every_s: float = 5.0
@@ -229,6 +73,7 @@ class FeedWorker:
         self._agreed: OutboxPosition | None = None
         """Where the outbox stood when the hub last said that it stands there, too; None until it has."""
         self._next_installation = uuid.uuid4().hex
+        self._comparison = FeedComparison(camera=self.camera, ask=self.ask, clock=self.clock, board=self.board)
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Send until stopped."""
@@ -248,7 +93,7 @@ class FeedWorker:
         try:
             more = self._send_next(heartbeat)
         except HubAnswerError as error:
-            self.board.set_condition(_INVALID, condition(_INVALID, error=str(error)))
+            self.board.set_condition(_INVALID, condition("hub_answer_invalid", error=str(error)))
             raise
         self.board.set_condition(_REFUSED, None)
         self.board.set_condition(_INVALID, None)
@@ -273,7 +118,7 @@ class FeedWorker:
         if rows:
             self._follow(position, self._sent(position, rows, heartbeat), heartbeat)
         self._agreed = outbox.position()
-        return bool(rows)
+        return bool(rows) or self._comparison.queue_differing(heartbeat)
 
     def _agree(self, heartbeat: Callable[[], None]) -> None:
         """Ask the hub where it stands, and go on from there.
@@ -368,4 +213,5 @@ class FeedWorker:
             "clock_error_s": None if board.clock is None else board.clock.max_error_s,
             "last_frame_at": None if board.last_frame_at is None else rfc3339(board.last_frame_at),
             "drift_deg": None if offset is None else math.hypot(*offset),
+            "compared_at": None if self._comparison.compared_at is None else rfc3339(self._comparison.compared_at),
         }

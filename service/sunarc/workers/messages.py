@@ -218,6 +218,24 @@ MESSAGES = Messages(
         "Rows wait in the outbox, without a limit; measurements continue.",
         "check hub.url, the proxies on the way, and the hub's version",
     ),
+    hub_lacks_rows=Message(
+        "the hub has fewer or other rows of {n_days:day}, though they were sent again; first {kind} of {first}",
+        "Rows are in this archive and not on the hub; measurements continue.",
+        "see the hub's /v1/quarantine and its journal",
+    ),
+    hub_rows_sent_again=Message(
+        "the hub does not have what this archive has of {n_days:day} ({kinds}, first {first}): {n_rows:row} go again",
+        "A comparison by night found it; nothing is lost.",
+    ),
+    hub_has_other_rows=Message(
+        "the hub has {n_rows:row} of {n_days:day} (first {first}) that this archive does not have",
+        "This archive was put back to an earlier copy, or lost rows; the hub keeps them.",
+    ),
+    hub_not_compared=Message(
+        "rows are not compared with the hub's: {reason}",
+        "Rows that the hub does not have for another reason than the feed's stay unnoticed.",
+        "install one version on imagers and hub",
+    ),
     # nightly work of a hub
     nightly_failed=Message(
         "nightly jobs of {night} failed: {jobs}; first error: {error}",

@@ -10,7 +10,8 @@ import re
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import date, datetime, timedelta
+from functools import partial
 from http import HTTPStatus
 from typing import Annotated
 
@@ -25,6 +26,7 @@ from sunarc.api.middleware.http_only import HttpMiddleware
 from sunarc.api.problems import Fault, RefusedError, answers
 from sunarc.archive.archive import Archive
 from sunarc.archive.database.schema import head_revision
+from sunarc.archive.fleet.day_digests import DayDigests, StoredDays
 from sunarc.archive.fleet.feed_rows import MOST_ROWS, FeedBatch, Reason, Refusal, read_feed_lines
 from sunarc.archive.fleet.feeds import Tokens
 from sunarc.errors import InputError, OutsideError
@@ -171,6 +173,19 @@ class FeedReceiver:
         valid = [one for one, until in self._tokens.get(camera, ()) if until is None or until > now]
         return sum(hmac.compare_digest(own, digest) for digest in valid) > 0
 
+    def stored_days(self, camera: str, token: str, installation: str, *, since: date, until: date) -> DayDigests:
+        """Return the digests of a camera's days.
+
+        Raises
+        ------
+        RefusedError : the token is not the camera's, or another installation sends its rows.
+        """
+        self._require_token(camera, token)
+        found = self.archive.feeds.digests(camera, installation, since=since, until=until)
+        if found is None:
+            raise _error(Refusal(reason="second_installation", text=f"{installation} does not send as {camera}"))
+        return found
+
     def note_too_large(self, camera: str) -> None:
         """Write into quarantine that a body was too large."""
         if camera in self.archive.feeds.all_tokens():
@@ -188,7 +203,7 @@ def token_digest(token: str) -> str:
 
 
 def feed_routes(receiver: FeedReceiver) -> APIRouter:
-    """Return the route that takes what imagers send."""
+    """Return the routes that take what imagers send, and say what is stored of it."""
     routes = APIRouter(tags=["fleet"])
     slots = asyncio.Semaphore(LARGE_AT_ONCE)
 
@@ -212,10 +227,9 @@ def feed_routes(receiver: FeedReceiver) -> APIRouter:
                 field="request", problem="no row of the last batches could be stored", remedy="wait, or correct it"
             )
             raise RefusedError(HTTPStatus.TOO_MANY_REQUESTS, fault, headers={"retry-after": str(wait_s)})
-        scheme, token = get_authorization_scheme_param(request.headers.get("authorization"))
         sent = SentBody(
             camera=camera,
-            token=token if scheme.lower() == "bearer" else "",
+            token=_token_of(request),
             installation=installation,
             revision=revision,
             after=after,
@@ -233,7 +247,37 @@ def feed_routes(receiver: FeedReceiver) -> APIRouter:
             response.headers["retry-after"] = str(wait_s)
         return Committed(committed=committed or 0)
 
+    _add_stored_days(routes, receiver)
     return routes
+
+
+def _add_stored_days(routes: APIRouter, receiver: FeedReceiver) -> None:
+    """Add the route that says what is stored of a camera."""
+    comparing = asyncio.Semaphore(1)
+
+    @routes.get("/v1/cameras/{camera}/feed", responses=answers(401, 404, 409, 422, 429))
+    async def stored(  # noqa: PLR0917 - FastAPI's parameters
+        request: Request, camera: Name, since: date, until: date, installation: Installation, revision: Revision
+    ) -> StoredDays:
+        """Return number and hash of a camera's rows by kind and UTC day, since <= day < until, with its own token.
+
+        At most 32 days and 200,000 rows are read; `until` says how far. One sender at a time is answered, the others
+        429.
+        """
+        if comparing.locked():
+            fault = Fault(field="request", problem="another comparison is under way", remedy="try again later")
+            raise RefusedError(HTTPStatus.TOO_MANY_REQUESTS, fault, headers={"retry-after": "30"})
+        last = until if revision == head_revision() else since  # of other columns hashes say nothing
+        async with comparing:
+            ask = partial(receiver.stored_days, camera, _token_of(request), installation, since=since, until=last)
+            found = await run_in_threadpool(ask)
+        return StoredDays(revision=head_revision(), until=found.until, days=found.days)
+
+
+def _token_of(request: Request) -> str:
+    """Return the token that a request bears; empty without one."""
+    scheme, token = get_authorization_scheme_param(request.headers.get("authorization"))
+    return token if scheme.lower() == "bearer" else ""
 
 
 @dataclass(kw_only=True, eq=False)

@@ -184,6 +184,10 @@ _STATUS: Mapping[str, tuple[_Rule, str]] = {
     "clock_error_s": (_NUMBER, "Bound of its clock's error, s."),
     "last_frame_at": (_TEXT, "Time of its newest frame, RFC 3339."),
     "drift_deg": (_NUMBER, "Rotation against its calibration on its last day, degrees."),
+    "compared_at": (
+        _TEXT,
+        "When its rows were last compared with the hub's, RFC 3339; null or missing: not yet, or not by this version.",
+    ),
 }
 """What a status may say; every value may be null or missing, and what is not here is kept too."""
 

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import KW_ONLY, dataclass, replace
-from datetime import datetime, timedelta
+from datetime import date, datetime, timedelta
 from itertools import groupby
 from pathlib import Path
 from typing import Annotated, Any
@@ -46,6 +46,7 @@ from sunarc.archive.database.tables import (
     quarantine,
 )
 from sunarc.archive.days import night_of_event, row_of_night
+from sunarc.archive.fleet.day_digests import DayDigests, day_digests
 from sunarc.archive.fleet.feed_rows import (
     FED,
     MOST_LEVELS,
@@ -201,6 +202,15 @@ class FeedStore(Part):
     def n_failing(self, camera: str) -> int:
         """Return how many batches of a camera came in succession of which no row could be stored."""
         return self._failing.get(camera, 0)
+
+    def digests(self, camera: str, installation: str, *, since: date, until: date) -> DayDigests | None:
+        """Return the digests of a camera's days; None where the installation is not the one that is taken."""
+        c = feed.c
+        accepted = select(c.accepted).where(c.camera == camera, c.installation == installation)
+        with self._database.reading() as connection:
+            if not connection.scalar(accepted):
+                return None
+            return day_digests(connection, camera, since=since, until=until)
 
     def refuse(self, *, camera: str, installation: str, refusal: Refusal, now: datetime) -> None:
         """Write into quarantine that something was refused as a whole."""

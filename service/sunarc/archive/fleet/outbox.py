@@ -5,14 +5,33 @@ from __future__ import annotations
 import uuid
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from datetime import date
 from itertools import chain
 from typing import Any
 
-from sqlalchemy import JSON, Column, Connection, Date, Float, Row, Text, delete, func, insert, select, text, update
+from sqlalchemy import (
+    JSON,
+    Column,
+    ColumnElement,
+    Connection,
+    Date,
+    Float,
+    Row,
+    Text,
+    delete,
+    func,
+    insert,
+    literal_column,
+    select,
+    text,
+    true,
+    update,
+)
 
 from sunarc.archive.database.connections import json_text, parsed_json
 from sunarc.archive.database.store import Part
 from sunarc.archive.database.tables import outbox, outbox_position
+from sunarc.archive.fleet.day_digests import DayDigests, day_digests, first_and_last_day, rows_of_day
 from sunarc.archive.fleet.feed_rows import FED, REMOVED, STATUS, FeedRow, columns_of, from_trigger, plain_type
 from sunarc.errors import ConfigurationError
 
@@ -152,6 +171,29 @@ class Outbox(Part):
             _queue_all(connection)
             connection.execute(update(outbox_position).values(committed=committed))
 
+    def digests(self, camera: str, *, since: date, until: date) -> DayDigests | None:
+        """Return the digests of a camera's days where the hub was sent all rows; None while some wait."""
+        with self._database.reading() as connection:
+            if connection.scalar(select(func.count()).select_from(outbox)):
+                return None
+            return day_digests(connection, camera, since=since, until=until)
+
+    def first_and_last_day(self, camera: str) -> tuple[date, date] | None:
+        """Return the days of a camera's first and last sighting; None without any."""
+        with self._database.reading() as connection:
+            return first_and_last_day(connection, camera)
+
+    def queue_days(self, camera: str, days: Iterable[tuple[str, date]]) -> int:
+        """Queue again a camera's rows of kinds and days, after all that they refer to; return how many they are."""
+        with self._database.writing() as connection:
+            before = connection.scalar(select(func.count()).select_from(outbox)) or 0
+            wanted = sorted(days, key=lambda one: (list(FED).index(one[0]), one[1]))
+            if wanted:
+                _queue(connection, ("camera", "pose_epoch"))
+            for kind, day in wanted:
+                _queue(connection, (kind,), rows_of_day(kind, camera, day))
+            return (connection.scalar(select(func.count()).select_from(outbox)) or 0) - before
+
     def begin_installation(self, installation: str) -> None:
         """Begin a feed of its own with all rows, under an id: another one went on under the former id."""
         with self._database.writing() as connection:
@@ -208,12 +250,11 @@ def _queue_all(connection: Connection) -> None:
     _queue(connection, FED)
 
 
-def _queue(connection: Connection, kinds: Iterable[str]) -> None:
+def _queue(connection: Connection, kinds: Iterable[str], where: ColumnElement[bool] | None = None) -> None:
     for kind in kinds:
-        values = _object(kind, kind)
-        # constants of this module, and names of tables
-        rows = f'SELECT \'{kind}\', {values} FROM "{kind}" ORDER BY "{kind}".rowid'  # noqa: S608
-        connection.exec_driver_sql(f"INSERT INTO outbox (kind, data) {rows}")
+        made = select(literal_column(f"'{kind}'"), literal_column(_object(kind, kind))).select_from(FED[kind][0])
+        rows = made.where(true() if where is None else where).order_by(literal_column(f'"{kind}".rowid'))
+        connection.execute(insert(outbox).from_select(["kind", "data"], rows))
 
 
 def outbox_triggers() -> Iterator[tuple[str, str]]:
