@@ -27,10 +27,11 @@ from .campaign_processes import ADDRESS, SHIM, START_WITHIN_S, Processes, Settin
 
 Source = Literal["gige", "night", "folder", "http"]
 _SERVICE = ("kill", "stop", "stop_while_solving", "pause", "second_service", "host_clock", "imager_killed")
-_FILES = ("locked", "backup", "damaged_calibration", "deleted_database", "disk_full", "flipped_bit")
+_FILES = ("locked", "backup", "damaged_calibration", "deleted_database", "disk_full", "flipped_bit", "link_at_restore")
 _OTHERS = (
     *("receiver_drips", "receiver_refuses"),
     *("hub_killed", "hub_away", "hub_fails", "hub_drips", "hub_disk_full", "postgresql_killed"),
+    *("hub_may_not_insert", "hub_table_locked", "restore_while_hub_away"),
 )
 _CAMERA = (
     *("power_cycle", "freeze", "loss", "wrong_exposure", "wrong_exposures", "stale_exposure", "changed"),
@@ -43,8 +44,13 @@ FAULTS: dict[Source, tuple[str, ...]] = {
     "folder": (
         *_EVERY,
         *("late_uploads", "truncated", "flipped_picture", "copies", "one_picture", "folder_away", "junk"),
+        *("frozen_under_text", "strange_files"),
     ),
-    "http": (*_EVERY, "unavailable", "page", "drip", "endless", "stale", "redirect", "refused"),
+    "http": (
+        *_EVERY,
+        *("unavailable", "page", "drip", "endless", "stale", "redirect", "refused"),
+        *("strange_answers", "frozen_under_text"),
+    ),
 }
 """What is done to the chain of each source; a fault is a method of its name. Not among them: a wrong camera clock
 (the service compares it with the host's, which at 150 times real time says nothing; `test_camera_clock.py` does it in
@@ -57,14 +63,18 @@ NEEDS: dict[str, tuple[str, ...]] = {
     "disk_full": ("disk",),
     **dict.fromkeys(("imager_killed", "refused"), ("imager",)),
     "hub_away": ("link",),
-    **dict.fromkeys(("hub_disk_full", "postgresql_killed"), ("postgresql",)),
-    **dict.fromkeys(("truncated", "flipped_picture", "one_picture"), ("pictures",)),
-    **dict.fromkeys(("folder_away", "junk", "copies"), ("followed",)),
-    **dict.fromkeys(("unavailable", "page", "drip", "endless", "stale", "redirect"), ("address",)),
+    "link_at_restore": ("service", "file", "disk"),
+    "restore_while_hub_away": ("service", "file", "disk", "link"),
+    **dict.fromkeys(("hub_disk_full", "postgresql_killed", "hub_may_not_insert", "hub_table_locked"), ("postgresql",)),
+    **dict.fromkeys(("truncated", "flipped_picture", "one_picture", "frozen_under_text"), ("pictures", "address")),
+    **dict.fromkeys(("folder_away", "junk", "copies", "strange_files"), ("followed",)),
+    **dict.fromkeys(("unavailable", "page", "drip", "endless", "stale", "redirect", "strange_answers"), ("address",)),
 }
 """What a fault alone may use: those of a window that need the same are done one after the other, all others at once."""
 NEEDS_OWN_DISK = frozenset({"disk_full", "hub_disk_full"})
 NEEDS_HUB = frozenset(name for name in _OTHERS if not name.startswith("receiver"))
+_ROOT_WRITES = ("lock", "reserve", "sunarc.sqlite.partial", "sunarc.sqlite-wal", "sunarc.sqlite-shm")
+"""Names in the state folder that a restore writes or removes."""
 _DATABASE = ("sunarc.sqlite", "sunarc.sqlite-wal", "sunarc.sqlite-shm")
 _CLEAN_ENDS = frozenset({0, 1, 2, 3})
 _WRONG_SETTINGS = 2
@@ -386,11 +396,61 @@ class Faults(Processes):
             connection.execute("ROLLBACK")
 
     def _backup(self) -> None:
-        command = [sys.executable, "-m", "sunarc", "db", "backup", str(self.folder / "backups"), "--keep", "2"]
-        command += ["--state", str(self.state)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=START_WITHIN_S, check=False)
+        done = self._sunarc("db", "backup", self.folder / "backups", "--keep", "2")
         if done.returncode:
             self.exits.append(f"backup: {done.stderr.strip()}")
+
+    def _sunarc(self, *arguments: str | Path) -> subprocess.CompletedProcess[str]:
+        """Run a command of the state folder."""
+        command = [sys.executable, "-m", "sunarc", *map(str, arguments), "--state", str(self.state)]
+        return subprocess.run(command, capture_output=True, text=True, timeout=START_WITHIN_S, check=False)
+
+    def _copy(self) -> Path:
+        """Make a copy of the database, and return its path."""
+        done = self._sunarc("db", "backup", self.folder / "copies", "--keep", "1")
+        if done.returncode:
+            raise RuntimeError(f"no copy: {done.stderr.strip()}")
+        return max((self.folder / "copies").glob("*.sqlite*"), key=lambda path: path.stat().st_mtime)
+
+    def _link_at_restore(self) -> None:
+        """Restore as root while a link lies in the state folder: what it points to must stay as it is."""
+        self.stop_service(signal.SIGTERM)
+        copy, victim = self._copy(), self.folder / "victim"
+        victim.write_text("not the service's\n")
+        victim.chmod(0o600)
+        before = victim.read_bytes(), victim.stat().st_mode, victim.stat().st_uid, victim.stat().st_nlink
+        link = self.state / self.random.choice(_ROOT_WRITES)
+        link.unlink(missing_ok=True)
+        link.symlink_to(victim)
+        done = self._sunarc("db", "restore", copy)
+        if done.returncode not in _CLEAN_ENDS or "Traceback" in done.stderr:
+            self.exits.append(f"restore beside a link {link.name}: {done.returncode} {done.stderr.strip()[-200:]}")
+        if before != (victim.read_bytes(), victim.stat().st_mode, victim.stat().st_uid, victim.stat().st_nlink):
+            self.exits.append(f"a restore followed the link {link.name}")
+        if link.is_symlink():
+            link.unlink()
+        self.start_service()
+
+    def _restore_while_hub_away(self) -> None:
+        """Put an earlier copy back while the hub, which has more, does not answer; new rows follow."""
+        copy = self._copy()
+        self.wait(self.random.uniform(3.0, 10.0) * self.slot_s)
+        self._of_hub.link.down = True
+        self.stop_service(self.random.choice([signal.SIGTERM, signal.SIGKILL]))
+        with self.held("looks"):
+            self.looks = False
+        rows = self._of_hub.rows_of(self.database)
+        done = self._sunarc("db", "restore", copy)
+        if done.returncode:
+            self.exits.append(f"restore: {done.returncode} {done.stderr.strip()[-200:]}")
+        self._of_hub.put_back |= rows - self._of_hub.rows_of(self.database)
+        with self.held("looks"):
+            if self.judge is not None:
+                self.judge.put_back()
+            self.looks = True
+        self.start_service()
+        self.wait(self.random.uniform(3.0, 15.0) * self.slot_s)
+        self._of_hub.link.down = False
 
     def _damaged_calibration(self) -> None:
         """Change a byte of the current calibration's document."""
@@ -533,6 +593,17 @@ class Faults(Processes):
         if self._of_hub.is_ready():
             self.exits.append("the hub is ready without its database")
         self._of_hub.server.start()
+
+    def _hub_may_not_insert(self) -> None:
+        """Take the hub's role its privilege of storing sightings, as a forgotten `grants.sql` does."""
+        self._of_hub.sql("REVOKE INSERT ON sun_point FROM sunarc_feed")
+        self.wait(self.random.uniform(3.0, 15.0) * self.slot_s)
+        self._of_hub.sql("GRANT INSERT ON sun_point TO sunarc_feed")
+
+    def _hub_table_locked(self) -> None:
+        """Lock a table that the hub stores in, as a job of its administrator does."""
+        with self._of_hub.locked("sun_point"):
+            self.wait(self.random.uniform(2.0, 20.0) * self.slot_s)
 
     @property
     def _of_hub(self) -> CampaignHub:

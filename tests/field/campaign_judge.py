@@ -237,6 +237,10 @@ class Judge:
                 (found.gaps if moment in searched else found.wrong_sightings).append(text)
         found.n_repeating = len(self._repeated)
 
+    def put_back(self) -> None:
+        """Note that an operator put the database back to a copy: what that has not is not lost."""
+        self._stored = self.stored() or set()
+
     def repeated(self, begin: float, end: float, *, times: int) -> None:
         """Note that the camera repeated its images between two of its times, which may be believed so many times."""
         self._repeated += [(begin - self._cadence_s, end + self._cadence_s)] * times

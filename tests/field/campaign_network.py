@@ -12,6 +12,7 @@ from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 from typing import Any
 
+import psycopg
 from tests.fixtures.postgresql import TEMPLATE, running_server
 from tests.fleet.hub_process import HubProcess
 from tests.fleet.links import Link
@@ -23,6 +24,21 @@ from sunarc.runtime.clock import SystemClock
 from .campaign_processes import TOKEN, pause
 
 CAMERA = "roof"
+GRANTS = Path(__file__).parents[2] / "deploy" / "hub" / "grants.sql"
+STRANGE: tuple[tuple[int, dict[str, str], bytes], ...] = (
+    (401, {"WWW-Authenticate": "Digest foo"}, b""),
+    (401, {"WWW-Authenticate": 'Digest realm="x", nonce="y", qop='}, b""),
+    (401, {"WWW-Authenticate": 'Basic realm="a", Digest realm="b", nonce="c", algorithm=SHA-256, qop="auth"'}, b""),
+    (302, {"Location": "http://["}, b""),
+    (302, {"Location": "http://h\xe4\xff/\x80"}, b""),
+    (302, {}, b""),
+    (200, {"Content-Type": "image/jpeg", "Last-Modified": "Tue, 01 Jan 20130000000 00:00:00 GMT"}, b"none"),
+    (200, {"Content-Type": "image/jpeg", "Date": "Tue, 01 Jan 0001 00:00:00 GMT"}, b"\xff\xd8\xff"),
+    (200, {"Content-Type": "\x80", "Transfer-Encoding": "chunked"}, b"zz\r\n"),
+    (204, {}, b""),
+    (599, {"Retry-After": "9" * 400}, b""),
+)
+"""Answers of cameras that are none: status, headers, body."""
 _ROWS = "SELECT time, body, exposure_us, method, file, x_px, y_px, CAST(accepted AS INTEGER) FROM sun_point"
 
 
@@ -44,6 +60,7 @@ class Other:
     refuses: bool = False
     received: list[str] = field(default_factory=list)
     _last: tuple[dict[str, str], bytes] | None = None
+    _n: int = 0
 
     def picture(self) -> tuple[int, dict[str, str], bytes]:
         """Return status, headers and body of the answer to a request for the picture."""
@@ -53,6 +70,15 @@ class Other:
             return 200, {"Content-Type": "text/html"}, b"<html>please log in</html>"
         if self.mode == "redirect":
             return 302, {"Location": "http://192.0.2.1/current.jpg"}, b""
+        if self.mode == "strange":
+            self._n += 1
+            return STRANGE[self._n % len(STRANGE)]
+        if self.mode == "frozen" and self._last is not None:
+            self._n += 1
+            frozen = self._last[1]
+            with urllib.request.urlopen(self.camera, timeout=5.0) as answer:  # noqa: S310 - loopback
+                kept = {name: answer.headers[name] for name in ("Content-Type", "Date", "Last-Modified")}
+            return 200, kept, with_comment(frozen, f"picture {self._n}")
         if self.mode != "stale" or self._last is None:
             with urllib.request.urlopen(self.camera, timeout=5.0) as answer:  # noqa: S310 - loopback
                 kept = {name: answer.headers[name] for name in ("Content-Type", "Date", "Last-Modified")}
@@ -114,6 +140,12 @@ class Other:
         return Handler
 
 
+def with_comment(jpeg: bytes, text: str) -> bytes:
+    """Return a JPEG file with a comment; its pixels are the same."""
+    comment = text.encode()
+    return jpeg[:2] + b"\xff\xfe" + (len(comment) + 2).to_bytes(2, "big") + comment + jpeg[2:]
+
+
 class CampaignHub:
     """A hub on a PostgreSQL of its own, whose disk is small, at the end of a link that fails as it is told.
 
@@ -125,13 +157,17 @@ class CampaignHub:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.installations: list[str] = []
+        self.put_back: set[str] = set()
+        """Rows that the service had until an operator put its database back; the hub keeps them."""
         self._ended = contextlib.ExitStack()
         self.server = self._ended.enter_context(running_server(folder=folder / "pg"))
         with open_archive(self.server.url(TEMPLATE)) as archive:
             moment = SystemClock().now()
             archive.feeds.add_token(CAMERA, token_digest(TOKEN), now=moment, former_until=moment)
+        self.server.sql("postgres", "CREATE ROLE sunarc_feed LOGIN", "CREATE ROLE sunarc_reader")
+        self.server.script(TEMPLATE, GRANTS, user="test")
         self._starts = threading.Lock()
-        self.process = HubProcess(folder, self.server.url(TEMPLATE))
+        self.process = HubProcess(folder, self.server.url(TEMPLATE, user="sunarc_feed"))
         self._ended.callback(self.process.kill)
         self.process.wait_until_it_answers()
         self.link = Link(self.process.address, seed=1)
@@ -161,6 +197,18 @@ class CampaignHub:
             self.server.stop("immediate")
         self.server.start()
 
+    def sql(self, statement: str) -> None:
+        """Carry out a statement in the hub's database, as its owner."""
+        self.server.sql(TEMPLATE, statement)
+
+    @contextlib.contextmanager
+    def locked(self, table: str) -> Iterator[None]:
+        """Keep others from a table."""
+        with psycopg.connect(host=str(self.server.folder), user="test", dbname=TEMPLATE) as connection:
+            connection.execute(f"LOCK TABLE {table} IN ACCESS EXCLUSIVE MODE")
+            yield
+            connection.rollback()
+
     def is_ready(self) -> bool:
         """Whether the hub says that it is."""
         try:
@@ -182,7 +230,7 @@ class CampaignHub:
             return [f"PostgreSQL: {error}"]
         own = self.rows_of(database)
         missing = [f"the hub has not {row}" for row in sorted((rows & own) - hubs)]
-        return (missing + [f"the hub alone has {row}" for row in sorted(hubs - own)])[:20]
+        return (missing + [f"the hub alone has {row}" for row in sorted(hubs - own - self.put_back)])[:20]
 
     def _accept(self) -> None:
         with contextlib.suppress(Exception), open_archive(self.server.url(TEMPLATE)) as archive:

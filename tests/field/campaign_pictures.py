@@ -15,6 +15,7 @@ from pathlib import Path
 from tests.fixtures.ports import free_port
 
 from .campaign_faults import Faults, Source, flipped
+from .campaign_network import with_comment
 from .campaign_processes import ADDRESS, Setting, now
 
 
@@ -123,6 +124,46 @@ class PictureFaults(Faults):
         self._altered(same)
         self._note_copies(begin, starts)
 
+    def _frozen_under_text(self) -> None:
+        """Give one picture again and again, under a text that changes and with the times of new ones."""
+        begin, starts = self.frame_time() or self._known[0], self.n_starts
+        if self.source == "http":
+            self._answers("frozen")
+        else:
+            first: list[bytes] = []
+
+            def same(content: bytes) -> bytes:
+                first.append(content)
+                return with_comment(first[0], f"picture {len(first)}")
+
+            self._altered(same)
+        self._note_copies(begin, starts)
+
+    def _strange_files(self) -> None:
+        """Put files of strange names, and what is no file, into the folder; take them away again."""
+        folder = os.fsencode(self.followed)
+        stem = f"image-{datetime.fromtimestamp(self.latest_time(), UTC):%Y%m%d%H%M%S}".encode()
+        names = (
+            b"\xff\xfe" + stem,
+            stem + b"\n\x1b[31m",
+            stem + b"x" * 200,
+            "\u0061\u0308".encode(),
+            b"image-0001" * 2,
+        )
+        made = [os.path.join(folder, name + b".jpg") for name in names]  # noqa: PTH118 - bytes
+        for path in made:
+            with open(path, "wb") as file:  # noqa: PTH123 - bytes
+                file.write(b"\xff\xd8 no picture")
+        inner = os.path.join(folder, b"\xe9t\xe9")  # noqa: PTH118 - bytes
+        os.mkdir(inner)  # noqa: PTH102 - bytes
+        pipe, link = os.path.join(folder, stem + b"p.jpg"), os.path.join(inner, stem + b"z.jpg")  # noqa: PTH118 - bytes
+        os.mkfifo(pipe)
+        os.symlink("/dev/zero", link)  # noqa: PTH211 - bytes
+        self.wait(self.random.uniform(3.0, 8.0) * self.slot_s)
+        for path in (*made, pipe, link):
+            os.unlink(path)  # noqa: PTH108 - bytes
+        os.rmdir(inner)  # noqa: PTH106 - bytes
+
     def _junk(self) -> None:
         for content in (b"", b"<html>401</html>", bytes(1 << 16), os.urandom(5000)):
             (self.followed / f"image-{datetime.fromtimestamp(self.latest_time(), UTC):%Y%m%d%H%M%S}x.jpg").write_bytes(
@@ -163,6 +204,7 @@ class PictureFaults(Faults):
     _endless = partialmethod(_answers, "endless")
     _stale = partialmethod(_answers, "stale")
     _redirect = partialmethod(_answers, "redirect")
+    _strange_answers = partialmethod(_answers, "strange")
 
     def _refused(self) -> None:
         assert self.imager is not None
