@@ -28,7 +28,7 @@ from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.sun import sun_directions
 
 N = 23
-STRICT = CalibrationOptions(max_sky_deg=0.05)
+STRICT = CalibrationOptions(projection="equisolid", max_sky_deg=0.05)
 """Refuses all of these fits for their uncertainty, and for nothing else."""
 OF_UNCERTAINTY = {"direction_sigma_too_large", "sightings_determine", "hours_missing", "declinations_alike"}
 
@@ -172,6 +172,6 @@ def test_a_fit_that_is_sure_of_nothing_or_accepted_stays_as_it_is() -> None:
 
 
 def test_an_accepted_fit_does_not_speak_of_what_lacks() -> None:
-    _, fit = _fit(3, (-90.0, 0.0), options=CalibrationOptions(max_sky_deg=30.0))
+    _, fit = _fit(3, (-90.0, 0.0), options=CalibrationOptions(projection="equisolid", max_sky_deg=30.0))
     assert fit.verdict.accepted
     assert not OF_UNCERTAINTY & set(codes(fit.verdict.findings))
