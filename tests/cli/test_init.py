@@ -245,14 +245,16 @@ def test_on_a_terminal_what_is_missing_is_asked_again_until_it_is_right(tmp_path
     command += ["--picture", str(tmp_path / "a.png"), "--longitude", "-97.484856"]
     with subprocess.Popen(command, stdin=inner, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         os.close(inner)
-        os.write(outer, b"north\n36d36m14.6sN\n318\nbackwards\nmirrored\n0\n")
+        os.write(outer, b"north\n36d36m14.6sN\n318\nbackwards\nmirrored\nlevel\n10\n0\n")
         out, err = process.communicate(timeout=60.0)
     os.close(outer)
     assert process.returncode == 0, err
     assert b"[angle_unreadable]" in err
     assert b"[answer_unknown]" in err
     assert json.loads(out)["changed"]["folder.utc_offset"] == "0"
+    assert b"[answer_not_number]" in err
     assert load_settings(file).calibration.mirrored == "yes"
+    assert load_settings(file).calibration.level_within_deg == 10.0
     assert load_settings(file).site.latitude == pytest.approx(36.604056, abs=1e-6)
 
 
