@@ -25,9 +25,13 @@ _AROUND_SHARE, _AROUND_TILES = 0.06, 3
 _FEWEST_AROUND = 4
 _NOISE_ROWS, _LEAST_BENT = 2, 2.0
 """Every so many rows are taken; a second difference of rounded smooth values is 1 count at most."""
-_SMOOTHEST, _LEAST_ROUGH = 0.25, 0.05
-"""Quantile of the tiles by their share of rough pixels. Noise of 1.5 counts gives .11 in JPEG of quality 92, and
-smooth images 0 in JPEG of any."""
+_BLOCK_PX = 8
+"""JPEG makes steps where its blocks meet."""
+_MID_TONE_TILES = 0.5
+"""Share of the tiles that are of mid-tones: of fewer, a foreground may be all, and it stands still."""
+_SMOOTHEST, _LEAST_ROUGH = 0.25, 0.02
+"""Quantile of the tiles by their share of rough pixels. Noise of 1.5 counts gives .03 to .1 in JPEG of quality 92,
+and smooth images 0 in JPEG of any."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,6 +82,7 @@ def _has_noise(image: Image, mid_tones: tuple[float, float]) -> bool:
     """Return whether even the smoothest parts of the mid-tones are rough: foregrounds are, smooth skies are not."""
     values = image.reshape(*image.shape[:2], -1).astype(np.float64)
     bent = np.abs(values[:, 2:] - 2.0 * values[:, 1:-1] + values[:, :-2]) >= _LEAST_BENT
+    bent[:, np.arange(1, values.shape[1] - 1) % _BLOCK_PX % (_BLOCK_PX - 1) == 0] = False
     mid = (values[:, 1:-1] > mid_tones[0]) & (values[:, 1:-1] < mid_tones[1])
     rows, columns = (length // _TILE_PX for length in mid.shape[:2])
     shares = [
@@ -87,7 +92,9 @@ def _has_noise(image: Image, mid_tones: tuple[float, float]) -> bool:
         for one in (mid, bent & mid)
     ]
     rough = shares[1][shares[0] > 0.5]
-    return rough.size > 0 and bool(np.quantile(rough, _SMOOTHEST) >= _LEAST_ROUGH)
+    if rough.size == 0 or rough.size < _MID_TONE_TILES * shares[0].size:
+        return False
+    return bool(np.quantile(rough, _SMOOTHEST) >= _LEAST_ROUGH)
 
 
 def shared_texture(now: ImageTiles, before: ImageTiles) -> float | None:
