@@ -24,7 +24,7 @@ from sunarc.workers.messages import MESSAGES
 _log = logging.getLogger(__name__)
 _FROZEN_CODE = "camera_frozen"
 _LASTING = 3
-_SUN_MOVED_RAD = np.radians(0.02)
+_SUN_MOVED_RAD = float(np.radians(0.02))
 """The sun moves so far in 5 s, which is 0.1 px of the coarsest lens."""
 _MOST_IMAGES = 16
 _NOISE_SHARE, _NOISE_PAIRS = 0.02, 10
@@ -36,7 +36,7 @@ _GLARE_CHANGES = timedelta(minutes=10)
 def sun_moved(earlier: datetime, later: datetime, site: Site) -> bool:
     """Return whether the sun moved between two times as far as an image shows."""
     before, now = sun_directions(np.array([earlier.timestamp(), later.timestamp()]), site)
-    return float(angular_distance(before, now)) > _SUN_MOVED_RAD
+    return bool(float(angular_distance(before, now)) > _SUN_MOVED_RAD)
 
 
 class Repetition(NamedTuple):
