@@ -287,7 +287,9 @@ class Judge:
         if not self._database.exists():
             return None
         try:
-            with sqlite3.connect(f"file:{self._database}?mode=ro", uri=True, timeout=0.5) as connection:
+            with contextlib.closing(
+                sqlite3.connect(f"file:{self._database}?mode=ro", uri=True, timeout=0.5)
+            ) as connection:  # one that waits for the collector would keep a restore from its exclusive lock
                 return set(connection.execute("SELECT time, exposure_us FROM sun_point WHERE body = 'sun'").fetchall())
         except sqlite3.OperationalError:
             return None  # locked, or not made yet

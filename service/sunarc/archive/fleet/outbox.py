@@ -227,9 +227,10 @@ def _next(connection: Connection, most: int, most_bytes: int) -> list[Row[Any]]:
 
 def _parsed(stored: Iterable[Row[Any]]) -> tuple[FeedRow, ...]:
     rows: list[FeedRow] = []
-    for seq, kind, data in stored:
-        values = parsed_json(data) or {}
-        rows.append(FeedRow(seq=seq, kind=kind, data=values if kind == STATUS else from_trigger(kind, values)))
+    for row in stored:
+        values = parsed_json(row.data) or {}
+        data = values if row.kind == STATUS else from_trigger(row.kind, values)
+        rows.append(FeedRow(seq=row.seq, kind=row.kind, data=data))
     return tuple(rows)
 
 
@@ -252,9 +253,10 @@ def _queue_all(connection: Connection) -> None:
 
 def _queue(connection: Connection, kinds: Iterable[str], where: ColumnElement[bool] | None = None) -> None:
     for kind in kinds:
-        made = select(literal_column(f"'{kind}'"), literal_column(_object(kind, kind))).select_from(FED[kind][0])
-        rows = made.where(true() if where is None else where).order_by(literal_column(f'"{kind}".rowid'))
-        connection.execute(insert(outbox).from_select(["kind", "data"], rows))
+        queued = (literal_column(f"'{kind}'", Text), literal_column(_object(kind, kind), Text))
+        rows = select(*queued).select_from(FED[kind][0]).where(true() if where is None else where)
+        in_order = rows.order_by(literal_column(f'"{kind}".rowid'))
+        connection.execute(insert(outbox).from_select(["kind", "data"], in_order))
 
 
 def outbox_triggers() -> Iterator[tuple[str, str]]:
