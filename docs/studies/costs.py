@@ -36,8 +36,8 @@ from tests.fleet.hub_process import processor_s
 from tests.fleet.scale import fill
 
 from sunarc.api.app import create_app
-from sunarc.api.hub import create_hub_app
 from sunarc.api.options import ApiOptions
+from sunarc.app.hub import create_hub_app
 from sunarc.archive.archive import open_archive
 from sunarc.archive.values import Refit
 from sunarc.calibration.answers.direction_table import lookup

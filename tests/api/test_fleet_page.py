@@ -17,9 +17,9 @@ from tests.api.test_hub import CHECKS, TOKEN, save_checks
 from tests.fixtures.archive import make_empty
 from tests.fixtures.fleet import NOW, feed, new_imager, sighting
 
-from sunarc.api.hub import create_hub_app
 from sunarc.api.options import ApiOptions
 from sunarc.api.routes.feed import token_digest
+from sunarc.app.hub import create_hub_app
 from sunarc.archive.archive import open_archive
 from sunarc.archive.fleet.feed_rows import FleetCamera, Refusal
 from sunarc.archive.fleet.feeds import FeedStore, HubRun

@@ -27,9 +27,9 @@ from tests.fixtures.postgresql import TEMPLATE, Server, running_server
 from tests.workers.test_full_disk import mounted
 
 from sunarc.api.fleet_states import SILENT
-from sunarc.api.hub import create_hub_app
 from sunarc.api.options import ApiOptions
 from sunarc.api.routes.feed import MOST_BYTES, MOST_LISTS, token_digest
+from sunarc.app.hub import create_hub_app
 from sunarc.archive.archive import Archive, open_archive
 from sunarc.archive.database.schema import head_revision
 from sunarc.archive.fleet.feed_rows import MOST_ROWS, feed_lines

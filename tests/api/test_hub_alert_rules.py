@@ -17,9 +17,9 @@ from tests.api.test_hub import TOKEN, Hub
 from tests.fixtures.fleet import NOW, new_imager, next_batch, sighting
 from tests.fixtures.postgresql import Server, running_server
 
-from sunarc.api.hub import create_hub_app
 from sunarc.api.options import ApiOptions
 from sunarc.api.routes.feed import token_digest
+from sunarc.app.hub import create_hub_app
 from sunarc.archive.archive import Archive, open_archive
 from sunarc.archive.fleet.feed_rows import feed_lines
 from sunarc.runtime.clock import VirtualClock

@@ -12,9 +12,9 @@ import pytest
 from tests.fixtures.archive import make_empty
 from tests.fixtures.fleet import NOW
 
-from sunarc.api.hub import create_hub_app
 from sunarc.api.options import ApiOptions
 from sunarc.api.routes.feed import LARGE_AT_ONCE, LARGE_BYTES, FeedReceiver, SentBody
+from sunarc.app.hub import create_hub_app
 from sunarc.archive.archive import open_archive
 from sunarc.archive.database.schema import head_revision
 from sunarc.runtime.status import StatusSnapshot

@@ -13,8 +13,8 @@ import pytest
 from tests.api.conftest import LENS, NOON, Client, calibration
 from tests.fixtures.archive import make_empty
 
-from sunarc.api.hub import create_hub_app
 from sunarc.api.options import ApiOptions
+from sunarc.app.hub import create_hub_app
 from sunarc.archive.archive import open_archive
 from sunarc.archive.values import CameraRecord
 from sunarc.documents.calibration_document import to_document

@@ -15,8 +15,8 @@ import pytest
 from tests.fixtures.archive import make_empty
 from tests.fixtures.calibration import current_document, distinctive_calibration
 
-from sunarc.api.hub import create_hub_app
 from sunarc.api.options import ApiOptions
+from sunarc.app.hub import create_hub_app
 from sunarc.archive.archive import open_archive
 from sunarc.client import AsyncImager, Hub, Imager, ImagerError, LocalImager
 from sunarc.client.transport import Transport

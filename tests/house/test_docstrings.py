@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+from os.path import commonpath
 from pathlib import Path
 
 SERVICE = Path(__file__).parents[2] / "service" / "sunarc"
@@ -32,13 +33,19 @@ def present(node: Described) -> set[str]:
 def unknown(trees: dict[str, ast.AST]) -> dict[tuple[str, str], set[str]]:
     """Return the names that docstrings describe and the code does not have, by file and function or class."""
     nodes = [(file, node) for file, tree in trees.items() for node in ast.walk(tree) if isinstance(node, Described)]
-    classes = {node.name: node for _, node in nodes if isinstance(node, ast.ClassDef)}
+    classes = [(file, node) for file, node in nodes if isinstance(node, ast.ClassDef)]
 
-    def names_of(node: Described) -> set[str]:
+    def base(file: str, name: str) -> tuple[str, ast.ClassDef] | None:
+        """Return the class of a name, of several the one whose file is nearest."""
+        near = [(len(commonpath([file, other])), other, one) for other, one in classes if one.name == name]
+        return max(near, key=lambda one: one[0])[1:] if near else None
+
+    def names_of(file: str, node: Described) -> set[str]:
         bases = [one.id for one in node.bases if isinstance(one, ast.Name)] if isinstance(node, ast.ClassDef) else []
-        return present(node).union(*(names_of(classes[name]) for name in bases if name in classes))
+        known = [one for name in bases if (one := base(file, name)) is not None]
+        return present(node).union(*(names_of(*one) for one in known))
 
-    return {(file, node.name): names for file, node in nodes if (names := described(node) - names_of(node))}
+    return {(file, node.name): names for file, node in nodes if (names := described(node) - names_of(file, node))}
 
 
 def test_described_parameters_and_attributes_exist() -> None:

@@ -8,9 +8,18 @@ import socket
 from collections.abc import Callable, Mapping
 from datetime import datetime
 
+from fastapi import FastAPI
+from prometheus_client import CollectorRegistry
+from starlette.staticfiles import StaticFiles
+
 import sunarc
+from sunarc.api.app import STATIC, add_camera_routes, complete, count_requests, new_application, new_context
+from sunarc.api.context import refuse_refit
 from sunarc.api.fleet_states import FleetMember, members
-from sunarc.api.hub import create_hub_app
+from sunarc.api.options import ApiOptions
+from sunarc.api.routes.feed import FeedReceiver, FeedSizes, feed_routes
+from sunarc.api.routes.fleet import FleetCollector, fleet_page, fleet_routes, nightly_routes, pair_routes
+from sunarc.api.routes.health import camera_list_routes
 from sunarc.app.pushing import push_workers
 from sunarc.app.service import hub_recording
 from sunarc.app.serving import LOOP_STALE_S, new_server, running, stop_on_signals, supervised, with_credentials
@@ -20,9 +29,10 @@ from sunarc.archive.fleet.notices import CameraState
 from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.daily_job import Schedule
 from sunarc.runtime.host import listen, notifier_from
-from sunarc.runtime.status import StatusRegistry
+from sunarc.runtime.status import StatusRegistry, StatusSnapshot
 from sunarc.runtime.supervisor import Heartbeat, Monitored, Watchdog
 from sunarc.settings.model import HubSettings
+from sunarc.sky.site import Site
 from sunarc.workers.nightly import NightlyWork, nightly_jobs
 
 _LOOK_EVERY_S = 10.0  # at all cameras; imagers report their state every minute
@@ -121,3 +131,56 @@ def _fleet_conditions(camera: FleetMember) -> Mapping[str, Mapping[str, object]]
     reported = (camera.status or {}).get("conditions")
     codes = [str(code) for code in reported] if isinstance(reported, list) else []
     return {code: {"code": code} for code in (*codes, *(one.code for one in camera.why))}
+
+
+def create_hub_app(
+    *,
+    archive: Archive,
+    status: Callable[[], StatusSnapshot],
+    now: Callable[[], datetime],
+    options: ApiOptions,
+    registry: CollectorRegistry | None = None,
+    stopping: Callable[[], bool] = lambda: False,
+) -> FastAPI:
+    """Return an application that takes the rows of imagers, and answers for each of their cameras.
+
+    What an imager decides is not changed here: routes that change something answer 403.
+
+    Parameters
+    ----------
+    archive : the fleet's.
+    status : returns how the hub is.
+    now : real time.
+    options : limits and the token for reading.
+    registry : where Prometheus's numbers are registered; a new one by default.
+    stopping : returns whether the hub is about to stop: streams of events end then.
+    """
+    context = new_context(
+        archive=archive,
+        camera="",  # the hub has none of its own
+        site=Site(latitude=0.0, longitude=0.0),
+        status=status,
+        request_refit=refuse_refit,
+        frame_clock=now,
+        latest_image=lambda: None,
+        options=options,
+        images=None,
+        stopping=stopping,
+        token=None,
+    )
+    receiver = FeedReceiver(archive, now)
+    numbers = registry or CollectorRegistry()
+    numbers.register(FleetCollector(archive, now, status))
+    app = new_application("sunarc hub")
+    app.include_router(feed_routes(receiver))
+    add_camera_routes(app, context)
+    app.include_router(camera_list_routes(context))
+    app.include_router(fleet_routes(archive, now, numbers, status))
+    app.include_router(nightly_routes(archive))
+    app.include_router(pair_routes(context))
+    app.include_router(fleet_page(STATIC))
+    app.mount("/static", StaticFiles(directory=STATIC))
+    complete(app, context)
+    count_requests(app, numbers)
+    app.add_middleware(FeedSizes, receiver=receiver)
+    return app

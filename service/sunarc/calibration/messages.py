@@ -310,7 +310,7 @@ MESSAGES = Messages(
         "probable as a level camera at another place",
         "The fit is used.",
     ),
-    sun_seen_below_horizon=Message(
+    camera_sees_sun_below_horizon=Message(
         "{n} of {n_all} sightings are where the camera sees the sun, and it was below the horizon: the site or the "
         "clock is wrong",
         _REFUSED,

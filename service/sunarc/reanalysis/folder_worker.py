@@ -638,8 +638,8 @@ class FolderWorker:
 
     def _unreadable(self, error: OSError) -> None:
         denied = isinstance(error, PermissionError)
-        code = "folder_not_permitted" if denied else "folder_missing"
-        found = Finding(code, {"folder": name_text(self._root), "error": error.strerror or str(error)})
+        kind = "folder_not_permitted" if denied else "folder_missing"
+        found = Finding(kind, {"folder": name_text(self._root), "error": error.strerror or str(error)})
         self.board.set_one_condition(_FOLDER_CODES, Reason.of(found, MESSAGES, severity="not_ready"))
         self.board.note(camera=CameraStatus(name=self.camera.name, connected=False, address=name_text(self._root)))
         self._listing.forget()

@@ -97,7 +97,7 @@ def test_suns_that_the_camera_sees_below_the_horizon_refuse_a_site() -> None:
     found = fitted(ATHENS, replace(ATHENS, longitude=ATHENS.longitude + 5.0), lowest_deg=0.0, cadence_s=90.0)
     assert found.pose.theta_zz_deg < 5.5
     assert not found.verdict.accepted
-    assert {"sun_seen_below_horizon", "sightings_below_horizon"} & set(codes(found.verdict.findings))
+    assert {"camera_sees_sun_below_horizon", "sightings_below_horizon"} & set(codes(found.verdict.findings))
 
 
 def test_every_first_fit_says_what_a_wrong_site_would_do() -> None:

@@ -114,7 +114,7 @@ def _seen_below_horizon(calibration: Calibration, usable: Sightings) -> tuple[Fi
     n, n_all = int(np.sum(off_deg < _SEEN_BELOW_DEG)), len(usable) + len(pixels)
     if n < _FEWEST_BELOW:
         return ()
-    return (Finding("sun_seen_below_horizon", {"n": n, "n_all": n_all}),)
+    return (Finding("camera_sees_sun_below_horizon", {"n": n, "n_all": n_all}),)
 
 
 def _positions(usable: Sightings) -> str:
