@@ -223,7 +223,7 @@ class CampaignHub:
         A service whose database was put back sends under another id, which an operator accepts.
         """
         self.tend()
-        self._accept()
+        self.accept()
         try:
             hubs = self._rows()
         except AssertionError as error:  # of psql
@@ -232,7 +232,8 @@ class CampaignHub:
         missing = [f"the hub has not {row}" for row in sorted((rows & own) - hubs)]
         return (missing + [f"the hub alone has {row}" for row in sorted(hubs - own - self.put_back)])[:20]
 
-    def _accept(self) -> None:
+    def accept(self) -> None:
+        """Accept, as an operator does, another installation that sends for the camera."""
         with contextlib.suppress(Exception), open_archive(self.server.url(TEMPLATE)) as archive:
             for one in archive.feeds.quarantine(CAMERA):
                 if one.reason == "second_installation" and one.installation not in self.installations:
