@@ -84,7 +84,9 @@ _HINDERS_FOR_S = 5.0
 _IN_A_WINDOW = (6, 12)
 _BEGIN_WITHIN_SLOTS = 6.0
 _NOTICES = {f"database_{kind}" for kind in ("written_back", "restored", "new", "salvaged")}
-STANDING = frozenset({"no_calibration", "provisional_calibration", "slots_missed", "cycle_too_long", *_NOTICES})
+_OF_SPEED = ("slots_missed", "cycle_too_long", "image_times_late")
+"""Conditions of the chain's speed: a second of an upload is minutes of the imager's time."""
+STANDING = frozenset({"no_calibration", "provisional_calibration", *_OF_SPEED, *_NOTICES})
 """Conditions of the chain itself or of the last 40 slots, and notices that a restart ends; others end after faults."""
 LASTING_DAYS = {"calibration_damaged": 1.5}
 """Days of the imager's time for which a condition may last: the next refit ends it, and the camera before is served."""
