@@ -67,6 +67,13 @@ class SeenFileStore(Part):
         counted = select(c.code, func.count()).where(c.camera == camera, c.code.is_not(None))
         return self._database.counts(counted, c.code)
 
+    def left_out(self, camera: str, codes: Collection[str]) -> Mapping[str, str]:
+        """Return the code of each file that was left out for one of some reasons, by its path below the folder."""
+        c = seen_file.c
+        with self._database.reading() as connection:
+            rows = connection.execute(select(c.file, c.code).where(c.camera == camera, c.code.in_(list(codes))))
+            return {row.file: row.code for row in rows}
+
     def add(self, files: Iterable[SeenFile]) -> None:
         """Write files down, each in place of what was known of it."""
         with self._database.writing() as connection:

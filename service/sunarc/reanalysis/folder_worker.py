@@ -6,7 +6,7 @@ import heapq
 import logging
 import math
 import threading
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass
@@ -14,10 +14,7 @@ from datetime import date, datetime, timedelta
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
-import numpy as np
-
 from sunarc.archive.archive import CameraArchive
-from sunarc.archive.messages import MESSAGES as OF_ARCHIVE
 from sunarc.archive.pictures_of_one_time import TWO_PICTURES
 from sunarc.archive.seen_files import SeenFile
 from sunarc.array_types import Image
@@ -26,7 +23,16 @@ from sunarc.cameras.options import WHOLE_SECONDS_S, FolderOptions
 from sunarc.errors import InputError, OutsideError
 from sunarc.findings import Finding
 from sunarc.foreign_files import MOST_BYTES, is_regular, name_path, name_text
-from sunarc.reanalysis.folder_files import FolderListing, FolderWatch, Settling, changed_s, is_image, source_file
+from sunarc.reanalysis.folder_conditions import ArrivalTimes, LeftOut
+from sunarc.reanalysis.folder_files import (
+    AheadOfClock,
+    FolderListing,
+    FolderWatch,
+    Settling,
+    changed_s,
+    is_image,
+    source_file,
+)
 from sunarc.reanalysis.image_files import (
     MOST_PIXELS,
     NOT_READ,
@@ -61,101 +67,6 @@ def time_rules(options: FolderOptions) -> TimeRules:
     return TimeRules(pattern=options.time_pattern, offset=offset, documents=True)
 
 
-# Which conditions the images that are left out give rise to.
-
-_LEFT_OUT_CODES = {
-    "file_time_zone": "images_without_zone",
-    "file_time_twice": "images_left_out",
-    "file_time_unknown": "images_without_time",
-    "file_time_ambiguous": "images_without_time",
-    "file_time_pattern": "images_without_time",
-    "file_time_range": "images_without_time",
-    "file_size_differs": "images_of_another_size",
-    "file_other_camera": "images_of_two_cameras",
-    "file_time_future": "images_in_future",
-    TWO_PICTURES: TWO_PICTURES,
-}
-LEFT_OUT = tuple(dict.fromkeys([*_LEFT_OUT_CODES.values(), "images_left_out"]))
-"""Conditions of images that are left out, one at a time."""
-_EXPECTED = frozenset({"file_at_night", "file_copy", "file_latest", "frame_repeated"})
-"""Of images that are left out with nothing wrong."""
-_RECENT, _LEAST, _SHARE = 12, 3, 0.25
-"""Of the last images, as many and such a share left out for one reason are a condition."""
-
-
-class LeftOut:
-    """Sets the condition of a folder most of whose last images are left out.
-
-    Parameters
-    ----------
-    board : where it is set.
-    """
-
-    def __init__(self, board: StatusRegistry) -> None:
-        self._board = board
-        self._last: dict[str, str | None] = {}
-
-    def note(self, file: str, finding: Finding | None) -> None:
-        """Take note of an image that was used (None), or why it was not."""
-        if finding is not None and finding.code in _EXPECTED:
-            return
-        cause = None if finding is None else _LEFT_OUT_CODES.get(finding.code, "images_left_out")
-        self._last.pop(file, None)  # one that is tried again counts once
-        self._last[file] = cause
-        if len(self._last) > _RECENT:
-            del self._last[next(iter(self._last))]
-        counts = Counter(one for one in self._last.values() if one is not None)
-        worst, n = counts.most_common(1)[0] if counts else ("", 0)
-        if finding is not None and cause == worst and n >= _LEAST and n >= _SHARE * len(self._last):
-            self._board.set_one_condition(LEFT_OUT, _reason_of(worst, n, file, finding))
-        elif n < max(_LEAST, _SHARE * len(self._last)):
-            self._board.set_one_condition(LEFT_OUT, None)
-
-
-def _reason_of(code: str, n: int, file: str, finding: Finding) -> Reason:
-    if finding.code == code:
-        return Reason.of(finding, OF_ARCHIVE)
-    why, remedy = MESSAGES.text_of(finding), MESSAGES.remedy_of(finding)
-    return Reason.of(Finding(code, {"n": n, "file": file, "why": why, "remedy": remedy}), MESSAGES)
-
-
-_QUARTER_S, _SAME_S = 900.0, 120.0
-_LATE_TIME_S, _SPREAD_SHARE = 180.0, 0.2
-"""Images come within a minute or two of their exposure; the same lateness of all of them is a clock's."""
-_ARRIVAL_CODES = ("image_times_offset", "image_times_late")
-_COMPARED = 8
-
-
-class ArrivalTimes:
-    """Compares the times that images state with when they come: a wrong zone is whole quarters of an hour.
-
-    Parameters
-    ----------
-    board : where the condition is set.
-    settle_s : how long a file is not changed before it counts as complete.
-    """
-
-    def __init__(self, board: StatusRegistry, *, settle_s: float = 0.0) -> None:
-        self._board = board
-        self._most_late_s = _LATE_TIME_S + settle_s
-        self._late_s: deque[float] = deque(maxlen=_COMPARED)
-
-    def note(self, stated: datetime, came: datetime) -> None:
-        """Take note of an image that came while the service looked on."""
-        self._late_s.append((came - stated).total_seconds())
-        if len(self._late_s) < _COMPARED:
-            return
-        late_s = float(np.median(self._late_s))
-        spread_s = float(np.max(np.abs(np.array(self._late_s) - late_s)))
-        quarters = round(late_s / _QUARTER_S)
-        wrong = quarters != 0 and spread_s < _SAME_S and abs(late_s - quarters * _QUARTER_S) < _SAME_S
-        found = Finding("image_times_offset", {"hours": quarters / 4.0})
-        late = not wrong and late_s > self._most_late_s and spread_s < max(_SAME_S, _SPREAD_SHARE * late_s)
-        if late:
-            found = Finding("image_times_late", {"late_s": round(late_s)})
-        self._board.set_one_condition(_ARRIVAL_CODES, Reason.of(found, MESSAGES) if wrong or late else None)
-
-
 class _Dated(NamedTuple):
     """A file whose image has a time."""
 
@@ -165,7 +76,12 @@ class _Dated(NamedTuple):
 
 
 _LATEST = "file_latest"
-_FUTURE_S = 60.0
+_FUTURE, _FUTURE_S, _YEARS_S = "file_time_future", 60.0, 366.0 * 86_400.0
+_DATED_AGAIN = (
+    *("file_time_zone", "file_zone_contradicts", "file_time_pattern", "file_time_unknown", "file_time_ambiguous"),
+    _FUTURE,
+)
+"""Verdicts that a restart looks at again: settings or the host's clock may have been corrected."""
 _TRUNCATED = "file_truncated"
 _HALF_WRITTEN_S = 120.0
 """For so long a file that ends too early may still be written."""
@@ -238,6 +154,8 @@ class FolderWorker:
         self._left_out = LeftOut(self.board)
         self._arrivals = ArrivalTimes(self.board, settle_s=self.options.settle_s)
         self._stamps: dict[str, str] = {}
+        self._verdicts: dict[str, str] = {}
+        self._ahead = AheadOfClock(self.clock)
         self._remembers = False
         self._ready: dict[str, tuple[SourceFile, float]] = {}
         self._late: dict[str, SourceFile] = {}
@@ -299,14 +217,14 @@ class FolderWorker:
     def note_names(self, names: Iterable[str]) -> None:
         """Take note of files that the file system reports as changed."""
         now_s = self.clock.monotonic()
+        for file in self._present(name for name in names if is_image(name, self.options.files)):
+            if self._is_new(file):
+                self._settling.add(file, now_s)
+
+    def _present(self, names: Iterable[str]) -> Iterator[SourceFile]:
         for name in names:
-            if is_image(name, self.options.files):
-                try:
-                    file = source_file(name, (self._root / name_path(name)).stat())
-                except OSError:
-                    continue
-                if self._is_new(file):
-                    self._settling.add(file, now_s)
+            with suppress(OSError):  # it is gone
+                yield source_file(name, (self._root / name_path(name)).stat())
 
     def work(self, heartbeat: Callable[[], None] = lambda: None) -> bool:
         """Look at the images that are complete, live ones before late ones; return whether there may be more."""
@@ -314,6 +232,7 @@ class FolderWorker:
         for file in self._settling.settled(now_s):
             self._ready[file.name] = (file, now_s)
         self._check_arrival(now_s)
+        self.take_late(self._present(self._ahead.passed()))
         for name, due_s in list(self._again.items()):
             if now_s >= due_s:
                 del self._again[name]
@@ -368,6 +287,7 @@ class FolderWorker:
         """Read which files were seen; those without a time are dated again, for the settings may have changed."""
         seen = self.camera.archive.seen_files
         self._stamps, self._remembers = dict(seen.stamps(self.camera.name)), True
+        self._verdicts = dict(seen.left_out(self.camera.name, _DATED_AGAIN))
         self.images.repetitions.resume()
         newest = seen.newest(self.camera.name, limit=_NEWEST)
         if newest and newest[0].time is not None:
@@ -394,6 +314,9 @@ class FolderWorker:
                 self._stamps[file.name] = file.stamp
         else:
             self._late.update((file.name, file) for file in older)
+        self.take_late(
+            file for file in listed if self._stamps.get(file.name) == file.stamp and file.name in self._verdicts
+        )
         self._prune({file.name for file in listed})
 
     def take_late(self, files: Iterable[SourceFile]) -> None:
@@ -466,6 +389,8 @@ class FolderWorker:
         name = file.name
         try:
             frame = self._timed(file)
+            if self._is_doubtful(file, frame.time):
+                return None
             content = hash_of(content_of(self._source, name))
         except RefusedImageError as error:
             self._refuse(file, self._as_latest(name, error.finding))
@@ -483,9 +408,17 @@ class FolderWorker:
         names = {sidecar} if is_regular(self._root / name_path(sidecar)) else set[str]()
         frame = timed_frames(self._source, file.name, self._rules, names=names)[0]
         ahead_s = (frame.time - self.frame_time.now()).total_seconds()
-        if self.frame_time.speed == 1.0 and ahead_s > (self.options.clock_error_s or WHOLE_SECONDS_S) + _FUTURE_S:
-            raise RefusedImageError(file.name, Finding("file_time_future", {"ahead_s": ahead_s}))
+        most_s = (self.options.clock_error_s or WHOLE_SECONDS_S) + _FUTURE_S
+        if self.frame_time.speed == 1.0 and ahead_s > most_s:
+            self._verdicts.pop(file.name, None)
+            self._ahead.note(file.name, ahead_s - most_s)
+            raise RefusedImageError(file.name, Finding(_FUTURE, {"ahead_s": ahead_s}))
         return frame
+
+    def _is_doubtful(self, file: SourceFile, time: datetime) -> bool:
+        """Return whether an image was ahead of a clock that no file's change shows to have been years behind."""
+        behind_s = time.timestamp() - changed_s(file)
+        return self._verdicts.pop(file.name, "") == _FUTURE and behind_s < _YEARS_S
 
     def _as_latest(self, name: str, finding: Finding) -> Finding:
         """Return why a file without a time is left out: one that is written over again and again is a copy."""

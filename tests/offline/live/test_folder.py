@@ -389,3 +389,64 @@ def test_dates_that_no_image_has_are_left_out_and_the_next_image_is_taken(follow
     followed.turn()
     assert len(followed.points()) == 2
     assert followed.codes() == {"images_without_time"}
+
+
+YEARS_S = 3.0 * 366.0 * 86_400.0
+
+
+def test_images_ahead_of_a_clock_that_is_then_set_are_used(tmp_path: Path) -> None:
+    followed = Followed(tmp_path, MORNING - timedelta(seconds=YEARS_S))
+    followed.turn()
+    for n in range(30):
+        time = MORNING + timedelta(minutes=n)
+        followed.write(allsky(time), shot(time))
+        followed.turn()
+        followed.clock.advance(57.0)
+    assert followed.service.archive.seen_files.refused("roof") == {"file_time_future": 30}
+    assert followed.points() == ()
+    followed.clock.step(YEARS_S)
+    followed.turn()
+    assert (len(followed.points()), followed.service.archive.seen_files.refused("roof")) == (30, {})
+    followed.close()
+
+
+@pytest.mark.parametrize(("behind_s", "n"), [(YEARS_S, 30), (7200.0, 0)])
+def test_a_restart_dates_images_again_that_were_ahead_of_a_clock_years_behind(
+    behind_s: float, n: int, tmp_path: Path
+) -> None:
+    """Hours alone are those of a wrong zone, which pass without any clock being set."""
+    followed = Followed(tmp_path, MORNING - timedelta(seconds=behind_s))
+    followed.turn()
+    for minute in range(30):
+        time = MORNING + timedelta(minutes=minute)
+        followed.write(allsky(time), shot(time))
+    followed.turn()
+    assert followed.service.archive.seen_files.refused("roof") == {"file_time_future": 30}
+    followed.close()
+    again = Followed(tmp_path, MORNING + timedelta(days=1))
+    again.turn()
+    assert len(again.points()) == n
+    assert sum(again.service.archive.seen_files.refused("roof").values()) == 30 - n
+    again.close()
+
+
+def test_a_wrong_zone_is_not_used_once_its_time_has_passed(tmp_path: Path) -> None:
+    followed = Followed(tmp_path, MORNING, utc_offset="-1")
+    followed.turn()
+    take(followed, 3)
+    followed.clock.advance(7200.0)
+    followed.turn()
+    assert followed.points() == ()
+    followed.close()
+
+
+def test_a_zone_that_is_given_at_last_dates_the_images_that_were_left_out(tmp_path: Path) -> None:
+    followed = Followed(tmp_path, MORNING, utc_offset=None)
+    followed.turn()
+    take(followed, 5)
+    assert followed.points() == ()
+    followed.close()
+    again = Followed(tmp_path, MORNING + timedelta(hours=3))
+    again.turn()
+    assert again.verdicts() == ["clear"] * 5
+    again.close()
