@@ -94,7 +94,10 @@ def test_a_time_before_the_year_1_after_its_offset_is_none(tmp_path: Path) -> No
 
 def test_a_pattern_with_a_zone_needs_no_offset(tmp_path: Path) -> None:
     path = dark_image(tmp_path / "2013-05-13 13.30 -0500.png")
-    assert taken(path, "%Y-%m-%d %H.%M %z", timedelta(hours=3)) == (NOON, None)
+    assert taken(path, "%Y-%m-%d %H.%M %z", timedelta(hours=-5)) == (NOON, None)
+    with pytest.raises(RefusedImageError) as refused:
+        taken(path, "%Y-%m-%d %H.%M %z", timedelta(hours=3))
+    assert refused.value.finding.code == "file_zone_contradicts"
 
 
 def test_a_pattern_without_a_zone_is_the_offset_ahead_of_utc(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from sunarc.foreign_files import read_regular
 from sunarc.imaging.preview import decoded
 
 _SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff"}
-_TIME = re.compile(r"(\d{8}T\d{6})(\.\d{1,6})?Z")
+_TIME = re.compile(r"(?<!\d)(\d{8}T\d{6})(\.\d{1,6})?Z")
 _EXPOSURE = re.compile(r"_(\d+(?:\.\d+)?)us(?![a-zA-Z])")
 
 

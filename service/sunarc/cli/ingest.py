@@ -40,8 +40,9 @@ def ingest(
     method: DetectionMethod = "auto",
     time_pattern: Annotated[str | None, typer.Option(help="strptime pattern of the names, without suffix.")] = None,
     utc_offset: Annotated[
-        str, typer.Option(help="How far times without a zone are ahead of UTC: hours, or a zone as Europe/Berlin.")
-    ] = "0",
+        str | None,
+        typer.Option(help="Times without a zone, ahead of UTC: 0 unless given; hours, or as Europe/Berlin."),
+    ] = None,
     reprocess: Annotated[
         bool, typer.Option("--reprocess", help="Look at known images again, and replace their sightings.")
     ] = False,
@@ -76,7 +77,12 @@ def ingest(
         raise InputError(field="--json", problem="given with --calibrate", remedy="run sunarc calibrate --json then")
     options = IngestOptions(
         method=choice_of("--method", method, METHODS),
-        rules=TimeRules(time_pattern, utc_offset_of(utc_offset, field="--utc-offset"), documents=True),
+        rules=TimeRules(
+            time_pattern,
+            utc_offset_of(utc_offset or "0", field="--utc-offset"),
+            documents=True,
+            is_offset_assumed=utc_offset is None,
+        ),
         reprocess=reprocess,
         processes=workers or usable_processors(),
         contact_sheet=contact_sheet,

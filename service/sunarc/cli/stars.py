@@ -54,8 +54,9 @@ def stars(
     ] = None,
     time_pattern: Annotated[str | None, typer.Option(help="strptime pattern of the names, without suffix.")] = None,
     utc_offset: Annotated[
-        str, typer.Option(help="How far times without a zone are ahead of UTC: hours, or a zone as Europe/Berlin.")
-    ] = "0",
+        str | None,
+        typer.Option(help="Times without a zone, ahead of UTC: 0 unless given; hours, or as Europe/Berlin."),
+    ] = None,
     to_middle: Annotated[float, typer.Option(help="Seconds from the stated time to mid-exposure.")] = 0.0,
     clock_error: Annotated[
         float,
@@ -93,7 +94,12 @@ def stars(
         if not least <= value < 1e6:
             raise InputError(field=name, problem=f"{value:g} is out of range", remedy="give a positive number")
     options = StarOptions(
-        rules=TimeRules(time_pattern, utc_offset_of(utc_offset, field="--utc-offset"), documents=True),
+        rules=TimeRules(
+            time_pattern,
+            utc_offset_of(utc_offset or "0", field="--utc-offset"),
+            documents=True,
+            is_offset_assumed=utc_offset is None,
+        ),
         to_middle_s=to_middle,
         within_px=within,
         full_scale=full_scale,

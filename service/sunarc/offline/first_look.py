@@ -20,9 +20,10 @@ from sunarc.findings import Finding, Message, Messages
 from sunarc.imaging.preview import preview
 from sunarc.reanalysis.detect_files import detect_in_image
 from sunarc.reanalysis.image_files import ImageSource, image_of, kind_of
-from sunarc.reanalysis.image_times import TimeRules, time_in_name, timed_frames
+from sunarc.reanalysis.image_times import TimeRules, timed_frames
 from sunarc.reanalysis.messages import MESSAGES as OF_FILES
 from sunarc.reanalysis.messages import RefusedImageError
+from sunarc.reanalysis.name_times import time_in_name
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles
 

@@ -34,7 +34,7 @@ from sunarc.optics.camera import Camera
 from sunarc.reanalysis.detect_files import estimated_full_scale
 from sunarc.reanalysis.files import read_file, read_image
 from sunarc.reanalysis.image_files import kind_of
-from sunarc.reanalysis.image_times import TimeRules, timed_picture
+from sunarc.reanalysis.image_times import ASSUMED_UTC, TimeRules, timed_picture
 from sunarc.reanalysis.messages import MESSAGES, RefusedImageError
 from sunarc.reanalysis.sources import Folder
 from sunarc.runtime.clock import Clock
@@ -63,7 +63,7 @@ class StarOptions:
     clock_error_s : bound of the error of their times, s; a camera that they give is turned about the pole with it.
     """
 
-    rules: TimeRules = field(default_factory=lambda: TimeRules(offset=timedelta(0), documents=True))
+    rules: TimeRules = field(default_factory=lambda: ASSUMED_UTC)
     to_middle_s: float = 0.0
     within_px: float = 0.0
     bayer: Bayer | None = None

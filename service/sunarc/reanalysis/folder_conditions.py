@@ -1,4 +1,4 @@
-"""The conditions of a followed folder: most of its last images are left out, or come late after their times."""
+"""How a followed folder's images are dated and judged: left out, ahead of the clock, or late after their times."""
 
 from __future__ import annotations
 
@@ -9,10 +9,26 @@ import numpy as np
 
 from sunarc.archive.messages import MESSAGES as OF_ARCHIVE
 from sunarc.archive.pictures_of_one_time import TWO_PICTURES
+from sunarc.cameras.options import FolderOptions
 from sunarc.findings import Finding
+from sunarc.reanalysis.image_times import TimeRules, utc_offset_of
 from sunarc.reanalysis.messages import MESSAGES
+from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import Reason, StatusRegistry
 
+
+def time_rules(options: FolderOptions) -> TimeRules:
+    """Return how the times of a folder's images are read; InputError where the zone is none."""
+    offset = None if options.utc_offset is None else utc_offset_of(options.utc_offset, field="folder.utc_offset")
+    return TimeRules(pattern=options.time_pattern, offset=offset, documents=True)
+
+
+FUTURE = "file_time_future"
+DATED_AGAIN = (
+    *("file_time_zone", "file_zone_contradicts", "file_time_pattern", "file_time_unknown", "file_time_ambiguous"),
+    FUTURE,
+)
+"""Verdicts that a restart looks at again: settings or the host's clock may have been corrected."""
 _LEFT_OUT_CODES = {
     "file_time_zone": "images_without_zone",
     "file_time_twice": "images_left_out",
@@ -105,3 +121,33 @@ class ArrivalTimes:
         if late:
             found = Finding("image_times_late", {"late_s": round(late_s)})
         self._board.set_one_condition(_ARRIVAL_CODES, Reason.of(found, MESSAGES) if wrong or late else None)
+
+
+class AheadOfClock:
+    """Images that stated a time ahead of the host's clock, until that is set forward by as much.
+
+    To wait for such a time proves nothing: with a wrong zone it passes after an hour.
+
+    Parameters
+    ----------
+    clock : of the host.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._due: dict[str, float] = {}
+
+    def note(self, name: str, ahead_s: float) -> None:
+        """Take note of an image that is so far ahead, s."""
+        self._due[name] = self._set_s() + ahead_s
+
+    def passed(self) -> list[str]:
+        """Return, once, the images that are not ahead of the clock as it was set since."""
+        set_s = self._set_s()
+        names = [name for name, due_s in self._due.items() if set_s >= due_s]
+        for name in names:
+            del self._due[name]
+        return names
+
+    def _set_s(self) -> float:
+        return self._clock.now().timestamp() - self._clock.monotonic()

@@ -166,36 +166,6 @@ def changed_s(file: SourceFile) -> float:
 _LATEST_CHANGE_S = 7.258e9
 
 
-class AheadOfClock:
-    """Images that stated a time ahead of the host's clock, until that is set forward by as much.
-
-    To wait for such a time proves nothing: with a wrong zone it passes after an hour.
-
-    Parameters
-    ----------
-    clock : of the host.
-    """
-
-    def __init__(self, clock: Clock) -> None:
-        self._clock = clock
-        self._due: dict[str, float] = {}
-
-    def note(self, name: str, ahead_s: float) -> None:
-        """Take note of an image that is so far ahead, s."""
-        self._due[name] = self._set_s() + ahead_s
-
-    def passed(self) -> list[str]:
-        """Return, once, the images that are not ahead of the clock as it was set since."""
-        set_s = self._set_s()
-        names = [name for name, due_s in self._due.items() if set_s >= due_s]
-        for name in names:
-            del self._due[name]
-        return names
-
-    def _set_s(self) -> float:
-        return self._clock.now().timestamp() - self._clock.monotonic()
-
-
 class Settling:
     """Files that came, until they have not changed for a while.
 

@@ -23,9 +23,8 @@ from sunarc.cameras.options import WHOLE_SECONDS_S, FolderOptions
 from sunarc.errors import InputError, OutsideError
 from sunarc.findings import Finding
 from sunarc.foreign_files import MOST_BYTES, is_regular, name_path, name_text
-from sunarc.reanalysis.folder_conditions import ArrivalTimes, LeftOut
+from sunarc.reanalysis.folder_conditions import DATED_AGAIN, FUTURE, AheadOfClock, ArrivalTimes, LeftOut, time_rules
 from sunarc.reanalysis.folder_files import (
-    AheadOfClock,
     FolderListing,
     FolderWatch,
     Settling,
@@ -41,10 +40,11 @@ from sunarc.reanalysis.image_files import (
     image_of,
     image_size,
 )
-from sunarc.reanalysis.image_times import TimedFrame, TimeRules, time_in_name, timed_frames, utc_offset_of
+from sunarc.reanalysis.image_times import TimedFrame, timed_frames
 from sunarc.reanalysis.index import at_night
 from sunarc.reanalysis.live_images import LiveImage, LiveImages
 from sunarc.reanalysis.messages import MESSAGES, RefusedImageError
+from sunarc.reanalysis.name_times import time_in_name
 from sunarc.reanalysis.nights import frame_of
 from sunarc.reanalysis.passes import MOST_EXPOSURES
 from sunarc.reanalysis.sources import Folder, hash_of
@@ -61,12 +61,6 @@ from sunarc.workers.messages import condition
 _log = logging.getLogger(__name__)
 
 
-def time_rules(options: FolderOptions) -> TimeRules:
-    """Return how the times of a folder's images are read; InputError where the zone is none."""
-    offset = None if options.utc_offset is None else utc_offset_of(options.utc_offset, field="folder.utc_offset")
-    return TimeRules(pattern=options.time_pattern, offset=offset, documents=True)
-
-
 class _Dated(NamedTuple):
     """A file whose image has a time."""
 
@@ -76,12 +70,7 @@ class _Dated(NamedTuple):
 
 
 _LATEST = "file_latest"
-_FUTURE, _FUTURE_S, _YEARS_S = "file_time_future", 60.0, 366.0 * 86_400.0
-_DATED_AGAIN = (
-    *("file_time_zone", "file_zone_contradicts", "file_time_pattern", "file_time_unknown", "file_time_ambiguous"),
-    _FUTURE,
-)
-"""Verdicts that a restart looks at again: settings or the host's clock may have been corrected."""
+_FUTURE_S, _YEARS_S = 60.0, 366.0 * 86_400.0
 _TRUNCATED = "file_truncated"
 _HALF_WRITTEN_S = 120.0
 """For so long a file that ends too early may still be written."""
@@ -287,7 +276,7 @@ class FolderWorker:
         """Read which files were seen; those without a time are dated again, for the settings may have changed."""
         seen = self.camera.archive.seen_files
         self._stamps, self._remembers = dict(seen.stamps(self.camera.name)), True
-        self._verdicts = dict(seen.left_out(self.camera.name, _DATED_AGAIN))
+        self._verdicts = dict(seen.left_out(self.camera.name, DATED_AGAIN))
         self.images.repetitions.resume()
         newest = seen.newest(self.camera.name, limit=_NEWEST)
         if newest and newest[0].time is not None:
@@ -412,13 +401,13 @@ class FolderWorker:
         if self.frame_time.speed == 1.0 and ahead_s > most_s:
             self._verdicts.pop(file.name, None)
             self._ahead.note(file.name, ahead_s - most_s)
-            raise RefusedImageError(file.name, Finding(_FUTURE, {"ahead_s": ahead_s}))
+            raise RefusedImageError(file.name, Finding("file_time_future", {"ahead_s": ahead_s}))
         return frame
 
     def _is_doubtful(self, file: SourceFile, time: datetime) -> bool:
         """Return whether an image was ahead of a clock that no file's change shows to have been years behind."""
         behind_s = time.timestamp() - changed_s(file)
-        return self._verdicts.pop(file.name, "") == _FUTURE and behind_s < _YEARS_S
+        return self._verdicts.pop(file.name, "") == FUTURE and behind_s < _YEARS_S
 
     def _as_latest(self, name: str, finding: Finding) -> Finding:
         """Return why a file without a time is left out: one that is written over again and again is a copy."""

@@ -29,7 +29,7 @@ from sunarc.foreign_files import UnfitFileError, open_regular, read_regular
 from sunarc.imaging.metadata import document_of
 from sunarc.imaging.preview import decoded
 from sunarc.reanalysis.messages import RefusedImageError
-from sunarc.utc import parse_time
+from sunarc.utc import EPOCH, parse_time
 
 
 class SourceFile(NamedTuple):
@@ -330,6 +330,7 @@ def require_size(shape: tuple[int, ...], name: str, size: tuple[int, int] | None
 
 
 _EXPOSURES = ("EXPTIME", "EXPOSURE")
+_MIDDLES, _BEGINS = ("DATE-AVG", "MJD-AVG"), ("DATE-OBS", "DATE_OBS", "DATE-BEG", "MJD-OBS", "MJD-BEG")
 _MEAN = "AVEPIXEL"
 """The mean of 256 frames in the files of RMS, whose first image is the maximum."""
 
@@ -350,7 +351,10 @@ def fits_frame(content: bytes, name: str) -> FileImage:
     merged = _fits_cards(content, name)
     exposure_s = next((_number(merged[key]) for key in _EXPOSURES if key in merged), math.nan)
     exposure_us = 1e6 * exposure_s if exposure_s > 0.0 else None
-    middle, begin = _fits_time(merged, "DATE-AVG"), _fits_time(merged, "DATE-OBS")
+    middle, begin, end = (_fits_time(merged, *keys) for keys in (_MIDDLES, _BEGINS, ("DATE-END",)))
+    if exposure_us is None and begin is not None and end is not None and end > begin:
+        exposure_s = (end - begin).total_seconds()
+        exposure_us = 1e6 * exposure_s
     if middle is None and begin is not None:
         middle = begin + timedelta(seconds=0.5 * exposure_s if exposure_us is not None else 0.0)
     return FileImage(0, middle, exposure_us)
@@ -427,16 +431,33 @@ def _fits_units(content: bytes, name: str) -> list[Any]:
         return [hdu for hdu in fits.open(io.BytesIO(content), uint=True, memmap=False) if hdu.is_image]
 
 
-def _fits_time(header: dict[str, Any], key: str) -> datetime | None:
-    text, clock = str(header.get(key, "")), header.get("TIME-OBS")
+def _fits_time(header: dict[str, Any], *keys: str) -> datetime | None:
+    """Return the first time under some keys of a header, read with its zone; None of another scale than UTC."""
+    times = (_fits_mjd(header, key) if key.startswith("MJD") else _fits_date(header, key) for key in keys)
+    time = next((one for one in times if one is not None), None)
+    scale = str(header.get("TIMESYS", "UTC")).strip().upper()
+    return time if scale in {"UTC", "UT"} else None
+
+
+def _fits_date(header: dict[str, Any], key: str) -> datetime | None:
+    text, clock = str(header.get(key, "")).strip(), header.get("TIME-OBS")
     if clock is not None and len(text) == len("2013-05-13"):
         text = f"{text}T{clock}"
     try:
-        time = datetime.fromisoformat(text.removesuffix("Z")[:26]) if "T" in text else None
-    except ValueError:
+        time = datetime.fromisoformat(text) if len(text) > len("2013-05-13") else None
+        return None if time is None else time.astimezone(UTC) if time.tzinfo is not None else time.replace(tzinfo=UTC)
+    except (ValueError, OverflowError):
         return None
-    scale = str(header.get("TIMESYS", "UTC")).strip().upper()
-    return time.replace(tzinfo=UTC) if time is not None and scale in {"UTC", "UT"} else None
+
+
+_MJD_OF_1970 = 40_587.0
+
+
+def _fits_mjd(header: dict[str, Any], key: str) -> datetime | None:
+    try:
+        return EPOCH + timedelta(days=_number(header.get(key)) - _MJD_OF_1970)
+    except (ValueError, OverflowError):
+        return None
 
 
 def _number(value: object) -> float:

@@ -1,11 +1,4 @@
-"""When images were taken: by the file's name, a sidecar, a header, or our own composite's document.
-
-Sources: ARM, https://www.arm.gov (datastreams, as `sgptsiskyimageC1.a1.20130513.123000.jpg`; ordered files repeat the
-time at the end); RMS, https://github.com/CroatianMeteorNetwork/RMS (`FF_CODE_date_time_ms_frame.fits`); indi-allsky,
-https://github.com/aaronwmorris/indi-allsky (`ccd1_date_time.jpg`); Allsky, https://github.com/AllskyTeam/allsky
-(`image-datetime.jpg`); Eye2Sky, https://eye2sky.de/data/data_description (`date_time_EXPOSURE.jpg`); EKO ASI-16
-(`datetime_11.jpg`, the last number for the exposure); SKIPP'D and TSI (`datetime.jpg`).
-"""
+"""When images were taken: by the file's name, a sidecar, a header, or our own composite's document."""
 
 from __future__ import annotations
 
@@ -15,9 +8,9 @@ import math
 import re
 from collections.abc import Collection
 from contextlib import suppress
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime, timedelta, timezone
 from pathlib import PurePosixPath
-from typing import Any, BinaryIO, Literal, NamedTuple, TypeAlias
+from typing import Any, BinaryIO, NamedTuple, TypeAlias
 from zoneinfo import ZoneInfo
 
 from PIL import ExifTags
@@ -28,48 +21,11 @@ from sunarc.errors import InputError
 from sunarc.findings import Finding
 from sunarc.reanalysis.image_files import FileImage, ImageSource, content_of, document_in, frames_in, kind_of
 from sunarc.reanalysis.messages import RefusedImageError
-from sunarc.utc import parse_time
+from sunarc.reanalysis.name_times import NamedTime, is_of_images, no_time_finding, time_in_name, zone_of
+from sunarc.utc import parse_time, utc_time
 
 UtcOffset: TypeAlias = timedelta | ZoneInfo
 """How far written times are ahead of UTC: always as far, or as the clocks of a place are (summer time)."""
-Zone = Literal["utc", "unknown"]
-
-_DATE_AND_TIME = r"(\d{4})[-_]?(\d{2})[-_]?(\d{2})[-_T ]*(\d{2})[-_:h]?(\d{2})[-_:m]?(\d{2})(\.\d{1,6})?"
-_COMPACT = r"(\d{4})(\d{2})(\d{2})(\d{2})(\d{2})(\d{2})()"
-_PARTED = r"(\d{4})(\d{2})(\d{2})_(\d{2})(\d{2})(\d{2})()"
-_DAY_OR_MONTH_FIRST = re.compile(
-    r"(?<!\d)(\d{2})[-_.]?(\d{2})[-_.]?((?:19|20)\d{2})[-_T. ]+(\d{2})[-_:h.]?(\d{2})[-_:m.]?(\d{2})(?!\d)"
-)
-
-
-_FIRST_YEAR, _LAST_YEAR = 1900, 2199
-"""Photographs of the sky have been taken since; the positions of sun and planets hold for them."""
-
-
-def is_of_images(time: datetime) -> bool:
-    """Return whether a time is within the years 1900 to 2199: others are of damaged names, headers and clocks."""
-    return _FIRST_YEAR <= time.year <= _LAST_YEAR
-
-
-class NameFamily(NamedTuple):
-    """Names of one kind of camera or archive: what precedes the time tells cameras apart."""
-
-    name: str
-    pattern: re.Pattern[str]
-    zone: Zone
-
-
-class NamedTime(NamedTuple):
-    """What a name states: its family, what precedes the time, the time as it is written, and whether that is UTC."""
-
-    family: str
-    prefix: str
-    time: datetime
-    zone: Zone
-
-    def utc(self, offset: UtcOffset, *, name: str) -> datetime:
-        """Return the time in UTC; a time of unknown zone is `offset` ahead of it (see `utc_of_local`)."""
-        return self.time.replace(tzinfo=UTC) if self.zone == "utc" else utc_of_local(self.time, offset, name=name)
 
 
 def utc_of_local(written: datetime, offset: UtcOffset, *, name: str) -> datetime:
@@ -120,69 +76,6 @@ def utc_offset_of(given: str | float, *, field: str) -> UtcOffset:
         ) from None
 
 
-def _family(name: str, pattern: str, zone: Zone = "unknown") -> NameFamily:
-    return NameFamily(name, re.compile(pattern), zone)
-
-
-FAMILIES = (
-    _family("ARM", r"^(\w+\.\w\d\.)(\d{4})(\d{2})(\d{2})\.(\d{2})(\d{2})(\d{2})()\.\w+(?:\.\d{14}\.\w+)?$", "utc"),
-    _family("RMS", r"^(FF_?\w+?_)(\d{4})(\d{2})(\d{2})_(\d{2})(\d{2})(\d{2})(_\d{3})_\d+\.", "utc"),
-    _family("Allsky", rf"^(image-){_COMPACT}\."),
-    _family("indi-allsky", rf"^(ccd\d+_){_PARTED}\."),
-    _family("EKO", rf"^(){_COMPACT}_1[12]\."),
-    _family("Eye2Sky", rf"^(){_PARTED}_\d+\."),
-    _family("SKIPP'D or TSI", rf"^(){_COMPACT}\."),
-)
-"""Known families, the most specific first."""
-_ANY_UTC = _family("date and time, UTC", rf"^(.*?){_DATE_AND_TIME}Z", "utc")
-_ANY = _family("date and time", rf"^(.*?){_DATE_AND_TIME}")
-
-
-def time_in_name(name: str) -> NamedTime | None:
-    """Return the time in a file's name, by the first family that it is of; None where it states none."""
-    for family in (*FAMILIES, _ANY_UTC, _ANY):
-        match = family.pattern.search(name)
-        if match is None:
-            continue
-        prefix, *numbers, fraction = match.groups()
-        try:
-            time = datetime(*(int(number) for number in numbers), tzinfo=UTC)  # type: ignore[misc,arg-type]
-        except ValueError:
-            continue
-        if not is_of_images(time):
-            continue
-        time += timedelta(seconds=float((fraction or "0").replace("_", "0.")))
-        return NamedTime(family.name, prefix, time.replace(tzinfo=None), family.zone)
-    return None
-
-
-def ambiguous_dates(name: str) -> tuple[str, str] | None:
-    """Return the day-first and the month-first reading of a name whose date ends with the year; None for others.
-
-    A reading that is no date is "-".
-    """
-    match = _DAY_OR_MONTH_FIRST.search(name)
-    if match is None:
-        return None
-    first, second, year, *clock = (int(number) for number in match.groups())
-    return _reading(year, second, first, clock), _reading(year, first, second, clock)
-
-
-def _reading(year: int, month: int, day: int, clock: list[int]) -> str:
-    try:
-        return datetime(year, month, day, *clock).isoformat()  # type: ignore[arg-type] # noqa: DTZ001 - a name
-    except ValueError:
-        return "-"
-
-
-def no_time_finding(name: str) -> Finding:
-    """Return why nothing states the time of a file."""
-    readings = ambiguous_dates(name)
-    if readings is None:
-        return Finding("file_time_unknown")
-    return Finding("file_time_ambiguous", {"day_first": readings[0], "month_first": readings[1]})
-
-
 def sidecar_time(text: bytes, name: str, exposure_us: float | None) -> tuple[datetime, float | None]:
     """Return the time that a sidecar states, and the exposure (us): its own, or the one given.
 
@@ -217,8 +110,9 @@ def exif_time(file: BinaryIO) -> datetime | None:
             details = tags.get_ifd(ExifTags.IFD.Exif)
     except Exception:  # noqa: BLE001 - of damaged heads Pillow raises errors of many kinds
         return None
-    text = details.get(ExifTags.Base.DateTimeOriginal) or tags.get(ExifTags.Base.DateTime)
-    zone = details.get(ExifTags.Base.OffsetTimeOriginal)
+    text, zone = details.get(ExifTags.Base.DateTimeOriginal), details.get(ExifTags.Base.OffsetTimeOriginal)
+    if not text:
+        text, zone = tags.get(ExifTags.Base.DateTime), details.get(ExifTags.Base.OffsetTime)
     try:
         time = datetime.strptime(str(text), "%Y:%m:%d %H:%M:%S")  # noqa: DTZ007 - the zone follows, if there is one
         return datetime.fromisoformat(time.isoformat() + str(zone)).astimezone(UTC) if zone else time
@@ -226,10 +120,7 @@ def exif_time(file: BinaryIO) -> datetime | None:
         return None
 
 
-_MOBOTIX = re.compile(
-    rb"PRD=MOBOTIX.*?DAT=(\d{4}-\d{2}-\d{2}).*?TIM=(\d{2}:\d{2}:\d{2}(?:\.\d+)?).*?TZN=(?:GMT|UTC)([+-]\d{1,2})?\b",
-    re.DOTALL,
-)
+_MOBOTIX, _MOBOTIX_FIELD = b"PRD=MOBOTIX", re.compile(rb"^(DAT|TIM|TZN|TIT)=([^\r\n]{1,40})\r?$", re.MULTILINE)
 _HEADER_FAMILIES = {"fits": "FITS header", "netcdf": "NetCDF time", "video": "video"}
 
 
@@ -237,12 +128,18 @@ class TimeRules(NamedTuple):
     """How times are read.
 
     pattern: `strptime` pattern of the names without suffix. offset: how far times without a zone are ahead of UTC; None
-    refuses them. documents: whether a picture's head is read for the document of our own composites.
+    refuses them. documents: whether a picture's head is read for the document of our own composites. is_offset_assumed:
+    nobody stated the offset, so that a name may have another zone.
     """
 
     pattern: str | None = None
     offset: UtcOffset | None = None
     documents: bool = False
+    is_offset_assumed: bool = False
+
+
+ASSUMED_UTC = TimeRules(offset=timedelta(0), documents=True, is_offset_assumed=True)
+"""Times without a zone are UTC unless stated."""
 
 
 class TimedFrame(NamedTuple):
@@ -325,16 +222,18 @@ def _of_document(source: ImageSource, name: str) -> datetime | None:
 def _by_pattern(path: PurePosixPath, rules: TimeRules, prefix: str) -> TimedFrame:
     pattern = str(rules.pattern)
     try:
-        time = datetime.strptime(path.stem, pattern)  # noqa: DTZ007 - the zone follows
+        time = datetime.strptime("/".join(path.with_suffix("").parts[-1 - pattern.count("/") :]), pattern)  # noqa: DTZ007 - the zone follows
     except (ValueError, OverflowError):
         raise RefusedImageError(path.name, Finding("file_time_pattern", {"pattern": pattern})) from None
+    if time.tzinfo is not None:
+        _require_agreement(time.replace(tzinfo=None), time.utcoffset(), path.name, rules)
     return TimedFrame(0, _in_utc(time, path.name, rules), exposure_of_name(path.name), "pattern", prefix)
 
 
 def _of_picture(source: ImageSource, name: str, named: NamedTime | None, rules: TimeRules) -> TimedFrame:
     exposure_us = exposure_of_name(name)
     prefix = "" if named is None else named.prefix
-    if named is not None and (named.zone == "utc" or rules.offset is not None):
+    if named is not None and (named.ahead is not None or rules.offset is not None):
         return TimedFrame(0, _utc(named, name, rules), exposure_us, named.family, prefix)
     found = _from_header(content_of(source, name))
     if found is not None and (found[0].tzinfo is not None or named is None):
@@ -350,29 +249,53 @@ def _of_header(frame: FileImage, name: str, named: NamedTime | None, rules: Time
     if frame.time is not None:
         return TimedFrame(frame.number, frame.time, frame.exposure_us, family, prefix)
     if named is None:
-        raise RefusedImageError(name, Finding("file_time_unknown"))
+        raise RefusedImageError(name, no_time_finding(PurePosixPath(name).name))
     return TimedFrame(frame.number, _utc(named, name, rules), frame.exposure_us, named.family, prefix)
 
 
 def _from_header(content: bytes) -> tuple[datetime, str] | None:
     """Return the time in a picture's header, naive where that has no zone, and which header it is."""
-    match = _MOBOTIX.search(content[: 1 << 16])
-    if match is not None:
-        date, clock, hours = (part.decode() if part else "0" for part in match.groups())
-        with suppress(ValueError, OverflowError):  # digits that are no date
-            local = datetime.fromisoformat(f"{date}T{clock}")
-            return local.replace(tzinfo=UTC) - timedelta(hours=int(hours)), "Mobotix header"
+    head = content[: 1 << 16]
+    if _MOBOTIX in head:
+        time = _mobotix_time({key: text.decode(errors="replace") for key, text in _MOBOTIX_FIELD.findall(head)})
+        if time is not None:
+            return time, "Mobotix header"
     time = exif_time(io.BytesIO(content))
     return None if time is None else (time, "EXIF")
 
 
-def _utc(named: NamedTime, name: str, rules: TimeRules) -> datetime:
-    if named.zone == "unknown" and rules.offset is None:
-        raise _unknown_zone(name, named.time)
+def _mobotix_time(fields: dict[bytes, str]) -> datetime | None:
+    """Return the time of a Mobotix header: seconds since 1970, else its local time, naive without a known zone."""
+    with suppress(ValueError, OverflowError, KeyError):
+        time = utc_time(float(fields[b"TIT"]))
+        if is_of_images(time):
+            return time
     try:
-        return named.utc(timedelta(0) if rules.offset is None else rules.offset, name=name)
-    except OverflowError:
-        raise RefusedImageError(name, Finding("file_time_unknown")) from None
+        local = datetime.fromisoformat(f"{fields[b'DAT'].strip()}T{fields[b'TIM'].strip()}")
+    except (ValueError, KeyError):  # digits that are no date
+        return None
+    ahead = zone_of(fields.get(b"TZN", ""))
+    return local if ahead is None else local.replace(tzinfo=timezone(ahead))
+
+
+def _utc(named: NamedTime, name: str, rules: TimeRules) -> datetime:
+    """Return the time that a name states, in UTC; RefusedImageError where nothing states its zone, or two things do."""
+    if named.ahead is None:
+        return _in_utc(named.time, name, rules)
+    _require_agreement(named.time, named.ahead, name, rules)
+    return named.time.replace(tzinfo=UTC) - named.ahead
+
+
+def _require_agreement(written: datetime, ahead: timedelta | None, name: str, rules: TimeRules) -> None:
+    """Refuse a local time whose own zone is not the one that was stated for times; one in UTC says nothing of that."""
+    if not ahead or rules.offset is None or rules.is_offset_assumed:
+        return
+    at = written.replace(tzinfo=UTC) - ahead
+    stated = rules.offset if isinstance(rules.offset, timedelta) else at.astimezone(rules.offset).utcoffset()
+    if stated != ahead:
+        text, hours = written.isoformat(timespec="seconds"), ahead / timedelta(hours=1)
+        finding = Finding("file_zone_contradicts", {"written": text, "hours": hours, "stated": str(rules.offset)})
+        raise RefusedImageError(name, finding)
 
 
 def _in_utc(time: datetime, name: str, rules: TimeRules) -> datetime:

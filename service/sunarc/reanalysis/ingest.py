@@ -6,7 +6,6 @@ import math
 from collections import Counter
 from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import timedelta
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
@@ -28,7 +27,7 @@ from sunarc.foreign_files import is_regular, name_path, name_text
 from sunarc.reanalysis.cameras import known_camera, register_camera
 from sunarc.reanalysis.detect_files import Method
 from sunarc.reanalysis.fit import CameraSightings, Rough, first_analysis
-from sunarc.reanalysis.image_times import TimeRules
+from sunarc.reanalysis.image_times import ASSUMED_UTC, TimeRules
 from sunarc.reanalysis.index import ArchiveImage, CameraImages, CameraPlan, Failure, Selector, index_folder
 from sunarc.reanalysis.ingest_nights import ingest_nights
 from sunarc.reanalysis.ingest_summary import IngestSummary, write_contact_sheet
@@ -75,7 +74,7 @@ class IngestOptions:
     """
 
     method: Method = "auto"
-    rules: TimeRules = field(default_factory=lambda: TimeRules(offset=timedelta(0), documents=True))
+    rules: TimeRules = field(default_factory=lambda: ASSUMED_UTC)
     files: str = "*"
     only: frozenset[str] | None = None
     reprocess: bool = False

@@ -43,14 +43,19 @@ MESSAGES = Messages(
         "no DATE-OBS or DATE-AVG in UTC in its header, and no time in its name", _LEFT_OUT, "give --time-pattern"
     ),
     file_time_ambiguous=Message(
-        "the date in its name is {day_first} or {month_first}, the day or the month first",
+        "its name is read as {first} or {second}",
         _LEFT_OUT,
         "give --time-pattern, as %d-%m-%Y_%H-%M-%S",
     ),
     file_time_zone=Message(
-        "its time {written} has no time zone",
+        "the time zone of its time {written} is not known",
         _LEFT_OUT,
         "give --utc-offset: the hours that it is ahead of UTC, 0, or a zone as Europe/Berlin",
+    ),
+    file_zone_contradicts=Message(
+        "its time {written} is {hours:+g} h ahead of UTC by its name, and {stated} ahead by the option",
+        _LEFT_OUT,
+        "leave --utc-offset (folder.utc_offset) out, or correct it",
     ),
     file_time_twice=Message(
         "its time {written} occurred twice in {zone}, when summer time ended",
@@ -150,7 +155,7 @@ MESSAGES = Messages(
         "It was set to their scatter about the calibration; later sightings are stored with it.",
     ),
     file_time_range=Message(
-        "its time, {written}, is not within the years 1900 to 2199",
+        "its time, {written}, is not within the years 1970 to 2100",
         _LEFT_OUT,
         "correct the clock of the camera, or folder.time_pattern",
     ),

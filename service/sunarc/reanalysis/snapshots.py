@@ -24,9 +24,10 @@ from sunarc.errors import ConfigurationError, InputError, OutsideError
 from sunarc.findings import Finding
 from sunarc.foreign_files import name_text
 from sunarc.reanalysis.image_files import MOST_PIXELS, image_of, image_size
-from sunarc.reanalysis.image_times import exif_time, is_of_images
+from sunarc.reanalysis.image_times import exif_time
 from sunarc.reanalysis.live_images import LiveImage, LiveImages
 from sunarc.reanalysis.messages import MESSAGES
+from sunarc.reanalysis.name_times import is_of_images
 from sunarc.reanalysis.nights import frame_of
 from sunarc.reanalysis.sources import Folder, hash_of
 from sunarc.runtime.clock import Clock

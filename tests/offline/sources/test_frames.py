@@ -132,6 +132,11 @@ def test_a_fits_file_that_cannot_be_used_gives_its_reason(
         ({"DATE-AVG": "2013-05-13T18:30:00", "DATE-OBS": "2013-05-13T18:00:00"}, NOON, None),
         ({"DATE-OBS": "2013-05-13T18:30:00", "TIMESYS": "TAI"}, None, None),
         ({"DATE-OBS": "yesterday"}, None, None),
+        ({"DATE-OBS": "2013-05-13T20:30:00+02:00"}, NOON, None),
+        ({"DATE-OBS": "2013-05-13 18:30:00"}, NOON, None),
+        ({"DATE_OBS": "2013-05-13T18:30:00"}, NOON, None),
+        ({"MJD-OBS": 56425.770833333336}, NOON, None),
+        ({"DATE-BEG": "2013-05-13T18:29:30", "DATE-END": "2013-05-13T18:30:30"}, NOON, 6e7),
     ],
 )
 def test_the_time_of_a_fits_file_is_its_mid_exposure(

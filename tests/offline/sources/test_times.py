@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import random
+import re
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from zoneinfo import ZoneInfo
@@ -14,12 +16,11 @@ from sunarc.errors import InputError
 from sunarc.reanalysis.image_times import (
     TimedFrame,
     TimeRules,
-    ambiguous_dates,
-    time_in_name,
     timed_frames,
     utc_offset_of,
 )
 from sunarc.reanalysis.messages import RefusedImageError
+from sunarc.reanalysis.name_times import ambiguous_times, time_in_name, zone_of
 from sunarc.reanalysis.sources import open_source
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
@@ -55,7 +56,7 @@ def code_of(name: str, folder: Path, **more: object) -> str:
 def test_names_of_known_cameras_tell_time_family_and_camera(name: str) -> None:
     named = time_in_name(name)
     assert named is not None
-    assert (named.family, named.prefix, named.zone) == NAMES[name]
+    assert (named.family, named.prefix, "unknown" if named.ahead is None else "utc") == NAMES[name]
     fraction = timedelta(milliseconds=250) if named.family == "RMS" else timedelta(0)
     assert named.time == NOON.replace(tzinfo=None) + fraction
 
@@ -84,7 +85,7 @@ def test_a_name_without_a_zone_needs_an_offset_and_one_in_utc_ignores_it(name: s
 def test_a_date_that_ends_with_its_year_is_ambiguous(
     name: str, readings: tuple[str, str] | None, tmp_path: Path
 ) -> None:
-    assert ambiguous_dates(name) == readings
+    assert ambiguous_times(name) == readings
     if readings is not None:
         assert code_of(name, tmp_path) == "file_time_ambiguous"
 
@@ -194,3 +195,149 @@ def test_an_offset_that_is_neither_hours_nor_a_zone_is_refused(given: str) -> No
     with pytest.raises(InputError) as refused:
         utc_offset_of(given, field="--utc-offset")
     assert refused.value.field == "--utc-offset"
+
+
+H2 = timedelta(hours=2)
+WRITTEN = {
+    "cam_2024-06-11_01-22-00_PM.jpg": ("2024-06-11T13:22:00", None),
+    "cam_2024-06-11_12-22-00 am.jpg": ("2024-06-11T00:22:00", None),
+    "20240611T064800+0200.jpg": ("2024-06-11T06:48:00", H2),
+    "2024-08-23T09-30-00-006516+02-00.png": ("2024-08-23T09:30:00.006516", H2),
+    "2024-06-11_06-48-00_CEST.jpg": ("2024-06-11T06:48:00", H2),
+    "a_20240611T064800-0930.jpg": ("2024-06-11T06:48:00", timedelta(hours=-9.5)),
+    "20240611_064800_UTC+5-45.jpg": ("2024-06-11T06:48:00", timedelta(hours=5.75)),
+    "20240611064800.25Z.png": ("2024-06-11T06:48:00.250000", timedelta(0)),
+    "PXL_20240611_064800123.jpg": ("2024-06-11T06:48:00.123000", None),
+    "01-20240611064800-05.jpg": ("2024-06-11T06:48:00", None),
+    "2024-06-11_06-48-00-0001.jpg": ("2024-06-11T06:48:00", None),
+    "20240611T064800_12000us.png": ("2024-06-11T06:48:00", None),
+}
+NOT_ONE_TIME = {
+    "img_1711022310.jpg": "file_time_ambiguous",
+    "img_1711022310_1234.jpg": "file_time_ambiguous",
+    "img_1711022310123.jpg": "file_time_unknown",
+    "17110223101234.jpg": "file_time_unknown",
+    "cam120240611064800.jpg": "file_time_unknown",
+    "2024-06-11_13-22-00_PM.jpg": "file_time_unknown",
+    "2024-06-11_13-22-001.jpg": "file_time_unknown",
+    "20240611T064800+0517.jpg": "file_time_unknown",
+    "20240611T064800-05.jpg": "file_time_ambiguous",
+    "2024-06-11_06-48-00-0500.jpg": "file_time_ambiguous",
+    "20240611T064800_20240611T065000.jpg": "file_time_ambiguous",
+}
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+def test_a_time_in_a_name_is_read_with_its_half_of_the_day_and_zone(name: str, tmp_path: Path) -> None:
+    named = time_in_name(name)
+    assert named is not None
+    assert (named.time.isoformat(), named.ahead) == WRITTEN[name]
+    if named.ahead is not None:
+        assert frame_of(name, tmp_path).time == named.time.replace(tzinfo=UTC) - named.ahead
+
+
+@pytest.mark.parametrize("name", NOT_ONE_TIME)
+def test_a_name_of_which_a_part_alone_is_a_time_has_none(name: str, tmp_path: Path) -> None:
+    assert code_of(name, tmp_path, offset=timedelta(0)) == NOT_ONE_TIME[name]
+
+
+def test_a_zone_in_a_name_that_contradicts_the_option_is_refused(tmp_path: Path) -> None:
+    name, taken_at = "20240611T064800+0200.jpg", datetime(2024, 6, 11, 4, 48, tzinfo=UTC)
+    assert code_of(name, tmp_path, offset=timedelta(0)) == "file_zone_contradicts"
+    assert code_of(name, tmp_path, offset=ZoneInfo("Europe/London")) == "file_zone_contradicts"
+    for rules in ({}, {"offset": H2}, {"offset": BERLIN}, {"offset": timedelta(0), "is_offset_assumed": True}):
+        assert frame_of(name, tmp_path, **rules).time == taken_at
+
+
+def test_a_pattern_with_folders_reads_them(tmp_path: Path) -> None:
+    rules = {"pattern": "%Y/%m/%d/%H%M%S", "offset": timedelta(0)}
+    assert frame_of("all/2013/05/13/183000.png", tmp_path, **rules).time == NOON
+
+
+@pytest.mark.parametrize(
+    ("zone", "hours"),
+    [("CEST", 2.0), ("GMT+5:30", 5.5), ("AWST", 8.0), ("GMT-5", -5.0), ("IST", None), ("+0517", None)],
+)
+def test_a_zone_of_one_meaning_is_read(zone: str, hours: float | None) -> None:
+    assert zone_of(zone) == (None if hours is None else timedelta(hours=hours))
+
+
+@pytest.mark.parametrize("zone", ["CEST", "GMT+5:30", "IST"])
+def test_the_seconds_of_a_mobotix_header_go_before_its_local_time(zone: str, tmp_path: Path) -> None:
+    picture = encoded(GREY, ".jpg")
+    text = f"#:M1IMG\nPRD=MOBOTIX\nDAT=2024-06-11\nTIM=12:00:00.323\nTZN={zone}\nTIT=1718100000.323\n".encode()
+    content = picture[:2] + b"\xff\xfe" + (len(text) + 2).to_bytes(2, "big") + text + picture[2:]
+    found = frame_of("e1.jpg", tmp_path / "with", content=content)
+    assert found.time == datetime(2024, 6, 11, 10, 0, 0, 323000, tzinfo=UTC)
+    without = content.replace(b"TIT=", b"XXX=")
+    if zone == "IST":
+        assert code_of("e1.jpg", tmp_path / "out", content=without) == "file_time_zone"
+    else:
+        local = datetime(2024, 6, 11, 12, 0, 0, 323000, tzinfo=UTC)
+        ahead = zone_of(zone)
+        assert ahead is not None
+        assert frame_of("e1.jpg", tmp_path / "out", content=without).time == local - ahead
+
+
+def test_no_name_raises_or_is_read_in_part() -> None:
+    draw = random.Random(5310)
+    parts = [
+        "2024",
+        "06",
+        "11",
+        "1711022310",
+        "20240611",
+        "064800",
+        "T",
+        "Z",
+        "-",
+        "_",
+        ":",
+        "+",
+        "PM",
+        "CEST",
+        "UTC",
+        ".",
+        "+0200",
+        "-0500",
+        "٢٠٢٤",
+        "cam",
+        "99",
+        "00",
+    ]
+    read = 0
+    for _ in range(10_000):
+        n = draw.randint(1, 12)
+        name = "".join(draw.choice([*parts, str(draw.randrange(10 ** draw.randint(1, 18)))]) for _ in range(n)) + ".jpg"
+        ambiguous_times(name)
+        named = time_in_name(name)
+        if named is not None:
+            read += 1
+            assert 1970 <= named.time.year <= 2100
+            assert named.prefix[-1:] not in set("0123456789")
+            assert re.match(rf"{named.time.year}(?=[-_]|\d{{4}})", name[len(named.prefix) :])
+    assert read > 50
+
+
+CASES = Path(__file__).parents[3] / "../shared/cases/scout"
+
+
+@pytest.mark.skipif(not CASES.is_dir(), reason="the cases of others are not here")
+def test_the_cases_of_others_have_their_right_times() -> None:
+    """The names state the time of a sun that was rendered; of the headers each is 09:30 or 11:30 UTC of the day."""
+    right = {
+        "04-names-am-pm/cam_2024-06-11_03-31-00_PM.jpg": "2024-06-11T15:31:00",
+        "06-offset-in-name/20240611T064800+0200.jpg": "2024-06-11T04:48:00",
+        "07-mobotix/sky-CEST.jpg": "2024-06-11T10:00:00.323000",
+        "07-mobotix/sky-GMTp530.jpg": "2024-06-11T10:00:00.323000",
+        "09-fits/f_mjd.fits": "2024-06-11T11:30:00",
+        "09-fits/h_underscore.fits": "2024-06-11T11:30:00",
+        "09-fits/i_zone.fits": "2024-06-11T09:30:00",
+        "09-fits/j_space.fits": "2024-06-11T11:30:00",
+        "09-fits/l_beg.fits": "2024-06-11T11:30:30",
+        "09-fits/x_rice.fits": "2024-06-11T11:30:00",
+    }
+    source = open_source(str(CASES))
+    rules = TimeRules(offset=timedelta(0), is_offset_assumed=True)
+    found = {name: timed_frames(source, name, rules, names=set())[0].time for name in right}
+    assert {name: time.replace(tzinfo=None).isoformat() for name, time in found.items()} == right
