@@ -26,6 +26,7 @@ from PIL import Image
 
 from sunarc.cameras.options import RtspOptions, SnapshotOptions
 from sunarc.findings import Finding
+from sunarc.foreign_files import name_text
 from sunarc.reanalysis.image_files import kind_of
 from sunarc.reanalysis.image_times import TimeRules, timed_frames
 from sunarc.reanalysis.messages import MESSAGES, RefusedImageError
@@ -223,7 +224,7 @@ def read_names(count: int, seed: int) -> Counter[str]:
             path = Path(folder) / given
             path.write_bytes(_dated(draw))
             try:
-                frame = timed_frames(source, given, draw.choice(rules), names=set())[0]
+                frame = timed_frames(source, name_text(given), draw.choice(rules), names=set())[0]
             except RefusedImageError as error:
                 codes[_code(error.finding)] += 1
             else:

@@ -64,7 +64,7 @@ def test_the_newest_portion_comes_first_and_its_days_are_judged_before_the_rest(
     looked_at = list[tuple[str, ...]]()
 
     def in_this_process(call: Callable[[], object], _: object) -> object:
-        looked_at.append(tuple(sorted(call.keywords["options"].only)))  # type: ignore[attr-defined]
+        looked_at.append(tuple(sorted(call.keywords["only"])))  # type: ignore[attr-defined]
         return call()
 
     monkeypatch.setattr(folder_archive, "in_child", in_this_process)
