@@ -386,7 +386,8 @@ def fits_image(content: bytes, name: str, *, size: tuple[int, int] | None) -> Im
     if planes and shape[0] != 3:
         raise _unreadable(name, f"axes {shape}, of which the first is no three colours")
     require_size(shape[1:] if planes else shape, name, size)
-    if images[0].fileinfo()["datLoc"] + images[0].size > len(content):
+    place = images[0].fileinfo()
+    if place["datLoc"] + min(images[0].size, place["datSpan"]) > len(content):  # tiles are shorter than their image
         raise RefusedImageError(name, Finding("file_truncated"))
     with _refusing(name, "its pixels cannot be read"):
         data = np.asarray(images[0].data)
