@@ -115,7 +115,7 @@ def run(options: argparse.Namespace) -> int:
 
 def analyse_archive(state: Path) -> int:
     """Make an archive of four cameras in the state folder, analyse it, and say where the report is."""
-    from sunarc.simulation.made_archive import FOUR_CAMERAS, MadeArchive, write_archive  # noqa: PLC0415 - slow to load
+    from sunarc.lab.simulation.made_archive import FOUR_CAMERAS, MadeArchive, write_archive  # noqa: PLC0415 - slow to load
 
     made = MadeArchive(cameras=FOUR_CAMERAS, per_day=24, size=320)
     print(f"demo: making {made.days * made.per_day * len(made.cameras)} images of four cameras in {state / 'archive'}")
@@ -420,7 +420,7 @@ def refit_under_way(url: str, days: list[Any]) -> bool:
 
 def compare_nights(url: str, state: Path, served: Any) -> None:
     """Say how far the first calibration, of the sun alone, and the served one are from the truth; draw both."""
-    from sunarc.studies.sky_errors import sky_errors, write_picture  # noqa: PLC0415 - slow to load
+    from sunarc.lab.studies.sky_errors import sky_errors, write_picture  # noqa: PLC0415 - slow to load
 
     oldest = min(get(f"{url}/v1/calibrations?limit=1000")["calibrations"], key=lambda one: one["created_at"])
     first = get(f"{url}/v1/calibrations/{oldest['id']}")

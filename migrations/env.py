@@ -1,4 +1,4 @@
-"""Runs the migrations on the connection that `sunarc.archive` hands over; there is no other way in."""
+"""Runs the migrations on the connection that `sunarc.imager.archive` hands over; there is no other way in."""
 
 from __future__ import annotations
 

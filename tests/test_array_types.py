@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from sunarc.array_types import FloatArray, IntArray, evenly_spread, picked, stacked
+from sunarc.common.array_types import FloatArray, IntArray, evenly_spread, picked, stacked
 
 
 @pytest.mark.parametrize("size", [0, 1, 2, 7, 60, 61, 1000])

@@ -10,8 +10,8 @@ from typing import Annotated, Literal
 import pytest
 from annotated_types import Ge, Gt, Le, Lt
 
-from sunarc.bounds import bounds_of, bounds_text, require_bounds
-from sunarc.errors import InputError
+from sunarc.common.bounds import bounds_of, bounds_text, require_bounds
+from sunarc.common.errors import InputError
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import yaml
 
-from sunarc.settings.reference import all_settings
+from sunarc.imager.settings.reference import all_settings
 
 CONTAINERS = Path(__file__).parents[1] / "deploy/container"
 KNOWN = {f"SUNARC_{one.name.upper().replace('.', '__')}" for one in all_settings()} | {"SUNARC_FOLDER__PATH"}

@@ -4,8 +4,8 @@ import re
 
 import pytest
 
-from sunarc import errors
-from sunarc.errors import InputError, NotFoundError, SunarcError
+from sunarc.common import errors
+from sunarc.common.errors import InputError, NotFoundError, SunarcError
 
 CLASSES = {
     name: thing

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sunarc import extras
-from sunarc.errors import InputError
-from sunarc.exports.exported import Table, Variable
-from sunarc.exports.tables import netcdf_bytes
-from sunarc.extras import extra_module, is_installed
+from sunarc.common import extras
+from sunarc.common.errors import InputError
+from sunarc.common.extras import extra_module, is_installed
+from sunarc.formats.exported import Table, Variable
+from sunarc.formats.tables import netcdf_bytes
 
 
 def test_a_module_that_is_there_is_returned() -> None:

@@ -8,7 +8,7 @@ import math
 import pytest
 
 from sunarc.calibration import messages
-from sunarc.findings import Finding, Message, Messages, findings_of, from_json, significant, uncoded
+from sunarc.common.findings import Finding, Message, Messages, findings_of, from_json, significant, uncoded
 
 ROOM = Messages(too_hot=Message("{what}:{value:.1f}>{limit:g}", "Hot.", "cool {what}"))
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from sunarc.foreign_files import UnfitFileError, is_regular, name_path, name_text, open_regular, read_regular
+from sunarc.common.foreign_files import UnfitFileError, is_regular, name_path, name_text, open_regular, read_regular
 
 
 def test_a_regular_file_is_read_through_links(tmp_path: Path) -> None:
@@ -115,7 +115,7 @@ def test_a_usual_name_is_its_own_text_and_others_show_their_bytes() -> None:
 
 def test_the_text_does_not_depend_on_the_locale() -> None:
     name = r"os.fsdecode(b'\xc3\xa9\xff')"
-    code = f"import os; from sunarc.foreign_files import name_text; print(ascii(name_text({name})))"
+    code = f"import os; from sunarc.common.foreign_files import name_text; print(ascii(name_text({name})))"
     found = {
         subprocess.run(
             [sys.executable, "-c", code], env={**os.environ, "LC_ALL": locale}, check=True, capture_output=True

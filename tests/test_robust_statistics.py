@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.stats import rayleigh
 
-from sunarc.robust_statistics import CUT, INFORMATION_PER_WEIGHT, robust_sigma, tukey_loss, tukey_weights
+from sunarc.common.robust_statistics import CUT, INFORMATION_PER_WEIGHT, robust_sigma, tukey_loss, tukey_weights
 
 FloatArray = NDArray[np.float64]
 

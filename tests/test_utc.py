@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sunarc.errors import InputError
-from sunarc.utc import EPOCH, from_microseconds, parse_time, rfc3339, to_microseconds, utc_time
+from sunarc.common.errors import InputError
+from sunarc.common.utc import EPOCH, from_microseconds, parse_time, rfc3339, to_microseconds, utc_time
 
 _WEST = timezone(timedelta(hours=-8))
 

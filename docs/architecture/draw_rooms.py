@@ -1,21 +1,22 @@
-"""Draws the rooms of the package and the imports between them as SVG, from the sources and the import contract.
+"""Draws the houses of the package, and the rooms of each, with the imports between them, as SVG from the sources.
 
-    python docs/architecture/draw_rooms.py        # writes docs/architecture/rooms.svg
+    python docs/architecture/draw_rooms.py        # writes docs/architecture/*.svg
 
-A row is a layer of the contract "rooms import downward only" in pyproject.toml. An arrow is an import; imports that a
-path through other rooms implies are left out. A test compares the stored picture with a new one.
+A row holds the rooms that import one another in no way; every import points downward. Imports that a path through
+other rooms implies are left out. A test compares the stored pictures with new ones.
 """
 
 from __future__ import annotations
 
 import ast
-import tomllib
+from functools import cache
 from html import escape
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-PICTURE = Path(__file__).with_name("rooms.svg")
-CONTRACT = "rooms import downward only"
+FOLDER = Path(__file__).parent
+HOUSES = ("imager", "archives", "hub", "lab", "client", "cli")
+"""Rooms of the first level that stand on the library; all others are the library."""
 
 _WIDTH = 1080
 _ROW_HEIGHT = 86
@@ -32,32 +33,29 @@ _ARROW_HEAD = (
 Imports = dict[str, set[str]]
 
 
-def layers(pyproject: str) -> list[list[str]]:
-    """Return the rooms of each layer of the contract, the highest first."""
-    contracts = tomllib.loads(pyproject)["tool"]["importlinter"]["contracts"]
-    (rows,) = (contract["layers"] for contract in contracts if contract["name"] == CONTRACT)
-    return [[room.strip() for room in row.split("|")] for row in rows if row != "__main__"]
+def imports_between_rooms(package: Path, name: str = "sunarc") -> Imports:
+    """Return for each folder and file of a package the others whose modules it imports.
 
-
-def imports_between_rooms(package: Path) -> Imports:
-    """Return for each room of the package the rooms whose modules it imports."""
+    Parameters
+    ----------
+    package : the folder.
+    name : of the package, as it is imported.
+    """
     found: Imports = {}
     for path in sorted(package.rglob("*.py")):
         room = _room(path.relative_to(package).as_posix())
         targets = found.setdefault(room, set())
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            targets |= {target for target in _imported_rooms(node) if target != room}
+            targets |= {target for target in _imported_rooms(node, name) if target != room}
     return {room: {target for target in targets if target in found} for room, targets in found.items()}
 
 
 def without_implied(imports: Imports) -> Imports:
     """Return the imports but for those that a path through other rooms implies."""
-    reached: Imports = {}
 
-    def reach(room: str) -> set[str]:
-        if room not in reached:
-            reached[room] = set(imports[room]).union(*(reach(target) for target in imports[room]))
-        return reached[room]
+    @cache
+    def reach(room: str) -> frozenset[str]:
+        return frozenset(imports[room]).union(*(reach(target) for target in imports[room]))
 
     return {
         room: {target for target in targets if not any(target in reach(other) for other in targets - {target})}
@@ -65,20 +63,36 @@ def without_implied(imports: Imports) -> Imports:
     }
 
 
-def picture(rows: list[list[str]], imports: Imports, package: Path) -> str:
-    """Return the SVG."""
+def rows_of(imports: Imports) -> list[list[str]]:
+    """Return the rooms by floor, the highest first: a room stands above all that it imports."""
+
+    @cache
+    def floor(room: str) -> int:
+        return 1 + max(map(floor, imports[room]), default=0)
+
+    highest = max(map(floor, imports))
+    return [sorted(room for room in imports if floor(room) == level) for level in range(highest, 0, -1)]
+
+
+def picture(title: str, imports: Imports, package: Path) -> str:
+    """Return the SVG of rooms and their imports."""
+    rows = rows_of(imports)
     boxes = {
         room: (_MARGIN + (number + 0.5) * (_WIDTH - 2 * _MARGIN) / len(row), _MARGIN + level * _ROW_HEIGHT)
         for level, row in enumerate(rows)
         for number, room in enumerate(row)
     }
     height = 2 * _MARGIN + (len(rows) - 1) * _ROW_HEIGHT + _BOX_HEIGHT
-    arrows = [_arrow(boxes[a], boxes[b]) for a, b in sorted(_edges(imports)) if a in boxes and b in boxes]
-    shapes = [_box(room, *boxes[room], _width(rows, room), _subrooms(package / room)) for row in rows for room in row]
+    arrows = [
+        _arrow(boxes[room], boxes[target])
+        for room, targets in sorted(without_implied(imports).items())
+        for target in sorted(targets)
+    ]
+    shapes = [_box(room, *boxes[room], _width(row), _subrooms(package / room)) for row in rows for room in row]
     return "\n".join(
         [
             f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {height}" font-family="sans-serif">',
-            "<title>Rooms of sunarc and their imports</title>",
+            f"<title>{escape(title)}</title>",
             _ARROW_HEAD,
             f'<rect width="{_WIDTH}" height="{height}" fill="#ffffff"/>',
             *arrows,
@@ -88,12 +102,38 @@ def picture(rows: list[list[str]], imports: Imports, package: Path) -> str:
     )
 
 
+def pictures(root: Path = ROOT) -> dict[str, str]:
+    """Return the pictures of the sources by file name: the houses, the library's rooms, those of each house."""
+    package = root / "service" / "sunarc"
+    rooms = imports_between_rooms(package)
+    library = _among(rooms, set(rooms) - {*HOUSES, "__init__", "__main__"})
+    houses = _among(rooms, set(HOUSES))
+    for house, targets in houses.items():
+        if rooms[house] & set(library):
+            targets.add("library")
+    houses["library"] = set()
+    found = {
+        "houses.svg": picture("Houses of sunarc and their imports", houses, package),
+        "library.svg": picture("Rooms of the library and their imports", library, package),
+    }
+    for house in HOUSES:
+        inside = imports_between_rooms(package / house, f"sunarc.{house}")
+        inside = _among(inside, set(inside) - {"__init__"})
+        found[f"{house}.svg"] = picture(f"Rooms of {house} and their imports", inside, package / house)
+    return found
+
+
+def _among(imports: Imports, rooms: set[str]) -> Imports:
+    """Return the imports of some rooms from one another."""
+    return {room: imports[room] & rooms for room in sorted(rooms)}
+
+
 def _room(name: str) -> str:
     return name.partition("/")[0].removesuffix(".py")
 
 
-def _imported_rooms(node: ast.AST) -> set[str]:
-    if isinstance(node, ast.ImportFrom) and node.module == "sunarc":
+def _imported_rooms(node: ast.AST, package: str) -> set[str]:
+    if isinstance(node, ast.ImportFrom) and node.module == package:
         return {alias.name for alias in node.names}
     if isinstance(node, ast.ImportFrom):
         names = [node.module or ""]
@@ -101,11 +141,7 @@ def _imported_rooms(node: ast.AST) -> set[str]:
         names = [alias.name for alias in node.names]
     else:
         return set()
-    return {name.split(".")[1] for name in names if name.startswith("sunarc.")}
-
-
-def _edges(imports: Imports) -> set[tuple[str, str]]:
-    return {(room, target) for room, targets in without_implied(imports).items() for target in targets}
+    return {name.removeprefix(f"{package}.").split(".")[0] for name in names if name.startswith(f"{package}.")}
 
 
 def _subrooms(folder: Path) -> str:
@@ -114,8 +150,7 @@ def _subrooms(folder: Path) -> str:
     return "  ".join(sorted(path.name for path in folder.iterdir() if (path / "__init__.py").exists()))
 
 
-def _width(rows: list[list[str]], room: str) -> float:
-    row = next(row for row in rows if room in row)
+def _width(row: list[str]) -> float:
     return min((_WIDTH - 2 * _MARGIN) / len(row) - 16, 700.0)
 
 
@@ -131,9 +166,10 @@ def _arrow(start: tuple[float, float], end: tuple[float, float]) -> str:
 def _box(room: str, x: float, y: float, width: float, subrooms: str) -> str:
     frame = f'x="{x - width / 2:.0f}" y="{y:.0f}" width="{width:.0f}" height="{_BOX_HEIGHT}"'
     baseline = y + (20 if subrooms else 30)
+    size = min(14.0, 14.0 * (width - 6) / (len(room) * 8.0))
     lines = [
         f'<rect {frame} rx="5" fill="#eef3f7" stroke="#5b7083"/>',
-        f'<text x="{x:.0f}" y="{baseline:.0f}" font-size="14" text-anchor="middle">{escape(room)}</text>',
+        f'<text x="{x:.0f}" y="{baseline:.0f}" font-size="{size:.1f}" text-anchor="middle">{escape(room)}</text>',
     ]
     if subrooms:
         size = min(11.0, 11.0 * (width - 10) / (len(subrooms) * _LETTER))
@@ -144,12 +180,6 @@ def _box(room: str, x: float, y: float, width: float, subrooms: str) -> str:
     return "\n".join(lines)
 
 
-def draw(root: Path = ROOT) -> str:
-    """Return the picture of the sources as they are."""
-    package = root / "service" / "sunarc"
-    rows = layers((root / "pyproject.toml").read_text(encoding="utf-8"))
-    return picture(rows, imports_between_rooms(package), package)
-
-
 if __name__ == "__main__":
-    PICTURE.write_text(draw(), encoding="utf-8")
+    for name, content in pictures().items():
+        (FOLDER / name).write_text(content, encoding="utf-8")

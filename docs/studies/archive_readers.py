@@ -26,10 +26,10 @@ from astropy.io import fits
 from netCDF4 import Dataset
 
 from sunarc.detection.values import Expectation
-from sunarc.reanalysis.detect_files import detect_in_image
-from sunarc.reanalysis.image_files import images_in
-from sunarc.reanalysis.sources import open_source
-from sunarc.simulation.made_archive import photograph
+from sunarc.lab.simulation.made_archive import photograph
+from sunarc.sources.detect_files import detect_in_image
+from sunarc.sources.image_files import images_in
+from sunarc.sources.sources import open_source
 
 _QUALITY = 90
 

@@ -19,14 +19,14 @@ from pathlib import Path
 from time import perf_counter, process_time
 from typing import NamedTuple
 
-from sunarc.reanalysis.cluster import Workers, open_cluster
-from sunarc.reanalysis.index import CameraPlan, Selector, index_archive, read_cameras
-from sunarc.reanalysis.ledger import ImageId, Known, Ledger
-from sunarc.reanalysis.look import Chunk, Item, look_at
-from sunarc.reanalysis.passes import CHUNK, chunks_of
-from sunarc.runtime.clock import SystemClock
-from sunarc.simulation.made_archive import FOUR_CAMERAS, MadeArchive, write_archive
-from sunarc.simulation.truth import SGP
+from sunarc.archives.cluster import Workers, open_cluster
+from sunarc.archives.ledger import ImageId, Known, Ledger
+from sunarc.archives.passes import CHUNK, chunks_of
+from sunarc.imager.runtime.clock import SystemClock
+from sunarc.lab.simulation.made_archive import FOUR_CAMERAS, MadeArchive, write_archive
+from sunarc.lab.simulation.truth import SGP
+from sunarc.sources.index import CameraPlan, Selector, index_archive, read_cameras
+from sunarc.sources.look import Chunk, Item, look_at
 
 _AHEAD = 3
 """Chunks that wait at each worker, as in `reanalysis/cluster`."""

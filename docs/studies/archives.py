@@ -26,11 +26,11 @@ import numpy as np
 from independent_world import FloatArray, Lens, Place, hemisphere, sun, turn
 from numpy.typing import NDArray
 
+from sunarc.archives.fit import CameraSightings, Final, final_analysis, first_analysis
+from sunarc.archives.states import ArchiveCamera
 from sunarc.calibration.answers.covariance import project_with_covariance
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.reanalysis.fit import CameraSightings, Final, final_analysis, first_analysis
-from sunarc.reanalysis.states import ArchiveCamera
 from sunarc.sky.site import Site
 
 DAY_S, HOUR_S = 86_400.0, 3600.0

@@ -24,15 +24,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.archive.csv_files import read_sightings
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.errors import InputError
+from sunarc.common.errors import InputError
+from sunarc.formats.csv_files import read_sightings
+from sunarc.lab.studies.benchmark_cases import BenchmarkCase, BenchmarkTruth, degrees_to_nearest
+from sunarc.lab.studies.benchmark_files import write_round
 from sunarc.optics.projections import Projection
 from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.site import Site
 from sunarc.sky.sun import hour_angle, sun_directions
-from sunarc.studies.benchmark_cases import BenchmarkCase, BenchmarkTruth, degrees_to_nearest
-from sunarc.studies.benchmark_files import write_round
 
 FloatArray = NDArray[np.float64]
 _MOUNT_DEG, _TIMEOUT_S, _LARGEST = 5.0, 20.0, 10_000_000

@@ -14,20 +14,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.array_types import Image
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance, sigma_px
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.cameras.frame import CameraInfo, Frame
+from sunarc.common.array_types import Image
 from sunarc.detection.disc.detect import detect_sun
+from sunarc.imager.cameras.frame import CameraInfo, Frame
+from sunarc.imager.workers.exposures import SunExposures
+from sunarc.imager.workers.options import SensorOptions, sensor_of
 from sunarc.imaging.exposure import SunExposureOptions
+from sunarc.lab.simulation.options import SceneOptions, SensorModel
+from sunarc.lab.simulation.scene import Scene
+from sunarc.lab.simulation.truth import SGP, true_camera
 from sunarc.optics.forward import project
-from sunarc.simulation.options import SceneOptions, SensorModel
-from sunarc.simulation.scene import Scene
-from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.sun import sun_angles
-from sunarc.workers.exposures import SunExposures
-from sunarc.workers.options import SensorOptions, sensor_of
 
 FULL_SCALE = 4095
 START_S = datetime(2013, 5, 13, 11, tzinfo=UTC).timestamp()

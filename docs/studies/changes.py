@@ -26,12 +26,12 @@ from scipy.spatial.transform import Rotation
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.monitoring.detect_change import update_window
-from sunarc.monitoring.values import Change, Sighting, SightingWindow, WatchOptions
+from sunarc.changes.detect_change import update_window
+from sunarc.changes.values import Change, Sighting, SightingWindow, WatchOptions
+from sunarc.lab.simulation.truth import SGP, true_camera
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector
-from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.sun import sun_angles, sun_directions
 
 FloatArray = NDArray[np.float64]

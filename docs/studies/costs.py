@@ -35,24 +35,24 @@ from tests.fixtures.postgresql import TEMPLATE, running_server
 from tests.fleet.hub_process import processor_s
 from tests.fleet.scale import fill
 
-from sunarc.api.app import create_app
-from sunarc.api.options import ApiOptions
-from sunarc.app.hub import create_hub_app
-from sunarc.archive.archive import open_archive
-from sunarc.archive.values import Refit
+from sunarc.archives.ledger import Known, Ledger
+from sunarc.archives.passes import CHUNK, chunks_of, id_of
 from sunarc.calibration.answers.direction_table import lookup
 from sunarc.calibration.calibrate import calibrate
-from sunarc.findings import Finding
-from sunarc.reanalysis.image_times import TimeRules
-from sunarc.reanalysis.index import CameraPlan, Selector, index_folder
-from sunarc.reanalysis.ledger import Known, Ledger
-from sunarc.reanalysis.look import Item, look_at
-from sunarc.reanalysis.passes import CHUNK, chunks_of, id_of
-from sunarc.runtime.clock import SystemClock
-from sunarc.runtime.status import StatusRegistry, StatusSnapshot
-from sunarc.simulation.made_archive import encoded, photograph
-from sunarc.simulation.truth import SGP
-from sunarc.studies.figures import LETTERING_PT, TITLE_PT, new_sheet
+from sunarc.common.findings import Finding
+from sunarc.hub.archive import open_hub_archive
+from sunarc.hub.serving import create_hub_app
+from sunarc.imager.archive.values import Refit
+from sunarc.imager.runtime.clock import SystemClock
+from sunarc.imager.runtime.status import StatusRegistry, StatusSnapshot
+from sunarc.imager.web.app import create_app
+from sunarc.imager.web.options import ApiOptions
+from sunarc.lab.simulation.made_archive import encoded, photograph
+from sunarc.lab.simulation.truth import SGP
+from sunarc.lab.studies.figures import LETTERING_PT, TITLE_PT, new_sheet
+from sunarc.sources.image_times import TimeRules
+from sunarc.sources.index import CameraPlan, Selector, index_folder
+from sunarc.sources.look import Item, look_at
 
 Cost = Iterator[tuple[str, int, float]]
 """What is done, how many of them, and processor seconds."""
@@ -113,7 +113,7 @@ def days(size: int) -> Cost:
     with tempfile.TemporaryDirectory(prefix="costs-") as folder:
         path = Path(folder) / "sunarc.sqlite"
         five_years.make(path, days=size, cadence_s=_CADENCE_S)
-        with open_archive(path) as archive:
+        with open_hub_archive(path) as archive:
             board = StatusRegistry(version="study", started_at=end, monotonic=SystemClock().monotonic)
             app = create_app(
                 archive=archive,
@@ -191,7 +191,7 @@ def cameras(size: int) -> Cost:
     status = StatusSnapshot(version="study", started_at=now)
     with running_server() as server:
         fill(server, rows=2 * size, cameras=size, listed=size)
-        with open_archive(server.url(TEMPLATE)) as archive:
+        with open_hub_archive(server.url(TEMPLATE)) as archive:
             app = create_hub_app(archive=archive, status=lambda: status, now=lambda: now, options=ApiOptions())
             for page in ("/v1/fleet", "/metrics"):
                 yield page, size, processor_of(partial(answered, app, page), beside=lambda: processor_s(server.pid))

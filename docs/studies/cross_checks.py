@@ -21,8 +21,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.cross_checks.rotation_steps import FEWEST_AGREEING, agreeing, explain_step, find_steps
-from sunarc.monitoring.daily_rotations import DailyRotations
+from sunarc.changes.daily_rotations import DailyRotations
+from sunarc.changes.rotation_steps import FEWEST_AGREEING, agreeing, explain_step, find_steps
 from sunarc.sky.site import Site
 
 Array = NDArray[np.float64]

@@ -22,7 +22,7 @@ import numpy as np
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, ViewportSize, sync_playwright
 
-from sunarc.documents.calibration_document import from_document
+from sunarc.formats.calibration_document import from_document
 from sunarc.optics.forward import project
 from sunarc.sky.sun import sun_directions
 

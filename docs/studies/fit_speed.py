@@ -27,8 +27,8 @@ from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.solve.levenberg_marquardt import most_probable
 from sunarc.calibration.solve.priors import lens_prior
 from sunarc.calibration.solve.problem import problem_for
+from sunarc.imager.runtime.child_process import keep_freed_memory
 from sunarc.optics.camera import Camera
-from sunarc.runtime.child_process import keep_freed_memory
 
 FloatArray = NDArray[np.float64]
 

@@ -32,20 +32,20 @@ import httpx
 import numpy as np
 from fastapi import FastAPI
 
-from sunarc.api.app import create_app
-from sunarc.api.options import ApiOptions
-from sunarc.archive.archive import Archive, CameraArchive, open_archive
-from sunarc.archive.database.schema import upgrade
-from sunarc.archive.values import CameraRecord, Day, Event, Refit
 from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.imager.archive.archive import Archive, CameraArchive, open_archive
+from sunarc.imager.archive.database.schema import upgrade
+from sunarc.imager.archive.values import CameraRecord, Day, Event, Refit
+from sunarc.imager.runtime.clock import SystemClock
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.web.app import create_app
+from sunarc.imager.web.options import ApiOptions
+from sunarc.imager.workers.calibrating.monitor import DayJudge
+from sunarc.imager.workers.calibrating.refit import RefitWorker
+from sunarc.imager.workers.options import RefitOptions
+from sunarc.lab.simulation.truth import SGP, true_camera
 from sunarc.optics.forward import project_fast
-from sunarc.runtime.clock import SystemClock
-from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.sun import sun_angles, sun_directions
-from sunarc.workers.calibrating.monitor import DayJudge
-from sunarc.workers.calibrating.refit import RefitWorker
-from sunarc.workers.options import RefitOptions
 
 START = datetime(2013, 5, 13, 6, 30, tzinfo=UTC)
 DAYS = 1826

@@ -21,10 +21,10 @@ from population import random_camera
 
 from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.result import Calibration, Metrics, Provenance, Verdict
-from sunarc.documents.calibration_document import from_document, to_document
-from sunarc.exports.exported import Exported
-from sunarc.exports.formats import FORMATS, export, read_view
-from sunarc.exports.view import Comparison, camera_view, compare
+from sunarc.formats.calibration_document import from_document, to_document
+from sunarc.formats.exported import Exported
+from sunarc.formats.formats import FORMATS, export, read_view
+from sunarc.formats.view import Comparison, camera_view, compare
 from sunarc.optics.backward import BackwardModel
 from sunarc.optics.camera import Camera
 from sunarc.optics.displacement import WaveBasis

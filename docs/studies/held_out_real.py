@@ -18,11 +18,11 @@ import numpy as np
 from coverage_statistics import STATED, within_stated
 from numpy.typing import NDArray
 
-from sunarc.archive.csv_files import read_sightings
 from sunarc.calibration.answers.covariance import project_with_covariance
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.formats.csv_files import read_sightings
 from sunarc.optics.projections import PROJECTIONS
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions

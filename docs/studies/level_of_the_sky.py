@@ -11,9 +11,9 @@ import argparse
 from datetime import UTC, datetime
 
 from sunarc.imaging.brightness import Exposed, Level, factor_all_over, level_of
-from sunarc.simulation.options import WEATHERS, SceneOptions
-from sunarc.simulation.scene import Scene
-from sunarc.simulation.truth import SGP, true_camera
+from sunarc.lab.simulation.options import WEATHERS, SceneOptions
+from sunarc.lab.simulation.scene import Scene
+from sunarc.lab.simulation.truth import SGP, true_camera
 
 _DAWN = datetime(2013, 5, 13, 11, 0, tzinfo=UTC).timestamp()
 _DAY_S = 14.8 * 3600.0

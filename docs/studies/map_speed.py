@@ -27,13 +27,13 @@ import xarray as xr
 from tests.api.conftest import NOON, fill, new_archive
 from tests.fixtures.calibrations import SITE
 
-from sunarc.api.app import create_app
-from sunarc.api.middleware.connection_limit import bound_connections
-from sunarc.api.options import ApiOptions
-from sunarc.archive.values import Refit
-from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.host import listen
-from sunarc.runtime.status import StatusRegistry
+from sunarc.imager.archive.values import Refit
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.runtime.host import listen
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.web.app import create_app
+from sunarc.imager.web.middleware.connection_limit import bound_connections
+from sunarc.imager.web.options import ApiOptions
 
 MAP = "/v1/back-projection-map"
 MAP_BYTES = 73_400_000

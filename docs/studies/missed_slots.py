@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.monitoring.day_quality import decide_day, measure_day
+from sunarc.calibration.quality.day_quality import decide_day, measure_day
+from sunarc.lab.simulation.truth import true_camera
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
-from sunarc.simulation.truth import true_camera
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles, sun_directions
 

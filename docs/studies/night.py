@@ -22,7 +22,6 @@ import population as pop
 from coverage_statistics import CHI_SQUARE_95, bootstrap_interval, squared_sigmas
 from numpy.typing import NDArray
 
-from sunarc.array_types import stacked
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.fit.effects import DECENTRED_PX, OFFSET_PX, POSE_DIFFERENCE_DEG
@@ -33,6 +32,7 @@ from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.calibration.selection import MOST_STARS, image_parts, surest_of_parts
 from sunarc.calibration.solve.priors import LENS, N_LENS, Whitened, lens_prior, precisions
+from sunarc.common.array_types import stacked
 from sunarc.detection.stars.matching import match_stars
 from sunarc.optics.camera import PRINCIPAL_POINT, Camera
 from sunarc.optics.forward import project

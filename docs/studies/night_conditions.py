@@ -21,26 +21,26 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from sunarc.archive.archive import CameraArchive, open_archive
-from sunarc.archive.database.schema import upgrade
-from sunarc.archive.values import CameraRecord, Refit
 from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.result import Calibration, Metrics, Provenance, Verdict
-from sunarc.cameras.frame import Frame
 from sunarc.detection.stars.photometry import NightLimits, NightTrend, dew_suspected, focus_ratio
-from sunarc.documents.calibration_document import to_document
+from sunarc.formats.calibration_document import to_document
+from sunarc.imager.archive.archive import CameraArchive, open_archive
+from sunarc.imager.archive.database.schema import upgrade
+from sunarc.imager.archive.values import CameraRecord, Refit
+from sunarc.imager.cameras.frame import Frame
+from sunarc.imager.runtime.loop import DropOldestQueue
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.workers.night.exposures import NightCapture, NightExposures
+from sunarc.imager.workers.night.night import NightWorker
+from sunarc.imager.workers.options import SensorOptions
+from sunarc.lab.simulation.options import SceneOptions, SimulatedNight, Weather
+from sunarc.lab.simulation.scene import Scene
+from sunarc.lab.simulation.truth import SGP, true_camera
 from sunarc.optics.backward import BackwardModel
 from sunarc.optics.camera import Camera
 from sunarc.optics.displacement import WaveBasis
 from sunarc.optics.pose import pose_angles
-from sunarc.runtime.loop import DropOldestQueue
-from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation.options import SceneOptions, SimulatedNight, Weather
-from sunarc.simulation.scene import Scene
-from sunarc.simulation.truth import SGP, true_camera
-from sunarc.workers.night.exposures import NightCapture, NightExposures
-from sunarc.workers.night.night import NightWorker
-from sunarc.workers.options import SensorOptions
 
 EXPOSURE_US = 5e6
 IMAGES = 9

@@ -14,20 +14,20 @@ import time
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from sunarc.archive.archive import CameraArchive, open_archive
-from sunarc.archive.database.schema import upgrade
-from sunarc.archive.values import CameraRecord, Refit
-from sunarc.cameras.frame import Frame
-from sunarc.runtime.loop import DropOldestQueue
-from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation.options import SceneOptions, SimulatedNight
-from sunarc.simulation.scene import Scene
-from sunarc.simulation.truth import SGP, true_camera
+from sunarc.common.utc import utc_time
+from sunarc.imager.archive.archive import CameraArchive, open_archive
+from sunarc.imager.archive.database.schema import upgrade
+from sunarc.imager.archive.values import CameraRecord, Refit
+from sunarc.imager.cameras.frame import Frame
+from sunarc.imager.runtime.loop import DropOldestQueue
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.workers.night.exposures import MoonCapture, MoonExposures, NightCapture, NightExposures
+from sunarc.imager.workers.night.night import NightWorker
+from sunarc.imager.workers.options import SensorOptions
+from sunarc.lab.simulation.options import SceneOptions, SimulatedNight
+from sunarc.lab.simulation.scene import Scene
+from sunarc.lab.simulation.truth import SGP, true_camera
 from sunarc.sky.night import moon_disc
-from sunarc.utc import utc_time
-from sunarc.workers.night.exposures import MoonCapture, MoonExposures, NightCapture, NightExposures
-from sunarc.workers.night.night import NightWorker
-from sunarc.workers.options import SensorOptions
 
 BEGIN = datetime(2013, 5, 18, 3, 20, tzinfo=UTC)
 SLOT_S, SLOTS = 600.0, 72

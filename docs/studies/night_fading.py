@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.robust_statistics import biweights, mad_sigma
-from sunarc.simulation.truth import SGP
+from sunarc.common.robust_statistics import biweights, mad_sigma
+from sunarc.lab.simulation.truth import SGP
 from sunarc.sky.directions import angles_from_direction
 from sunarc.sky.night import night_sky
 from sunarc.sky.site import relative_air_mass

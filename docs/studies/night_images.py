@@ -22,29 +22,29 @@ from typing import Any
 import numpy as np
 from coverage_statistics import CHI_SQUARE_95, squared_sigmas
 
-from sunarc.archive.archive import Archive, CameraArchive, open_archive
-from sunarc.archive.database.schema import upgrade
-from sunarc.archive.values import CameraRecord, Refit, SunPoint
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
-from sunarc.cameras.frame import Frame
-from sunarc.documents.calibration_document import to_document
+from sunarc.common.utc import utc_time
+from sunarc.formats.calibration_document import to_document
+from sunarc.imager.archive.archive import Archive, CameraArchive, open_archive
+from sunarc.imager.archive.database.schema import upgrade
+from sunarc.imager.archive.values import CameraRecord, Refit, SunPoint
+from sunarc.imager.cameras.frame import Frame
+from sunarc.imager.runtime.loop import DropOldestQueue
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.workers.calibrating.refit import RefitTask, next_task
+from sunarc.imager.workers.night.exposures import NightCapture, NightExposures
+from sunarc.imager.workers.night.night import NightWorker
+from sunarc.imager.workers.options import SensorOptions
+from sunarc.lab.simulation.options import SceneOptions, SimulatedNight
+from sunarc.lab.simulation.scene import Scene
+from sunarc.lab.simulation.truth import SGP, true_camera
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
-from sunarc.runtime.loop import DropOldestQueue
-from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation.options import SceneOptions, SimulatedNight
-from sunarc.simulation.scene import Scene
-from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.night import body_directions
 from sunarc.sky.sun import sun_angles, sun_directions
-from sunarc.utc import utc_time
-from sunarc.workers.calibrating.refit import RefitTask, next_task
-from sunarc.workers.night.exposures import NightCapture, NightExposures
-from sunarc.workers.night.night import NightWorker
-from sunarc.workers.options import SensorOptions
 
 DARK = datetime(2013, 5, 14, 3, 30, tzinfo=UTC)
 FULL_MOON = datetime(2013, 5, 25, 4, 0, tzinfo=UTC)

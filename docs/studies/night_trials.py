@@ -30,19 +30,19 @@ from night_matching import WRONG, wrong_camera
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from sunarc.array_types import stacked
+from sunarc.calibration.acceptance import accept
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.calibration.selection import MOST_STARS, image_parts, surest_of_parts
-from sunarc.cameras.frame import Frame
+from sunarc.common.array_types import stacked
 from sunarc.detection.values import Stars
-from sunarc.monitoring.acceptance import accept
+from sunarc.imager.cameras.frame import Frame
+from sunarc.imager.workers.night.night import decide_night, summary_of
+from sunarc.lab.simulation.options import SceneOptions, SensorModel, SimulatedNight
+from sunarc.lab.simulation.scene import Scene
+from sunarc.lab.simulation.truth import SGP, true_camera
 from sunarc.optics.camera import Camera
-from sunarc.simulation.options import SceneOptions, SensorModel, SimulatedNight
-from sunarc.simulation.scene import Scene
-from sunarc.simulation.truth import SGP, true_camera
 from sunarc.stars.views import StarView, match_views
-from sunarc.workers.night.night import decide_night, summary_of
 
 SIZES = (640, 874, 1024)
 KINDS = ("broken clouds", "haze", "moon", "town", "all of it")

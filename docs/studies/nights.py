@@ -10,8 +10,8 @@ import numpy as np
 import population as pop
 from numpy.typing import NDArray
 
-from sunarc.array_types import BoolArray
 from sunarc.calibration.model.result import Calibration
+from sunarc.common.array_types import BoolArray
 from sunarc.detection.values import PredictedStars, Stars
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.lab.simulation.truth import true_camera
 from sunarc.optics.forward import local_stretch, project
-from sunarc.simulation.truth import true_camera
 from sunarc.sky.sun import sun_directions
 
 FloatArray = NDArray[np.float64]

@@ -22,11 +22,11 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from sunarc.array_types import BoolArray, Image
+from sunarc.common.array_types import BoolArray, Image
 from sunarc.detection.photo.ordinary_image import Photo, detect_sun_in_photo
 from sunarc.detection.photo.plateau import static_mask
 from sunarc.detection.values import Detection
-from sunarc.reanalysis.files import read_image
+from sunarc.sources.files import read_image
 
 _FULL_SCALE = {"uint8": 255, "uint16": 65535}
 _REDUCED_PX = 640  # smaller side of the images of which the mask is made

@@ -17,17 +17,17 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from sunarc.archives.fit import CameraSightings, final_analysis, first_analysis
+from sunarc.archives.states import ArchiveCamera
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.evidence import DAYS_GAIN
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.cross_checks.rotation_steps import explain_step, find_steps
-from sunarc.monitoring.daily_rotations import DailyRotations, daily_rotations, step_gains
-from sunarc.monitoring.detect_change import update_window
-from sunarc.monitoring.step_search import find_pose_steps
-from sunarc.monitoring.values import Sighting, SightingWindow, WatchOptions
-from sunarc.reanalysis.fit import CameraSightings, final_analysis, first_analysis
-from sunarc.reanalysis.states import ArchiveCamera
+from sunarc.changes.daily_rotations import DailyRotations, daily_rotations, step_gains
+from sunarc.changes.detect_change import update_window
+from sunarc.changes.rotation_steps import explain_step, find_steps
+from sunarc.changes.step_search import find_pose_steps
+from sunarc.changes.values import Sighting, SightingWindow, WatchOptions
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions
 

@@ -24,9 +24,9 @@ from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.change_points import calibrate_moved
 from sunarc.calibration.model.result import Calibration
+from sunarc.common.robust_statistics import tukey_loss
 from sunarc.optics.forward import project
 from sunarc.optics.projections import angle_limit
-from sunarc.robust_statistics import tukey_loss
 from sunarc.sky.sun import sun_directions
 
 FloatArray = NDArray[np.float64]

@@ -30,17 +30,17 @@ from types import FrameType
 
 import numpy as np
 
-from sunarc.archive.archive import open_archive
-from sunarc.archive.database.schema import upgrade
-from sunarc.archive.values import CameraRecord
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.documents.calibration_document import from_document, to_document
+from sunarc.formats.calibration_document import from_document, to_document
+from sunarc.imager.archive.archive import open_archive
+from sunarc.imager.archive.database.schema import upgrade
+from sunarc.imager.archive.values import CameraRecord
+from sunarc.imager.runtime.clock import SystemClock
+from sunarc.lab.simulation.imager import ImagerOptions, run_imager
+from sunarc.lab.simulation.truth import SGP, true_camera
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
-from sunarc.runtime.clock import SystemClock
-from sunarc.simulation.imager import ImagerOptions, run_imager
-from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.sun import sun_angles, sun_directions
 
 _SIZE = 2048

@@ -23,17 +23,17 @@ import cv2
 import five_years
 import numpy as np
 
-from sunarc.archive.archive import CameraArchive, open_archive
-from sunarc.archive.values import Refit
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.reanalysis.detect_files import detect_in_image
-from sunarc.reanalysis.image_files import checked_image
-from sunarc.runtime.clock import SystemClock
-from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation.made_archive import encoded, photograph
-from sunarc.simulation.truth import SGP
-from sunarc.workers.calibrating.refit import RefitWorker
-from sunarc.workers.options import RefitOptions
+from sunarc.imager.archive.archive import CameraArchive, open_archive
+from sunarc.imager.archive.values import Refit
+from sunarc.imager.runtime.clock import SystemClock
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.workers.calibrating.refit import RefitWorker
+from sunarc.imager.workers.options import RefitOptions
+from sunarc.lab.simulation.made_archive import encoded, photograph
+from sunarc.lab.simulation.truth import SGP
+from sunarc.sources.detect_files import detect_in_image
+from sunarc.sources.image_files import checked_image
 
 _GROUPS = Path("/sys/fs/cgroup")
 _PERIOD_US = 100_000

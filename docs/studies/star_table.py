@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sunarc.array_types import FloatArray, IntArray
+from sunarc.common.array_types import FloatArray, IntArray
 
 EPOCH = 2024.0
 FAINTEST = 5.5

@@ -235,7 +235,7 @@ nb::tuple merge_exposures(In<T, -1, -1, -1> stack, Numbers exposures, double bla
 // The rim of a plateau.
 
 constexpr double CUT_OUTSIDE = 2.5, CUT_INSIDE = 4.0;  // scales: harder outside, where cloud and streaks are
-constexpr double MAD_TO_SIGMA = 1.4826;                // sunarc.robust_statistics
+constexpr double MAD_TO_SIGMA = 1.4826;                // sunarc.common.robust_statistics
 
 // Tukey's weight of a distance from the rim, outwards positive, over the scale.
 INLINED double rim_weight(double distance) {

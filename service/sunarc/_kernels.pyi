@@ -8,7 +8,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.array_types import FloatArray, Image, IntArray
+from sunarc.common.array_types import FloatArray, Image, IntArray
 
 Float32Array: TypeAlias = NDArray[np.float32]
 

@@ -18,19 +18,19 @@ import pytest
 from fastapi import FastAPI
 from tests.fixtures.calibrations import SITE, chosen_calibration, refused
 
-from sunarc.api.app import create_app
-from sunarc.api.options import ApiOptions
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.database.schema import upgrade
-from sunarc.archive.images import ImageStore
-from sunarc.archive.values import CameraRecord, Day, Event, Housekeeping, Refit, SunPoint
 from sunarc.calibration.model.result import Calibration
-from sunarc.documents.calibration_document import to_document
-from sunarc.findings import Finding
+from sunarc.common.findings import Finding
+from sunarc.formats.calibration_document import to_document
+from sunarc.imager.archive.archive import Archive, open_archive
+from sunarc.imager.archive.database.schema import upgrade
+from sunarc.imager.archive.images import ImageStore
+from sunarc.imager.archive.values import CameraRecord, Day, Event, Housekeeping, Refit, SunPoint
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.runtime.status import CameraStatus, ClockStatus, DiskStatus, StatusRegistry, WorkerStatus
+from sunarc.imager.web.app import create_app
+from sunarc.imager.web.options import ApiOptions
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
-from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import CameraStatus, ClockStatus, DiskStatus, StatusRegistry, WorkerStatus
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles, sun_directions
 

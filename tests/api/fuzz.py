@@ -23,12 +23,12 @@ import uvicorn
 from tests.api.conftest import NOON, SMALL, TOKEN, fill, new_archive, write_image
 from tests.fixtures.calibrations import SITE
 
-from sunarc.api.app import create_app
-from sunarc.api.options import ApiOptions
-from sunarc.archive.values import Refit
-from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.host import listen
-from sunarc.runtime.status import StatusRegistry
+from sunarc.imager.archive.values import Refit
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.runtime.host import listen
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.web.app import create_app
+from sunarc.imager.web.options import ApiOptions
 
 CONFIG = Path(__file__).with_name("schemathesis.toml")
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.api.test_problems import check_shape
 
-from sunarc.runtime.host import credential
+from sunarc.imager.runtime.host import credential
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made

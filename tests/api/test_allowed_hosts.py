@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.api.test_problems import check_shape
 
-from sunarc.api.options import ApiOptions
-from sunarc.errors import InputError
+from sunarc.common.errors import InputError
+from sunarc.imager.web.options import ApiOptions
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made

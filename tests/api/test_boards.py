@@ -22,14 +22,14 @@ from tests.fixtures.calibrations import SITE
 from tests.fixtures.nights import judged
 from tests.fixtures.ports import free_port
 
-from sunarc.archive.archive import CameraArchive
-from sunarc.archive.database.store import Reserve
-from sunarc.archive.images import DiskOptions, ImageStore
-from sunarc.archive.values import Day, Refit
-from sunarc.runtime.clock import ClockState, SystemClock, VirtualClock
-from sunarc.workers.clock_watch import ClockWatch, FrameTime
-from sunarc.workers.options import ClockOptions
-from sunarc.workers.upkeep import DiskWorker
+from sunarc.imager.archive.archive import CameraArchive
+from sunarc.imager.archive.database.store import Reserve
+from sunarc.imager.archive.images import DiskOptions, ImageStore
+from sunarc.imager.archive.values import Day, Refit
+from sunarc.imager.runtime.clock import ClockState, SystemClock, VirtualClock
+from sunarc.imager.workers.clock_watch import ClockWatch, FrameTime
+from sunarc.imager.workers.options import ClockOptions
+from sunarc.imager.workers.upkeep import DiskWorker
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from sunarc.documents.calibration_document import from_document
+from sunarc.formats.calibration_document import from_document
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from sunarc.archive.values import CameraRecord
+from sunarc.imager.archive.values import CameraRecord
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made

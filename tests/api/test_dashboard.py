@@ -22,19 +22,19 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from tests.api.conftest import LENS, NOON, REFUSED
 from tests.fixtures.calibrations import SITE
 
-from sunarc.archive.values import Event, SunPoint
 from sunarc.calibration.messages import MESSAGES, text_of
-from sunarc.findings import Finding
+from sunarc.common.findings import Finding
+from sunarc.imager.archive.values import Event, SunPoint
+from sunarc.imager.runtime.status import Reason
+from sunarc.imager.workers.messages import condition
 from sunarc.optics.forward import project
 from sunarc.optics.inverse import unproject
-from sunarc.runtime.status import Reason
 from sunarc.sky.sun import sun_directions
-from sunarc.workers.messages import condition
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made
 
-STATIC = Path(__file__).parents[2] / "service" / "sunarc" / "api" / "static"
+STATIC = Path(__file__).parents[2] / "service" / "sunarc" / "imager" / "web" / "static"
 SCRIPTS = sorted(path.name for path in STATIC.glob("*.js") if path.name != "fleet.js")  # of the hub's page
 FILES = {
     "/": "text/html",

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sunarc.calibration.answers.covariance import project_with_covariance, sigma_px, unproject_with_sigma
-from sunarc.documents.calibration_document import from_document
+from sunarc.formats.calibration_document import from_document
 from sunarc.sky.directions import angles_from_direction, angular_distance, direction_from_angles
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.api.options import ApiOptions
 from sunarc.calibration.answers.error_model import MOST_DRAWS, draw_ensemble
+from sunarc.imager.web.options import ApiOptions
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made

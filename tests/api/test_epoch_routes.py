@@ -9,7 +9,7 @@ import pytest
 from tests.api.conftest import NOON, document
 from tests.api.test_problems import check_shape
 
-from sunarc.archive.values import CameraRecord
+from sunarc.imager.archive.values import CameraRecord
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made

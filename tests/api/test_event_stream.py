@@ -19,19 +19,19 @@ import uvicorn
 from tests.api.conftest import NOON, document
 from tests.fixtures.calibrations import SITE
 
-from sunarc.api import app
-from sunarc.api.middleware.connection_limit import bound_connections
-from sunarc.api.options import ApiOptions
-from sunarc.api.routes import record as event_stream
-from sunarc.api.routes.record import Follower
-from sunarc.archive.values import CameraRecord, Event
 from sunarc.client import Imager, ImagerEvent
-from sunarc.runtime.status import Reason, WorkerStatus
+from sunarc.imager.archive.values import CameraRecord, Event
+from sunarc.imager.runtime.status import Reason, WorkerStatus
+from sunarc.imager.web import app
+from sunarc.imager.web.middleware.connection_limit import bound_connections
+from sunarc.imager.web.options import ApiOptions
+from sunarc.imager.web.routes import record as event_stream
+from sunarc.imager.web.routes.record import Follower
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made, Make
 
-    from sunarc.api.context import ApiContext
+    from sunarc.imager.web.context import ApiContext
 
 PATH = "/v1/events/stream"
 PATIENCE_S = 20.0

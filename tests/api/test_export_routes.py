@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from sunarc.api.routes.calibrations import decimal
+from sunarc.imager.web.routes.calibrations import decimal
 from sunarc.sky.directions import angular_distance
 from sunarc.sky.sun import sun_directions
 

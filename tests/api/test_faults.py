@@ -12,8 +12,8 @@ from starlette.types import Receive, Scope, Send
 from tests.api.test_problems import check_shape
 from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
-from sunarc.api.middleware.shared_quota import client_network
-from sunarc.api.problems import FaultGuard, FaultLog
+from sunarc.imager.web.middleware.shared_quota import client_network
+from sunarc.imager.web.problems import FaultGuard, FaultLog
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made

@@ -16,14 +16,14 @@ from tests.api.conftest import LENS, NOON, Made, calibration, sightings
 from tests.api.test_dashboard import CUT_OFF, browser, in_a_browser, is_accessible, opened, serving
 from tests.fixtures.calibrations import SITE
 
-from sunarc.archive.values import SunPoint
 from sunarc.calibration.model.result import Verdict
-from sunarc.documents.calibration_document import to_document
-from sunarc.findings import Finding
+from sunarc.common.findings import Finding
+from sunarc.formats.calibration_document import to_document
+from sunarc.imager.archive.values import SunPoint
+from sunarc.imager.runtime.status import CameraStatus, ClockStatus, Reason
+from sunarc.imager.workers.messages import MESSAGES, condition
 from sunarc.optics.forward import project
-from sunarc.runtime.status import CameraStatus, ClockStatus, Reason
 from sunarc.sky.sun import sun_directions
-from sunarc.workers.messages import MESSAGES, condition
 
 FIRST = "#first:not([hidden])"
 NORTHS = ((4, 24.0), (6, 11.0), (12, 4.0), (40, 1.3))

@@ -17,13 +17,13 @@ from tests.api.test_hub import CHECKS, TOKEN, save_checks
 from tests.fixtures.archive import make_empty
 from tests.fixtures.fleet import NOW, feed, new_imager, sighting
 
-from sunarc.api.options import ApiOptions
-from sunarc.api.routes.feed import token_digest
-from sunarc.app.hub import create_hub_app
-from sunarc.archive.archive import open_archive
-from sunarc.archive.fleet.feed_rows import FleetCamera, Refusal
-from sunarc.archive.fleet.feeds import FeedStore, HubRun
-from sunarc.runtime.status import StatusSnapshot
+from sunarc.hub.archive import open_hub_archive
+from sunarc.hub.feed_routes import token_digest
+from sunarc.hub.feeds import FeedStore, HubRun
+from sunarc.hub.serving import create_hub_app
+from sunarc.imager.archive.feed_rows import FleetCamera, Refusal
+from sunarc.imager.runtime.status import StatusSnapshot
+from sunarc.imager.web.options import ApiOptions
 
 pytestmark = [pytest.mark.browser, in_a_browser]
 
@@ -32,7 +32,7 @@ pytestmark = [pytest.mark.browser, in_a_browser]
 def address(tmp_path: Path) -> Iterator[str]:
     """Serve a hub of three cameras: one with a wrong clock, one that turns slowly, one with nothing."""
     make_empty(tmp_path / "hub.sqlite")
-    with open_archive(tmp_path / "hub.sqlite") as archive:
+    with open_hub_archive(tmp_path / "hub.sqlite") as archive:
         for number, name in enumerate(("gate", "mast", "roof")):
             archive.feeds.add_token(name, token_digest(TOKEN + name), now=NOW, former_until=NOW)
             with new_imager(tmp_path, name) as imager:
@@ -134,7 +134,7 @@ def fifty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     monkeypatch.setattr(FeedStore, "fleet", lambda _self: cameras)
     monkeypatch.setattr(FeedStore, "hubs", lambda _self: hubs)
     make_empty(tmp_path / "hub.sqlite")
-    with open_archive(tmp_path / "hub.sqlite") as archive:
+    with open_hub_archive(tmp_path / "hub.sqlite") as archive:
         save_checks(
             archive, *(replace(one, camera=f"station-{n}") for one, n in zip(CHECKS, (47, 48, 49), strict=True))
         )

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from sunarc.api.fleet_states import LARGEST_DRIFT_DEG, LARGEST_SIGMA_DEG, LEAST_DISK_BYTES, SILENT, members
-from sunarc.archive.fleet.feed_rows import FleetCamera
-from sunarc.archive.fleet.nightly import CrossCheck, CrossChecks
+from sunarc.hub.fleet_states import LARGEST_DRIFT_DEG, LARGEST_SIGMA_DEG, LEAST_DISK_BYTES, SILENT, members
+from sunarc.hub.nightly_store import CrossCheck, CrossChecks
+from sunarc.imager.archive.feed_rows import FleetCamera
 
 NOON = datetime(2026, 6, 1, 18, 30, tzinfo=UTC)  # at 97.5° west
 GOOD = FleetCamera(

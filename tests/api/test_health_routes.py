@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from prometheus_client.parser import text_string_to_metric_families
 
-from sunarc.runtime.status import Reason
+from sunarc.imager.runtime.status import Reason
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made

@@ -26,18 +26,18 @@ from tests.fixtures.fleet import NOW, new_imager, next_batch, sighting
 from tests.fixtures.postgresql import TEMPLATE, Server, running_server
 from tests.workers.test_full_disk import mounted
 
-from sunarc.api.fleet_states import SILENT
-from sunarc.api.options import ApiOptions
-from sunarc.api.routes.feed import MOST_BYTES, MOST_LISTS, token_digest
-from sunarc.app.hub import create_hub_app
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.database.schema import head_revision
-from sunarc.archive.fleet.feed_rows import MOST_ROWS, feed_lines
-from sunarc.archive.fleet.nightly import CrossCheck, NightlyRun
-from sunarc.archive.values import Day
-from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import Reason, StatusRegistry, StatusSnapshot
-from sunarc.workers.upkeep import StoreRoomWorker
+from sunarc.hub.archive import HubArchive, open_hub_archive
+from sunarc.hub.feed_routes import MOST_BYTES, MOST_LISTS, token_digest
+from sunarc.hub.fleet_states import SILENT
+from sunarc.hub.nightly_store import CrossCheck, NightlyRun
+from sunarc.hub.serving import create_hub_app
+from sunarc.imager.archive.database.schema import head_revision
+from sunarc.imager.archive.feed_rows import MOST_ROWS, feed_lines
+from sunarc.imager.archive.values import Day
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.runtime.status import Reason, StatusRegistry, StatusSnapshot
+from sunarc.imager.web.options import ApiOptions
+from sunarc.imager.workers.upkeep import StoreRoomWorker
 
 TOKEN = "the token of the camera roof"  # noqa: S105 - of the test alone
 METRICS = {
@@ -59,7 +59,7 @@ METRICS = {
 
 @dataclass
 class Hub:
-    archive: Archive
+    archive: HubArchive
     client: Client
     now: list[Any]
 
@@ -93,7 +93,7 @@ def hub(tmp_path: Path) -> Iterator[Hub]:
 def made(folder: Path, **options: Any) -> Iterator[Hub]:  # noqa: ANN401 - of ApiOptions
     make_empty(folder / "hub.sqlite")
     now = [NOW]
-    with open_archive(folder / "hub.sqlite") as archive:
+    with open_hub_archive(folder / "hub.sqlite") as archive:
         archive.feeds.add_token("roof", token_digest(TOKEN), now=NOW, former_until=NOW)
         app = create_hub_app(
             archive=archive,
@@ -105,17 +105,17 @@ def made(folder: Path, **options: Any) -> Iterator[Hub]:  # noqa: ANN401 - of Ap
 
 
 @pytest.fixture
-def imager(tmp_path: Path) -> Iterator[Archive]:
+def imager(tmp_path: Path) -> Iterator[HubArchive]:
     with new_imager(tmp_path) as archive:
         archive.sightings.add(sighting(n) for n in range(3))
         yield archive
 
 
-def body_of(imager: Archive) -> bytes:
+def body_of(imager: HubArchive) -> bytes:
     return gzip.compress(feed_lines(next_batch(imager).rows))
 
 
-def test_rows_are_stored_and_answered_for_their_camera(hub: Hub, imager: Archive) -> None:
+def test_rows_are_stored_and_answered_for_their_camera(hub: Hub, imager: HubArchive) -> None:
     answer = hub.put(body_of(imager))
     assert (answer.status_code, answer.json()) == (200, {"committed": 5})
     assert hub.put(body_of(imager)).json() == {"committed": 5}
@@ -127,7 +127,7 @@ def test_rows_are_stored_and_answered_for_their_camera(hub: Hub, imager: Archive
     assert hub.client.get("/v1/cameras/mast/days").status_code == 404
 
 
-def test_no_rows_after_minus_one_ask_where_the_hub_stands(hub: Hub, imager: Archive) -> None:
+def test_no_rows_after_minus_one_ask_where_the_hub_stands(hub: Hub, imager: HubArchive) -> None:
     """As `sunarc check` asks: nothing is stored, nothing is set apart, and a wrong token is refused."""
     hub.put(body_of(imager))
     nothing = gzip.compress(b"")
@@ -148,7 +148,7 @@ def test_a_hub_has_no_camera_of_its_own(hub: Hub, path: str) -> None:
     ("method", "path"),
     [("POST", "refits"), ("PUT", "days/2026-05-13/air"), ("POST", "calibrations/a/activate")],
 )
-def test_a_hub_changes_nothing_that_an_imager_decides(hub: Hub, imager: Archive, method: str, path: str) -> None:
+def test_a_hub_changes_nothing_that_an_imager_decides(hub: Hub, imager: HubArchive, method: str, path: str) -> None:
     hub.put(body_of(imager))
     answer = hub.client.request(method, f"/v1/cameras/roof/{path}", json={"reason": "test"})
     assert answer.status_code == 403
@@ -172,7 +172,7 @@ def test_a_hub_changes_nothing_that_an_imager_decides(hub: Hub, imager: Archive,
     ],
 )
 def test_what_is_refused_is_answered_and_seen_and_nothing_else_stops(
-    hub: Hub, imager: Archive, changes: dict[str, Any], status: int, reason: str
+    hub: Hub, imager: HubArchive, changes: dict[str, Any], status: int, reason: str
 ) -> None:
     assert hub.put(body_of(imager)).status_code == 200
     body = changes.pop("body", gzip.compress(b""))
@@ -187,7 +187,7 @@ def test_what_is_refused_is_answered_and_seen_and_nothing_else_stops(
     assert hub.put(body_of(imager), after=5).json() == {"committed": 6}
 
 
-def test_the_token_of_one_camera_is_none_of_anothers(hub: Hub, imager: Archive) -> None:
+def test_the_token_of_one_camera_is_none_of_anothers(hub: Hub, imager: HubArchive) -> None:
     hub.archive.feeds.add_token("mast", token_digest("the token of the camera mast"), now=NOW, former_until=NOW)
     assert hub.put(body_of(imager), token="the token of the camera mast").status_code == 401  # noqa: S106
     assert hub.put(body_of(imager), camera="mast").status_code == 401
@@ -203,7 +203,7 @@ def test_a_body_of_two_gigabytes_is_refused_before_it_is_read(hub: Hub) -> None:
 
 
 def test_a_sender_of_whose_rows_none_can_be_stored_waits_ever_longer_and_no_other_does(
-    hub: Hub, imager: Archive
+    hub: Hub, imager: HubArchive
 ) -> None:
     hub.archive.feeds.add_token("mast", token_digest("the token of the camera mast"), now=NOW, former_until=NOW)
     assert hub.put(body_of(imager)).status_code == 200
@@ -228,7 +228,7 @@ def test_a_sender_of_whose_rows_none_can_be_stored_waits_ever_longer_and_no_othe
 
 
 def test_a_small_body_that_holds_much_waits_with_the_large_ones_and_one_that_needs_much_memory_is_refused(
-    hub: Hub, imager: Archive
+    hub: Hub, imager: HubArchive
 ) -> None:
     assert hub.put(body_of(imager)).status_code == 200
     text = b"x" * 500_000
@@ -247,7 +247,7 @@ def test_a_number_that_is_none_is_refused(hub: Hub, after: str) -> None:
     assert hub.put(gzip.compress(b""), after=after).status_code == 422
 
 
-def test_a_token_that_was_replaced_ends_after_the_overlap(hub: Hub, imager: Archive) -> None:
+def test_a_token_that_was_replaced_ends_after_the_overlap(hub: Hub, imager: HubArchive) -> None:
     later = NOW + timedelta(hours=1)
     hub.archive.feeds.add_token("roof", token_digest("a new one, long enough"), now=NOW, former_until=later)
     for token, status in ((TOKEN, 200), ("a new one, long enough", 200)):
@@ -262,7 +262,7 @@ def test_the_digest_alone_is_stored(hub: Hub, tmp_path: Path) -> None:
     assert TOKEN.encode() not in (tmp_path / "hub.sqlite").read_bytes()
 
 
-def test_reading_with_a_token_leaves_the_feed_to_its_own(tmp_path: Path, imager: Archive) -> None:
+def test_reading_with_a_token_leaves_the_feed_to_its_own(tmp_path: Path, imager: HubArchive) -> None:
     (tmp_path / "read").write_text("a token for reading\n")
     for hub in made(tmp_path, read_token_file=tmp_path / "read"):
         assert hub.client.get("/v1/fleet").status_code == 401
@@ -392,7 +392,7 @@ def test_the_hubs_document_describes_its_routes(hub: Hub) -> None:
         assert json.dumps(paths[path.replace("{camera}", "", 1) if path not in paths else path][method]["description"])
 
 
-def test_nights_and_summaries_are_answered(hub: Hub, imager: Archive) -> None:
+def test_nights_and_summaries_are_answered(hub: Hub, imager: HubArchive) -> None:
     hub.put(body_of(imager))
     day = Day(camera="roof", date=date(2026, 5, 13), verdict="clear", findings=(), n=2, n_possible=3, decided_at=NOW)
     hub.archive.days.save(day)
@@ -441,7 +441,7 @@ CHECKS = (
 )
 
 
-def save_checks(archive: Archive, *checks: CrossCheck, day: int = 14, also: tuple[object, ...] = ()) -> None:
+def save_checks(archive: HubArchive, *checks: CrossCheck, day: int = 14, also: tuple[object, ...] = ()) -> None:
     rows = [*(one.as_json() for one in checks), *also]
     run = NightlyRun(night=date(2026, 5, day), started_at=NOW, results={"cross_checks": {"checks": rows}})
     archive.nightly.save(run)
@@ -481,7 +481,7 @@ def test_a_failed_night_is_a_reason_in_readyz(tmp_path: Path) -> None:
     board = StatusRegistry(version="1", started_at=NOW, monotonic=lambda: 0.0)
     board.set_condition("nightly_failed", Reason(code="nightly_failed", severity="degraded", text="it", remedy="see"))
     make_empty(tmp_path / "hub.sqlite")
-    with open_archive(tmp_path / "hub.sqlite") as archive:
+    with open_hub_archive(tmp_path / "hub.sqlite") as archive:
         options = ApiOptions(allowed_hosts=("imager",))
         app = create_hub_app(archive=archive, status=board.snapshot, now=lambda: NOW, options=options)
         answer = Client(app).get("/readyz")
@@ -513,7 +513,7 @@ def fill(disk: Path) -> Path:
 
 
 @pytest.mark.parametrize("engine", ["sqlite", "postgresql"])
-def test_a_hub_whose_disk_is_full_is_not_ready_and_goes_on_when_there_is_room(imager: Archive, engine: str) -> None:
+def test_a_hub_whose_disk_is_full_is_not_ready_and_goes_on_when_there_is_room(imager: HubArchive, engine: str) -> None:
     if os.geteuid() != 0:
         pytest.skip("mounting a small disk needs root")
     now = [NOW]
@@ -523,7 +523,7 @@ def test_a_hub_whose_disk_is_full_is_not_ready_and_goes_on_when_there_is_room(im
         tempfile.TemporaryDirectory(prefix="disk") as folder,
         mounted(Path(folder), "size=24m", "mode=755"),
         small_store(engine, Path(folder)) as store,
-        open_archive(store) as archive,
+        open_hub_archive(store) as archive,
     ):
         Path(folder).chmod(0o755)
         archive.feeds.add_token("roof", token_digest(TOKEN), now=NOW, former_until=NOW)
@@ -596,7 +596,7 @@ def backends_stopped(server: Server) -> Iterator[None]:
 
 @pytest.mark.parametrize("fault", [read_only, table_locked, inserts_refused, backends_stopped])
 def test_a_hub_that_can_store_nothing_is_not_ready_says_why_and_answers_no_200(
-    imager: Archive, fault: Callable[[Server], AbstractContextManager[None]]
+    imager: HubArchive, fault: Callable[[Server], AbstractContextManager[None]]
 ) -> None:
     if os.geteuid() != 0:
         pytest.skip("stopping another user's processes needs root")
@@ -610,7 +610,7 @@ def test_a_hub_that_can_store_nothing_is_not_ready_says_why_and_answers_no_200(
             "GRANT DELETE ON quarantine TO feeding",
             "GRANT EXECUTE ON FUNCTION sunarc_require_month(bigint) TO feeding",
         )
-        with open_archive(server.url(TEMPLATE, user="feeding")) as archive:
+        with open_hub_archive(server.url(TEMPLATE, user="feeding")) as archive:
             archive.feeds.add_token("roof", token_digest(TOKEN), now=NOW, former_until=NOW)
             app = create_hub_app(
                 archive=archive,

@@ -17,13 +17,13 @@ from tests.api.test_hub import TOKEN, Hub
 from tests.fixtures.fleet import NOW, new_imager, next_batch, sighting
 from tests.fixtures.postgresql import Server, running_server
 
-from sunarc.api.options import ApiOptions
-from sunarc.api.routes.feed import token_digest
-from sunarc.app.hub import create_hub_app
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.fleet.feed_rows import feed_lines
-from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import Reason, StatusRegistry
+from sunarc.hub.archive import HubArchive, open_hub_archive
+from sunarc.hub.feed_routes import token_digest
+from sunarc.hub.serving import create_hub_app
+from sunarc.imager.archive.feed_rows import feed_lines
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.runtime.status import Reason, StatusRegistry
+from sunarc.imager.web.options import ApiOptions
 
 RULES = Path(__file__).parents[2] / "deploy" / "hub" / "prometheus-rules.yml"
 needs_promtool = pytest.mark.skipif(shutil.which("promtool") is None, reason="promtool is not installed")
@@ -45,7 +45,7 @@ def board() -> StatusRegistry:
 def hub(server: Server, board: StatusRegistry) -> Iterator[Hub]:
     """Yield a hub on PostgreSQL that has a healthy camera's rows."""
     now = [NOW]
-    with open_archive(server.emptied_database()) as archive:
+    with open_hub_archive(server.emptied_database()) as archive:
         archive.feeds.add_token("roof", token_digest(TOKEN), now=NOW, former_until=NOW)
         options = ApiOptions(allowed_hosts=("imager",))
         app = create_hub_app(archive=archive, status=board.snapshot, now=lambda: now[0], options=options)
@@ -53,7 +53,7 @@ def hub(server: Server, board: StatusRegistry) -> Iterator[Hub]:
 
 
 @pytest.fixture
-def imager(tmp_path: Path, hub: Hub) -> Iterator[Archive]:
+def imager(tmp_path: Path, hub: Hub) -> Iterator[HubArchive]:
     with new_imager(tmp_path) as archive:
         archive.sightings.add(sighting(n) for n in range(3))
         archive.outbox.queue_status({"health": "ready"})
@@ -61,7 +61,7 @@ def imager(tmp_path: Path, hub: Hub) -> Iterator[Archive]:
         yield archive
 
 
-def send(hub: Hub, imager: Archive) -> None:
+def send(hub: Hub, imager: HubArchive) -> None:
     batch = next_batch(imager)
     put(hub, feed_lines(batch.rows), after=batch.after, installation=batch.installation)
     imager.outbox.acknowledge(batch.rows[-1].seq)
@@ -99,18 +99,18 @@ def alerts(hub: Hub, folder: Path, *, up: int = 1) -> set[str]:
     return set(re.findall(r"alertname=\"(\w+)\"", said)) if done.returncode else set()
 
 
-def quarantined(hub: Hub, imager: Archive, _board: StatusRegistry) -> None:
+def quarantined(hub: Hub, imager: HubArchive, _board: StatusRegistry) -> None:
     position = imager.outbox.position()
     row = {"seq": position.committed + 1, "kind": "sun_point", "data": {"nonsense": 1}}
     lines = json.dumps(row).encode() + b"\n"
     put(hub, lines, after=position.committed, installation=position.installation)
 
 
-def silent(hub: Hub, _imager: Archive, _board: StatusRegistry) -> None:
+def silent(hub: Hub, _imager: HubArchive, _board: StatusRegistry) -> None:
     hub.now[0] = NOW + timedelta(minutes=16)
 
 
-def behind(hub: Hub, imager: Archive, _board: StatusRegistry) -> None:
+def behind(hub: Hub, imager: HubArchive, _board: StatusRegistry) -> None:
     """Send rows of an outage for a quarter of an hour: the imager's report of itself stands behind them."""
     for minutes in range(17):
         hub.now[0] = NOW + timedelta(minutes=minutes)
@@ -118,7 +118,7 @@ def behind(hub: Hub, imager: Archive, _board: StatusRegistry) -> None:
         send(hub, imager)
 
 
-def failing(_hub: Hub, _imager: Archive, board: StatusRegistry) -> None:
+def failing(_hub: Hub, _imager: HubArchive, board: StatusRegistry) -> None:
     board.set_condition("nightly_failed", Reason(code="nightly_failed", severity="degraded", text="t", remedy="r"))
 
 
@@ -133,10 +133,10 @@ FAULTS = {
 @needs_promtool
 @pytest.mark.parametrize("alert", FAULTS)
 def test_an_alert_fires_on_its_fault_alone(
-    hub: Hub, imager: Archive, board: StatusRegistry, tmp_path: Path, alert: str
+    hub: Hub, imager: HubArchive, board: StatusRegistry, tmp_path: Path, alert: str
 ) -> None:
     assert alerts(hub, tmp_path) == set()
-    fault: Callable[[Hub, Archive, StatusRegistry], None] = FAULTS[alert]
+    fault: Callable[[Hub, HubArchive, StatusRegistry], None] = FAULTS[alert]
     fault(hub, imager, board)
     assert alerts(hub, tmp_path) == {alert}
 
@@ -169,7 +169,7 @@ def test_every_rule_has_a_fault() -> None:
 
 
 @pytest.mark.usefixtures("imager")
-def test_every_number_that_the_rules_read_is_exported(hub: Hub, imager: Archive, board: StatusRegistry) -> None:
+def test_every_number_that_the_rules_read_is_exported(hub: Hub, imager: HubArchive, board: StatusRegistry) -> None:
     failing(hub, imager, board)
     text = hub.client.get("/metrics").text
     read = set(re.findall(r"sunarc_\w+", " ".join(re.findall(r"expr: (.*)", RULES.read_text()))))

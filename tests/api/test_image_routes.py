@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image as Pictures
 
-from sunarc.archive.images import ImageStore
+from sunarc.imager.archive.images import ImageStore
 from sunarc.imaging.metadata import document_of, jpeg_with, png_with
 
 if TYPE_CHECKING:

@@ -12,12 +12,12 @@ import pytest
 from tests.fixtures.archive import make_empty
 from tests.fixtures.fleet import NOW
 
-from sunarc.api.options import ApiOptions
-from sunarc.api.routes.feed import LARGE_AT_ONCE, LARGE_BYTES, FeedReceiver, SentBody
-from sunarc.app.hub import create_hub_app
-from sunarc.archive.archive import open_archive
-from sunarc.archive.database.schema import head_revision
-from sunarc.runtime.status import StatusSnapshot
+from sunarc.hub.archive import open_hub_archive
+from sunarc.hub.feed_routes import LARGE_AT_ONCE, LARGE_BYTES, FeedReceiver, SentBody
+from sunarc.hub.serving import create_hub_app
+from sunarc.imager.archive.database.schema import head_revision
+from sunarc.imager.runtime.status import StatusSnapshot
+from sunarc.imager.web.options import ApiOptions
 
 CAMERAS = 60  # more than the pool has threads
 SMALL = b"a row"
@@ -73,7 +73,7 @@ def test_small_bodies_are_stored_while_more_large_ones_wait_than_there_are_threa
             storing.go_on.set()
             return small, [await task for task in waiting]
 
-    with open_archive(tmp_path / "hub.sqlite") as archive:
+    with open_hub_archive(tmp_path / "hub.sqlite") as archive:
         small, others = asyncio.run(scenario())
     assert (small, set(others)) == (200, {200})
     assert storing.largest == LARGE_AT_ONCE

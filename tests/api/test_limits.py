@@ -14,9 +14,9 @@ import uvicorn
 from starlette.types import Receive, Scope, Send
 from tests.api.test_problems import check_shape
 
-from sunarc.api.middleware.admission import ConcurrencyLimit, TokenBuckets
-from sunarc.api.middleware.connection_limit import bound_connections
-from sunarc.api.options import ApiOptions
+from sunarc.imager.web.middleware.admission import ConcurrencyLimit, TokenBuckets
+from sunarc.imager.web.middleware.connection_limit import bound_connections
+from sunarc.imager.web.options import ApiOptions
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made

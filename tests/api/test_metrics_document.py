@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import yaml
 from pydantic import AwareDatetime
 
-from sunarc.archive.values import Event
-from sunarc.runtime.status import ClockStatus, Notes, Reason
+from sunarc.imager.archive.values import Event
+from sunarc.imager.runtime.status import ClockStatus, Notes, Reason
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made

@@ -17,10 +17,10 @@ from tests.api.test_dashboard import CUT_LABELS, CUT_OFF, browser, in_a_browser,
 from tests.api.test_nights import NUMBERS, PARTS
 from tests.fixtures.nights import judged
 
-from sunarc.archive.images import DiskOptions, ImageStore
-from sunarc.archive.values import NightBand, NightSeries
-from sunarc.findings import Finding
-from sunarc.workers.night.images import night_picture, store_picture
+from sunarc.common.findings import Finding
+from sunarc.imager.archive.images import DiskOptions, ImageStore
+from sunarc.imager.archive.values import NightBand, NightSeries
+from sunarc.imager.workers.night.images import night_picture, store_picture
 
 MIDNIGHT = datetime(2013, 5, 13, 6, 0, tzinfo=UTC)
 BODIES: list[dict[str, Any]] = [

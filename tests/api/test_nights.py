@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 from pydantic import TypeAdapter
 from tests.fixtures.nights import judged
 
-from sunarc.archive.values import NightBand, NightSeries
-from sunarc.findings import Finding
+from sunarc.common.findings import Finding
+from sunarc.imager.archive.values import NightBand, NightSeries
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.lib import format as npy
 
-from sunarc.api.arrays import NpyHeader, NpyHeaderError, read_npy_header
+from sunarc.imager.web.arrays import NpyHeader, NpyHeaderError, read_npy_header
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from sunarc.archive.values import Event, Refit
+from sunarc.imager.archive.values import Event, Refit
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made

@@ -13,14 +13,14 @@ import pytest
 from tests.api.conftest import LENS, NOON, Client, calibration
 from tests.fixtures.archive import make_empty
 
-from sunarc.api.options import ApiOptions
-from sunarc.app.hub import create_hub_app
-from sunarc.archive.archive import open_archive
-from sunarc.archive.values import CameraRecord
-from sunarc.documents.calibration_document import to_document
+from sunarc.formats.calibration_document import to_document
 from sunarc.geolocation.locate import local_frame
+from sunarc.hub.archive import open_hub_archive
+from sunarc.hub.serving import create_hub_app
+from sunarc.imager.archive.values import CameraRecord
+from sunarc.imager.runtime.status import StatusSnapshot
+from sunarc.imager.web.options import ApiOptions
 from sunarc.optics.forward import project
-from sunarc.runtime.status import StatusSnapshot
 from sunarc.sky.site import Site
 
 SITES = {
@@ -41,7 +41,7 @@ def pixel_of(name: str, place: Site = CLOUD) -> list[float]:
 def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
     folder: Path = tmp_path_factory.mktemp("pairs")
     make_empty(folder / "hub.sqlite")
-    with open_archive(folder / "hub.sqlite") as archive:
+    with open_hub_archive(folder / "hub.sqlite") as archive:
         for name, site in SITES.items():
             record = CameraRecord(
                 name=name, latitude=site.latitude, longitude=site.longitude, width=1748, height=1748, altitude=0.0

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from tests.api.conftest import NOON
 
-from sunarc.api import bulk as answering
-from sunarc.utc import rfc3339
+from sunarc.common.utc import rfc3339
+from sunarc.imager.web import bulk as answering
 
 if TYPE_CHECKING:
     import httpx
     from tests.api.conftest import Made
 
-    from sunarc.api.context import ApiContext
+    from sunarc.imager.web.context import ApiContext
 
 POINTS = [[700.0, 760.0, 1500.0], [900.0, 500.0, 800.0], [640.0, 900.0, 3000.0], [0.0, 0.0, 900.0], [800.0, 700.0, 1e3]]
 TIMES = [NOON, NOON - timedelta(days=3), NOON - timedelta(hours=12), NOON, NOON - timedelta(days=3, seconds=30)]

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import httpx
 import pytest
 
-from sunarc.api.options import ApiOptions
-from sunarc.errors import ConfigurationError, InputError, OutsideError, SunarcError
+from sunarc.common.errors import ConfigurationError, InputError, OutsideError, SunarcError
+from sunarc.imager.web.options import ApiOptions
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made

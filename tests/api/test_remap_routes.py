@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.archive.images import ImageStore
-from sunarc.errors import InputError
-from sunarc.exports.formats import read_view
-from sunarc.exports.view import camera_view, compare
+from sunarc.common.errors import InputError
+from sunarc.formats.formats import read_view
+from sunarc.formats.view import camera_view, compare
+from sunarc.imager.archive.images import ImageStore
 from sunarc.optics.forward import project
 from sunarc.sky.directions import direction_from_angles
 

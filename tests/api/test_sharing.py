@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from starlette.types import Message
 
-from sunarc.api.arrays import Rows, rows_response
-from sunarc.api.bulk import ComputeSlots
-from sunarc.api.middleware.shared_quota import QuotaUse, SharedQuota
-from sunarc.api.problems import RefusedError
+from sunarc.imager.web.arrays import Rows, rows_response
+from sunarc.imager.web.bulk import ComputeSlots
+from sunarc.imager.web.middleware.shared_quota import QuotaUse, SharedQuota
+from sunarc.imager.web.problems import RefusedError
 
 
 def run(scenario: Coroutine[Any, Any, None]) -> None:

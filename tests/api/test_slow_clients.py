@@ -18,8 +18,8 @@ import pytest
 import uvicorn
 from tests.api.conftest import LENS, NOON, document
 
-from sunarc.api.middleware.connection_limit import bound_connections
-from sunarc.api.options import ApiOptions
+from sunarc.imager.web.middleware.connection_limit import bound_connections
+from sunarc.imager.web.options import ApiOptions
 from sunarc.optics.camera import Camera
 
 if TYPE_CHECKING:

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from tests.api.test_slow_clients import SMALL, connect, serving
 
-from sunarc.api.bulk import ComputeSlots
-from sunarc.api.problems import RefusedError
-from sunarc.api.routes import maps
-from sunarc.api.routes.stored_answers import AnswerFiles, ResponseBody, Tagged, byte_range
 from sunarc.calibration.answers.direction_table import back_projection_map
+from sunarc.imager.web.bulk import ComputeSlots
+from sunarc.imager.web.problems import RefusedError
+from sunarc.imager.web.routes import maps
+from sunarc.imager.web.routes.stored_answers import AnswerFiles, ResponseBody, Tagged, byte_range
 
 if TYPE_CHECKING:
     from pathlib import Path

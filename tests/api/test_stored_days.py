@@ -12,10 +12,10 @@ from pydantic import TypeAdapter
 from tests.api.test_hub import TOKEN, Hub, body_of, hub, imager
 from tests.fixtures.fleet import NOW
 
-from sunarc.api.routes.feed import token_digest
-from sunarc.archive.archive import Archive
-from sunarc.archive.database.schema import head_revision
-from sunarc.archive.fleet.day_digests import DayDigests, StoredDays
+from sunarc.hub.archive import HubArchive
+from sunarc.hub.feed_routes import token_digest
+from sunarc.imager.archive.database.schema import head_revision
+from sunarc.imager.archive.day_digests import DayDigests, StoredDays
 
 __all__ = ["hub", "imager"]
 
@@ -31,7 +31,7 @@ def ask(
     return hub.client.request("GET", f"/v1/cameras/{camera}/feed", params=ASKED | changed, headers=headers)
 
 
-def test_a_sender_hears_what_the_hub_has_of_its_camera(hub: Hub, imager: Archive) -> None:
+def test_a_sender_hears_what_the_hub_has_of_its_camera(hub: Hub, imager: HubArchive) -> None:
     hub.put(body_of(imager))
     answer = ask(hub)
     assert answer.status_code == 200
@@ -43,7 +43,7 @@ def test_a_sender_hears_what_the_hub_has_of_its_camera(hub: Hub, imager: Archive
     assert answer.json()["days"]["pose_epoch"] == {}  # of a day before
 
 
-def test_nobody_else_hears_it(hub: Hub, imager: Archive) -> None:
+def test_nobody_else_hears_it(hub: Hub, imager: HubArchive) -> None:
     hub.put(body_of(imager))
     hub.archive.feeds.add_token("mast", token_digest(OF_MAST), now=NOW, former_until=NOW)
     assert ask(hub, token="").status_code == 401
@@ -54,7 +54,7 @@ def test_nobody_else_hears_it(hub: Hub, imager: Archive) -> None:
     assert hub.archive.feeds.digests("mast", "here", since=date(2026, 5, 1), until=date(2026, 6, 2)) is None
 
 
-def test_of_tables_of_another_revision_nothing_is_said(hub: Hub, imager: Archive) -> None:
+def test_of_tables_of_another_revision_nothing_is_said(hub: Hub, imager: HubArchive) -> None:
     hub.put(body_of(imager))
     said = ask(hub, revision="0018").json()
     assert said["revision"] == head_revision()
@@ -63,13 +63,13 @@ def test_of_tables_of_another_revision_nothing_is_said(hub: Hub, imager: Archive
 
 
 @pytest.mark.parametrize("wrong", [{"since": "yesterday"}, {"until": "2026-13-01"}, {"since": ""}, {"until": "9e18"}])
-def test_a_day_that_is_none_is_refused(hub: Hub, imager: Archive, wrong: dict[str, str]) -> None:
+def test_a_day_that_is_none_is_refused(hub: Hub, imager: HubArchive, wrong: dict[str, str]) -> None:
     hub.put(body_of(imager))
     assert ask(hub, **wrong).status_code == 422
 
 
 @pytest.mark.parametrize("wrong", [{"since": "0001-01-01", "until": "9999-12-31"}, {"since": "9999-12-31"}])
-def test_days_that_are_no_window_cost_nothing(hub: Hub, imager: Archive, wrong: dict[str, str]) -> None:
+def test_days_that_are_no_window_cost_nothing(hub: Hub, imager: HubArchive, wrong: dict[str, str]) -> None:
     hub.put(body_of(imager))
     answer = ask(hub, **wrong)
     assert answer.status_code == 200
@@ -77,7 +77,7 @@ def test_days_that_are_no_window_cost_nothing(hub: Hub, imager: Archive, wrong: 
 
 
 def test_one_comparison_at_a_time_is_made_and_the_others_are_asked_to_wait(
-    hub: Hub, imager: Archive, monkeypatch: pytest.MonkeyPatch
+    hub: Hub, imager: HubArchive, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     hub.put(body_of(imager))
     begun, may_end, digests = threading.Event(), threading.Event(), hub.archive.feeds.digests

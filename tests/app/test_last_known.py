@@ -12,15 +12,15 @@ from typing import Any
 import pytest
 from tests.fixtures.archive import HIDDEN, make_empty, store_sun_point
 
-from sunarc.app.service import Service, restore_last_known
-from sunarc.archive.archive import open_archive
-from sunarc.archive.images import ImageStore
-from sunarc.archive.values import CameraRecord
-from sunarc.cameras.frame import SkyCamera
-from sunarc.cameras.options import AravisOptions
-from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import StatusRegistry
-from sunarc.settings.model import Settings
+from sunarc.imager.app.service import Service, restore_last_known
+from sunarc.imager.archive.archive import open_archive
+from sunarc.imager.archive.images import ImageStore
+from sunarc.imager.archive.values import CameraRecord
+from sunarc.imager.cameras.frame import SkyCamera
+from sunarc.imager.cameras.options import AravisOptions
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.settings.model import Settings
 from sunarc.sky.site import Site
 
 NOON = datetime(2026, 5, 1, 18, 30, tzinfo=UTC)

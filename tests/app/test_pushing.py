@@ -8,14 +8,15 @@ from pathlib import Path
 from tests.fixtures.archive import make_empty, new_archive
 from tests.fixtures.fleet import NOW, feed, new_imager, sighting
 
-from sunarc.app.hub import fleet_states
-from sunarc.app.pushing import imager_states, push_workers
-from sunarc.archive.archive import CameraArchive, open_archive
-from sunarc.archive.fleet.feed_rows import Refusal
-from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import Reason, StatusRegistry
+from sunarc.hub.archive import open_hub_archive
+from sunarc.hub.serving import fleet_states
+from sunarc.imager.app.pushing import imager_states, push_workers
+from sunarc.imager.archive.archive import CameraArchive
+from sunarc.imager.archive.feed_rows import Refusal
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.runtime.status import Reason, StatusRegistry
+from sunarc.imager.workers.options import PushOptions
 from sunarc.sky.site import Site
-from sunarc.workers.options import PushOptions
 
 HOOK = "http://127.0.0.1:9/hook"
 
@@ -57,7 +58,7 @@ def test_an_imager_tells_its_conditions_with_their_texts(tmp_path: Path, board: 
 
 def test_a_hub_tells_what_imagers_reported_and_what_it_finds(tmp_path: Path) -> None:
     make_empty(tmp_path / "hub.sqlite")
-    with new_imager(tmp_path) as imager, open_archive(tmp_path / "hub.sqlite") as hub:
+    with new_imager(tmp_path) as imager, open_hub_archive(tmp_path / "hub.sqlite") as hub:
         hub.feeds.add_token("mast", "digest", now=NOW, former_until=NOW)  # registered, and silent from the beginning
         imager.sightings.add([sighting(1)])
         imager.outbox.queue_status({"health": "degraded", "conditions": ["camera_lost"]})

@@ -12,10 +12,10 @@ from tests.finding_codes import codes
 from tests.fixtures.cameras import INFO
 from tests.workers.clock_faults import START, Imager
 
-from sunarc.archive.archive import Archive
-from sunarc.archive.sightings import LENS_CHANGED
-from sunarc.cameras.frame import CameraInfo
-from sunarc.runtime.clock import ClockState
+from sunarc.imager.archive.archive import Archive
+from sunarc.imager.archive.sightings import LENS_CHANGED
+from sunarc.imager.cameras.frame import CameraInfo
+from sunarc.imager.runtime.clock import ClockState
 
 from .test_same_camera import Camera
 

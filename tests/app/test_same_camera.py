@@ -12,13 +12,13 @@ import pytest
 from tests.fixtures.archive import make_empty
 from tests.fixtures.cameras import INFO
 
-from sunarc.app.service import Service
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.cameras.frame import CameraCondition, CameraInfo, Frame
-from sunarc.cameras.options import AravisOptions
-from sunarc.errors import InputError
-from sunarc.runtime.clock import VirtualClock
-from sunarc.settings.model import Settings
+from sunarc.common.errors import InputError
+from sunarc.imager.app.service import Service
+from sunarc.imager.archive.archive import Archive, open_archive
+from sunarc.imager.cameras.frame import CameraCondition, CameraInfo, Frame
+from sunarc.imager.cameras.options import AravisOptions
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.settings.model import Settings
 from sunarc.sky.site import Site
 
 

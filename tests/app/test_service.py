@@ -12,13 +12,13 @@ import pytest
 from tests.finding_codes import codes
 from tests.fixtures.archive import make_empty
 
-from sunarc.app.service import Service
-from sunarc.archive.archive import open_archive
-from sunarc.archive.values import CameraRecord, SunPoint
-from sunarc.cameras.frame import SkyCamera
-from sunarc.cameras.options import AravisOptions
-from sunarc.runtime.clock import ClockState, VirtualClock
-from sunarc.settings.model import Settings
+from sunarc.imager.app.service import Service
+from sunarc.imager.archive.archive import open_archive
+from sunarc.imager.archive.values import CameraRecord, SunPoint
+from sunarc.imager.cameras.frame import SkyCamera
+from sunarc.imager.cameras.options import AravisOptions
+from sunarc.imager.runtime.clock import ClockState, VirtualClock
+from sunarc.imager.settings.model import Settings
 from sunarc.sky.site import Site
 
 NOON = datetime(2026, 5, 1, 18, 30, tzinfo=UTC)

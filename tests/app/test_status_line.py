@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 from tests.fixtures.board import START
 
-from sunarc.app.status_line import FirstFrame, StatusLine
-from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.host import Notifier
-from sunarc.runtime.status import Reason, StatusRegistry
+from sunarc.imager.app.status_line import FirstFrame, StatusLine
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.runtime.host import Notifier
+from sunarc.imager.runtime.status import Reason, StatusRegistry
 
 
 @pytest.fixture

@@ -19,25 +19,26 @@ from tests.fixtures.archive import HIDDEN, store_sun_point
 from tests.fixtures.cameras import INFO
 from tests.fixtures.settings import new_settings
 
-from sunarc.app import serving, simulating
-from sunarc.app.cameras import camera_opener, camera_record
-from sunarc.app.service import Service, imager_recording
-from sunarc.app.serving import Server, daily_schedule, monitored_parts, serve_imager, with_credentials
-from sunarc.archive.archive import open_archive
-from sunarc.archive.database.schema import upgrade
-from sunarc.archive.pictures_of_one_time import ELSEWHERE
-from sunarc.cameras.frame import CameraCondition, CameraInfo, Frame
 from sunarc.cli import service as commands
+from sunarc.common.errors import ConfigurationError, OutsideError
 from sunarc.detection.values import Detection
-from sunarc.errors import ConfigurationError, OutsideError
-from sunarc.runtime.clock import ClockState, VirtualClock
-from sunarc.runtime.host import listen
-from sunarc.runtime.status import DiskStatus, Reason
-from sunarc.runtime.supervisor import Heartbeat
-from sunarc.settings.model import Settings
-from sunarc.simulation.imager import ImagerOptions
-from sunarc.workers.push import webhook_name
-from sunarc.workers.upkeep import ConditionTimesWorker, HousekeepingWorker
+from sunarc.imager.app import serving
+from sunarc.imager.app.cameras import camera_opener, camera_record
+from sunarc.imager.app.service import Service, imager_recording
+from sunarc.imager.app.serving import Server, daily_schedule, monitored_parts, serve_imager, with_credentials
+from sunarc.imager.archive.archive import open_archive
+from sunarc.imager.archive.database.schema import upgrade
+from sunarc.imager.archive.pictures_of_one_time import ELSEWHERE
+from sunarc.imager.cameras.frame import CameraCondition, CameraInfo, Frame
+from sunarc.imager.runtime.clock import ClockState, VirtualClock
+from sunarc.imager.runtime.host import listen
+from sunarc.imager.runtime.status import DiskStatus, Reason
+from sunarc.imager.runtime.supervisor import Heartbeat
+from sunarc.imager.settings.model import Settings
+from sunarc.imager.workers.push import webhook_name
+from sunarc.imager.workers.upkeep import ConditionTimesWorker, HousekeepingWorker
+from sunarc.lab.simulation import serving as simulating
+from sunarc.lab.simulation.imager import ImagerOptions
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 FRAME = Frame(

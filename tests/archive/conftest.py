@@ -9,8 +9,8 @@ from sqlalchemy import URL
 from tests.fixtures.archive import make_empty
 from tests.fixtures.postgresql import Server, postgresql
 
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.values import CameraRecord
+from sunarc.imager.archive.archive import Archive, open_archive
+from sunarc.imager.archive.values import CameraRecord
 
 __all__ = ["postgresql"]
 

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.archive.csv_files import read_sightings, write_sightings
-from sunarc.archive.database.schema import downgrade, upgrade
-from sunarc.archive.values import DayAir, SunPoint
-from sunarc.errors import InputError, NotFoundError
+from sunarc.common.errors import InputError, NotFoundError
+from sunarc.formats.csv_files import read_sightings, write_sightings
+from sunarc.imager.archive.database.schema import downgrade, upgrade
+from sunarc.imager.archive.values import DayAir, SunPoint
 from sunarc.sky.site import Site
 
 from .conftest import NOON
@@ -24,7 +24,7 @@ from .test_calibrations import document
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from sunarc.archive.archive import Archive
+    from sunarc.imager.archive.archive import Archive
 
 SITE = Site(latitude=36.604, longitude=-97.485, altitude=318.0)
 WARM = DayAir(camera="roof", date=NOON.date(), temperature_c=35.0, pressure_hpa=975.0, set_at=NOON)

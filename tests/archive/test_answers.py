@@ -10,9 +10,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from sunarc.archive.archive import Archive
-from sunarc.archive.values import Refit
-from sunarc.errors import ConflictError, NotFoundError
+from sunarc.common.errors import ConflictError, NotFoundError
+from sunarc.imager.archive.archive import Archive
+from sunarc.imager.archive.values import Refit
 
 from .test_calibrations import MAY, document, served
 

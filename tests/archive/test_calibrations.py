@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 from tests.finding_codes import codes
 
-from sunarc.archive.archive import Archive
-from sunarc.errors import InputError, NotFoundError
-from sunarc.findings import Finding
+from sunarc.common.errors import InputError, NotFoundError
+from sunarc.common.findings import Finding
+from sunarc.imager.archive.archive import Archive
 
 MAY = datetime(2013, 5, 1, tzinfo=UTC)
 SIMULATED = {"code": "simulated_camera", "data": {}}

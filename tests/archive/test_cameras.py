@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from sunarc.archive.archive import Archive
-from sunarc.archive.values import CameraRecord
+from sunarc.imager.archive.archive import Archive
+from sunarc.imager.archive.values import CameraRecord
 from sunarc.sky.site import Site
 
 SITE = Site(latitude=36.6, longitude=-97.5, altitude=318.0, temperature=15.0)

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from tests.archive.test_sightings import HIDDEN, NOON, SEEN, later
 
-from sunarc.archive.archive import Archive
-from sunarc.archive.values import SunPointColumns
+from sunarc.imager.archive.archive import Archive
+from sunarc.imager.archive.values import SunPointColumns
 
 
 def agrees(archive: Archive) -> SunPointColumns:

@@ -12,11 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.database.backup import backup, backup_into, restore
-from sunarc.archive.database.schema import check, downgrade, head_revision, upgrade
-from sunarc.archive.values import Event
-from sunarc.errors import InputError, OutsideError
+from sunarc.common.errors import InputError, OutsideError
+from sunarc.imager.archive.archive import Archive, open_archive
+from sunarc.imager.archive.database.backup import backup, backup_into, restore
+from sunarc.imager.archive.database.schema import check, downgrade, head_revision, upgrade
+from sunarc.imager.archive.values import Event
 
 NOW = datetime(2026, 5, 1, 2, 0, tzinfo=UTC)
 HOLDER = """

@@ -7,8 +7,8 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from sunarc.archive.csv_files import read_pairs, read_sightings, write_columns, write_sightings
-from sunarc.errors import InputError
+from sunarc.common.errors import InputError
+from sunarc.formats.csv_files import read_pairs, read_sightings, write_columns, write_sightings
 from sunarc.sky.night import body_directions
 from sunarc.sky.site import Site
 

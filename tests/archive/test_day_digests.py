@@ -11,35 +11,35 @@ import pytest
 from tests.archive.test_feeds import live_a_little
 from tests.fixtures.fleet import NOON, NOW, feed, new_imager, next_batch, sighting
 
-from sunarc.archive.archive import Archive
-from sunarc.archive.fleet import day_digests as digests_module
-from sunarc.archive.fleet.day_digests import MOST_DAYS, DayDigests
-from sunarc.archive.values import Day, Event
-from sunarc.findings import uncoded
+from sunarc.common.findings import uncoded
+from sunarc.hub.archive import HubArchive
+from sunarc.imager.archive import day_digests as digests_module
+from sunarc.imager.archive.day_digests import MOST_DAYS, DayDigests
+from sunarc.imager.archive.values import Day, Event
 
 DAY = NOON.date()
 SINCE, UNTIL = date(2026, 5, 1), date(2026, 6, 2)
 
 
 @pytest.fixture
-def imager(tmp_path: Path) -> Iterator[Archive]:
+def imager(tmp_path: Path) -> Iterator[HubArchive]:
     with new_imager(tmp_path) as archive:
         yield archive
 
 
-def of_imager(imager: Archive) -> DayDigests:
+def of_imager(imager: HubArchive) -> DayDigests:
     found = imager.outbox.digests("roof", since=SINCE, until=UNTIL)
     assert found is not None
     return found
 
 
-def of_hub(hub: Archive, imager: Archive) -> DayDigests:
+def of_hub(hub: HubArchive, imager: HubArchive) -> DayDigests:
     found = hub.feeds.digests("roof", imager.outbox.position().installation, since=SINCE, until=UNTIL)
     assert found is not None
     return found
 
 
-def test_they_are_equal_where_the_rows_are(imager: Archive, hub: Archive) -> None:
+def test_they_are_equal_where_the_rows_are(imager: HubArchive, hub: HubArchive) -> None:
     live_a_little(imager)
     imager.sightings.add([sighting(50, x_px=-0.0, residual_chi2=1e-300, snr=float("inf"), findings=())])
     imager.sightings.add([sighting(51, findings=(uncoded("a sentence of a former version"),), file="ä\n.png")])
@@ -57,7 +57,7 @@ def test_they_are_equal_where_the_rows_are(imager: Archive, hub: Archive) -> Non
     "change",
     [{"x_px": 1.0000000000000002}, {"accepted": False}, {"findings": ()}, {"clock_error_s": 0.5}, {"sigma_px": None}],
 )
-def test_one_digit_of_one_row_is_another_hash(imager: Archive, hub: Archive, change: dict[str, object]) -> None:
+def test_one_digit_of_one_row_is_another_hash(imager: HubArchive, hub: HubArchive, change: dict[str, object]) -> None:
     imager.sightings.add([sighting(0, x_px=1.0), sighting(1)])
     feed(imager, hub)
     batch = next_batch(imager)
@@ -76,12 +76,12 @@ def test_one_digit_of_one_row_is_another_hash(imager: Archive, hub: Archive, cha
     assert own.hash != other.hash
 
 
-def test_while_rows_wait_an_imager_has_none(imager: Archive) -> None:
+def test_while_rows_wait_an_imager_has_none(imager: HubArchive) -> None:
     assert imager.outbox.digests("roof", since=SINCE, until=UNTIL) is None
 
 
 def test_they_are_of_one_camera_and_of_the_installation_that_is_taken(
-    imager: Archive, hub: Archive, tmp_path: Path
+    imager: HubArchive, hub: HubArchive, tmp_path: Path
 ) -> None:
     imager.sightings.add([sighting(0)])
     feed(imager, hub)
@@ -94,7 +94,7 @@ def test_they_are_of_one_camera_and_of_the_installation_that_is_taken(
         assert hub.feeds.digests("none", other, since=SINCE, until=UNTIL) is None
 
 
-def test_no_more_is_read_than_may_be_at_once(imager: Archive, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_more_is_read_than_may_be_at_once(imager: HubArchive, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(digests_module, "MOST_ROWS", 10)
     for day, n_rows in enumerate([4, 6, 1, 11, 2]):
         imager.sightings.add(sighting(n, time=NOON + timedelta(days=day, seconds=n)) for n in range(n_rows))
@@ -116,7 +116,7 @@ def test_no_more_is_read_than_may_be_at_once(imager: Archive, monkeypatch: pytes
         assert imager.outbox.digests("roof", since=since, until=until) is not None
 
 
-def test_days_are_queued_again_after_what_they_refer_to(imager: Archive, hub: Archive) -> None:
+def test_days_are_queued_again_after_what_they_refer_to(imager: HubArchive, hub: HubArchive) -> None:
     live_a_little(imager)
     imager.sightings.add([sighting(9000)])  # three days later
     feed(imager, hub)
@@ -129,7 +129,7 @@ def test_days_are_queued_again_after_what_they_refer_to(imager: Archive, hub: Ar
     assert hub.feeds.quarantine() == ()
 
 
-def test_a_day_without_time_is_of_its_date(imager: Archive, hub: Archive) -> None:
+def test_a_day_without_time_is_of_its_date(imager: HubArchive, hub: HubArchive) -> None:
     day = Day(camera="roof", date=date(2026, 5, 20), verdict="clear", findings=(), n=1, n_possible=2, decided_at=NOON)
     imager.days.save(day)
     feed(imager, hub)

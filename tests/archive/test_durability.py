@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.database.schema import check
-from sunarc.archive.values import SunPoint
+from sunarc.imager.archive.archive import Archive, open_archive
+from sunarc.imager.archive.database.schema import check
+from sunarc.imager.archive.values import SunPoint
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 POINT = SunPoint(
@@ -23,8 +23,8 @@ import sys
 from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
-from sunarc.archive.archive import open_archive
-from sunarc.archive.values import SunPoint
+from sunarc.imager.archive.archive import open_archive
+from sunarc.imager.archive.values import SunPoint
 
 archive = open_archive(Path(sys.argv[1]))
 noon = datetime.fromisoformat(sys.argv[2])

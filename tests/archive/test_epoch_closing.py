@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.sightings import LENS_CHANGED
-from sunarc.errors import InputError
+from sunarc.common.errors import InputError
+from sunarc.imager.archive.archive import Archive, open_archive
+from sunarc.imager.archive.sightings import LENS_CHANGED
 
 from .conftest import NOON
 from .test_calibrations import MAY, document, served

@@ -12,16 +12,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.archive.values import SunPoint
-from sunarc.errors import InputError, NotFoundError
-from sunarc.findings import uncoded
+from sunarc.common.errors import InputError, NotFoundError
+from sunarc.common.findings import uncoded
+from sunarc.imager.archive.values import SunPoint
 
 from .conftest import NOON, ROOF
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from sunarc.archive.archive import Archive
+    from sunarc.imager.archive.archive import Archive
 
 FOG = uncoded("fog")
 POINT = SunPoint(

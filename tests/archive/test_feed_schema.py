@@ -15,11 +15,11 @@ from jsonschema_rs import Draft202012Validator
 from tests.fixtures.feed_cases import good_rows, has_whole_floats, spoilt
 from tests.fixtures.fleet import NOW, batch_of, sighting
 
-from sunarc.archive.archive import Archive
-from sunarc.archive.database.schema import head_revision
-from sunarc.archive.fleet.feed_rows import FED, REMOVED, STATUS, FeedRow, Refusal, feed_lines, read_feed_lines
-from sunarc.archive.fleet.feed_schema import feed_schema, problem_of, typed
-from sunarc.errors import InputError
+from sunarc.common.errors import InputError
+from sunarc.hub.archive import HubArchive
+from sunarc.hub.feed_schema import feed_schema, problem_of, typed
+from sunarc.imager.archive.database.schema import head_revision
+from sunarc.imager.archive.feed_rows import FED, REMOVED, STATUS, FeedRow, Refusal, feed_lines, read_feed_lines
 
 CASES = int(os.environ.get("SUNARC_FEED_CASES", "40"))
 """Batches of each engine; `tests/long feed-cases` has more."""
@@ -72,7 +72,9 @@ def test_the_hub_takes_what_the_schema_takes(tmp_path: Path) -> None:
     assert answers == {True, False}
 
 
-def test_whatever_a_row_is_it_is_stored_or_set_apart_and_the_next_one_is_stored(hub: Archive, tmp_path: Path) -> None:
+def test_whatever_a_row_is_it_is_stored_or_set_apart_and_the_next_one_is_stored(
+    hub: HubArchive, tmp_path: Path
+) -> None:
     (tmp_path / "mast").mkdir()
     others = good_rows(tmp_path / "mast", "mast")
     rows = good_rows(tmp_path)
@@ -104,7 +106,7 @@ def test_whatever_a_row_is_it_is_stored_or_set_apart_and_the_next_one_is_stored(
 
 
 @pytest.mark.parametrize("name", ["", "a/b", ".", "..", " roof", "roof ", "a\nb", "x" * 101, "(others)", "half \ud800"])
-def test_a_name_that_no_address_can_have_gets_no_token(hub: Archive, name: str) -> None:
+def test_a_name_that_no_address_can_have_gets_no_token(hub: HubArchive, name: str) -> None:
     with pytest.raises(InputError) as error:
         hub.feeds.add_token(name, "d", now=NOW, former_until=NOW)
     assert error.value.field == "camera"

@@ -15,22 +15,22 @@ from tests.archive.test_calibrations import document
 from tests.fixtures.fleet import NOON, NOW, batch_of, feed, new_imager, next_batch, sighting
 from tests.fixtures.nights import judged, whole_night
 
-from sunarc.archive.archive import Archive
-from sunarc.archive.fleet.feed_rows import FED, FeedBatch, FeedRow, Refusal, read_feed_lines
-from sunarc.archive.fleet.feeds import FUTURE, KEPT
-from sunarc.archive.sightings import ImageKey
-from sunarc.archive.values import Day, DayAir, Event, Refit, SunPoint, fields_of
-from sunarc.errors import NotFoundError
-from sunarc.findings import Finding, uncoded
+from sunarc.common.errors import NotFoundError
+from sunarc.common.findings import Finding, uncoded
+from sunarc.hub.archive import HubArchive
+from sunarc.hub.feeds import FUTURE, KEPT
+from sunarc.imager.archive.feed_rows import FED, FeedBatch, FeedRow, Refusal, read_feed_lines
+from sunarc.imager.archive.values import Day, DayAir, Event, Refit, SunPoint, fields_of
+from sunarc.sources.image_key import ImageKey
 
 
 @pytest.fixture
-def imager(tmp_path: Path) -> Iterator[Archive]:
+def imager(tmp_path: Path) -> Iterator[HubArchive]:
     with new_imager(tmp_path) as archive:
         yield archive
 
 
-def contents(archive: Archive, camera: str = "roof") -> dict[str, Any]:
+def contents(archive: HubArchive, camera: str = "roof") -> dict[str, Any]:
     """Return all that is sent of a camera."""
     return {
         "camera": archive.cameras.get(camera),
@@ -45,11 +45,11 @@ def contents(archive: Archive, camera: str = "roof") -> dict[str, Any]:
     }
 
 
-def reasons(hub: Archive) -> list[str]:
+def reasons(hub: HubArchive) -> list[str]:
     return [found.reason for found in hub.feeds.quarantine()]
 
 
-def live_a_little(imager: Archive) -> None:
+def live_a_little(imager: HubArchive) -> None:
     """Write and change rows of every kind."""
     imager.sightings.add(sighting(n) for n in range(20))
     imager.days.save(
@@ -83,7 +83,7 @@ def live_a_little(imager: Archive) -> None:
 
 
 @pytest.mark.parametrize("most", [1, 7, 1000])
-def test_the_hub_has_what_the_imager_has(imager: Archive, hub: Archive, most: int) -> None:
+def test_the_hub_has_what_the_imager_has(imager: HubArchive, hub: HubArchive, most: int) -> None:
     live_a_little(imager)
     feed(imager, hub, most=most)
     assert contents(hub) == contents(imager)
@@ -92,7 +92,7 @@ def test_the_hub_has_what_the_imager_has(imager: Archive, hub: Archive, most: in
     assert hub.sightings.dates("roof", longitude=-97.5) == (date(2026, 5, 13),)
 
 
-def test_rows_that_are_all_sent_again_change_nothing(imager: Archive, hub: Archive) -> None:
+def test_rows_that_are_all_sent_again_change_nothing(imager: HubArchive, hub: HubArchive) -> None:
     live_a_little(imager)
     feed(imager, hub)
     imager.outbox.send_again(committed=imager.outbox.position().committed)
@@ -102,7 +102,7 @@ def test_rows_that_are_all_sent_again_change_nothing(imager: Archive, hub: Archi
     assert hub.feeds.quarantine() == ()
 
 
-def test_a_night_that_only_its_event_tells_of_is_a_night_at_the_hub(imager: Archive, hub: Archive) -> None:
+def test_a_night_that_only_its_event_tells_of_is_a_night_at_the_hub(imager: HubArchive, hub: HubArchive) -> None:
     """An imager of a former revision has no rows of nights."""
     details = {"date": "2026-05-12", "verdict": "clear", "n_images": 48, "halo": 0.01, "findings": []}
     told = Event(time=NOON, kind="night", severity="info", text="clear", camera="roof", details=details)
@@ -120,7 +120,7 @@ def test_a_night_that_only_its_event_tells_of_is_a_night_at_the_hub(imager: Arch
     "change",
     [{"n_images": None}, {"zenith_bands": [{"from_deg": 1.0}]}, {"images": {"time": []}}, {"n_accepted": "many"}],
 )
-def test_a_night_that_lacks_a_value_is_set_apart(imager: Archive, hub: Archive, change: dict[str, Any]) -> None:
+def test_a_night_that_lacks_a_value_is_set_apart(imager: HubArchive, hub: HubArchive, change: dict[str, Any]) -> None:
     imager.nights.save(whole_night(NOON))
     batch = next_batch(imager)
     rows = tuple(
@@ -131,7 +131,7 @@ def test_a_night_that_lacks_a_value_is_set_apart(imager: Archive, hub: Archive, 
     assert hub.nights.find("roof") == ()
 
 
-def test_a_removed_row_is_removed(imager: Archive, hub: Archive) -> None:
+def test_a_removed_row_is_removed(imager: HubArchive, hub: HubArchive) -> None:
     live_a_little(imager)
     feed(imager, hub)
     imager.days.set_air(
@@ -144,14 +144,14 @@ def test_a_removed_row_is_removed(imager: Archive, hub: Archive) -> None:
     assert hub.days.air("roof") == ()
 
 
-def test_a_batch_that_comes_twice_is_stored_once(imager: Archive, hub: Archive) -> None:
+def test_a_batch_that_comes_twice_is_stored_once(imager: HubArchive, hub: HubArchive) -> None:
     imager.events.add(Event(time=NOON, kind="start", severity="info", text="begun", camera="roof"))
     batch = next_batch(imager)
     assert [hub.feeds.take(batch, now=NOW) for _ in range(3)] == [3, 3, 3]
     assert len(hub.events.find("roof")) == 1
 
 
-def test_a_late_repetition_of_an_earlier_batch_changes_nothing(imager: Archive, hub: Archive) -> None:
+def test_a_late_repetition_of_an_earlier_batch_changes_nothing(imager: HubArchive, hub: HubArchive) -> None:
     imager.sightings.add([sighting(0)])
     early = next_batch(imager)
     feed(imager, hub)
@@ -161,7 +161,7 @@ def test_a_late_repetition_of_an_earlier_batch_changes_nothing(imager: Archive, 
     assert not hub.sightings.find("roof")[0].accepted
 
 
-def test_a_gap_is_seen_and_what_is_missing_is_sent_again(imager: Archive, hub: Archive) -> None:
+def test_a_gap_is_seen_and_what_is_missing_is_sent_again(imager: HubArchive, hub: HubArchive) -> None:
     feed(imager, hub)
     hub.feeds.ask_again("roof")  # as a hub that was put back to an earlier copy
     imager.sightings.add([sighting(0)])
@@ -173,7 +173,9 @@ def test_a_gap_is_seen_and_what_is_missing_is_sent_again(imager: Archive, hub: A
     assert contents(hub) == contents(imager)
 
 
-def test_a_second_installation_is_set_apart_until_it_is_accepted(imager: Archive, hub: Archive, tmp_path: Path) -> None:
+def test_a_second_installation_is_set_apart_until_it_is_accepted(
+    imager: HubArchive, hub: HubArchive, tmp_path: Path
+) -> None:
     feed(imager, hub)
     (tmp_path / "other").mkdir()
     with new_imager(tmp_path / "other") as other:
@@ -253,7 +255,7 @@ EVENT = {"camera": "roof", "time": AHEAD, "kind": "k", "severity": "info", "text
     ],
 )
 def test_a_row_that_cannot_be_stored_is_set_apart_and_the_others_are_stored(
-    imager: Archive, hub: Archive, kind: str, data: dict[str, Any] | None, reason: str | None
+    imager: HubArchive, hub: HubArchive, kind: str, data: dict[str, Any] | None, reason: str | None
 ) -> None:
     feed(imager, hub)
     after = imager.outbox.position().committed
@@ -267,7 +269,7 @@ def test_a_row_that_cannot_be_stored_is_set_apart_and_the_others_are_stored(
         assert found.kind == kind.replace("\0", "?").replace("\ud800", "?")
 
 
-def test_of_rows_of_one_key_in_one_batch_the_last_is_stored(imager: Archive, hub: Archive) -> None:
+def test_of_rows_of_one_key_in_one_batch_the_last_is_stored(imager: HubArchive, hub: HubArchive) -> None:
     feed(imager, hub)
     position = imager.outbox.position()
     rows = [("sun_point", row_of(number, x_px=float(x))) for number, x in ((1, 5), (2, 6), (1, 7))]
@@ -276,7 +278,7 @@ def test_of_rows_of_one_key_in_one_batch_the_last_is_stored(imager: Archive, hub
     assert [point.x_px for point in hub.sightings.find("roof")] == [7.0, 6.0]
 
 
-def test_a_document_of_a_newer_version_or_a_damaged_one_is_set_apart(imager: Archive, hub: Archive) -> None:
+def test_a_document_of_a_newer_version_or_a_damaged_one_is_set_apart(imager: HubArchive, hub: HubArchive) -> None:
     imager.calibrations.add(document("a"))
     imager.calibrations.add(document("b", day=1))
     batch = next_batch(imager)
@@ -293,7 +295,7 @@ def test_a_document_of_a_newer_version_or_a_damaged_one_is_set_apart(imager: Arc
     assert hub.calibrations.find("roof") == ()
 
 
-def test_a_row_is_never_written_over_another_cameras(imager: Archive, hub: Archive, tmp_path: Path) -> None:
+def test_a_row_is_never_written_over_another_cameras(imager: HubArchive, hub: HubArchive, tmp_path: Path) -> None:
     live_a_little(imager)
     feed(imager, hub)
     before = contents(hub)
@@ -331,7 +333,7 @@ def test_a_row_is_never_written_over_another_cameras(imager: Archive, hub: Archi
     ],
 )
 def test_a_camera_touches_no_row_of_another(
-    imager: Archive, hub: Archive, tmp_path: Path, kind: str, data: dict[str, Any]
+    imager: HubArchive, hub: HubArchive, tmp_path: Path, kind: str, data: dict[str, Any]
 ) -> None:
     """By whatever role the hub is run: these tests run as the owner of the tables."""
     live_a_little(imager)
@@ -352,7 +354,9 @@ def test_a_camera_touches_no_row_of_another(
     assert contents(hub, "mast")["sightings"] == ()
 
 
-def test_an_event_that_concerns_all_of_an_imager_is_removed_with_its_camera(imager: Archive, hub: Archive) -> None:
+def test_an_event_that_concerns_all_of_an_imager_is_removed_with_its_camera(
+    imager: HubArchive, hub: HubArchive
+) -> None:
     imager.events.add(Event(time=NOON, kind="start", severity="info", text="begun"))
     feed(imager, hub)
     assert len(hub.events.find("roof")) == 1
@@ -364,7 +368,7 @@ def test_an_event_that_concerns_all_of_an_imager_is_removed_with_its_camera(imag
     assert reasons(hub) == []
 
 
-def test_a_status_with_what_is_no_json_blocks_nothing(imager: Archive, hub: Archive) -> None:
+def test_a_status_with_what_is_no_json_blocks_nothing(imager: HubArchive, hub: HubArchive) -> None:
     feed(imager, hub)
     position = imager.outbox.position()
     line = b'{"seq": %d, "kind": "status", "data": {"drift_deg": NaN, "health": "ready"}}\n' % (position.committed + 1)
@@ -374,7 +378,7 @@ def test_a_status_with_what_is_no_json_blocks_nothing(imager: Archive, hub: Arch
     assert hub.feeds.fleet()[0].status == {"drift_deg": None, "health": "ready"}
 
 
-def test_names_that_nobody_registered_do_not_fill_the_quarantine(hub: Archive) -> None:
+def test_names_that_nobody_registered_do_not_fill_the_quarantine(hub: HubArchive) -> None:
     refusal = Refusal(reason="unknown_camera", text="no token")
     for n in range(110):
         hub.feeds.refuse(camera=f"c{n}", installation=str(n), refusal=refusal, now=NOW)
@@ -382,7 +386,7 @@ def test_names_that_nobody_registered_do_not_fill_the_quarantine(hub: Archive) -
     assert len(hub.feeds.quarantine(limit=7)) == 7
 
 
-def test_tokens_are_kept_as_digests_end_and_overlap_while_one_replaces_another(hub: Archive) -> None:
+def test_tokens_are_kept_as_digests_end_and_overlap_while_one_replaces_another(hub: HubArchive) -> None:
     later = NOW + timedelta(days=7)
     assert hub.feeds.tokens("roof", now=NOW) is None
     hub.feeds.add_token("roof", "d1", now=NOW, former_until=later)
@@ -393,7 +397,7 @@ def test_tokens_are_kept_as_digests_end_and_overlap_while_one_replaces_another(h
     assert hub.feeds.tokens("roof", now=NOW) == ()
 
 
-def test_the_fleet_is_every_camera_that_was_registered_or_fed(imager: Archive, hub: Archive) -> None:
+def test_the_fleet_is_every_camera_that_was_registered_or_fed(imager: HubArchive, hub: HubArchive) -> None:
     hub.feeds.add_token("attic", "d", now=NOW, former_until=NOW)
     live_a_little(imager)
     imager.calibrations.add(document("c", day=3) | {"uncertainty": {"sky_rms_deg": 0.0123}})
@@ -412,7 +416,7 @@ def test_the_fleet_is_every_camera_that_was_registered_or_fed(imager: Archive, h
     assert roof.sky_rms_deg == 0.0123
 
 
-def test_feeds_of_many_cameras_at_the_same_time_are_each_complete(hub: Archive, tmp_path: Path) -> None:
+def test_feeds_of_many_cameras_at_the_same_time_are_each_complete(hub: HubArchive, tmp_path: Path) -> None:
     names = [f"c{n}" for n in range(6)]
     imagers = [new_imager(tmp_path, name) for name in names]
     for name, one in zip(names, imagers, strict=True):
@@ -431,7 +435,7 @@ def test_feeds_of_many_cameras_at_the_same_time_are_each_complete(hub: Archive, 
     assert hub.feeds.quarantine() == ()
 
 
-def test_a_gap_that_is_closed_leaves_the_quarantine_by_itself(imager: Archive, hub: Archive) -> None:
+def test_a_gap_that_is_closed_leaves_the_quarantine_by_itself(imager: HubArchive, hub: HubArchive) -> None:
     feed(imager, hub)
     hub.feeds.ask_again("roof")
     imager.sightings.add([sighting(0)])
@@ -444,7 +448,7 @@ def test_a_gap_that_is_closed_leaves_the_quarantine_by_itself(imager: Archive, h
 
 
 def test_of_a_camera_and_a_reason_a_hundred_rows_are_kept_and_the_others_are_counted(
-    imager: Archive, hub: Archive
+    imager: HubArchive, hub: HubArchive
 ) -> None:
     feed(imager, hub)
     position = imager.outbox.position()
@@ -472,7 +476,7 @@ def test_of_a_camera_and_a_reason_a_hundred_rows_are_kept_and_the_others_are_cou
     assert hub.feeds.n_failing("roof") == 0
 
 
-def test_a_calibrations_parent_may_come_in_the_same_batch_and_not_after_it(imager: Archive, hub: Archive) -> None:
+def test_a_calibrations_parent_may_come_in_the_same_batch_and_not_after_it(imager: HubArchive, hub: HubArchive) -> None:
     for name, parent in (("a", None), ("b", "a"), ("c", "b")):
         imager.calibrations.add(document(name), parent=parent)
     batch = next_batch(imager)
@@ -484,7 +488,9 @@ def test_a_calibrations_parent_may_come_in_the_same_batch_and_not_after_it(image
     assert reasons(hub) == ["contradiction", "contradiction"]
 
 
-def test_a_former_imager_sends_sightings_without_a_folder_and_has_them_removed(imager: Archive, hub: Archive) -> None:
+def test_a_former_imager_sends_sightings_without_a_folder_and_has_them_removed(
+    imager: HubArchive, hub: HubArchive
+) -> None:
     live_a_little(imager)
     feed(imager, hub)
     (first, *_) = hub.sightings.find("roof")

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.database.schema import downgrade, upgrade
-from sunarc.archive.sightings import ImageKey, image_key
-from sunarc.archive.values import Event, SunPoint
-from sunarc.errors import InputError
-from sunarc.utc import to_microseconds
+from sunarc.common.errors import InputError
+from sunarc.common.utc import to_microseconds
+from sunarc.imager.archive.archive import Archive, open_archive
+from sunarc.imager.archive.database.schema import downgrade, upgrade
+from sunarc.imager.archive.values import Event, SunPoint
+from sunarc.sources.image_key import ImageKey, image_key
 
 from .conftest import NOON
 from .test_calibrations import document

@@ -5,13 +5,13 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from sunarc.errors import InputError, NotFoundError
-from sunarc.findings import Finding
+from sunarc.common.errors import InputError, NotFoundError
+from sunarc.common.findings import Finding
 
 from .test_calibrations import MAY, document, served
 
 if TYPE_CHECKING:
-    from sunarc.archive.archive import Archive
+    from sunarc.imager.archive.archive import Archive
 
 
 @pytest.fixture

@@ -8,8 +8,8 @@ from functools import reduce
 import numpy as np
 import pytest
 
-from sunarc.archive.archive import Archive
-from sunarc.archive.values import Housekeeping, merged
+from sunarc.imager.archive.archive import Archive
+from sunarc.imager.archive.values import Housekeeping, merged
 
 MIDNIGHT = datetime(2026, 5, 13, tzinfo=UTC)
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from sunarc.archive.database.store import Reserve
-from sunarc.archive.images import DiskOptions, ImageStore
-from sunarc.errors import InputError, OutsideError
+from sunarc.common.errors import InputError, OutsideError
+from sunarc.imager.archive.database.store import Reserve
+from sunarc.imager.archive.images import DiskOptions, ImageStore
 
 NOON = datetime(2013, 5, 13, 18, 30, 0, 123_456, tzinfo=UTC)
 

@@ -11,11 +11,11 @@ import pytest
 from tests.fixtures.archive import make_empty
 from tests.fixtures.nights import judged, whole_night
 
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.days import night_of_event
-from sunarc.archive.values import Day, Event, Refit
-from sunarc.errors import InputError, NotFoundError
-from sunarc.findings import Finding, uncoded
+from sunarc.common.errors import InputError, NotFoundError
+from sunarc.common.findings import Finding, uncoded
+from sunarc.imager.archive.archive import Archive, open_archive
+from sunarc.imager.archive.days import night_of_event
+from sunarc.imager.archive.values import Day, Event, Refit
 
 from .conftest import ROOF
 from .test_revisions import night_image

@@ -14,14 +14,14 @@ import numpy as np
 import pyproj
 import pytest
 
-from sunarc.archive.csv_files import read_pairs, read_sightings, write_columns, write_sightings
-from sunarc.archive.database.store import Reserve
-from sunarc.archive.images import DiskOptions, ImageStore
-from sunarc.archive.sightings import SITE_LIMIT_M, distance_m, require_same_site
-from sunarc.archive.values import CameraRecord
-from sunarc.errors import InputError, OutsideError
+from sunarc.common.errors import InputError, OutsideError
+from sunarc.common.utc import parse_time
+from sunarc.formats.csv_files import read_pairs, read_sightings, write_columns, write_sightings
+from sunarc.imager.archive.database.store import Reserve
+from sunarc.imager.archive.images import DiskOptions, ImageStore
+from sunarc.imager.archive.sightings import SITE_LIMIT_M, distance_m, require_same_site
+from sunarc.imager.archive.values import CameraRecord
 from sunarc.sky.site import Site
-from sunarc.utc import parse_time
 
 NOON = datetime(2013, 5, 13, 18, 30, 0, 123_456, tzinfo=UTC)
 ROOF = CameraRecord(name="roof", latitude=36.604, longitude=-97.485, altitude=318.0, width=10, height=10)

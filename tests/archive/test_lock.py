@@ -10,13 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from sunarc.archive.database.state_folder import lock_holder, lock_state
-from sunarc.errors import OutsideError
+from sunarc.common.errors import OutsideError
+from sunarc.imager.archive.database.state_folder import lock_holder, lock_state
 
 HOLDER = """
 import sys
 from pathlib import Path
-from sunarc.archive.database.state_folder import lock_state
+from sunarc.imager.archive.database.state_folder import lock_state
 with lock_state(Path(sys.argv[1])):
     print("held", flush=True); sys.stdin.read()
 """

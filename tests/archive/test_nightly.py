@@ -11,18 +11,18 @@ from tests.archive.conftest import NOON
 from tests.archive.test_current import serve
 from tests.fixtures.archive import store_sun_point
 
-from sunarc.archive.archive import Archive
-from sunarc.archive.fleet.nightly import NightlyRun
-from sunarc.archive.values import CameraRecord, Day, Event
-from sunarc.errors import OutsideError
+from sunarc.common.errors import OutsideError
+from sunarc.common.utc import utc_time
+from sunarc.hub.archive import HubArchive
+from sunarc.hub.nightly_store import NightlyRun
+from sunarc.imager.archive.values import CameraRecord, Day, Event
 from sunarc.sky.days import day_bounds_unix_s
-from sunarc.utc import utc_time
 
 DATE = date(2013, 5, 13)
 LONGITUDE = -97.485
 
 
-def judge(archive: Archive, day: date = DATE, *, decided_at: datetime = NOON, camera: str = "roof") -> None:
+def judge(archive: HubArchive, day: date = DATE, *, decided_at: datetime = NOON, camera: str = "roof") -> None:
     archive.days.save(
         Day(
             camera=camera,
@@ -37,7 +37,7 @@ def judge(archive: Archive, day: date = DATE, *, decided_at: datetime = NOON, ca
     )
 
 
-def test_a_day_is_summarised_once_and_again_when_it_is_judged_anew(archive: Archive) -> None:
+def test_a_day_is_summarised_once_and_again_when_it_is_judged_anew(archive: HubArchive) -> None:
     first, after = map(utc_time, day_bounds_unix_s(DATE, longitude=LONGITUDE))
     store_sun_point(archive, first, clock_error_s=0.1, temperature_c=20.0)
     store_sun_point(archive, first + timedelta(hours=6), clock_error_s=0.4, temperature_c=30.0)
@@ -59,7 +59,7 @@ def test_a_day_is_summarised_once_and_again_when_it_is_judged_anew(archive: Arch
     assert archive.nightly.summaries(None)[0].n_sightings == 4
 
 
-def test_summaries_are_of_days_and_cameras_that_are_asked_for(archive: Archive) -> None:
+def test_summaries_are_of_days_and_cameras_that_are_asked_for(archive: HubArchive) -> None:
     archive.cameras.save(CameraRecord(name="mast", latitude=0.0, longitude=179.0, altitude=0.0, width=4, height=4))
     for number in range(5):
         judge(archive, DATE + timedelta(days=number))
@@ -70,19 +70,19 @@ def test_summaries_are_of_days_and_cameras_that_are_asked_for(archive: Archive) 
     assert len(archive.nightly.summaries(None)) == 10
 
 
-def test_of_many_days_every_one_is_summarised(archive: Archive, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sunarc.archive.fleet.nightly._AT_ONCE", 3)
+def test_of_many_days_every_one_is_summarised(archive: HubArchive, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sunarc.hub.nightly_store._AT_ONCE", 3)
     for number in range(7):
         judge(archive, DATE + timedelta(days=number))
     assert (archive.nightly.summarise_days(), archive.nightly.summarise_days()) == (7, 0)
 
 
-def months(archive: Archive) -> list[str]:
+def months(archive: HubArchive) -> list[str]:
     points = archive.sightings.find("roof")
     return sorted({point.time.strftime("%Y-%m") for point in points})
 
 
-def test_sightings_are_removed_by_whole_months(archive: Archive) -> None:
+def test_sightings_are_removed_by_whole_months(archive: HubArchive) -> None:
     now = NOON
     archive.nightly.remove_sightings(before=now, now=now)  # months of other tests, which a server keeps when empty
     for days in (0, 30, 60, 90, 120, 150, 400):
@@ -96,7 +96,7 @@ def test_sightings_are_removed_by_whole_months(archive: Archive) -> None:
     assert months(archive)[0] == "2012-04"
 
 
-def test_young_sightings_stay_whatever_is_asked(archive: Archive) -> None:
+def test_young_sightings_stay_whatever_is_asked(archive: HubArchive) -> None:
     store_sun_point(archive, NOON - timedelta(days=100))
     store_sun_point(archive, NOON - timedelta(days=60))
     archive.nightly.remove_sightings(before=NOON + timedelta(days=1000), now=NOON)
@@ -104,7 +104,7 @@ def test_young_sightings_stay_whatever_is_asked(archive: Archive) -> None:
     assert "2013-03" in months(archive)
 
 
-def test_postgresql_itself_refuses_to_drop_what_is_young(archive: Archive, engine: str) -> None:
+def test_postgresql_itself_refuses_to_drop_what_is_young(archive: HubArchive, engine: str) -> None:
     if engine == "sqlite":
         pytest.skip("SQLite has no functions")
     with pytest.raises((OutsideError, Exception), match="90 days"), archive.database.writing() as connection:
@@ -115,7 +115,7 @@ def test_postgresql_itself_refuses_to_drop_what_is_young(archive: Archive, engin
     ("longitudes", "mean"),
     [([], 0.0), ([10.0, 20.0], 15.0), ([170.0, -170.0], 180.0), ([-97.485], -97.485)],
 )
-def test_the_mean_longitude_is_an_angles(archive: Archive, longitudes: Sequence[float], mean: float) -> None:
+def test_the_mean_longitude_is_an_angles(archive: HubArchive, longitudes: Sequence[float], mean: float) -> None:
     with archive.database.writing() as connection:
         connection.execute(text("DELETE FROM pose_epoch"))
         connection.execute(text("DELETE FROM camera"))
@@ -127,7 +127,7 @@ def test_the_mean_longitude_is_an_angles(archive: Archive, longitudes: Sequence[
     assert abs((archive.nightly.mean_longitude() - mean + 180.0) % 360.0 - 180.0) < 1e-9
 
 
-def test_the_last_nights_are_known(archive: Archive) -> None:
+def test_the_last_nights_are_known(archive: HubArchive) -> None:
     for number in range(3):
         night = DATE + timedelta(days=number)
         archive.nightly.save(NightlyRun(night=night, started_at=NOON, results={"a": {"n": number}}))

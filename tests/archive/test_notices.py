@@ -9,9 +9,9 @@ import pytest
 from tests.archive.conftest import NOON
 from tests.archive.test_current import serve
 
-from sunarc.archive.archive import Archive
-from sunarc.archive.fleet import notices
-from sunarc.archive.values import Event
+from sunarc.imager.archive import notices
+from sunarc.imager.archive.archive import Archive
+from sunarc.imager.archive.values import Event
 
 DUSTY: dict[str, Any] = {"dusty": {"code": "dusty", "text": "the dome is dusty"}}
 

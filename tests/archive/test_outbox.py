@@ -15,15 +15,15 @@ import pytest
 from tests.archive.test_calibrations import document
 from tests.fixtures.fleet import NOON, new_imager, sighting
 
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.database.tables import metadata
-from sunarc.archive.fleet.feed_rows import FED, STATUS, FeedRow, columns_of, feed_lines, read_feed_lines
-from sunarc.archive.fleet.feed_schema import problem_of
-from sunarc.archive.fleet.outbox import outbox_triggers
-from sunarc.archive.sightings import ImageKey
-from sunarc.archive.values import Day, DayAir, Event, Housekeeping, Refit
-from sunarc.errors import InputError
-from sunarc.findings import Finding, uncoded
+from sunarc.common.errors import InputError
+from sunarc.common.findings import Finding, uncoded
+from sunarc.hub.feed_schema import problem_of
+from sunarc.imager.archive.archive import Archive, open_archive
+from sunarc.imager.archive.database.tables import metadata
+from sunarc.imager.archive.feed_rows import FED, STATUS, FeedRow, columns_of, feed_lines, read_feed_lines
+from sunarc.imager.archive.outbox import outbox_triggers
+from sunarc.imager.archive.values import Day, DayAir, Event, Housekeeping, Refit
+from sunarc.sources.image_key import ImageKey
 
 DAY = Day(
     camera="roof",

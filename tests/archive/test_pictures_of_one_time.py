@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.database.schema import downgrade, upgrade
-from sunarc.archive.pictures_of_one_time import TWO_PICTURES
-from sunarc.archive.values import SunPoint
+from sunarc.imager.archive.archive import Archive, open_archive
+from sunarc.imager.archive.database.schema import downgrade, upgrade
+from sunarc.imager.archive.pictures_of_one_time import TWO_PICTURES
+from sunarc.imager.archive.values import SunPoint
 
 from .conftest import NOON
 from .test_file_sightings import FOUND, REFUSED

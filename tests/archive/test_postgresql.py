@@ -20,16 +20,16 @@ from tests.fixtures.feed_cases import good_rows
 from tests.fixtures.fleet import NOW, batch_of, feed, new_imager, sighting
 from tests.fixtures.postgresql import TEMPLATE, Server, running_server
 
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.database.connections import create_server_engine, server_url, writing
-from sunarc.archive.database.schema import check, head_revision, upgrade_server
-from sunarc.archive.database.tables import metadata
-from sunarc.archive.fleet.feed_rows import REMOVED, FeedBatch
-from sunarc.archive.fleet.feeds import KEPT
-from sunarc.archive.sightings import MOVED
-from sunarc.archive.values import SunPoint, fields_of
-from sunarc.errors import InputError, OutsideError, SchemaError, StoreFullError
-from sunarc.findings import uncoded
+from sunarc.common.errors import InputError, OutsideError, SchemaError, StoreFullError
+from sunarc.common.findings import uncoded
+from sunarc.hub.archive import HubArchive, open_hub_archive
+from sunarc.hub.feeds import KEPT
+from sunarc.imager.archive.database.connections import create_server_engine, server_url, writing
+from sunarc.imager.archive.database.schema import check, head_revision, upgrade_server
+from sunarc.imager.archive.database.tables import metadata
+from sunarc.imager.archive.feed_rows import REMOVED, FeedBatch
+from sunarc.imager.archive.sightings import MOVED
+from sunarc.imager.archive.values import SunPoint, fields_of
 
 from .conftest import NOON, ROOF
 
@@ -51,8 +51,8 @@ def engine_of(url: URL) -> Iterator[Engine]:
     engine.dispose()
 
 
-def opened(url: URL) -> Archive:
-    archive = open_archive(url)
+def opened(url: URL) -> HubArchive:
+    archive = open_hub_archive(url)
     archive.cameras.save(ROOF)
     archive.epochs.at("roof", datetime(2013, 1, 1, tzinfo=UTC), reason="installed")
     return archive
@@ -148,18 +148,18 @@ def test_a_second_upgrade_finds_nothing_to_do_and_a_check_tells_rows(url: URL) -
 def test_a_database_without_tables_or_of_a_newer_version_is_refused(postgresql: Server) -> None:
     empty = postgresql.new_database(template="template0")
     with pytest.raises(SchemaError, match="upgrade --store"):
-        open_archive(empty)
+        open_hub_archive(empty)
     assert upgrade_server(empty)
-    open_archive(empty).close()
+    open_hub_archive(empty).close()
     postgresql.sql(str(empty.database), "UPDATE alembic_version SET version_num = '9999'")
-    for attempt in (open_archive, upgrade_server):
+    for attempt in (open_hub_archive, upgrade_server):
         with pytest.raises(SchemaError, match="9999"):
             attempt(empty)
     postgresql.drop(empty)
 
 
 def test_the_revision_changes_with_every_commit_of_anyone_and_else_not(url: URL) -> None:
-    with opened(url) as archive, open_archive(url) as other:
+    with opened(url) as archive, open_hub_archive(url) as other:
         before = archive.revision()
         assert archive.revision() == before
         archive.sightings.find("roof")
@@ -215,7 +215,7 @@ def test_after_a_failover_the_new_server_is_written_to(url: URL, postgresql: Ser
                 first.sql("postgres", "SELECT pg_switch_wal()")
                 _wait_for_row(standby)
                 with pytest.raises(OutsideError):
-                    open_archive(standby.url(TEMPLATE))  # a stand-by alone is none to write to
+                    open_hub_archive(standby.url(TEMPLATE))  # a stand-by alone is none to write to
                 first.stop()
                 standby.promote()
                 assert archive.sightings.add([POINT, replace(POINT, time=NOON + timedelta(seconds=30))]) == 1
@@ -245,7 +245,7 @@ def test_another_address_is_no_store(store: str) -> None:
 def test_a_password_is_in_no_message() -> None:
     url = server_url("postgresql://someone:hidden-word@127.0.0.1:1/sunarc")
     with pytest.raises(OutsideError) as error:
-        open_archive(url)
+        open_hub_archive(url)
     assert "hidden-word" not in str(error.value)
     assert "someone" in str(error.value)
 
@@ -278,7 +278,7 @@ def test_the_feeds_role_stores_what_imagers_send_and_changes_no_table(fleet: Ser
 
 
 def test_each_table_whose_rows_the_role_may_not_store_is_named(fleet: Server) -> None:
-    with open_archive(fleet.url("sunarc", user="sunarc_feed")) as archive:
+    with open_hub_archive(fleet.url("sunarc", user="sunarc_feed")) as archive:
         archive.feeds.require_storing()
         month = "sunarc_require_month(bigint)"
         for what, privilege, named in (
@@ -295,7 +295,7 @@ def test_each_table_whose_rows_the_role_may_not_store_is_named(fleet: Server) ->
 
 
 def test_the_readers_role_reads_and_writes_nothing(fleet: Server) -> None:
-    with open_archive(fleet.url("sunarc", user="sunarc_reader")) as archive:
+    with open_hub_archive(fleet.url("sunarc", user="sunarc_reader")) as archive:
         archive.sightings.find("roof")
         with pytest.raises(OutsideError, match="permission denied"):
             archive.cameras.save(ROOF)
@@ -305,7 +305,7 @@ def test_the_readers_role_reads_and_writes_nothing(fleet: Server) -> None:
 
 
 def test_a_feed_is_stored_by_the_feeds_role(fleet: Server, tmp_path: Path) -> None:
-    with new_imager(tmp_path, "mast") as imager, open_archive(fleet.url("sunarc", user="sunarc_feed")) as hub:
+    with new_imager(tmp_path, "mast") as imager, open_hub_archive(fleet.url("sunarc", user="sunarc_feed")) as hub:
         imager.sightings.add([sighting(0, camera="mast")])
         feed(imager, hub, "mast")
         assert hub.sightings.find("mast") == imager.sightings.find("mast")
@@ -315,7 +315,7 @@ def test_a_feed_is_stored_by_the_feeds_role(fleet: Server, tmp_path: Path) -> No
 def test_every_kind_of_row_is_stored_and_aged_by_the_feeds_role(fleet: Server, tmp_path: Path) -> None:
     rows = good_rows(tmp_path, "pole")
     whole = [row for row in rows if not row[0].endswith(REMOVED)]
-    with open_archive(fleet.url("sunarc", user="sunarc_feed")) as hub:
+    with open_hub_archive(fleet.url("sunarc", user="sunarc_feed")) as hub:
         assert hub.feeds.take(batch_of(*whole, camera="pole"), now=NOW) == len(whole)
         assert hub.feeds.quarantine("pole") == ()
         assert (len(hub.nights.find("pole")), len(hub.events.find("pole"))) == (1, 1)
@@ -327,7 +327,7 @@ def test_every_kind_of_row_is_stored_and_aged_by_the_feeds_role(fleet: Server, t
         assert hub.feeds.expire(now=NOW + 2 * KEPT) >= 7
 
 
-def batch_after(imager: Archive, *rows: tuple[str, dict[str, Any]], camera: str) -> FeedBatch:
+def batch_after(imager: HubArchive, *rows: tuple[str, dict[str, Any]], camera: str) -> FeedBatch:
     """Return rows made by hand as an imager's next batch."""
     position = imager.outbox.position()
     made = batch_of(*rows, camera=camera, after=position.committed)
@@ -353,12 +353,12 @@ def test_sentences_of_sightings_become_findings_in_the_partitions(url: URL) -> N
             connection.execute(text(f"ALTER TABLE sun_point ADD CONSTRAINT uq_sun_point UNIQUE ({key})"))
             connection.execute(text("UPDATE alembic_version SET version_num = '0017'"))
     assert upgrade_server(url)
-    with open_archive(url) as archive:
+    with open_hub_archive(url) as archive:
         assert [one.findings for one in archive.sightings.find("roof")] == [MOVED, (uncoded("of another version"),)]
 
 
 def test_what_the_feeds_role_may_not_do_is_set_apart_and_the_rest_is_stored(fleet: Server, tmp_path: Path) -> None:
-    with new_imager(tmp_path, "yard") as imager, open_archive(fleet.url("sunarc", user="sunarc_feed")) as hub:
+    with new_imager(tmp_path, "yard") as imager, open_hub_archive(fleet.url("sunarc", user="sunarc_feed")) as hub:
         imager.calibrations.add(document("yard-a", camera="yard", pose_epoch="yard-1"))
         feed(imager, hub, "yard")
         long_name = random.Random(1).randbytes(9000).hex()  # longer than an entry of an index may be
@@ -387,7 +387,7 @@ def test_one_camera_removes_no_calibration_of_another_by_the_owners_role(fleet: 
     with (
         new_imager(tmp_path, "gate") as imager,
         new_imager(tmp_path, "hill") as other,
-        open_archive(fleet.url("sunarc", user="sunarc_owner")) as hub,
+        open_hub_archive(fleet.url("sunarc", user="sunarc_owner")) as hub,
     ):
         for one, name in ((imager, "gate"), (other, "hill")):
             one.calibrations.add(document(f"{name}-a", camera=name, pose_epoch=f"{name}-1"))
@@ -430,7 +430,7 @@ def test_an_error_of_a_row_is_set_apart_and_one_of_the_server_is_none(
     body = f"BEGIN IF NEW.x_px = 77 THEN RAISE EXCEPTION 'it is so' USING ERRCODE = '{code}'; END IF; RETURN NEW; END"
     make = f"CREATE OR REPLACE FUNCTION refuse() RETURNS trigger LANGUAGE plpgsql AS $${body}$$"
     attach = "CREATE TRIGGER refuse BEFORE INSERT ON sun_point FOR EACH ROW EXECUTE FUNCTION refuse()"
-    with new_imager(tmp_path, "roof") as imager, open_archive(url) as hub:
+    with new_imager(tmp_path, "roof") as imager, open_hub_archive(url) as hub:
         feed(imager, hub)
         postgresql.sql(TEMPLATE, make, attach)
         rows = [("sun_point", row_of(n, "roof", x_px=77.0 if n == 1 else 1.0)) for n in range(3)]
@@ -457,7 +457,7 @@ def test_a_copy_is_restored_into_a_new_database_and_imagers_go_on(fleet: Server,
     owner = fleet.url("sunarc", user="sunarc_owner")
     with new_imager(tmp_path, "attic") as imager:
         imager.sightings.add(sighting(n, camera="attic") for n in range(5))
-        with open_archive(owner) as hub:
+        with open_hub_archive(owner) as hub:
             feed(imager, hub, "attic")
         options = ("-h", str(fleet.folder), "-U", "sunarc_owner")
         names = [fleet.carry_out(DEPLOY / "backup", str(folder), "1", *options).strip() for _ in range(2)]
@@ -465,7 +465,7 @@ def test_a_copy_is_restored_into_a_new_database_and_imagers_go_on(fleet: Server,
         assert len(list(folder.iterdir())) == 1
         fleet.sql("postgres", "CREATE DATABASE again OWNER sunarc_owner TEMPLATE template0")
         fleet.carry_out(DEPLOY / "restore", names[-1], "again", *options)
-        with open_archive(fleet.url("again", user="sunarc_owner")) as hub:
+        with open_hub_archive(fleet.url("again", user="sunarc_owner")) as hub:
             assert hub.sightings.find("attic") == imager.sightings.find("attic")
             imager.sightings.add(sighting(n, camera="attic") for n in range(5, 9))
             feed(imager, hub, "attic")

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.database.schema import check, downgrade, known_revisions, upgrade
-from sunarc.archive.sightings import sun_point_of
-from sunarc.archive.values import SunPoint
 from sunarc.detection.values import Detection
+from sunarc.imager.archive.archive import Archive, open_archive
+from sunarc.imager.archive.database.schema import check, downgrade, known_revisions, upgrade
+from sunarc.imager.archive.sightings import sun_point_of
+from sunarc.imager.archive.values import SunPoint
 from sunarc.sky.days import solar_date
 from sunarc.sky.site import Site
 

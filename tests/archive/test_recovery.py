@@ -11,13 +11,13 @@ from pathlib import Path
 
 import pytest
 
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.database import recovery
-from sunarc.archive.database.backup import backup_into, newest_sound_copy, restore
-from sunarc.archive.database.recovery import prepare_database, upgrade_present
-from sunarc.archive.database.schema import check, downgrade, upgrade
-from sunarc.archive.values import Event
-from sunarc.errors import ConfigurationError, InputError, OutsideError
+from sunarc.common.errors import ConfigurationError, InputError, OutsideError
+from sunarc.imager.archive.archive import Archive, open_archive
+from sunarc.imager.archive.database import recovery
+from sunarc.imager.archive.database.backup import backup_into, newest_sound_copy, restore
+from sunarc.imager.archive.database.recovery import prepare_database, upgrade_present
+from sunarc.imager.archive.database.schema import check, downgrade, upgrade
+from sunarc.imager.archive.values import Event
 
 from .conftest import ROOF
 

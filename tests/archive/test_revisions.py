@@ -16,17 +16,17 @@ from typing import Any
 import pytest
 from tests.fixtures.nights import judged, whole_night
 
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.database.schema import check, downgrade, upgrade
-from sunarc.archive.database.tables import metadata
-from sunarc.archive.days import NightImage
-from sunarc.archive.fleet.feed_rows import FeedBatch, FeedRow, Refusal
-from sunarc.archive.fleet.nightly import NightlyRun
-from sunarc.archive.seen_files import SeenFile
-from sunarc.archive.sightings import MOVED
-from sunarc.archive.values import Day, DayAir, Event, Housekeeping, Refit, SunPoint
-from sunarc.findings import Finding, uncoded
-from sunarc.workers.night.night import event_of_night
+from sunarc.common.findings import Finding, uncoded
+from sunarc.hub.archive import HubArchive, open_hub_archive
+from sunarc.hub.nightly_store import NightlyRun
+from sunarc.imager.archive.database.schema import check, downgrade, upgrade
+from sunarc.imager.archive.database.tables import metadata
+from sunarc.imager.archive.days import NightImage
+from sunarc.imager.archive.feed_rows import FeedBatch, FeedRow, Refusal
+from sunarc.imager.archive.seen_files import SeenFile
+from sunarc.imager.archive.sightings import MOVED
+from sunarc.imager.archive.values import Day, DayAir, Event, Housekeeping, Refit, SunPoint
+from sunarc.imager.workers.night.night import event_of_night
 
 from .conftest import NOON
 from .test_calibrations import document
@@ -37,7 +37,7 @@ REVISIONS = sorted((script.name[:4] for script in VERSIONS.glob("[0-9]*.py")), r
 
 
 @pytest.fixture
-def filled(archive: Archive, path: Path) -> Path:
+def filled(archive: HubArchive, path: Path) -> Path:
     """Return a database of the head revision with a row or more in every table."""
     epoch = archive.epochs.at("roof", NOON, reason="installed").id
     archive.days.set_air(DayAir(camera="roof", date=NOON.date(), temperature_c=35.0, pressure_hpa=980.0, set_at=NOON))
@@ -86,7 +86,7 @@ def night_image(time: datetime) -> NightImage:
     )
 
 
-def _feed(archive: Archive) -> None:
+def _feed(archive: HubArchive) -> None:
     """Queue what there is for a hub, and take, as a hub, what another one sends."""
     archive.outbox.enable()
     archive.feeds.add_token("roof", "digest", now=NOON, former_until=NOON)
@@ -96,7 +96,7 @@ def _feed(archive: Archive) -> None:
     archive.feeds.refuse(camera="roof", installation="third", refusal=forged, now=NOON)
 
 
-def _notify(archive: Archive) -> None:
+def _notify(archive: HubArchive) -> None:
     """Store a notice for a receiver."""
     archive.notices.name_sinks(["broker"])
     archive.notices.record("roof", {}, now=NOON)
@@ -149,7 +149,7 @@ def test_every_step_down_and_up_again_keeps_what_both_revisions_hold(filled: Pat
 
 
 def test_the_sentence_of_an_older_refit_is_its_finding(filled: Path) -> None:
-    archive = open_archive(filled)
+    archive = open_hub_archive(filled)
     archive.refits.add(Refit(id="new", camera="roof", requested_at=NOON, reason="by hand"))
     no_arc = (Finding("no_camera_fits"),)
     archive.refits.finish("r", state="failed", finished_at=NOON, message="no camera's arc", findings=no_arc)
@@ -157,7 +157,7 @@ def test_the_sentence_of_an_older_refit_is_its_finding(filled: Path) -> None:
     archive.close()
     downgrade(filled, "0009")
     upgrade(filled)
-    archive = open_archive(filled)
+    archive = open_hub_archive(filled)
     assert archive.refits.get("r").findings == (uncoded("no camera's arc"),)
     assert archive.refits.get("new").findings == ()
     archive.close()
@@ -187,7 +187,7 @@ def test_sentences_of_sightings_become_findings_where_their_codes_are_sure(fille
         *(f"{found}: 12 saturated pixels left out", "the camera had moved", 5, b"\xff"),
     ]
     reasons_at(filled, "0018", sentences)
-    archive = open_archive(filled)
+    archive = open_hub_archive(filled)
     stored = [point.findings for point in archive.sightings.find("roof")][: len(sentences)]
     disc = Finding("disc_found", {"chi2": 1.04})
     assert stored[:5] == [
@@ -213,7 +213,7 @@ def test_the_sentences_of_sightings_are_the_same_after_a_way_there_and_back(fill
 
 
 def test_findings_of_sightings_are_sentences_again_for_an_older_version(filled: Path) -> None:
-    archive = open_archive(filled)
+    archive = open_hub_archive(filled)
     point = archive.sightings.find("roof")[0]
     findings = (Finding("sun_elsewhere"), Finding("disc_found", {"chi2": 1.0449}), Finding("of_tomorrow", {"n": 1}))
     archive.sightings.replace([replace(point, findings=findings)])
@@ -237,7 +237,7 @@ def test_the_migration_knows_each_sentence_as_that_of_its_code_alone(code: str, 
 
 
 def test_the_events_of_former_nights_become_rows_the_last_of_each_night(filled: Path) -> None:
-    archive = open_archive(filled)
+    archive = open_hub_archive(filled)
     night = archive.nights.find("roof")[0]
     why = (Finding("night_without_calibration"),)
     second = judged("2013-05-11", at=NOON - timedelta(days=1), findings=why, n_images=9)
@@ -259,7 +259,7 @@ def test_the_events_of_former_nights_become_rows_the_last_of_each_night(filled: 
     with closing(sqlite3.connect(filled)) as connection, connection:
         connection.execute("UPDATE event SET details = '{' WHERE id = (SELECT max(id) FROM event)")
     upgrade(filled)
-    archive = open_archive(filled)
+    archive = open_hub_archive(filled)
     first, former, *damaged = archive.nights.find("roof")
     assert (first, former) == (night, second)
     assert [(f"{one.date}", one.verdict, one.findings[0].code, one.findings[0].data["field"]) for one in damaged] == [
@@ -278,7 +278,7 @@ def test_a_damaged_sentence_of_a_refit_does_not_stop_the_upgrade(filled: Path, d
     with closing(sqlite3.connect(filled)) as connection, connection:
         connection.execute(f"UPDATE refit SET message = {damaged}")  # noqa: S608 - the test's own
     upgrade(filled)
-    archive = open_archive(filled)
+    archive = open_hub_archive(filled)
     (refit,) = archive.refits.find("roof")
     assert [finding.code for finding in refit.findings] == ["uncoded"]
     archive.close()
@@ -291,7 +291,7 @@ def test_an_older_database_is_upgraded_at_once_and_serves(filled: Path, revision
     copy = upgrade(filled)
     assert copy is not None
     assert everything(copy) == older
-    archive = open_archive(filled)
+    archive = open_hub_archive(filled)
     current = archive.calibrations.current("roof")
     assert current is not None
     assert current.id == "a"

@@ -11,12 +11,12 @@ from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from sqlalchemy import create_engine
 
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.database.backup import backup
-from sunarc.archive.database.schema import check, head_revision, upgrade
-from sunarc.archive.database.tables import metadata
-from sunarc.archive.values import CameraRecord
-from sunarc.errors import ConfigurationError, InputError, OutsideError, SchemaError
+from sunarc.common.errors import ConfigurationError, InputError, OutsideError, SchemaError
+from sunarc.imager.archive.archive import Archive, open_archive
+from sunarc.imager.archive.database.backup import backup
+from sunarc.imager.archive.database.schema import check, head_revision, upgrade
+from sunarc.imager.archive.database.tables import metadata
+from sunarc.imager.archive.values import CameraRecord
 
 
 def set_revision(path: Path, revision: str) -> None:
@@ -122,7 +122,7 @@ def test_a_database_that_is_locked_by_another_process_is_said_to_be_locked(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     upgrade(path)
-    monkeypatch.setattr("sunarc.archive.database.connections._BUSY_TIMEOUT_MS", 50)
+    monkeypatch.setattr("sunarc.imager.archive.database.connections._BUSY_TIMEOUT_MS", 50)
     with closing(sqlite3.connect(path, isolation_level=None)) as other:
         other.execute("BEGIN IMMEDIATE")
         with pytest.raises(OutsideError, match="locked"):

@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sunarc.archive.archive import Archive
-from sunarc.archive.database.tables import UtcTime
-from sunarc.archive.values import PoseEpoch, SunPoint
-from sunarc.errors import InputError
-from sunarc.findings import Finding
+from sunarc.common.errors import InputError
+from sunarc.common.findings import Finding
+from sunarc.imager.archive.archive import Archive
+from sunarc.imager.archive.database.tables import UtcTime
+from sunarc.imager.archive.values import PoseEpoch, SunPoint
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 SEEN = SunPoint(

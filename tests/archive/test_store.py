@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from sqlalchemy import insert, text
 
-from sunarc.archive.archive import open_archive
-from sunarc.archive.database.connections import (
+from sunarc.common.errors import ConfigurationError, InputError, OutsideError
+from sunarc.imager.archive.archive import open_archive
+from sunarc.imager.archive.database.connections import (
     DELETED,
     EMPTIED,
     REPLACED,
@@ -24,15 +25,14 @@ from sunarc.archive.database.connections import (
     reading,
     writing,
 )
-from sunarc.archive.database.store import given
-from sunarc.archive.database.tables import camera, sun_point
-from sunarc.archive.values import CameraRecord, SunPoint
-from sunarc.errors import ConfigurationError, InputError, OutsideError
+from sunarc.imager.archive.database.store import given
+from sunarc.imager.archive.database.tables import camera, sun_point
+from sunarc.imager.archive.values import CameraRecord, SunPoint
 
 from .conftest import NOON, ROOF
 
 if TYPE_CHECKING:
-    from sunarc.archive.archive import Archive
+    from sunarc.imager.archive.archive import Archive
 
 POINT = SunPoint(
     camera="roof", pose_epoch="roof-1", time=NOON, method="disc", accepted=True, verdict="clear", x_px=1.0, y_px=2.0

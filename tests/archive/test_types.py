@@ -9,9 +9,9 @@ import pytest
 from sqlalchemy import TypeDecorator
 from sqlalchemy.dialects import sqlite
 
-from sunarc.archive.database.tables import CalendarDate, FindingTuple, JsonObject, NumberTuple, UtcTime, Word
-from sunarc.findings import UNCODED, Finding, uncoded
-from sunarc.utc import to_microseconds
+from sunarc.common.findings import UNCODED, Finding, uncoded
+from sunarc.common.utc import to_microseconds
+from sunarc.imager.archive.database.tables import CalendarDate, FindingTuple, JsonObject, NumberTuple, UtcTime, Word
 
 DIALECT = sqlite.dialect()
 

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.archive.values import SunPoint
-from sunarc.errors import InputError, NotFoundError
+from sunarc.common.errors import InputError, NotFoundError
+from sunarc.imager.archive.values import SunPoint
 
 from .test_calibrations import MAY, document
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from sunarc.archive.archive import Archive
+    from sunarc.imager.archive.archive import Archive
 
 
 def point(time: datetime, x_px: float, *, accepted: bool = True, sigma_px: float | None = None) -> SunPoint:

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from sqlalchemy import Connection, create_engine, insert, select
 
-from sunarc.archive.calibration_rows import clear_interval, end_others, set_columns, with_interval
-from sunarc.archive.database.tables import calibration, camera, metadata
-from sunarc.archive.values import CalibrationRecord
+from sunarc.imager.archive.calibration_rows import clear_interval, end_others, set_columns, with_interval
+from sunarc.imager.archive.database.tables import calibration, camera, metadata
+from sunarc.imager.archive.values import CalibrationRecord
 
 from .conftest import NOON, ROOF
 

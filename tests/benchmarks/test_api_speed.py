@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from tests.api.conftest import NOON, fill, new_archive
 from tests.fixtures.calibrations import SITE
 
-from sunarc.api.app import create_app
-from sunarc.api.options import ApiOptions
-from sunarc.archive.archive import open_archive
-from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.host import listen
-from sunarc.runtime.status import StatusRegistry
+from sunarc.imager.archive.archive import open_archive
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.runtime.host import listen
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.web.app import create_app
+from sunarc.imager.web.options import ApiOptions
 
 _PIXEL = b'{"pixels": [[871.96, 700.0]]}'
 _AT_ONCE = 200

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sunarc.simulation.truth import SGP
+from sunarc.lab.simulation.truth import SGP
 from sunarc.sky.days import day_bounds_unix_s, solar_date
 from sunarc.sky.site import Site
 
@@ -148,7 +148,7 @@ class Field:
         self.wait_until_ready()
 
     def order(self, register: str, value: int) -> None:
-        """Write a register of the imager, by its name in `sunarc.simulation.fake_camera`."""
+        """Write a register of the imager, by its name in `sunarc.lab.simulation.fake_camera`."""
         assert self._imager is not None
         assert self._imager.stdin is not None
         self._imager.stdin.write(f"{register} {value}\n")

@@ -14,11 +14,11 @@ sys.path.insert(0, "/usr/lib/sunarc/site")
 
 import numpy as np
 
-from sunarc.archive.archive import open_archive
-from sunarc.archive.values import SunPoint
+from sunarc.imager.archive.archive import open_archive
+from sunarc.imager.archive.values import SunPoint
+from sunarc.imager.settings.load import load_settings
+from sunarc.lab.simulation.truth import true_camera
 from sunarc.optics.forward import project
-from sunarc.settings.load import load_settings
-from sunarc.simulation.truth import true_camera
 from sunarc.sky.sun import sun_angles, sun_directions
 
 SENSOR_PX = 1748

@@ -31,8 +31,8 @@ import runpy, sys
 from datetime import UTC, datetime, timedelta
 sys.path.insert(0, "/usr/lib/sunarc/site")
 if __name__ == "__main__":
-    from sunarc.runtime import clock
-    from sunarc.workers import clock_watch
+    from sunarc.imager.runtime import clock
+    from sunarc.imager.workers import clock_watch
     clock_watch.SETTLE_S = 150.0  # ten minutes otherwise
     def setting():
         seconds, state = open("/etc/sunarc/clock").read().split()

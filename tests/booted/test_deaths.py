@@ -31,7 +31,7 @@ HANGING = """
 import runpy, sys, threading
 sys.path.insert(0, "/usr/lib/sunarc/site")
 if __name__ == "__main__":
-    import sunarc.app.service as service
+    import sunarc.imager.app.service as service
     def hang(self, stop, heartbeat):
         threading.Event().wait()
     service.{worker}.run = hang

@@ -25,7 +25,7 @@ HUNG_LOOP = """
 import runpy, sys, time
 sys.path.insert(0, "/usr/lib/sunarc/site")
 if __name__ == "__main__":
-    import sunarc.app.serving as serving
+    import sunarc.imager.app.serving as serving
     on_tick = serving.Server.on_tick
     async def hang(self, counter):
         if counter == 50:

@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.fixtures.archive import make_empty
 
-from sunarc.api.routes.feed import token_digest
-from sunarc.archive.archive import open_archive
-from sunarc.runtime.supervisor import worker_code
+from sunarc.hub.archive import open_hub_archive
+from sunarc.hub.feed_routes import token_digest
+from sunarc.imager.runtime.supervisor import worker_code
 
 from .conditions import findings, wait_for_reason
 from .machine import IMAGER_ADDRESS, wait_for
@@ -61,7 +61,7 @@ def hub_command(state: Path, *, token: str) -> list[str]:
     """Make a hub that knows a token of the camera, and return the command that runs it."""
     make_empty(state / "sunarc.sqlite")
     now = datetime.now(UTC)
-    with open_archive(state / "sunarc.sqlite") as archive:
+    with open_hub_archive(state / "sunarc.sqlite") as archive:
         archive.feeds.add_token("roof", token_digest(token), now=now, former_until=now)
     config = state / "hub.toml"
     config.write_text(f'state = "{state}"\n[api]\nhost = "{IMAGER_ADDRESS}"\nport = {HUB_PORT}\n')

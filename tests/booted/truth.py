@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
-from sunarc.documents.calibration_document import from_document
+from sunarc.formats.calibration_document import from_document
+from sunarc.lab.simulation.truth import true_camera
 from sunarc.optics.forward import project
-from sunarc.simulation.truth import true_camera
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions
 

@@ -12,7 +12,7 @@ from tests.finding_codes import codes
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances, PaperOptions
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.errors import InputError
+from sunarc.common.errors import InputError
 from sunarc.sky.site import Site
 
 if TYPE_CHECKING:

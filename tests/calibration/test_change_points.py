@@ -14,12 +14,12 @@ import pytest
 from tests.fixtures.calibration import SGP, filtered_sightings, small_camera, stated_calibration, sun_arc
 from tests.fixtures.stored_answers import require_stored
 
-from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration import change_points as module
 from sunarc.calibration.answers.error_model import rotated
 from sunarc.calibration.change_points import calibrate_moved, log_bayes_factor
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.common.array_types import FloatArray, IntArray
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.sky.sun import sun_directions

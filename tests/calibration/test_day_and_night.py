@@ -12,13 +12,13 @@ import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibration import current_document
 
-from sunarc.array_types import stacked
 from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Kind, Sightings, filter_sightings
-from sunarc.documents.calibration_document import from_document
-from sunarc.offline.calibrate_archive import reproduce_calibration
+from sunarc.common.array_types import stacked
+from sunarc.formats.calibration_document import from_document
+from sunarc.imager.commands.calibrate_archive import reproduce_calibration
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector

@@ -18,13 +18,13 @@ from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.quality.fit_checks import provisional
-from sunarc.documents.calibration_document import from_document
-from sunarc.exports.formats import calibration_view
+from sunarc.formats.calibration_document import from_document
+from sunarc.formats.formats import calibration_view
+from sunarc.lab.simulation.truth import SGP, true_camera
 from sunarc.optics.camera import Camera, camera_sees
 from sunarc.optics.forward import project
 from sunarc.optics.inverse import unproject
 from sunarc.optics.pose import rotation_matrix
-from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.sun import sun_directions
 
 N = 23

@@ -11,11 +11,11 @@ import pytest
 from tests.calibration.conftest import SGP, SIZE, TRUTH, times_of
 from tests.fixtures.calibration import stated_calibration
 
-from sunarc.array_types import FloatArray
 from sunarc.calibration.answers.covariance import hemisphere, sigma_deg, sky_sigma_deg
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.common.array_types import FloatArray
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project, resolved_limit
 from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles, rotation_matrix

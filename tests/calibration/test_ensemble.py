@@ -22,7 +22,7 @@ from sunarc.calibration.answers.error_model import (
     predicted,
 )
 from sunarc.calibration.model.result import Calibration, ErrorMixture
-from sunarc.errors import InputError
+from sunarc.common.errors import InputError
 from sunarc.optics.camera import PARAMETER_NAMES
 from sunarc.optics.forward import project, project_with_rows_fast
 from sunarc.optics.inverse import unproject

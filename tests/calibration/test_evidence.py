@@ -10,7 +10,6 @@ import pytest
 from scipy.special import gamma, kv
 from scipy.stats import multivariate_normal
 
-from sunarc.array_types import FloatArray
 from sunarc.calibration.evidence import (
     Weighed,
     bounded_cost,
@@ -21,6 +20,7 @@ from sunarc.calibration.evidence import (
     most_probable,
     whitened,
 )
+from sunarc.common.array_types import FloatArray
 
 
 def spread(n: int, *, seed: int) -> FloatArray:

@@ -11,9 +11,9 @@ from sunarc.calibration.answers.covariance import hemisphere, project_with_covar
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.lab.simulation.truth import SGP, true_camera
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
-from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.sun import sun_directions
 
 N = 20

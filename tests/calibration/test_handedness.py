@@ -12,15 +12,15 @@ import numpy as np
 import population as pop
 import pytest
 
-from sunarc.archive.csv_files import read_sightings
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions, Mirrored
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.common.utc import DAY_S
+from sunarc.formats.csv_files import read_sightings
 from sunarc.optics.forward import project
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions
-from sunarc.utc import DAY_S
 
 SHARED = Path(__file__).parents[3] / "shared"
 REAL = SHARED / "real" / "fe4_2016-08-30.csv"

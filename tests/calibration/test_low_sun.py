@@ -9,8 +9,8 @@ import pytest
 
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.lab.simulation.truth import SGP, true_camera
 from sunarc.optics.forward import project
-from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.sun import sun_angles, sun_directions
 
 

@@ -8,8 +8,8 @@ from tests.calibration.conftest import times_of
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.lab.simulation.truth import SGP, true_camera
 from sunarc.optics.forward import project
-from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.sun import sun_directions
 
 _CHI_SQUARE_95 = 5.991

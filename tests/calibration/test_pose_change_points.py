@@ -14,13 +14,13 @@ from real_like_tracks import real_like_track
 from scipy.spatial.transform import Rotation
 from tests.finding_codes import codes
 
-from sunarc.array_types import stacked
 from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.change_points import calibrate_moved
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.documents.calibration_document import from_document, to_document
+from sunarc.common.array_types import stacked
+from sunarc.formats.calibration_document import from_document, to_document
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector

@@ -14,8 +14,8 @@ from sunarc.calibration import change_points as module
 from sunarc.calibration.answers.error_model import rotated
 from sunarc.calibration.change_points import best_row
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.monitoring import step_search as search
-from sunarc.monitoring.daily_rotations import DailyRotations
+from sunarc.changes import step_search as search
+from sunarc.changes.daily_rotations import DailyRotations
 from sunarc.optics.forward import project
 
 FloatArray = NDArray[np.float64]

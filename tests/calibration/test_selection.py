@@ -17,7 +17,7 @@ from sunarc.calibration.selection import (
     sky_patches,
     solid_angle_sr,
 )
-from sunarc.errors import InputError
+from sunarc.common.errors import InputError
 from sunarc.sky.days import solar_days
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions

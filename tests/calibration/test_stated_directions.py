@@ -13,7 +13,7 @@ from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings, apparent_directions, filter_sightings
 from sunarc.calibration.solve.problem import time_bins
-from sunarc.errors import InputError
+from sunarc.common.errors import InputError
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.sky.directions import direction_from_angles

@@ -20,6 +20,7 @@ from tests.calibration.conftest import NOON_13_MAY_2013, SGP, SIZE, TRUTH, Simul
 from tests.fixtures.calibration import small_camera, stated_calibration, sun_arc
 from tests.fixtures.stored_answers import require_stored, said
 
+from sunarc.calibration.acceptance import accept, apart_sigmas, chi_square, disagreement, distance_px, pose_spread_deg
 from sunarc.calibration.answers.covariance import (
     hemisphere,
     pose_error,
@@ -36,13 +37,14 @@ from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings, filter_sightings, static_positions, static_sightings
 from sunarc.calibration.noise import autocorrelation_inflation, growth_rate, lag_one, neighbours
 from sunarc.calibration.quality.day_arcs import unexplained_days
+from sunarc.calibration.quality.day_quality import decide_day, measure_day
+from sunarc.calibration.quality.first_motion import site_contradiction
 from sunarc.calibration.quality.fit_checks import before_fit, determined, fit_verdict, provisional
 from sunarc.calibration.quality.tilt import tilt_question
 from sunarc.calibration.quality.widening import with_pose_spread
 from sunarc.calibration.selection import SelectionOptions, select_sightings, surest_of_epochs
 from sunarc.calibration.stated_prior import PriorTolerances, calibrate_with_prior
-from sunarc.monitoring.acceptance import accept, apart_sigmas, chi_square, disagreement, distance_px, pose_spread_deg
-from sunarc.monitoring.daily_rotations import (
+from sunarc.changes.daily_rotations import (
     DailyRotations,
     as_shown,
     daily_pose_offset,
@@ -50,10 +52,8 @@ from sunarc.monitoring.daily_rotations import (
     find_change,
     step_gains,
 )
-from sunarc.monitoring.day_quality import decide_day, measure_day
-from sunarc.monitoring.detect_change import update_window
-from sunarc.monitoring.first_motion import site_contradiction
-from sunarc.monitoring.values import Change, Sighting, SightingWindow, WatchOptions
+from sunarc.changes.detect_change import update_window
+from sunarc.changes.values import Change, Sighting, SightingWindow, WatchOptions
 from sunarc.optics.backward import fit_backward
 from sunarc.optics.forward import project
 from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles

@@ -11,9 +11,9 @@ from sunarc.calibration.answers.covariance import hemisphere, project_with_covar
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.fit.robust_rounds import LENS_MISFIT_PX, allowed_level
 from sunarc.calibration.model.result import Calibration
+from sunarc.common.robust_statistics import tukey_loss
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
-from sunarc.robust_statistics import tukey_loss
 
 FloatArray = NDArray[np.float64]
 

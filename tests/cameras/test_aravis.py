@@ -12,10 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sunarc.cameras import aravis as adapter
-from sunarc.cameras.aravis import AravisCamera, follows, open_aravis
-from sunarc.cameras.options import AravisOptions
-from sunarc.errors import (
+from sunarc.common.errors import (
     CameraError,
     CameraLostError,
     CameraSilentError,
@@ -23,7 +20,10 @@ from sunarc.errors import (
     ConfigurationError,
     InputError,
 )
-from sunarc.runtime.clock import VirtualClock
+from sunarc.imager.cameras import aravis as adapter
+from sunarc.imager.cameras.aravis import AravisCamera, follows, open_aravis
+from sunarc.imager.cameras.options import AravisOptions
+from sunarc.imager.runtime.clock import VirtualClock
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 

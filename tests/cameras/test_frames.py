@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sunarc.cameras.aravis import (
+from sunarc.common.errors import CameraError, CameraTimeoutError, InputError
+from sunarc.imager.cameras.aravis import (
     ExposureControl,
     NotedExposure,
     event_setter,
@@ -21,13 +22,12 @@ from sunarc.cameras.aravis import (
     require_exposure,
     wait_for_last_reference,
 )
-from sunarc.cameras.features import Link, buffer_limit, route_mtu
-from sunarc.cameras.frame import CameraInfo, full_scale_of, middle_of_exposure
-from sunarc.cameras.options import AravisOptions, utc_of_timestamp
-from sunarc.cameras.packed import pack
-from sunarc.errors import CameraError, CameraTimeoutError, InputError
+from sunarc.imager.cameras.features import Link, buffer_limit, route_mtu
+from sunarc.imager.cameras.frame import CameraInfo, full_scale_of, middle_of_exposure
+from sunarc.imager.cameras.options import AravisOptions, utc_of_timestamp
+from sunarc.imager.cameras.packed import pack
+from sunarc.imager.runtime.clock import VirtualClock
 from sunarc.imaging.exposure import ExposureBounds
-from sunarc.runtime.clock import VirtualClock
 
 
 def info(pixel_format: str, *, width: int = 6, height: int = 4) -> CameraInfo:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from sunarc.cameras.features import Link, buffer_limit, link_to, route_mtu
+from sunarc.imager.cameras.features import Link, buffer_limit, link_to, route_mtu
 
 WELL = Link(packet_bytes=8000, frame_bytes=8_000_000, mtu=9000, packet_socket=False, buffer_limit_bytes=33_554_432)
 
@@ -50,7 +50,7 @@ def test_the_kernel_s_limit_is_told_without_its_file() -> None:
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become someone without privileges")
 def test_someone_without_privileges_gets_no_packet_socket() -> None:
     link = link_to("127.0.0.1", packet_bytes=1400, frame_bytes=1000, packet_socket=True)
-    script = "from sunarc.cameras.features import may_open_packet_sockets as may; print(may())"
+    script = "from sunarc.imager.cameras.features import may_open_packet_sockets as may; print(may())"
     told = subprocess.run(
         ["setpriv", "--bounding-set=-net_raw", "--inh-caps=-net_raw", sys.executable, "-c", script],
         capture_output=True,

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from sunarc.cameras.frame import full_scale_of
-from sunarc.cameras.options import AravisOptions, ReplayOptions
-from sunarc.errors import InputError
+from sunarc.common.errors import InputError
+from sunarc.imager.cameras.frame import full_scale_of
+from sunarc.imager.cameras.options import AravisOptions, ReplayOptions
 
 
 @pytest.mark.parametrize(

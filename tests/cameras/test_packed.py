@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sunarc.cameras.frame import full_scale_of
-from sunarc.cameras.packed import pack, packed_bytes, packing_of, unpack
+from sunarc.imager.cameras.frame import full_scale_of
+from sunarc.imager.cameras.packed import pack, packed_bytes, packing_of, unpack
 
 FORMATS = ["Mono10p", "Mono12p", "Mono10Packed", "Mono12Packed"]
 

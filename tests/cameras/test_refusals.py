@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sunarc.cameras.aravis import AravisCamera
-from sunarc.cameras.options import AravisOptions
-from sunarc.cameras.packed import pack
-from sunarc.diagnostics import check_frames as frames_of_trial
-from sunarc.errors import CameraError, CameraLostError
-from sunarc.runtime.clock import VirtualClock
+from sunarc.common.errors import CameraError, CameraLostError
+from sunarc.imager.cameras.aravis import AravisCamera
+from sunarc.imager.cameras.options import AravisOptions
+from sunarc.imager.cameras.packed import pack
+from sunarc.imager.checks import check_frames as frames_of_trial
+from sunarc.imager.runtime.clock import VirtualClock
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 

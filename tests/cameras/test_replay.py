@@ -12,10 +12,11 @@ import cv2
 import numpy as np
 import pytest
 
-from sunarc.cameras.frame import SkyCamera
-from sunarc.cameras.options import ReplayOptions
-from sunarc.cameras.replay import exposure_of_name, open_replay, time_of_name
-from sunarc.errors import CameraLostError, InputError
+from sunarc.common.errors import CameraLostError, InputError
+from sunarc.imager.cameras.frame import SkyCamera
+from sunarc.imager.cameras.options import ReplayOptions
+from sunarc.imager.cameras.replay import open_replay, time_of_name
+from sunarc.sources.image_times import exposure_of_name
 
 
 def write(folder: Path, name: str, level: int = 7, shape: tuple[int, ...] = (4, 6), depth: type = np.uint8) -> None:

@@ -22,16 +22,16 @@ import pytest
 from tests.fixtures.command_line import Sunarc, sunarc
 from tests.offline.reanalysis.in_process import InProcess, use
 
-from sunarc.archive.csv_files import read_sightings
+from sunarc.archives.results import Summary
 from sunarc.calibration.answers.covariance import project_with_covariance
 from sunarc.calibration.model.sightings import Kind
 from sunarc.cli import reanalyse as command
 from sunarc.detection.values import Expectation
-from sunarc.documents.calibration_document import from_document
+from sunarc.formats.calibration_document import from_document
+from sunarc.formats.csv_files import read_sightings
 from sunarc.optics.forward import project
-from sunarc.reanalysis.detect_files import detect_in_image
-from sunarc.reanalysis.index import Indexed
-from sunarc.reanalysis.results import Summary
+from sunarc.sources.detect_files import detect_in_image
+from sunarc.sources.index import Indexed
 
 __all__ = ["sunarc"]
 

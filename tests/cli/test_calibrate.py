@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
-from sunarc.archive.csv_files import write_sightings
 from sunarc.cli import calibrate as module
+from sunarc.formats.csv_files import write_sightings
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles

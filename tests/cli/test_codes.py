@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, get_args
 
 import pytest
 
-from sunarc.archive.database.recovery import Recovered
-from sunarc.archive.messages import code_of_event
-from sunarc.archive.values import RefitState
+from sunarc.changes.values import ChangeKind
 from sunarc.cli.codes import all_codes, codes_as_markdown
-from sunarc.findings import Finding, Message, Messages
-from sunarc.monitoring.values import ChangeKind
+from sunarc.common.findings import Finding, Message, Messages
+from sunarc.imager.archive.database.recovery import Recovered
+from sunarc.imager.archive.messages import code_of_event
+from sunarc.imager.archive.values import RefitState
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc
@@ -153,7 +153,7 @@ def test_every_event_is_made_of_a_finding() -> None:
     """Only `Event.of`, beside its class, calls the class; its code is one of a finding."""
     calls = {path: [node for node in ast.walk(tree_of(path)) if isinstance(node, ast.Call)] for path in FILES}
     built = {path for path in FILES for call in calls[path] if getattr(call.func, "id", "") == "Event"}
-    assert built == {SERVICE / "archive" / "values.py"}
+    assert built == {SERVICE / "imager" / "archive" / "values.py"}
 
 
 @pytest.mark.parametrize("kind", get_args(ChangeKind))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.exports.conftest import LENS, document_of
 
-from sunarc.exports.formats import export
+from sunarc.formats.formats import export
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc

@@ -10,9 +10,9 @@ import pytest
 import xarray as xr
 from tests.fixtures.postgresql import postgresql
 
-from sunarc.archive.archive import open_archive
-from sunarc.archive.database.state_folder import lock_state
-from sunarc.archive.values import CameraRecord, DayAir
+from sunarc.imager.archive.archive import open_archive
+from sunarc.imager.archive.database.state_folder import lock_state
+from sunarc.imager.archive.values import CameraRecord, DayAir
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from sunarc.simulation.options import SceneOptions
-from sunarc.simulation.scene import Scene
-from sunarc.simulation.truth import SGP, true_camera
+from sunarc.lab.simulation.options import SceneOptions
+from sunarc.lab.simulation.scene import Scene
+from sunarc.lab.simulation.truth import SGP, true_camera
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.fixtures.archive import make_empty
 
-from sunarc.archive.archive import open_archive
-from sunarc.archive.values import CameraRecord
+from sunarc.imager.archive.archive import open_archive
+from sunarc.imager.archive.values import CameraRecord
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc

@@ -11,13 +11,13 @@ import pytest
 from tests.fixtures.archive import make_empty
 from tests.fixtures.fleet import NOW
 
-from sunarc.api.routes.feed import token_digest
-from sunarc.archive.archive import open_archive
-from sunarc.archive.database.schema import head_revision
-from sunarc.archive.fleet.feed_rows import Refusal
-from sunarc.archive.fleet.feed_schema import feed_schema
-from sunarc.archive.fleet.nightly import CrossCheck
-from sunarc.settings.load import load_hub_settings
+from sunarc.hub.archive import open_hub_archive
+from sunarc.hub.feed_routes import token_digest
+from sunarc.hub.feed_schema import feed_schema
+from sunarc.hub.nightly_store import CrossCheck
+from sunarc.imager.archive.database.schema import head_revision
+from sunarc.imager.archive.feed_rows import Refusal
+from sunarc.imager.settings.load import load_hub_settings
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc
@@ -39,7 +39,7 @@ def test_a_token_is_printed_once_and_its_digest_stored(sunarc: Sunarc, config: P
     second = sunarc("hub", "token", "roof", "--overlap", "0", *options).out.strip()
     assert len(first) >= 32
     assert first != second
-    with open_archive(config.parent / "sunarc.sqlite") as archive:
+    with open_hub_archive(config.parent / "sunarc.sqlite") as archive:
         tokens = archive.feeds.tokens("roof", now=NOW.replace(year=2100))
     assert tokens == (token_digest(second),)
     assert [sunarc("hub", "revoke", "roof", *options).code for _ in range(2)] == [0, 1]
@@ -48,7 +48,7 @@ def test_a_token_is_printed_once_and_its_digest_stored(sunarc: Sunarc, config: P
 def test_what_was_refused_is_listed_and_can_be_accepted(sunarc: Sunarc, config: Path) -> None:
     options = ("--config", str(config))
     assert sunarc("hub", "quarantine", *options).code == 0
-    with open_archive(config.parent / "sunarc.sqlite") as archive:
+    with open_hub_archive(config.parent / "sunarc.sqlite") as archive:
         refusal = Refusal(reason="second_installation", text="two")
         archive.feeds.refuse(camera="roof", installation="abc", refusal=refusal, now=NOW)
     found = sunarc("hub", "quarantine", "--json", *options)

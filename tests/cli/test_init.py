@@ -23,13 +23,13 @@ import pvlib
 import pytest
 from tests.fixtures.rtsp_camera import RtspCamera
 
+from sunarc.common.findings import Finding
 from sunarc.detection.values import Detection
-from sunarc.diagnostics import CheckResult, question_of, run_checks
-from sunarc.findings import Finding
-from sunarc.offline.first_look import MESSAGES, RefusedAnswerError, TriedPicture, judge_site, parse_angle
-from sunarc.runtime.clock import SystemClock
-from sunarc.settings.load import load_settings
-from sunarc.simulation.made_archive import encoded, photograph
+from sunarc.imager.checks import CheckResult, question_of, run_checks
+from sunarc.imager.commands.first_look import MESSAGES, RefusedAnswerError, TriedPicture, judge_site, parse_angle
+from sunarc.imager.runtime.clock import SystemClock
+from sunarc.imager.settings.load import load_settings
+from sunarc.lab.simulation.made_archive import encoded, photograph
 from sunarc.sky.site import Site
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from tests.cli.test_calibrate import AT_SGP, CAMERA, write_day
 
-from sunarc.documents.lens_prior import LENS_SCHEMA
+from sunarc.formats.lens_prior import LENS_SCHEMA
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc

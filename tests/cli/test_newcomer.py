@@ -11,21 +11,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.app.cameras import require_stored_site
-from sunarc.archive.archive import Archive, CameraArchive, open_archive
-from sunarc.archive.database.state_folder import lock_state
-from sunarc.archive.values import Refit
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.diagnostics import run_checks
-from sunarc.errors import InputError
+from sunarc.common.errors import InputError
+from sunarc.imager.app.cameras import require_stored_site
+from sunarc.imager.archive.archive import Archive, CameraArchive, open_archive
+from sunarc.imager.archive.database.state_folder import lock_state
+from sunarc.imager.archive.values import Refit
+from sunarc.imager.checks import run_checks
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.settings.load import load_settings
+from sunarc.imager.workers.calibrating.refit import RefitWorker
+from sunarc.imager.workers.options import RefitOptions
+from sunarc.lab.simulation.truth import SGP, true_camera
 from sunarc.optics.forward import project
-from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import StatusRegistry
-from sunarc.settings.load import load_settings
-from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.sun import sun_angles, sun_directions
-from sunarc.workers.calibrating.refit import RefitWorker
-from sunarc.workers.options import RefitOptions
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc

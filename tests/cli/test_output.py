@@ -10,8 +10,8 @@ import pytest
 from rich.console import Console
 
 from sunarc.cli.options import parse_image_size, progress_bars, table
-from sunarc.errors import InputError
-from sunarc.runtime.clock import SystemClock
+from sunarc.common.errors import InputError
+from sunarc.imager.runtime.clock import SystemClock
 
 ID = "20130514T063000Z-ab12cd"
 

@@ -10,9 +10,9 @@ from tests.fixtures.command_line import Sunarc, sunarc
 from tests.offline.reanalysis.in_process import InProcess, use
 from tests.offline.sources.archives import GREY, encoded, folder_of
 
+from sunarc.archives.results import Summary
 from sunarc.cli import reanalyse as command
-from sunarc.reanalysis.index import Indexed
-from sunarc.reanalysis.results import Summary
+from sunarc.sources.index import Indexed
 
 __all__ = ["sunarc"]
 

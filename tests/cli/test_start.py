@@ -69,9 +69,9 @@ def test_a_fit_of_a_file_loads_neither_the_service_nor_the_settings() -> None:
         "uvicorn",
         "prometheus_client",
         "sqlalchemy",
-        "sunarc.api",
-        "sunarc.archive.archive",
-        "sunarc.workers",
+        "sunarc.imager.web",
+        "sunarc.imager.archive.archive",
+        "sunarc.imager.workers",
     )
     code = f"import sys, sunarc.cli.calibrate; print([name for name in {service} if name in sys.modules])"
     assert _answer(code) == "[]"
@@ -88,7 +88,7 @@ def _loaded(code: str) -> list[str]:
 
 @pytest.mark.parametrize("module", ["covariance", "direction_table", "error_model"])
 def test_a_pixel_a_direction_and_a_map_are_answered_without_a_fit(module: str) -> None:
-    loaded = _loaded(f"import sunarc.calibration.answers.{module}, sunarc.documents.calibration_document")
+    loaded = _loaded(f"import sunarc.calibration.answers.{module}, sunarc.formats.calibration_document")
     assert len([name for name in loaded if name.startswith("sunarc.calibration")]) <= 15
     assert not {*FIT, *SCIPY, "pandas", "cv2", "sqlalchemy", "pydantic"}.intersection(loaded)
 
@@ -104,8 +104,8 @@ except SystemExit:
     pass
 """
     loaded = _loaded(code)
-    assert not {*FIT, "sunarc.api", "sunarc.app.service", "sunarc.simulation"}.intersection(loaded)
-    assert {name for name in loaded if name.startswith("sunarc.studies.")} <= {"sunarc.studies.messages"}
+    assert not {*FIT, "sunarc.imager.web", "sunarc.imager.app.service", "sunarc.lab.simulation"}.intersection(loaded)
+    assert {name for name in loaded if name.startswith("sunarc.lab.studies.")} <= {"sunarc.lab.studies.messages"}
 
 
 def test_the_list_of_commands_says_what_each_says_of_itself() -> None:

@@ -18,7 +18,7 @@ import pytest
 from tests.api.conftest import LENS, NOON, archives, make
 from tests.api.test_event_stream import quick, serving
 
-from sunarc.archive.images import ImageStore
+from sunarc.imager.archive.images import ImageStore
 from sunarc.optics.inverse import unproject
 
 if TYPE_CHECKING:

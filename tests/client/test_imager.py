@@ -17,17 +17,17 @@ import uvicorn
 from tests.api.conftest import NOON, fill, new_archive
 from tests.fixtures.calibrations import SITE
 
-from sunarc.api.app import create_app
-from sunarc.api.options import ApiOptions
-from sunarc.archive.archive import open_archive
-from sunarc.archive.images import ImageStore
 from sunarc.calibration.answers.covariance import project_with_covariance, unproject_with_sigma
 from sunarc.client import Imager, ImagerError
-from sunarc.documents.calibration_document import from_document
-from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import StatusRegistry
-from sunarc.runtime.supervisor import of_worker
-from sunarc.workers.messages import condition
+from sunarc.formats.calibration_document import from_document
+from sunarc.imager.archive.archive import open_archive
+from sunarc.imager.archive.images import ImageStore
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.runtime.supervisor import of_worker
+from sunarc.imager.web.app import create_app
+from sunarc.imager.web.options import ApiOptions
+from sunarc.imager.workers.messages import condition
 
 ROOT = Path(__file__).parents[2]
 

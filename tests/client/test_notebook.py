@@ -15,7 +15,7 @@ from tests.api.conftest import LENS, NOON, archives, make
 from tests.api.test_event_stream import serving
 from tests.fixtures.calibrations import SITE
 
-from sunarc.archive.images import ImageStore
+from sunarc.imager.archive.images import ImageStore
 from sunarc.optics.forward import project
 from sunarc.optics.inverse import unproject
 from sunarc.sky.sun import sun_directions

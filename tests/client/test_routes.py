@@ -15,12 +15,12 @@ import pytest
 from tests.fixtures.archive import make_empty
 from tests.fixtures.calibration import current_document, distinctive_calibration
 
-from sunarc.api.options import ApiOptions
-from sunarc.app.hub import create_hub_app
-from sunarc.archive.archive import open_archive
 from sunarc.client import AsyncImager, Hub, Imager, ImagerError, LocalImager
 from sunarc.client.transport import Transport
-from sunarc.runtime.status import StatusSnapshot
+from sunarc.hub.archive import open_hub_archive
+from sunarc.hub.serving import create_hub_app
+from sunarc.imager.runtime.status import StatusSnapshot
+from sunarc.imager.web.options import ApiOptions
 
 ROOT = Path(__file__).parents[2]
 AT = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
@@ -125,7 +125,7 @@ def test_every_route_is_asked_by_its_path_with_parameters_that_it_has(asked: Ima
 def test_every_route_of_a_hub_is_asked_by_its_path_with_parameters_that_it_has(asked: Imager, tmp_path: Path) -> None:
     del asked  # its transport answers for the hub too
     make_empty(tmp_path / "hub.sqlite")
-    with open_archive(tmp_path / "hub.sqlite") as archive:
+    with open_hub_archive(tmp_path / "hub.sqlite") as archive:
         document = create_hub_app(
             archive=archive,
             status=lambda: StatusSnapshot(version="1", started_at=AT),

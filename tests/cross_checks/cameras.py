@@ -9,10 +9,10 @@ from scipy.spatial.transform import Rotation
 from tests.fixtures.calibration import ideal_camera
 from tests.fixtures.calibrations import chosen_calibration
 
-from sunarc.array_types import FloatArray
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.monitoring.daily_rotations import DailyRotations, daily_rotations
+from sunarc.changes.daily_rotations import DailyRotations, daily_rotations
+from sunarc.common.array_types import FloatArray
 from sunarc.optics.camera import PARAMETER_NAMES, POSE, Camera
 from sunarc.optics.forward import project
 from sunarc.optics.inverse import unproject

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sunarc.array_types import FloatArray
-from sunarc.cross_checks.clocks import Lag, clock_offsets
-from sunarc.cross_checks.cloud_edges import SunSeries, cloud_lag
+from sunarc.common.array_types import FloatArray
+from sunarc.hub.clocks import Lag, clock_offsets
+from sunarc.hub.cloud_edges import SunSeries, cloud_lag
 
 TRIANGLE = np.array([[0.0, 0.0], [800.0, 300.0], [-400.0, 900.0]])
 HEXAGON = np.array([[0.0, 0.0], [800.0, 300.0], [-400.0, 900.0], [-700.0, -600.0], [500.0, -900.0], [900.0, -200.0]])

@@ -9,10 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 from tests.cross_checks.cameras import Wrong, neighbours
 
-from sunarc.array_types import FloatArray, picked
 from sunarc.calibration.evidence import DAYS_GAIN
-from sunarc.cross_checks.rotation_steps import StepSize, agreeing, explain_step, find_steps, rotation_of_site
-from sunarc.monitoring.daily_rotations import DailyRotations, RotationStep, daily_rotations
+from sunarc.changes.daily_rotations import DailyRotations, RotationStep, daily_rotations
+from sunarc.changes.rotation_steps import StepSize, agreeing, explain_step, find_steps, rotation_of_site
+from sunarc.common.array_types import FloatArray, picked
 from sunarc.sky.site import Site, pole_enu
 from sunarc.sky.sun import sun_directions
 

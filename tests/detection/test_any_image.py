@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from tests.detection.random_images import random_images
 
+from sunarc.common.errors import InputError
 from sunarc.detection.stars.detect import detect_stars
 from sunarc.detection.values import Expectation
-from sunarc.errors import InputError
-from sunarc.reanalysis.detect_files import METHODS, detect_in_image, estimated_full_scale
+from sunarc.sources.detect_files import METHODS, detect_in_image, estimated_full_scale
 
 COUNT = 60
 

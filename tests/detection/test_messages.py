@@ -10,10 +10,10 @@ import pytest
 from tests.finding_codes import codes
 
 from sunarc import detection
+from sunarc.common.findings import Finding
 from sunarc.detection.disc.series import beside, combine
 from sunarc.detection.messages import MESSAGES, reason_of
 from sunarc.detection.values import Detection, Verdict
-from sunarc.findings import Finding
 
 FITTED = Finding("disc_found", {"chi2": 1.043})
 SOURCES = sorted(Path(detection.__file__).parent.rglob("*.py"))

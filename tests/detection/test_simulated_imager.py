@@ -10,9 +10,9 @@ import pytest
 
 from sunarc.detection.disc.detect import detect_sun
 from sunarc.detection.values import Expectation, Sensor
+from sunarc.lab.simulation.scene import Scene
+from sunarc.lab.simulation.truth import SGP, true_camera
 from sunarc.optics.forward import local_stretch
-from sunarc.simulation.scene import Scene
-from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.sun import sun_angles
 
 FULL_SCALE = 4095

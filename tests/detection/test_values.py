@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sunarc.array_types import Image
+from sunarc.common.array_types import Image
+from sunarc.common.errors import InputError
 from sunarc.detection.values import DiscOptions, Expectation, Sensor, bayer_of, require_raw
-from sunarc.errors import InputError
 
 STRETCH = ((565.0, 0.0), (0.0, 640.0))
 

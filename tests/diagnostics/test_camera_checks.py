@@ -12,11 +12,11 @@ import pytest
 from tests.fixtures.cameras import INFO
 from tests.fixtures.settings import new_settings
 
-from sunarc import diagnostics as camera_checks
-from sunarc.cameras.frame import CameraCondition, CameraInfo, Frame
-from sunarc.diagnostics import check_exposures, check_frames, survey
-from sunarc.errors import CameraError, CameraLostError, CameraSilentError, CameraTimeoutError
-from sunarc.runtime.clock import VirtualClock
+from sunarc.common.errors import CameraError, CameraLostError, CameraSilentError, CameraTimeoutError
+from sunarc.imager import checks as camera_checks
+from sunarc.imager.cameras.frame import CameraCondition, CameraInfo, Frame
+from sunarc.imager.checks import check_exposures, check_frames, survey
+from sunarc.imager.runtime.clock import VirtualClock
 
 NOW = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 

@@ -16,8 +16,8 @@ import pytest
 from tests.fixtures.archive import new_archive
 from tests.fixtures.ports import free_port
 
-from sunarc import diagnostics as checks
-from sunarc.workers.push import webhook_name
+from sunarc.imager import checks
+from sunarc.imager.workers.push import webhook_name
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc

@@ -12,8 +12,8 @@ from tests.fixtures.calibration import current_document, distinctive_calibration
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance, with_covariance
 from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.result import ErrorMixture, distances_holding
-from sunarc.documents.calibration_document import field_document, from_document
-from sunarc.errors import InputError
+from sunarc.common.errors import InputError
+from sunarc.formats.calibration_document import field_document, from_document
 from sunarc.optics.displacement import wave_basis
 
 

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread
-from sunarc.documents.lens_prior import LENS_SCHEMA, lens_type_from_json, lens_type_to_json
-from sunarc.errors import InputError
+from sunarc.common.errors import InputError
+from sunarc.formats.lens_prior import LENS_SCHEMA, lens_type_from_json, lens_type_to_json
 
 Change = Callable[[dict[str, Any]], object]
 

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from tests.fixtures.calibrations import chosen_calibration
 
 from sunarc.calibration.answers.covariance import hemisphere
-from sunarc.documents.calibration_document import to_document
-from sunarc.exports.exported import Exported
-from sunarc.exports.formats import export
+from sunarc.formats.calibration_document import to_document
+from sunarc.formats.exported import Exported
+from sunarc.formats.formats import export
 from sunarc.optics.camera import Camera, camera_sees
 from sunarc.optics.forward import project
 

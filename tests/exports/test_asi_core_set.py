@@ -19,10 +19,10 @@ import scipy.io
 import yaml
 from tests.exports.conftest import LENS, FloatArray, document_of
 
-from sunarc.errors import InputError
-from sunarc.exports.asi_core import asi_core_set
-from sunarc.exports.formats import export
-from sunarc.exports.matlab import matlab_bytes
+from sunarc.common.errors import InputError
+from sunarc.formats.asi_core import asi_core_set
+from sunarc.formats.formats import export
+from sunarc.formats.matlab import matlab_bytes
 from sunarc.optics.camera import Camera
 from sunarc.optics.inverse import unproject
 

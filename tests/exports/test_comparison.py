@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from tests.exports.conftest import LENS, FloatArray
 
 from sunarc.calibration.answers.covariance import hemisphere
-from sunarc.errors import InputError
-from sunarc.exports.view import ZENITH_RANGES_DEG, View, camera_view, compare, rotated
+from sunarc.common.errors import InputError
+from sunarc.formats.view import ZENITH_RANGES_DEG, View, camera_view, compare, rotated
 from sunarc.optics.camera import camera_sees
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector

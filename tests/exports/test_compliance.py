@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from tests.exports.conftest import LENS, document_of
 
-from sunarc.exports.formats import export
+from sunarc.formats.formats import export
 
 CHECKER = Path(sys.executable).with_name("compliance-checker")
 CONVENTIONS = ("cf:1.11", "acdd:1.3")

@@ -11,8 +11,8 @@ import pytest
 from tests.exports.conftest import LENS, document_of
 
 from sunarc.calibration.answers.covariance import hemisphere
-from sunarc.documents.calibration_document import from_document
-from sunarc.exports.formats import FORMATS, export, read_view
+from sunarc.formats.calibration_document import from_document
+from sunarc.formats.formats import FORMATS, export, read_view
 from sunarc.optics.displacement import wave_basis
 from sunarc.optics.forward import project
 

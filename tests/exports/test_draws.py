@@ -13,9 +13,9 @@ from tests.fixtures.calibration import current_document, small_camera, stated_ca
 from tests.fixtures.command_line import Sunarc, sunarc
 
 from sunarc.calibration.answers.error_model import draw_ensemble
-from sunarc.documents.calibration_document import from_document
-from sunarc.errors import InputError
-from sunarc.exports.formats import MOST_DRAWS_OF_A_FILE, export, export_draws
+from sunarc.common.errors import InputError
+from sunarc.formats.calibration_document import from_document
+from sunarc.formats.formats import MOST_DRAWS_OF_A_FILE, export, export_draws
 
 __all__ = ["sunarc"]
 

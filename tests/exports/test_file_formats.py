@@ -17,11 +17,11 @@ import yaml
 from tests.exports.conftest import LENS, FloatArray, apart_deg, document_of, worst_stated_deg, worst_stated_px
 
 from sunarc.calibration.answers.covariance import hemisphere
-from sunarc.errors import InputError
-from sunarc.exports.exported import Exported
-from sunarc.exports.formats import FORMATS, export, read_view
-from sunarc.exports.remap import ground_grid, remap_tables, sky_grid
-from sunarc.exports.view import camera_view, compare
+from sunarc.common.errors import InputError
+from sunarc.formats.exported import Exported
+from sunarc.formats.formats import FORMATS, export, read_view
+from sunarc.formats.remap import ground_grid, remap_tables, sky_grid
+from sunarc.formats.view import camera_view, compare
 from sunarc.optics.camera import camera_sees
 from sunarc.optics.forward import project
 from sunarc.optics.inverse import unproject

@@ -11,9 +11,9 @@ import pytest
 from tests.exports.conftest import LENS, document_of
 
 from sunarc.client.imager import Imager
-from sunarc.exports import formats
-from sunarc.exports.formats import FORMATS, SERVED, FormatError, export, read_view
-from sunarc.exports.tables import MAP_FORMATS
+from sunarc.formats import formats
+from sunarc.formats.formats import FORMATS, SERVED, FormatError, export, read_view
+from sunarc.formats.tables import MAP_FORMATS
 
 SMALL = replace(LENS, width=330, height=300, focal_length_px=(112.0, 112.3), principal_point_px=(164.2, 150.9))
 DOCUMENTED = Path(__file__).resolve().parents[2] / "docs" / "formats.md"

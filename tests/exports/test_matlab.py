@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import scipy.io
 
-from sunarc.exports.matlab import read_variables
+from sunarc.formats.matlab import read_variables
 
 
 def saved(*, compressed: bool, **content: object) -> bytes:

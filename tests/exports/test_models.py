@@ -21,15 +21,15 @@ from scipy.spatial.transform import Rotation
 from tests.exports.conftest import LENS, FloatArray, document_of
 
 from sunarc.calibration.answers.direction_table import BackProjectionMap
-from sunarc.errors import InputError
-from sunarc.exports.asi_core import asi_core_yaml, mask_files
-from sunarc.exports.exported import Table, Variable
-from sunarc.exports.fisheye import fisheye_model, fisheye_view, pixels_of_rays
-from sunarc.exports.formats import FORMATS, export
-from sunarc.exports.mrcal import cameramodel, spline_bending, spline_weights, splined_model, splined_view
-from sunarc.exports.ocam import ocam_model
-from sunarc.exports.tables import every_nth, netcdf_bytes, npz_bytes
-from sunarc.exports.view import camera_view, compare, sky_of
+from sunarc.common.errors import InputError
+from sunarc.formats.asi_core import asi_core_yaml, mask_files
+from sunarc.formats.exported import Table, Variable
+from sunarc.formats.fisheye import fisheye_model, fisheye_view, pixels_of_rays
+from sunarc.formats.formats import FORMATS, export
+from sunarc.formats.mrcal import cameramodel, spline_bending, spline_weights, splined_model, splined_view
+from sunarc.formats.ocam import ocam_model
+from sunarc.formats.tables import every_nth, netcdf_bytes, npz_bytes
+from sunarc.formats.view import camera_view, compare, sky_of
 from sunarc.optics.camera import Camera
 
 SKY = sky_of(LENS, within=math.radians(80.0))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from tests.exports.conftest import FloatArray, worst_stated_px
 
-from sunarc.exports.formats import export
+from sunarc.formats.formats import export
 
 PROGRAM = """\
 import json, sys

@@ -12,8 +12,8 @@ import scipy.io
 import yaml
 from tests.exports.conftest import Export, FloatArray, apart_deg, document_of, worst_stated_deg, worst_stated_px
 
-from sunarc.documents.calibration_document import from_document
-from sunarc.exports.formats import export
+from sunarc.formats.calibration_document import from_document
+from sunarc.formats.formats import export
 from sunarc.optics.camera import Camera
 from sunarc.optics.inverse import unproject
 from sunarc.optics.pose import rotation_matrix

@@ -7,7 +7,7 @@ import numpy as np
 import yaml
 from tests.exports.conftest import FloatArray, worst_stated_px
 
-from sunarc.exports.formats import export
+from sunarc.formats.formats import export
 from sunarc.optics.camera import Camera
 from sunarc.optics.pose import rotation_matrix
 

@@ -12,9 +12,9 @@ import pytest
 import scipy.io
 from tests.exports.conftest import LENS, Export, document_of, worst_stated_deg, worst_stated_px
 
-from sunarc.errors import InputError
-from sunarc.exports.formats import SERVED, export, read_view
-from sunarc.exports.view import camera_view, closest_camera, compare
+from sunarc.common.errors import InputError
+from sunarc.formats.formats import SERVED, export, read_view
+from sunarc.formats.view import camera_view, closest_camera, compare
 from sunarc.optics.camera import Camera
 
 SMALL = Camera(

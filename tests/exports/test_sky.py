@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tests.exports.conftest import LENS
 
-from sunarc.exports.view import sky_of
+from sunarc.formats.view import sky_of
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix
 

@@ -11,8 +11,8 @@ from scipy.interpolate import RegularGridInterpolator
 from tests.exports.conftest import FloatArray, worst_stated_px
 
 from sunarc.calibration.answers.covariance import unproject_with_sigma
-from sunarc.documents.calibration_document import from_document
-from sunarc.exports.formats import export
+from sunarc.formats.calibration_document import from_document
+from sunarc.formats.formats import export
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.sky.directions import angles_from_direction

@@ -9,7 +9,7 @@ import pytest
 from tests.exports.conftest import LENS, FloatArray, apart_deg
 
 from sunarc.calibration.answers.covariance import hemisphere
-from sunarc.exports.view import camera_view, grid_view, lens_view, rotated
+from sunarc.formats.view import camera_view, grid_view, lens_view, rotated
 from sunarc.optics.camera import camera_sees
 from sunarc.optics.forward import project
 from sunarc.optics.inverse import unproject

@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
-from sunarc.documents.calibration_document import from_document
+from sunarc.formats.calibration_document import from_document
 from sunarc.optics.forward import project
-from sunarc.reanalysis.passes import SEARCHED
 from sunarc.sky.night import body_directions
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles, sun_directions
+from sunarc.sources.expected_sun import SEARCHED
 
 _EARTH_RATE_DEG_S = 15.041 / 3600.0
 _SIGMAS = 6.0

@@ -17,9 +17,9 @@ from tests.fixtures.postgresql import TEMPLATE, running_server
 from tests.fleet.hub_process import HubProcess
 from tests.fleet.links import Link
 
-from sunarc.api.routes.feed import token_digest
-from sunarc.archive.archive import open_archive
-from sunarc.runtime.clock import SystemClock
+from sunarc.hub.archive import open_hub_archive
+from sunarc.hub.feed_routes import token_digest
+from sunarc.imager.runtime.clock import SystemClock
 
 from .campaign_processes import TOKEN, pause
 
@@ -161,7 +161,7 @@ class CampaignHub:
         """Rows that the service had until an operator put its database back; the hub keeps them."""
         self._ended = contextlib.ExitStack()
         self.server = self._ended.enter_context(running_server(folder=folder / "pg"))
-        with open_archive(self.server.url(TEMPLATE)) as archive:
+        with open_hub_archive(self.server.url(TEMPLATE)) as archive:
             moment = SystemClock().now()
             archive.feeds.add_token(CAMERA, token_digest(TOKEN), now=moment, former_until=moment)
         self.server.sql("postgres", "CREATE ROLE sunarc_feed LOGIN", "CREATE ROLE sunarc_reader")
@@ -234,7 +234,7 @@ class CampaignHub:
 
     def accept(self) -> None:
         """Accept, as an operator does, another installation that sends for the camera."""
-        with contextlib.suppress(Exception), open_archive(self.server.url(TEMPLATE)) as archive:
+        with contextlib.suppress(Exception), open_hub_archive(self.server.url(TEMPLATE)) as archive:
             for one in archive.feeds.quarantine(CAMERA):
                 if one.reason == "second_installation" and one.installation not in self.installations:
                     self.installations.append(one.installation)

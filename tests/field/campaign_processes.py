@@ -20,8 +20,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Self
 
-from sunarc.simulation.imager import next_dawn
-from sunarc.simulation.truth import SGP
+from sunarc.lab.simulation.imager import next_dawn
+from sunarc.lab.simulation.truth import SGP
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles
 

@@ -11,7 +11,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from sunarc.cli.main import main
-from sunarc.runtime import clock
+from sunarc.imager.runtime import clock
 
 
 def _setting(file: Path) -> tuple[float, bool]:

@@ -21,17 +21,17 @@ from typing import Any
 
 from soak import ADDRESS, HDR_US, REGION, START, Imager  # type: ignore[import-not-found] # beside this script
 
-from sunarc.cameras.aravis import open_aravis
-from sunarc.cameras.frame import Frame
-from sunarc.cameras.options import AravisOptions
+from sunarc.imager.cameras.aravis import open_aravis
+from sunarc.imager.cameras.frame import Frame
+from sunarc.imager.cameras.options import AravisOptions
+from sunarc.imager.runtime.clock import SystemClock
+from sunarc.imager.runtime.loop import DropOldestQueue
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.workers.capture import CaptureWorker
+from sunarc.imager.workers.clock_watch import FrameTime
+from sunarc.imager.workers.exposures import SunExposures
+from sunarc.imager.workers.options import CaptureOptions
 from sunarc.imaging.exposure import SunExposureOptions
-from sunarc.runtime.clock import SystemClock
-from sunarc.runtime.loop import DropOldestQueue
-from sunarc.runtime.status import StatusRegistry
-from sunarc.workers.capture import CaptureWorker
-from sunarc.workers.clock_watch import FrameTime
-from sunarc.workers.exposures import SunExposures
-from sunarc.workers.options import CaptureOptions
 
 _SETTLING = 4
 _UP_DEG, _DOWN_DEG = 60.0, 92.0  # apparent zenith angles: in daylight both

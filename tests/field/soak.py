@@ -27,18 +27,18 @@ from typing import Any
 
 import numpy as np
 
-from sunarc.cameras.aravis import open_aravis
-from sunarc.cameras.frame import Frame
-from sunarc.cameras.options import AravisOptions
+from sunarc.imager.cameras.aravis import open_aravis
+from sunarc.imager.cameras.frame import Frame
+from sunarc.imager.cameras.options import AravisOptions
+from sunarc.imager.runtime.clock import SystemClock
+from sunarc.imager.runtime.loop import DropOldestQueue
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.workers.capture import CaptureWorker
+from sunarc.imager.workers.clock_watch import FrameTime
+from sunarc.imager.workers.exposures import SunExposures
+from sunarc.imager.workers.options import CaptureOptions
 from sunarc.imaging.exposure import SunExposureOptions
-from sunarc.runtime.clock import SystemClock
-from sunarc.runtime.loop import DropOldestQueue
-from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation.imager import ImagerOptions, scene_of
-from sunarc.workers.capture import CaptureWorker
-from sunarc.workers.clock_watch import FrameTime
-from sunarc.workers.exposures import SunExposures
-from sunarc.workers.options import CaptureOptions
+from sunarc.lab.simulation.imager import ImagerOptions, scene_of
 
 ADDRESS = "127.0.0.1"
 START = datetime(2013, 5, 13, 22, 40, tzinfo=UTC)

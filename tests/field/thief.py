@@ -5,10 +5,10 @@ from __future__ import annotations
 import sys
 import threading
 
-from sunarc.cameras.aravis import open_aravis
-from sunarc.cameras.options import AravisOptions
-from sunarc.errors import CameraError
-from sunarc.runtime.clock import SystemClock
+from sunarc.common.errors import CameraError
+from sunarc.imager.cameras.aravis import open_aravis
+from sunarc.imager.cameras.options import AravisOptions
+from sunarc.imager.runtime.clock import SystemClock
 
 address, hold_s = sys.argv[1], float(sys.argv[2])
 clock = SystemClock()

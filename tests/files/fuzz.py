@@ -44,21 +44,28 @@ from numpy.typing import NDArray
 from PIL import Image as Pictures
 from tests.fixtures.calibration import distinctive_calibration
 
-from sunarc.api.arrays import read_rows
-from sunarc.archive.csv_files import read_pairs, read_sightings
-from sunarc.archive.database.recovery import Column, leaf_rows
-from sunarc.archive.fleet.feed_rows import FeedRow, feed_lines, read_feed_lines
+from sunarc.archives.ledger import ImageId, Known, Ledger
 from sunarc.calibration.model.result import Calibration
+from sunarc.cli.calibrate_files import read_joint_spec
+from sunarc.common.errors import InputError, SunarcError
+from sunarc.common.findings import Finding
 from sunarc.detection.stars.warm_pixels import SensorFormat
-from sunarc.documents.calibration_document import from_document, to_document
-from sunarc.documents.lens_prior import lens_type_from_json
-from sunarc.errors import InputError, SunarcError
-from sunarc.exports.formats import FORMATS, read_view
-from sunarc.findings import Finding
+from sunarc.formats.calibration_document import from_document, to_document
+from sunarc.formats.csv_files import read_pairs, read_sightings
+from sunarc.formats.formats import FORMATS, read_view
+from sunarc.formats.lens_prior import lens_type_from_json
+from sunarc.imager.archive.database.recovery import Column, leaf_rows
+from sunarc.imager.archive.feed_rows import FeedRow, feed_lines, read_feed_lines
+from sunarc.imager.settings.load import load_hub_settings, load_settings
+from sunarc.imager.web.arrays import read_rows
+from sunarc.imager.workers.night.images import WarmPixelFile
 from sunarc.imaging.metadata import document_of, jpeg_with, png_with
-from sunarc.offline.calibrate_files import read_joint_spec
-from sunarc.reanalysis.files import read_image, read_lines
-from sunarc.reanalysis.image_files import (
+from sunarc.lab.studies.benchmark_cases import BenchmarkTruth
+from sunarc.lab.studies.benchmark_files import read_case, read_entry
+from sunarc.lab.studies.benchmark_scores import score
+from sunarc.sky.site import Site
+from sunarc.sources.files import read_image, read_lines
+from sunarc.sources.image_files import (
     checked_image,
     fits_bayer,
     fits_frame,
@@ -69,17 +76,10 @@ from sunarc.reanalysis.image_files import (
     video_frames,
     video_images,
 )
-from sunarc.reanalysis.image_times import exif_time, sidecar_time
-from sunarc.reanalysis.index import CameraPlan, Selector, read_cameras
-from sunarc.reanalysis.ledger import ImageId, Known, Ledger
-from sunarc.reanalysis.look import PackedMask
-from sunarc.reanalysis.messages import RefusedImageError
-from sunarc.settings.load import load_hub_settings, load_settings
-from sunarc.sky.site import Site
-from sunarc.studies.benchmark_cases import BenchmarkTruth
-from sunarc.studies.benchmark_files import read_case, read_entry
-from sunarc.studies.benchmark_scores import score
-from sunarc.workers.night.images import WarmPixelFile
+from sunarc.sources.image_times import exif_time, sidecar_time
+from sunarc.sources.index import CameraPlan, Selector, read_cameras
+from sunarc.sources.look import PackedMask
+from sunarc.sources.messages import RefusedImageError
 
 ROOT = Path(__file__).resolve().parents[2]
 SLOWEST_S = 1.0

@@ -15,8 +15,8 @@ import pytest
 from tests.files import fuzz
 from tests.files.fuzz import Reader, ask, edited, fuzzed, fuzzed_apart, readers, with_right_sums
 
-from sunarc.errors import InputError, OutsideError
-from sunarc.exports.formats import FORMATS
+from sunarc.common.errors import InputError, OutsideError
+from sunarc.formats.formats import FORMATS
 
 CASES = 25
 NAMES = (

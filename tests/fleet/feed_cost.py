@@ -22,11 +22,11 @@ from tests.fixtures.fleet import new_imager, next_batch, sighting
 from tests.fixtures.postgresql import TEMPLATE, running_server
 from tests.fleet.hub_process import HubProcess
 
-from sunarc.api.routes.feed import token_digest
-from sunarc.archive.archive import open_archive
-from sunarc.archive.database.schema import head_revision
-from sunarc.archive.fleet.feed_rows import FeedRow, feed_lines
-from sunarc.runtime.clock import SystemClock
+from sunarc.hub.archive import open_hub_archive
+from sunarc.hub.feed_routes import token_digest
+from sunarc.imager.archive.database.schema import head_revision
+from sunarc.imager.archive.feed_rows import FeedRow, feed_lines
+from sunarc.imager.runtime.clock import SystemClock
 
 Lines = Callable[[int, int], list[FeedRow]]
 """Makes so many rows that follow a number."""
@@ -97,7 +97,7 @@ def main() -> None:
         stack.callback(shutil.rmtree, folder, ignore_errors=True)
         server = stack.enter_context(running_server())
         store = server.url(TEMPLATE)
-        archive = stack.enter_context(open_archive(store))
+        archive = stack.enter_context(open_hub_archive(store))
         now = SystemClock().now()
         for name in ("good", "bad"):
             archive.feeds.add_token(name, token_digest(f"a token of {name}"), now=now, former_until=now)

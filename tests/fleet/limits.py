@@ -25,12 +25,12 @@ from tests.fleet.feed_cost import Sender, rows_of, sightings_of
 from tests.fleet.hub_process import HubProcess, processor_s
 from tests.fleet.scale import fill
 
-from sunarc.api.routes.feed import token_digest
-from sunarc.archive.archive import open_archive
-from sunarc.archive.fleet.feed_rows import feed_lines
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.runtime.clock import SystemClock
+from sunarc.hub.archive import open_hub_archive
+from sunarc.hub.feed_routes import token_digest
+from sunarc.imager.archive.feed_rows import feed_lines
+from sunarc.imager.runtime.clock import SystemClock
 
 PUTS = {1: 300, 10: 200, 100: 100, 1000: 20}
 """How often a PUT of so many rows is sent."""
@@ -56,7 +56,7 @@ def puts(server: Server, folder: Path) -> None:
     """Print the processor time of PUTs, ms, of the hub and of PostgreSQL."""
     with ExitStack() as stack:
         store = server.url(TEMPLATE)
-        archive = stack.enter_context(open_archive(store))
+        archive = stack.enter_context(open_hub_archive(store))
         now = SystemClock().now()
         archive.feeds.add_token("roof", token_digest("a token"), now=now, former_until=now)
         hub = HubProcess(folder, store)

@@ -19,8 +19,8 @@ from tests.fixtures.mosquitto import Listener, Mosquitto
 from tests.fixtures.postgresql import TEMPLATE, Server, running_server
 from tests.fleet.hub_process import HubProcess, processor_s
 
-from sunarc.archive.archive import open_archive
-from sunarc.archive.values import CameraRecord
+from sunarc.imager.archive.archive import open_archive
+from sunarc.imager.archive.values import CameraRecord
 
 _QUIET_S = 60.0
 _SPEAK = "UPDATE fleet SET received_at = extract(epoch FROM now()) * 1000000, status = %s"

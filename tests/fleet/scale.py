@@ -21,9 +21,9 @@ from tests.fixtures.calibrations import chosen_calibration
 from tests.fixtures.postgresql import TEMPLATE, Server, running_server
 from tests.fleet.hub_process import HubProcess
 
-from sunarc.archive.archive import open_archive
-from sunarc.archive.values import CameraRecord
-from sunarc.documents.calibration_document import to_document
+from sunarc.formats.calibration_document import to_document
+from sunarc.imager.archive.archive import open_archive
+from sunarc.imager.archive.values import CameraRecord
 
 _BEGIN = datetime(2026, 1, 1, tzinfo=UTC)
 _STEP_S = 30.0

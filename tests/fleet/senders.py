@@ -32,10 +32,10 @@ from tests.fixtures.postgresql import TEMPLATE, Server, running_server
 from tests.fleet.feed_cost import Sender, sightings_of
 from tests.fleet.hub_process import HubProcess, processor_s
 
-from sunarc.api.routes.feed import token_digest
-from sunarc.archive.archive import open_archive
-from sunarc.archive.fleet.feed_rows import FeedRow
-from sunarc.runtime.clock import SystemClock
+from sunarc.hub.archive import open_hub_archive
+from sunarc.hub.feed_routes import token_digest
+from sunarc.imager.archive.feed_rows import FeedRow
+from sunarc.imager.runtime.clock import SystemClock
 
 EXAMPLE = Path(__file__).parents[2] / "deploy" / "hub" / "sender.py"
 MOST_AT_ONCE = 1000
@@ -105,7 +105,7 @@ def wrong_counts(server: Server, names: list[str], rows: int) -> dict[str, str]:
 
 def allow(server: Server, names: list[str]) -> None:
     """Register a token of each sender."""
-    with open_archive(server.url(TEMPLATE)) as archive:
+    with open_hub_archive(server.url(TEMPLATE)) as archive:
         now = SystemClock().now()
         for name in names:
             archive.feeds.add_token(name, token_digest(f"a token of {name}"), now=now, former_until=now)

@@ -29,16 +29,17 @@ from tests.fixtures.postgresql import TEMPLATE, Server, running_server
 from tests.fleet.hub_process import HubProcess, processor_s
 from tests.fleet.links import Link, Network, network
 
-from sunarc.api.routes.feed import token_digest
-from sunarc.archive.archive import Archive, CameraArchive, open_archive
-from sunarc.archive.values import Event
-from sunarc.runtime.clock import SystemClock
-from sunarc.runtime.status import StatusRegistry
+from sunarc.hub.archive import HubArchive, open_hub_archive
+from sunarc.hub.feed_routes import token_digest
+from sunarc.imager.archive.archive import CameraArchive
+from sunarc.imager.archive.values import Event
+from sunarc.imager.runtime.clock import SystemClock
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.workers import feed
+from sunarc.imager.workers.feed import FeedWorker
+from sunarc.imager.workers.hub_connection import HubConnection
+from sunarc.imager.workers.options import HubOptions
 from sunarc.sky.site import Site
-from sunarc.workers import feed
-from sunarc.workers.feed import FeedWorker
-from sunarc.workers.hub_connection import HubConnection
-from sunarc.workers.options import HubOptions
 
 START = datetime(2026, 1, 1, 12, tzinfo=UTC)
 CADENCE_S = 30.0
@@ -87,7 +88,7 @@ class Imager:
         self.archive.close()
 
 
-def feed_worker(archive: Archive, name: str, options: HubOptions) -> FeedWorker:
+def feed_worker(archive: HubArchive, name: str, options: HubOptions) -> FeedWorker:
     """Return the worker that sends an imager's archive, without waiting between."""
     clock = SystemClock()
     hub = HubConnection(options, camera=name, clock=clock)
@@ -123,11 +124,11 @@ class Fleet:
 
     def differences(self) -> list[str]:
         """Return the imagers whose rows the hub does not have once each, in their order."""
-        with open_archive(self.store) as archive:
+        with open_hub_archive(self.store) as archive:
             return [imager.name for imager in self.imagers if not same(imager, archive)]
 
 
-def same(imager: Imager, hub: Archive) -> bool:
+def same(imager: Imager, hub: HubArchive) -> bool:
     """Whether the hub has an imager's rows: each once, in the order in which they were made."""
     columns = hub.sightings.columns(imager.name)
     in_order = bool((columns.ids[1:] > columns.ids[:-1]).all())
@@ -150,7 +151,7 @@ def fleet_of(count: int, *, seed: int = 0, apart: bool = False) -> Iterator[Flee
         server = stack.enter_context(running_server())
         store = server.url(TEMPLATE)
         names = [f"imager-{n:02d}" for n in range(count)]
-        with open_archive(store) as archive:
+        with open_hub_archive(store) as archive:
             for name in names:
                 (folder / f"{name}.token").write_text(f"a token of {name}")
                 now = SystemClock().now()

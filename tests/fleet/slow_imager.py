@@ -17,8 +17,8 @@ from time import perf_counter
 
 from tests.fleet.simulated_fleet import Fleet, Imager, feed_worker, fleet_of
 
-from sunarc.archive.archive import open_archive
-from sunarc.workers.options import HubOptions
+from sunarc.imager.archive.archive import open_archive
+from sunarc.imager.workers.options import HubOptions
 
 _ROWS_A_DAY = 2880
 _AT_ONCE = 2000

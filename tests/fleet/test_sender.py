@@ -14,10 +14,10 @@ from tests.fixtures.feed_cases import STATUS_ROW, good_rows
 from tests.fixtures.postgresql import TEMPLATE, running_server
 from tests.fleet.hub_process import HubProcess
 
-from sunarc.api.routes.feed import token_digest
-from sunarc.archive.archive import open_archive
-from sunarc.archive.fleet.feed_rows import REMOVED
-from sunarc.runtime.clock import SystemClock
+from sunarc.hub.archive import open_hub_archive
+from sunarc.hub.feed_routes import token_digest
+from sunarc.imager.archive.feed_rows import REMOVED
+from sunarc.imager.runtime.clock import SystemClock
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]
 SENDER = Path(__file__).parents[2] / "deploy" / "hub" / "sender.py"
@@ -42,7 +42,7 @@ def test_the_example_sends_every_row_once_while_the_hub_is_killed(tmp_path: Path
     (tmp_path / "rows").write_text(lines(tmp_path))
     (tmp_path / "token").write_text("the token of the roof\n")
     (tmp_path / "stranger").write_text("the token of another\n")
-    with running_server() as server, open_archive(server.url(TEMPLATE)) as archive:
+    with running_server() as server, open_hub_archive(server.url(TEMPLATE)) as archive:
         now = SystemClock().now()
         archive.feeds.add_token("roof", token_digest("the token of the roof"), now=now, former_until=now)
         hub = HubProcess(tmp_path, server.url(TEMPLATE))

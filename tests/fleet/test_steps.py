@@ -25,9 +25,9 @@ from tests.fixtures.postgresql import Server, programs, running_server
 from tests.fleet.hub_process import HubProcess
 
 import sunarc
-from sunarc.archive.archive import open_archive
-from sunarc.runtime.clock import SystemClock
-from sunarc.utc import to_microseconds
+from sunarc.common.utc import to_microseconds
+from sunarc.imager.archive.archive import open_archive
+from sunarc.imager.runtime.clock import SystemClock
 
 pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(300)]
 ROOT = Path(__file__).parents[2]

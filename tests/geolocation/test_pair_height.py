@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from pyproj import Transformer
 
-from sunarc.errors import InputError
+from sunarc.common.errors import InputError
 from sunarc.geolocation.locate import local_frame
 from sunarc.geolocation.pair_height import PairView, pair_height
 from sunarc.sky.site import Site

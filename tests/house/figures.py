@@ -433,7 +433,7 @@ def _write_track(path: Path) -> Path:
     return path
 
 
-PIXEL = "sunarc.documents.calibration_document, sunarc.optics.backward"
+PIXEL = "sunarc.formats.calibration_document, sunarc.optics.backward"
 """What answers which direction a pixel of a document has."""
 
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from sunarc.archive.database.schema import upgrade
 from sunarc.cli.codes import all_codes
+from sunarc.imager.archive.database.schema import upgrade
 
 BOOTED = Path(__file__).parents[1] / "booted"
 SOURCES = {path.name: ast.parse(path.read_text()) for path in sorted(BOOTED.glob("*.py"))}

@@ -15,15 +15,15 @@ FRAGMENT = 150
 LARGEST_FACE = 20
 """Names that a package may export."""
 APART = {
-    "sunarc.app.simulating": "app alone may choose the simulator",
+    "sunarc.lab.simulation.serving": "app alone may choose the simulator",
     "sunarc.calibration.fit.level_evidence": "needs the equations of a fit; the judgement of a tilt stands below them",
     "sunarc.cli.main": "what the console script calls; `python -m sunarc` calls it too",
-    "sunarc.cross_checks.clocks": "of the core, which computes; its reader is a worker",
-    "sunarc.cross_checks.cloud_edges": "of the core, which computes; its reader is a worker",
+    "sunarc.hub.clocks": "of the core, which computes; its reader is a worker",
+    "sunarc.hub.cloud_edges": "of the core, which computes; its reader is a worker",
     "sunarc.imaging.hdr": "of the core, which computes; its reader is a worker",
     "sunarc.imaging.transfer_faults": "of the core, which computes; its reader is a worker",
     "sunarc.imaging.image_circle": "of the core, which computes; its reader is the command line",
-    "sunarc.monitoring.first_motion": "of the core, which computes; its reader is a worker",
+    "sunarc.calibration.quality.first_motion": "of the core, which computes; its reader is a worker",
 }
 """Fragments that stay, each with its reason."""
 

@@ -73,4 +73,4 @@ def test_it_makes_a_database_and_finds_it_well(installed: Path, tmp_path: Path) 
 
 
 def test_it_can_speak_to_cameras(installed: Path, tmp_path: Path) -> None:
-    run(installed / "python", "-c", "import sunarc.cameras.aravis", cwd=tmp_path)
+    run(installed / "python", "-c", "import sunarc.imager.cameras.aravis", cwd=tmp_path)

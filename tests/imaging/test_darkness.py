@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from sunarc.imaging.brightness import is_dark
-from sunarc.simulation.options import SceneOptions, SensorModel, Weather
-from sunarc.simulation.scene import Scene
-from sunarc.simulation.truth import SGP, true_camera
+from sunarc.lab.simulation.options import SceneOptions, SensorModel, Weather
+from sunarc.lab.simulation.scene import Scene
+from sunarc.lab.simulation.truth import SGP, true_camera
 
 DAY = datetime(2013, 5, 13, tzinfo=UTC).timestamp()
 

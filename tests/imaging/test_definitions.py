@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.array_types import Image
+from sunarc.common.array_types import Image
+from sunarc.common.errors import InputError
 from sunarc.detection.values import Bayer, Sensor
-from sunarc.errors import InputError
 from sunarc.imaging.brightness import (
     Exposed,
     Level,

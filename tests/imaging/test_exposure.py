@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sunarc.errors import InputError
+from sunarc.common.errors import InputError
 from sunarc.imaging.exposure import (
     LOST_AFTER,
     ExposureBounds,

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from sunarc.errors import InputError
+from sunarc.common.errors import InputError
 from sunarc.imaging.exposure import (
     ExposureBounds,
     Peak,

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.array_types import Image
+from sunarc.common.array_types import Image
+from sunarc.common.errors import InputError
 from sunarc.detection.values import Sensor
-from sunarc.errors import InputError
 from sunarc.imaging.hdr import merge_hdr
 from sunarc.imaging.preview import preview
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.errors import InputError
+from sunarc.common.errors import InputError
 from sunarc.imaging.image_circle import as_grey, circle_through, find_image_circle, refined_circle
 
 

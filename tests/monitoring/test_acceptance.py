@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from tests.finding_codes import codes
 
+from sunarc.calibration import acceptance
+from sunarc.calibration.acceptance import accept, distance_px, unseen_points
 from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.model.result import Verdict
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.findings import Finding
-from sunarc.monitoring import acceptance
-from sunarc.monitoring.acceptance import accept, distance_px, unseen_points
+from sunarc.common.findings import Finding
 from sunarc.optics.camera import PARAMETER_NAMES
 from sunarc.optics.forward import project, project_with_rows_fast
 from sunarc.sky.sun import sun_directions

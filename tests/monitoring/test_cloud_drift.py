@@ -13,11 +13,11 @@ from scipy.special import gamma, kv, logsumexp
 from tests.fixtures.calibration import small_camera, stated_calibration, sun_arc
 
 from sunarc.calibration.evidence import fit_inlier_mixture, log_evidence
-from sunarc.monitoring import detect_change as module
-from sunarc.monitoring.detect_change import Drift, ResidualModel, drift_evidence, update_window, window_of
-from sunarc.monitoring.values import Sighting, SightingWindow, WatchOptions
+from sunarc.changes import detect_change as module
+from sunarc.changes.detect_change import Drift, ResidualModel, drift_evidence, update_window, window_of
+from sunarc.changes.values import Sighting, SightingWindow, WatchOptions
+from sunarc.lab.simulation.truth import SGP
 from sunarc.optics.forward import project
-from sunarc.simulation.truth import SGP
 
 FloatArray = NDArray[np.float64]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sunarc.array_types import FloatArray
 from sunarc.calibration.evidence import DAYS_GAIN
-from sunarc.monitoring.daily_rotations import DailyRotations, step_gains
+from sunarc.changes.daily_rotations import DailyRotations, step_gains
+from sunarc.common.array_types import FloatArray
 
 SIGMA_DEG = np.array([0.004, 0.006, 0.01])
 

@@ -11,15 +11,15 @@ import pytest
 
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.quality.day_arcs import arc_length_deg, smooth_arc
-from sunarc.errors import InputError
+from sunarc.calibration.quality.day_quality import DayMeasure, days_left_out, decide_day, measure_day
+from sunarc.common.errors import InputError
 from sunarc.imaging.image_circle import find_image_circle
-from sunarc.monitoring.day_quality import DayMeasure, days_left_out, decide_day, measure_day
 from sunarc.sky.site import Site
 
 if TYPE_CHECKING:
     from tests.calibration.conftest import Simulated, Simulator
 
-    from sunarc.monitoring.day_quality import DayKind
+    from sunarc.calibration.quality.day_quality import DayKind
 
 
 def test_a_clear_day_is_clear(clear_day: Simulated) -> None:

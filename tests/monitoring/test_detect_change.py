@@ -15,12 +15,12 @@ from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.pose import estimate_pose
-from sunarc.monitoring.detect_change import distrusted, update_window
-from sunarc.monitoring.values import Change, Sighting, SightingWindow, WatchOptions
+from sunarc.changes.detect_change import distrusted, update_window
+from sunarc.changes.values import Change, Sighting, SightingWindow, WatchOptions
+from sunarc.lab.simulation.truth import SGP
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector
-from sunarc.simulation.truth import SGP
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from tests.fixtures.calibration import ideal_camera, stated_calibration
 
+from sunarc.calibration.acceptance import disagreement
 from sunarc.calibration.model.result import Calibration
-from sunarc.monitoring.acceptance import disagreement
 
 CENTRE = ("principal_point_x_px", "principal_point_y_px")
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sunarc.array_types import FloatArray
-from sunarc.findings import Finding
-from sunarc.monitoring.first_motion import site_contradiction
+from sunarc.calibration.quality.first_motion import site_contradiction
+from sunarc.common.array_types import FloatArray
+from sunarc.common.findings import Finding
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles, sun_directions
 

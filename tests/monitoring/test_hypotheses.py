@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
 from tests.fixtures.calibration import SGP, small_camera, stated_calibration
 
-from sunarc.array_types import picked, stacked
 from sunarc.calibration.answers.error_model import predicted, rotated
 from sunarc.calibration.evidence import Weighed, most_probable
 from sunarc.calibration.model.result import Calibration
-from sunarc.monitoring import detect_change as module
-from sunarc.monitoring.detect_change import (
+from sunarc.changes import detect_change as module
+from sunarc.changes.detect_change import (
     ResidualModel,
     best_hypothesis,
     describe_change,
@@ -25,7 +24,8 @@ from sunarc.monitoring.detect_change import (
     rarity,
     window_of,
 )
-from sunarc.monitoring.values import Change, ChangeKind, SightingWindow, WatchOptions
+from sunarc.changes.values import Change, ChangeKind, SightingWindow, WatchOptions
+from sunarc.common.array_types import picked, stacked
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix

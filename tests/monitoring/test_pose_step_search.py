@@ -13,8 +13,8 @@ from sunarc.calibration.answers.error_model import rotated
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration, Move
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.monitoring import step_search as module
-from sunarc.monitoring.daily_rotations import DailyRotations
+from sunarc.changes import step_search as module
+from sunarc.changes.daily_rotations import DailyRotations
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.sky.days import solar_days

@@ -8,8 +8,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from sunarc.monitoring.detect_change import describe_change
-from sunarc.monitoring.values import Change
+from sunarc.changes.detect_change import describe_change
+from sunarc.changes.values import Change
 
 TIMES = 1000.0 + 60.0 * np.arange(10)
 

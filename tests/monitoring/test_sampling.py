@@ -13,7 +13,7 @@ import pytest
 from tests.finding_codes import codes
 
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.monitoring.day_quality import DaySampling, DayVerdict, decide_day, measure_day, sampling_of
+from sunarc.calibration.quality.day_quality import DaySampling, DayVerdict, decide_day, measure_day, sampling_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import brentq
 from scipy.stats import norm
 
-from sunarc.monitoring.day_quality import PERIOD_S, DaySampling, fully_observed, sampling_of
+from sunarc.calibration.quality.day_quality import PERIOD_S, DaySampling, fully_observed, sampling_of
 
 
 def test_the_bound_is_where_the_score_test_rejects() -> None:

@@ -8,9 +8,9 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from sunarc.monitoring.first_motion import site_contradiction
+from sunarc.calibration.quality.first_motion import site_contradiction
+from sunarc.lab.simulation.truth import SGP, true_camera
 from sunarc.optics.forward import project
-from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions
 

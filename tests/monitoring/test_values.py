@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sunarc.errors import InputError
-from sunarc.monitoring.values import Sighting, SightingWindow, WatchOptions
+from sunarc.changes.values import Sighting, SightingWindow, WatchOptions
+from sunarc.common.errors import InputError
 
 
 def _grown(count: int) -> SightingWindow:

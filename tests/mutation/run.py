@@ -42,7 +42,7 @@ from tests.mutation.sites import Site, mutated, sites
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "service" / "sunarc"
-ROOMS = ("calibration", "monitoring", "stars", "optics", "detection")
+ROOMS = ("calibration", "changes", "stars", "optics", "detection")
 FAST = "not slow and not gige and not system and not browser and not waits and not release"
 _SECONDS_OF_TESTS = 40.0
 """Of processor that each of three groups of tests is given for one mutant, the fastest first: those named as its file,

@@ -15,19 +15,19 @@ from tests.fixtures.archive import make_empty
 from tests.fixtures.calibration import SGP, small_camera, stated_calibration
 from tests.fixtures.settings import new_settings
 
-from sunarc.archive.archive import open_archive
-from sunarc.archive.database.state_folder import lock_state
-from sunarc.archive.values import CameraRecord, SunPoint
 from sunarc.calibration.model.result import Calibration, Verdict
-from sunarc.errors import InputError, OutsideError, SchemaError
-from sunarc.findings import Finding, uncoded
-from sunarc.offline import calibrate_archive as module
-from sunarc.offline.calibrate_archive import calibrate_archive
+from sunarc.common.errors import InputError, OutsideError, SchemaError
+from sunarc.common.findings import Finding, uncoded
+from sunarc.imager.archive.archive import open_archive
+from sunarc.imager.archive.database.state_folder import lock_state
+from sunarc.imager.archive.values import CameraRecord, SunPoint
+from sunarc.imager.commands import calibrate_archive as module
+from sunarc.imager.commands.calibrate_archive import calibrate_archive
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.settings.model import Settings
+from sunarc.imager.workers.calibrating.refit import RefitWorker
 from sunarc.optics.forward import project
-from sunarc.runtime.clock import VirtualClock
-from sunarc.settings.model import Settings
 from sunarc.sky.sun import sun_directions
-from sunarc.workers.calibrating.refit import RefitWorker
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc

@@ -17,14 +17,14 @@ from tests.fixtures.settings import SGP
 
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.stated_prior import PriorTolerances
-from sunarc.documents.calibration_document import from_document
-from sunarc.errors import InputError
-from sunarc.exports.formats import export
-from sunarc.offline.calibrate_files import calibrate_file, image_circle_of, start_camera
+from sunarc.cli.calibrate_files import calibrate_file, image_circle_of, start_camera
+from sunarc.common.errors import InputError
+from sunarc.common.utc import rfc3339, utc_time
+from sunarc.formats.calibration_document import from_document
+from sunarc.formats.formats import export
+from sunarc.imager.runtime.clock import VirtualClock
 from sunarc.optics.forward import project
-from sunarc.runtime.clock import VirtualClock
 from sunarc.sky.sun import sun_angles, sun_directions
-from sunarc.utc import rfc3339, utc_time
 
 NOW = datetime(2013, 5, 14, tzinfo=UTC)
 

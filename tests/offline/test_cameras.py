@@ -9,9 +9,9 @@ import pytest
 from tests.fixtures.archive import make_empty
 from tests.fixtures.settings import SGP, new_settings
 
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.errors import InputError
-from sunarc.reanalysis.cameras import known_camera, register_camera
+from sunarc.common.errors import InputError
+from sunarc.imager.archive.archive import Archive, open_archive
+from sunarc.imager.live.cameras import known_camera, register_camera
 
 
 @pytest.fixture

@@ -11,9 +11,9 @@ import pytest
 import xarray as xr
 from tests.exports.conftest import LENS, document_of
 
-from sunarc.errors import InputError, OutsideError
-from sunarc.exports.formats import export
-from sunarc.offline.calibration_files import compare_files, read_view_file
+from sunarc.cli.calibration_files import compare_files, read_view_file
+from sunarc.common.errors import InputError, OutsideError
+from sunarc.formats.formats import export
 
 
 @pytest.fixture(scope="module")

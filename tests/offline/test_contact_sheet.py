@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from sunarc.archive.sightings import FileSighting
-from sunarc.errors import OutsideError
-from sunarc.reanalysis.index import ArchiveImage
-from sunarc.reanalysis.ingest_summary import ACCEPTED, REJECTED, TILE_PX, TITLE_PX, write_contact_sheet
+from sunarc.archives.ingest_summary import ACCEPTED, REJECTED, TILE_PX, TITLE_PX, write_contact_sheet
+from sunarc.common.errors import OutsideError
+from sunarc.imager.archive.sightings import FileSighting
+from sunarc.sources.index import ArchiveImage
 
 Pixels = np.ndarray[Any, np.dtype[Any]]
 SIDE = 2 * TILE_PX

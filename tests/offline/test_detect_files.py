@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 from tests.detection.photo.stack_series import Series, series
 
-from sunarc.errors import OutsideError
-from sunarc.reanalysis.detect_files import (
+from sunarc.common.errors import OutsideError
+from sunarc.sources.detect_files import (
     METHODS,
     detect_in_files,
     detect_in_image,

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from tests.detection.photo.suns import glare_image
 
+from sunarc.common.findings import Finding
 from sunarc.detection.values import Detection
-from sunarc.findings import Finding
-from sunarc.reanalysis.detect_files import Method
-from sunarc.reanalysis.look import Chunk, Item, PackedMask, look_at, pack_mask
+from sunarc.sources.detect_files import Method
+from sunarc.sources.look import Chunk, Item, PackedMask, look_at, pack_mask
 
 SIZE = (60, 50)
 

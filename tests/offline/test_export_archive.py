@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from tests.fixtures.archive import new_archive
 
-from sunarc.archive.archive import Archive
-from sunarc.archive.values import Day, DayAir, Refit, SunPoint
+from sunarc.common.errors import InputError, OutsideError
+from sunarc.common.findings import Finding
 from sunarc.detection.messages import MESSAGES
-from sunarc.errors import InputError, OutsideError
-from sunarc.findings import Finding
-from sunarc.offline.archive_tables import export_everything, table_cell
+from sunarc.imager.archive.archive import Archive
+from sunarc.imager.archive.values import Day, DayAir, Refit, SunPoint
+from sunarc.imager.commands.archive_tables import export_everything, table_cell
 
 FOUND = Finding("disc_found", {"chi2": 1.04})
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)

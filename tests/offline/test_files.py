@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.errors import InputError
-from sunarc.reanalysis.files import read_file, read_image, read_lines, require_inside
+from sunarc.common.errors import InputError
+from sunarc.sources.files import read_file, read_image, read_lines, require_inside
 
 
 def written(path: Path, image: NDArray[Any]) -> Path:

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sunarc.array_types import Image as Pixels
-from sunarc.reanalysis.image_files import checked_image, content_of, image_size
-from sunarc.reanalysis.messages import RefusedImageError
-from sunarc.reanalysis.sources import Folder
+from sunarc.common.array_types import Image as Pixels
+from sunarc.sources.image_files import checked_image, content_of, image_size
+from sunarc.sources.messages import RefusedImageError
+from sunarc.sources.sources import Folder
 
 ROWS, COLUMNS = 48, 64
 GREY: np.ndarray[Any, np.dtype[np.uint8]] = np.random.default_rng(5).integers(0, 255, (ROWS, COLUMNS)).astype(np.uint8)

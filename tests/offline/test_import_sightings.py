@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from tests.fixtures.settings import new_settings
 
-from sunarc.archive.archive import open_archive
-from sunarc.archive.csv_files import read_sightings
-from sunarc.errors import InputError
-from sunarc.offline.archive_tables import import_points, write_points
+from sunarc.common.errors import InputError
+from sunarc.formats.csv_files import read_sightings
+from sunarc.imager.archive.archive import open_archive
+from sunarc.imager.commands.archive_tables import import_points, write_points
 from sunarc.sky.directions import angles_from_direction
 from sunarc.sky.night import body_directions
 

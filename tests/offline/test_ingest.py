@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sunarc.archive.archive import open_archive
-from sunarc.archive.values import SunPoint
+from sunarc.imager.archive.archive import open_archive
+from sunarc.imager.archive.values import SunPoint
 from sunarc.imaging.metadata import jpeg_with, png_with
-from sunarc.simulation.options import SceneOptions
-from sunarc.simulation.scene import Scene
-from sunarc.simulation.truth import SGP, true_camera
+from sunarc.lab.simulation.options import SceneOptions
+from sunarc.lab.simulation.scene import Scene
+from sunarc.lab.simulation.truth import SGP, true_camera
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc

@@ -12,9 +12,9 @@ from PIL import Image
 from tests.detection.photo.suns import glare_image
 from tests.fixtures.settings import new_settings
 
-from sunarc.archive.archive import open_archive
-from sunarc.reanalysis.detect_files import detect_in_image
-from sunarc.reanalysis.ingest import IngestOptions, ingest_folder
+from sunarc.archives.ingest import IngestOptions, ingest_folder
+from sunarc.imager.archive.archive import open_archive
+from sunarc.sources.detect_files import detect_in_image
 
 SIZE = (64, 48)
 GREY = np.zeros((SIZE[1], SIZE[0]), dtype=np.uint8)

@@ -16,15 +16,15 @@ from tests.fixtures.command_line import Sunarc
 from tests.offline.test_ingest_times import taken
 from tests.offline.test_star_files import CAMERA, SIZE, night_image
 
-from sunarc.archive.archive import open_archive
-from sunarc.archive.database.schema import upgrade
-from sunarc.archive.images import ImageStore
-from sunarc.archive.values import CameraRecord, SunPointColumns
-from sunarc.documents.calibration_document import to_document
+from sunarc.formats.calibration_document import to_document
+from sunarc.imager.archive.archive import open_archive
+from sunarc.imager.archive.database.schema import upgrade
+from sunarc.imager.archive.images import ImageStore
+from sunarc.imager.archive.values import CameraRecord, SunPointColumns
+from sunarc.imager.workers.night.images import night_picture, store_picture
 from sunarc.optics.forward import project
-from sunarc.reanalysis.messages import RefusedImageError
 from sunarc.sky.night import body_directions
-from sunarc.workers.night.images import night_picture, store_picture
+from sunarc.sources.messages import RefusedImageError
 
 NIGHT = ("20260313T060000Z", "20260313T064000Z", "20260313T072000Z")
 

@@ -15,21 +15,22 @@ import pytest
 from tests.fixtures.calibration import SGP, small_camera, stated_calibration
 from tests.fixtures.settings import new_settings
 
-from sunarc.archive.archive import open_archive
-from sunarc.archive.values import SunPoint
+from sunarc.archives import pool, states
+from sunarc.archives.ingest import IngestOptions, ingest_folder
+from sunarc.archives.ingest_summary import IngestSummary
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.common.findings import Finding
 from sunarc.detection.photo.ordinary_image import Photo
 from sunarc.detection.values import Detection, Expectation
-from sunarc.findings import Finding
+from sunarc.imager.archive.archive import open_archive
+from sunarc.imager.archive.values import SunPoint
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
-from sunarc.reanalysis import look, pool, states
-from sunarc.reanalysis.ingest import IngestOptions, ingest_folder
-from sunarc.reanalysis.ingest_summary import IngestSummary
-from sunarc.reanalysis.messages import sentence_of
-from sunarc.reanalysis.passes import PREDICTED, SEARCHED
 from sunarc.sky.sun import sun_directions
+from sunarc.sources import look
+from sunarc.sources.expected_sun import PREDICTED, SEARCHED
+from sunarc.sources.messages import sentence_of
 
 MORNING = datetime(2013, 5, 13, 14, 0, tzinfo=UTC)
 CAMERA = small_camera()

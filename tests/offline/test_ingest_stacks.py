@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from tests.detection.photo.suns import SUN, exposed
 
-from sunarc.archive.archive import open_archive
-from sunarc.archive.values import SunPoint
+from sunarc.common.findings import Finding
 from sunarc.detection.photo.ordinary_image import Photo, detect_sun_in_photo
-from sunarc.findings import Finding
+from sunarc.imager.archive.archive import open_archive
+from sunarc.imager.archive.values import SunPoint
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc

@@ -12,12 +12,12 @@ import pytest
 from PIL import Image
 from tests.fixtures.settings import new_settings
 
-from sunarc.errors import InputError
-from sunarc.reanalysis.image_times import TimeRules, UtcOffset, timed_picture
-from sunarc.reanalysis.ingest import IngestOptions, ingest_folder
-from sunarc.reanalysis.ingest_summary import IngestSummary
-from sunarc.reanalysis.messages import RefusedImageError
-from sunarc.reanalysis.sources import Folder
+from sunarc.archives.ingest import IngestOptions, ingest_folder
+from sunarc.archives.ingest_summary import IngestSummary
+from sunarc.common.errors import InputError
+from sunarc.sources.image_times import TimeRules, UtcOffset, timed_picture
+from sunarc.sources.messages import RefusedImageError
+from sunarc.sources.sources import Folder
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 EXIF_SECTION, TAKEN, ZONE = 0x8769, 36867, 36881

@@ -12,10 +12,10 @@ from tests.fixtures.archive import make_empty
 from tests.fixtures.calibration import SGP, small_camera, stated_calibration
 from tests.fixtures.settings import new_settings
 
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.values import CameraRecord, SunPoint
+from sunarc.imager.archive.archive import Archive, open_archive
+from sunarc.imager.archive.values import CameraRecord, SunPoint
+from sunarc.imager.live.learned_sigma import ValidCamera, factor_in_force, learn_sigma, sigma_factor, sigma_of_series
 from sunarc.optics.forward import project
-from sunarc.reanalysis.learned_sigma import ValidCamera, factor_in_force, learn_sigma, sigma_factor, sigma_of_series
 from sunarc.sky.sun import sun_directions
 
 COUNT = 400

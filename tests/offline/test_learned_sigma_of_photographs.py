@@ -14,10 +14,10 @@ from tests.detection.photo.facts import KINDS, sun_photo
 from tests.fixtures.calibration import SGP, ideal_camera, stated_calibration
 from tests.fixtures.settings import new_settings
 
-from sunarc.archive.archive import open_archive
+from sunarc.archives import states
+from sunarc.archives.ingest import IngestOptions, ingest_folder
+from sunarc.imager.archive.archive import open_archive
 from sunarc.optics.forward import project
-from sunarc.reanalysis import states
-from sunarc.reanalysis.ingest import IngestOptions, ingest_folder
 from sunarc.sky.sun import sun_directions
 
 SIZE = 480

@@ -13,13 +13,10 @@ import pytest
 from tests.calibration.conftest import SGP, TRUTH, simulate
 
 import sunarc
-from sunarc.archive.csv_files import write_sightings
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.lens_library.lens_type import UnitSpread
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.documents.calibration_document import to_document
-from sunarc.errors import InputError
-from sunarc.offline.calibrate_files import (
+from sunarc.cli.calibrate_files import (
     LENS_FILE,
     calibrate_file,
     calibrate_joint,
@@ -27,10 +24,13 @@ from sunarc.offline.calibrate_files import (
     read_joint_spec,
     write_lens_prior,
 )
+from sunarc.common.errors import InputError
+from sunarc.common.utc import utc_time
+from sunarc.formats.calibration_document import to_document
+from sunarc.formats.csv_files import write_sightings
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.workers.calibrating.provisional_pose import read_lens_prior
 from sunarc.optics.camera import Camera
-from sunarc.runtime.clock import VirtualClock
-from sunarc.utc import utc_time
-from sunarc.workers.calibrating.provisional_pose import read_lens_prior
 
 NOW = datetime(2013, 5, 14, tzinfo=UTC)
 SPREAD = UnitSpread(focal_length=0.003, center_px=8.0)

@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 import pytest
 
+from sunarc.archives import pool
+from sunarc.archives.pool import ProcessRunner
+from sunarc.common.findings import Finding
 from sunarc.detection.values import Detection
-from sunarc.findings import Finding
-from sunarc.reanalysis import pool
-from sunarc.reanalysis.look import Answer, Chunk, Item, look_at
-from sunarc.reanalysis.pool import ProcessRunner
+from sunarc.sources.look import Answer, Chunk, Item, look_at
 
 N_TASKS = 8
 EXPECTED = ["hidden" if n % 5 else "file_size_differs" for n in range(N_TASKS)]

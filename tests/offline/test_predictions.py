@@ -9,20 +9,13 @@ import numpy as np
 import pytest
 from tests.fixtures.calibration import SGP, small_camera, stated_calibration
 
+from sunarc.archives.passes import FoundSun, Looked, scatter_beyond_px, without_lifted
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.priors import FREE_NAMES
 from sunarc.detection.values import Detection, Expectation
 from sunarc.optics.forward import project
-from sunarc.reanalysis.passes import (
-    FoundSun,
-    Looked,
-    as_predicted,
-    expectations,
-    is_consistent,
-    scatter_beyond_px,
-    without_lifted,
-)
 from sunarc.sky.sun import sun_angles, sun_directions
+from sunarc.sources.expected_sun import as_predicted, expectations, is_consistent
 
 CAMERA = small_camera()
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC).timestamp()

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from tests.exports.conftest import LENS, FloatArray, document_of
 
-from sunarc.errors import InputError, OutsideError
+from sunarc.cli.calibration_files import rectify_files
+from sunarc.common.errors import InputError, OutsideError
 from sunarc.imaging.metadata import png_with
-from sunarc.offline.calibration_files import rectify_files
 from sunarc.optics.forward import project
 from sunarc.sky.directions import direction_from_angles
 

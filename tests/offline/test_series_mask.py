@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from tests.fixtures.settings import SGP
 
-from sunarc.reanalysis.index import ArchiveImage, CameraImages, CameraPlan, Selector
-from sunarc.reanalysis.ledger import Ledger
-from sunarc.reanalysis.look import PackedMask, pack_mask
-from sunarc.reanalysis.passes import Passes
-from sunarc.reanalysis.pool import ProcessRunner
+from sunarc.archives.ledger import Ledger
+from sunarc.archives.passes import Passes
+from sunarc.archives.pool import ProcessRunner
+from sunarc.sources.index import ArchiveImage, CameraImages, CameraPlan, Selector
+from sunarc.sources.look import PackedMask, pack_mask
 
 MORNING = datetime(2013, 5, 13, 14, 0, tzinfo=UTC)
 SIZE = (160, 120)

@@ -18,13 +18,13 @@ from tests.detection.stars.rendering import counted, expected
 from tests.fixtures.calibrations import SITE, chosen_calibration
 from tests.fixtures.command_line import Sunarc
 
-from sunarc.archive.csv_files import read_sightings
 from sunarc.calibration.answers.covariance import hemisphere, unproject_with_sigma
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.selection import MOST_STARS
-from sunarc.documents.calibration_document import from_document, to_document
-from sunarc.errors import InputError
-from sunarc.offline.stars import StarOptions, find_stars, read_stars, write_star_sightings
+from sunarc.cli.star_files import StarOptions, find_stars, read_stars, write_star_sightings
+from sunarc.common.errors import InputError
+from sunarc.formats.calibration_document import from_document, to_document
+from sunarc.formats.csv_files import read_sightings
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.sky.directions import angles_from_direction, angular_distance

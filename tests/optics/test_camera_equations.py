@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from tests.optics.reference import IDEAL, STRANGE, field_of, parameters_by_differences, pixel_by_hand, pixels_by_hand
 
-from sunarc.errors import InputError
+from sunarc.common.errors import InputError
 from sunarc.optics.camera import PARAMETER_NAMES, Camera
 from sunarc.optics.forward import (
     decentering_shift,

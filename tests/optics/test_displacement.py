@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.optimize import fsolve
 
-from sunarc.array_types import FloatArray
-from sunarc.errors import InputError
+from sunarc.common.array_types import FloatArray
+from sunarc.common.errors import InputError
 from sunarc.optics.camera import Camera
 from sunarc.optics.displacement import Displacement
 from sunarc.optics.forward import project, project_with_jacobian, project_with_rows_fast

@@ -16,10 +16,10 @@ import pytest
 from tests.fixtures.calibration import current_document, distinctive_calibration, small_camera
 
 from sunarc import _kernels
-from sunarc.array_types import FloatArray
 from sunarc.client import CameraModel
-from sunarc.documents.calibration_document import from_document
-from sunarc.errors import InputError
+from sunarc.common.array_types import FloatArray
+from sunarc.common.errors import InputError
+from sunarc.formats.calibration_document import from_document
 from sunarc.optics.forward import kernel_optics
 from sunarc.optics.pose import right_jacobian, rotation_matrix
 from sunarc.optics.projections import PROJECTIONS, Projection, angle_of_shape, ideal_radius, radius_of_shape

@@ -3,7 +3,7 @@ from __future__ import annotations
 import threading
 from datetime import UTC, datetime, timedelta
 
-from sunarc.runtime.clock import SystemClock, VirtualClock, host_clock_state
+from sunarc.imager.runtime.clock import SystemClock, VirtualClock, host_clock_state
 
 START = datetime(2026, 5, 1, 12, tzinfo=UTC)
 PATIENCE_S = 20.0

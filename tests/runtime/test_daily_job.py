@@ -9,9 +9,9 @@ from itertools import pairwise
 
 import pytest
 
-from sunarc.runtime.clock import SystemClock, VirtualClock
-from sunarc.runtime.daily_job import MonotonicTrigger, Schedule
-from sunarc.runtime.status import StatusRegistry
+from sunarc.imager.runtime.clock import SystemClock, VirtualClock
+from sunarc.imager.runtime.daily_job import MonotonicTrigger, Schedule
+from sunarc.imager.runtime.status import StatusRegistry
 
 PATIENCE_S = 20.0  # only a failing test waits as long
 SOON_S = 0.01

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from sunarc.runtime.log_to_journal import JournalHandler, Repeats, fields_of, stands_in_journal, start_log
+from sunarc.imager.runtime.log_to_journal import JournalHandler, Repeats, fields_of, stands_in_journal, start_log
 
 
 class Journal:

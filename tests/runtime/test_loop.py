@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from sunarc.errors import OutsideError
-from sunarc.findings import Finding, Message, Messages
-from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.loop import Attempts, DropOldestQueue, Loop, Pauses, entries
-from sunarc.runtime.status import Reason, StatusRegistry
+from sunarc.common.errors import OutsideError
+from sunarc.common.findings import Finding, Message, Messages
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.runtime.loop import Attempts, DropOldestQueue, Loop, Pauses, entries
+from sunarc.imager.runtime.status import Reason, StatusRegistry
 
 MESSAGES = Messages(failing=Message("{error} for {hours} h", "It fails.", "end its cause"))
 

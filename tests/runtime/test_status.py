@@ -6,8 +6,8 @@ from datetime import timedelta
 
 from tests.fixtures.board import START
 
-from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import CameraStatus, ClockStatus, DiskStatus, Reason, StatusRegistry, WorkerStatus
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.runtime.status import CameraStatus, ClockStatus, DiskStatus, Reason, StatusRegistry, WorkerStatus
 
 DISK = DiskStatus(free_bytes=5, images_bytes=3)
 LOST = Reason(code="camera_lost", severity="not_ready", text="the camera is gone", remedy="check its cable")

@@ -10,10 +10,18 @@ from itertools import pairwise
 import pytest
 from tests.fixtures.board import START
 
-from sunarc.errors import OutsideError
-from sunarc.runtime.clock import SystemClock, VirtualClock
-from sunarc.runtime.status import StatusRegistry, WorkerStatus
-from sunarc.runtime.supervisor import Heartbeat, Monitored, Supervised, Supervisor, SupervisorOptions, Watchdog, Worker
+from sunarc.common.errors import OutsideError
+from sunarc.imager.runtime.clock import SystemClock, VirtualClock
+from sunarc.imager.runtime.status import StatusRegistry, WorkerStatus
+from sunarc.imager.runtime.supervisor import (
+    Heartbeat,
+    Monitored,
+    Supervised,
+    Supervisor,
+    SupervisorOptions,
+    Watchdog,
+    Worker,
+)
 
 PATIENCE_S = 20.0  # only a failing test waits as long
 

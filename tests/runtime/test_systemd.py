@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from sunarc.runtime.host import Notifier, notifier_from, watchdog_interval_s
+from sunarc.imager.runtime.host import Notifier, notifier_from, watchdog_interval_s
 
 
 @pytest.fixture(params=["path", "abstract"])

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from sunarc.errors import ConfigurationError, InputError
-from sunarc.settings.file_text import NEW_FILE, read_text, value_in, with_values
+from sunarc.common.errors import ConfigurationError, InputError
+from sunarc.imager.settings.file_text import NEW_FILE, read_text, value_in, with_values
 
 EXAMPLE = Path(__file__).parents[2] / "deploy/sunarc.toml"
 

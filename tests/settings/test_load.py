@@ -10,24 +10,24 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from annotated_types import Ge, Gt, Le, Lt
 
-from sunarc.bounds import OneOf, bounds_of
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.selection import SelectionOptions
-from sunarc.cameras.options import AravisOptions
+from sunarc.changes.values import WatchOptions
+from sunarc.common.bounds import OneOf, bounds_of
+from sunarc.common.errors import ConfigurationError, InputError
 from sunarc.detection.values import DiscOptions
-from sunarc.errors import ConfigurationError, InputError
+from sunarc.imager.cameras.options import AravisOptions
+from sunarc.imager.runtime.supervisor import SupervisorOptions
+from sunarc.imager.settings.load import load_settings
+from sunarc.imager.settings.model import Settings
+from sunarc.imager.settings.reference import all_settings, dataclass_in
+from sunarc.imager.workers.options import CaptureOptions, RefitOptions
 from sunarc.imaging.exposure import SunExposureOptions
-from sunarc.monitoring.values import WatchOptions
-from sunarc.runtime.supervisor import SupervisorOptions
-from sunarc.settings.load import load_settings
-from sunarc.settings.model import Settings
-from sunarc.settings.reference import all_settings, dataclass_in
-from sunarc.workers.options import CaptureOptions, RefitOptions
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from sunarc.bounds import Bound
+    from sunarc.common.bounds import Bound
 
 SITE = "[site]\nlatitude = 36.6\nlongitude = -97.5\n"
 ROOT = Path(__file__).parents[2]

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import pytest
 from annotated_types import Gt, Le
 
-from sunarc.archive.fleet.nightly import LEAST_KEPT
-from sunarc.settings.reference import (
+from sunarc.imager.archive.day_digests import LEAST_KEPT
+from sunarc.imager.settings.reference import (
     all_settings,
     as_markdown,
     attributes_of,
@@ -153,9 +153,9 @@ def test_the_settings_load_neither_the_fit_nor_a_worker() -> None:
         "cv2",
         "sunarc.calibration.fit",
         "sunarc.calibration.calibrate",
-        "sunarc.workers.capture",
+        "sunarc.imager.workers.capture",
     )
-    code = f"import sys, sunarc.settings.load; print([name for name in {heavy} if name in sys.modules])"
+    code = f"import sys, sunarc.imager.settings.load; print([name for name in {heavy} if name in sys.modules])"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "[]"
 

@@ -14,11 +14,11 @@ from typing import Any
 
 import pytest
 
-from sunarc.runtime.clock import SystemClock
-from sunarc.simulation.imager import ImagerOptions, scene_of
-from sunarc.simulation.options import SceneOptions, SimulatedNight
-from sunarc.simulation.scene import Scene
-from sunarc.simulation.truth import SGP, true_camera
+from sunarc.imager.runtime.clock import SystemClock
+from sunarc.lab.simulation.imager import ImagerOptions, scene_of
+from sunarc.lab.simulation.options import SceneOptions, SimulatedNight
+from sunarc.lab.simulation.scene import Scene
+from sunarc.lab.simulation.truth import SGP, true_camera
 
 ADDRESS = "127.0.0.1"  # of 127/8 the only one that stands on an interface, which the fake camera wants
 START = datetime(2013, 5, 13, 17, 0, tzinfo=UTC)

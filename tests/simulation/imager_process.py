@@ -12,10 +12,10 @@ import threading
 from datetime import datetime
 from pathlib import Path
 
-from sunarc.simulation import fake_camera as genicam
-from sunarc.simulation.fake_camera import FakeCamera
-from sunarc.simulation.imager import ImagerOptions, run_imager
-from sunarc.simulation.options import SceneOptions, SimulatedNight
+from sunarc.lab.simulation import fake_camera as genicam
+from sunarc.lab.simulation.fake_camera import FakeCamera
+from sunarc.lab.simulation.imager import ImagerOptions, run_imager
+from sunarc.lab.simulation.options import SceneOptions, SimulatedNight
 from sunarc.sky.site import Site
 
 

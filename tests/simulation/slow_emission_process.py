@@ -5,10 +5,10 @@ from __future__ import annotations
 import threading
 import time
 
-from sunarc.cameras.aravis import open_aravis
-from sunarc.cameras.options import AravisOptions
-from sunarc.runtime.clock import SystemClock
-from sunarc.simulation import fake_camera as genicam
+from sunarc.imager.cameras.aravis import open_aravis
+from sunarc.imager.cameras.options import AravisOptions
+from sunarc.imager.runtime.clock import SystemClock
+from sunarc.lab.simulation import fake_camera as genicam
 
 emitting = threading.Event()
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from sunarc import _kernels
-from sunarc.simulation.options import SceneOptions, Weather
-from sunarc.simulation.scene import Scene
-from sunarc.simulation.scene_parts import cloud_layer
-from sunarc.simulation.truth import SGP, true_camera
+from sunarc.lab.simulation.options import SceneOptions, Weather
+from sunarc.lab.simulation.scene import Scene
+from sunarc.lab.simulation.scene_parts import cloud_layer
+from sunarc.lab.simulation.truth import SGP, true_camera
 
 TINY = replace(true_camera(), width=8, height=8)  # where the sun falls does not matter here
 NOON_S = 1_368_469_800.0  # 2013-05-13 18:30 UTC

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from sunarc.cameras.aravis import wait_for_last_reference
-from sunarc.runtime.clock import VirtualClock
+from sunarc.imager.cameras.aravis import wait_for_last_reference
+from sunarc.imager.runtime.clock import VirtualClock
 
 
 @pytest.mark.gige

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from sunarc.lab.simulation.scene_parts import disc_points, stamp_of
+from sunarc.lab.simulation.truth import true_camera
 from sunarc.optics.forward import local_stretch, project
-from sunarc.simulation.scene_parts import disc_points, stamp_of
-from sunarc.simulation.truth import true_camera
 from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.sun import SOLAR_RADIUS
 

@@ -10,10 +10,10 @@ import pytest
 
 from sunarc.detection.disc.detect import detect_sun
 from sunarc.detection.values import Expectation, Sensor
+from sunarc.lab.simulation.options import SceneOptions, SensorModel
+from sunarc.lab.simulation.scene import Scene
+from sunarc.lab.simulation.truth import SGP, true_camera
 from sunarc.optics.forward import local_stretch, project
-from sunarc.simulation.options import SceneOptions, SensorModel
-from sunarc.simulation.scene import Scene
-from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.directions import direction_from_angles
 
 NOON = datetime(2013, 5, 13, 20, 0, tzinfo=UTC).timestamp()

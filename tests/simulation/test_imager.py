@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from tests.fixtures.calibration import small_camera
 
-from sunarc.cameras.packed import unpack
-from sunarc.errors import OutsideError
-from sunarc.runtime.clock import VirtualClock
-from sunarc.simulation import fake_camera as genicam
-from sunarc.simulation.fake_camera import FakeCamera, Request
-from sunarc.simulation.imager import DARK_US, MAX_IMAGES, ImagerOptions, _Imager, write_truth
-from sunarc.simulation.scene import Scene
+from sunarc.common.errors import OutsideError
+from sunarc.imager.cameras.packed import unpack
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.lab.simulation import fake_camera as genicam
+from sunarc.lab.simulation.fake_camera import FakeCamera, Request
+from sunarc.lab.simulation.imager import DARK_US, MAX_IMAGES, ImagerOptions, _Imager, write_truth
+from sunarc.lab.simulation.scene import Scene
 
 START = datetime(2013, 5, 13, 17, tzinfo=UTC)
 START_NS = round(START.timestamp()) * 10**9

@@ -11,11 +11,11 @@ from typing import Any
 
 import pytest
 
-from sunarc.errors import ConfigurationError, InputError
-from sunarc.simulation.fake_camera import genicam_xml
-from sunarc.simulation.imager import ImagerOptions, run_imager, scene_of
-from sunarc.simulation.options import SceneOptions, SensorModel
-from sunarc.simulation.truth import true_camera
+from sunarc.common.errors import ConfigurationError, InputError
+from sunarc.lab.simulation.fake_camera import genicam_xml
+from sunarc.lab.simulation.imager import ImagerOptions, run_imager, scene_of
+from sunarc.lab.simulation.options import SceneOptions, SensorModel
+from sunarc.lab.simulation.truth import true_camera
 
 
 @pytest.mark.parametrize(

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.array_types import FloatArray
+from sunarc.common.array_types import FloatArray
+from sunarc.common.errors import InputError
 from sunarc.detection.stars.detect import detect_stars
-from sunarc.errors import InputError
+from sunarc.lab.simulation.night import star_directions_by_series
+from sunarc.lab.simulation.options import SceneOptions, SensorModel, SimulatedNight
+from sunarc.lab.simulation.scene import Scene
+from sunarc.lab.simulation.truth import SGP, true_camera
 from sunarc.optics.forward import project
-from sunarc.simulation.night import star_directions_by_series
-from sunarc.simulation.options import SceneOptions, SensorModel, SimulatedNight
-from sunarc.simulation.scene import Scene
-from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.night import body_position, night_sky, star_directions, star_table
 from sunarc.sky.site import Site, relative_air_mass

@@ -18,20 +18,20 @@ import pytest
 from tests.fixtures.archive import new_archive
 from tests.fixtures.board import status_registry
 
-from sunarc.archive.archive import Archive, CameraArchive
-from sunarc.cameras.aravis import AravisCamera, open_aravis
-from sunarc.cameras.frame import Frame
-from sunarc.cameras.options import AravisOptions
+from sunarc.common.errors import CameraError, CameraLostError, OutsideError
 from sunarc.detection.values import DiscOptions
-from sunarc.errors import CameraError, CameraLostError, OutsideError
-from sunarc.runtime.clock import SystemClock, VirtualClock
-from sunarc.runtime.loop import DropOldestQueue
-from sunarc.simulation.imager import ImagerOptions, run_imager
-from sunarc.simulation.scene import Scene
-from sunarc.simulation.truth import SGP
-from sunarc.workers.detect import DetectWorker, FrozenFrames, SightingWriteBuffer
-from sunarc.workers.options import SensorOptions
-from sunarc.workers.sun_prediction import SunPredictor
+from sunarc.imager.archive.archive import Archive, CameraArchive
+from sunarc.imager.cameras.aravis import AravisCamera, open_aravis
+from sunarc.imager.cameras.frame import Frame
+from sunarc.imager.cameras.options import AravisOptions
+from sunarc.imager.runtime.clock import SystemClock, VirtualClock
+from sunarc.imager.runtime.loop import DropOldestQueue
+from sunarc.imager.workers.detect import DetectWorker, FrozenFrames, SightingWriteBuffer
+from sunarc.imager.workers.options import SensorOptions
+from sunarc.imager.workers.sun_prediction import SunPredictor
+from sunarc.lab.simulation.imager import ImagerOptions, run_imager
+from sunarc.lab.simulation.scene import Scene
+from sunarc.lab.simulation.truth import SGP
 
 from .conftest import require_aravis, wait_until
 
@@ -283,9 +283,9 @@ def narrow_network(tmp_path: Path) -> Iterator[list[str]]:
 
 
 LARGE_AND_SMALL = """
-from sunarc.cameras.aravis import open_aravis
-from sunarc.cameras.options import AravisOptions
-from sunarc.runtime.clock import SystemClock
+from sunarc.imager.cameras.aravis import open_aravis
+from sunarc.imager.cameras.options import AravisOptions
+from sunarc.imager.runtime.clock import SystemClock
 for size in (8000, 1400):
     options = AravisOptions(address="192.0.2.1", packet_size=size, region=(700, 500, 420, 300))
     camera = open_aravis(options, SystemClock())

@@ -19,13 +19,13 @@ from tests.fixtures.command_line import Sunarc, sunarc
 from tests.fixtures.ports import free_port
 from tests.fixtures.settings import new_settings
 
-from sunarc.app.service import Service
-from sunarc.archive.archive import open_archive
-from sunarc.archive.database.schema import upgrade
-from sunarc.errors import OutsideError
+from sunarc.common.errors import OutsideError
+from sunarc.imager.app.service import Service
+from sunarc.imager.archive.archive import open_archive
+from sunarc.imager.archive.database.schema import upgrade
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.lab.simulation.pictures import PATHS, PictureOptions, PictureServer, PresentPicture, serve_pictures
 from sunarc.optics.forward import project
-from sunarc.runtime.clock import VirtualClock
-from sunarc.simulation.pictures import PATHS, PictureOptions, PictureServer, PresentPicture, serve_pictures
 from sunarc.sky.sun import sun_angles, sun_directions
 
 NOON = datetime(2013, 5, 13, 18, 0, tzinfo=UTC)

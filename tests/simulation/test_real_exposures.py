@@ -12,22 +12,22 @@ import pytest
 from tests.simulation.conftest import Imager, require_aravis
 from tests.simulation.test_over_the_wire import ADDRESS, opened, rendered
 
-from sunarc.cameras.aravis import AravisCamera, open_aravis
-from sunarc.cameras.frame import Frame
-from sunarc.cameras.options import AravisOptions
 from sunarc.detection.stars.detect import detect_stars
+from sunarc.imager.cameras.aravis import AravisCamera, open_aravis
+from sunarc.imager.cameras.frame import Frame
+from sunarc.imager.cameras.options import AravisOptions
+from sunarc.imager.runtime.clock import SystemClock
+from sunarc.imager.runtime.loop import DropOldestQueue
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.workers.capture import CaptureWorker
+from sunarc.imager.workers.clock_watch import FrameTime
+from sunarc.imager.workers.exposures import SunExposures
+from sunarc.imager.workers.night.exposures import NightCapture, NightExposures
+from sunarc.imager.workers.options import CaptureOptions
 from sunarc.imaging.exposure import SunExposureOptions
-from sunarc.runtime.clock import SystemClock
-from sunarc.runtime.loop import DropOldestQueue
-from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation import fake_camera as genicam
-from sunarc.simulation.truth import SGP
+from sunarc.lab.simulation import fake_camera as genicam
+from sunarc.lab.simulation.truth import SGP
 from sunarc.sky.sun import sun_angles
-from sunarc.workers.capture import CaptureWorker
-from sunarc.workers.clock_watch import FrameTime
-from sunarc.workers.exposures import SunExposures
-from sunarc.workers.night.exposures import NightCapture, NightExposures
-from sunarc.workers.options import CaptureOptions
 
 __all__ = ["opened"]
 pytestmark = [pytest.mark.gige, pytest.mark.slow, pytest.mark.timeout(240)]

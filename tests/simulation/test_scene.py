@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from sunarc.lab.simulation.options import Obstruction, SceneOptions, SensorModel
+from sunarc.lab.simulation.scene import Scene
+from sunarc.lab.simulation.truth import SGP, true_camera
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
-from sunarc.simulation.options import Obstruction, SceneOptions, SensorModel
-from sunarc.simulation.scene import Scene
-from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.site import Site
 from sunarc.sky.sun import SOLAR_RADIUS

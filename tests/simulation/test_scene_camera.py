@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from tests.fixtures.scene_camera import SceneCamera
 
-from sunarc.cameras.frame import SkyCamera
-from sunarc.errors import CameraError, CameraLostError, CameraTimeoutError
-from sunarc.runtime.clock import VirtualClock
-from sunarc.simulation.scene import Scene
+from sunarc.common.errors import CameraError, CameraLostError, CameraTimeoutError
+from sunarc.imager.cameras.frame import SkyCamera
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.lab.simulation.scene import Scene
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 REGION = (700, 500, 100, 80)

@@ -11,12 +11,10 @@ import pytest
 from numpy.typing import NDArray
 
 from sunarc import _kernels
-from sunarc.errors import InputError
-from sunarc.optics.camera import Camera
-from sunarc.optics.pose import rotation_matrix
-from sunarc.simulation.options import Bump, Obstruction, SceneOptions, SensorModel
-from sunarc.simulation.scene import Scene, add_stamp, behind_mosaic, bumped_camera, run_over
-from sunarc.simulation.scene_parts import (
+from sunarc.common.errors import InputError
+from sunarc.lab.simulation.options import Bump, Obstruction, SceneOptions, SensorModel
+from sunarc.lab.simulation.scene import Scene, add_stamp, behind_mosaic, bumped_camera, run_over
+from sunarc.lab.simulation.scene_parts import (
     CLEAR_SKY,
     Stamp,
     cloud_layer,
@@ -25,7 +23,9 @@ from sunarc.simulation.scene_parts import (
     is_covered,
     pixel_field,
 )
-from sunarc.simulation.truth import SGP
+from sunarc.lab.simulation.truth import SGP
+from sunarc.optics.camera import Camera
+from sunarc.optics.pose import rotation_matrix
 from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.site import relative_air_mass
 from sunarc.sky.sun import SOLAR_RADIUS

@@ -6,9 +6,9 @@ from typing import cast
 
 import pytest
 
-from sunarc.simulation import fake_camera as genicam
-from sunarc.simulation.fake_camera import FakeCamera
-from sunarc.simulation.imager import halve_speed
+from sunarc.lab.simulation import fake_camera as genicam
+from sunarc.lab.simulation.fake_camera import FakeCamera
+from sunarc.lab.simulation.imager import halve_speed
 
 
 class Registers:

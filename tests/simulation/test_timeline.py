@@ -7,8 +7,8 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from sunarc.simulation.imager import SceneTimeline
-from sunarc.simulation.truth import SGP
+from sunarc.lab.simulation.imager import SceneTimeline
+from sunarc.lab.simulation.truth import SGP
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles
 

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from sunarc.calibration.answers.covariance import project_with_covariance
-from sunarc.documents.calibration_document import from_document
+from sunarc.formats.calibration_document import from_document
+from sunarc.lab.simulation.imager import truth_document
+from sunarc.lab.simulation.truth import SGP, true_camera
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import decentering_shift, distorted_radius, project, rising_limit
 from sunarc.optics.pose import pose_angles
-from sunarc.simulation.imager import truth_document
-from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.directions import direction_from_angles
 
 THETA = np.linspace(0.0, math.pi / 2, 2001)

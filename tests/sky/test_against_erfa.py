@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from sunarc.array_types import FloatArray
+from sunarc.common.array_types import FloatArray
 from sunarc.sky.directions import angular_distance, direction_from_angles
 from sunarc.sky.ephemeris import terrestrial_minus_universal_s
 from sunarc.sky.site import Site

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sunarc.array_types import FloatArray, picked
-from sunarc.errors import InputError
+from sunarc.common.array_types import FloatArray, picked
+from sunarc.common.errors import InputError
 from sunarc.sky.directions import angles_from_direction, angular_distance, direction_from_angles
 from sunarc.sky.night import (
     SOLAR_SYSTEM_BODIES,

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from sunarc.errors import InputError
+from sunarc.common.errors import InputError
 from sunarc.sky.site import Site
 
 

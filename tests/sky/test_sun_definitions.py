@@ -11,7 +11,7 @@ import pvlib
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.errors import InputError
+from sunarc.common.errors import InputError
 from sunarc.sky.days import day_bounds_unix_s, solar_date
 from sunarc.sky.directions import angles_from_direction, angular_distance, direction_from_angles
 from sunarc.sky.ephemeris import SECONDS_PER_JULIAN_YEAR, terrestrial_minus_universal_s

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from tests.fixtures.stored_answers import require_stored
 
-from sunarc.array_types import FloatArray
+from sunarc.common.array_types import FloatArray
 from sunarc.stars.sky_turn import (
     SearchRange,
     Turns,

@@ -10,11 +10,19 @@ import pandas as pd
 import pvlib
 import pytest
 
+from sunarc.lab.simulation.truth import SGP, true_camera
+from sunarc.lab.studies.trials import (
+    LARGEST_ZENITH_DEG,
+    SYNTHETIC_DAY,
+    Trial,
+    arcs,
+    found_circle,
+    run_trials,
+    true_error,
+)
 from sunarc.optics.forward import project
-from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.days import solar_date
 from sunarc.sky.directions import direction_from_angles
-from sunarc.studies.trials import LARGEST_ZENITH_DEG, SYNTHETIC_DAY, Trial, arcs, found_circle, run_trials, true_error
 
 CAMERA = true_camera(0)
 COARSE = arcs(CAMERA, [SYNTHETIC_DAY], cadence_s=600.0)

@@ -11,9 +11,9 @@ from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Method
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.lab.studies.trials import Batch
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
-from sunarc.studies.trials import Batch
 
 FloatArray = NDArray[np.float64]
 

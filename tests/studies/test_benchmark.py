@@ -16,13 +16,13 @@ from benchmark_second import LENSES as SECOND_LENSES
 from benchmark_second import made
 from tests.fixtures.command_line import Sunarc, sunarc
 
-from sunarc.array_types import FloatArray
-from sunarc.errors import InputError
+from sunarc.common.array_types import FloatArray
+from sunarc.common.errors import InputError
+from sunarc.lab.studies.benchmark_cases import CONDITIONS, LENSES, BenchmarkTruth, benchmark_case, sides_of
+from sunarc.lab.studies.benchmark_files import read_case, read_entry, read_round, read_truth, truth_hash, write_round
+from sunarc.lab.studies.benchmark_scores import Answered, BandScore, Score, answers_of, calibrate_case, score
+from sunarc.lab.studies.messages import MESSAGES
 from sunarc.sky.directions import angles_from_direction, direction_from_angles
-from sunarc.studies.benchmark_cases import CONDITIONS, LENSES, BenchmarkTruth, benchmark_case, sides_of
-from sunarc.studies.benchmark_files import read_case, read_entry, read_round, read_truth, truth_hash, write_round
-from sunarc.studies.benchmark_scores import Answered, BandScore, Score, answers_of, calibrate_case, score
-from sunarc.studies.messages import MESSAGES
 
 __all__ = ["sunarc"]
 

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from benchmark_entrants import ENTRANTS, Entrant, entered, possible
 
+from sunarc.lab.studies.benchmark_cases import benchmark_case
+from sunarc.lab.studies.benchmark_files import read_entry, read_truth, write_round
+from sunarc.lab.studies.benchmark_scores import score
 from sunarc.sky.sun import sun_directions
-from sunarc.studies.benchmark_cases import benchmark_case
-from sunarc.studies.benchmark_files import read_entry, read_truth, write_round
-from sunarc.studies.benchmark_scores import score
 
 PLAIN = [one for one in ENTRANTS if not one.needs]
 

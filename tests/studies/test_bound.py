@@ -7,11 +7,11 @@ import pytest
 
 from sunarc.calibration.model.options import Method
 from sunarc.calibration.solve.priors import precisions
+from sunarc.lab.simulation.truth import true_camera
+from sunarc.lab.studies.trials import Trial, run_trials, synthetic_arc
+from sunarc.lab.studies.uncertainty import cramer_rao_bound, prior_of
 from sunarc.optics.camera import POSE
 from sunarc.optics.forward import project_with_jacobian
-from sunarc.simulation.truth import true_camera
-from sunarc.studies.trials import Trial, run_trials, synthetic_arc
-from sunarc.studies.uncertainty import cramer_rao_bound, prior_of
 
 TRUTH = true_camera(0)
 

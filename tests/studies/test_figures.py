@@ -13,10 +13,7 @@ from matplotlib.quiver import Quiver
 from tests.fixtures.calibration import ideal_camera, stated_calibration
 
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.optics.forward import project
-from sunarc.sky.directions import direction_from_angles
-from sunarc.sky.sun import sun_directions
-from sunarc.studies.figures import (
+from sunarc.lab.studies.figures import (
     draw_angles,
     draw_arrows,
     draw_components,
@@ -27,7 +24,10 @@ from sunarc.studies.figures import (
     sky_sigma,
     within_image,
 )
-from sunarc.studies.residuals import Residuals, residuals_of, used_sightings
+from sunarc.lab.studies.residuals import Residuals, residuals_of, used_sightings
+from sunarc.optics.forward import project
+from sunarc.sky.directions import direction_from_angles
+from sunarc.sky.sun import sun_directions
 
 CAMERA = ideal_camera()  # level, 200 px per radian, its centre at (319.5, 239.5)
 NOON_S = 1_368_469_800.0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, rayleigh
 
-from sunarc.studies.tables import SD_OF_DISTANCE, clear_noise, cloud_noise, episodes
+from sunarc.lab.studies.tables import SD_OF_DISTANCE, clear_noise, cloud_noise, episodes
 
 
 def test_the_distance_of_round_errors_is_rayleighs() -> None:

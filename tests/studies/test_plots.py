@@ -12,11 +12,11 @@ from sunarc.calibration.answers.covariance import sigma_deg
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.simulation.truth import SGP
+from sunarc.lab.simulation.truth import SGP
+from sunarc.lab.studies.figures import RESIDUAL_SHEET_PX, SKY_SHEET_PX, contour_levels, residual_figure, sky_sigma
+from sunarc.lab.studies.reports import write_calibration_plots
+from sunarc.lab.studies.residuals import residuals_of
 from sunarc.sky.directions import direction_from_angles
-from sunarc.studies.figures import RESIDUAL_SHEET_PX, SKY_SHEET_PX, contour_levels, residual_figure, sky_sigma
-from sunarc.studies.reports import write_calibration_plots
-from sunarc.studies.residuals import residuals_of
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc

@@ -10,11 +10,7 @@ import pytest
 
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.optics.forward import project
-from sunarc.optics.inverse import unproject
-from sunarc.sky.directions import angular_distance
-from sunarc.sky.sun import sun_directions
-from sunarc.studies.figures import (
+from sunarc.lab.studies.figures import (
     contour_levels,
     key,
     letter,
@@ -26,7 +22,11 @@ from sunarc.studies.figures import (
     sky_sigma,
     some_rows,
 )
-from sunarc.studies.residuals import residuals_of
+from sunarc.lab.studies.residuals import residuals_of
+from sunarc.optics.forward import project
+from sunarc.optics.inverse import unproject
+from sunarc.sky.directions import angular_distance
+from sunarc.sky.sun import sun_directions
 
 
 @pytest.mark.parametrize(

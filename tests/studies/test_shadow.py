@@ -16,10 +16,9 @@ from tests.fixtures.calibration import current_document, small_camera, stated_ca
 from tests.fixtures.command_line import Sunarc
 
 from sunarc.calibration.answers.covariance import sigma_deg
-from sunarc.sky.directions import direction_from_angles
-from sunarc.studies import shadow as module
-from sunarc.studies.reports import write_shadow
-from sunarc.studies.shadow import (
+from sunarc.lab.studies import shadow as module
+from sunarc.lab.studies.reports import write_shadow
+from sunarc.lab.studies.shadow import (
     RAMP_W_M2,
     WIND_M_S,
     WINDOW_S,
@@ -31,6 +30,7 @@ from sunarc.studies.shadow import (
     study_shadow,
     study_shadow_of,
 )
+from sunarc.sky.directions import direction_from_angles
 
 FloatArray = NDArray[np.float64]
 

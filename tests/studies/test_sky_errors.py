@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 import pytest
 
-from sunarc.errors import OutsideError
-from sunarc.simulation.imager import truth_document
-from sunarc.simulation.truth import SGP, true_camera
-from sunarc.studies.sky_errors import sky_errors, write_picture
+from sunarc.common.errors import OutsideError
+from sunarc.lab.simulation.imager import truth_document
+from sunarc.lab.simulation.truth import SGP, true_camera
+from sunarc.lab.studies.sky_errors import sky_errors, write_picture
 
 NOW = datetime(2013, 5, 13, tzinfo=UTC)
 TRUE = true_camera()

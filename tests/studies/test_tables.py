@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.monitoring.day_quality import DayMeasure, measure_day
-from sunarc.simulation.truth import SGP
-from sunarc.studies.published import CASES, Case
-from sunarc.studies.reports import write_tables
-from sunarc.studies.tables import (
+from sunarc.calibration.quality.day_quality import DayMeasure, measure_day
+from sunarc.lab.simulation.truth import SGP
+from sunarc.lab.studies.published import CASES, Case
+from sunarc.lab.studies.reports import write_tables
+from sunarc.lab.studies.tables import (
     COLUMNS,
     SD_OF_DISTANCE,
     clear_noise,
@@ -23,7 +23,7 @@ from sunarc.studies.tables import (
     simulated_case,
     truth_row,
 )
-from sunarc.studies.trials import QUANTITIES
+from sunarc.lab.studies.trials import QUANTITIES
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.studies.figures import PARAMETER_SHEET_PX, RMSE_SHEET_PX
-from sunarc.studies.reports import write_uncertainty
-from sunarc.studies.trials import QUANTITIES, Trial, run_trials
-from sunarc.studies.uncertainty import UncertaintyStudy, distribution_rows, study_uncertainty, trial_rows
+from sunarc.lab.studies.figures import PARAMETER_SHEET_PX, RMSE_SHEET_PX
+from sunarc.lab.studies.reports import write_uncertainty
+from sunarc.lab.studies.trials import QUANTITIES, Trial, run_trials
+from sunarc.lab.studies.uncertainty import UncertaintyStudy, distribution_rows, study_uncertainty, trial_rows
 
 if TYPE_CHECKING:
     from .conftest import PngSize

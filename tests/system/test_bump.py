@@ -9,23 +9,23 @@ import numpy as np
 import pytest
 from tests.fixtures.scene_camera import SceneCamera
 
-from sunarc.app.service import Service
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.database.schema import upgrade
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.cameras.options import AravisOptions
-from sunarc.documents.calibration_document import from_document, to_document
+from sunarc.formats.calibration_document import from_document, to_document
+from sunarc.imager.app.service import Service
+from sunarc.imager.archive.archive import Archive, open_archive
+from sunarc.imager.archive.database.schema import upgrade
+from sunarc.imager.cameras.options import AravisOptions
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.settings.model import Settings
+from sunarc.imager.workers.options import CaptureOptions
+from sunarc.lab.simulation.options import Bump, SceneOptions, SensorModel
+from sunarc.lab.simulation.scene import Scene, bumped_camera
+from sunarc.lab.simulation.truth import SGP, true_camera
 from sunarc.optics.forward import project
-from sunarc.runtime.clock import VirtualClock
-from sunarc.settings.model import Settings
-from sunarc.simulation.options import Bump, SceneOptions, SensorModel
-from sunarc.simulation.scene import Scene, bumped_camera
-from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.sun import sun_angles, sun_directions
-from sunarc.workers.options import CaptureOptions
 
 CADENCE_S = 60.0
 BUMPED_AT = datetime(2013, 5, 14, 18, 30, 30, tzinfo=UTC)

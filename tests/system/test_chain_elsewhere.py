@@ -13,25 +13,25 @@ import pytest
 from tests.fixtures.scene_camera import SceneCamera
 from tests.workers.long_run import solve_here
 
-from sunarc.app.service import Service
-from sunarc.archive.archive import open_archive
-from sunarc.archive.database.schema import upgrade
-from sunarc.cameras.frame import SkyCamera
-from sunarc.cameras.options import AravisOptions
-from sunarc.documents.calibration_document import from_document
+from sunarc.formats.calibration_document import from_document
+from sunarc.imager.app.service import Service
+from sunarc.imager.archive.archive import open_archive
+from sunarc.imager.archive.database.schema import upgrade
+from sunarc.imager.cameras.frame import SkyCamera
+from sunarc.imager.cameras.options import AravisOptions
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.settings.model import Settings
+from sunarc.imager.workers.calibrating.refit import RefitWorker
+from sunarc.imager.workers.options import CaptureOptions, SensorOptions
+from sunarc.lab.simulation.options import SensorModel
+from sunarc.lab.simulation.scene import Scene
+from sunarc.lab.simulation.truth import true_camera
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
-from sunarc.runtime.clock import VirtualClock
-from sunarc.settings.model import Settings
-from sunarc.simulation.options import SensorModel
-from sunarc.simulation.scene import Scene
-from sunarc.simulation.truth import true_camera
 from sunarc.sky.days import day_bounds_unix_s
 from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles, sun_directions
-from sunarc.workers.calibrating.refit import RefitWorker
-from sunarc.workers.options import CaptureOptions, SensorOptions
 
 CADENCE_S = 1800.0
 
@@ -75,7 +75,7 @@ class Imager:
     def judge_and_refit(self) -> None:
         """End the day; the fit is made here, for a process of its own is another test's matter."""
         self.service.judge_completed_days()
-        with patch("sunarc.app.service.RefitWorker", partial(RefitWorker, solve=solve_here)):
+        with patch("sunarc.imager.app.service.RefitWorker", partial(RefitWorker, solve=solve_here)):
             worker = self.service.refit_worker()
         for refit in self.archive.refits.find(self.service.settings.name, unfinished=True):
             worker.carry_out(refit, threading.Event(), lambda: None)

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from tests.fixtures.ports import free_port
 
-from sunarc.documents.calibration_document import from_document
+from sunarc.formats.calibration_document import from_document
 from sunarc.optics.forward import project
 from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.sun import sun_angles, sun_directions

@@ -21,9 +21,9 @@ from pathlib import Path
 import pytest
 from tests.fixtures.archive import make_empty
 
-from sunarc.api.routes.feed import token_digest
-from sunarc.archive.archive import open_archive
-from sunarc.archive.database.schema import head_revision
+from sunarc.hub.archive import open_hub_archive
+from sunarc.hub.feed_routes import token_digest
+from sunarc.imager.archive.database.schema import head_revision
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(170)]
 
@@ -121,7 +121,7 @@ def hub(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     folder = tmp_path_factory.mktemp("hub")
     (folder / "state").mkdir()
     make_empty(folder / "state" / "sunarc.sqlite")
-    with open_archive(folder / "state" / "sunarc.sqlite") as archive:
+    with open_hub_archive(folder / "state" / "sunarc.sqlite") as archive:
         now = datetime.now(UTC)  # noqa: TID251 - of a real process
         archive.feeds.add_token("roof", token_digest(TOKEN), now=now, former_until=now)
     yield from serve(folder, "--role", "hub")

@@ -74,5 +74,5 @@ def test_a_running_service_has_loaded_nothing_that_it_does_not_use(
         service.terminate()
         service.wait(timeout=20.0)
     loaded = set(re.findall(r"^import time:[\s\d|]+([\w.]+)$", log.read_text(), re.MULTILINE))
-    assert "sunarc.app.service" in loaded
+    assert "sunarc.imager.app.service" in loaded
     assert loaded & (NOT_SERVED | left_out) == set()

@@ -16,11 +16,11 @@ import pytest
 from tests.fixtures.ports import free_port
 from tests.offline.reanalysis.made import MADE, analysed, indexed_in, tables_in
 
+from sunarc.archives.cluster import Workers, open_cluster
+from sunarc.common.findings import Finding
 from sunarc.detection.values import Detection
-from sunarc.findings import Finding
-from sunarc.reanalysis.cluster import Workers, open_cluster
-from sunarc.reanalysis.look import Answer, Chunk, Item
-from sunarc.runtime.clock import SystemClock
+from sunarc.imager.runtime.clock import SystemClock
+from sunarc.sources.look import Answer, Chunk, Item
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(600)]
 WITHIN_S = 240.0

@@ -18,11 +18,11 @@ from tests.api.conftest import calibration
 from tests.fixtures.calibrations import SITE
 from tests.fixtures.ports import free_port
 
-from sunarc.archive.archive import open_archive
-from sunarc.archive.database.backup import backup_into
-from sunarc.archive.database.schema import upgrade
-from sunarc.archive.values import CameraRecord
-from sunarc.documents.calibration_document import to_document
+from sunarc.formats.calibration_document import to_document
+from sunarc.imager.archive.archive import open_archive
+from sunarc.imager.archive.database.backup import backup_into
+from sunarc.imager.archive.database.schema import upgrade
+from sunarc.imager.archive.values import CameraRecord
 
 from .test_restart import CONFIG, answers, run_serve, sunarc, wait_for
 

@@ -20,23 +20,23 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from tests.fixtures.archive import make_empty
 
-from sunarc.app.service import Service
-from sunarc.archive.archive import open_archive
-from sunarc.archive.sightings import sun_point_of
-from sunarc.archive.values import CameraRecord, Event
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.cameras.frame import Frame, SkyCamera
-from sunarc.cameras.options import AravisOptions
 from sunarc.detection.values import Detection
-from sunarc.documents.calibration_document import from_document, to_document
+from sunarc.formats.calibration_document import from_document, to_document
+from sunarc.imager.app.service import Service
+from sunarc.imager.archive.archive import open_archive
+from sunarc.imager.archive.sightings import sun_point_of
+from sunarc.imager.archive.values import CameraRecord, Event
+from sunarc.imager.cameras.frame import Frame, SkyCamera
+from sunarc.imager.cameras.options import AravisOptions
+from sunarc.imager.runtime.clock import ClockState, VirtualClock
+from sunarc.imager.settings.model import Settings
+from sunarc.lab.simulation.truth import SGP, true_camera
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector
-from sunarc.runtime.clock import ClockState, VirtualClock
-from sunarc.settings.model import Settings
-from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.sun import sun_angles, sun_directions
 
 DAY = datetime(2013, 5, 13, 6, tzinfo=UTC)

@@ -11,14 +11,14 @@ from tests.fixtures.board import status_registry
 from tests.fixtures.calibrations import SITE
 from tests.fixtures.cameras import INFO
 
-from sunarc.archive.archive import Archive, CameraArchive
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.cameras.frame import CameraCondition, CameraInfo, Frame
-from sunarc.errors import CameraError
-from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import StatusRegistry
-from sunarc.workers.calibrating.refit import RefitWorker
-from sunarc.workers.options import RefitOptions
+from sunarc.common.errors import CameraError
+from sunarc.imager.archive.archive import Archive, CameraArchive
+from sunarc.imager.cameras.frame import CameraCondition, CameraInfo, Frame
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.workers.calibrating.refit import RefitWorker
+from sunarc.imager.workers.options import RefitOptions
 
 NOON = datetime(2013, 5, 13, 18, 30, 10, tzinfo=UTC)
 

@@ -22,25 +22,25 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.archive.archive import Archive, CameraArchive, open_archive
-from sunarc.archive.database.schema import upgrade
-from sunarc.archive.values import CameraRecord, Refit, SunPoint
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance, sigma_px
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
-from sunarc.documents.calibration_document import from_document
+from sunarc.formats.calibration_document import from_document
+from sunarc.imager.archive.archive import Archive, CameraArchive, open_archive
+from sunarc.imager.archive.database.schema import upgrade
+from sunarc.imager.archive.values import CameraRecord, Refit, SunPoint
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.workers.calibrating.monitor import DayJudge
+from sunarc.imager.workers.calibrating.refit import RefitWorker
+from sunarc.imager.workers.calibrating.solver_process import SolveProblem
+from sunarc.imager.workers.options import RefitOptions
+from sunarc.lab.simulation.truth import SGP, true_camera
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
-from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.days import day_bounds_unix_s
 from sunarc.sky.sun import sun_angles, sun_directions
-from sunarc.workers.calibrating.monitor import DayJudge
-from sunarc.workers.calibrating.refit import RefitWorker
-from sunarc.workers.calibrating.solver_process import SolveProblem
-from sunarc.workers.options import RefitOptions
 
 FloatArray = NDArray[np.float64]
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 from tests.fixtures.archive import new_archive
 
-from sunarc.archive.archive import Archive, CameraArchive
-from sunarc.archive.sightings import SightingStore
-from sunarc.archive.values import SunPoint
+from sunarc.imager.archive.archive import Archive, CameraArchive
+from sunarc.imager.archive.sightings import SightingStore
+from sunarc.imager.archive.values import SunPoint
+from sunarc.imager.workers.sun_prediction import SunPredictor
 from sunarc.sky.site import Site
-from sunarc.workers.sun_prediction import SunPredictor
 
 SITE = Site(latitude=36.604043, longitude=-97.484856, altitude=318.0)
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)

@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import pytest
 
-from sunarc.runtime.clock import VirtualClock
-from sunarc.workers.clock_watch import FrameTime
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.workers.clock_watch import FrameTime
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from sunarc.archive.sightings import LENS_CHANGED, MOVED
-from sunarc.archive.values import Day, SunPoint
-from sunarc.errors import InputError, NotFoundError
-from sunarc.workers.clock_watch import UNKNOWN_ERROR_S
+from sunarc.common.errors import InputError, NotFoundError
+from sunarc.imager.archive.sightings import LENS_CHANGED, MOVED
+from sunarc.imager.archive.values import Day, SunPoint
+from sunarc.imager.workers.clock_watch import UNKNOWN_ERROR_S
 
 from .clock_faults import START, TRUTH, UNSYNCHRONISED, Imager, moved_by, outcome_of
 

@@ -6,8 +6,8 @@ from datetime import UTC, datetime, timedelta, timezone
 
 import pytest
 
-from sunarc.workers.clock_watch import ClockStep, camera_offset, stepped
-from sunarc.workers.messages import text_of
+from sunarc.imager.workers.clock_watch import ClockStep, camera_offset, stepped
+from sunarc.imager.workers.messages import text_of
 
 AT = datetime(2013, 5, 13, 18, 30, 0, 250_000, tzinfo=UTC)
 

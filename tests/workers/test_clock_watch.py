@@ -11,12 +11,19 @@ import pytest
 from tests.fixtures.archive import new_archive, store_sun_point
 from tests.fixtures.calibrations import SITE
 
-from sunarc.archive.archive import Archive, CameraArchive
-from sunarc.errors import InputError, OutsideError
-from sunarc.runtime.clock import ClockState, VirtualClock
-from sunarc.runtime.status import StatusRegistry
-from sunarc.workers.clock_watch import LEAST_ERROR_S, SETTLE_S, SHOW_STEP_S, UNKNOWN_ERROR_S, ClockWatch, FrameTime
-from sunarc.workers.options import ClockOptions
+from sunarc.common.errors import InputError, OutsideError
+from sunarc.imager.archive.archive import Archive, CameraArchive
+from sunarc.imager.runtime.clock import ClockState, VirtualClock
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.workers.clock_watch import (
+    LEAST_ERROR_S,
+    SETTLE_S,
+    SHOW_STEP_S,
+    UNKNOWN_ERROR_S,
+    ClockWatch,
+    FrameTime,
+)
+from sunarc.imager.workers.options import ClockOptions
 
 from .conftest import NOON
 

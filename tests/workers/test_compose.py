@@ -14,21 +14,21 @@ import pytest
 from PIL import Image as Pictures
 from tests.fixtures.archive import make_empty
 
-from sunarc.archive.archive import CameraArchive, open_archive
-from sunarc.archive.images import DiskOptions, ImageStore
-from sunarc.cameras.frame import Frame
+from sunarc.imager.archive.archive import CameraArchive, open_archive
+from sunarc.imager.archive.images import DiskOptions, ImageStore
+from sunarc.imager.cameras.frame import Frame
+from sunarc.imager.runtime.loop import DropOldestQueue
+from sunarc.imager.workers.capture import ComposeWorker, image_document
+from sunarc.imager.workers.options import SensorOptions
+from sunarc.imager.workers.sun_prediction import SunPredictor
 from sunarc.imaging.hdr import HdrImage
 from sunarc.imaging.metadata import document_of
-from sunarc.runtime.loop import DropOldestQueue
 from sunarc.sky.site import Site
-from sunarc.workers.capture import ComposeWorker, image_document
-from sunarc.workers.options import SensorOptions
-from sunarc.workers.sun_prediction import SunPredictor
 
 from .conftest import NOON
 
 if TYPE_CHECKING:
-    from sunarc.runtime.status import StatusRegistry
+    from sunarc.imager.runtime.status import StatusRegistry
 
 SGP = Site(latitude=36.604043, longitude=-97.484856, altitude=318.0)
 EXPOSURES_US = (3_000.0, 12_000.0, 48_000.0)

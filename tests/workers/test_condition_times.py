@@ -11,11 +11,11 @@ import pytest
 from tests.fixtures.archive import new_archive
 from tests.fixtures.board import START, status_registry
 
-from sunarc.archive.archive import Archive
-from sunarc.errors import OutsideError
-from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import Reason, StatusRegistry
-from sunarc.workers.upkeep import ConditionTimesWorker
+from sunarc.common.errors import OutsideError
+from sunarc.imager.archive.archive import Archive
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.runtime.status import Reason, StatusRegistry
+from sunarc.imager.workers.upkeep import ConditionTimesWorker
 
 LOW = Reason(code="disk_low", severity="degraded", text="the disk is full", remedy="free some space")
 LATE = Reason(code="no_sightings", severity="degraded", text="none", remedy="look")

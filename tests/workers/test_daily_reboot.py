@@ -20,19 +20,19 @@ from pvlib.solarposition import get_solarposition
 from scipy.spatial.transform import Rotation
 from tests.fixtures.archive import make_empty
 
-from sunarc.app.service import Service
-from sunarc.archive.archive import open_archive
-from sunarc.archive.values import CameraRecord
 from sunarc.calibration.answers.covariance import project_with_covariance, sigma_px
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
-from sunarc.cameras.frame import SkyCamera
-from sunarc.cameras.options import AravisOptions
-from sunarc.documents.calibration_document import from_document
-from sunarc.runtime.clock import ClockState, VirtualClock
-from sunarc.settings.model import Settings
+from sunarc.formats.calibration_document import from_document
+from sunarc.imager.app.service import Service
+from sunarc.imager.archive.archive import open_archive
+from sunarc.imager.archive.values import CameraRecord
+from sunarc.imager.cameras.frame import SkyCamera
+from sunarc.imager.cameras.options import AravisOptions
+from sunarc.imager.runtime.clock import ClockState, VirtualClock
+from sunarc.imager.settings.model import Settings
+from sunarc.imager.workers.calibrating.refit import RefitWorker
+from sunarc.imager.workers.options import CaptureOptions
 from sunarc.sky.site import Site
-from sunarc.workers.calibrating.refit import RefitWorker
-from sunarc.workers.options import CaptureOptions
 
 from .clock_faults import hand_on
 from .long_run import solve_here

@@ -18,28 +18,28 @@ import pytest
 from tests.api.conftest import LENS, calibration
 from tests.fixtures.calibrations import SITE
 
-from sunarc.archive.archive import Archive, CameraArchive, open_archive
-from sunarc.archive.database.schema import check, downgrade, upgrade
-from sunarc.archive.database.tables import metadata
-from sunarc.archive.values import CameraRecord, Day, Event, Refit, SunPoint
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.documents.calibration_document import to_document
-from sunarc.errors import InputError
-from sunarc.findings import Finding
-from sunarc.monitoring.values import WatchOptions
+from sunarc.changes.values import WatchOptions
+from sunarc.common.errors import InputError
+from sunarc.common.findings import Finding
+from sunarc.formats.calibration_document import to_document
+from sunarc.imager.archive.archive import Archive, CameraArchive, open_archive
+from sunarc.imager.archive.database.schema import check, downgrade, upgrade
+from sunarc.imager.archive.database.tables import metadata
+from sunarc.imager.archive.values import CameraRecord, Day, Event, Refit, SunPoint
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.runtime.status import Reason, StatusRegistry
+from sunarc.imager.workers.calibrating.monitor import DayJudge, WatchWorker
+from sunarc.imager.workers.calibrating.provisional_pose import ProvisionalPoseEstimator
+from sunarc.imager.workers.calibrating.refit import RefitWorker
+from sunarc.imager.workers.options import RefitOptions
+from sunarc.imager.workers.sun_prediction import SunPredictor
 from sunarc.optics.forward import project
-from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.sky.sun import sun_directions
-from sunarc.workers.calibrating.monitor import DayJudge, WatchWorker
-from sunarc.workers.calibrating.provisional_pose import ProvisionalPoseEstimator
-from sunarc.workers.calibrating.refit import RefitWorker
-from sunarc.workers.options import RefitOptions
-from sunarc.workers.sun_prediction import SunPredictor
 
 if TYPE_CHECKING:
-    from sunarc.workers.calibrating.refit import RefitTask
+    from sunarc.imager.workers.calibrating.refit import RefitTask
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 NOW = NOON + timedelta(days=3)

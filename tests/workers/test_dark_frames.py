@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sunarc.cameras.frame import Frame
-from sunarc.errors import InputError
-from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import StatusRegistry
-from sunarc.workers.capture_status import CaptureReport
-from sunarc.workers.options import CaptureOptions
+from sunarc.common.errors import InputError
+from sunarc.imager.cameras.frame import Frame
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.workers.capture_status import CaptureReport
+from sunarc.imager.workers.options import CaptureOptions
 
 from .conftest import FakeCamera
 

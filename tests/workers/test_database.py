@@ -10,20 +10,20 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.fixtures.archive import new_archive
 
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.database.recovery import Recovery
-from sunarc.archive.database.schema import upgrade
-from sunarc.archive.values import CameraRecord, SunPoint
-from sunarc.workers.detect import SightingWriteBuffer
-from sunarc.workers.upkeep import DatabaseWorker
+from sunarc.imager.archive.archive import Archive, open_archive
+from sunarc.imager.archive.database.recovery import Recovery
+from sunarc.imager.archive.database.schema import upgrade
+from sunarc.imager.archive.values import CameraRecord, SunPoint
+from sunarc.imager.workers.detect import SightingWriteBuffer
+from sunarc.imager.workers.upkeep import DatabaseWorker
 
 from .conftest import NOON
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from sunarc.runtime.clock import VirtualClock
-    from sunarc.runtime.status import StatusRegistry
+    from sunarc.imager.runtime.clock import VirtualClock
+    from sunarc.imager.runtime.status import StatusRegistry
 
 
 @pytest.fixture

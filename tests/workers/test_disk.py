@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from sunarc.archive.database.store import Reserve
-from sunarc.archive.images import DiskOptions, DiskUsage, ImageStore
-from sunarc.workers.upkeep import DiskWorker
+from sunarc.imager.archive.database.store import Reserve
+from sunarc.imager.archive.images import DiskOptions, DiskUsage, ImageStore
+from sunarc.imager.workers.upkeep import DiskWorker
 
 from .conftest import NOON
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from sunarc.runtime.clock import VirtualClock
-    from sunarc.runtime.status import StatusRegistry
+    from sunarc.imager.runtime.clock import VirtualClock
+    from sunarc.imager.runtime.status import StatusRegistry
 
 OPTIONS = DiskOptions(keep_days=10.0, keep_free_mb=2.0, reserve_mb=1.0)
 MB = bytes(1_000_000)

@@ -15,25 +15,25 @@ from scipy.spatial.transform import Rotation
 from tests.fixtures.archive import new_archive
 from tests.workers.conftest import refit_worker
 
-from sunarc.archive.archive import Archive, CameraArchive
-from sunarc.archive.values import Event, Refit, SunPoint
 from sunarc.calibration.answers.covariance import project_with_covariance
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
-from sunarc.documents.calibration_document import from_document
-from sunarc.findings import Finding
-from sunarc.monitoring.step_search import PoseStep, find_pose_steps
-from sunarc.offline.calibrate_archive import reproduce_calibration
+from sunarc.changes.step_search import PoseStep, find_pose_steps
+from sunarc.common.findings import Finding
+from sunarc.formats.calibration_document import from_document
+from sunarc.imager.archive.archive import Archive, CameraArchive
+from sunarc.imager.archive.values import Event, Refit, SunPoint
+from sunarc.imager.commands.calibrate_archive import reproduce_calibration
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.workers.calibrating.refit import SEARCHED, EpochSearch, RefitWorker
+from sunarc.imager.workers.calibrating.solver_process import SolveProblem, SolverDiedError, points_of
+from sunarc.lab.simulation.truth import SGP, true_camera
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector
-from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.sun import sun_angles, sun_directions
-from sunarc.workers.calibrating.refit import SEARCHED, EpochSearch, RefitWorker
-from sunarc.workers.calibrating.solver_process import SolveProblem, SolverDiedError, points_of
 
 FloatArray = NDArray[np.float64]
 SIZE = (1748, 1748)

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.cameras.frame import Frame
-from sunarc.errors import CameraLostError, ExposureMismatchError
-from sunarc.runtime.status import StatusRegistry
-from sunarc.workers.capture_status import CaptureReport
-from sunarc.workers.exposures import ExposureSequence
+from sunarc.common.errors import CameraLostError, ExposureMismatchError
+from sunarc.imager.cameras.frame import Frame
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.workers.capture_status import CaptureReport
+from sunarc.imager.workers.exposures import ExposureSequence
 
 if TYPE_CHECKING:
     from .conftest import FakeCamera

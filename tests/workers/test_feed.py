@@ -23,21 +23,22 @@ from tests.fixtures.archive import make_empty
 from tests.fixtures.fleet import NOON, NOW, new_imager, sighting
 from tests.workers.test_webhook import certificate
 
-from sunarc.archive.archive import Archive, CameraArchive, open_archive
-from sunarc.archive.database.schema import head_revision
-from sunarc.archive.fleet.day_digests import StoredDays
-from sunarc.archive.fleet.feed_rows import FeedBatch, FeedRow, Refusal, feed_lines, read_feed_lines
-from sunarc.archive.fleet.outbox import OutboxPosition, outbox_triggers
-from sunarc.archive.values import Event
-from sunarc.errors import ConfigurationError, InputError, OutsideError
-from sunarc.runtime.clock import SystemClock, VirtualClock
-from sunarc.runtime.status import StatusRegistry
-from sunarc.runtime.supervisor import Supervised, Supervisor, SupervisorOptions
+from sunarc.common.errors import ConfigurationError, InputError, OutsideError
+from sunarc.hub.archive import HubArchive, open_hub_archive
+from sunarc.imager.archive.archive import CameraArchive
+from sunarc.imager.archive.database.schema import head_revision
+from sunarc.imager.archive.day_digests import StoredDays
+from sunarc.imager.archive.feed_rows import FeedBatch, FeedRow, Refusal, feed_lines, read_feed_lines
+from sunarc.imager.archive.outbox import OutboxPosition, outbox_triggers
+from sunarc.imager.archive.values import Event
+from sunarc.imager.runtime.clock import SystemClock, VirtualClock
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.runtime.supervisor import Supervised, Supervisor, SupervisorOptions
+from sunarc.imager.workers import feed, hub_connection
+from sunarc.imager.workers.feed import LONGEST_WAIT_S, SILENT_S, FeedWorker
+from sunarc.imager.workers.hub_connection import HubConnection, HubRefusal
+from sunarc.imager.workers.options import HubOptions
 from sunarc.sky.site import Site
-from sunarc.workers import feed, hub_connection
-from sunarc.workers.feed import LONGEST_WAIT_S, SILENT_S, FeedWorker
-from sunarc.workers.hub_connection import HubConnection, HubRefusal
-from sunarc.workers.options import HubOptions
 
 _TICK_S = 0.05
 
@@ -46,7 +47,7 @@ _TICK_S = 0.05
 class Wire:
     """Carries rows to a hub's archive, with the faults that it is told to have."""
 
-    hub: Archive
+    hub: HubArchive
     now: Callable[[], datetime]
     faults: list[str] = field(default_factory=list)
     most_rows: int = 10**6
@@ -86,8 +87,8 @@ class Wire:
 
 @dataclass
 class Bench:
-    imager: Archive
-    hub: Archive
+    imager: HubArchive
+    hub: HubArchive
     wire: Wire
     clock: VirtualClock
     board: StatusRegistry
@@ -105,7 +106,7 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
     make_empty(tmp_path / "hub.sqlite")
     clock = VirtualClock(NOW)
     board = StatusRegistry(version="1", started_at=NOW, monotonic=clock.monotonic)
-    with new_imager(tmp_path) as imager, open_archive(tmp_path / "hub.sqlite") as hub:
+    with new_imager(tmp_path) as imager, open_hub_archive(tmp_path / "hub.sqlite") as hub:
         yield Bench(imager, hub, Wire(hub, clock.now), clock, board)
 
 
@@ -197,7 +198,7 @@ def test_an_imager_that_was_put_back_goes_on_as_another_installation(bench: Benc
     for ending in ("", "-wal", "-shm"):
         (tmp_path / f"roof.sqlite{ending}").unlink(missing_ok=True)
     (tmp_path / "roof.sqlite").write_bytes(copy)
-    with open_archive(tmp_path / "roof.sqlite") as again:
+    with open_hub_archive(tmp_path / "roof.sqlite") as again:
         bench.imager = again
         again.sightings.add([sighting(100)])
         worker = bench.worker()
@@ -225,12 +226,12 @@ def test_an_imager_that_was_put_back_while_the_hub_was_away_loses_no_row(bench: 
     send_all(bench.worker())
     bench.imager.close()
     copy = (tmp_path / "roof.sqlite").read_bytes()
-    with open_archive(tmp_path / "roof.sqlite") as before:
+    with open_hub_archive(tmp_path / "roof.sqlite") as before:
         bench.imager = before
         before.sightings.add(sighting(n) for n in range(22))
         send_all(bench.worker())
     put_back(tmp_path, copy)
-    with open_archive(tmp_path / "roof.sqlite") as again:
+    with open_hub_archive(tmp_path / "roof.sqlite") as again:
         bench.imager = again
         worker = bench.worker()
         bench.wire.faults = ["cut"] * 30
@@ -252,13 +253,13 @@ def test_a_database_that_is_put_back_while_the_worker_runs_is_noticed(bench: Ben
     bench.imager.close()
     copy = (tmp_path / "roof.sqlite").read_bytes()
     worker = None
-    with open_archive(tmp_path / "roof.sqlite") as before:
+    with open_hub_archive(tmp_path / "roof.sqlite") as before:
         bench.imager = before
         before.sightings.add(sighting(n) for n in range(5))
         worker = bench.worker()
         send_all(worker)
     put_back(tmp_path, copy)
-    with open_archive(tmp_path / "roof.sqlite") as again:
+    with open_hub_archive(tmp_path / "roof.sqlite") as again:
         bench.imager = again
         worker.camera = bench.worker().camera
         again.sightings.add(sighting(n) for n in range(100, 105))
@@ -359,7 +360,7 @@ def test_it_runs_until_it_is_stopped(bench: Bench) -> None:
 
 
 @contextmanager
-def slow_hub(hub: Archive, *, reads_bytes_per_s: float = 1e9, answers_bytes_per_s: float = 1e9) -> Iterator[str]:
+def slow_hub(hub: HubArchive, *, reads_bytes_per_s: float = 1e9, answers_bytes_per_s: float = 1e9) -> Iterator[str]:
     """Yield the address of a hub that reads requests, and writes answers, only so fast."""
     ended = threading.Event()
 

@@ -11,17 +11,17 @@ from sqlalchemy import delete, update
 from tests.fixtures.fleet import NOON, NOW, sighting
 from tests.workers.test_feed import Bench, answering, bench, put_back, send_all, step
 
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.database.schema import head_revision
-from sunarc.archive.database.tables import sun_point
-from sunarc.archive.fleet.day_digests import DayDigest, StoredDays
-from sunarc.archive.fleet.feed_rows import FeedBatch, Refusal
-from sunarc.archive.values import Event
-from sunarc.errors import OutsideError
-from sunarc.runtime.clock import SystemClock
-from sunarc.workers.feed import FeedWorker
-from sunarc.workers.hub_connection import HubAnswerError, HubConnection, HubRefusal
-from sunarc.workers.options import HubOptions
+from sunarc.common.errors import OutsideError
+from sunarc.hub.archive import HubArchive, open_hub_archive
+from sunarc.imager.archive.database.schema import head_revision
+from sunarc.imager.archive.database.tables import sun_point
+from sunarc.imager.archive.day_digests import DayDigest, StoredDays
+from sunarc.imager.archive.feed_rows import FeedBatch, Refusal
+from sunarc.imager.archive.values import Event
+from sunarc.imager.runtime.clock import SystemClock
+from sunarc.imager.workers.feed import FeedWorker
+from sunarc.imager.workers.hub_connection import HubAnswerError, HubConnection, HubRefusal
+from sunarc.imager.workers.options import HubOptions
 
 __all__ = ["bench"]
 
@@ -41,7 +41,7 @@ def asked(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> list[tuple[date, dat
     return found
 
 
-def lose(hub: Archive, *, first: int, n_rows: int) -> None:
+def lose(hub: HubArchive, *, first: int, n_rows: int) -> None:
     """Delete sightings as if they had never come."""
     times = [NOON + timedelta(seconds=30.0 * n) for n in range(first, first + n_rows)]
     with hub.database.writing() as connection:
@@ -117,12 +117,12 @@ def test_a_restore_while_the_hub_is_away_ends_with_both_parts_at_the_hub(bench: 
     send_all(bench.worker())
     bench.imager.close()
     copy = (tmp_path / "roof.sqlite").read_bytes()
-    with open_archive(tmp_path / "roof.sqlite") as before:
+    with open_hub_archive(tmp_path / "roof.sqlite") as before:
         bench.imager = before
         before.sightings.add(sighting(n) for n in range(22))
         send_all(bench.worker())
     put_back(tmp_path, copy)
-    with open_archive(tmp_path / "roof.sqlite") as again:
+    with open_hub_archive(tmp_path / "roof.sqlite") as again:
         bench.imager = again
         worker, bench.wire.faults = bench.worker(), ["cut"] * 30
         for n in range(100, 140):

@@ -13,25 +13,25 @@ from tests.finding_codes import codes
 from tests.fixtures.archive import make_empty
 from tests.workers.test_watch import DAY, NOON, SIZE, TRUTH, Imager, off_in_sigmas, turned
 
-from sunarc.archive.archive import CameraArchive, open_archive
-from sunarc.archive.values import CameraRecord
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.lens_library.first_pose import north_sigma_deg, top_azimuth_deg
 from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread, frame_of, type_camera
 from sunarc.calibration.model.options import CalibrationOptions, FirstPoseOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.documents.lens_prior import lens_type_to_json
-from sunarc.errors import InputError
-from sunarc.monitoring.values import WatchOptions
+from sunarc.changes.values import WatchOptions
+from sunarc.common.errors import InputError
+from sunarc.formats.lens_prior import lens_type_to_json
+from sunarc.imager.archive.archive import CameraArchive, open_archive
+from sunarc.imager.archive.values import CameraRecord
+from sunarc.imager.runtime.status import Reason, StatusRegistry
+from sunarc.imager.workers.calibrating.monitor import WatchWorker
+from sunarc.imager.workers.calibrating.provisional_pose import FirstPose, ProvisionalPoseEstimator, read_lens_prior
+from sunarc.imager.workers.options import LensPriorOptions
+from sunarc.lab.simulation.truth import SGP
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
-from sunarc.runtime.status import Reason, StatusRegistry
-from sunarc.simulation.truth import SGP
 from sunarc.sky.sun import sun_angles, sun_directions
-from sunarc.workers.calibrating.monitor import WatchWorker
-from sunarc.workers.calibrating.provisional_pose import FirstPose, ProvisionalPoseEstimator, read_lens_prior
-from sunarc.workers.options import LensPriorOptions
 
 SPREAD = UnitSpread(focal_length=0.003, center_px=8.0, radial_px=0.4, decentering_px=0.3)
 LEVEL = replace(TRUTH, max_angle=2.0)
@@ -137,7 +137,7 @@ def full_fit() -> Calibration:
 
 
 def store_current(imager: NewImager, full: Calibration) -> None:
-    from sunarc.documents.calibration_document import to_document  # noqa: PLC0415 - beside its only use
+    from sunarc.formats.calibration_document import to_document  # noqa: PLC0415 - beside its only use
 
     epoch = imager.archive.epochs.current("roof", at=imager.now + timedelta(seconds=1))
     assert epoch is not None

@@ -19,14 +19,14 @@ from tests.detection.rendering import read_out as noisy
 from tests.fixtures.archive import new_archive
 from tests.fixtures.calibrations import SITE
 
-from sunarc.archive.archive import Archive, CameraArchive
-from sunarc.archive.values import SunPoint
-from sunarc.cameras.frame import Frame
 from sunarc.detection.values import DiscOptions, Expectation
-from sunarc.runtime.loop import DropOldestQueue
-from sunarc.runtime.status import StatusRegistry
-from sunarc.workers.detect import DetectWorker, FrozenFrames, SightingWriteBuffer
-from sunarc.workers.options import SensorOptions
+from sunarc.imager.archive.archive import Archive, CameraArchive
+from sunarc.imager.archive.values import SunPoint
+from sunarc.imager.cameras.frame import Frame
+from sunarc.imager.runtime.loop import DropOldestQueue
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.workers.detect import DetectWorker, FrozenFrames, SightingWriteBuffer
+from sunarc.imager.workers.options import SensorOptions
 
 from .conftest import NOON
 

@@ -4,9 +4,9 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from sunarc.errors import InputError
-from sunarc.runtime.clock import VirtualClock
-from sunarc.workers.clock_watch import FrameTime
+from sunarc.common.errors import InputError
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.workers.clock_watch import FrameTime
 
 HOST = datetime(2026, 3, 1, 12, tzinfo=UTC)
 SIMULATED = datetime(2013, 5, 13, 18, 0, 7, tzinfo=UTC)

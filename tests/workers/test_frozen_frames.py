@@ -12,22 +12,22 @@ import numpy as np
 import pytest
 from tests.fixtures.archive import new_archive, store_sun_point
 
-from sunarc.archive.archive import Archive, CameraArchive
-from sunarc.archive.sightings import FROZEN
-from sunarc.cameras.frame import Frame
+from sunarc.common.findings import Finding
 from sunarc.detection.values import Detection, DiscOptions
-from sunarc.findings import Finding
+from sunarc.imager.archive.archive import Archive, CameraArchive
+from sunarc.imager.archive.sightings import FROZEN
+from sunarc.imager.cameras.frame import Frame
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.runtime.loop import DropOldestQueue
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.workers.detect import DetectWorker, FrozenFrames, SightingWriteBuffer
+from sunarc.imager.workers.options import SensorOptions
+from sunarc.imager.workers.sun_prediction import SunPredictor
+from sunarc.lab.simulation.options import SensorModel
+from sunarc.lab.simulation.scene import Scene
+from sunarc.lab.simulation.truth import SGP, true_camera
 from sunarc.optics.forward import project
-from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.loop import DropOldestQueue
-from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation.options import SensorModel
-from sunarc.simulation.scene import Scene
-from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.sun import sun_directions
-from sunarc.workers.detect import DetectWorker, FrozenFrames, SightingWriteBuffer
-from sunarc.workers.options import SensorOptions
-from sunarc.workers.sun_prediction import SunPredictor
 
 START = datetime(2013, 5, 13, 18, 0, tzinfo=UTC)
 SIDE = 240

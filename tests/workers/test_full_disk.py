@@ -13,28 +13,28 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.archive.archive import CameraArchive, open_archive
-from sunarc.archive.database.schema import check, upgrade
-from sunarc.archive.database.store import Reserve
-from sunarc.archive.images import DiskOptions, ImageStore
-from sunarc.archive.values import CameraRecord
-from sunarc.cameras.frame import Frame
+from sunarc.common.errors import OutsideError
 from sunarc.detection.values import DiscOptions
-from sunarc.errors import OutsideError
-from sunarc.runtime.host import prepare_state
-from sunarc.runtime.loop import DropOldestQueue
+from sunarc.imager.archive.archive import CameraArchive, open_archive
+from sunarc.imager.archive.database.schema import check, upgrade
+from sunarc.imager.archive.database.store import Reserve
+from sunarc.imager.archive.images import DiskOptions, ImageStore
+from sunarc.imager.archive.values import CameraRecord
+from sunarc.imager.cameras.frame import Frame
+from sunarc.imager.runtime.host import prepare_state
+from sunarc.imager.runtime.loop import DropOldestQueue
+from sunarc.imager.workers.capture import ComposeWorker
+from sunarc.imager.workers.detect import DetectWorker, FrozenFrames, SightingWriteBuffer
+from sunarc.imager.workers.options import SensorOptions
+from sunarc.imager.workers.sun_prediction import SunPredictor
+from sunarc.imager.workers.upkeep import DiskWorker
 from sunarc.sky.site import Site
-from sunarc.workers.capture import ComposeWorker
-from sunarc.workers.detect import DetectWorker, FrozenFrames, SightingWriteBuffer
-from sunarc.workers.options import SensorOptions
-from sunarc.workers.sun_prediction import SunPredictor
-from sunarc.workers.upkeep import DiskWorker
 
 from .conftest import NOON
 
 if TYPE_CHECKING:
-    from sunarc.runtime.clock import VirtualClock
-    from sunarc.runtime.status import StatusRegistry
+    from sunarc.imager.runtime.clock import VirtualClock
+    from sunarc.imager.runtime.status import StatusRegistry
 
 SGP = Site(latitude=36.604043, longitude=-97.484856, altitude=318.0)
 OPTIONS = DiskOptions(keep_free_mb=6.0, reserve_mb=2.0)

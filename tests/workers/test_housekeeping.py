@@ -12,12 +12,12 @@ import pytest
 from tests.fixtures.archive import new_archive
 from tests.fixtures.board import START, board, clock
 
-from sunarc.archive.archive import Archive, CameraArchive
-from sunarc.errors import OutsideError
-from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import CameraStatus, DiskStatus, StatusRegistry
+from sunarc.common.errors import OutsideError
+from sunarc.imager.archive.archive import Archive, CameraArchive
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.runtime.status import CameraStatus, DiskStatus, StatusRegistry
+from sunarc.imager.workers.upkeep import HousekeepingWorker
 from sunarc.sky.site import Site
-from sunarc.workers.upkeep import HousekeepingWorker
 
 __all__ = ["board", "clock"]
 

@@ -11,21 +11,21 @@ import pytest
 from sqlalchemy import Engine
 from tests.fixtures.archive import add_after_opening, new_archive
 
-from sunarc.archive.archive import Archive
-from sunarc.archive.database.connections import DatabaseFile
-from sunarc.archive.sightings import SightingStore
-from sunarc.archive.values import SunPoint
-from sunarc.errors import OutsideError
-from sunarc.workers import detect as keeping
-from sunarc.workers.detect import SightingWriteBuffer
+from sunarc.common.errors import OutsideError
+from sunarc.imager.archive.archive import Archive
+from sunarc.imager.archive.database.connections import DatabaseFile
+from sunarc.imager.archive.sightings import SightingStore
+from sunarc.imager.archive.values import SunPoint
+from sunarc.imager.workers import detect as keeping
+from sunarc.imager.workers.detect import SightingWriteBuffer
 
 from .conftest import NOON
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from sunarc.findings import Data
-from sunarc.runtime.status import StatusRegistry
+    from sunarc.common.findings import Data
+from sunarc.imager.runtime.status import StatusRegistry
 
 
 class RefusingSightings(SightingStore):

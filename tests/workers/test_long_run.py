@@ -16,15 +16,15 @@ import numpy as np
 import pytest
 from tests.finding_codes import codes
 
-from sunarc.archive.archive import Archive, CameraArchive, open_archive
-from sunarc.archive.database.backup import backup
-from sunarc.archive.values import Day, SunPoint
-from sunarc.documents.calibration_document import from_document
-from sunarc.errors import InputError
-from sunarc.offline.calibrate_archive import solve_again
-from sunarc.settings.load import load_settings
-from sunarc.simulation.truth import SGP
-from sunarc.workers.sun_prediction import SunPredictor
+from sunarc.common.errors import InputError
+from sunarc.formats.calibration_document import from_document
+from sunarc.imager.archive.archive import Archive, CameraArchive, open_archive
+from sunarc.imager.archive.database.backup import backup
+from sunarc.imager.archive.values import Day, SunPoint
+from sunarc.imager.commands.calibrate_archive import solve_again
+from sunarc.imager.settings.load import load_settings
+from sunarc.imager.workers.sun_prediction import SunPredictor
+from sunarc.lab.simulation.truth import SGP
 
 from .long_run import CLEAR, CLOUDY, FIRST_DAY, HEAVY, PARTLY, LongRun, Night, judged_against, worst_rise
 

@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 from tests.fixtures.archive import new_archive
 
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.database.backup import backup_into
-from sunarc.archive.database.recovery import prepare_database
-from sunarc.archive.values import SunPoint
-from sunarc.errors import OutsideError
-from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import StatusRegistry
-from sunarc.workers.detect import SightingWriteBuffer
-from sunarc.workers.upkeep import DatabaseWorker
+from sunarc.common.errors import OutsideError
+from sunarc.imager.archive.archive import Archive, open_archive
+from sunarc.imager.archive.database.backup import backup_into
+from sunarc.imager.archive.database.recovery import prepare_database
+from sunarc.imager.archive.values import SunPoint
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.workers.detect import SightingWriteBuffer
+from sunarc.imager.workers.upkeep import DatabaseWorker
 
 NOON = datetime(2013, 5, 13, 18, tzinfo=UTC)
 COUNT, COPIED = 3000, 2000

@@ -14,20 +14,20 @@ import pytest
 from tests.fixtures.archive import new_archive
 from tests.workers.test_night import CAMERA, calibration_of
 
-from sunarc.archive.archive import Archive, CameraArchive
-from sunarc.archive.values import CameraRecord, SunPoint
-from sunarc.cameras.frame import Frame
 from sunarc.detection.moon import Cutout, brightest_cutouts
+from sunarc.imager.archive.archive import Archive, CameraArchive
+from sunarc.imager.archive.values import CameraRecord, SunPoint
+from sunarc.imager.cameras.frame import Frame
+from sunarc.imager.workers.night.exposures import MOST_LEVEL, MoonExposures
+from sunarc.imager.workers.night.moon import MoonImages, MoonNight, brightest_level
+from sunarc.imager.workers.options import SensorOptions
 from sunarc.imaging.exposure import ExposureBounds
+from sunarc.lab.simulation.options import SceneOptions, SimulatedNight
+from sunarc.lab.simulation.scene import Scene
+from sunarc.lab.simulation.truth import SGP
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
-from sunarc.simulation.options import SceneOptions, SimulatedNight
-from sunarc.simulation.scene import Scene
-from sunarc.simulation.truth import SGP
 from sunarc.sky.night import MoonDisc, body_position, moon_disc
-from sunarc.workers.night.exposures import MOST_LEVEL, MoonExposures
-from sunarc.workers.night.moon import MoonImages, MoonNight, brightest_level
-from sunarc.workers.options import SensorOptions
 
 HALF = datetime(2013, 5, 18, 3, 20, tzinfo=UTC)
 """The moon half lit, 50 degrees high."""

@@ -21,12 +21,12 @@ from tests.fixtures.mosquitto import Listener, Mosquitto, broker, retained
 from tests.fixtures.pushing import DUSTY, Pushing, pushing, step
 from tests.workers.test_webhook import certificate
 
-from sunarc.archive.fleet.notices import CameraState
-from sunarc.errors import ConfigurationError, OutsideError
-from sunarc.runtime.clock import VirtualClock
-from sunarc.workers import mqtt, push
-from sunarc.workers.mqtt import MqttBroker
-from sunarc.workers.options import PushOptions
+from sunarc.common.errors import ConfigurationError, OutsideError
+from sunarc.imager.archive.notices import CameraState
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.workers import mqtt, push
+from sunarc.imager.workers.mqtt import MqttBroker
+from sunarc.imager.workers.options import PushOptions
 
 __all__ = ["broker"]
 EVENTS, STATE, THERE = "sunarc/roof/events", "sunarc/roof/state", "sunarc/roof/availability"

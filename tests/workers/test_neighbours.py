@@ -12,13 +12,13 @@ import pytest
 from tests.cross_checks.cameras import FIRST_NOON, Neighbour, Wrong, neighbours
 from tests.fixtures.archive import make_empty
 
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.fleet.nightly import CrossCheck
-from sunarc.archive.values import CameraRecord, SunPoint
-from sunarc.documents.calibration_document import to_document
+from sunarc.formats.calibration_document import to_document
+from sunarc.hub.archive import HubArchive, open_hub_archive
+from sunarc.hub.nightly import cross_check_fleet
+from sunarc.hub.nightly_store import CrossCheck
+from sunarc.imager.archive.values import CameraRecord, SunPoint
 from sunarc.sky.days import solar_date
 from sunarc.sky.site import Site
-from sunarc.workers.nightly import cross_check_fleet
 
 BEGIN = datetime.fromtimestamp(FIRST_NOON, UTC) - timedelta(days=1)
 NAMES = ("gate", "mast", "roof", "yard")
@@ -26,20 +26,20 @@ DAYS = 36
 
 
 @pytest.fixture
-def archive(tmp_path: Path) -> Iterator[Archive]:
+def archive(tmp_path: Path) -> Iterator[HubArchive]:
     make_empty(tmp_path / "hub.sqlite")
-    with open_archive(tmp_path / "hub.sqlite") as opened:
+    with open_hub_archive(tmp_path / "hub.sqlite") as opened:
         yield opened
 
 
-def save(archive: Archive, name: str, site: Site) -> None:
+def save(archive: HubArchive, name: str, site: Site) -> None:
     record = CameraRecord(
         name=name, latitude=site.latitude, longitude=site.longitude, altitude=318.0, width=9, height=9
     )
     archive.cameras.save(record)
 
 
-def install(archive: Archive, name: str, one: Neighbour) -> None:
+def install(archive: HubArchive, name: str, one: Neighbour) -> None:
     """Store a camera, its calibrations and its days; a site that is stated anew is in a calibration from then on."""
     save(archive, name, one.site)
     archive.epochs.open(name, at=BEGIN, reason="installed")
@@ -83,13 +83,13 @@ def point(name: str, unix_s: float, pixel: tuple[float, float] | None) -> SunPoi
     )
 
 
-def checked(archive: Archive, *wrong: Wrong, days: int = DAYS) -> dict[str, CrossCheck]:
+def checked(archive: HubArchive, *wrong: Wrong, days: int = DAYS) -> dict[str, CrossCheck]:
     for name, one in zip(NAMES, neighbours(*wrong), strict=False):
         install(archive, name, one)
     return {one.camera: one for one in cross_check_fleet(archive, now=BEGIN + timedelta(days=days + 2))}
 
 
-def test_a_longitude_that_was_stated_anew_is_named_with_its_size(archive: Archive) -> None:
+def test_a_longitude_that_was_stated_anew_is_named_with_its_size(archive: HubArchive) -> None:
     found = checked(archive, Wrong(), Wrong(east_deg=0.01), Wrong(), Wrong())
     mast = found.pop("mast")
     assert (mast.found, mast.agreeing) == (("longitude",), 3)
@@ -105,7 +105,7 @@ def test_a_longitude_that_was_stated_anew_is_named_with_its_size(archive: Archiv
     assert mast.cloud_clock_s is None  # every exposure shows the sun
 
 
-def test_a_clock_is_named_by_three_others_and_by_two_is_not(archive: Archive) -> None:
+def test_a_clock_is_named_by_three_others_and_by_two_is_not(archive: HubArchive) -> None:
     save(archive, "island", Site(latitude=30.0, longitude=-60.0))  # far away: it has no neighbours
     found = checked(archive, Wrong(clock_s=2.0), Wrong(), Wrong())
     assert {name: one.found for name, one in found.items()} == {"gate": ("unconfirmed",), "mast": (), "roof": ()}
@@ -119,7 +119,7 @@ def test_a_clock_is_named_by_three_others_and_by_two_is_not(archive: Archive) ->
     assert abs(gate.clock_s - 2.0) < 3.0 * gate.clock_sigma_s < 1.0
 
 
-def test_a_clock_that_was_always_wrong_shows_by_the_clouds(archive: Archive) -> None:
+def test_a_clock_that_was_always_wrong_shows_by_the_clouds(archive: HubArchive) -> None:
     rng = np.random.default_rng(3)
     for number, name in enumerate(NAMES):
         save(archive, name, Site(latitude=36.6 + 0.0003 * number, longitude=-97.5 + 0.0002 * number**2))

@@ -15,24 +15,24 @@ import pytest
 from tests.fixtures.archive import add_after_opening, new_archive
 from tests.fixtures.calibrations import chosen_calibration
 
-from sunarc.archive.archive import Archive, CameraArchive
-from sunarc.archive.images import ImageStore
-from sunarc.archive.values import CameraRecord, Event, Refit
-from sunarc.array_types import Image
 from sunarc.calibration.model.result import Calibration
-from sunarc.cameras.frame import Frame
-from sunarc.documents.calibration_document import to_document
+from sunarc.common.array_types import Image
+from sunarc.formats.calibration_document import to_document
+from sunarc.imager.archive.archive import Archive, CameraArchive
+from sunarc.imager.archive.images import ImageStore
+from sunarc.imager.archive.values import CameraRecord, Event, Refit
+from sunarc.imager.cameras.frame import Frame
+from sunarc.imager.runtime.loop import DropOldestQueue
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.workers.night.exposures import NightCapture, NightExposures
+from sunarc.imager.workers.night.night import NightWorker
+from sunarc.imager.workers.options import SensorOptions
+from sunarc.lab.simulation.options import SceneOptions, SimulatedNight, Weather
+from sunarc.lab.simulation.scene import Scene
+from sunarc.lab.simulation.truth import SGP, true_camera
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
-from sunarc.runtime.loop import DropOldestQueue
-from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation.options import SceneOptions, SimulatedNight, Weather
-from sunarc.simulation.scene import Scene
-from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.night import STAR, body_directions
-from sunarc.workers.night.exposures import NightCapture, NightExposures
-from sunarc.workers.night.night import NightWorker
-from sunarc.workers.options import SensorOptions
 
 BEGIN = datetime(2013, 5, 13, 5, 0, tzinfo=UTC)
 EXPOSURE_US = 5e6

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sunarc.detection.values import Stars
+from sunarc.imager.workers.night.exposures import NightExposures
 from sunarc.imaging.exposure import ExposureBounds
-from sunarc.workers.night.exposures import NightExposures
 
 BOUNDS = ExposureBounds(minimum_us=10.0, maximum_us=30e6, step_us=1.0)
 

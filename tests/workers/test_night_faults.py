@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from tests.fixtures.archive import new_archive
 from tests.workers.test_night import BEGIN, CAMERA, Bench, frame_at
 
-from sunarc.archive.values import CameraRecord, Event
-from sunarc.array_types import Image
-from sunarc.cameras.frame import Frame
+from sunarc.common.array_types import Image
+from sunarc.imager.archive.values import CameraRecord, Event
+from sunarc.imager.cameras.frame import Frame
+from sunarc.lab.simulation.options import SceneOptions, SimulatedNight
+from sunarc.lab.simulation.scene import Scene
+from sunarc.lab.simulation.truth import SGP
 from sunarc.optics.forward import project
-from sunarc.simulation.options import SceneOptions, SimulatedNight
-from sunarc.simulation.scene import Scene
-from sunarc.simulation.truth import SGP
 from sunarc.sky.night import body_directions, body_position
 
 MINUTES = (0, 40, 80)

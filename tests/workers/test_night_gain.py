@@ -10,15 +10,15 @@ import pytest
 from tests.fixtures.scene_camera import SceneCamera
 from tests.workers.test_night import CAMERA
 
-from sunarc.cameras.frame import Frame
-from sunarc.errors import CameraError, CameraLostError
-from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation.options import SceneOptions, SimulatedNight
-from sunarc.simulation.scene import Scene
-from sunarc.simulation.truth import SGP
-from sunarc.workers.capture import CODE, NightGain
-from sunarc.workers.options import SensorOptions, sensor_of
+from sunarc.common.errors import CameraError, CameraLostError
+from sunarc.imager.cameras.frame import Frame
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.workers.capture import CODE, NightGain
+from sunarc.imager.workers.options import SensorOptions, sensor_of
+from sunarc.lab.simulation.options import SceneOptions, SimulatedNight
+from sunarc.lab.simulation.scene import Scene
+from sunarc.lab.simulation.truth import SGP
 
 NIGHT = datetime(2013, 5, 13, 5, 0, tzinfo=UTC)
 

@@ -14,11 +14,11 @@ from tests.fixtures.archive import new_archive
 from tests.fixtures.nights import judged
 from tests.workers.test_night import BEGIN, CAMERA, Bench, clear, frame_at
 
-from sunarc.archive.values import CameraRecord
-from sunarc.cameras.frame import Frame
 from sunarc.detection.stars.photometry import NightLimits
-from sunarc.simulation.truth import SGP
-from sunarc.workers.night.night import night_conditions
+from sunarc.imager.archive.values import CameraRecord
+from sunarc.imager.cameras.frame import Frame
+from sunarc.imager.workers.night.night import night_conditions
+from sunarc.lab.simulation.truth import SGP
 
 LIMITS = NightLimits()
 

@@ -14,12 +14,12 @@ import pytest
 from tests.fixtures.archive import new_archive
 from tests.workers.test_night import CAMERA, Bench, clear, frame_at
 
-from sunarc.archive.images import DiskOptions, ImageStore
-from sunarc.archive.values import CameraRecord
+from sunarc.imager.archive.images import DiskOptions, ImageStore
+from sunarc.imager.archive.values import CameraRecord
+from sunarc.imager.workers.night.images import night_picture
+from sunarc.lab.simulation.truth import SGP
 from sunarc.optics.forward import project
-from sunarc.simulation.truth import SGP
 from sunarc.sky.night import body_directions, title_of
-from sunarc.workers.night.images import night_picture
 
 
 @pytest.fixture

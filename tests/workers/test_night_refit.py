@@ -11,20 +11,20 @@ import numpy as np
 import pytest
 from tests.fixtures.archive import new_archive
 
-from sunarc.archive.archive import Archive, CameraArchive
-from sunarc.archive.values import CameraRecord, SunPoint
-from sunarc.array_types import FloatArray, NameArray
 from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
+from sunarc.common.array_types import FloatArray, NameArray
+from sunarc.common.utc import utc_time
+from sunarc.imager.archive.archive import Archive, CameraArchive
+from sunarc.imager.archive.values import CameraRecord, SunPoint
+from sunarc.imager.workers.calibrating.refit import RefitTask, next_task
+from sunarc.imager.workers.calibrating.solver_process import points_of
+from sunarc.lab.simulation.truth import SGP, true_camera
 from sunarc.optics.forward import project
-from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.night import body_directions, night_sky
 from sunarc.sky.sun import sun_angles, sun_directions
-from sunarc.utc import utc_time
-from sunarc.workers.calibrating.refit import RefitTask, next_task
-from sunarc.workers.calibrating.solver_process import points_of
 
 NOW = datetime(2013, 5, 14, 12, 0, tzinfo=UTC)
 SUN_PX, STAR_PX = 0.03, 0.12

@@ -18,12 +18,12 @@ from tests.workers.test_moon import HALF
 from tests.workers.test_moon import frame as moon_frame
 from tests.workers.test_night import BEGIN, CAMERA, Bench, clear, frame_at
 
-from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.images import ImageStore
-from sunarc.archive.values import CameraRecord, Event
-from sunarc.errors import OutsideError
-from sunarc.simulation.truth import SGP
-from sunarc.workers.night import night as night_module
+from sunarc.common.errors import OutsideError
+from sunarc.imager.archive.archive import Archive, open_archive
+from sunarc.imager.archive.images import ImageStore
+from sunarc.imager.archive.values import CameraRecord, Event
+from sunarc.imager.workers.night import night as night_module
+from sunarc.lab.simulation.truth import SGP
 
 MINUTES = (0, 20, 40, 60, 80, 100)
 """So many and so long that there is a list of warm pixels."""

@@ -11,12 +11,12 @@ import pytest
 from tests.fixtures.archive import new_archive
 from tests.fixtures.board import status_registry
 
-from sunarc.archive.archive import Archive
-from sunarc.errors import InputError
-from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import StatusRegistry
-from sunarc.workers.nightly import NightlyWork, nightly_jobs
-from sunarc.workers.options import NightlyOptions
+from sunarc.common.errors import InputError
+from sunarc.hub.archive import HubArchive
+from sunarc.hub.nightly import NightlyWork, nightly_jobs
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.workers.options import NightlyOptions
 
 NIGHT = datetime(2026, 5, 2, 8, 29, 59, tzinfo=UTC)
 """A second before 2 h after midnight at 97.5 degrees west."""
@@ -25,7 +25,7 @@ HOUR = 3600.0
 
 @dataclass
 class Bench:
-    archive: Archive
+    archive: HubArchive
     clock: VirtualClock
     board: StatusRegistry
     calls: list[str] = field(default_factory=list)

@@ -7,10 +7,10 @@ from datetime import timedelta
 
 import pytest
 
-from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import StatusRegistry
-from sunarc.workers.capture_status import OverdueSightings
-from sunarc.workers.clock_watch import FrameTime
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.workers.capture_status import OverdueSightings
+from sunarc.imager.workers.clock_watch import FrameTime
 
 CADENCE_S = 30.0
 

@@ -15,17 +15,17 @@ from tests.api.conftest import LENS, document
 from tests.fixtures.archive import make_empty
 from tests.fixtures.calibrations import SITE
 
-from sunarc.archive.archive import Archive, CameraArchive, open_archive
-from sunarc.archive.values import CameraRecord, DayAir, SunPoint
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.monitoring.day_quality import measure_day
+from sunarc.calibration.quality.day_quality import measure_day
+from sunarc.imager.archive.archive import Archive, CameraArchive, open_archive
+from sunarc.imager.archive.values import CameraRecord, DayAir, SunPoint
+from sunarc.imager.workers.calibrating import monitor as days
+from sunarc.imager.workers.calibrating.monitor import DayJudge
+from sunarc.imager.workers.calibrating.refit import EpochSearch, RefitTask, next_task
+from sunarc.imager.workers.sun_prediction import SunPredictor
 from sunarc.optics.forward import project
 from sunarc.sky.sun import sun_angles, sun_directions
-from sunarc.workers.calibrating import monitor as days
-from sunarc.workers.calibrating.monitor import DayJudge
-from sunarc.workers.calibrating.refit import EpochSearch, RefitTask, next_task
-from sunarc.workers.sun_prediction import SunPredictor
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 LOW_SUN = datetime(2013, 5, 13, 12, 0, tzinfo=UTC)

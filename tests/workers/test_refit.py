@@ -14,28 +14,28 @@ from tests.finding_codes import codes
 from tests.fixtures.archive import new_archive
 from tests.workers.conftest import refit_worker
 
-from sunarc.archive.archive import Archive
-from sunarc.archive.values import Refit, SunPoint
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.findings import Finding
-from sunarc.optics.camera import PARAMETER_NAMES
-from sunarc.optics.forward import project
-from sunarc.runtime.clock import SystemClock, VirtualClock
-from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation.truth import SGP, true_camera
-from sunarc.sky.sun import sun_angles, sun_directions
-from sunarc.workers.calibrating.refit import RefitWorker
-from sunarc.workers.calibrating.solver_process import (
+from sunarc.common.findings import Finding
+from sunarc.imager.archive.archive import Archive
+from sunarc.imager.archive.values import Refit, SunPoint
+from sunarc.imager.runtime.clock import SystemClock, VirtualClock
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.workers.calibrating.refit import RefitWorker
+from sunarc.imager.workers.calibrating.solver_process import (
     ChildControl,
     SolveFailedError,
     SolveProblem,
     SolverDiedError,
     solve_in_child,
 )
-from sunarc.workers.messages import text_of
+from sunarc.imager.workers.messages import text_of
+from sunarc.lab.simulation.truth import SGP, true_camera
+from sunarc.optics.camera import PARAMETER_NAMES
+from sunarc.optics.forward import project
+from sunarc.sky.sun import sun_angles, sun_directions
 
 NOW = datetime(2013, 5, 14, 6, 30, tzinfo=UTC)
 SIZE = (1748, 1748)

@@ -7,14 +7,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from sunarc.cameras.frame import Frame
-from sunarc.cameras.options import ReplayOptions
-from sunarc.cameras.replay import open_replay
-from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.loop import DropOldestQueue
-from sunarc.runtime.status import StatusRegistry
-from sunarc.workers.capture import ReplayWorker
-from sunarc.workers.clock_watch import FrameTime
+from sunarc.imager.cameras.frame import Frame
+from sunarc.imager.cameras.options import ReplayOptions
+from sunarc.imager.cameras.replay import open_replay
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.runtime.loop import DropOldestQueue
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.workers.capture import ReplayWorker
+from sunarc.imager.workers.clock_watch import FrameTime
 
 from .conftest import NOON
 

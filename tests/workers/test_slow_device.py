@@ -14,17 +14,17 @@ from sqlalchemy import event
 from tests.fixtures.archive import new_archive
 from tests.fixtures.calibrations import SITE
 
-from sunarc.archive.archive import CameraArchive
-from sunarc.archive.values import SunPoint
-from sunarc.cameras.frame import Frame
 from sunarc.detection.values import DiscOptions
-from sunarc.runtime.clock import SystemClock
-from sunarc.runtime.loop import DropOldestQueue
-from sunarc.runtime.status import StatusRegistry
-from sunarc.workers import upkeep
-from sunarc.workers.detect import DetectWorker, FrozenFrames, SightingWriteBuffer
-from sunarc.workers.options import SensorOptions
-from sunarc.workers.upkeep import DatabaseWorker
+from sunarc.imager.archive.archive import CameraArchive
+from sunarc.imager.archive.values import SunPoint
+from sunarc.imager.cameras.frame import Frame
+from sunarc.imager.runtime.clock import SystemClock
+from sunarc.imager.runtime.loop import DropOldestQueue
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.workers import upkeep
+from sunarc.imager.workers.detect import DetectWorker, FrozenFrames, SightingWriteBuffer
+from sunarc.imager.workers.options import SensorOptions
+from sunarc.imager.workers.upkeep import DatabaseWorker
 
 from .conftest import NOON
 

@@ -17,10 +17,10 @@ from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.runtime.child_process import answer_call
-from sunarc.runtime.clock import SystemClock
+from sunarc.imager.runtime.child_process import answer_call
+from sunarc.imager.runtime.clock import SystemClock
+from sunarc.imager.workers.calibrating.solver_process import ChildControl, SolveProblem, call_on, solve_in_child
 from sunarc.sky.site import Site
-from sunarc.workers.calibrating.solver_process import ChildControl, SolveProblem, call_on, solve_in_child
 
 
 def refuse(increment: int) -> int:
@@ -29,7 +29,9 @@ def refuse(increment: int) -> int:
 
 def test_a_solve_that_may_not_step_back_is_solved_as_an_equal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "nice", refuse)  # as the filter of deploy/sunarc.service does
-    monkeypatch.setattr("sunarc.runtime.child_process.keep_freed_memory", lambda: None)  # this process is no child
+    monkeypatch.setattr(
+        "sunarc.imager.runtime.child_process.keep_freed_memory", lambda: None
+    )  # this process is no child
     receiving, sending = multiprocessing.Pipe()
     nothing = Sightings.of(unix_s=np.empty(0), pixels=np.empty((0, 2)))
     site = Site(latitude=36.6, longitude=-97.5, altitude=318.0)
@@ -46,19 +48,27 @@ def test_the_process_of_a_solve_imports_the_core_and_neither_workers_nor_the_dat
     problem = SolveProblem(points=nothing, site=site, image_size=(1748, 1748), options=CalibrationOptions())
     call = call_on(problem, calibrate)
     listing = (
-        "import pickle, sys; from sunarc.runtime.child_process import answer_call; pickle.load(sys.stdin.buffer);"
+        "import pickle, sys; from sunarc.imager.runtime.child_process import answer_call;"
+        "pickle.load(sys.stdin.buffer);"
         "print(*sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", listing], input=pickle.dumps(call), capture_output=True, check=True)
     imported = set(done.stdout.decode().split())
     assert "sunarc.calibration.calibrate" in imported
-    assert not imported & {"sunarc.workers", "sunarc.archive", "sqlalchemy", "sunarc.runtime.status", "fastapi"}
+    assert not imported & {
+        "sunarc.imager.workers",
+        "sunarc.imager.archive",
+        "sqlalchemy",
+        "sunarc.imager.runtime.status",
+        "fastapi",
+    }
 
 
 def test_memory_that_is_kept_is_not_mapped_anew() -> None:
     def faults(first: str) -> int:
         script = (
-            "from resource import getrusage, RUSAGE_SELF; from sunarc.runtime.child_process import keep_freed_memory\n"
+            "from resource import getrusage, RUSAGE_SELF\n"
+            "from sunarc.imager.runtime.child_process import keep_freed_memory\n"
             f"{first}\nbytearray(4_000_000); before = getrusage(RUSAGE_SELF).ru_minflt\n"
             "for _ in range(30): bytearray(4_000_000)\n"
             "print(getrusage(RUSAGE_SELF).ru_minflt - before)"

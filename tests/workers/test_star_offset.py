@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sunarc.array_types import FloatArray
-from sunarc.workers.night.named_stars import radial_offset
+from sunarc.common.array_types import FloatArray
+from sunarc.imager.workers.night.named_stars import radial_offset
 
 CENTRE = np.array([870.0, 880.0])
 

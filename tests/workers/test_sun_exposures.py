@@ -8,12 +8,12 @@ import pytest
 from tests.fixtures.cameras import INFO
 
 from sunarc.detection.values import Detection
+from sunarc.imager.workers.exposures import SPOILED_AFTER, SunExposures
 from sunarc.imaging.exposure import SunExposureOptions
-from sunarc.workers.exposures import SPOILED_AFTER, SunExposures
 
 if TYPE_CHECKING:
-    from sunarc.runtime.clock import VirtualClock
-    from sunarc.runtime.status import StatusRegistry
+    from sunarc.imager.runtime.clock import VirtualClock
+    from sunarc.imager.runtime.status import StatusRegistry
 
     from .conftest import FakeCamera
 

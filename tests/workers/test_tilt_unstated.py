@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 from tests.fixtures.calibration import distinctive_calibration
 
-from sunarc.errors import NotFoundError
+from sunarc.common.errors import NotFoundError
+from sunarc.imager.runtime.status import Reason
+from sunarc.imager.workers.calibrating.refit import CalibrationIntegrityCheck
 from sunarc.optics.pose import PoseAngles
-from sunarc.runtime.status import Reason
-from sunarc.workers.calibrating.refit import CalibrationIntegrityCheck
 
 
 class Board:

@@ -8,23 +8,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.archive.database.store import Reserve
-from sunarc.archive.images import DiskOptions, ImageStore
-from sunarc.cameras.frame import Frame
-from sunarc.errors import OutsideError
-from sunarc.runtime.host import prepare_state
-from sunarc.runtime.loop import DropOldestQueue
-from sunarc.workers.capture import ComposeWorker
-from sunarc.workers.options import SensorOptions
-from sunarc.workers.upkeep import DiskWorker
+from sunarc.common.errors import OutsideError
+from sunarc.imager.archive.database.store import Reserve
+from sunarc.imager.archive.images import DiskOptions, ImageStore
+from sunarc.imager.cameras.frame import Frame
+from sunarc.imager.runtime.host import prepare_state
+from sunarc.imager.runtime.loop import DropOldestQueue
+from sunarc.imager.workers.capture import ComposeWorker
+from sunarc.imager.workers.options import SensorOptions
+from sunarc.imager.workers.upkeep import DiskWorker
 
 from .conftest import NOON
 from .test_database import as_nobody
 from .test_full_disk import mounted
 
 if TYPE_CHECKING:
-    from sunarc.runtime.clock import VirtualClock
-    from sunarc.runtime.status import StatusRegistry
+    from sunarc.imager.runtime.clock import VirtualClock
+    from sunarc.imager.runtime.status import StatusRegistry
 
 __all__ = ["as_nobody"]
 OPTIONS = DiskOptions(keep_free_mb=2.0, reserve_mb=1.0)

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from tests.fixtures.cameras import INFO
 
-from sunarc.cameras.frame import Frame
+from sunarc.imager.cameras.frame import Frame
+from sunarc.imager.runtime.clock import VirtualClock
+from sunarc.imager.runtime.loop import DropOldestQueue
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.workers.capture import CaptureWorker, Cycle, CycleConsistencyFilter
+from sunarc.imager.workers.clock_watch import FrameTime
+from sunarc.imager.workers.exposures import SunExposures
+from sunarc.imager.workers.options import CaptureOptions
 from sunarc.imaging.exposure import SunExposureOptions
-from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.loop import DropOldestQueue
-from sunarc.runtime.status import StatusRegistry
-from sunarc.workers.capture import CaptureWorker, Cycle, CycleConsistencyFilter
-from sunarc.workers.clock_watch import FrameTime
-from sunarc.workers.exposures import SunExposures
-from sunarc.workers.options import CaptureOptions
 
 from .conftest import NOON, FakeCamera, StopAfter
 

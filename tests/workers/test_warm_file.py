@@ -17,10 +17,10 @@ from tests.workers.test_full_disk import mounted
 from tests.workers.test_night import BEGIN, CAMERA, Bench, bench
 from tests.workers.test_warm_pixels import MINUTES
 
-from sunarc.cameras.frame import Frame
+from sunarc.common.findings import Finding
 from sunarc.detection.stars.warm_pixels import SensorFormat, WarmPixelMap
-from sunarc.findings import Finding
-from sunarc.workers.night.images import WarmPixelFile
+from sunarc.imager.cameras.frame import Frame
+from sunarc.imager.workers.night.images import WarmPixelFile
 
 __all__ = ["bench"]
 

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from tests.workers.test_night import CAMERA, calibration_of, frame_at
 
-from sunarc.array_types import Image
-from sunarc.cameras.frame import Frame
+from sunarc.common.array_types import Image
 from sunarc.detection.stars.detect import detect_stars, outstanding_pixels, repaired, warm_pixels
 from sunarc.detection.stars.matching import StarMatches, match_stars
 from sunarc.detection.stars.warm_pixels import WarmPixelMap
-from sunarc.simulation.truth import SGP
+from sunarc.imager.cameras.frame import Frame
+from sunarc.lab.simulation.truth import SGP
 from sunarc.sky.night import night_sky
 from sunarc.stars.views import predict_stars
 

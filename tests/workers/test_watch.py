@@ -14,30 +14,30 @@ from scipy.spatial.transform import Rotation
 from tests.finding_codes import codes
 from tests.fixtures.archive import make_empty
 
-from sunarc.archive.archive import CameraArchive, open_archive
-from sunarc.archive.values import CameraRecord, DayAir, Event, SunPoint
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.documents.calibration_document import from_document, to_document
-from sunarc.errors import OutsideError
-from sunarc.findings import from_json, uncoded
-from sunarc.monitoring import detect_change
-from sunarc.monitoring.detect_change import update_window
-from sunarc.monitoring.messages import MESSAGES
-from sunarc.monitoring.values import Change, Sighting, SightingWindow, WatchOptions
+from sunarc.changes import detect_change
+from sunarc.changes.detect_change import update_window
+from sunarc.changes.messages import MESSAGES
+from sunarc.changes.values import Change, Sighting, SightingWindow, WatchOptions
+from sunarc.common.errors import OutsideError
+from sunarc.common.findings import from_json, uncoded
+from sunarc.formats.calibration_document import from_document, to_document
+from sunarc.imager.archive.archive import CameraArchive, open_archive
+from sunarc.imager.archive.values import CameraRecord, DayAir, Event, SunPoint
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.workers.calibrating import monitor
+from sunarc.imager.workers.calibrating.monitor import WatchWorker
+from sunarc.imager.workers.calibrating.provisional_pose import ProvisionalPoseEstimator
+from sunarc.lab.simulation.truth import SGP, true_camera
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector
-from sunarc.runtime.status import StatusRegistry
-from sunarc.simulation.truth import SGP, true_camera
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles, sun_directions
-from sunarc.workers.calibrating import monitor
-from sunarc.workers.calibrating.monitor import WatchWorker
-from sunarc.workers.calibrating.provisional_pose import ProvisionalPoseEstimator
 
 FloatArray = NDArray[np.float64]
 DAY = datetime(2013, 5, 13, 6, tzinfo=UTC).timestamp()

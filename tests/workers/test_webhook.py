@@ -22,11 +22,11 @@ import pytest
 from tests.fixtures.ports import free_port
 from tests.fixtures.pushing import DUSTY, Pushing, pushing, step
 
-from sunarc.errors import ConfigurationError, InputError, OutsideError
-from sunarc.workers import push
-from sunarc.workers import push as webhook
-from sunarc.workers.options import PushOptions
-from sunarc.workers.push import Webhook, webhook_name
+from sunarc.common.errors import ConfigurationError, InputError, OutsideError
+from sunarc.imager.workers import push
+from sunarc.imager.workers import push as webhook
+from sunarc.imager.workers.options import PushOptions
+from sunarc.imager.workers.push import Webhook, webhook_name
 
 SECRET = "a secret of enough bytes"  # noqa: S105 - of the test alone
 

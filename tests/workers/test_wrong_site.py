@@ -13,19 +13,19 @@ import pytest
 from tests.fixtures.archive import new_archive
 from tests.workers.test_watch import SIZE, TRUTH
 
-from sunarc.archive.archive import CameraArchive
-from sunarc.archive.values import CameraRecord
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.cameras.frame import Frame
-from sunarc.monitoring.values import WatchOptions
+from sunarc.changes.values import WatchOptions
+from sunarc.imager.archive.archive import CameraArchive
+from sunarc.imager.archive.values import CameraRecord
+from sunarc.imager.cameras.frame import Frame
+from sunarc.imager.runtime.status import Reason, StatusRegistry
+from sunarc.imager.workers.calibrating.monitor import WatchWorker
+from sunarc.imager.workers.calibrating.provisional_pose import ProvisionalPoseEstimator
+from sunarc.imager.workers.capture_status import CaptureReport
+from sunarc.lab.simulation.truth import SGP
 from sunarc.optics.forward import project
-from sunarc.runtime.status import Reason, StatusRegistry
-from sunarc.simulation.truth import SGP
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles, sun_directions
-from sunarc.workers.calibrating.monitor import WatchWorker
-from sunarc.workers.calibrating.provisional_pose import ProvisionalPoseEstimator
-from sunarc.workers.capture_status import CaptureReport
 
 EVENING = datetime(2013, 5, 13, 23, 30, tzinfo=UTC)
 MORNING = datetime(2013, 5, 13, 14, 30, tzinfo=UTC)

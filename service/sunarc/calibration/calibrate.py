@@ -17,8 +17,8 @@ from sunarc.calibration.paper import fit_as_paper
 from sunarc.calibration.plausible_start import most_plausible_start
 from sunarc.calibration.projection_choice import ChosenLens, chosen_lens
 from sunarc.calibration.quality.fit_checks import TILT, before_fit, below_horizon
-from sunarc.errors import InputError
-from sunarc.findings import Finding
+from sunarc.common.errors import InputError
+from sunarc.common.findings import Finding
 from sunarc.optics.camera import Camera
 from sunarc.sky.site import Site
 

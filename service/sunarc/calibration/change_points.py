@@ -18,20 +18,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.calibration.calibrate import calibrate, calibrate_chosen, prepared
 from sunarc.calibration.evidence import RECORD_GAIN, log_marginal, matern_3_2
 from sunarc.calibration.model.options import USUAL_OPTIONS, CalibrationOptions, ImageCircle, LensTolerances
 from sunarc.calibration.model.result import Calibration, Move, residuals_by_pose
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.priors import LENS, N_LENS, lens_prior, precisions
-from sunarc.findings import Finding
+from sunarc.common.array_types import BoolArray, FloatArray, IntArray
+from sunarc.common.findings import Finding
+from sunarc.common.robust_statistics import finite, robust_sigma, tukey_loss
+from sunarc.common.utc import DAY_S, rfc3339, utc_time
 from sunarc.optics.camera import POSE, Camera, Param
 from sunarc.optics.forward import project_fast, project_with_rows_fast
 from sunarc.optics.pose import rotation_between
-from sunarc.robust_statistics import finite, robust_sigma, tukey_loss
 from sunarc.sky.site import Site
-from sunarc.utc import DAY_S, rfc3339, utc_time
 
 # Bayes factor of a step of the pose against one pose, by the residuals of a fit with and of one without it.
 #

@@ -11,14 +11,14 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from sunarc.array_types import FloatArray
 from sunarc.calibration.fit.marginal_likelihood import HyperparameterGrid, log_evidence, log_weights
 from sunarc.calibration.fit.normal_equations import linear_system
 from sunarc.calibration.fit.robust_fit import RobustFit
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.problem import Bins, FitProblem
 from sunarc.calibration.start.multistart import SMALLEST_SIGMA_PX, distance_sigmas
-from sunarc.robust_statistics import robust_sigma, tukey_loss
+from sunarc.common.array_types import FloatArray
+from sunarc.common.robust_statistics import robust_sigma, tukey_loss
 
 Name = TypeVar("Name")
 

@@ -18,8 +18,8 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
-from sunarc.array_types import BoolArray, FloatArray, IntArray
-from sunarc.robust_statistics import finite
+from sunarc.common.array_types import BoolArray, FloatArray, IntArray
+from sunarc.common.robust_statistics import finite
 
 _LARGEST_COST = 8.0
 """Cost of a sighting that no state explains: 4 sigma. False ones are alike in all states."""

@@ -21,7 +21,7 @@ from sunarc.calibration.noise import NoiseGroups
 from sunarc.calibration.plausible_start import Hand, Start, plausible_start
 from sunarc.calibration.quality.fit_checks import below_horizon
 from sunarc.calibration.quality.tilt import mount_density
-from sunarc.findings import Finding
+from sunarc.common.findings import Finding
 from sunarc.optics.pose import rotation_matrix
 
 _AMBIGUOUS = 3.0

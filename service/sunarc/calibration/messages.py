@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sunarc.findings import Message, Messages
+from sunarc.common.findings import Message, Messages
 
 _ACTIVE_STAYS = "The fit is refused, or kept as a candidate where the verdict is marginal; the active one stays."
 _REFUSED = "The fit is refused."
@@ -422,6 +422,32 @@ MESSAGES = Messages(
         "s by {turn_deg:~2}° (north {north_deg:~2}°, tilt {tilt_deg:~2}°), which the stated uncertainty holds",
         "The lens does not depend on it; directions are as right as the times.",
         "state the bound of the clock (--clock-error); sightings of the sun by a clock that is right give the pose",
+    ),
+    # days
+    day_too_few_sightings=Message(
+        "{n} sightings on a smooth arc (at least {least} are needed)", "The day is unusable."
+    ),
+    day_arc_too_short=Message("{arc_deg:.0f}° of arc observed (at least {least_deg:g}°)", "The day is unusable."),
+    day_clock_uncertain=Message(
+        "the clock error exceeds the limit in {share:.0%} of the sightings (at most {limit:.0%})",
+        "The day is unusable.",
+        "start a time service; see the conditions of the clock",
+    ),
+    day_share_on_arc=Message(
+        "{share:.0%} of the {n_observed} observed slots lie on the arc", "Decides between clear, partly and cloudy."
+    ),
+    day_slots_missed=Message(
+        "{n_missed} of {n_possible} possible slots were not observed",
+        "The day is evaluated by the others.",
+        "free processor time, or set a longer capture.cadence_s",
+    ),
+    day_scatter=Message(
+        "the sightings scatter about the arc by {sd_px:.2f} px (on a clear day by at most {limit_px:g} px)",
+        "Decides between clear and partly.",
+    ),
+    day_share_uncertain=Message(
+        "{n_observed} observed slots show at least {share:.0%} with 95 % confidence (clear: {limit:.0%})",
+        "Too few slots were observed for a clear day.",
     ),
 )
 

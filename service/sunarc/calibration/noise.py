@@ -8,12 +8,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.calibration.solve.priors import N_LENS
 from sunarc.calibration.solve.problem import Bins, time_bins
 from sunarc.calibration.start.multistart import SMALLEST_SIGMA_PX
-from sunarc.robust_statistics import INFORMATION_PER_WEIGHT, median_of, robust_sigma, surely_well_behaved, tukey_weights
+from sunarc.common.array_types import BoolArray, FloatArray, IntArray
+from sunarc.common.robust_statistics import (
+    INFORMATION_PER_WEIGHT,
+    median_of,
+    robust_sigma,
+    surely_well_behaved,
+    tukey_weights,
+)
 
 # How much information sightings carry when neighbours err alike, and when they err by more at a low sun.
 

@@ -9,18 +9,18 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc import _kernels
-from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.fit.assemble import FitOutcome, unseen_field
 from sunarc.calibration.model.options import CalibrationOptions, PaperOptions
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.problem import Bins, time_bins
 from sunarc.calibration.start.initial_guess import as_far_as_it_rises
+from sunarc.common.array_types import FloatArray, IntArray
+from sunarc.common.robust_statistics import finite, is_shown
 from sunarc.optics.camera import PARAMETER_NAMES, RADIAL_ORDERS, TRANSLATION, Camera, Param
 from sunarc.optics.forward import kernel_optics, project_fast, tangent_basis
 from sunarc.optics.inverse import unproject
 from sunarc.optics.pose import rotation_vector
 from sunarc.optics.projections import Projection, ideal_radius, ideal_slope
-from sunarc.robust_statistics import finite, is_shown
 
 # The paper's penalties (section 4.2): c1 orthogonality, c2 circularity, c3 monotony.
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_solve
 
-from sunarc.array_types import BoolArray, FloatArray, picked
 from sunarc.calibration.answers.error_model import (
     CameraErrorModel,
     Predicted,
@@ -41,11 +40,12 @@ from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.solve.problem import Bins
 from sunarc.calibration.start.initial_guess import ransac_rotation
-from sunarc.findings import Finding
+from sunarc.common.array_types import BoolArray, FloatArray, picked
+from sunarc.common.findings import Finding
+from sunarc.common.robust_statistics import finite, robust_sigma
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project_fast
 from sunarc.optics.pose import pose_angles, right_jacobian
-from sunarc.robust_statistics import finite, robust_sigma
 from sunarc.sky.site import Site
 
 # Sightings as a posing takes them: their noise, and neighbours taken together so that there are not too many.

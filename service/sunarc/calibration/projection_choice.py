@@ -25,7 +25,7 @@ from sunarc.calibration.noise import NoiseGroups, measured_noise
 from sunarc.calibration.plausible_start import Start, most_plausible_start
 from sunarc.calibration.quality.fit_checks import before_fit, too_uncertain
 from sunarc.calibration.start.initial_guess import single_problem
-from sunarc.findings import Finding
+from sunarc.common.findings import Finding
 from sunarc.optics.camera import PARAMETER_NAMES, Camera
 from sunarc.optics.forward import project, project_with_rows_fast
 from sunarc.optics.inverse import unproject

@@ -14,9 +14,9 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from annotated_types import Gt, Le
 
-from sunarc.array_types import BoolArray, FloatArray, IntArray
-from sunarc.bounds import Count, Positive, require_bounds
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, Sightings
+from sunarc.common.array_types import BoolArray, FloatArray, IntArray
+from sunarc.common.bounds import Count, Positive, require_bounds
 from sunarc.sky.days import solar_days
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions

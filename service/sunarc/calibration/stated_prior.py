@@ -9,8 +9,6 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Gt, Le
 
-from sunarc.array_types import FloatArray
-from sunarc.bounds import require_bounds
 from sunarc.calibration.answers.error_model import error_model_of
 from sunarc.calibration.fit.assemble import Job, calibration_from_fit, refused, unseen_field
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances
@@ -27,12 +25,14 @@ from sunarc.calibration.pose import (
     with_noise,
 )
 from sunarc.calibration.solve.priors import FREE, LENS, N_LENS, lens_prior, precisions
-from sunarc.findings import Finding
+from sunarc.common.array_types import FloatArray
+from sunarc.common.bounds import require_bounds
+from sunarc.common.findings import Finding
+from sunarc.common.robust_statistics import finite
 from sunarc.optics.camera import POSE, Camera
 from sunarc.optics.forward import project_fast
 from sunarc.optics.pose import rotation_matrix, rotation_vector
 from sunarc.optics.projections import ideal_radius
-from sunarc.robust_statistics import finite
 from sunarc.sky.site import Site
 
 _LARGEST_DEPARTURE = 3.0

@@ -12,6 +12,13 @@ from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread
 from sunarc.calibration.messages import MESSAGES
 from sunarc.calibration.model.options import CalibrationOptions, Mirrored
 from sunarc.calibration.stated_prior import PriorTolerances
+from sunarc.cli.calibrate_files import (
+    calibrate_file,
+    calibrate_joint,
+    combined_lens,
+    image_circle_of,
+    write_lens_prior,
+)
 from sunarc.cli.options import (
     SITE,
     Altitude,
@@ -28,21 +35,14 @@ from sunarc.cli.options import (
     service_settings,
     stated_once,
 )
-from sunarc.errors import InputError
-from sunarc.findings import findings_of, significant
-from sunarc.offline.calibrate_files import (
-    calibrate_file,
-    calibrate_joint,
-    combined_lens,
-    image_circle_of,
-    write_lens_prior,
-)
+from sunarc.common.errors import InputError
+from sunarc.common.findings import findings_of, significant
+from sunarc.imager.runtime.clock import SystemClock
 from sunarc.optics.projections import PROJECTIONS
-from sunarc.runtime.clock import SystemClock
 from sunarc.sky.site import Site
 
 if TYPE_CHECKING:
-    from sunarc.settings.model import Settings
+    from sunarc.imager.settings.model import Settings
 
 
 _PANEL = "Cameras of one type of lens"
@@ -97,7 +97,7 @@ def known_lens(path: Path | None, *, start: Path | None, writes: bool) -> LensTy
             problem="beside --lens-prior: the fit would count what the file says once more",
             remedy="fit without --lens-prior, and name the other cameras with --lens-of",
         )
-    from sunarc.workers.calibrating.provisional_pose import read_lens_prior
+    from sunarc.imager.workers.calibrating.provisional_pose import read_lens_prior
 
     return read_lens_prior(path)
 
@@ -352,7 +352,7 @@ def calibrate_stored(
     settings: Settings, *, provisional: bool, as_json: bool, clock_error_s: float | None = None
 ) -> None:
     """Fit the camera to the archive's sightings, store and print the result; exit 1 when it is refused."""
-    from sunarc.offline.calibrate_archive import calibrate_archive
+    from sunarc.imager.commands.calibrate_archive import calibrate_archive
 
     refit, document = calibrate_archive(
         settings, clock=SystemClock(), keep_provisional=provisional, clock_error_s=clock_error_s
@@ -369,7 +369,7 @@ def calibrate_stored(
 
 
 def _solve_again(calibration_id: str, config: Path | None, *, as_json: bool) -> None:
-    from sunarc.offline.calibrate_archive import solve_again
+    from sunarc.imager.commands.calibrate_archive import solve_again
 
     result = solve_again(service_settings(config), calibration_id)
     if as_json:

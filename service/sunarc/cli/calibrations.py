@@ -7,11 +7,11 @@ from typing import Annotated, Any
 
 import typer
 
-from sunarc.archive.archive import open_archive
-from sunarc.archive.values import CalibrationRecord, PoseEpoch
 from sunarc.cli.options import AsJson, Config, print_rows, print_text, service_settings
-from sunarc.runtime.clock import SystemClock
-from sunarc.utc import parse_time
+from sunarc.common.utc import parse_time
+from sunarc.imager.archive.archive import open_archive
+from sunarc.imager.archive.values import CalibrationRecord, PoseEpoch
+from sunarc.imager.runtime.clock import SystemClock
 
 _SHOWN = ("id", "state", "pinned", "valid_from", "valid_until", "pose_epoch", "parent", "accepted")
 

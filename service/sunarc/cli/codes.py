@@ -6,34 +6,34 @@ import re
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from sunarc.app.status_line import MESSAGES as OF_APP
-from sunarc.archive.messages import MESSAGES as OF_ARCHIVE
 from sunarc.calibration.messages import MESSAGES as OF_CALIBRATION
+from sunarc.changes.messages import MESSAGES as OF_CHANGES
 from sunarc.cli.options import AsJson, print_json
+from sunarc.common.findings import Messages
 from sunarc.detection.messages import MESSAGES as OF_DETECTION
-from sunarc.exports.messages import MESSAGES as OF_EXPORTS
-from sunarc.findings import Messages
-from sunarc.monitoring.messages import MESSAGES as OF_MONITORING
-from sunarc.offline.first_look import MESSAGES as OF_OFFLINE
-from sunarc.reanalysis.messages import MESSAGES as OF_REANALYSIS
-from sunarc.runtime.supervisor import MESSAGES as OF_RUNTIME
+from sunarc.formats.messages import MESSAGES as OF_FORMATS
+from sunarc.imager.app.status_line import MESSAGES as OF_APP
+from sunarc.imager.archive.messages import MESSAGES as OF_ARCHIVE
+from sunarc.imager.commands.first_look import MESSAGES as OF_COMMANDS
+from sunarc.imager.runtime.supervisor import MESSAGES as OF_RUNTIME
+from sunarc.imager.workers.messages import MESSAGES as OF_WORKERS
+from sunarc.lab.studies.messages import MESSAGES as OF_STUDIES
+from sunarc.sources.messages import MESSAGES as OF_SOURCES
 from sunarc.stars.messages import MESSAGES as OF_STARS
-from sunarc.studies.messages import MESSAGES as OF_STUDIES
-from sunarc.workers.messages import MESSAGES as OF_WORKERS
 
 _TABLES: dict[str, Messages] = {
     "detection": OF_DETECTION,
     "calibration": OF_CALIBRATION,
-    "monitoring": OF_MONITORING,
+    "changes": OF_CHANGES,
     "stars": OF_STARS,
-    "archive": OF_ARCHIVE,
-    "runtime": OF_RUNTIME,
-    "workers": OF_WORKERS,
-    "app": OF_APP,
-    "exports": OF_EXPORTS,
-    "reanalysis": OF_REANALYSIS,
-    "studies": OF_STUDIES,
-    "offline": OF_OFFLINE,
+    "imager/archive": OF_ARCHIVE,
+    "imager/runtime": OF_RUNTIME,
+    "imager/workers": OF_WORKERS,
+    "imager/app": OF_APP,
+    "formats": OF_FORMATS,
+    "sources": OF_SOURCES,
+    "lab/studies": OF_STUDIES,
+    "imager/commands": OF_COMMANDS,
 }
 _HEAD = """# Codes of findings
 

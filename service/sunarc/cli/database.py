@@ -12,17 +12,17 @@ from typing import Annotated
 import typer
 from sqlalchemy import URL
 
-from sunarc.archive.database.backup import backup, backup_into, newest_sound_copy, restore
-from sunarc.archive.database.connections import server_url
-from sunarc.archive.database.recovery import upgrade_present
-from sunarc.archive.database.schema import check, downgrade, require_file, upgrade_server
-from sunarc.archive.database.state_folder import lock_holder, lock_state
 from sunarc.cli.options import AsJson, Config, OptionalState, State, parse_image_size, print_rows, service_settings
-from sunarc.errors import InputError, disk_errors
-from sunarc.offline.archive_tables import database_of, export_everything, write_points
-from sunarc.offline.archive_tables import import_points as read_points
-from sunarc.runtime.clock import SystemClock
-from sunarc.utc import parse_time
+from sunarc.common.errors import InputError, disk_errors
+from sunarc.common.utc import parse_time
+from sunarc.imager.archive.database.backup import backup, backup_into, newest_sound_copy, restore
+from sunarc.imager.archive.database.connections import server_url
+from sunarc.imager.archive.database.recovery import upgrade_present
+from sunarc.imager.archive.database.schema import check, downgrade, require_file, upgrade_server
+from sunarc.imager.archive.database.state_folder import lock_holder, lock_state
+from sunarc.imager.commands.archive_tables import database_of, export_everything, write_points
+from sunarc.imager.commands.archive_tables import import_points as read_points
+from sunarc.imager.runtime.clock import SystemClock
 
 points_cli = typer.Typer(no_args_is_help=True, help="Import and export sightings as CSV.")
 Store = Annotated[

@@ -10,16 +10,16 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
+from sunarc.cli.calibration_files import compare_files, rectify_files
 from sunarc.cli.options import AsJson, CalibrationFile, print_json, table
-from sunarc.documents.calibration_document import from_document
-from sunarc.errors import InputError, disk_errors
-from sunarc.exports.asi_core import asi_core_set
-from sunarc.exports.exported import Exported
-from sunarc.exports.formats import FORMATS, export_draws, format_of
-from sunarc.exports.remap import Grid
-from sunarc.exports.tables import MAP_FORMATS
-from sunarc.offline.calibration_files import compare_files, rectify_files
-from sunarc.reanalysis.files import read_file
+from sunarc.common.errors import InputError, disk_errors
+from sunarc.formats.asi_core import asi_core_set
+from sunarc.formats.calibration_document import from_document
+from sunarc.formats.exported import Exported
+from sunarc.formats.formats import FORMATS, export_draws, format_of
+from sunarc.formats.remap import Grid
+from sunarc.formats.tables import MAP_FORMATS
+from sunarc.sources.files import read_file
 
 _YAML = (".yaml", ".yml")
 _READ = tuple(one.name for one in FORMATS.values() if one.read is not None)

@@ -8,15 +8,15 @@ from typing import Annotated
 
 import typer
 
-from sunarc.api.routes.feed import token_digest
-from sunarc.archive.archive import open_archive
-from sunarc.archive.database.schema import head_revision
-from sunarc.archive.fleet.feed_schema import feed_schema
-from sunarc.archive.fleet.nightly import CrossCheck
 from sunarc.cli.options import AsJson, Config, hub_settings, print_json, print_rows, print_text
-from sunarc.runtime.clock import SystemClock
-from sunarc.utc import rfc3339
-from sunarc.workers.nightly import cross_check_fleet
+from sunarc.common.utc import rfc3339
+from sunarc.hub.archive import open_hub_archive
+from sunarc.hub.feed_routes import token_digest
+from sunarc.hub.feed_schema import feed_schema
+from sunarc.hub.nightly import cross_check_fleet
+from sunarc.hub.nightly_store import CrossCheck
+from sunarc.imager.archive.database.schema import head_revision
+from sunarc.imager.runtime.clock import SystemClock
 
 hub_cli = typer.Typer(no_args_is_help=True, help="The cameras of a fleet: register, list what was refused.")
 
@@ -36,7 +36,7 @@ def token(
     Example: sunarc hub token roof --config /etc/sunarc/hub.toml > token
     """
     made, now = secrets.token_urlsafe(32), SystemClock().now()
-    with open_archive(hub_settings(config).archive) as archive:
+    with open_hub_archive(hub_settings(config).archive) as archive:
         until = now + timedelta(hours=max(overlap, 0.0))
         archive.feeds.add_token(camera, token_digest(made), now=now, former_until=until)
     print(made)
@@ -48,7 +48,7 @@ def revoke(camera: Camera, config: Config = None) -> None:
 
     Example: sunarc hub revoke roof --config /etc/sunarc/hub.toml
     """
-    with open_archive(hub_settings(config).archive) as archive:
+    with open_hub_archive(hub_settings(config).archive) as archive:
         count = archive.feeds.end_tokens(camera, now=SystemClock().now())
     print(f"{count} tokens of {camera} ended")
     if not count:
@@ -61,7 +61,7 @@ def accept(camera: Camera, installation: Installation, config: Config = None) ->
 
     Example: sunarc hub accept roof 5f1d0c --config /etc/sunarc/hub.toml
     """
-    with open_archive(hub_settings(config).archive) as archive:
+    with open_hub_archive(hub_settings(config).archive) as archive:
         archive.feeds.accept_installation(camera, installation, now=SystemClock().now())
     print(f"installation {installation} sends as {camera} now")
 
@@ -72,7 +72,7 @@ def resend(camera: Camera, config: Config = None) -> None:
 
     Example: sunarc hub resend roof --config /etc/sunarc/hub.toml
     """
-    with open_archive(hub_settings(config).archive) as archive:
+    with open_hub_archive(hub_settings(config).archive) as archive:
         archive.feeds.ask_again(camera)
     print(f"{camera} is asked for all its rows when it next sends")
 
@@ -83,7 +83,7 @@ def quarantine(config: Config = None, *, as_json: AsJson = False) -> None:
 
     Example: sunarc hub quarantine --config /etc/sunarc/hub.toml
     """
-    with open_archive(hub_settings(config).archive) as archive:
+    with open_hub_archive(hub_settings(config).archive) as archive:
         found = archive.feeds.quarantine()
     names = ("camera", "installation", "reason", "seq", "kind", "n", "text")
     rows = [{name: getattr(one, name) for name in names} | {"last_at": rfc3339(one.last_at)} for one in found]
@@ -111,7 +111,7 @@ def cross_checks(config: Config = None, *, as_json: AsJson = False) -> None:
 
     Example: sunarc hub cross-checks --config /etc/sunarc/hub.toml
     """
-    with open_archive(hub_settings(config).archive) as archive:
+    with open_hub_archive(hub_settings(config).archive) as archive:
         checks = cross_check_fleet(archive, now=SystemClock().now())
     print_text([one.as_json() for one in checks], "\n".join(map(_line, checks)), as_json=as_json)
     if any(one.alarms for one in checks):

@@ -7,6 +7,9 @@ from typing import Annotated
 
 import typer
 
+from sunarc.archives.ingest import IngestOptions, ingest_folder
+from sunarc.archives.ingest_summary import IngestSummary
+from sunarc.archives.pool import usable_processors
 from sunarc.cli.calibrate import calibrate_stored, stated_level
 from sunarc.cli.database import note_running_service
 from sunarc.cli.options import (
@@ -21,13 +24,12 @@ from sunarc.cli.options import (
     progress_bars,
     service_settings,
 )
-from sunarc.errors import InputError
-from sunarc.reanalysis.detect_files import METHODS
-from sunarc.reanalysis.image_times import TimeRules, utc_offset_of
-from sunarc.reanalysis.ingest import IngestOptions, ingest_folder
-from sunarc.reanalysis.ingest_summary import IngestSummary
-from sunarc.reanalysis.messages import sentence_of
-from sunarc.reanalysis.pool import usable_processors
+from sunarc.common.errors import InputError
+from sunarc.imager.archive.messages import MESSAGES as OF_ARCHIVE
+from sunarc.imager.workers.messages import MESSAGES as OF_WORKERS
+from sunarc.sources.detect_files import METHODS
+from sunarc.sources.image_times import TimeRules, utc_offset_of
+from sunarc.sources.messages import sentence_of
 
 _LISTED = 20
 """Images that are named with the reason why they were left out; --json lists all."""
@@ -130,6 +132,6 @@ def _print_summary(summary: IngestSummary) -> None:
     if summary.nights_known:
         print(f"{summary.nights_known} images of nights known already")
     for finding in summary.camera_findings:
-        print(f"camera: {sentence_of(finding)}")
+        print(f"camera: {sentence_of(finding, OF_ARCHIVE, OF_WORKERS)}")
     if summary.contact_sheet is not None:
         print(f"examples of each verdict: {summary.contact_sheet}")

@@ -14,15 +14,15 @@ from typing import Annotated, Any, NamedTuple
 import typer
 from rich.markup import escape
 
-from sunarc.archive.database.state_folder import as_owner
 from sunarc.cli.options import AsJson, print_json, print_table
-from sunarc.diagnostics import TriedResult, try_first
-from sunarc.errors import InputError, disk_errors
-from sunarc.findings import Finding
-from sunarc.foreign_files import name_text
-from sunarc.offline.first_look import RefusedAnswerError, parse_angle
-from sunarc.settings.file_text import NEW_FILE, Value, read_text, value_in, with_values
-from sunarc.settings.load import settings_of
+from sunarc.common.errors import InputError, disk_errors
+from sunarc.common.findings import Finding
+from sunarc.common.foreign_files import name_text
+from sunarc.imager.archive.database.state_folder import as_owner
+from sunarc.imager.checks import TriedResult, try_first
+from sunarc.imager.commands.first_look import RefusedAnswerError, parse_angle
+from sunarc.imager.settings.file_text import NEW_FILE, Value, read_text, value_in, with_values
+from sunarc.imager.settings.load import settings_of
 
 _SOURCES = ("aravis", "folder", "http", "rtsp")
 _TRIES = 5

@@ -15,8 +15,8 @@ from typer.main import get_group
 
 from sunarc import __version__
 from sunarc.cli.options import until_the_end
-from sunarc.errors import ConfigurationError, InputError, OutsideError, SunarcError
-from sunarc.runtime.child_process import one_thread_each
+from sunarc.common.errors import ConfigurationError, InputError, OutsideError, SunarcError
+from sunarc.imager.runtime.child_process import one_thread_each
 
 
 class _Command(NamedTuple):

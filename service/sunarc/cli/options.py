@@ -15,12 +15,12 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from sunarc.archive.database.state_folder import as_owner
-from sunarc.errors import InputError
-from sunarc.runtime.clock import SystemClock
+from sunarc.common.errors import InputError
+from sunarc.imager.archive.database.state_folder import as_owner
+from sunarc.imager.runtime.clock import SystemClock
 
 if TYPE_CHECKING:
-    from sunarc.settings.model import HubSettings, Settings
+    from sunarc.imager.settings.model import HubSettings, Settings
 
 SITE = "Where the camera stands"
 """Heading of the site's options in `--help`."""
@@ -89,7 +89,7 @@ MirroredOption = Annotated[
 
 def service_settings(config: Path | None) -> Settings:
     """Return the settings of a service, as whose user the command acts from then on."""
-    from sunarc.settings.load import load_settings
+    from sunarc.imager.settings.load import load_settings
 
     settings = load_settings(config)
     act_as_owner(settings.state)
@@ -98,7 +98,7 @@ def service_settings(config: Path | None) -> Settings:
 
 def hub_settings(config: Path | None) -> HubSettings:
     """Return the settings of a hub; where its archive is a file, the command acts as the file's user from then on."""
-    from sunarc.settings.load import load_hub_settings
+    from sunarc.imager.settings.load import load_hub_settings
 
     settings = load_hub_settings(config)
     act_as_owner(settings.state if settings.store is None else None)

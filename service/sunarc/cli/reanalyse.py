@@ -10,6 +10,10 @@ from typing import Annotated, get_args
 
 import typer
 
+from sunarc.archives.cluster import WORKER_BYTES, Cluster, Workers
+from sunarc.archives.pool import usable_processors
+from sunarc.archives.results import Summary
+from sunarc.archives.run import ReanalysisOptions, reanalyse
 from sunarc.calibration.model.options import CalibrationOptions, Mirrored
 from sunarc.cli.options import (
     SITE,
@@ -26,20 +30,17 @@ from sunarc.cli.options import (
     progress_bars,
     stated_once,
 )
-from sunarc.errors import InputError
-from sunarc.findings import significant
-from sunarc.foreign_files import name_text
+from sunarc.common.errors import InputError
+from sunarc.common.findings import significant
+from sunarc.common.foreign_files import name_text
+from sunarc.imager.archive.messages import MESSAGES as OF_ARCHIVE
+from sunarc.imager.runtime.clock import SystemClock
 from sunarc.optics.projections import PROJECTIONS
-from sunarc.reanalysis.cluster import WORKER_BYTES, Cluster, Workers
-from sunarc.reanalysis.detect_files import METHODS
-from sunarc.reanalysis.image_times import TimeRules, utc_offset_of
-from sunarc.reanalysis.index import CameraPlan, Indexed, Selector, index_archive, new_camera_name, read_cameras
-from sunarc.reanalysis.messages import sentence_of
-from sunarc.reanalysis.pool import usable_processors
-from sunarc.reanalysis.results import Summary
-from sunarc.reanalysis.run import ReanalysisOptions, reanalyse
-from sunarc.runtime.clock import SystemClock
 from sunarc.sky.site import Site
+from sunarc.sources.detect_files import METHODS
+from sunarc.sources.image_times import TimeRules, utc_offset_of
+from sunarc.sources.index import CameraPlan, Indexed, Selector, index_archive, new_camera_name, read_cameras
+from sunarc.sources.messages import sentence_of
 
 _LISTED = 10
 """Files that are named with the reason why they are left out; failures.csv has all."""
@@ -200,7 +201,7 @@ def _confirm(indexed: Indexed, *, yes: bool) -> None:
         seen = f"{len(one.images)} images of {width}x{height} px; times by {one.family}"
         print(f"camera {one.plan.name}: {seen}: {one.example[0]} is {one.example[1]}", file=sys.stderr)
     for failure in (*indexed.refused, *indexed.failures[:_LISTED]):
-        print(f"left out {failure.file}: {sentence_of(failure.finding)}", file=sys.stderr)
+        print(f"left out {failure.file}: {sentence_of(failure.finding, OF_ARCHIVE)}", file=sys.stderr)
     if len(indexed.failures) > _LISTED:
         print(f"… and {len(indexed.failures) - _LISTED} more", file=sys.stderr)
     if yes or not indexed.cameras:

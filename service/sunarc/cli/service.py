@@ -22,13 +22,13 @@ from sunarc.cli.options import (
     print_rows,
     service_settings,
 )
-from sunarc.errors import InputError
-from sunarc.runtime.clock import SystemClock
-from sunarc.runtime.log_to_journal import start_log
-from sunarc.settings.load import load_settings
-from sunarc.settings.reference import all_settings, as_markdown
+from sunarc.common.errors import InputError
+from sunarc.common.utc import parse_time
+from sunarc.imager.runtime.clock import SystemClock
+from sunarc.imager.runtime.log_to_journal import start_log
+from sunarc.imager.settings.load import load_settings
+from sunarc.imager.settings.reference import all_settings, as_markdown
 from sunarc.sky.site import Site
-from sunarc.utc import parse_time
 
 
 def serve(
@@ -40,7 +40,7 @@ def serve(
 
     Example: sunarc serve --config /etc/sunarc/sunarc.toml
     """
-    from sunarc.app.serving import end_process
+    from sunarc.imager.app.serving import end_process
 
     is_hub = choice_of("--role", role, ("imager", "hub")) == "hub"
     start_log(os.environ)
@@ -48,18 +48,18 @@ def serve(
 
 
 def _serve_hub(config: Path | None) -> int:
-    from sunarc.app.hub import serve_hub
+    from sunarc.hub.serving import serve_hub
 
     return serve_hub(hub_settings(config))
 
 
 def _serve_imager(config: Path | None) -> int:
-    from sunarc.app.serving import serve_imager
+    from sunarc.imager.app.serving import serve_imager
 
     settings = service_settings(config)
     if settings.source != "folder":
         return serve_imager(settings)
-    from sunarc.reanalysis.ingest import ingest_followed
+    from sunarc.archives.ingest import ingest_followed
 
     return serve_imager(settings, folder_analysis=ingest_followed)
 
@@ -105,8 +105,8 @@ def simulate(
 
     Example: sunarc simulate --address 127.0.0.1 --speed 60 --truth truth.json
     """
-    from sunarc.app import simulating
-    from sunarc.app.simulating import ImagerOptions, SceneOptions, SensorModel, SimulatedNight
+    from sunarc.lab.simulation import serving as simulating
+    from sunarc.lab.simulation.serving import ImagerOptions, SceneOptions, SensorModel, SimulatedNight
 
     answers_at = None if http is None else _address_of(http, other=folder)
     start_log(os.environ)
@@ -160,7 +160,7 @@ def check(
 
     Example: sunarc check --camera --config /etc/sunarc/sunarc.toml
     """
-    from sunarc.diagnostics import question_of, run_camera_checks, run_checks
+    from sunarc.imager.checks import question_of, run_camera_checks, run_checks
 
     run = run_camera_checks if camera else run_checks
     results = list(run(load_settings(config), clock=SystemClock()))

@@ -8,20 +8,20 @@ from typing import Annotated
 
 import typer
 
-from sunarc.archive.csv_files import read_sightings
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.selection import MOST_STARS
+from sunarc.cli.calibrate_files import image_circle_of
+from sunarc.cli.calibration_files import read_calibration
 from sunarc.cli.options import SITE, Altitude, AsJson, choice_of, print_json, print_table
+from sunarc.cli.star_files import StarImage, StarOptions, find_stars, find_stars_blind, write_star_sightings
+from sunarc.common.errors import InputError, disk_errors
+from sunarc.common.extras import extra_module
 from sunarc.detection.values import BAYERS
-from sunarc.errors import InputError, disk_errors
-from sunarc.extras import extra_module
-from sunarc.offline.calibrate_files import image_circle_of
-from sunarc.offline.calibration_files import read_calibration
-from sunarc.offline.stars import StarImage, StarOptions, find_stars, find_stars_blind, write_star_sightings
-from sunarc.reanalysis.files import read_lines
-from sunarc.reanalysis.image_times import TimeRules, utc_offset_of
-from sunarc.runtime.clock import SystemClock
+from sunarc.formats.csv_files import read_sightings
+from sunarc.imager.runtime.clock import SystemClock
 from sunarc.sky.site import Site
+from sunarc.sources.files import read_lines
+from sunarc.sources.image_times import TimeRules, utc_offset_of
 from sunarc.stars.blind_start import BlindOptions
 
 BLIND = "Without a calibration"

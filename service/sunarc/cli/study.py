@@ -16,20 +16,20 @@ from rich.console import Console
 from rich.table import Table
 
 from sunarc.calibration.model.options import Method
+from sunarc.cli.calibration_files import read_calibration
 from sunarc.cli.options import AsJson, choice_of, print_json, progress_bars
-from sunarc.errors import InputError, disk_errors
-from sunarc.extras import extra_module
-from sunarc.findings import Finding
-from sunarc.offline.calibration_files import read_calibration
-from sunarc.studies.published import CASES
-from sunarc.studies.reports import make_folder, write_shadow, write_tables, write_uncertainty
-from sunarc.studies.shadow import SIGMAS_DEG, WIND_M_S, study_shadow, study_shadow_of
-from sunarc.studies.tables import study_tables
-from sunarc.studies.uncertainty import distribution_rows, study_uncertainty
+from sunarc.common.errors import InputError, disk_errors
+from sunarc.common.extras import extra_module
+from sunarc.common.findings import Finding
+from sunarc.lab.studies.published import CASES
+from sunarc.lab.studies.reports import make_folder, write_shadow, write_tables, write_uncertainty
+from sunarc.lab.studies.shadow import SIGMAS_DEG, WIND_M_S, study_shadow, study_shadow_of
+from sunarc.lab.studies.tables import study_tables
+from sunarc.lab.studies.uncertainty import distribution_rows, study_uncertainty
 
 if TYPE_CHECKING:
-    from sunarc.studies.benchmark_cases import BenchmarkCase
-    from sunarc.studies.benchmark_scores import Answered
+    from sunarc.lab.studies.benchmark_cases import BenchmarkCase
+    from sunarc.lab.studies.benchmark_scores import Answered
 
 AnyValue = TypeVar("AnyValue")
 
@@ -158,8 +158,8 @@ def make(
 
     Example: sunarc study benchmark make --cases 12 --seed 7 -o round
     """
-    from sunarc.studies.benchmark_cases import benchmark_cases
-    from sunarc.studies.benchmark_files import write_round
+    from sunarc.lab.studies.benchmark_cases import benchmark_cases
+    from sunarc.lab.studies.benchmark_files import write_round
 
     night = choice_of("--part", part, ("simulated", "night")) == "night"
     if seed != "new" and not seed.isdecimal():
@@ -187,8 +187,8 @@ def run(
 
     Example: sunarc study benchmark run round/cases -o entries/sunarc
     """
-    from sunarc.studies.benchmark_files import read_case, read_round, write_entry
-    from sunarc.studies.benchmark_scores import answers_of, calibrate_case
+    from sunarc.lab.studies.benchmark_files import read_case, read_round, write_entry
+    from sunarc.lab.studies.benchmark_scores import answers_of, calibrate_case
 
     chosen, names = choice_of("--method", method, get_args(Method)), read_round(cases)[0]
 
@@ -218,9 +218,9 @@ def score_entries(
 
     Example: sunarc study benchmark score round/cases entries/sunarc --truth round/truth
     """
-    from sunarc.studies.benchmark_files import read_entry, read_round, read_truth, truth_hash
-    from sunarc.studies.benchmark_scores import as_object, score, tables_of
-    from sunarc.studies.messages import MESSAGES
+    from sunarc.lab.studies.benchmark_files import read_entry, read_round, read_truth, truth_hash
+    from sunarc.lab.studies.benchmark_scores import as_object, score, tables_of
+    from sunarc.lab.studies.messages import MESSAGES
 
     truths, published = read_truth(truth), read_round(cases)[1]
     scores = [score(entry.resolve().name, truths, read_entry(entry, truths)) for entry in entries]

@@ -9,13 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.array_types import Image
+from sunarc.common.array_types import Image
+from sunarc.common.errors import InputError
+from sunarc.common.findings import Finding
 from sunarc.detection.disc.detect import detect_sun
 from sunarc.detection.photo.candidates import Candidate, candidates_in, whole_part
 from sunarc.detection.photo.ordinary_image import Photo, detect_sun_in_photo, edge, lies_in_aureole
 from sunarc.detection.values import Detection, Expectation, Sensor
-from sunarc.errors import InputError
-from sunarc.findings import Finding
 
 _TONES = 2.2
 """Exponent of the tones of 8 bits; images of more bits are taken for linear."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from sunarc.findings import Finding, Message, Messages
+from sunarc.common.findings import Finding, Message, Messages
 
 _ACCEPTED = "Accepted."
 _NO_SUN = "No sun in this image."

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from scipy.special import ndtr
 
-from sunarc.array_types import BoolArray, FloatArray, Image, IntArray
+from sunarc.common.array_types import BoolArray, FloatArray, Image, IntArray
+from sunarc.common.findings import Finding
 from sunarc.detection.values import Detection, LightFit, Sensor, Verdict, require_photo
-from sunarc.findings import Finding
 
 _ACROSS, _ALONG = 24, 16
 """Nodes of the Gauss-Legendre rule: a moon of 40 px is exact to 1e-3 of its level with a point spread of 0.7 px."""

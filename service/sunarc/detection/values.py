@@ -9,11 +9,11 @@ from typing import Annotated, Literal, get_args
 import numpy as np
 from annotated_types import Ge, Le
 
-from sunarc.array_types import BoolArray, FloatArray, Image, IntArray, NameArray, picked
-from sunarc.bounds import require_bounds
+from sunarc.common.array_types import BoolArray, FloatArray, Image, IntArray, NameArray, picked
+from sunarc.common.bounds import require_bounds
+from sunarc.common.errors import InputError
+from sunarc.common.findings import Finding
 from sunarc.detection.messages import reason_of
-from sunarc.errors import InputError
-from sunarc.findings import Finding
 
 Method = Literal["disc", "paper"]
 Verdict = Literal[

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sunarc.array_types import FloatArray
+from sunarc.common.array_types import FloatArray
 from sunarc.sky.site import Site
 
 SEMI_MAJOR_M = 6_378_137.0

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sunarc.array_types import FloatArray
-from sunarc.errors import InputError
+from sunarc.common.array_types import FloatArray
+from sunarc.common.errors import InputError
 from sunarc.geolocation.locate import GeodeticPosition, geodetic_position, in_frame_of
 from sunarc.sky.site import Site
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sunarc.array_types import FloatArray, Image, IntArray
+from sunarc.common.array_types import FloatArray, Image, IntArray
 
 TOLERANCE = 1.6
 """Factor by which the light may differ from the stated exposures' ratio. Exposures stand a factor of 4 apart, and a

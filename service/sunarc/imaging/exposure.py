@@ -9,8 +9,8 @@ from typing import Annotated
 
 from annotated_types import Gt, Le, Lt
 
-from sunarc.bounds import require_bounds
-from sunarc.errors import InputError
+from sunarc.common.bounds import require_bounds
+from sunarc.common.errors import InputError
 from sunarc.sky.site import clear_transmission
 
 _BRACKET_RATIO = 4.0

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc import _kernels
-from sunarc.array_types import Image
+from sunarc.common.array_types import Image
+from sunarc.common.errors import InputError
 from sunarc.detection.values import Sensor
-from sunarc.errors import InputError
 
 _FULL = 65535.0
 

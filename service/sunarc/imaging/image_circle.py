@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sunarc.array_types import FloatArray
-from sunarc.errors import InputError
-from sunarc.robust_statistics import cauchy_weights
+from sunarc.common.array_types import FloatArray
+from sunarc.common.errors import InputError
+from sunarc.common.robust_statistics import cauchy_weights
 
 _WORKING_SIZE = 480
 _RAYS = 360

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.array_types import Image
+from sunarc.common.array_types import Image
 
 _TILE_PX = 16
 """The largest block that JPEG codes by itself."""

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.array_types import Image
+from sunarc.common.array_types import Image
 from sunarc.detection.values import Bayer
 
 _PNG = b"\x89PNG\r\n\x1a\n"

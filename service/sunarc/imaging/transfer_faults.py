@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.array_types import Image
+from sunarc.common.array_types import Image
 
 _FEWEST_ROWS, _ROWS_SHARE = 16, 0.05
 _LEAST_STRUCTURE = 0.125

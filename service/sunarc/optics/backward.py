@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sunarc.array_types import FloatArray
+from sunarc.common.array_types import FloatArray
 from sunarc.optics.camera import Camera, camera_sees
 from sunarc.optics.forward import decentering_shift, decentering_slopes, project, rising_limit
 from sunarc.optics.inverse import calibrated

@@ -9,8 +9,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sunarc.array_types import BoolArray, FloatArray
-from sunarc.errors import InputError
+from sunarc.common.array_types import BoolArray, FloatArray
+from sunarc.common.errors import InputError
 from sunarc.optics.displacement import Displacement
 from sunarc.optics.projections import PROJECTIONS, Projection, angle_limit
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sunarc import _kernels
-from sunarc.array_types import FloatArray, IntArray
-from sunarc.errors import InputError
+from sunarc.common.array_types import FloatArray, IntArray
+from sunarc.common.errors import InputError
 
 HIGHEST_ORDER = 512
 """Half waves across the box: the shortest is then some pixels long."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sunarc import _kernels
-from sunarc.array_types import FloatArray
+from sunarc.common.array_types import FloatArray
 from sunarc.optics.camera import TRANSLATION, Camera, Param
 from sunarc.optics.pose import right_jacobian, rotation_matrix
 from sunarc.optics.projections import PROJECTIONS, angle_limit, ideal_radius, ideal_slope

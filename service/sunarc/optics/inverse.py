@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sunarc import _kernels
-from sunarc.array_types import FloatArray
+from sunarc.common.array_types import FloatArray
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import kernel_optics
 from sunarc.optics.pose import rotation_matrix

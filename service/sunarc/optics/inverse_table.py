@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sunarc import _kernels
-from sunarc.array_types import FloatArray
+from sunarc.common.array_types import FloatArray
 from sunarc.optics.camera import Camera
 from sunarc.optics.displacement import Displacement
 from sunarc.optics.forward import decentering_shift, distorted_radius, mirror_of, radius_slope, rising_limit

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sunarc import _kernels
-from sunarc.array_types import FloatArray
+from sunarc.common.array_types import FloatArray
 from sunarc.sky.directions import angles_from_direction
 
 

@@ -15,7 +15,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sunarc.array_types import FloatArray
+from sunarc.common.array_types import FloatArray
 
 Projection = Literal["perspective", "equidistant", "equisolid", "stereographic", "orthographic"]
 

@@ -6,8 +6,8 @@ from datetime import date, timedelta
 
 import numpy as np
 
-from sunarc.array_types import FloatArray, IntArray
-from sunarc.utc import DAY_S, EPOCH
+from sunarc.common.array_types import FloatArray, IntArray
+from sunarc.common.utc import DAY_S, EPOCH
 
 SECONDS_PER_DEGREE = 240.0
 """A degree of longitude in mean solar time, s."""

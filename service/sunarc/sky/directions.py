@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sunarc.array_types import FloatArray
+from sunarc.common.array_types import FloatArray
 
 
 def direction_from_angles(*, zenith_deg: ArrayLike, azimuth_deg: ArrayLike) -> FloatArray:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.array_types import FloatArray
+from sunarc.common.array_types import FloatArray
 
 SECONDS_PER_JULIAN_YEAR = 31_557_600.0
 _JULIAN_DAY_1970 = 2_440_587.5

@@ -18,8 +18,8 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from sunarc.array_types import BoolArray, FloatArray, IntArray, NameArray, picked
-from sunarc.extras import extra_module
+from sunarc.common.array_types import BoolArray, FloatArray, IntArray, NameArray, picked
+from sunarc.common.extras import extra_module
 from sunarc.sky.directions import angles_from_direction, direction_from_angles
 from sunarc.sky.refraction import apparent_elevation
 from sunarc.sky.site import Site

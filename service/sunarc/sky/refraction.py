@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sunarc.array_types import FloatArray
+from sunarc.common.array_types import FloatArray
 from sunarc.sky.site import PA_PER_HPA, Site
 
 ASSUMED_AIR_SD = 0.04

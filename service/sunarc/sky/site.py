@@ -10,8 +10,8 @@ import numpy as np
 from annotated_types import Ge, Le
 from numpy.typing import ArrayLike
 
-from sunarc.array_types import FloatArray
-from sunarc.bounds import require_bounds
+from sunarc.common.array_types import FloatArray
+from sunarc.common.bounds import require_bounds
 
 TEMPERATURE_BOUNDS_C = (-60.0, 60.0)
 """Air temperatures that are accepted, °C: the annual mean of the coldest inhabited sites is -55, the record is 57."""

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sunarc.array_types import FloatArray
+from sunarc.common.array_types import FloatArray
 from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.ephemeris import geocentric, terrestrial_minus_universal_s
 from sunarc.sky.refraction import refraction_of_true_deg

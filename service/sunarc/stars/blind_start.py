@@ -11,22 +11,22 @@ import numpy as np
 from annotated_types import Gt, Le
 from scipy.spatial import cKDTree
 
-from sunarc.array_types import BoolArray, FloatArray
-from sunarc.bounds import require_bounds
 from sunarc.calibration.answers.covariance import hemisphere, pose_error
 from sunarc.calibration.model.options import ImageCircle
 from sunarc.calibration.model.result import Calibration, refused_for, with_finding
 from sunarc.calibration.quality.tilt import tilt_question
 from sunarc.calibration.quality.widening import with_pose_errors
+from sunarc.common.array_types import BoolArray, FloatArray
+from sunarc.common.bounds import require_bounds
+from sunarc.common.findings import Finding
+from sunarc.common.robust_statistics import biweights, mad_sigma
 from sunarc.detection.stars.matching import StarMatches, on_cloud
 from sunarc.detection.values import PredictedStars, Stars
-from sunarc.findings import Finding
 from sunarc.optics.camera import Camera, Param
 from sunarc.optics.forward import project, project_with_jacobian
 from sunarc.optics.inverse import unproject
 from sunarc.optics.pose import pose_angles, rotation_matrix
 from sunarc.optics.projections import ideal_radius
-from sunarc.robust_statistics import biweights, mad_sigma
 from sunarc.sky.directions import angular_distance
 from sunarc.sky.night import NightSky
 from sunarc.sky.site import EARTH_RATE, Site, pole_enu

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sunarc.findings import Message, Messages
+from sunarc.common.findings import Message, Messages
 
 _NO_CAMERA = "The stars give no camera."
 

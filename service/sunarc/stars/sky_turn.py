@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sunarc.array_types import BoolArray, FloatArray, IntArray
+from sunarc.common.array_types import BoolArray, FloatArray, IntArray
 from sunarc.optics.forward import tangent_basis
 from sunarc.optics.pose import rotation_matrix
 from sunarc.optics.projections import PROJECTIONS, Projection, angle_of_shape, ideal_radius, radius_of_shape

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sunarc.array_types import FloatArray, IntArray
+from sunarc.common.array_types import FloatArray, IntArray
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project_fast
 from sunarc.optics.pose import rotation_matrix, rotation_vector

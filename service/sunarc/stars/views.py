@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sunarc.array_types import BoolArray, FloatArray, NameArray
 from sunarc.calibration.answers.covariance import project_with_covariance, sigma_px, without_clock
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.selection import image_parts, surest_of_parts
+from sunarc.common.array_types import BoolArray, FloatArray, NameArray
 from sunarc.detection.stars.matching import StarMatches, match_stars, on_cloud, sky_motion, standing_still
 from sunarc.detection.values import PredictedStars, Stars
 from sunarc.optics.camera import Camera, inside_image

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from tests.calibration.conftest import SGP, SIZE, TRUTH, rms, times_of
 from tests.fixtures.calibration import observed, small_camera, small_problem, spread_directions
 
-from sunarc.array_types import stacked
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.fit.effects import (
@@ -28,6 +27,7 @@ from sunarc.calibration.fit.effects import (
 from sunarc.calibration.model.result import Calibration, probability, proves
 from sunarc.calibration.model.sightings import Kind, Sightings, kinds_of
 from sunarc.calibration.solve.priors import WIDE_ASPECT
+from sunarc.common.array_types import stacked
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector

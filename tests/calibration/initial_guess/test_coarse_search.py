@@ -19,10 +19,10 @@ from sunarc.calibration.start.initial_guess import (
     level_camera,
     single_problem,
 )
+from sunarc.common.robust_statistics import robust_sigma
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix
-from sunarc.robust_statistics import robust_sigma
 
 FloatArray = NDArray[np.float64]
 

@@ -25,9 +25,9 @@ from sunarc.calibration.start.multistart import (
     staged_least_squares,
     undistorted,
 )
+from sunarc.common.robust_statistics import UNSEEN_PX, robust_sigma, tukey_loss
 from sunarc.optics.camera import PARAMETER_NAMES
 from sunarc.optics.pose import rotation_matrix
-from sunarc.robust_statistics import UNSEEN_PX, robust_sigma, tukey_loss
 
 FloatArray = NDArray[np.float64]
 

@@ -7,11 +7,11 @@ import math
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.levenberg_marquardt import Solution, information
 from sunarc.calibration.solve.problem import FitProblem
-from sunarc.robust_statistics import tukey_loss
+from sunarc.common.array_types import BoolArray, FloatArray
+from sunarc.common.robust_statistics import tukey_loss
 
 FIRST_DAMPING, LARGEST_DAMPING, SMALLEST_DAMPING = 1e-3, 1e8, 1e-12
 DAMPING_GROWS, DAMPING_FALLS, RIDGE = 4.0, 0.03, 1e-14

@@ -21,8 +21,8 @@ from tests.fixtures.calibration import (
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.levenberg_marquardt import most_probable
 from sunarc.calibration.solve.problem import FitProblem
+from sunarc.common.robust_statistics import UNSEEN_PX
 from sunarc.optics.projections import PROJECTIONS, Projection
-from sunarc.robust_statistics import UNSEEN_PX
 
 FloatArray = NDArray[np.float64]
 

@@ -12,10 +12,10 @@ from tests.fixtures.calibration import observed, small_camera, small_problem, sp
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.priors import LENS, N_LENS
 from sunarc.calibration.solve.problem import Block, FitProblem
+from sunarc.common.robust_statistics import UNSEEN_PX
 from sunarc.optics.camera import PARAMETER_NAMES, POSE
 from sunarc.optics.forward import project_with_rows_fast
 from sunarc.optics.projections import PROJECTIONS, Projection
-from sunarc.robust_statistics import UNSEEN_PX
 
 FloatArray = NDArray[np.float64]
 

@@ -21,7 +21,7 @@ from tests.fixtures.calibration import (
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.levenberg_marquardt import information, most_probable
 from sunarc.calibration.solve.problem import FitProblem
-from sunarc.robust_statistics import tukey_loss, tukey_weights
+from sunarc.common.robust_statistics import tukey_loss, tukey_weights
 
 FloatArray = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from tests.fixtures.calibration import observed, small_camera, small_problem, su
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.problem import Bins, FitProblem, time_bins
 from sunarc.calibration.start.multistart import least_squares
-from sunarc.robust_statistics import UNSEEN_PX
+from sunarc.common.robust_statistics import UNSEEN_PX
 
 FloatArray = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from sunarc.calibration.lens_library.joint import (
 )
 from sunarc.calibration.lens_library.lens_type import Information, LensType, UnitSpread, frame_of, usual_precision
 from sunarc.calibration.solve.priors import N_LENS
-from sunarc.errors import InputError
+from sunarc.common.errors import InputError
 
 if TYPE_CHECKING:
     from tests.calibration.conftest import FloatArray

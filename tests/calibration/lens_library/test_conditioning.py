@@ -23,8 +23,8 @@ from sunarc.calibration.lens_library.lens_type import (
 )
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
-from sunarc.errors import InputError
-from sunarc.offline.calibrate_archive import reproduce_calibration
+from sunarc.common.errors import InputError
+from sunarc.imager.commands.calibrate_archive import reproduce_calibration
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 

@@ -23,7 +23,7 @@ from sunarc.calibration.lens_library.first_pose import (
 from sunarc.calibration.lens_library.lens_type import LensType
 from sunarc.calibration.model.options import CalibrationOptions, FirstPoseOptions
 from sunarc.calibration.model.result import Calibration
-from sunarc.errors import InputError
+from sunarc.common.errors import InputError
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.inverse import unproject

@@ -17,7 +17,7 @@ from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.priors import LENS, N_LENS
-from sunarc.errors import InputError
+from sunarc.common.errors import InputError
 from sunarc.optics.camera import POSE, Camera
 from sunarc.optics.forward import project, project_fast
 from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from sunarc.calibration.acceptance import accept
 from sunarc.calibration.answers.covariance import (
     hemisphere,
     project_with_covariance,
@@ -23,9 +24,8 @@ from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve import problem as bins_module
-from sunarc.documents.calibration_document import from_document, to_document
-from sunarc.errors import InputError
-from sunarc.monitoring.acceptance import accept
+from sunarc.common.errors import InputError
+from sunarc.formats.calibration_document import from_document, to_document
 from sunarc.optics.backward import back_project
 from sunarc.optics.forward import project
 from sunarc.optics.inverse import unproject

@@ -18,13 +18,13 @@ import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibration import SGP, current_document, distinctive_calibration, small_camera
 
-from sunarc.array_types import stacked
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Kind, Sightings
-from sunarc.documents.calibration_document import from_document
-from sunarc.errors import InputError
+from sunarc.common.array_types import stacked
+from sunarc.common.errors import InputError
+from sunarc.formats.calibration_document import from_document
 from sunarc.optics.backward import back_project
 from sunarc.optics.forward import project
 from sunarc.optics.projections import PROJECTIONS

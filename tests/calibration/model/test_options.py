@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances, PaperOptions
-from sunarc.errors import InputError
+from sunarc.common.errors import InputError
 
 
 def _made(kind: type[Any], name: str, value: object) -> Any:  # noqa: ANN401 - one of several options

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from tests.fixtures.calibration import SGP
 
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
-from sunarc.errors import InputError
+from sunarc.common.errors import InputError
 from sunarc.optics.camera import inside_image
 from sunarc.sky.refraction import ASSUMED_AIR_SD, DAILY_AIR_SD, MEASURED_AIR_SD, refraction_rad
 from sunarc.sky.sun import sun_angles, sun_directions

@@ -9,8 +9,8 @@ import pytest
 from tests.fixtures.calibration import ideal_camera
 
 from sunarc import _kernels
-from sunarc.array_types import FloatArray
 from sunarc.calibration.answers.direction_table import RINGS, SPOKES, polar_spline
+from sunarc.common.array_types import FloatArray
 from sunarc.optics.inverse_table import inverse_table
 
 CONSTANTS = np.array(inverse_table(ideal_camera()).constants)

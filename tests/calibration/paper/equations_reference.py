@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from sunarc.calibration.model.options import PaperOptions
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.common.robust_statistics import finite
 from sunarc.optics.camera import DECENTERING, RADIAL, RADIAL_ORDERS, Camera, Param
 from sunarc.optics.forward import decentering_shift, decentering_slopes, project_with_rows_fast
 from sunarc.optics.projections import Projection, ideal_radius, ideal_slope
-from sunarc.robust_statistics import finite
 
 FloatArray = NDArray[np.float64]
 

@@ -29,7 +29,7 @@ from sunarc.calibration.answers.error_model import (
     with_parameters,
 )
 from sunarc.calibration.model.result import Calibration
-from sunarc.errors import InputError
+from sunarc.common.errors import InputError
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix

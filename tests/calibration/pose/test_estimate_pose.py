@@ -18,12 +18,12 @@ from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.pose import estimate_pose
-from sunarc.documents.calibration_document import from_document, to_document
-from sunarc.monitoring.daily_rotations import daily_pose_offset
+from sunarc.changes.daily_rotations import daily_pose_offset
+from sunarc.formats.calibration_document import from_document, to_document
+from sunarc.lab.simulation.truth import SGP
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector
-from sunarc.simulation.truth import SGP
 from sunarc.sky.site import Site
 
 if TYPE_CHECKING:

@@ -11,11 +11,11 @@ from scipy.integrate import dblquad
 from scipy.stats import multivariate_normal
 from tests.fixtures.calibration import random_covariance, small_camera, spread_directions, stated_calibration
 
-from sunarc.array_types import picked
 from sunarc.calibration.answers.error_model import CameraErrorModel, error_model_of, joint_covariance, predicted
 from sunarc.calibration.evidence import PixelResiduals, false_density, fit_inlier_mixture, log_evidence, log_normal
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.pose import conditioned
+from sunarc.common.array_types import picked
 
 FloatArray = NDArray[np.float64]
 

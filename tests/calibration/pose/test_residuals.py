@@ -12,8 +12,8 @@ from tests.fixtures.calibration import small_camera, stated_calibration, sun_arc
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.pose import MOST, gathered, inflation_of, noise_px
+from sunarc.common.robust_statistics import finite
 from sunarc.optics.forward import project
-from sunarc.robust_statistics import finite
 
 
 def _with(calibration: Calibration, **evidence: float) -> Calibration:

@@ -15,8 +15,8 @@ from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.solve.priors import FREE
 from sunarc.calibration.stated_prior import PriorTolerances, calibrate_with_prior, whitened_basis
-from sunarc.errors import InputError
-from sunarc.offline.calibrate_archive import reproduce_calibration
+from sunarc.common.errors import InputError
+from sunarc.imager.commands.calibrate_archive import reproduce_calibration
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 

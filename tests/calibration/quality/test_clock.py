@@ -11,11 +11,11 @@ from tests.calibration.quality.test_unstated_tilt import ATHENS, fitted
 from tests.finding_codes import codes
 from tests.fixtures.calibration import current_document
 
+from sunarc.calibration.acceptance import apart_sigmas
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance, sigma_deg, without_clock
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.quality.widening import with_clock
-from sunarc.documents.calibration_document import from_document
-from sunarc.monitoring.acceptance import apart_sigmas
+from sunarc.formats.calibration_document import from_document
 
 STATED_S = 120.0
 

@@ -10,8 +10,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from tests.fixtures.calibration import ideal_camera
 
-from sunarc.array_types import FloatArray
 from sunarc.calibration.quality.tilt import Place, distance_deg, level_place, mount_density, tilt_question
+from sunarc.common.array_types import FloatArray
 from sunarc.optics.camera import Camera
 from sunarc.sky.site import Site
 

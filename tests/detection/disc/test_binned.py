@@ -8,13 +8,13 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
+from sunarc.common.errors import InputError
 from sunarc.detection.disc.detect import detect_sun
 from sunarc.detection.disc.window import saturated_pixels
 from sunarc.detection.values import Detection, Sensor
-from sunarc.errors import InputError
-from sunarc.simulation.options import SceneOptions, SensorModel
-from sunarc.simulation.scene import Scene
-from sunarc.simulation.truth import SGP, true_camera
+from sunarc.lab.simulation.options import SceneOptions, SensorModel
+from sunarc.lab.simulation.scene import Scene
+from sunarc.lab.simulation.truth import SGP, true_camera
 
 FULL_SCALE = 4095
 SENSOR = Sensor(

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import scipy.stats
 
+from sunarc.common.errors import InputError
+from sunarc.common.findings import Finding
 from sunarc.detection.disc.series import beside, combine
 from sunarc.detection.values import Detection
-from sunarc.errors import InputError
-from sunarc.findings import Finding
 
 
 def sighting(x: float, y: float, sigma: float, *, accepted: bool = True, snr: float = 100.0) -> Detection:

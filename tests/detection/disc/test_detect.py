@@ -18,10 +18,10 @@ from tests.detection.rendering import (
     render,
 )
 
+from sunarc.common.errors import InputError
 from sunarc.detection.disc import detect
 from sunarc.detection.disc.detect import detect_sun
 from sunarc.detection.values import Detection, DiscOptions, Expectation, Sensor, Verdict
-from sunarc.errors import InputError
 
 SENSOR = Sensor.from_full_well(full_scale=4095)
 STRETCH = equisolid_stretch()

@@ -11,9 +11,9 @@ from tests.detection.rendering import Scene, equisolid_stretch, read_out, render
 from tests.detection.sunless import KINDS, accepted_of
 from tests.finding_codes import codes
 
+from sunarc.common.errors import InputError
 from sunarc.detection.disc.detect import detect_sun
 from sunarc.detection.values import Detection, DiscOptions, Expectation, Sensor
-from sunarc.errors import InputError
 
 SENSOR = Sensor.from_full_well(full_scale=4095)
 STRETCH = equisolid_stretch()

@@ -9,8 +9,8 @@ import pytest
 from scipy.linalg import sqrtm
 from tests.detection.rendering import FloatArray, Image
 
+from sunarc.common.robust_statistics import median_of
 from sunarc.detection.disc.detect import brightest_spots, measure_spot, moments, semi_axes, symmetric_root
-from sunarc.robust_statistics import median_of
 
 
 def frame(*discs: tuple[float, float, float, float], size: tuple[int, int] = (150, 200)) -> Image:

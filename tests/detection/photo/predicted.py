@@ -28,7 +28,7 @@ from tests.detection.photo.facts import KINDS, SUNLESS, Picture, sun_photo, sunl
 from sunarc.detection.photo.candidates import candidates_in, whole_part
 from sunarc.detection.photo.ordinary_image import Photo, best_of, detect_sun_in_photo
 from sunarc.detection.values import Detection, Expectation, Verdict
-from sunarc.reanalysis.image_files import checked_image
+from sunarc.sources.image_files import checked_image
 
 Place = tuple[float, float]
 _SIGMA_PX = 2.0

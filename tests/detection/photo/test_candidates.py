@@ -9,7 +9,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from tests.detection.photo.suns import glare_image
 
-from sunarc.array_types import Image
+from sunarc.common.array_types import Image
 from sunarc.detection.photo.candidates import (
     Candidate,
     ImagePart,

@@ -9,9 +9,9 @@ import pytest
 from scipy.optimize import least_squares
 
 from sunarc import _kernels
-from sunarc.array_types import FloatArray
+from sunarc.common.array_types import FloatArray
+from sunarc.common.robust_statistics import MAD_TO_SIGMA, biweights, mad_sigma
 from sunarc.detection.photo.rim import circles_through
-from sunarc.robust_statistics import MAD_TO_SIGMA, biweights, mad_sigma
 
 RNG = np.random.default_rng(6)
 

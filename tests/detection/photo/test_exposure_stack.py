@@ -9,9 +9,9 @@ import pytest
 from tests.detection.photo.suns import SUN, exposed
 from tests.finding_codes import codes
 
+from sunarc.common.errors import InputError
 from sunarc.detection.exposure_stack import detect_sun_in_stack
 from sunarc.detection.photo.ordinary_image import Photo, detect_sun_in_photo
-from sunarc.errors import InputError
 
 
 def stack(exposures: tuple[float, ...], slope: float = 0.0) -> list[Photo]:

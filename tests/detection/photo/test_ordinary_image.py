@@ -13,9 +13,9 @@ from tests.detection.photo.suns import glare_image, with_text
 from tests.detection.rendering import FloatArray
 from tests.finding_codes import codes
 
+from sunarc.common.errors import InputError
 from sunarc.detection.photo.ordinary_image import Lens, Photo, detect_sun_in_photo, radial_bias_px
 from sunarc.detection.values import Detection, Expectation
-from sunarc.errors import InputError
 
 
 def found_in(image: NDArray[Any], **arguments: Any) -> Detection:  # noqa: ANN401 - those of Photo and of the detection

@@ -10,7 +10,7 @@ import pytest
 from tests.detection.photo.suns import glare_image, with_text
 from tests.fixtures.stored_answers import require_stored
 
-from sunarc.array_types import Image
+from sunarc.common.array_types import Image
 from sunarc.detection.photo.plateau import Near, Plateau, faintest_colour, faintest_of_mosaic, plateaus, static_mask
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tests.detection.photo.suns import glare_image
 from tests.fixtures.stored_answers import require_stored
 
-from sunarc.array_types import Image
+from sunarc.common.array_types import Image
 from sunarc.detection.photo.plateau import Plateau
 from sunarc.detection.photo.rim import Rim, rim_of
 

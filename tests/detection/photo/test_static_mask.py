@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from tests.detection.photo.suns import glare_image, with_text
 
+from sunarc.common.errors import InputError
 from sunarc.detection.photo.plateau import static_mask
-from sunarc.errors import InputError
 
 
 def series(count: int = 4) -> list[NDArray[np.uint16]]:

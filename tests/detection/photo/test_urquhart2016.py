@@ -11,6 +11,7 @@ from scipy.signal import fftconvolve
 from tests.detection.photographs import sky
 from tests.detection.rendering import FloatArray, Image
 
+from sunarc.common.errors import InputError
 from sunarc.detection.photo import urquhart2016
 from sunarc.detection.photo import urquhart2016 as centroids
 from sunarc.detection.photo.ordinary_image import Lens, radial_bias_px
@@ -26,7 +27,6 @@ from sunarc.detection.photo.urquhart2016 import (
     smear_column,
     sun_blob,
 )
-from sunarc.errors import InputError
 
 ALPHA_PX = 601.32
 

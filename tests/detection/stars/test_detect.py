@@ -17,9 +17,9 @@ from tests.detection.stars.rendering import (
     spread_places,
 )
 
+from sunarc.common.errors import InputError
 from sunarc.detection.stars.detect import Background, axes_of, clipped_cores, detect_stars, maxima_of
 from sunarc.detection.values import Stars
-from sunarc.errors import InputError
 
 FloatArray = NDArray[np.float64]
 SIZE, WIDTH = 512, 1.1

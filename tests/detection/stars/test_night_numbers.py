@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from sunarc.array_types import FloatArray, Image, picked
+from sunarc.common.array_types import FloatArray, Image, picked
 from sunarc.detection.stars.detect import detect_stars
 from sunarc.detection.stars.photometry import (
     ZENITH_BANDS_DEG,

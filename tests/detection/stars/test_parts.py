@@ -9,7 +9,7 @@ import pytest
 from scipy.ndimage import median_filter
 from tests.detection.stars.rendering import FULL_SCALE, GAIN_E, counted, expected
 
-from sunarc.array_types import FloatArray, Image
+from sunarc.common.array_types import FloatArray, Image
 from sunarc.detection.stars.detect import (
     Background,
     Stamps,

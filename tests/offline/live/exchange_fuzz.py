@@ -24,17 +24,17 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from PIL import Image
 
-from sunarc.cameras.options import RtspOptions, SnapshotOptions
-from sunarc.findings import Finding
-from sunarc.foreign_files import name_text
-from sunarc.reanalysis.image_files import kind_of
-from sunarc.reanalysis.image_times import TimeRules, timed_frames
-from sunarc.reanalysis.messages import MESSAGES, RefusedImageError
-from sunarc.reanalysis.rtsp import RtspClient
-from sunarc.reanalysis.snapshots import SnapshotClient
-from sunarc.reanalysis.sources import Folder
-from sunarc.runtime.clock import VirtualClock
+from sunarc.common.findings import Finding
+from sunarc.common.foreign_files import name_text
+from sunarc.imager.cameras.options import RtspOptions, SnapshotOptions
+from sunarc.imager.live.rtsp import RtspClient
+from sunarc.imager.live.snapshots import SnapshotClient
+from sunarc.imager.runtime.clock import VirtualClock
 from sunarc.sky.days import solar_date
+from sunarc.sources.image_files import kind_of
+from sunarc.sources.image_times import TimeRules, timed_frames
+from sunarc.sources.messages import MESSAGES, RefusedImageError
+from sunarc.sources.sources import Folder
 
 NOW = datetime(2025, 5, 13, 15, 0, tzinfo=UTC)
 NUMBERS = (b"", b"0", b"-1", b"1e9", b"9" * 11, b"9" * 400, b"\xb2", b"12", b"0x10", b" 7 ", b"NaN")

@@ -10,16 +10,16 @@ import numpy as np
 from tests.fixtures.settings import new_settings
 from tests.offline.live.sky_pictures import Lens, sun_at
 
-from sunarc.app.service import Service
-from sunarc.archive.archive import open_archive
-from sunarc.archive.database.schema import upgrade
-from sunarc.archive.values import SunPoint
+from sunarc.archives.ingest import ingest_followed
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.documents.calibration_document import to_document
-from sunarc.reanalysis.folder_worker import FolderWorker
-from sunarc.reanalysis.ingest import ingest_followed
-from sunarc.runtime.clock import VirtualClock
+from sunarc.formats.calibration_document import to_document
+from sunarc.imager.app.service import Service
+from sunarc.imager.archive.archive import open_archive
+from sunarc.imager.archive.database.schema import upgrade
+from sunarc.imager.archive.values import SunPoint
+from sunarc.imager.live.folder_worker import FolderWorker
+from sunarc.imager.runtime.clock import VirtualClock
 
 
 def never() -> object:

@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 from tests.offline.live.sky_pictures import ALTITUDE, LATITUDE, LONGITUDE
 
+from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.workers.image_faults import FrozenAlarm, RepeatedImages, TransferFaults
 from sunarc.imaging.image_tiles import image_tiles
-from sunarc.runtime.status import StatusRegistry
 from sunarc.sky.site import Site
-from sunarc.workers.image_faults import FrozenAlarm, RepeatedImages, TransferFaults
 
 SIDE = 160
 SITE = Site(latitude=LATITUDE, longitude=LONGITUDE, altitude=ALTITUDE)

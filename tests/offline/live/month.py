@@ -27,10 +27,10 @@ from tests.offline.live.followed import Followed
 from tests.offline.live.sky_pictures import Lens, jpeg, picture, sun_at
 from tests.offline.live.test_snapshots import Asked, Camera, sent
 
-from sunarc.app.service import Service
-from sunarc.array_types import FloatArray
+from sunarc.common.array_types import FloatArray
+from sunarc.imager.app.service import Service
+from sunarc.imager.workers.calibrating.refit import RefitWorker
 from sunarc.optics.forward import project
-from sunarc.workers.calibrating.refit import RefitWorker
 
 START = datetime(2025, 10, 27, 12, 0, tzinfo=UTC)
 """Winter time begins on 2 November, 07:00 UTC: on day 6."""

@@ -17,7 +17,7 @@ from tests.offline.live.followed import Followed
 from tests.offline.live.test_folder import MORNING, allsky, shot
 from tests.offline.reanalysis.in_process import InProcess, use
 
-from sunarc.foreign_files import name_text
+from sunarc.common.foreign_files import name_text
 from sunarc.sky.site import Site
 
 __all__ = ["sunarc"]

@@ -12,9 +12,9 @@ import pytest
 from tests.offline.live.followed import Followed
 from tests.offline.live.test_folder import allsky, shot
 
-from sunarc.errors import OutsideError
-from sunarc.reanalysis import folder_archive, folder_worker
-from sunarc.workers.calibrating.solver_process import ChildControl
+from sunarc.common.errors import OutsideError
+from sunarc.imager.live import folder_archive, folder_worker
+from sunarc.imager.workers.calibrating.solver_process import ChildControl
 
 MORNING = datetime(2025, 5, 13, 15, 0, tzinfo=UTC)
 

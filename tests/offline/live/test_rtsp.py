@@ -17,16 +17,16 @@ from tests.fixtures.settings import new_settings
 from tests.offline.live.followed import never
 from tests.offline.live.sky_pictures import Lens, picture, sun_at, with_clock
 
-from sunarc.app.service import Service
-from sunarc.archive.archive import open_archive
-from sunarc.archive.database.schema import upgrade
-from sunarc.cameras.options import RtspOptions
-from sunarc.errors import ConfigurationError, InputError
-from sunarc.findings import Finding
-from sunarc.reanalysis import rtsp
-from sunarc.reanalysis.rtsp import RtspClient
-from sunarc.reanalysis.snapshots import Snapshot
-from sunarc.runtime.clock import ClockState, SystemClock
+from sunarc.common.errors import ConfigurationError, InputError
+from sunarc.common.findings import Finding
+from sunarc.imager.app.service import Service
+from sunarc.imager.archive.archive import open_archive
+from sunarc.imager.archive.database.schema import upgrade
+from sunarc.imager.cameras.options import RtspOptions
+from sunarc.imager.live import rtsp
+from sunarc.imager.live.rtsp import RtspClient
+from sunarc.imager.live.snapshots import Snapshot
+from sunarc.imager.runtime.clock import ClockState, SystemClock
 
 MORNING = datetime(2025, 5, 13, 15, 0, tzinfo=UTC)
 LENS = Lens()

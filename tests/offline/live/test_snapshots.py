@@ -23,14 +23,14 @@ from tests.offline.live import exchange_fuzz
 from tests.offline.live.followed import never, serve_calibration_of
 from tests.offline.live.sky_pictures import Lens, jpeg, picture, sun_at, with_clock
 
-from sunarc.app.service import Service
-from sunarc.archive.archive import open_archive
-from sunarc.archive.database.schema import upgrade
-from sunarc.cameras.options import SnapshotOptions
-from sunarc.errors import InputError
-from sunarc.findings import Finding
-from sunarc.reanalysis.snapshots import Snapshot, SnapshotClient
-from sunarc.runtime.clock import VirtualClock
+from sunarc.common.errors import InputError
+from sunarc.common.findings import Finding
+from sunarc.imager.app.service import Service
+from sunarc.imager.archive.archive import open_archive
+from sunarc.imager.archive.database.schema import upgrade
+from sunarc.imager.cameras.options import SnapshotOptions
+from sunarc.imager.live.snapshots import Snapshot, SnapshotClient
+from sunarc.imager.runtime.clock import VirtualClock
 
 MORNING = datetime(2025, 5, 13, 15, 0, tzinfo=UTC)
 LENS = Lens()

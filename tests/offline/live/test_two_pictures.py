@@ -15,7 +15,7 @@ from tests.offline.live.followed import Followed
 from tests.offline.live.sky_pictures import Lens
 from tests.offline.live.test_folder import MORNING, shot
 
-from sunarc.archive.archive import open_archive
+from sunarc.imager.archive.archive import open_archive
 
 __all__ = ["sunarc"]
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from sunarc.reanalysis.cluster import Workers
-from sunarc.reanalysis.look import Answer, Chunk, Done, look_at, static_mask_of
+from sunarc.archives.cluster import Workers
+from sunarc.sources.look import Answer, Chunk, Done, look_at, static_mask_of
 
 
 class InProcess:
@@ -45,4 +45,4 @@ def use(cluster: InProcess, patch: pytest.MonkeyPatch) -> None:
     def opened(*_: object, **__: object) -> Iterator[InProcess]:
         yield cluster
 
-    patch.setattr("sunarc.reanalysis.run.open_cluster", opened)
+    patch.setattr("sunarc.archives.run.open_cluster", opened)

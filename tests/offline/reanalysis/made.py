@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 from tests.offline.reanalysis.in_process import InProcess, use
 
-from sunarc.reanalysis.index import CameraPlan, Indexed, Selector, index_archive, read_cameras
-from sunarc.reanalysis.results import Summary
-from sunarc.reanalysis.run import ReanalysisOptions, reanalyse
-from sunarc.runtime.clock import SystemClock
-from sunarc.simulation.made_archive import FOUR_CAMERAS, MadeArchive, write_archive
-from sunarc.simulation.truth import SGP
+from sunarc.archives.results import Summary
+from sunarc.archives.run import ReanalysisOptions, reanalyse
+from sunarc.imager.runtime.clock import SystemClock
+from sunarc.lab.simulation.made_archive import FOUR_CAMERAS, MadeArchive, write_archive
+from sunarc.lab.simulation.truth import SGP
+from sunarc.sources.index import CameraPlan, Indexed, Selector, index_archive, read_cameras
 
 MADE = MadeArchive(cameras=FOUR_CAMERAS[:2], days=6, per_day=14, cloudy_share=0.15)
 """Of a bumped camera in a folder, and one in a zip file whose clock is an hour ahead on two days."""

@@ -19,8 +19,8 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from sunarc.runtime.clock import SystemClock
-from sunarc.simulation.made_archive import FOUR_CAMERAS, MadeArchive, write_archive
+from sunarc.imager.runtime.clock import SystemClock
+from sunarc.lab.simulation.made_archive import FOUR_CAMERAS, MadeArchive, write_archive
 
 TABLES = ("sightings.csv", "epochs.json", "failures.csv")
 _PER_DAY = 40

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.errors import InputError
-from sunarc.reanalysis.image_times import TimeRules
-from sunarc.reanalysis.index import CameraPlan, Selector, read_cameras
-from sunarc.simulation.truth import SGP
+from sunarc.common.errors import InputError
+from sunarc.lab.simulation.truth import SGP
+from sunarc.sources.image_times import TimeRules
+from sunarc.sources.index import CameraPlan, Selector, read_cameras
 
 COMMON = CameraPlan(
     name="all",

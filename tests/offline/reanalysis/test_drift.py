@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sunarc.array_types import FloatArray
+from sunarc.archives.fit import CameraSightings, Final, final_analysis, first_analysis
+from sunarc.archives.states import ArchiveCamera
+from sunarc.calibration.acceptance import apart_sigmas
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.monitoring.acceptance import apart_sigmas
-from sunarc.reanalysis.epoch_changes import drift_within, noise_of_days
-from sunarc.reanalysis.fit import CameraSightings, Final, final_analysis, first_analysis
-from sunarc.reanalysis.states import ArchiveCamera
+from sunarc.changes.epoch_changes import drift_within, noise_of_days
+from sunarc.common.array_types import FloatArray
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles
 

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from sunarc.archives.states import State, cause_of, with_true_clock
 from sunarc.calibration.evidence import likeliest_path
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.start.initial_guess import level_camera
 from sunarc.optics.camera import Camera
 from sunarc.optics.pose import pose_angles, rotation_vector
-from sunarc.reanalysis.states import State, cause_of, with_true_clock
 from sunarc.sky.site import Site, pole_enu
 
 SITE = Site(latitude=47.0, longitude=8.0, altitude=500.0)

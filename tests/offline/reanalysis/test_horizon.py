@@ -5,11 +5,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from sunarc.archives.passes import FoundSun, Looked
+from sunarc.archives.results import HIDDEN, SEEN, UNKNOWN, learn_horizon
+from sunarc.common.utc import DAY_S
 from sunarc.detection.values import Expectation
-from sunarc.reanalysis.index import ArchiveImage
-from sunarc.reanalysis.passes import FoundSun, Looked
-from sunarc.reanalysis.results import HIDDEN, SEEN, UNKNOWN, learn_horizon
-from sunarc.utc import DAY_S
+from sunarc.sources.index import ArchiveImage
 
 SIZE = (480, 480)
 MAST = range(8, 12)

@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 from tests.offline.sources.archives import GREY, encoded, folder_of, zip_of
 
-from sunarc.errors import InputError
-from sunarc.reanalysis import index as index_module
-from sunarc.reanalysis.image_times import TimeRules
-from sunarc.reanalysis.index import CameraPlan, Indexed, Selector, index_archive
-from sunarc.simulation.truth import SGP
+from sunarc.common.errors import InputError
+from sunarc.lab.simulation.truth import SGP
 from sunarc.sky.site import Site
+from sunarc.sources import index as index_module
+from sunarc.sources.image_times import TimeRules
+from sunarc.sources.index import CameraPlan, Indexed, Selector, index_archive
 
 PICTURE = encoded(GREY, ".png")
 DAY = [f"20130513T18{minute:02d}00Z.png" for minute in range(10, 50, 4)]

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from tests.fixtures.postgresql import Server, postgresql
 
-from sunarc.array_types import FloatArray
+from sunarc.archives.ledger import ImageId, KeptMask, Known, Ledger, content_key
+from sunarc.common.array_types import FloatArray
+from sunarc.common.errors import OutsideError
+from sunarc.common.findings import Finding
 from sunarc.detection.values import Detection
-from sunarc.errors import OutsideError
-from sunarc.findings import Finding
-from sunarc.reanalysis.ledger import ImageId, KeptMask, Known, Ledger, content_key
-from sunarc.reanalysis.look import code_hash, pack_mask, software
 from sunarc.sky.site import Site
+from sunarc.sources.look import code_hash, pack_mask, software
 
 __all__ = ["postgresql"]
 

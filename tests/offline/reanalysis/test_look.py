@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from tests.offline.sources.archives import encoded, folder_of
 
+from sunarc.common.findings import Finding
 from sunarc.detection.values import Detection, Expectation
-from sunarc.findings import Finding
-from sunarc.reanalysis import look
-from sunarc.reanalysis.look import Answer, Chunk, Item, key_of, look_at, static_mask_of
-from sunarc.simulation.made_archive import photograph
+from sunarc.lab.simulation.made_archive import photograph
+from sunarc.sources import look
+from sunarc.sources.look import Answer, Chunk, Item, key_of, look_at, static_mask_of
 
 SIZE = 240
 RNG = np.random.default_rng(4)

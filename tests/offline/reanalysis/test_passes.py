@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 
+from sunarc.archives.passes import CHUNK, chunks_of, epoch_at, rounded
+from sunarc.archives.states import Epoch
+from sunarc.common.utc import DAY_S
 from sunarc.detection.values import Expectation
-from sunarc.reanalysis.index import ArchiveImage, CameraImages, CameraPlan, Selector
-from sunarc.reanalysis.look import Item
-from sunarc.reanalysis.passes import CHUNK, chunks_of, epoch_at, rounded
-from sunarc.reanalysis.states import Epoch
-from sunarc.simulation.truth import SGP
-from sunarc.utc import DAY_S
+from sunarc.lab.simulation.truth import SGP
+from sunarc.sources.index import ArchiveImage, CameraImages, CameraPlan, Selector
+from sunarc.sources.look import Item
 
 PLAN = CameraPlan(name="roof", site=SGP, selector=Selector(()))
 

@@ -18,13 +18,13 @@ from tests.fixtures.postgresql import Server, postgresql
 from tests.offline.reanalysis.in_process import InProcess
 from tests.offline.reanalysis.made import MADE, analysed, indexed_in, tables_in
 
-from sunarc.archive.csv_files import read_sightings
-from sunarc.archive.database.state_folder import lock_state
-from sunarc.documents.calibration_document import from_document
-from sunarc.errors import InputError, OutsideError
-from sunarc.reanalysis import look
-from sunarc.reanalysis.results import Summary, exports_of
-from sunarc.simulation.made_archive import true_times
+from sunarc.archives.results import Summary, exports_of
+from sunarc.common.errors import InputError, OutsideError
+from sunarc.formats.calibration_document import from_document
+from sunarc.formats.csv_files import read_sightings
+from sunarc.imager.archive.database.state_folder import lock_state
+from sunarc.lab.simulation.made_archive import true_times
+from sunarc.sources import look
 
 __all__ = ["postgresql"]
 
@@ -169,7 +169,7 @@ def test_only_what_rests_on_something_else_is_made_again(
     def exports_of(document: dict[str, Any]) -> tuple[dict[str, bytes], dict[str, str]]:
         return {"id.txt": document["id"].encode(), "part/map.nc": document["camera"].encode()}, {"colmap": "no"}
 
-    monkeypatch.setattr("sunarc.reanalysis.results.exports_of", exports_of)
+    monkeypatch.setattr("sunarc.archives.results.exports_of", exports_of)
     first, cluster = analysed(indexed_in(folder), out, monkeypatch, exports=True)
     assert set(cluster.calls) == {"exports_of"}
     files = {path: path.stat().st_mtime_ns for path in out.glob("exports/**/*.*")}

@@ -16,22 +16,22 @@ from tests.fixtures.calibrations import SITE, chosen_calibration
 from tests.offline.reanalysis.in_process import InProcess
 from tests.offline.test_star_files import CAMERA, SIZE, night_image
 
+from sunarc.archives import nights as stars_module
+from sunarc.archives.fit import CameraSightings, Final, Starry, better_of, document_of, fit_poses, starry_analysis
+from sunarc.archives.ledger import Ledger
+from sunarc.archives.nights import CameraNights, NightsLooked, name_stars, nights_of, star_points
+from sunarc.archives.passes import Passes
+from sunarc.archives.states import ArchiveCamera, Epoch, State
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.findings import Finding
+from sunarc.common.findings import Finding
+from sunarc.common.utc import DAY_S
 from sunarc.optics.forward import project
-from sunarc.reanalysis import nights as stars_module
-from sunarc.reanalysis.fit import CameraSightings, Final, Starry, better_of, document_of, fit_poses, starry_analysis
-from sunarc.reanalysis.index import ArchiveImage, CameraImages, CameraPlan, Selector
-from sunarc.reanalysis.ledger import Ledger
-from sunarc.reanalysis.look import Chunk, NamedStars
-from sunarc.reanalysis.nights import CameraNights, NightsLooked, name_stars, nights_of, star_points
-from sunarc.reanalysis.passes import Passes
-from sunarc.reanalysis.states import ArchiveCamera, Epoch, State
 from sunarc.sky.night import STAR, body_directions
 from sunarc.sky.sun import sun_directions
+from sunarc.sources.index import ArchiveImage, CameraImages, CameraPlan, Selector
+from sunarc.sources.look import Chunk, NamedStars
 from sunarc.stars.views import star_view
-from sunarc.utc import DAY_S
 
 TIMES = ("20260313_060000", "20260313_064000", "20260313_072000")
 LATE_S = 3600.0

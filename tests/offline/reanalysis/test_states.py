@@ -8,13 +8,13 @@ from functools import cache
 import numpy as np
 import pytest
 
-from sunarc.array_types import FloatArray
+from sunarc.archives.fit import CameraSightings, Final, Rough, final_analysis, first_analysis
+from sunarc.archives.states import ArchiveCamera
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.common.array_types import FloatArray
+from sunarc.lab.simulation.made_archive import CameraChange, MadeArchive, MadeCamera, camera_at, true_times
 from sunarc.optics.forward import project
-from sunarc.reanalysis.fit import CameraSightings, Final, Rough, final_analysis, first_analysis
-from sunarc.reanalysis.states import ArchiveCamera
-from sunarc.simulation.made_archive import CameraChange, MadeArchive, MadeCamera, camera_at, true_times
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions
 

@@ -12,15 +12,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 from tests.finding_codes import codes
 
-from sunarc.array_types import FloatArray, stacked
+from sunarc.archives.fit import CameraSightings, final_analysis, first_analysis, kept_provisional
+from sunarc.archives.states import ArchiveCamera, Epoch, State, alternation, surely_held
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.changes.epoch_changes import Cause, Side, agreeing_days, change_within, is_of_lens, noise_of_days
+from sunarc.common.array_types import FloatArray, stacked
 from sunarc.optics.forward import project
-from sunarc.reanalysis.epoch_changes import Cause, Side, agreeing_days, change_within, is_of_lens, noise_of_days
-from sunarc.reanalysis.fit import CameraSightings, final_analysis, first_analysis, kept_provisional
-from sunarc.reanalysis.states import ArchiveCamera, Epoch, State, alternation, surely_held
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles, sun_directions
 

@@ -16,11 +16,11 @@ from astropy.io import fits
 from numpy.typing import NDArray
 from tests.offline.sources.archives import DEEP, GREY, encoded, folder_of, zip_of
 
-from sunarc.array_types import Image
-from sunarc.findings import Finding
-from sunarc.reanalysis.image_files import fits_bayer, frames_in, images_in
-from sunarc.reanalysis.messages import RefusedImageError
-from sunarc.reanalysis.sources import open_source
+from sunarc.common.array_types import Image
+from sunarc.common.findings import Finding
+from sunarc.sources.image_files import fits_bayer, frames_in, images_in
+from sunarc.sources.messages import RefusedImageError
+from sunarc.sources.sources import open_source
 
 SIZE = (24, 20)
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)

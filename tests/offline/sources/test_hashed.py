@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from tests.offline.sources.archives import contents, folder_of, zip_of
 
-from sunarc.reanalysis.sources import HashedSource, open_source
+from sunarc.sources.sources import HashedSource, open_source
 
 
 @pytest.mark.parametrize("make", [folder_of, lambda files, path: zip_of(files, path / "images.zip")])

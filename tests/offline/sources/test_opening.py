@@ -10,8 +10,8 @@ import fsspec
 import pytest
 from tests.offline.sources.archives import contents, folder_of, tar_of, zip_of
 
-from sunarc.errors import InputError
-from sunarc.reanalysis.sources import open_source
+from sunarc.common.errors import InputError
+from sunarc.sources.sources import open_source
 
 
 def in_memory(folder: Path) -> str:

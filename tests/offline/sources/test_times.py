@@ -12,16 +12,16 @@ import pytest
 from tests.offline.sources.archives import GREY, encoded, folder_of
 from tests.offline.test_ingest_times import TAKEN, ZONE, taken, with_exif
 
-from sunarc.errors import InputError
-from sunarc.reanalysis.image_times import (
+from sunarc.common.errors import InputError
+from sunarc.sources.image_times import (
     TimedFrame,
     TimeRules,
     timed_frames,
     utc_offset_of,
 )
-from sunarc.reanalysis.messages import RefusedImageError
-from sunarc.reanalysis.name_times import ambiguous_times, time_in_name, zone_of
-from sunarc.reanalysis.sources import open_source
+from sunarc.sources.messages import RefusedImageError
+from sunarc.sources.name_times import ambiguous_times, time_in_name, zone_of
+from sunarc.sources.sources import open_source
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 NAMES = {

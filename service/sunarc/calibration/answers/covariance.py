@@ -14,8 +14,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.model.result import Calibration
+from sunarc.common.array_types import BoolArray, FloatArray
 from sunarc.optics import pose
 from sunarc.optics.camera import PARAMETER_NAMES, POSE, Camera, camera_sees
 from sunarc.optics.forward import by_direction, project, project_with_rows_fast, resolved_limit, tangent_basis

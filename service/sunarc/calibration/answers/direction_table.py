@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc import _kernels
-from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.answers.covariance import direction_covariance, uncertainties
 from sunarc.calibration.model.result import Calibration
+from sunarc.common.array_types import BoolArray, FloatArray
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project_fast, radius_slope, rising_limit
 from sunarc.optics.inverse import largest_angle

@@ -15,12 +15,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sunarc import _kernels
-from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.answers.covariance import without_clock
 from sunarc.calibration.answers.direction_table import polar_spline
 from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.result import Calibration
-from sunarc.errors import InputError
+from sunarc.common.array_types import FloatArray, IntArray
+from sunarc.common.errors import InputError
 from sunarc.optics.camera import PARAMETER_NAMES, POSE, Camera
 from sunarc.optics.displacement import WaveBasis
 from sunarc.optics.forward import project_fast, project_with_rows_fast

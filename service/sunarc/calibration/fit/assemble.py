@@ -10,7 +10,6 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.answers.covariance import pose_error, sky_sigma_deg, with_covariance
 from sunarc.calibration.fit.cross_validation import Doubts, HeldOut, doubts, held_out, without_parts
 from sunarc.calibration.fit.effects import CLOCK_OFFSET_S, N_RADIAL, OFFSET_PX, POSE_DIFFERENCE_DEG, SWAY_DEG, SWAYS
@@ -34,7 +33,8 @@ from sunarc.calibration.quality.fit_checks import fit_verdict
 from sunarc.calibration.quality.widening import with_pose_spread
 from sunarc.calibration.solve.priors import FREE, FREE_NAMES, LENS, N_LENS, lens_prior, precisions
 from sunarc.calibration.start.initial_guess import level_camera
-from sunarc.findings import Finding
+from sunarc.common.array_types import BoolArray, FloatArray
+from sunarc.common.findings import Finding
 from sunarc.optics.backward import NO_BACKWARD, fit_backward
 from sunarc.optics.camera import POSE, Camera, Param
 from sunarc.optics.displacement import wave_basis

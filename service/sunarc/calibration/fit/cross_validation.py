@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri, fdtri
 
-from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.answers.covariance import project_with_covariance, seen_sky
 from sunarc.calibration.fit.marginal_likelihood import MarginalFit, field_at, inverses, marginal_fit, prior_precision
 from sunarc.calibration.fit.posterior import prediction_variance, shown_sky
@@ -18,10 +17,11 @@ from sunarc.calibration.fit.robust_fit import RobustFit
 from sunarc.calibration.fit.robust_rounds import leverage_of
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Kind, Sightings
-from sunarc.findings import Finding
+from sunarc.common.array_types import BoolArray, FloatArray
+from sunarc.common.findings import Finding
+from sunarc.common.robust_statistics import robust_sigma
 from sunarc.optics.forward import project
 from sunarc.optics.pose import right_jacobian
-from sunarc.robust_statistics import robust_sigma
 
 _FOLDS = 5
 _THIRDS = 3

@@ -14,15 +14,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.calibration.noise import lag_one, neighbours
 from sunarc.calibration.solve.priors import LENS, STRETCH, with_wide_pixels
 from sunarc.calibration.solve.problem import Block, FitProblem, by_elevation
+from sunarc.common.array_types import BoolArray, FloatArray, IntArray
+from sunarc.common.robust_statistics import counted_roots
 from sunarc.optics.camera import Param
 from sunarc.optics.forward import by_direction, project_with_rows_fast
 from sunarc.optics.projections import ideal_radius
-from sunarc.robust_statistics import counted_roots
 
 POSE_DIFFERENCE_DEG = 0.02
 """1-sigma about each axis of how far the camera of the night is turned against that of the day. A bracket of 10 cm and

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from sunarc.array_types import FloatArray
 from sunarc.calibration.fit.marginal_likelihood import log_evidence, log_weights
 from sunarc.calibration.fit.normal_equations import linear_system
 from sunarc.calibration.fit.robust_fit import RobustFit
 from sunarc.calibration.model.sightings import Kind
 from sunarc.calibration.quality.tilt import Place, level_place, tilt_question
 from sunarc.calibration.solve.problem import Bins
+from sunarc.common.array_types import FloatArray
 from sunarc.optics.camera import Camera
 from sunarc.optics.pose import rotation_matrix
 from sunarc.sky.site import Site

@@ -16,8 +16,8 @@ import numpy as np
 from scipy.linalg.lapack import dpstrf
 
 from sunarc import _kernels
-from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.solve.priors import DECENTERING, N_LENS, RADIAL, STRETCH, precisions
+from sunarc.common.array_types import FloatArray, IntArray
 from sunarc.optics.displacement import WaveBasis, wave_basis
 
 _BEYOND_ANY_FIELD_PX = 64.0

@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.fit.marginal_likelihood import (
     RIDGE,
     ROUNDING,
@@ -23,9 +22,10 @@ from sunarc.calibration.fit.marginal_likelihood import (
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.priors import N_LENS
 from sunarc.calibration.solve.problem import Bins, FitProblem, Sighted, residuals_and_columns_of, vectors_of
+from sunarc.common.array_types import BoolArray, FloatArray
+from sunarc.common.robust_statistics import is_shown
 from sunarc.optics.displacement import WaveBasis
 from sunarc.optics.forward import Optics
-from sunarc.robust_statistics import is_shown
 
 _STEPS = 8
 _HALVINGS = 6

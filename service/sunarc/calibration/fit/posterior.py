@@ -15,7 +15,6 @@ import numpy as np
 from scipy.special import ndtri
 
 from sunarc import _kernels
-from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.fit.marginal_likelihood import (
     ROUNDING,
@@ -37,6 +36,7 @@ from sunarc.calibration.model.result import ErrorMixture
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.priors import DECENTERING, HIGHER, STRETCH, with_wide_pixels
 from sunarc.calibration.solve.problem import FitProblem
+from sunarc.common.array_types import FloatArray, IntArray
 from sunarc.optics.displacement import WaveBasis
 
 # What sightings say of the field: see `Field` for the covariance that this makes.

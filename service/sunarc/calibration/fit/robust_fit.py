@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.fit.effects import PIXELS, with_effects
 from sunarc.calibration.fit.marginal_likelihood import (
     HyperparameterGrid,
@@ -34,9 +33,10 @@ from sunarc.calibration.solve.priors import DECENTERING, RADIAL, STRETCH, Whiten
 from sunarc.calibration.solve.problem import FitProblem
 from sunarc.calibration.start.initial_guess import single_problem
 from sunarc.calibration.start.multistart import SMALLEST_SIGMA_PX, best_of_starts, best_start, distance_sigmas, lowest
+from sunarc.common.array_types import FloatArray, IntArray
+from sunarc.common.robust_statistics import robust_sigma, surely_well_behaved
 from sunarc.optics.camera import Camera
 from sunarc.optics.displacement import WaveBasis
-from sunarc.robust_statistics import robust_sigma, surely_well_behaved
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.fit.effects import PIXELS, POSSIBLE, SHOWN_BY_STARS, SWAYS
 from sunarc.calibration.fit.marginal_likelihood import (
     FieldSums,
@@ -37,7 +36,8 @@ from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.noise import Noise, NoiseGroups, measured_noise
 from sunarc.calibration.solve.problem import Bins, FitProblem
 from sunarc.calibration.start import multistart
-from sunarc.robust_statistics import (
+from sunarc.common.array_types import BoolArray, FloatArray
+from sunarc.common.robust_statistics import (
     CUT,
     counted_roots,
     is_shown,

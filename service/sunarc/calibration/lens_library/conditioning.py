@@ -16,7 +16,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri
 
-from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.calibration.answers.covariance import sky_sigma_deg
 from sunarc.calibration.fit.assemble import tidied
 from sunarc.calibration.fit.robust_rounds import allowed_level
@@ -35,12 +34,13 @@ from sunarc.calibration.quality.fit_checks import fit_verdict
 from sunarc.calibration.solve.levenberg_marquardt import most_probable
 from sunarc.calibration.solve.priors import FREE, N_LENS, LensPrior
 from sunarc.calibration.solve.problem import problem_for
-from sunarc.findings import Finding
+from sunarc.common.array_types import BoolArray, FloatArray, IntArray
+from sunarc.common.findings import Finding
+from sunarc.common.robust_statistics import finite
 from sunarc.optics.backward import fit_backward
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project_fast
 from sunarc.optics.pose import pose_angles
-from sunarc.robust_statistics import finite
 
 # How far a posterior went from its prior: the test whether sightings contradict what was stated before them.
 #

@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.answers.error_model import (
     CameraErrorModel,
     error_model_of,
@@ -50,12 +49,13 @@ from sunarc.calibration.pose import (
 )
 from sunarc.calibration.solve.priors import FREE, N_LENS
 from sunarc.calibration.start.initial_guess import ransac_rotation
-from sunarc.findings import Finding
+from sunarc.common.array_types import BoolArray, FloatArray
+from sunarc.common.findings import Finding
+from sunarc.common.robust_statistics import finite
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project_fast
 from sunarc.optics.inverse import unproject
 from sunarc.optics.pose import rotation_between, rotation_matrix, rotation_vector, smallest_rotation
-from sunarc.robust_statistics import finite
 from sunarc.sky.directions import wrapped_deg
 from sunarc.sky.site import Site
 

@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.array_types import FloatArray, stacked
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.lens_library.conditioning import with_lens
 from sunarc.calibration.lens_library.lens_type import (
@@ -35,7 +34,8 @@ from sunarc.calibration.model.options import CalibrationOptions, LensTolerances
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.priors import N_LENS
-from sunarc.errors import InputError
+from sunarc.common.array_types import FloatArray, stacked
+from sunarc.common.errors import InputError
 from sunarc.optics.camera import Camera
 from sunarc.sky.site import Site
 

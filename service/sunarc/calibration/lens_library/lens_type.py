@@ -9,8 +9,6 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from annotated_types import Gt, Le
 
-from sunarc.array_types import FloatArray
-from sunarc.bounds import require_bounds
 from sunarc.calibration.model.options import ImageCircle, LensTolerances
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.solve.priors import (
@@ -25,6 +23,8 @@ from sunarc.calibration.solve.priors import (
     lens_prior,
     precisions,
 )
+from sunarc.common.array_types import FloatArray
+from sunarc.common.bounds import require_bounds
 from sunarc.optics.camera import PARAMETER_NAMES, Camera, Param
 
 # Coordinates of a lens in which what differs between units, and what sightings say, is of the order of 1.

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Le
 
-from sunarc.bounds import NonNegative, Positive, require_bounds
+from sunarc.common.bounds import NonNegative, Positive, require_bounds
 from sunarc.optics.projections import Projection
 
 Method = Literal["robust", "paper"]

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.calibration.messages import text_of
 from sunarc.calibration.model.options import Method
 from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.findings import Finding
+from sunarc.common.array_types import BoolArray, FloatArray, IntArray
+from sunarc.common.findings import Finding
 from sunarc.optics.backward import BackwardModel
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project_fast

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sunarc.array_types import BoolArray, FloatArray, IntArray, NameArray, Rows
-from sunarc.errors import InputError
-from sunarc.findings import Finding
+from sunarc.common.array_types import BoolArray, FloatArray, IntArray, NameArray, Rows
+from sunarc.common.errors import InputError
+from sunarc.common.findings import Finding
 from sunarc.optics.camera import inside_image
 from sunarc.sky.days import solar_days
 from sunarc.sky.night import SOLAR_SYSTEM_BODIES, STAR, SUN

@@ -9,15 +9,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.calibration.answers.covariance import project_with_covariance
 from sunarc.calibration.model.result import Calibration, residuals_by_pose
 from sunarc.calibration.model.sightings import Kind, Sightings
-from sunarc.findings import Finding
-from sunarc.robust_statistics import cauchy_weights, robust_sigma, tukey_weights
+from sunarc.common.array_types import BoolArray, FloatArray, IntArray
+from sunarc.common.findings import Finding
+from sunarc.common.robust_statistics import cauchy_weights, robust_sigma, tukey_weights
+from sunarc.common.utc import DAY_S
 from sunarc.sky.days import date_of_day
 from sunarc.sky.directions import angular_distance
-from sunarc.utc import DAY_S
 
 _ORDER = 9
 _ROUNDS = 12

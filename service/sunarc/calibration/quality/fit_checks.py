@@ -14,7 +14,7 @@ from sunarc.calibration.model.result import Calibration, Verdict, proves, refuse
 from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.calibration.quality.day_arcs import arc_length_deg, unexplained_days
 from sunarc.calibration.quality.tilt import proposed_limit_deg, tilt_question
-from sunarc.findings import Finding
+from sunarc.common.findings import Finding
 from sunarc.optics.camera import PARAMETER_NAMES, POSE
 from sunarc.optics.inverse import unproject
 from sunarc.optics.pose import right_jacobian, rotation_matrix

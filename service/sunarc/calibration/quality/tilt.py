@@ -13,8 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.array_types import FloatArray
-from sunarc.findings import Finding
+from sunarc.common.array_types import FloatArray
+from sunarc.common.errors import InputError
+from sunarc.common.findings import Finding
 from sunarc.optics.camera import Camera
 from sunarc.optics.pose import rotation_matrix
 from sunarc.sky.directions import angles_from_direction, wrapped_deg
@@ -166,3 +167,13 @@ def mount_density(axis: FloatArray) -> FloatArray:
     cap = 2.0 * math.pi * (1.0 - math.cos(math.radians(_STEEPEST_DEG)))
     on_purpose = np.where(tilt <= _STEEPEST_DEG, 1.0, 0.01) / cap
     return np.asarray((1.0 - _TILTED_ON_PURPOSE) * levelled + _TILTED_ON_PURPOSE * on_purpose)
+
+
+def require_level(tilt_deg: float, limit_deg: float | None, *, field: str, name: str) -> None:
+    """Raise InputError where a camera was accepted with a larger tilt than is stated now."""
+    if limit_deg is not None and tilt_deg > limit_deg:
+        raise InputError(
+            field=field,
+            problem=f"is {limit_deg:g}°, where the camera of {name} is tilted by {tilt_deg:.1f}°",
+            remedy=f"give {proposed_limit_deg(tilt_deg):g} or leave it out; or leave out that calibration",
+        )

@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sunarc.array_types import FloatArray
 from sunarc.calibration.answers.covariance import pose_error, rotation_covariance, sky_sigma_deg, with_covariance
 from sunarc.calibration.model.result import Calibration, with_finding
-from sunarc.findings import Finding
+from sunarc.common.array_types import FloatArray
+from sunarc.common.findings import Finding
 from sunarc.optics.camera import POSE
 from sunarc.sky.site import EARTH_RATE
 

@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc import _kernels
-from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.problem import FitProblem
-from sunarc.robust_statistics import tukey_weights
+from sunarc.common.array_types import BoolArray, FloatArray
+from sunarc.common.robust_statistics import tukey_weights
 
 
 class Solution(NamedTuple):

@@ -15,8 +15,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from sunarc.array_types import FloatArray
 from sunarc.calibration.model.options import ImageCircle, LensTolerances
+from sunarc.common.array_types import FloatArray
 from sunarc.optics.camera import (
     FOCAL_LENGTH,
     PARAMETER_NAMES,

@@ -11,13 +11,13 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from sunarc import _kernels
-from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.priors import LENS, N_LENS, LensPrior
+from sunarc.common.array_types import BoolArray, FloatArray, IntArray
+from sunarc.common.robust_statistics import UNSEEN_PX, is_shown
 from sunarc.optics.camera import POSE, Camera, Param
 from sunarc.optics.forward import Optics, kernel_optics
 from sunarc.optics.pose import rotation_matrix
-from sunarc.robust_statistics import UNSEEN_PX, is_shown
 from sunarc.sky.refraction import upward
 
 _RIGHT_ANGLE = math.pi / 2

@@ -13,18 +13,18 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.levenberg_marquardt import most_probable
 from sunarc.calibration.solve.priors import N_LENS, Whitened, lens_prior, precisions
 from sunarc.calibration.solve.problem import FitProblem, problem_for
+from sunarc.common.array_types import FloatArray, IntArray
+from sunarc.common.robust_statistics import cauchy_weights, robust_sigma
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import rising_limit
 from sunarc.optics.inverse import calibrated, unproject
 from sunarc.optics.pose import rotation_matrix, rotation_vector, smallest_rotation
 from sunarc.optics.projections import angle_limit, ideal_angle, ideal_radius
-from sunarc.robust_statistics import cauchy_weights, robust_sigma
 
 LARGEST_TILT = math.radians(75.0)
 _SEARCHED_SIGHTINGS = 160

@@ -13,12 +13,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sunarc.array_types import FloatArray
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.levenberg_marquardt import most_probable
 from sunarc.calibration.solve.priors import DECENTERING, HIGHER, N_LENS, RADIAL, Whitened
 from sunarc.calibration.solve.problem import FitProblem
-from sunarc.robust_statistics import UNSEEN_PX, robust_sigma, surely_well_behaved, tukey_loss
+from sunarc.common.array_types import FloatArray
+from sunarc.common.robust_statistics import UNSEEN_PX, robust_sigma, surely_well_behaved, tukey_loss
 
 SMALLEST_SIGMA_PX = 1e-4
 """px; exact (simulated) sightings must not make a scale of 0."""

@@ -9,13 +9,13 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from sunarc.array_types import FloatArray, Image
+from sunarc.common.array_types import FloatArray, Image
+from sunarc.common.findings import Finding
+from sunarc.common.robust_statistics import median_of
 from sunarc.detection.disc.fit import DiscFit, fit_disc, is_foreign
 from sunarc.detection.disc.model import Prior, sun_sources
 from sunarc.detection.disc.window import Window, cut, saturated_level
 from sunarc.detection.values import Detection, DiscOptions, Expectation, Sensor, Verdict, require_raw
-from sunarc.findings import Finding
-from sunarc.robust_statistics import median_of
 
 
 class Spot(NamedTuple):

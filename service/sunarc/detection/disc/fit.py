@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.array_types import BoolArray, FloatArray
+from sunarc.common.array_types import BoolArray, FloatArray
+from sunarc.common.robust_statistics import mad_sigma
 from sunarc.detection.disc.model import (
     PSF,
     WINGS,
@@ -29,7 +30,6 @@ from sunarc.detection.disc.model import (
 )
 from sunarc.detection.disc.window import Window
 from sunarc.detection.values import LightFit, Sensor
-from sunarc.robust_statistics import mad_sigma
 
 Solved = tuple[FloatArray, FloatArray]
 

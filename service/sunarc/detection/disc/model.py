@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc import _kernels
-from sunarc.array_types import BoolArray, FloatArray
+from sunarc.common.array_types import BoolArray, FloatArray
 from sunarc.detection.disc.window import Window
 from sunarc.detection.values import Sensor
 

@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.array_types import FloatArray, IntArray
+from sunarc.common.array_types import FloatArray, IntArray
+from sunarc.common.errors import InputError
+from sunarc.common.findings import Finding
 from sunarc.detection.values import Detection
-from sunarc.errors import InputError
-from sunarc.findings import Finding
 from sunarc.sky.site import CLEAR_OPTICAL_DEPTH, relative_air_mass
 
 _AGREE_PX = 0.1  # smaller differences are accepted: a lens's glare moves a saturated disc a little

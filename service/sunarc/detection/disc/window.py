@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.array_types import BoolArray, FloatArray, Image
+from sunarc.common.array_types import BoolArray, FloatArray, Image
+from sunarc.common.robust_statistics import mad_sigma
 from sunarc.detection.values import Bayer, Sensor
-from sunarc.robust_statistics import mad_sigma
 
 _CLIPPED_MEAN = 2.0
 """The brightest mean over n by n pixels, times n² over full scale, from which on a pixel of it may be clipped. The

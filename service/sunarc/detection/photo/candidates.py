@@ -8,7 +8,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from sunarc.array_types import BoolArray, FloatArray, Image
+from sunarc.common.array_types import BoolArray, FloatArray, Image
 from sunarc.detection.photo.plateau import Near, Plateau, faintest_colour, faintest_of_mosaic, plateaus, step_of
 from sunarc.detection.photo.rim import Rim, reach_of, rim_of
 from sunarc.detection.values import Bayer, Expectation

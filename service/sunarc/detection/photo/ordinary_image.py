@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.array_types import BoolArray, FloatArray, Image
+from sunarc.common.array_types import BoolArray, FloatArray, Image
+from sunarc.common.findings import Finding
 from sunarc.detection.photo.candidates import (
     MAX_SIGMA,
     MIN_LEVEL,
@@ -29,7 +30,6 @@ from sunarc.detection.photo.candidates import (
 from sunarc.detection.photo.rim import Rim
 from sunarc.detection.photo.urquhart2016 import locate, planes_of
 from sunarc.detection.values import Bayer, Detection, Expectation, Verdict, require_photo
-from sunarc.findings import Finding
 
 # Which of the candidates is the sun's, and whether its position is worth using at its sigma.
 

@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.array_types import BoolArray, Image
-from sunarc.errors import InputError
+from sunarc.common.array_types import BoolArray, Image
+from sunarc.common.errors import InputError
 
 
 class Blob(NamedTuple):

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from sunarc import _kernels
-from sunarc.array_types import BoolArray, FloatArray, Image
+from sunarc.common.array_types import BoolArray, FloatArray, Image
 from sunarc.detection.photo.plateau import Plateau
 
 _LEAST_CROSS_PX2 = 1e-6  # three points with less are on a line

@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.array_types import FloatArray, Image
+from sunarc.common.array_types import FloatArray, Image
+from sunarc.common.robust_statistics import mad_sigma
 from sunarc.detection.photo.plateau import Blob, blobs_of, opened
 from sunarc.detection.values import require_photo
-from sunarc.robust_statistics import mad_sigma
 
 # The five estimators of the paper's Appendix A, each on the V-image (the largest of red, green and blue).
 #

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from sunarc.array_types import BoolArray, FloatArray, Image, IntArray
+from sunarc.common.array_types import BoolArray, FloatArray, Image, IntArray
+from sunarc.common.robust_statistics import MAD_TO_SIGMA, biweights, mad_sigma
 from sunarc.detection.values import Bayer, Stars, require_photo
-from sunarc.robust_statistics import MAD_TO_SIGMA, biweights, mad_sigma
 
 Plane = NDArray[np.float32]
 

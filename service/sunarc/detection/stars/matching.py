@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import ConvexHull, cKDTree
 
-from sunarc.array_types import BoolArray, FloatArray, IntArray
+from sunarc.common.array_types import BoolArray, FloatArray, IntArray
+from sunarc.common.findings import Finding
+from sunarc.common.robust_statistics import MAD_TO_SIGMA, biweights, mad_sigma
 from sunarc.detection.values import PredictedStars, Stars
-from sunarc.findings import Finding
-from sunarc.robust_statistics import MAD_TO_SIGMA, biweights, mad_sigma
 
 LIMITS = (4.5, 4.0, 3.5, 3.0, 2.5)
 """Magnitudes to begin with, the faintest first that chance allows: denser skies match anything."""

@@ -12,11 +12,11 @@ import numpy as np
 from annotated_types import Gt
 from scipy.spatial import cKDTree
 
-from sunarc.array_types import BoolArray, FloatArray, Image, IntArray
-from sunarc.bounds import require_bounds
+from sunarc.common.array_types import BoolArray, FloatArray, Image, IntArray
+from sunarc.common.bounds import require_bounds
+from sunarc.common.robust_statistics import biweights, mad_sigma
 from sunarc.detection.stars.detect import plane_of
 from sunarc.detection.values import Bayer, PredictedStars, Stars
-from sunarc.robust_statistics import biweights, mad_sigma
 
 LOWEST_DEG = 78.0
 """Zenith angle of 4.7 air masses; below, haze and trees."""

@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from sunarc.array_types import BoolArray, Image, IntArray
+from sunarc.common.array_types import BoolArray, Image, IntArray
 from sunarc.detection.stars.detect import outstanding_pixels, repaired, warm_pixels
 from sunarc.detection.values import Bayer, Stars
 

@@ -1,1 +1,0 @@
-"""What imagers and hubs exchange: outbox, feeds, notices, and a hub's nightly work."""

@@ -1,0 +1,544 @@
+"""Epochs and calibrations of a camera: the lens from all sightings of its lens, the pose from those of its own."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import sunarc
+from sunarc.archives.states import (
+    ArchiveCamera,
+    Epoch,
+    State,
+    alternation,
+    changed_states,
+    epochs_of,
+    find_epochs,
+    find_states,
+    joined,
+    surely_held,
+    with_true_clock,
+)
+from sunarc.calibration.acceptance import apart_sigmas
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.options import CalibrationOptions, Mirrored
+from sunarc.calibration.model.result import Calibration, refused_for, with_finding
+from sunarc.calibration.model.sightings import Sightings
+from sunarc.calibration.projection_choice import options_as_served
+from sunarc.calibration.quality.fit_checks import is_undetermined, provisional, site_assumed, tilt_in_doubt
+from sunarc.calibration.quality.tilt import tilt_question
+from sunarc.calibration.quality.widening import with_clock, with_larger_errors, with_pose_spread
+from sunarc.calibration.selection import select_sightings, surest_of_epochs
+from sunarc.changes.epoch_changes import (
+    DriftWithin,
+    Side,
+    agreeing_days,
+    change_within,
+    drift_within,
+    is_of_lens,
+    noise_of_days,
+)
+from sunarc.common.array_types import FloatArray, IntArray, stacked
+from sunarc.common.findings import Finding
+from sunarc.common.robust_statistics import finite, robust_sigma
+from sunarc.common.utc import utc_time
+from sunarc.formats.calibration_document import to_document
+from sunarc.optics.forward import project_fast
+from sunarc.sky.sun import sun_directions
+from sunarc.sources.look import key_of
+
+_MOST_CHANGES = 12
+"""Changes that are found within states: each is sought anew in both of its sides."""
+
+
+class FittedPose(NamedTuple):
+    """A calibration of a pose, the rows of the suns that it was given, and the stars beside them."""
+
+    calibration: Calibration
+    rows: IntArray
+    stars: Sightings | None = None
+
+
+def with_changes_within(points: Sightings, states: Sequence[State], camera: ArchiveCamera) -> list[State]:
+    """Return states with those of changes that are smaller than what a single sighting shows.
+
+    Parameters
+    ----------
+    points : accepted sightings in the order of their stated times.
+    states, camera : see there.
+    """
+    noise, found, settled = noise_of_days(points, camera.site), list(states), set[tuple[int, int]]()
+    for _ in range(_MOST_CHANGES):
+        epochs, _ = find_epochs(points, found, camera)
+        split = False
+        for epoch in epochs:
+            rows, state = slice(epoch.first, epoch.last + 1), found[epoch.state]
+            if (epoch.first, epoch.last) in settled:
+                continue
+            settled.add((epoch.first, epoch.last))
+            of_epoch = points.select(rows)
+            change = change_within(
+                camera.shifted(of_epoch, state.clock_offset_s), state.calibration.camera, camera.site, noise[rows]
+            )
+            if change is not None:
+                sides = of_epoch.select(slice(0, change.row)), of_epoch.select(slice(change.row, None))
+                found += changed_states(found, state, sides, change.cause, camera)
+                split = True
+        if not split:
+            break
+    return found
+
+
+def with_lenses_apart(
+    points: Sightings, path: IntArray, states: Sequence[State], fitted: Mapping[int, FittedPose], camera: ArchiveCamera
+) -> list[State]:
+    """Return states, those that no one lens explains beside the state before with a lens of their own.
+
+    A state is taken for a known lens in another pose within what is known of that lens, which is little at first.
+
+    Parameters
+    ----------
+    points : accepted sightings in the order of their stated times.
+    path, states, camera : as `fit_poses` takes them.
+    fitted : what it returns, one lens for all poses that are said to have it.
+    """
+    noise, found, epochs = noise_of_days(points, camera.site), list(states), epochs_of(path, states, points)
+    for number, (one, other) in enumerate(itertools.pairwise(epochs), 1):
+        before, after = (found[each.state] for each in (one, other))
+        if before.lens != after.lens or before.pose == after.pose:
+            continue
+        sides = [
+            Side(
+                camera.shifted(points.select(rows), state.clock_offset_s),
+                noise[rows],
+                fitted[state.pose].calibration.camera,
+            )
+            for rows, state in ((slice(one.first, one.last + 1), before), (slice(other.first, other.last + 1), after))
+        ]
+        if not is_of_lens(sides[0], sides[1], camera.site):
+            continue
+        free = 1 + max(state.lens for state in found)
+        earlier = {found[each.state].pose for each in epochs[:number]}
+        later = {each.state for each in epochs[number:]}
+        for place in later:
+            if found[place].lens == before.lens and found[place].pose not in earlier:
+                found[place] = found[place]._replace(lens=free)
+    return found
+
+
+def fit_poses(
+    points: Sightings,
+    path: IntArray,
+    states: Sequence[State],
+    camera: ArchiveCamera,
+    *,
+    stars: Sightings | None = None,
+) -> dict[int, FittedPose]:
+    """Return the calibration of each pose that has sightings, by its number.
+
+    Parameters
+    ----------
+    points, path : sightings of the sun at their stated times, and the state of each.
+    states, camera : see there.
+    stars : of the night, at their true times, with poses as epochs; with them, only the poses whose lens has some.
+    """
+    together = joined(points, path, states)
+    lens_of = {state.pose: state.lens for state in states}
+    lenses = np.array([lens_of[int(pose)] for pose in together.epoch], dtype=np.int64)
+    fitted, options_of = {}, dict[int, CalibrationOptions]()
+    for pose in np.unique(together.epoch).tolist():
+        rows = np.flatnonzero(lenses == lens_of[pose])
+        of_lens = together.select(rows)
+        # the calibration is of the last epoch: this pose goes last, the others before it in any order
+        order = [*(one for one in np.unique(of_lens.epoch).tolist() if one != pose), pose]
+        ordered = _numbered(of_lens, order)
+        beside = None if stars is None else _stars_beside(stars, order, camera)
+        if stars is not None and beside is None:
+            continue
+        selection = select_sightings(ordered, site=camera.site, slot_s=1.0)
+        selected = ordered.select(selection.index)
+        given = selected if beside is None else _merged(selected, beside)
+        # the poses of a lens are fitted to the same sightings: projection and handedness are sought once
+        options = options_of.get(lens_of[pose], camera.options)
+        # the tilt is asked about where all poses are known, see `_held_to_level`
+        fit = partial(calibrate, given, site=camera.site, image_size=camera.size, options=options, tilt_known=True)
+        solved = fit()
+        # the search for a start may have ended elsewhere; a start of some projection does not make it known
+        undecided = options.projection == "auto" and is_undetermined(solved.verdict)
+        if not solved.verdict.accepted and not undecided:
+            near = next(state.calibration.camera for state in states if state.pose == pose)
+            again = fit(start=near)
+            solved = again if again.verdict.accepted else solved
+        if solved.verdict.accepted:
+            options_of[lens_of[pose]] = options_as_served(options, solved)
+        evidence = replace(solved.evidence, selection=selection.counts())
+        fitted[int(pose)] = FittedPose(replace(solved, evidence=evidence), rows[selection.index], beside)
+    return fitted
+
+
+def _numbered(points: Sightings, order: Sequence[int]) -> Sightings:
+    """Return sightings whose epochs are the places of their poses in an order."""
+    number = {one: place for place, one in enumerate(order)}
+    return replace(points, epoch=np.array([number[one] for one in points.epoch.tolist()], dtype=np.int64))
+
+
+def _stars_beside(stars: Sightings, order: Sequence[int], camera: ArchiveCamera) -> Sightings | None:
+    """Return the stars that a fit of some poses uses, the last pose's first; None where they have none."""
+    of_lens = stars.select(np.isin(stars.epoch, np.array(order)))
+    if len(of_lens) == 0:
+        return None
+    numbered = _numbered(of_lens, order)
+    return numbered.select(surest_of_epochs(numbered.pixels, numbered.sigma_px, numbered.epoch, camera.size))
+
+
+def _merged(suns: Sightings, stars: Sightings) -> Sightings:
+    """Return sightings of both in the order of time."""
+    merged = stacked([suns, stars])
+    return merged.select(np.argsort(merged.unix_s, kind="stable"))
+
+
+def better_of(fitted: Mapping[int, FittedPose], both: Mapping[int, FittedPose]) -> dict[int, FittedPose]:
+    """Return the calibrations by suns and stars, that by suns alone of a pose where the other is refused or not there.
+
+    Parameters
+    ----------
+    fitted : by suns alone, by pose.
+    both : by suns and stars.
+    """
+    return {
+        pose: _as_steady(both[pose], one) if pose in both and not _is_worse(both[pose], one) else one
+        for pose, one in fitted.items()
+    }
+
+
+def _is_worse(both: FittedPose, one: FittedPose) -> bool:
+    accepted = one.calibration.verdict.accepted and not both.calibration.verdict.accepted
+    return accepted or _drifts(one.calibration)
+
+
+def _as_steady(both: FittedPose, one: FittedPose) -> FittedPose:
+    """Return a calibration that allows for the drift of the pose that another one does."""
+    spread = one.calibration.evidence.pose_spread_deg
+    return both if spread is None else both._replace(calibration=with_pose_spread(both.calibration, spread))
+
+
+def document_of(
+    fitted: FittedPose,
+    points: Sightings,
+    epoch: Epoch,
+    *,
+    camera: str,
+    name: str,
+    evidence: Mapping[str, object],
+    clock_error_s: float | None = None,
+) -> dict[str, Any]:
+    """Return the calibration document of an epoch, valid from its first to its last sighting.
+
+    Its id is made of the sightings, so that the same archive gives the same one.
+    """
+    solved, offset = with_clock(fitted.calibration, clock_error_s), points
+    rows = fitted.rows
+    stars = fitted.stars
+    beside = () if stars is None else (stars.unix_s.tobytes(), stars.pixels.tobytes())
+    identity = key_of((camera, name, offset.unix_s[rows].tobytes(), offset.pixels[rows].tobytes(), *beside))
+    selection = {**solved.evidence.selection, **evidence, **({} if stars is None else {"n_stars": len(stars)})}
+    last = utc_time(epoch.end_unix_s)
+    return to_document(
+        replace(solved, evidence=replace(solved.evidence, selection=selection)),
+        id=identity,
+        camera=camera,
+        state="candidate" if solved.verdict.accepted or solved.sigma_limit_deg is not None else "refused",
+        created_at=last,
+        valid_from=utc_time(epoch.start_unix_s),
+        valid_until=last,
+        pose_epoch=name,
+        software_version=sunarc.__version__,
+    )
+
+
+def doubts(calibration: Calibration, camera: ArchiveCamera) -> tuple[Finding, ...]:
+    """Return what a camera's first fit says against the site or the times that were given."""
+    found = []
+    wanted = camera.options.mirrored
+    if wanted != "auto" and calibration.camera.mirrored != (wanted == "yes"):
+        found.append(Finding("camera_mirrored", {"mirrored": "yes" if calibration.camera.mirrored else "no"}))
+    tilted = None if camera.options.level_within_deg is not None else tilt_question(calibration.camera, camera.site)
+    return (*found, tilted) if tilted is not None else tuple(found)
+
+
+_SIGMA_FLOOR_PX = 0.05
+_FAILED = 3.0
+"""Scatter about a refused fit, in that of the state that it began with, from which the fit has failed."""
+
+
+class CameraSightings(NamedTuple):
+    """Accepted sightings of a camera at their stated times, and the states that are known so far."""
+
+    points: Sightings
+    camera: ArchiveCamera
+    states: tuple[State, ...] = ()
+
+
+class Rough(NamedTuple):
+    """States and epochs after the first pass, and what is doubtful or why there are none."""
+
+    states: tuple[State, ...] = ()
+    epochs: tuple[Epoch, ...] = ()
+    findings: tuple[Finding, ...] = ()
+
+
+class Final(NamedTuple):
+    """States, epochs, the state of each sighting (n,), and the calibration of each pose by its number."""
+
+    states: tuple[State, ...]
+    epochs: tuple[Epoch, ...]
+    path: IntArray
+    fitted: dict[int, FittedPose]
+
+
+def first_analysis(given: CameraSightings) -> Rough:
+    """Return the states and epochs of a camera by its first pass.
+
+    Offsets of clocks are against the clock that most sightings have; where states are known, against theirs.
+    """
+    found = find_states(given.points, given.camera, given.states)
+    if found.finding is not None:
+        return Rough(findings=(found.finding,))
+    alternate = alternation(given.points, found.states, given.camera)
+    if alternate is not None:
+        return Rough(findings=(alternate,))
+    epochs, path = find_epochs(given.points, found.states, given.camera)
+    states = list(found.states) if given.states else with_true_clock(found.states, path, given.camera.site)
+    largest = states[max(range(len(states)), key=lambda number: int((path == number).sum()))]
+    return Rough(tuple(states), tuple(epochs), doubts(largest.calibration, given.camera))
+
+
+def final_analysis(given: CameraSightings) -> Final:
+    """Return the epochs and calibrations of a camera by its second pass."""
+    points, camera = given.points, given.camera
+    states = with_changes_within(points, given.states, camera)
+    _, path = find_epochs(points, states, camera)
+    fitted = fit_poses(points, path, states, camera)
+    apart = with_lenses_apart(points, path, states, fitted, camera)
+    if [one.lens for one in apart] != [one.lens for one in states]:
+        states, fitted = apart, fit_poses(points, path, apart, camera)
+    # a state that no sighting is left to has no calibration that a later one could be given
+    held = [(state, points.select(path == number)) for number, state in enumerate(states) if np.any(path == number)]
+    refined = [_refined(state, fitted, of_state, camera) for state, of_state in held]
+    epochs, path = find_epochs(points, refined, camera)
+    noise = noise_of_days(points, camera.site)
+    found = _without_drifts(Final(tuple(refined), tuple(epochs), path, fitted), given, noise)
+    found = _held_to_parts(_allowing_for_drift(_held_to_days(found, given, noise), given, noise), given)
+    found = _held_to_level(found)
+    return found._replace(epochs=surely_held(found.epochs, points, found.states, camera))
+
+
+_DRIFTS = {"mount_drifts", "clock_drifts_on"}
+
+
+def _drifts(calibration: Calibration) -> bool:
+    return any(one.code in _DRIFTS for one in calibration.verdict.findings)
+
+
+def _drift_of(final: Final, given: CameraSightings, noise: FloatArray, run: Sequence[Epoch]) -> DriftWithin | None:
+    """Return what the sightings of consecutive epochs say of a drift, about the camera of the longest of them."""
+    state = final.states[_longest(run).state]
+    rows = slice(run[0].first, run[-1].last + 1)
+    seen = given.camera.shifted(given.points.select(rows), state.clock_offset_s)
+    changes = [(one.first - run[0].first, one.cause) for one in run[1:]]
+    return drift_within(seen, state.calibration.camera, given.camera.site, noise[rows], changes=changes)
+
+
+def _without_drifts(final: Final, given: CameraSightings, noise: FloatArray) -> Final:
+    """Return epochs, those in which mount or clock drifted taken together and refused: no camera holds for them."""
+    epochs = final.epochs[:_MOST_CHANGES]
+    states, path, fitted = list(final.states), final.path.copy(), dict(final.fitted)
+    taken = set[int]()
+    for count in range(len(epochs), 0, -1):
+        for begin in range(len(epochs) - count + 1):
+            run = epochs[begin : begin + count]
+            drift = None if taken & set(range(begin, begin + count)) else _drift_of(final, given, noise, run)
+            if drift is None or drift.finding is None or (count > 1 and drift.over_steps < 0.0):
+                continue
+            taken |= set(range(begin, begin + count))
+            longest = states[_longest(run).state]
+            pose = 1 + max(one.pose for one in states)
+            fitted[pose] = _refused(fitted[longest.pose], drift.finding)
+            path[run[0].first : run[-1].last + 1] = len(states)
+            states.append(longest._replace(pose=pose))
+    return _of_path(final, Final(tuple(states), (), path, fitted), given.points)
+
+
+def _longest(run: Sequence[Epoch]) -> Epoch:
+    return max(run, key=lambda one: one.last - one.first)
+
+
+def _refused(fitted: FittedPose, *findings: Finding) -> FittedPose:
+    return fitted._replace(calibration=refused_for(fitted.calibration, *findings))
+
+
+def _of_path(former: Final, final: Final, points: Sightings) -> Final:
+    """Return epochs by the states of sightings, with the causes of former ones."""
+    causes = {one.first: one.cause for one in former.epochs}
+    epochs = epochs_of(final.path, final.states, points)
+    return final._replace(epochs=tuple(one._replace(cause=causes.get(one.first, "unexplained")) for one in epochs))
+
+
+def _allowing_for_drift(final: Final, given: CameraSightings, noise: FloatArray) -> Final:
+    """Return calibrations whose uncertainty allows for what their epochs' sightings say of a drift."""
+    fitted = dict(final.fitted)
+    spread = {pose: np.zeros(3) for pose, one in fitted.items() if one.calibration.verdict.accepted}
+    for epoch in final.epochs:
+        pose = final.states[epoch.state].pose
+        drift = _drift_of(final, given, noise, [epoch]) if pose in spread else None
+        if drift is None:
+            continue
+        spread[pose] = np.maximum(spread[pose], drift.spread_deg)
+        if drift.finding is not None:
+            fitted[pose] = _refused(fitted[pose], drift.finding)
+    for pose, largest in spread.items():
+        fitted[pose] = fitted[pose]._replace(calibration=with_pose_spread(fitted[pose].calibration, largest.tolist()))
+    return final._replace(fitted=fitted)
+
+
+_FEWEST_OF_PART = 30
+"""Sightings of a part of an epoch that a camera of its own is fitted to."""
+_PARTS_APART = 2.5
+"""Stated sigmas between the camera of a part and that of all: of 37 right ones at most 2.1, of those with pixels that
+are not square, which make up for a drift, 5 and 10."""
+
+
+def _held_to_parts(final: Final, given: CameraSightings) -> Final:
+    """Return calibrations held to those of their halves, thirds and alternate suns: with larger errors, or refused.
+
+    What all days share (a bias of detection, a wrong lens) no part of them shows; what differs among them does.
+    """
+    fitted, camera = dict(final.fitted), given.camera
+    together = joined(given.points, final.path, final.states)
+    for pose, one in fitted.items():
+        whole = one.calibration
+        of_pose = together.select(one.rows[together.epoch[one.rows] == pose])
+        if not whole.verdict.accepted or len(of_pose) < 2 * _FEWEST_OF_PART:
+            continue
+        hand: Mirrored = "yes" if whole.camera.mirrored else "no"
+        options = replace(camera.options, mirrored=hand, projection=whole.camera.projection)
+        apart = [0.0]
+        for part in _parts_of(replace(of_pose, epoch=np.zeros(len(of_pose), dtype=np.int64))):
+            alone = calibrate(
+                part, site=camera.site, image_size=camera.size, options=options, circle=camera.circle, parts=False
+            )
+            apart.append(apart_sigmas(alone, whole) if alone.verdict.accepted else 0.0)
+        fitted[pose] = _held_to(one, max(apart))
+    return final._replace(fitted=fitted)
+
+
+def _parts_of(points: Sightings) -> Iterator[Sightings]:
+    """Yield the halves and thirds of sightings in the order of time, and those by turns, where they are enough."""
+    rows = np.arange(len(points))
+    for part in (*np.array_split(rows, 2), *np.array_split(rows, 3), rows[::2], rows[1::2]):
+        if part.size >= _FEWEST_OF_PART:
+            yield points.select(part)
+
+
+def _held_to(fitted: FittedPose, sigmas: float) -> FittedPose:
+    """Return a calibration from which that of some part lies so many stated sigmas."""
+    if sigmas > _PARTS_APART:
+        return _refused(fitted, Finding("parts_disagree", {"sigmas": sigmas, "limit": _PARTS_APART}))
+    return fitted if sigmas <= 1.0 else fitted._replace(calibration=with_larger_errors(fitted.calibration, sigmas))
+
+
+def _held_to_level(final: Final) -> Final:
+    """Return calibrations, those refused whose tilt is not stated, unless the camera stood level in another pose.
+
+    Site and clock are those of all poses.
+    """
+    accepted = {pose: one for pose, one in final.fitted.items() if one.calibration.verdict.accepted}
+    doubts_of = {pose: tilt_in_doubt(one.calibration) for pose, one in accepted.items()}
+    fitted = dict(final.fitted)
+    if not all(doubts_of.values()):
+        for pose, one in accepted.items():
+            said = one.calibration
+            for finding in site_assumed(said):
+                said = with_finding(said, finding)
+            fitted[pose] = one._replace(calibration=said)
+        return final._replace(fitted=fitted)
+    for pose, doubt in doubts_of.items():
+        question = tilt_question(fitted[pose].calibration.camera, fitted[pose].calibration.site)
+        fitted[pose] = _refused(fitted[pose], *filter(None, (question, doubt)))
+    return final._replace(fitted=fitted)
+
+
+_OF_DAYS = {"epoch_does_not_explain_its_days", "held_out_contradicts", "too_many_rejected", "rmse_too_large"}
+"""Findings by which the sightings of an epoch are not of one camera."""
+
+
+def _held_to_days(final: Final, given: CameraSightings, noise: FloatArray) -> Final:
+    """Return epochs, those that do not explain their days shortened to the days that agree, where these give a camera.
+
+    What is left of such an epoch keeps the calibration that was refused.
+    """
+    points, camera = given.points, given.camera
+    states, path, fitted = list(final.states), final.path.copy(), dict(final.fitted)
+    for epoch in final.epochs:
+        state = states[epoch.state]
+        refused = final.fitted[state.pose].calibration
+        of_days = _OF_DAYS & {one.code for one in refused.verdict.findings}
+        if refused.verdict.accepted or _drifts(refused) or not of_days:
+            continue
+        rows = slice(epoch.first, epoch.last + 1)
+        seen = camera.shifted(points.select(rows), state.clock_offset_s)
+        residual = seen.pixels - project_fast(refused.camera, sun_directions(seen.unix_s, camera.site))
+        for run in agreeing_days(finite(residual), noise[rows], seen.unix_s, camera.site)[:1]:
+            alone = calibrate(
+                seen.select(run), site=camera.site, image_size=camera.size, options=camera.options, tilt_known=True
+            )
+            if not alone.verdict.accepted:
+                continue
+            pose, lens = (1 + max(getattr(one, name) for one in states) for name in ("pose", "lens"))
+            path[epoch.first + run[0] : epoch.first + run[-1] + 1] = len(states)
+            fitted[pose] = FittedPose(alone, epoch.first + run)
+            states.append(state._replace(calibration=alone, pose=pose, lens=lens))
+    return _of_path(final, Final(tuple(states), (), path, fitted), points)
+
+
+class Starry(NamedTuple):
+    """Accepted sightings of a camera, what came of them, and the stars of its nights."""
+
+    given: CameraSightings
+    final: Final
+    stars: Sightings
+
+
+def starry_analysis(of: Starry) -> Final:
+    """Return epochs and calibrations with those calibrations that are better fitted to suns and stars."""
+    final, given = of.final, of.given
+    both = fit_poses(given.points, final.path, final.states, given.camera, stars=of.stars)
+    return final._replace(fitted=better_of(final.fitted, both))
+
+
+def kept_provisional(final: Final, camera: ArchiveCamera) -> Final:
+    """Return calibrations, those that their sightings do not determine as provisional, see `provisional`."""
+    limit_deg = camera.options.max_sky_deg
+    kept = {
+        pose: one._replace(calibration=provisional(one.calibration, limit_deg=limit_deg))
+        for pose, one in final.fitted.items()
+    }
+    return final._replace(fitted=kept)
+
+
+def _refined(state: State, fitted: dict[int, FittedPose], points: Sightings, camera: ArchiveCamera) -> State:
+    """Return a state with the calibration that was fitted to all of its sightings."""
+    found = fitted.get(state.pose)
+    if found is None or found.calibration.evidence.n_used == 0 or len(points) == 0:
+        return state
+    distance = camera.distances_of(found.calibration, points, state.clock_offset_s)
+    scatter = robust_sigma(distance, floor=_SIGMA_FLOOR_PX)
+    # a fit that failed says nothing of when the state held
+    if not found.calibration.verdict.accepted and scatter > _FAILED * state.sigma_px:
+        return state
+    return state._replace(calibration=found.calibration, sigma_px=scatter)

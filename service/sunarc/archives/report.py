@@ -1,0 +1,301 @@
+"""The report of a run: one page of HTML with everything in it, and its numbers as JSON."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Iterable, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+import sunarc
+from sunarc.archives.passes import FoundSun
+from sunarc.archives.results import CameraResult, Summary, epoch_name
+from sunarc.archives.states import Epoch, State
+from sunarc.common.array_types import FloatArray
+from sunarc.common.errors import disk_errors
+from sunarc.common.findings import Finding
+from sunarc.common.robust_statistics import median_of
+from sunarc.common.utc import DAY_S, utc_time
+from sunarc.optics.forward import project
+from sunarc.sky.days import solar_date, solar_days
+from sunarc.sky.sun import sun_directions
+from sunarc.sources.image_files import images_in
+from sunarc.sources.sources import open_source
+
+_PICTURE_PX = 320
+_TRACK_S = 600.0
+_MOST_DAYS = 40
+"""Days of a camera that are listed; the tables have all."""
+_STYLE = """body{font:15px sans-serif;max-width:1000px;margin:2em auto;padding:0 1em;color:#222}
+table{border-collapse:collapse;margin:1em 0}th,td{border:1px solid #bbb;padding:.25em .6em;text-align:left}
+td.n{text-align:right}figure{display:inline-block;margin:.5em}img{max-width:320px}h2{margin-top:2em}"""
+
+
+def write_report(target: Path, summary: Summary, results: Sequence[CameraResult]) -> None:
+    """Write `report.html` and `report.json` into a folder.
+
+    Raises
+    ------
+    OutsideError : they cannot be written.
+    """
+    page = report_page(summary, results)
+    with disk_errors(target):
+        (target / "report.html").write_text(page, encoding="utf-8")
+        (target / "report.json").write_text(json.dumps(summary.report, indent=1, allow_nan=False) + "\n")
+
+
+def report_page(summary: Summary, results: Sequence[CameraResult]) -> str:
+    """Return the report as HTML that needs no other file."""
+    cameras = summary.report["cameras"]
+    parts = [_overview(summary.report)]
+    parts += [_camera(numbers, result) for numbers, result in zip(cameras, results, strict=True)]
+    return (
+        '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>Archive analysed again</title>'
+        f"<style>{_STYLE}</style></head><body><h1>Archive analysed again</h1>{''.join(parts)}"
+        f"<p>sunarc {escape(sunarc.__version__)}. Tables: sightings.csv, epochs.json, failures.csv; calibrations and "
+        "exports in the folders of these names.</p></body></html>"
+    )
+
+
+def _overview(report: dict[str, Any]) -> str:
+    rows = [
+        (
+            one["camera"],
+            one["images"],
+            one["accepted_first_pass"],
+            one["second_pass"]["found"],
+            one["second_pass"]["refused"],
+            one["accepted"],
+            len(one["epochs"]),
+        )
+        for one in report["cameras"]
+    ]
+    header = ("camera", "images", "suns, first pass", "found with prediction", "refused with it", "suns", "epochs")
+    failures = [(code, n) for code, n in report["failures"].items()]
+    refused = "".join(f"<p><b>{escape(one['camera'])}</b>: {escape(one['reason'])}</p>" for one in report["refused"])
+    return (
+        _table(header, rows)
+        + refused
+        + (_table(("files left out (why: failures.csv)", "number"), failures) if failures else "")
+    )
+
+
+def _camera(numbers: dict[str, Any], result: CameraResult) -> str:
+    findings = "".join(f"<p>{escape(one['reason'])}</p>" for one in numbers["findings"])
+    verdicts = ", ".join(f"{n} {verdict}" for verdict, n in numbers["by_verdict"].items())
+    head = f"<h2>{escape(result.name)}</h2>{findings}<p>Images that were looked at: {escape(verdicts or '0')}.</p>"
+    night = numbers["nights"]
+    if night["images"]:
+        head += (
+            f"<p>Images of the night: {night['images']}, of which {night['looked_at']} were looked at; "
+            f"{night['stars']} stars named in {night['accepted']}.</p>"
+        )
+    if result.final is None:
+        return head + "<p>No calibration.</p>"
+    line = time_line(
+        [(epoch_name(n), one.cause, one.start_unix_s, one.end_unix_s) for n, one in enumerate(result.epochs)]
+    )
+    return head + line + _epochs(numbers["epochs"]) + _residuals(result) + _days(result) + _pictures(result)
+
+
+def _refusal(epoch: dict[str, Any]) -> str:
+    return ("" if epoch["provisional"] else "refused: ") + "; ".join(epoch["reasons"])
+
+
+def _epochs(epochs: Iterable[dict[str, Any]]) -> str:
+    rows = [
+        (
+            one["epoch"],
+            one["cause"],
+            _time(one["start"]),
+            _time(one["end"]),
+            f"{one['clock_offset_s']:+.1f}",
+            one["sightings"],
+            _number(one["rmse_px"]),
+            _number(one["sky_rms_deg"]),
+            "accepted" if one["accepted"] else _refusal(one),
+        )
+        for one in epochs
+    ]
+    header = (
+        "epoch",
+        "cause",
+        "from, UTC",
+        "to, UTC",
+        "clock ahead, s",
+        "suns",
+        "RMSE, px",
+        "sky error, °",
+        "calibration",
+    )
+    return _table(header, rows)
+
+
+def _time(written: str) -> str:
+    """Return a time of RFC 3339 to the minute, which no line is broken within."""
+    return written[:16].replace("T", "\N{NO-BREAK SPACE}").replace("-", "\N{NON-BREAKING HYPHEN}")
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.3f}"
+
+
+def _residuals(result: CameraResult) -> str:
+    assert result.final is not None  # noqa: S101 - the caller asked
+    points, _ = result.looked.points()
+    distance = np.zeros(len(points))
+    for number, state in enumerate(result.final.states):
+        rows = result.final.path == number
+        distance[rows] = _distance(state, points.unix_s[rows], points.pixels[rows], result)
+    return "<p>Distance of the sightings from their calibration, px:</p>" + residuals(points.unix_s, distance)
+
+
+def _distance(state: State, unix_s: Any, pixels: Any, result: CameraResult) -> Any:  # noqa: ANN401 - arrays
+    directions = sun_directions(unix_s - state.clock_offset_s, result.camera.plan.site)
+    return np.nan_to_num(np.linalg.norm(pixels - project(state.calibration.camera, directions), axis=-1))
+
+
+def _days(result: CameraResult) -> str:
+    times = np.array([image.unix_s for image in result.looked.images])
+    day = solar_days(times, longitude=result.camera.plan.site.longitude)
+    seen = np.array([isinstance(one, FoundSun) and one.accepted for one in result.looked.found])
+    days = np.unique(day)
+    rows = [
+        (
+            solar_date(float(times[day == one][0]), longitude=result.camera.plan.site.longitude).isoformat(),
+            int(np.count_nonzero(day == one)),
+            int(np.count_nonzero(seen[day == one])),
+        )
+        for one in days[:: days.size // _MOST_DAYS + 1].tolist()
+    ]
+    title = (
+        f"<p>{days.size} days"
+        + (f", every {days.size // _MOST_DAYS + 1}th:" if days.size > _MOST_DAYS else ":")
+        + "</p>"
+    )
+    return title + _table(("day", "images", "suns"), rows)
+
+
+def _pictures(result: CameraResult) -> str:
+    """Return a picture of each epoch with the sun's track of its day, by the epoch's calibration."""
+    figures = [_figure(result, n, epoch) for n, epoch in enumerate(result.epochs)]
+    return "".join(figures)
+
+
+def _figure(result: CameraResult, number: int, epoch: Epoch) -> str:
+    assert result.final is not None  # noqa: S101 - the caller asked
+    _, rows = result.looked.points()
+    image = result.looked.images[rows[(epoch.first + epoch.last) // 2]]
+    source = open_source(image.address)
+    ((_, found),) = images_in(source, image.file, [image.number], size=result.camera.size)
+    if isinstance(found, Finding):
+        return ""
+    picture = _eight_bits(found)
+    state = result.final.states[epoch.state]
+    track = image.unix_s - state.clock_offset_s + np.arange(-0.5 * DAY_S, 0.5 * DAY_S, _TRACK_S)
+    pixels = project(state.calibration.camera, sun_directions(track, result.camera.plan.site))
+    thickness = max(1, max(picture.shape[:2]) // 300)
+    for x, y in pixels[np.all(np.isfinite(pixels), axis=1)].tolist():
+        cv2.circle(picture, (round(x), round(y)), 2 * thickness, (0, 220, 255), -1)
+    scale = min(1.0, _PICTURE_PX / max(picture.shape[:2]))
+    small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    encoded = base64.b64encode(cv2.imencode(".jpg", small)[1].tobytes()).decode()
+    caption = f"{epoch_name(number)}: {image.name}"
+    return (
+        f'<figure><img alt="Sun\'s track in epoch {epoch_name(number)}" src="data:image/jpeg;base64,{encoded}">'
+        f"<figcaption>{escape(caption)}</figcaption></figure>"
+    )
+
+
+def _eight_bits(image: Any) -> Any:  # noqa: ANN401 - arrays
+    """Return a picture in 8 bit colours, its median at a third of the scale where it is deeper."""
+    light = image.astype(np.float64)
+    if image.dtype != np.uint8:
+        light *= 85.0 / max(median_of(light.ravel()), 1.0)
+    grey = np.clip(light, 0.0, 255.0).astype(np.uint8)
+    return np.ascontiguousarray(grey if grey.ndim == 3 else cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR))
+
+
+def _table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    head = "".join(f"<th>{escape(name)}</th>" for name in header)
+    body = "".join(
+        "<tr>" + "".join(f"<td{_align(cell)}>{escape(str(cell))}</td>" for cell in row) + "</tr>" for row in rows
+    )
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def _align(cell: object) -> str:
+    return ' class="n"' if isinstance(cell, int | float) else ""
+
+
+# Drawings of the report as SVG: epochs on a time line, residuals over time.
+
+_WIDTH, _LEFT, _RIGHT = 960, 60, 12
+_COLOURS = {"start": "#4477aa", "moved": "#ee6677", "lens": "#aa3377", "clock": "#ccbb44", "unexplained": "#bbbbbb"}
+"""By the cause of an epoch: P. Tol's scheme, which people with a colour deficiency can tell apart."""
+_MOST_POINTS = 4000
+
+
+def time_line(epochs: Sequence[tuple[str, str, float, float]]) -> str:
+    """Return epochs on a time line.
+
+    Parameters
+    ----------
+    epochs : name, cause, begin and end (seconds since 1970-01-01 UTC) of each.
+    """
+    if not epochs:
+        return ""
+    at = _scale(epochs[0][2], epochs[-1][3])
+    parts = []
+    for name, cause, start, end in epochs:
+        x, width = at(start), max(at(end) - at(start), 2.0)
+        title = f"{name}, {cause}: {utc_time(start):%Y-%m-%d %H:%M} to {utc_time(end):%Y-%m-%d %H:%M}"
+        parts.append(
+            f'<rect x="{x:.1f}" y="6" width="{width:.1f}" height="22" fill="{_COLOURS[cause]}"><title>{escape(title)}'
+            f'</title></rect><text x="{x + 3:.1f}" y="44">{escape(name)} {escape(cause)}</text>'
+        )
+    return _svg(60, "Epochs on a time line", "".join(parts))
+
+
+def residuals(unix_s: FloatArray, distance_px: FloatArray) -> str:
+    """Return how far sightings are from their calibration, (n,) px, over time."""
+    if unix_s.size == 0:
+        return ""
+    some = np.unique(np.linspace(0, unix_s.size - 1, min(unix_s.size, _MOST_POINTS)).astype(int))
+    top = max(float(np.quantile(distance_px, 0.98)) * 1.2, 0.1)
+    at = _scale(float(unix_s[0]), float(unix_s[-1]))
+    high = np.minimum(distance_px / top, 1.0)
+    dots = "".join(
+        f'<circle cx="{at(float(unix_s[n])):.1f}" cy="{150.0 - 140.0 * high[n]:.1f}" r="1.5"/>' for n in some.tolist()
+    )
+    axis = (
+        f'<text x="2" y="16">{top:.2f} px</text><text x="2" y="154">0</text>'
+        f'<text x="{_LEFT}" y="172">{utc_time(float(unix_s[0])):%Y-%m-%d}</text>'
+        f'<text x="{_WIDTH - 90}" y="172">{utc_time(float(unix_s[-1])):%Y-%m-%d}</text>'
+        f'<line x1="{_LEFT}" y1="150" x2="{_WIDTH - _RIGHT}" y2="150" stroke="#888"/>'
+    )
+    return _svg(
+        180, "Distance of the sightings from their calibration over time", axis + f'<g fill="#4477aa">{dots}</g>'
+    )
+
+
+class _scale:  # noqa: N801 - called as a function
+    """Times to horizontal places."""
+
+    def __init__(self, start: float, end: float) -> None:
+        self._start, self._span = start, max(end - start, 1.0)
+
+    def __call__(self, unix_s: float) -> float:
+        return _LEFT + (_WIDTH - _LEFT - _RIGHT) * (unix_s - self._start) / self._span
+
+
+def _svg(height: int, title: str, content: str) -> str:
+    return (
+        f'<svg role="img" aria-label="{escape(title)}" viewBox="0 0 {_WIDTH} {height}" width="100%" font-size="11" '
+        f'font-family="sans-serif"><title>{escape(title)}</title>{content}</svg>'
+    )

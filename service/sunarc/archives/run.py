@@ -1,0 +1,194 @@
+"""An archive analysed again: index, both passes, epochs, calibrations, and what is written of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+
+from sunarc.archives.cluster import DEATHS, Cluster, ClusterWhenNeeded, Workers, open_cluster
+from sunarc.archives.fit import (
+    CameraSightings,
+    Final,
+    Rough,
+    Starry,
+    final_analysis,
+    first_analysis,
+    kept_provisional,
+    starry_analysis,
+)
+from sunarc.archives.ledger import Ledger
+from sunarc.archives.nights import NightsLooked, name_stars, nights_of, star_points
+from sunarc.archives.passes import Looked, Passes, epoch_at, predictions, without_lifted
+from sunarc.archives.report import write_report
+from sunarc.archives.results import CameraResult, Horizon, Summary, learn_horizon, write_results
+from sunarc.archives.states import ArchiveCamera
+from sunarc.common.errors import InputError, disk_errors
+from sunarc.common.findings import Finding
+from sunarc.imager.archive.database.state_folder import lock_state
+from sunarc.imager.runtime.clock import Clock
+from sunarc.sources.index import CameraImages, Indexed, ReportProgress
+from sunarc.sources.messages import MESSAGES
+
+_ANOTHER = "wait for that run to end, or give another folder (-o)"
+_DIED = Finding("camera_kills_workers", {"deaths": DEATHS})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReanalysisOptions:
+    """How an archive is analysed.
+
+    Attributes
+    ----------
+    target : folder of the results.
+    store : address of the ledger (SQLAlchemy); None for `ledger.sqlite` in the folder.
+    workers : where the images are looked at.
+    exports : whether the calibrations are written in all formats, too.
+    provisional : whether a calibration that its sightings do not determine is kept, see `provisional`.
+    """
+
+    target: Path
+    store: str | None = None
+    workers: Workers = field(default_factory=Workers)
+    exports: bool = True
+    provisional: bool = False
+
+
+def reanalyse(
+    indexed: Indexed,
+    options: ReanalysisOptions,
+    *,
+    clock: Clock,
+    opened: Callable[[Cluster], None] = lambda _: None,
+    progress: ReportProgress = lambda *_: None,
+) -> Summary:
+    """Find every sun of an archive, the epochs of its cameras, and a calibration for each; write it all into a folder.
+
+    What is done already by this version of the software stands in the ledger, and is not done again.
+
+    Parameters
+    ----------
+    indexed : the cameras and their images.
+    options : how.
+    clock : for waits, and for the time that it took.
+    opened : called with the cluster once it is there; without new work there is none.
+    progress : called after every chunk.
+
+    Raises
+    ------
+    InputError : there is no camera with images.
+    OutsideError : the folder cannot be written or another run writes into it, or no worker answers.
+    """
+    if not indexed.cameras:
+        seen = [f"{one.file}: {MESSAGES.text_of(one.finding)}" for one in (*indexed.refused, *indexed.failures)][:5]
+        raise InputError(field="SOURCE", problem=f"has no image to look at ({'; '.join(seen)})", remedy="see above")
+    began = clock.monotonic()
+    with disk_errors(options.target):
+        options.target.mkdir(parents=True, exist_ok=True)
+    store = options.store or f"sqlite:///{options.target / 'ledger.sqlite'}"
+    with (
+        lock_state(options.target, remedy=_ANOTHER),
+        Ledger(store) as ledger,
+        ClusterWhenNeeded(partial(open_cluster, options.workers, clock=clock), opened) as cluster,
+    ):
+        results = _results(indexed.cameras, Passes(ledger, cluster, progress), ledger)
+        if options.provisional:
+            results = [_kept_provisional(one) for one in results]
+        summary = write_results(
+            options.target, results, indexed, each=cluster.each if options.exports else None, ledger=ledger
+        )
+    summary = summary.timed(clock.monotonic() - began)
+    write_report(options.target, summary, results)
+    return summary
+
+
+def _results(cameras: Sequence[CameraImages], passes: Passes, ledger: Ledger) -> list[CameraResult]:
+    names, each = [one.plan.name for one in cameras], passes.cluster.each
+    masks = passes.masks(cameras)
+    searched = passes.search(cameras, masks)
+    given = [CameraSightings(looked.points()[0], _known(one)) for one, looked in zip(cameras, searched, strict=True)]
+    passes.progress("epochs", 0, len(cameras))
+    rough = [one or Rough(findings=(_DIED,)) for one in ledger.each(each, first_analysis, given, names=names)]
+    passes.progress("epochs", len(cameras), len(cameras))
+    found = [n for n, one in enumerate(rough) if one.states]
+    expected = (predictions(cameras[n], rough[n].states, rough[n].epochs) for n in found)
+    waiting = [(cameras[n], searched[n]) for n in found]
+    looked = dict(zip(found, passes.predict(waiting, expected, [masks[n] for n in found]), strict=True))
+    again = {n: CameraSightings(looked[n].points()[0], given[n].camera, rough[n].states) for n in found}
+    passes.progress("calibrations", 0, len(found))
+    fitted = ledger.each(each, final_analysis, list(again.values()), names=[names[n] for n in found])
+    final = dict(zip(found, fitted, strict=True))
+    held = {n: _of_accepted_epochs(searched[n], looked[n], one) for n, one in final.items() if one is not None}
+    fewer = [n for n, one in held.items() if one.found != looked[n].found]
+    looked |= held
+    again |= {n: CameraSightings(looked[n].points()[0], given[n].camera, rough[n].states) for n in fewer}
+    fitted = ledger.each(each, final_analysis, [again[n] for n in fewer], names=[f"{names[n]}, fewer" for n in fewer])
+    final |= dict(zip(fewer, fitted, strict=True))
+    passes.progress("calibrations", len(found), len(found))
+    nights = _nights(cameras, final, passes)
+    final |= _with_stars(nights, final, again, passes, ledger)
+    return [
+        CameraResult(
+            camera=camera,
+            searched=searched[n],
+            looked=looked.get(n, searched[n]),
+            rough=rough[n],
+            final=final.get(n),
+            horizon=_horizon(camera, looked.get(n, searched[n]), final.get(n)),
+            nights=nights[n],
+        )
+        for n, camera in enumerate(cameras)
+    ]
+
+
+def _of_accepted_epochs(searched: Looked, looked: Looked, final: Final) -> Looked:
+    """Return the second pass without the suns that only the prediction of a refused epoch has accepted."""
+    if not final.epochs:
+        return looked
+    accepted = [final.fitted[final.states[one.state].pose].calibration.verdict.accepted for one in final.epochs]
+    refused = [not accepted[epoch_at(final.epochs, image.unix_s)] for image in looked.images]
+    return without_lifted(searched, looked, refused)
+
+
+def _kept_provisional(result: CameraResult) -> CameraResult:
+    final = result.final
+    return result if final is None else replace(result, final=kept_provisional(final, _known(result.camera)))
+
+
+def _nights(cameras: Sequence[CameraImages], final: Mapping[int, Final | None], passes: Passes) -> list[NightsLooked]:
+    """Return the nights of each camera, with the stars that are named in their images."""
+    every = []
+    for number, camera in enumerate(cameras):
+        one = final.get(number)
+        every.append(nights_of(camera, () if one is None else one.states, () if one is None else one.epochs))
+    named = passes.name([one.work() for one in every], run=name_stars)
+    return [NightsLooked(one, looked) for one, looked in zip(every, named, strict=True)]
+
+
+def _with_stars(
+    nights: Sequence[NightsLooked],
+    final: Mapping[int, Final | None],
+    suns: Mapping[int, CameraSightings],
+    passes: Passes,
+    ledger: Ledger,
+) -> dict[int, Final]:
+    """Return what came of the cameras that have stars, by number; what the stars' workers died of changes nothing."""
+    starry: dict[int, Starry] = {}
+    for number, one in final.items():
+        stars = None if one is None else star_points(nights[number], one.states, one.epochs)
+        if one is not None and stars is not None:
+            starry[number] = Starry(suns[number], one, stars)
+    names = [nights[number].nights.camera.plan.name for number in starry]
+    fitted = ledger.each(passes.cluster.each, starry_analysis, list(starry.values()), names=names)
+    return {number: one for number, one in zip(starry, fitted, strict=True) if one is not None}
+
+
+def _known(camera: CameraImages) -> ArchiveCamera:
+    return ArchiveCamera(camera.plan.site, camera.size, camera.plan.options)
+
+
+def _horizon(camera: CameraImages, looked: Looked, final: Final | None) -> Horizon | None:
+    if final is None or not final.epochs:
+        return None
+    return learn_horizon(looked, predictions(camera, final.states, final.epochs), camera.size)

@@ -1,0 +1,374 @@
+"""How a camera stood turned on each day against one calibration, and where its rotations step or begin to drift.
+
+Made for the comparison of days and cameras: a day's rotation says nothing of the calibration's own error, which is the
+same on all days, and costs a hundredth of `daily_pose_offset`, which does.
+
+A component's model is a constant, one change, a random walk and white noise in the ratio of the stated variances. The
+walk takes what drifts, as a lens whose error changes with the sun's declination. A change has to beat that model with a
+walk of its own best size, so that the faster a camera drifts the larger a change must be. A change is a step, or a
+turn that goes on for days, as that of a mast that settles.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_solve, cholesky
+from scipy.spatial.transform import Rotation
+
+from sunarc.calibration.answers.error_model import (
+    CameraErrorModel,
+    error_model_of,
+    joint_covariance,
+    predicted,
+)
+from sunarc.calibration.evidence import whitened
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import Sightings, filter_sightings
+from sunarc.calibration.pose import fit_pose, gathered, inflation_of, with_noise
+from sunarc.common.array_types import BoolArray, FloatArray, IntArray, picked
+from sunarc.common.robust_statistics import MAD_TO_SIGMA, biweights, finite
+from sunarc.optics.camera import Camera
+from sunarc.optics.pose import rotation_matrix
+from sunarc.sky.site import Site
+
+FEWEST = 20
+"""Sightings of a day that show a rotation: as many as a day's pose offset takes."""
+_ROUNDS, _CUT = 8, 5.0
+_MEDIAN_DISTANCE = 1.1774
+"""Median of a two-dimensional distance over its 1-sigma per axis, (2 ln 2)^½."""
+_LEAST_SIGMA = 1e-7
+"""Radians; a smaller scatter, a ten-thousandth of a pixel, is that of made-up numbers."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DailyRotations:
+    """How a camera stood turned on the days that show the sun, against one calibration.
+
+    Attributes
+    ----------
+    day : (n,) numbers of days, rising.
+    rotation_deg : (n, 3) about east, north and up, right-handed, degrees: positive about "up" turns the camera
+        counter-clockwise as seen from above.
+    covariance_deg2 : (n, 3, 3) by the scatter of the day's sightings.
+    """
+
+    day: FloatArray
+    rotation_deg: FloatArray
+    covariance_deg2: FloatArray
+
+
+def daily_rotations(day: FloatArray, *, observed: FloatArray, expected: FloatArray) -> DailyRotations:
+    """Return the rotation of each day with at least 20 sightings that agree.
+
+    Parameters
+    ----------
+    day : (n,) number of the day of each sighting.
+    observed : (n, 3) directions by the calibration's camera, unit vectors east-north-up; NaN where it sees none.
+    expected : (n, 3) directions of the sun.
+    """
+    days, found = [], []
+    known = np.isfinite(observed).all(axis=-1) & np.isfinite(expected).all(axis=-1)
+    for one in np.unique(day[known]).tolist():
+        of_day = known & (day == one)
+        rotation = _rotation(observed[of_day], expected[of_day])
+        if rotation is not None:
+            days.append(one)
+            found.append(rotation)
+    return DailyRotations(
+        day=np.array(days),
+        rotation_deg=np.array([rotation for rotation, _ in found]).reshape(-1, 3),
+        covariance_deg2=np.array([covariance for _, covariance in found]).reshape(-1, 3, 3),
+    )
+
+
+def _rotation(observed: FloatArray, expected: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """Return the rotation (3,) that takes `observed` to `expected`, degrees, and its covariance; None of too few.
+
+    Wahba's problem with Tukey's weights, again and again.
+    """
+    weight = np.ones(len(observed))
+    for _ in range(_ROUNDS):
+        if np.count_nonzero(weight) < FEWEST:
+            return None
+        rotation = Rotation.align_vectors(expected, observed, weights=weight)[0]
+        distance = np.linalg.norm(expected - rotation.apply(observed), axis=-1)
+        scale = max(float(np.median(distance)) / _MEDIAN_DISTANCE, _LEAST_SIGMA)
+        weight = biweights(np.minimum(distance / (_CUT * scale), 1.0))
+    variance = max(float(weight @ distance**2 / (2.0 * weight.sum())), _LEAST_SIGMA**2)
+    # a small rotation w moves a direction d by w x d, which is (1 - d d^T) of w in size
+    information = np.einsum("n,nij->ij", weight, np.eye(3) - expected[:, :, None] * expected[:, None, :]) / variance
+    covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
+    return np.asarray(rotation.as_rotvec(degrees=True)), np.degrees(np.degrees(covariance))
+
+
+_WALK = (0.0, 0.003, 0.03, 0.3, 3.0)
+"""Variance of the walk in a day over that of a day's rotation, tried each: from none to nothing but a walk."""
+_FEWEST_BEFORE, _FEWEST_AFTER = 8, 4
+"""Days: a scatter needs some before, and three days of cloud's making are not a step."""
+_SETTLING_DAYS = (3.0, 6.0, 12.0, 25.0, np.inf)
+"""Time constants of slow turns, tried each: from what a step of few days could be to the length of what is compared;
+so near one another that what is left of a turn is not taken for its neighbours'. Infinite: at one rate."""
+_NEAR, _OUTLYING = 5, 4.0
+"""A day that is further than so many scatters from the median of so many days about it is moved to that limit."""
+_WINDOW, _HOP = 30, 15
+"""Days of a long record that are compared at once, and from one such window to the next."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RotationStep:
+    """A change of a camera's rotation: a step, or a slow turn.
+
+    Attributes
+    ----------
+    day : the first one after a step, or on which a turn begins.
+    last_day : the last one that was compared.
+    settling_days : the time in which a turn does 0.63 of its way, days; infinite at one rate, 0 for a step.
+    rotation_deg : (3,) after minus before, about east, north and up; of a turn, up to the last day.
+    covariance_deg2 : (3, 3) of it, by the scatter and the drift of the days.
+    gain : by how many powers of e the change explains the days better than none.
+    n_before, n_after : days.
+    slower : of a step, the slow turn that explains the days best in its place.
+    """
+
+    day: float
+    last_day: float
+    settling_days: float = 0.0
+    rotation_deg: FloatArray
+    covariance_deg2: FloatArray
+    gain: float
+    n_before: int
+    n_after: int
+    slower: RotationStep | None = None
+
+    @property
+    def likeliest(self) -> RotationStep:
+        """The change of the larger gain: the step, or the slow turn in its place."""
+        return self if self.slower is None or self.gain >= self.slower.gain else self.slower
+
+    def progress(self, day: FloatArray) -> FloatArray:
+        """Return which part of the change was done on days (n,): 0 before it, 1 on the last day."""
+        return _progress(day, self.day, self.last_day, self.settling_days)
+
+
+def _progress(day: FloatArray, first: float, last: float, settling_days: float) -> FloatArray:
+    since = np.maximum(day - first, 0.0)
+    if settling_days == 0.0:
+        return np.asarray(day >= first, dtype=np.float64)
+    if np.isinf(settling_days):
+        return np.asarray(since / (last - first))
+    return np.asarray(np.expm1(-since / settling_days) / np.expm1(-(last - first) / settling_days))
+
+
+def is_recent(step: RotationStep) -> bool:
+    """Whether a step has too few days yet: it may be one of cloud, and would pass for a turn that began before it."""
+    return step.settling_days == 0.0 and step.n_after < _FEWEST_AFTER
+
+
+def find_change(days: DailyRotations, min_gain: float) -> RotationStep | None:
+    """Return the step that explains a camera's daily rotations best; None where none does so clearly.
+
+    Where no step does, but a slow turn, that is returned; or a step of the last days, which is not reported yet
+    (`is_recent`).
+
+    Parameters
+    ----------
+    days : of at most some 60 days, without what is common to the neighbours.
+    min_gain : the least gain, natural logarithm.
+    """
+    n = len(days.day)
+    if n < _FEWEST_BEFORE + _FEWEST_AFTER:
+        return None
+    tried = _changes(days.day)
+    axes, fits = _fitted(days, tried.progress)
+    gain = np.sum([fit.gain for fit in fits], axis=0)
+
+    def change(of_kind: BoolArray) -> RotationStep:
+        best = int(np.argmax(np.where(of_kind, gain, -np.inf)))
+        first = int(tried.first[best])
+        return RotationStep(
+            day=float(days.day[first]),
+            last_day=float(days.day[-1]),
+            settling_days=float(tried.settling_days[best]),
+            **_size(axes, fits, best),
+            n_before=first,
+            n_after=n - first,
+        )
+
+    is_step = tried.settling_days == 0.0
+    recent = is_step & (tried.first > n - _FEWEST_AFTER)
+    step, turn, newest = change(is_step & ~recent), change(~is_step), change(recent)
+    if newest.gain > max(min_gain, step.gain, turn.gain):
+        return newest
+    if step.gain >= min_gain:
+        return replace(step, slower=turn)
+    return turn if turn.gain >= min_gain else None
+
+
+def as_shown(days: DailyRotations, change: RotationStep) -> RotationStep | None:
+    """Return a change that was found elsewhere, with its size and gain by these days; None where they are too few."""
+    n_before = int(np.searchsorted(days.day, change.day))
+    n_after = len(days.day) - n_before
+    if min(n_before, n_after) < _FEWEST_AFTER:
+        return None
+    axes, fits = _fitted(days, change.progress(days.day)[:, None])
+    return replace(change, **_size(axes, fits, 0), n_before=n_before, n_after=n_after, slower=None)
+
+
+def step_gains(days: DailyRotations) -> FloatArray:
+    """Return (n,): by how many powers of e a step just before each day explains the days about it better than none.
+
+    Parameters
+    ----------
+    days : any number of them; at most 30 are compared at once.
+    """
+    n = len(days.day)
+    gains = np.full(n, -np.inf)
+    for begin in range(0, max(n - _WINDOW, 0) + _HOP, _HOP):
+        first = min(begin, max(n - _WINDOW, 0))
+        some = picked(days, slice(first, first + _WINDOW))
+        if len(some.day) > _FEWEST_AFTER:
+            steps = np.asarray(some.day[:, None] >= some.day[1:], dtype=np.float64)
+            gain = np.sum([fit.gain for fit in _fitted(some, steps)[1]], axis=0)
+            rows = slice(first + 1, first + len(some.day))
+            gains[rows] = np.maximum(gains[rows], gain)
+    return gains
+
+
+class _Changes(NamedTuple):
+    """Of each change that is tried: the index of its first day, its time constant, and (n, c) its progress."""
+
+    first: IntArray
+    settling_days: FloatArray
+    progress: FloatArray
+
+
+def _changes(day: FloatArray) -> _Changes:
+    """Return steps, and turns that begin on every second day from the first on."""
+    n = len(day)
+    steps = [(first, 0.0) for first in range(_FEWEST_BEFORE, n)]
+    turns = [(first, tau) for tau in _SETTLING_DAYS for first in range(0, n - _FEWEST_AFTER + 1, 2)]
+    first, settling = (np.array(column) for column in zip(*steps, *turns, strict=True))
+    progress = [_progress(day, float(day[k]), float(day[-1]), tau) for k, tau in (*steps, *turns)]
+    return _Changes(first, settling, np.array(progress).T)
+
+
+class _Fits(NamedTuple):
+    """Of each change: the gain, and its size and variance."""
+
+    gain: FloatArray
+    size: FloatArray
+    variance: FloatArray
+
+
+def _fitted(days: DailyRotations, progress: FloatArray) -> tuple[FloatArray, list[_Fits]]:
+    """Return the principal axes (3, 3) of what is stated, about which components err independently, and their fits."""
+    axes = np.linalg.eigh(days.covariance_deg2.mean(axis=0))[1]
+    rotations = _limited(days.rotation_deg @ axes)
+    variances = np.einsum("ij,nik,kj->nj", axes, days.covariance_deg2, axes)
+    return axes, [_component(days.day, rotations[:, j], variances[:, j], progress) for j in range(3)]
+
+
+def _component(day: FloatArray, rotation: FloatArray, variance: FloatArray, progress: FloatArray) -> _Fits:
+    """Return what each change is worth, by generalised least squares for each size of walk."""
+    n = len(day)
+    walk = np.minimum.outer(day - day[0], day - day[0])
+    none, changed, sizes, spreads = [], [], [], []
+    for ratio in _WALK:
+        covariance = np.diag(variance) + ratio * variance.mean() * walk
+        white, half_log = whitened(covariance, np.column_stack([np.ones(n), rotation, progress]))
+        constant = white[:, 0] / np.linalg.norm(white[:, 0])
+        white = white[:, 1:] - constant[:, None] * (constant @ white[:, 1:])
+        values, shape = white[:, 0], white[:, 1:]
+        information = np.sum(shape**2, axis=0)
+        size = shape.T @ values / information
+        left = max(float(values @ values), 1e-12)  # rotations without any scatter are none of a camera
+        remaining = np.maximum(left - size**2 * information, 1e-12 * left)
+        none.append(-half_log - 0.5 * n * np.log(left))
+        changed.append(-half_log - 0.5 * n * np.log(remaining))
+        sizes.append(size)
+        spreads.append(remaining / (n - 2.0) / information)
+    likelihood = np.array(changed)
+    best = np.argmax(likelihood, axis=0)
+    column = np.arange(progress.shape[1])
+    gain = likelihood[best, column] - max(none)
+    return _Fits(gain, np.array(sizes)[best, column], np.array(spreads)[best, column])
+
+
+def _size(axes: FloatArray, fits: list[_Fits], number: int) -> dict[str, Any]:
+    """Return size, covariance and gain of one of the changes that were fitted, by name."""
+    return {
+        "rotation_deg": axes @ np.array([fit.size[number] for fit in fits]),
+        "covariance_deg2": axes @ np.diag([fit.variance[number] for fit in fits]) @ axes.T,
+        "gain": float(sum(fit.gain[number] for fit in fits)),
+    }
+
+
+def _limited(rotations: FloatArray) -> FloatArray:
+    """Return (n, 3) with single days that stand off from those about them moved near; a step stays as it is."""
+    half = _NEAR // 2
+    padded = np.pad(rotations, ((half, half), (0, 0)), mode="edge")
+    near = np.lib.stride_tricks.sliding_window_view(padded, _NEAR, axis=0)
+    middle = np.asarray(np.median(near, axis=-1), dtype=np.float64)
+    off = rotations - middle
+    limit = _OUTLYING * MAD_TO_SIGMA * np.asarray(np.median(np.abs(off), axis=0), dtype=np.float64)
+    return np.asarray(middle + np.clip(off, -limit, limit))
+
+
+# The same with what the calibration states of its own errors.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseOffset:
+    """A small turn of the camera against its calibration.
+
+    Attributes
+    ----------
+    turn_deg : about the axes to the east, to the north and up, degrees, right-handed: positive about "up" turns the
+        camera counter-clockwise as seen from above.
+    sigma_deg : 1-sigma of each.
+    n : sightings that it rests on.
+    """
+
+    turn_deg: tuple[float, float, float]
+    sigma_deg: tuple[float, float, float]
+    n: int
+
+
+def daily_pose_offset(points: Sightings, *, calibration: Calibration, site: Site) -> PoseOffset | None:
+    """Return the mean rotation of a camera on a day; None with fewer than 20 inliers.
+
+    The lens is the calibration's; what that says of its own errors along the day's track widens the sigmas.
+
+    Parameters
+    ----------
+    points : sightings of one day and one pose epoch.
+    calibration : what they are compared with.
+    site : where the camera stands.
+    """
+    usable = filter_sightings(points, site=site)
+    if len(usable) < FEWEST:
+        return None
+    sightings = with_noise(usable, points, calibration)
+    inlier = fit_pose(calibration, sightings).inlier
+    if inlier.sum() < FEWEST:
+        return None
+    camera = calibration.camera.at_every_angle()
+    together = gathered(camera, sightings, inlier, inflation=inflation_of(calibration))
+    rotation, covariance = _gls_rotation(error_model_of(calibration), camera, together)
+    to_enu = -rotation_matrix(camera.rotation_cam_enu).T  # a camera that turns one way sees the sky turn the other
+    sigma = np.sqrt(np.diag(to_enu @ covariance @ to_enu.T))
+    (east, north, up), (s_east, s_north, s_up) = np.degrees(to_enu @ rotation).tolist(), np.degrees(sigma).tolist()
+    return PoseOffset(turn_deg=(east, north, up), sigma_deg=(s_east, s_north, s_up), n=int(inlier.sum()))
+
+
+def _gls_rotation(error_model: CameraErrorModel, camera: Camera, sightings: Sightings) -> tuple[FloatArray, FloatArray]:
+    """Return the turn (3,) about the camera's axes by generalised least squares, and its covariance (3, 3)."""
+    at = predicted(error_model, camera, sightings.directions)
+    rows = at.rows[..., error_model.rotation].reshape(-1, 3)
+    total = joint_covariance(error_model, at) + np.diag(np.repeat(sightings.variance, 2))
+    weighed = cho_solve((cholesky(total, lower=True), True), rows)
+    covariance = np.asarray(np.linalg.inv(rows.T @ weighed), dtype=np.float64)
+    return covariance @ (weighed.T @ finite(sightings.pixels - at.pixels).ravel()), covariance

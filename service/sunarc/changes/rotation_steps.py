@@ -1,0 +1,222 @@
+"""What neighbouring cameras show of one another: whose rotation changed, and what that may be.
+
+The sun's directions are computed for the stated time at the stated site. A clock that is ahead, and a longitude that
+is stated too far east, both turn them about the celestial pole, and the camera seems turned the other way. A track of
+the sun says nothing else of either: 1 s and 1/240 degree are one and the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sunarc.calibration.evidence import DAYS_GAIN, RARER, Weighed, log_marginal, most_probable
+from sunarc.changes.daily_rotations import (
+    DailyRotations,
+    RotationStep,
+    as_shown,
+    find_change,
+    is_recent,
+)
+from sunarc.changes.values import Cause
+from sunarc.common.array_types import FloatArray, picked
+from sunarc.sky.days import SECONDS_PER_DEGREE
+from sunarc.sky.directions import wrapped_deg
+from sunarc.sky.site import Site, pole_enu
+
+_UP = np.array([0.0, 0.0, 1.0])
+_FEWEST_OTHERS = 2
+"""Of two cameras that differ none is the one that is wrong."""
+FEWEST_AGREEING = 3
+"""Others that must show a camera's change, each by itself, for the camera to be named."""
+_SHARE, _LEAST_SHOWN = 0.5, 3.0
+"""By how much of its size a change may be another one beside another camera, and its least gain there."""
+_SIZE_DEG = 0.1
+"""1-sigma of a change about each axis before it is seen: a blow, a camera put straight, 24 s of a clock."""
+_RARER_MOVED, _RARER_NAMED = 2.0, 3.0
+"""Powers of e by which a step about any axis, and one about that of a clock or of north, is rarer than a slow turn; by
+docs/studies/cross_checks.py and pose_changes.py."""
+_NOT_WEIGHED = 0.05
+"""Share of causes with a probability of nearly 1 among those weighed that were none of them: mounts that walk, days
+that all cameras have wrong alike; by docs/studies/cross_checks.py."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StepSize:
+    """The most likely cause of a step, and its size by each of the causes that have one number.
+
+    Attributes
+    ----------
+    confidence : the probability of that cause: at most .95, as in one case of twenty it is none of those weighed.
+    change : what was explained: the step, or the slow turn in its place.
+    clock_s, longitude_deg : by how much the clock went ahead, or the stated longitude to the east: the same rotation.
+    north_deg : by how much the camera turned about the vertical, counter-clockwise as seen from above.
+    """
+
+    cause: Cause
+    confidence: float
+    change: RotationStep
+    clock_s: float
+    clock_sigma_s: float
+    longitude_deg: float
+    longitude_sigma_deg: float
+    north_deg: float
+    north_sigma_deg: float
+
+
+def rotation_of_site(before: Site, after: Site) -> FloatArray:
+    """Return the rotation (3,), degrees about east, north and up, by which a new statement of the site turns a camera.
+
+    For differences of a few degrees and less.
+    """
+    east = float(wrapped_deg(after.longitude - before.longitude))
+    return np.array([after.latitude - before.latitude, 0.0, 0.0]) - east * pole_enu(before)
+
+
+def explain_step(step: RotationStep, *, before: Site, after: Site) -> StepSize:
+    """Return the most probable explanation of a change.
+
+    Parameters
+    ----------
+    step : of a camera's rotation against one calibration, or a slow turn.
+    before, after : the site as it was stated for the days before and after it.
+    """
+    changes = [step] if step.slower is None else [step, step.slower]
+    weighed = [one for change in changes for one in _explanations(change, before, after)]
+    best = most_probable(weighed)
+    cause, change = best.explanation
+    of_cause = [one.log_evidence - one.rarer for one in weighed if one.explanation[0] == cause]
+    of_others = [one.log_evidence - one.rarer for one in weighed if one.explanation[0] != cause]
+    against = np.logaddexp.reduce([*of_others, DAYS_GAIN]) - np.logaddexp.reduce(of_cause)
+    size = change.rotation_deg
+    information = np.asarray(np.linalg.inv(change.covariance_deg2), dtype=np.float64)
+    pole, pole_sigma = _about(size, information, pole_enu(before))
+    north, north_sigma = _about(size, information, _UP)
+    return StepSize(
+        cause=cause,
+        confidence=(1.0 - _NOT_WEIGHED) * float(np.exp(-np.logaddexp(0.0, against))),
+        change=change,
+        clock_s=-SECONDS_PER_DEGREE * pole,
+        clock_sigma_s=SECONDS_PER_DEGREE * pole_sigma,
+        longitude_deg=-pole,
+        longitude_sigma_deg=pole_sigma,
+        north_deg=north,
+        north_sigma_deg=north_sigma,
+    )
+
+
+def _explanations(change: RotationStep, before: Site, after: Site) -> list[Weighed[tuple[Cause, RotationStep]]]:
+    """Return what a change may be: a rotation about any axis, or about one that says what it is."""
+    size = change.rotation_deg
+
+    def evidence(axes: FloatArray, left: FloatArray = size) -> float:
+        return log_marginal(left[:, None], change.covariance_deg2, _SIZE_DEG * axes[:, None, :])
+
+    def weighed(cause: Cause, log_evidence: float, rarer: float) -> Weighed[tuple[Cause, RotationStep]]:
+        return Weighed((cause, change), change.gain + log_evidence - of_any, rarer)
+
+    of_any = evidence(np.eye(3))
+    clock, north = evidence(pole_enu(before)[:, None]), evidence(_UP[:, None])
+    if change.settling_days > 0.0:  # a statement changes at once, and so does north
+        return [weighed("slow_turn", of_any, 0.0), weighed("clock", clock, RARER)]
+    found = [weighed("moved", of_any, _RARER_MOVED)]
+    if min(clock, north) > of_any:
+        found.append(weighed("clock_or_north", max(clock, north), _RARER_NAMED))
+    else:
+        found += [weighed("clock", clock, _RARER_NAMED), weighed("north", north, _RARER_NAMED)]
+    restated = rotation_of_site(before, after)
+    if np.any(restated):
+        named: Cause = "longitude" if before.latitude == after.latitude else "site"
+        found.append(weighed(named, evidence(np.zeros((3, 1)), size - restated), -RARER))
+    return found
+
+
+def _about(size: FloatArray, information: FloatArray, axis: FloatArray) -> tuple[float, float]:
+    """Return the rotation about an axis that comes nearest, and its 1-sigma."""
+    weight = float(axis @ information @ axis)
+    return float(axis @ information @ size) / weight, weight**-0.5
+
+
+def find_steps(cameras: Sequence[DailyRotations], *, min_gain: float = DAYS_GAIN) -> tuple[RotationStep | None, ...]:
+    """Return the change of each camera of a group of neighbours; None of one that shows none clearly.
+
+    What all of them have in common on a day is not a camera's: refraction, a time server, a new version of the
+    software. Each is compared with the mean of the others. The largest change is taken first, and removed, because
+    the others would show it with the opposite sign. With fewer than three cameras nothing is common.
+
+    Parameters
+    ----------
+    cameras : their rotations on days numbered alike, of at most some 60 days.
+    min_gain : the least gain, natural logarithm.
+    """
+    found: list[RotationStep | None] = [None] * len(cameras)
+    remaining = list(cameras)
+    for _ in cameras:
+        steps = {
+            number: find_change(_beside_others(remaining, number), min_gain)
+            for number in range(len(cameras))
+            if found[number] is None
+        }
+        clear = {number: step for number, step in steps.items() if step is not None}
+        if not clear:
+            break
+        # by size, which the others show divided by their number; gains are near one another where days are precise
+        first = max(clear, key=lambda number: float(np.linalg.norm(clear[number].likeliest.rotation_deg)))
+        found[first] = clear[first]
+        remaining[first] = _without(remaining[first], clear[first])
+    return tuple(None if step is None or is_recent(step) else step for step in found)
+
+
+def agreeing(cameras: Sequence[DailyRotations], number: int, change: RotationStep) -> int:
+    """Return how many others show a camera's change, each by itself; 0 where they are no more than half of all.
+
+    What differs between two cameras is either's: a change is the camera's own where its difference from others has it
+    in about its whole size. What many cameras do alike, others than this one, is not distinguished from it.
+    """
+    n_shown, n_compared = 0, 0
+    change = change.likeliest
+    weighed = np.linalg.solve(change.covariance_deg2, change.rotation_deg)
+    for one in [other for k, other in enumerate(cameras) if k != number]:
+        shown = as_shown(_difference(cameras[number], one), change)
+        if shown is not None:
+            share = float(weighed @ shown.rotation_deg) / float(weighed @ change.rotation_deg)
+            n_shown += abs(share - 1.0) < _SHARE and shown.gain > _LEAST_SHOWN
+            n_compared += 1
+    return n_shown if 2 * n_shown > n_compared + 1 else 0
+
+
+def _difference(one: DailyRotations, other: DailyRotations) -> DailyRotations:
+    """Return by how much more one camera stood turned than another, on the days that both show."""
+    day, here, there = np.intersect1d(one.day, other.day, return_indices=True)
+    return DailyRotations(
+        day=day,
+        rotation_deg=one.rotation_deg[here] - other.rotation_deg[there],
+        covariance_deg2=one.covariance_deg2[here] + other.covariance_deg2[there],
+    )
+
+
+def _without(one: DailyRotations, step: RotationStep) -> DailyRotations:
+    done = step.likeliest.progress(one.day)[:, None]
+    return replace(one, rotation_deg=one.rotation_deg - done * step.likeliest.rotation_deg)
+
+
+def _beside_others(cameras: Sequence[DailyRotations], number: int) -> DailyRotations:
+    """Return a camera's rotations less the mean, on each day, of what the others differ from their own medians.
+
+    Days that none of the others shows are left out: between corrected days they would stand off by what is common.
+    """
+    own = cameras[number]
+    others = [one for k, one in enumerate(cameras) if k != number and len(one.day)]
+    if len(others) < _FEWEST_OTHERS or not len(own.day):
+        return own
+    total, count = np.zeros((len(own.day), 3)), np.zeros(len(own.day))
+    for one in others:
+        place = np.minimum(np.searchsorted(one.day, own.day), len(one.day) - 1)
+        there = one.day[place] == own.day
+        off = one.rotation_deg - np.median(one.rotation_deg, axis=0)
+        total += np.where(there[:, None], off[place], 0.0)
+        count += there
+    common = total / np.maximum(count, 1.0)[:, None]
+    return picked(replace(own, rotation_deg=own.rotation_deg - common), count > 0.0)

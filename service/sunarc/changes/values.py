@@ -1,0 +1,164 @@
+"""Input, state and result of the change detection."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, field
+from typing import Annotated, Literal
+
+import numpy as np
+from annotated_types import Ge, Le
+
+from sunarc.calibration.model.sightings import Sightings
+from sunarc.changes.messages import MESSAGES
+from sunarc.common.array_types import BoolArray, FloatArray, stacked
+from sunarc.common.bounds import require_bounds
+from sunarc.common.findings import Finding
+from sunarc.optics.camera import Camera
+
+ChangeKind = Literal["bump", "clock", "lens", "refocus", "shift", "mirrored", "site"]
+LENS_KINDS: frozenset[ChangeKind] = frozenset({"lens", "refocus", "shift"})
+"""Kinds after which earlier sightings carry no information on the lens."""
+Cause = Literal["clock", "longitude", "site", "north", "clock_or_north", "moved", "slow_turn"]
+"""`clock`: about the celestial pole, and the stated site is as before. `longitude`, `site`: what is stated of the site
+changed, by the rotation that was seen. `north`: about the vertical. `clock_or_north`: both fit, as they do near the
+poles. `moved`: none of them. `slow_turn`: no step, but a turn of days and weeks about another axis than the celestial
+pole, as that of a mast that settles; no alarm, since the imager's own calibration follows it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WatchOptions:
+    """What the change detection does not report as a change.
+
+    Attributes
+    ----------
+    wander_deg : 1-sigma per axis by which a mast and its mount wander with heat and wind, which is no change.
+    """
+
+    wander_deg: Annotated[float, Ge(0.0), Le(5.0)] = 0.01
+
+    def __post_init__(self) -> None:
+        """Refuse what is out of bounds."""
+        require_bounds(self, section_path="watch")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sighting:
+    """One sighting as the watch sees it.
+
+    Attributes
+    ----------
+    unix_s : mid-exposure.
+    pixel : x, y, px.
+    direction : where the sun was, east-north-up.
+    sigma_px : stated 1-sigma per axis; NaN where none is stated.
+    """
+
+    unix_s: float
+    pixel: tuple[float, float]
+    direction: tuple[float, float, float]
+    sigma_px: float = math.nan
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SightingWindow(Sightings):
+    """The last sightings, the oldest first; a value: every look makes a new one.
+
+    Attributes
+    ----------
+    pixels : see `Sightings`, as for the other columns.
+    trusted : (n,) whether each agreed with those before it.
+    surprise : (n, 2) by how many sigmas it did not, in whitened axes; 0 where it is not trusted.
+    """
+
+    pixels: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    trusted: BoolArray = field(default_factory=lambda: np.array([False]))
+    surprise: FloatArray = field(default_factory=lambda: np.zeros((1, 2)))
+
+    def since(self, unix_s: float) -> SightingWindow:
+        """Return what is remembered from a moment on."""
+        return self.select(self.unix_s >= unix_s)
+
+    def last(self, count: int) -> SightingWindow:
+        """Return the last ones."""
+        return self.select(np.arange(len(self)) >= len(self) - count)
+
+    def with_one(self, sighting: Sighting, *, trusted: bool, surprise: FloatArray) -> SightingWindow:
+        """Return this with one more sighting."""
+        one = SightingWindow(
+            unix_s=np.array([sighting.unix_s]),
+            pixels=np.array([sighting.pixel]),
+            directions=np.array([sighting.direction]),
+            sigma_px=np.array([sighting.sigma_px]),
+            trusted=np.array([trusted]),
+            surprise=np.asarray(surprise)[None],
+        )
+        return stacked([self, one])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Change:
+    """Something changed.
+
+    Attributes
+    ----------
+    kind : what it looks like.
+    at_unix_s : of the first sighting after it.
+    earliest_unix_s, latest_unix_s : the last sighting surely before it, the first surely after it.
+    size, size_sigma, unit : how large it is: degrees of a turn, seconds of a clock, px of a shifted sensor, % of the
+        focal length; 0 where that has no meaning.
+    gain : by how many powers of e it explains the sightings better than no change.
+    agreeing, of : sightings since that agree on it.
+    perhaps : kinds that explain it about as well so far, where it is called a bump.
+    finding : the change as a code and data.
+    """
+
+    kind: ChangeKind
+    at_unix_s: float
+    earliest_unix_s: float
+    latest_unix_s: float
+    size: float
+    size_sigma: float
+    unit: str
+    gain: float
+    agreeing: int
+    of: int
+    perhaps: str
+    finding: Finding
+
+    @property
+    def text(self) -> str:
+        """The change in a sentence."""
+        return MESSAGES.text_of(self.finding)
+
+    @property
+    def remedy(self) -> str:
+        """What to do about it."""
+        return MESSAGES.remedy_of(self.finding)
+
+    def as_details(self) -> dict[str, float | int | str]:
+        """Return what is stored of it: its numbers and names, the sentence and the remedy."""
+        scalars = {key: value for key, value in asdict(self).items() if isinstance(value, int | float | str)}
+        return scalars | dict(self.finding.data) | {"text": self.text, "remedy": self.remedy}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Hypothesis:
+    """What the sightings from one on would be if something had changed.
+
+    Attributes
+    ----------
+    kind : what.
+    first : the first sighting after the change.
+    camera : that sees them then.
+    sightings : from that one on; the directions where the sun was, the pixels those of that camera.
+    free : (p, f) free directions in the error model's parameters, one column per standard normal number.
+    mean : (p,) where those are expected before the sightings.
+    """
+
+    kind: ChangeKind
+    first: int
+    camera: Camera
+    sightings: Sightings
+    free: FloatArray
+    mean: FloatArray

@@ -1,0 +1,465 @@
+"""Stars in images of the night: named by a calibration, or a calibration from them alone."""
+
+from __future__ import annotations
+
+import math
+import uuid
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+
+import sunarc
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.messages import MESSAGES as OF_CALIBRATION
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import Sightings
+from sunarc.calibration.selection import MOST_STARS, image_parts, sky_parts, surest_of_parts
+from sunarc.common.array_types import FloatArray, Image, IntArray, evenly_spread
+from sunarc.common.errors import InputError
+from sunarc.common.findings import Finding, Messages
+from sunarc.common.foreign_files import is_regular, name_text
+from sunarc.common.utc import DAY_S, rfc3339, utc_time
+from sunarc.detection.messages import MESSAGES as OF_DETECTION
+from sunarc.detection.messages import reason_of
+from sunarc.detection.stars.detect import detect_stars
+from sunarc.detection.stars.matching import StarMatches
+from sunarc.detection.values import FWHM, Bayer, PredictedStars, Stars
+from sunarc.formats.calibration_document import to_document
+from sunarc.formats.csv_files import write_sightings
+from sunarc.imager.runtime.clock import Clock
+from sunarc.optics.camera import Camera
+from sunarc.sky.directions import angular_distance, direction_from_angles
+from sunarc.sky.night import FAINTEST_V, NightSky, night_sky
+from sunarc.sky.site import Site
+from sunarc.sources.detect_files import estimated_full_scale
+from sunarc.sources.files import read_file, read_image
+from sunarc.sources.image_files import kind_of
+from sunarc.sources.image_times import ASSUMED_UTC, TimeRules, timed_picture
+from sunarc.sources.messages import MESSAGES, RefusedImageError
+from sunarc.sources.sources import Folder
+from sunarc.stars.blind_start import BlindOptions, BlindStart, NightDetections, blind_start, with_clock_error
+from sunarc.stars.messages import MESSAGES as OF_STARS
+from sunarc.stars.views import StarView, match_views, matching_flip, predict_stars
+
+_OF_CAMERA = Messages(OF_CALIBRATION | OF_STARS | OF_DETECTION)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StarOptions:
+    """How images of the night are read.
+
+    Attributes
+    ----------
+    rules : how their times are read.
+    to_middle_s : seconds from the stated time to the middle of the exposure; the header of a FITS file states that.
+    within_px : 1-sigma that is added to the calibration's own uncertainty, px.
+    bayer, full_scale : of raw frames; full scale is judged from the file where None.
+    gain_e_per_count : electrons per count of a linear camera; None where not known.
+    clock_error_s : bound of the error of their times, s; a camera that they give is turned about the pole with it.
+    """
+
+    rules: TimeRules = field(default_factory=lambda: ASSUMED_UTC)
+    to_middle_s: float = 0.0
+    within_px: float = 0.0
+    bayer: Bayer | None = None
+    full_scale: int | None = None
+    gain_e_per_count: float | None = None
+    clock_error_s: float = 10.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StarImage:
+    """What an image of the night shows; without time and stars where it could not be read."""
+
+    file: str
+    reason: str
+    findings: tuple[Finding, ...]
+    time: datetime | None = None
+    sky: NightSky | None = None
+    stars: Stars | None = None
+    predicted: PredictedStars | None = None
+    matches: StarMatches | None = None
+    size: tuple[int, int] | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the summary of the image."""
+        matches, stars = self.matches, self.stars
+        return {
+            "file": self.file,
+            "time_utc": None if self.time is None else rfc3339(self.time),
+            "accepted": matches is not None and matches.accepted,
+            "reason": self.reason,
+            "findings": [finding.as_json() for finding in self.findings],
+            "n_detected": 0 if stars is None else len(stars),
+            "n_stars": int(self.rows().size),
+            "explained": None if matches is None else _finite_or_none(matches.explained),
+            "found": None if matches is None else _finite_or_none(matches.found),
+            "scatter_px": None if matches is None else _finite_or_none(matches.scatter_px),
+            "star_fwhm_px": None if stars is None or len(stars) == 0 else FWHM * float(np.median(stars.width_px)),
+        }
+
+    def rows(self) -> IntArray:
+        """Return which of the matches are sightings: stars that are not clipped."""
+        if self.matches is None or self.stars is None:
+            return np.zeros(0, dtype=np.int64)
+        return np.flatnonzero(self.stars.sound[self.matches.detection])
+
+
+def find_stars(paths: Sequence[Path], calibration: Calibration, options: StarOptions) -> list[StarImage]:
+    """Find and name the stars in image files, in the order given; a file that is no image gets its reason.
+
+    What stands still between images of a night (hot pixels, lamps) is left out: give two or more that lie ten minutes
+    or more apart.
+
+    Parameters
+    ----------
+    paths : images of the night.
+    calibration : of the camera: its lens and pose, its site, and how sure it is.
+    options : see `StarOptions`.
+
+    Raises
+    ------
+    InputError : an image has not the calibration's size, or ephem is not installed.
+    """
+    camera = calibration.camera
+    size = (camera.width, camera.height)
+    seen = [read_stars(path, calibration.site, options, size=size) for path in paths]
+    return _with_flips(named_stars(seen, calibration, within_px=options.within_px), seen, calibration)
+
+
+def _with_flips(named: list[StarImage], seen: Sequence[StarImage], calibration: Calibration) -> list[StarImage]:
+    """Return images; where no image's stars match, and those of flipped ones do, their findings say which flip."""
+    if any(one.matches is not None and one.matches.accepted for one in named):
+        return named
+    pairs = zip(named, seen, strict=True)
+    read = [_view(replace(one, stars=as_read.stars), calibration.camera) for one, as_read in pairs]
+    size = (calibration.camera.width, calibration.camera.height)
+    flip, counts = matching_flip([view for view in read if view is not None], size)
+    count_of = iter(counts)
+    found = [0 if view is None else next(count_of) for view in read]
+    return [
+        replace(one, findings=findings, reason=reason_of(findings))
+        if n and (findings := (*one.findings, Finding("stars_flipped", {"flip": flip, "n": n})))
+        else one
+        for one, n in zip(named, found, strict=True)
+    ]
+
+
+def named_stars(images: Sequence[StarImage], calibration: Calibration, *, within_px: float = 0.0) -> list[StarImage]:
+    """Return images with the names that a calibration gives their stars."""
+    seen = [
+        one if one.sky is None else replace(one, predicted=predict_stars(calibration, one.sky, within_px=within_px))
+        for one in images
+    ]
+    views = {row: view for row, one in enumerate(seen) if (view := _view(one, calibration.camera)) is not None}
+    found = dict(zip(views, match_views(list(views.values())), strict=True))
+    return [
+        replace(
+            one,
+            reason=reason_of(found[row].matches.findings),
+            findings=found[row].matches.findings,
+            stars=found[row].stars,
+            matches=found[row].matches,
+        )
+        if row in found
+        else one
+        for row, one in enumerate(seen)
+    ]
+
+
+def write_star_sightings(
+    target: TextIO, images: Sequence[StarImage], *, beside: Sightings | None = None, most: int = MOST_STARS
+) -> int:
+    """Write the stars of accepted images as `sunarc calibrate` reads them, and return how many.
+
+    `beside` are further sightings (the sun's), which are written before them; `most` of the stars are written, the
+    surest of each part of the sky.
+    """
+    rows: list[tuple[datetime, float, float, float | None, str]] = []
+    directions, air = [np.zeros((0, 3))], np.zeros((2, 0))
+    if beside is not None:
+        names = np.where(np.isnan(beside.directions[:, 0]), "sun", "stated")
+        columns = (beside.unix_s, beside.pixels, beside.sigma_px, names)
+        rows += [
+            (utc_time(t), float(x), float(y), _finite_or_none(sigma), str(body))
+            for t, (x, y), sigma, body in zip(*columns, strict=True)
+        ]
+        directions.append(beside.directions)
+        air = np.stack([beside.temperature, beside.pressure])
+    sun = len(rows)
+    found = [_sightings(image) for image in images]
+    stars = [row for part, _ in found for row in part]
+    around = np.concatenate([np.zeros((0, 3)), *(part for _, part in found)])
+    sigma_px = np.array([row[3] for row in stars], dtype=np.float64)
+    used = surest_of_parts(sky_parts(around), sigma_px, most)
+    rows += [stars[row] for row in used]
+    directions.append(around[used])
+    air = np.concatenate([air, np.full((2, len(rows) - sun), np.nan)], axis=-1)
+    return write_sightings(target, rows, air=(air[0], air[1]), directions=np.concatenate(directions)) - sun
+
+
+def _sightings(image: StarImage) -> tuple[list[tuple[datetime, float, float, float | None, str]], FloatArray]:
+    """Return the rows of an image's stars, and their directions (n, 3)."""
+    matches, stars, sky, predicted = image.matches, image.stars, image.sky, image.predicted
+    if image.time is None or matches is None or stars is None or sky is None or predicted is None:
+        return [], np.zeros((0, 3))
+    used = image.rows()
+    seen, named = stars.select(matches.detection[used]), predicted.names[matches.star[used]].tolist()
+    columns = zip(seen.pixels.tolist(), seen.sigma_px.tolist(), named, strict=True)
+    rows: list[tuple[datetime, float, float, float | None, str]] = [
+        (image.time, x, y, sigma, name) for (x, y), sigma, name in columns
+    ]
+    return rows, sky.directions[sky.rows_of(named)]
+
+
+def read_stars(path: Path, site: Site, options: StarOptions, *, size: tuple[int, int] | None = None) -> StarImage:
+    """Return the detections of a file, and the sky at its moment; a file that is no image gets its reason.
+
+    InputError where the image has not the size (width, height) that is wanted.
+    """
+    try:
+        time, image, bayer = _read(path, options)
+    except RefusedImageError as refused:
+        return StarImage(file=name_text(path), reason=MESSAGES.text_of(refused.finding), findings=(refused.finding,))
+    except InputError as error:
+        unreadable = Finding("file_unreadable", {"error": str(error)})
+        return StarImage(file=name_text(path), reason=reason_of([unreadable]), findings=(unreadable,))
+    if (elsewhere := _other_site(path, site)) is not None:
+        reason = MESSAGES.text_of(elsewhere)
+        return StarImage(file=name_text(path), reason=reason, findings=(elsewhere,), time=time)
+    found = (image.shape[1], image.shape[0])
+    _require_size(path, found, size)
+    stars = detect_stars(
+        image,
+        full_scale=options.full_scale or estimated_full_scale(image),
+        bayer=bayer,
+        gain_e_per_count=options.gain_e_per_count,
+    )
+    sky = night_sky(time.timestamp(), site, faintest=FAINTEST_V)
+    return StarImage(file=name_text(path), reason="", findings=(), time=time, sky=sky, stars=stars, size=found)
+
+
+_FARTHEST_DEG = 2.0
+"""Between the header's site and the stated one: headers round, and some write degrees and minutes as a decimal."""
+
+
+def _other_site(path: Path, site: Site) -> Finding | None:
+    """Return what a FITS header says that is another site; longitudes that are positive to the west are known."""
+    if kind_of(path.name) != "fits":
+        return None
+    from sunarc.sources.image_files import fits_site
+
+    if (place := fits_site(read_file(path), path.name)) is None:
+        return None
+    here = direction_from_angles(zenith_deg=90.0 - site.latitude, azimuth_deg=site.longitude)
+    there = [direction_from_angles(zenith_deg=90.0 - place[0], azimuth_deg=east) for east in (place[1], -place[1])]
+    apart = min(math.degrees(float(angular_distance(here, one))) for one in there)
+    data = {"latitude": place[0], "longitude": place[1], "apart_deg": apart, "limit": _FARTHEST_DEG}
+    return Finding("file_other_site", data) if apart > _FARTHEST_DEG else None
+
+
+def _read(path: Path, options: StarOptions) -> tuple[datetime, Image, Bayer | None]:
+    """Return the middle of an image's exposure, its pixels, and the colours of its mosaic.
+
+    A FITS file's time is that of its header, which with an exposure is that of the middle; without one it is of the
+    name. A pattern of names goes first.
+    """
+    to_middle = timedelta(seconds=options.to_middle_s)
+    if kind_of(path.name) != "fits":
+        stated = _stated_time(path, options.rules)
+        return stated + to_middle, read_image(path), options.bayer
+    from sunarc.sources.image_files import fits_bayer, fits_frame, fits_image
+
+    content = read_file(path)
+    image = fits_image(content, path.name, size=None)
+    bayer = options.bayer or (fits_bayer(content, path.name) if image.ndim == 2 else None)
+    frame = fits_frame(content, path.name)
+    if frame.time is not None and options.rules.pattern is None:
+        return frame.time if frame.exposure_us is not None else frame.time + to_middle, image, bayer
+    try:
+        stated = _stated_time(path, options.rules)
+    except RefusedImageError as refused:
+        if refused.finding.code != "file_time_unknown":
+            raise
+        raise RefusedImageError(path.name, Finding("file_time_header")) from None
+    return stated + to_middle, image, bayer
+
+
+def _stated_time(path: Path, rules: TimeRules) -> datetime:
+    beside = path.with_suffix(".json")
+    names = [name_text(beside.name)] if is_regular(beside) else []
+    return timed_picture(Folder(name_text(path.parent)), name_text(path.name), rules, names=names).time
+
+
+def _require_size(path: Path, found: tuple[int, int], size: tuple[int, int] | None) -> None:
+    if size is not None and found != size:
+        raise InputError(
+            field=name_text(path),
+            problem=f"is {found[0]}x{found[1]}, the calibration of {size[0]}x{size[1]} images",
+            remedy="give images of the calibrated camera",
+        )
+
+
+def _view(image: StarImage, camera: Camera) -> StarView | None:
+    """Return what an image shows; None where it could not be read."""
+    if image.time is None or image.sky is None or image.stars is None or image.predicted is None:
+        return None
+    unix_s = image.time.timestamp()
+    return StarView(unix_s=unix_s, sky=image.sky, stars=image.stars, predicted=image.predicted, camera=camera)
+
+
+def _finite_or_none(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+_GAP_S = 6.0 * 3600.0
+"""Between images of one night; between nights it is longer."""
+_HALF_A_YEAR_S = 182.0 * DAY_S
+_MOST_IMAGES = 6
+"""Of a night that the start is found by, evenly over it; all are named by its calibration."""
+_MOST_STARS = 400
+"""Of several images, that the fit takes: the surest of each part of the image. Of one `MOST_STARS`: what errors they
+have in common more do not average."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BlindResult:
+    """What images of a night show without a calibration.
+
+    Attributes
+    ----------
+    start : the camera that the stars gave, or why there is none.
+    images : each image, its stars named by the calibration where there is one.
+    calibration : the fit of the stars; None where there was no start.
+    """
+
+    start: BlindStart
+    images: list[StarImage]
+    calibration: Calibration | None = None
+
+    @property
+    def accepted(self) -> bool:
+        """Return whether there is a camera, and its fit is accepted."""
+        return self.calibration is not None and self.calibration.verdict.accepted
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Return what the start and the fit say."""
+        return self.start.findings + (() if self.calibration is None else self.calibration.verdict.findings)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the summary of the start and of the images."""
+        return {
+            "accepted": self.accepted,
+            "reason": "; ".join(_OF_CAMERA.text_of(finding) for finding in self.findings),
+            "findings": [finding.as_json() for finding in self.findings],
+            "images": [image.as_json() for image in self.images],
+        }
+
+    def document(self, *, camera: str, clock: Clock) -> dict[str, Any]:
+        """Return the calibration's document; InputError where there is no calibration."""
+        if self.calibration is None:
+            raise InputError(field=camera, problem="no calibration", remedy="see the findings")
+        first = min(image.time for image in self.images if image.time is not None)
+        return to_document(
+            self.calibration,
+            id=uuid.uuid4().hex,
+            camera=camera,
+            state="candidate" if self.accepted else "refused",
+            created_at=clock.now(),
+            valid_from=utc_time(first.timestamp()),
+            valid_until=None,
+            pose_epoch="",
+            software_version=sunarc.__version__,
+        )
+
+
+def find_stars_blind(
+    paths: Sequence[Path], site: Site, options: StarOptions, *, known: BlindOptions | None = None
+) -> BlindResult:
+    """Find a camera by images of one night, fit it to their stars, and name the stars of all images by the fit.
+
+    Parameters
+    ----------
+    paths : images of one camera; of several nights, the one with most images gives the start.
+    site : where it stands.
+    options : how the images are read.
+    known : what is known of the camera.
+
+    Raises
+    ------
+    InputError : the images are not of one size, or ephem is not installed.
+    """
+    seen, size = list[StarImage](), None
+    for path in paths:
+        seen.append(read_stars(path, site, options, size=size))
+        size = size or seen[-1].size
+    if size is None:
+        few = Finding("blind_few_images", {"n": 0, "turn_deg": 0.0, "limit": 10.0})
+        return BlindResult(start=BlindStart(accepted=False, findings=(few,)), images=seen)
+    night = _one_night(seen)
+    images = [
+        NightDetections(unix_s=one.time.timestamp(), stars=one.stars, sky=one.sky)
+        for one in night
+        if one.time is not None and one.stars is not None and one.sky is not None
+    ]
+    start = blind_start(images, site, image_size=size, options=known)
+    if not start.accepted or start.camera is None:
+        return BlindResult(start=start, images=seen)
+    points = _points(start, images, size)
+    choice = CalibrationOptions(
+        mirrored="yes" if start.camera.mirrored else "no",
+        level_within_deg=None if known is None else known.level_within_deg,
+    )
+    fitted = calibrate(points, site=site, image_size=size, options=choice, start=start.camera)
+    if not fitted.verdict.accepted:
+        return BlindResult(start=start, images=seen, calibration=fitted)
+    named = named_stars(seen, fitted, within_px=options.within_px)
+    stated = with_clock_error(fitted, options.clock_error_s, limit_deg=choice.max_sky_deg)
+    return BlindResult(start=start, images=[_dated(one, images[0].unix_s) for one in named], calibration=stated)
+
+
+def _dated(image: StarImage, unix_s: float) -> StarImage:
+    """Return an image that was taken half a year or more from the night that gave the camera with that said."""
+    if image.time is None or abs(image.time.timestamp() - unix_s) < _HALF_A_YEAR_S:
+        return image
+    days, date = (image.time.timestamp() - unix_s) / DAY_S, f"{utc_time(unix_s):%Y-%m-%d}"
+    findings = (*image.findings, Finding("stars_years_apart", {"days": days, "date": date}))
+    return replace(image, findings=findings, reason=reason_of(findings))
+
+
+def _one_night(seen: Sequence[StarImage]) -> list[StarImage]:
+    """Return images of the night that has most of them, evenly over it."""
+    timed = sorted(
+        (one for one in seen if one.time is not None and one.stars is not None), key=lambda one: str(one.time)
+    )
+    times = np.array([one.time.timestamp() for one in timed if one.time is not None])
+    night = np.cumsum(np.diff(times, prepend=times[0]) > _GAP_S)
+    rows = np.flatnonzero(night == np.argmax(np.bincount(night)))
+    return [timed[row] for row in rows[evenly_spread(rows.size, most=_MOST_IMAGES)].tolist()]
+
+
+def _points(start: BlindStart, images: Sequence[NightDetections], size: tuple[int, int]) -> Sightings:
+    """Return the stars that the start names as sightings: unclipped, the surest of each part of the image."""
+    times, pixels, sigma, directions = [np.zeros(0)], [np.zeros((0, 2))], [np.zeros(0)], [np.zeros((0, 3))]
+    for image, predicted, stars, matches in zip(images, start.predicted, start.stars, start.matches, strict=True):
+        seen = stars.select(matches.detection)
+        sound = seen.sound
+        names = predicted.names[matches.star[sound]].tolist()
+        times.append(np.full(len(names), image.unix_s))
+        pixels.append(seen.pixels[sound])
+        sigma.append(seen.sigma_px[sound])
+        directions.append(image.sky.directions[image.sky.rows_of(names)])
+    every = Sightings.of(
+        unix_s=np.concatenate(times),
+        pixels=np.concatenate(pixels),
+        sigma_px=np.concatenate(sigma),
+        directions=np.concatenate(directions),
+    )
+    most = _MOST_STARS if len(images) > 1 else MOST_STARS
+    return every.select(surest_of_parts(image_parts(every.pixels, size), every.sigma_px, most))

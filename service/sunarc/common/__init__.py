@@ -1,0 +1,1 @@
+"""Names, errors, findings and statistics that every part of the library uses."""

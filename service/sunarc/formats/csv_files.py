@@ -1,0 +1,236 @@
+"""CSV files of sightings, directions and pixels; an error names the line and the column."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from datetime import datetime
+from typing import TextIO
+
+import numpy as np
+
+from sunarc.calibration.model.sightings import Sightings
+from sunarc.common.array_types import FloatArray, IntArray, NameArray
+from sunarc.common.errors import InputError
+from sunarc.common.utc import parse_time, rfc3339
+from sunarc.sky.directions import angles_from_direction, direction_from_angles
+from sunarc.sky.night import SUN, body_directions
+from sunarc.sky.site import PA_PER_HPA, PRESSURE_BOUNDS_HPA, TEMPERATURE_BOUNDS_C, Site
+
+SIGHTING_COLUMNS = ("time_utc", "x_px", "y_px", "sigma_px", "body")
+_REQUIRED = ("time_utc", "x_px", "y_px")
+_AIR_COLUMNS = ("temperature_c", "pressure_hpa")
+_DIRECTION_COLUMNS = ("zenith_deg", "azimuth_deg")
+_CLOCK_BOUNDS_S = (0.0, 86_400.0)
+_ZENITH_BOUNDS_DEG, _AZIMUTH_BOUNDS_DEG = (0.0, 180.0), (-360.0, 360.0)
+
+
+def read_sightings(lines: Iterable[str], *, name: str, site: Site | None = None) -> Sightings:
+    """Read sightings: `time_utc,x_px,y_px` and the optional columns.
+
+    These are `sigma_px`, `body`, `zenith_deg,azimuth_deg`, `temperature_c`, `pressure_hpa` and `clock_error_s`. Times
+    are ISO 8601 with Z; the header is required, other columns are ignored. A zenith angle and an azimuth (apparent,
+    clockwise from north) override the body; without them the body is the sun, or one whose direction the site gives.
+    What is not stated is NaN. A `camera` column names one camera; beside it an `epoch` column numbers the pose epochs,
+    as in the tables of `sunarc reanalyse`.
+
+    Parameters
+    ----------
+    lines : the file, or any lines.
+    name : what to call it in an error.
+    site : where the camera stands, for stars, planets and the moon by their names; None: their angles are needed.
+
+    Raises
+    ------
+    InputError : naming the line and column, the problem and the remedy.
+    """
+    wheres: list[str] = []
+    of_camera: list[tuple[str, str]] = []
+    rows: list[tuple[float, ...]] = []
+    body: list[str] = []
+    for where, row in _rows(lines, name=name, required=_REQUIRED):
+        direction = _direction(row, where=where)
+        wheres.append(where)
+        of_camera.append((row.get("camera") or "", row.get("epoch") or ""))
+        body.append((row.get("body") or "").strip() or "sun")
+        rows.append(
+            (
+                parse_time(row["time_utc"], where=f"{where}, time_utc").timestamp(),
+                _number(row["x_px"], where=f"{where}, x_px"),
+                _number(row["y_px"], where=f"{where}, y_px"),
+                _sigma(row.get("sigma_px"), where=f"{where}, sigma_px"),
+                _between(row.get("temperature_c"), *TEMPERATURE_BOUNDS_C, where=f"{where}, temperature_c"),
+                PA_PER_HPA * _between(row.get("pressure_hpa"), *PRESSURE_BOUNDS_HPA, where=f"{where}, pressure_hpa"),
+                _between(row.get("clock_error_s"), *_CLOCK_BOUNDS_S, where=f"{where}, clock_error_s"),
+                *direction,
+            )
+        )
+    columns = np.array(rows, dtype=np.float64).reshape(-1, 9)
+    bodies, stated = np.array(body, dtype=np.str_), columns[:, 7]
+    directions = direction_from_angles(zenith_deg=stated, azimuth_deg=columns[:, 8])
+    named = np.flatnonzero(np.isnan(stated) & (bodies != SUN)) if rows else np.zeros(0, dtype=np.int64)
+    if named.size:
+        directions[named] = _named_directions(bodies[named], columns[named], [wheres[n] for n in named.tolist()], site)
+    return Sightings.of(
+        epoch=_epochs(of_camera, name=name),
+        unix_s=columns[:, 0],
+        pixels=columns[:, 1:3],
+        sigma_px=columns[:, 3],
+        temperature=columns[:, 4],
+        pressure=columns[:, 5],
+        clock_error_s=columns[:, 6],
+        directions=directions,
+        body=bodies,
+    )
+
+
+def _named_directions(names: NameArray, columns: FloatArray, wheres: Sequence[str], site: Site | None) -> FloatArray:
+    """Return the directions (n, 3) of bodies by their names; InputError names the first that no body has."""
+    found = np.full((names.size, 3), np.nan)
+    if site is not None:
+        air = {"temperature": columns[:, 4], "pressure": columns[:, 5]}
+        found = body_directions(names, columns[:, 0], site, **air)
+    unknown = np.flatnonzero(np.isnan(found[:, 0]))
+    if unknown.size:
+        raise InputError(
+            field=f"{wheres[int(unknown[0])]}, body",
+            problem=f"{str(names[unknown[0]])!r} is not known",
+            remedy="give its zenith_deg and azimuth_deg, or sun sightings",
+        )
+    return found
+
+
+def _epochs(of_camera: Sequence[tuple[str, str]], *, name: str) -> IntArray:
+    """Return the pose epochs (n,) of rows by their cameras and epochs; InputError where they are of several cameras."""
+    cameras = sorted({camera for camera, _ in of_camera})
+    if len(cameras) > 1:
+        raise InputError(
+            field=f"{name}, camera",
+            problem=f"has rows of {len(cameras)} cameras: {', '.join(cameras[:3])}",
+            remedy="give the rows of one camera",
+        )
+    if cameras in ([], [""]):
+        return np.zeros(len(of_camera), dtype=np.int64)
+    return np.unique([epoch for _, epoch in of_camera], return_inverse=True)[1].astype(np.int64)
+
+
+def _direction(row: dict[str, str], *, where: str) -> tuple[float, float]:
+    """Return the stated zenith angle and azimuth, degrees; NaN for both where the sun is meant."""
+    zenith, azimuth = (
+        _between(row.get(column), *bounds, where=f"{where}, {column}")
+        for column, bounds in zip(_DIRECTION_COLUMNS, (_ZENITH_BOUNDS_DEG, _AZIMUTH_BOUNDS_DEG), strict=True)
+    )
+    if math.isnan(zenith) != math.isnan(azimuth):
+        missing = _DIRECTION_COLUMNS[0] if math.isnan(zenith) else _DIRECTION_COLUMNS[1]
+        raise InputError(field=f"{where}, {missing}", problem="is empty beside the other angle", remedy="give both")
+    return zenith, azimuth
+
+
+def write_sightings(
+    target: TextIO,
+    rows: Iterable[tuple[datetime, float, float, float | None, str]],
+    *,
+    air: tuple[FloatArray, FloatArray] | None = None,
+    directions: FloatArray | None = None,
+) -> int:
+    """Write sightings as `read_sightings` reads them, and return how many.
+
+    Parameters
+    ----------
+    target : where to.
+    rows : time, x (px), y (px), 1-sigma (px) and body of each.
+    air : temperature (°C) and pressure (Pa) of each, (n,), NaN where not measured; without it, or where it has only
+        NaN, the two columns are left out.
+    directions : apparent ones of each, (n, 3), east-north-up, of what is not the sun; None leaves the columns out.
+    """
+    writer = csv.writer(target, lineterminator="\n")
+    measured = air is not None and not np.all(np.isnan(air))
+    angles = () if directions is None else angles_from_direction(directions)
+    header = (*SIGHTING_COLUMNS, *(_AIR_COLUMNS if measured else ()), *(_DIRECTION_COLUMNS if angles else ()))
+    writer.writerow(header)
+    count = 0
+    for time, x, y, sigma, body in rows:
+        stamp = rfc3339(time, timespec="microseconds")
+        cells = [stamp, f"{x:.6f}", f"{y:.6f}", "" if sigma is None else f"{sigma:.6f}", body]
+        if air is not None and measured:
+            cells += [_cell(air[0][count], places=3), _cell(air[1][count] / PA_PER_HPA, places=3)]
+        cells += [_cell(column[count], places=6) for column in angles]
+        writer.writerow(cells)
+        count += 1
+    return count
+
+
+def read_pairs(lines: Iterable[str], *, columns: tuple[str, str], name: str) -> FloatArray:
+    """Read two columns of numbers, (n, 2); `InputError` names line and column."""
+    rows = [
+        tuple(_number(row[column], where=f"{where}, {column}") for column in columns)
+        for where, row in _rows(lines, name=name, required=columns)
+    ]
+    return np.array(rows, dtype=np.float64).reshape(-1, 2)
+
+
+def _between(text: str | None, low: float, high: float, *, where: str) -> float:
+    """Return a number within limits; NaN for an empty cell."""
+    if not (text or "").strip():
+        return math.nan
+    value = _number(str(text), where=where)
+    if not low <= value <= high:
+        raise InputError(field=where, problem=f"{value:g} is not within {low:g} to {high:g}", remedy="correct the cell")
+    return value
+
+
+def write_columns(target: TextIO, columns: dict[str, FloatArray], *, places: dict[str, int]) -> None:
+    """Write columns of numbers with so many decimal places; NaN is an empty cell."""
+    writer = csv.writer(target, lineterminator="\n")
+    writer.writerow(columns)
+    for row in zip(*columns.values(), strict=True):
+        writer.writerow(_cell(value, places=places[column]) for column, value in zip(columns, row, strict=True))
+
+
+def _cell(value: float, *, places: int) -> str:
+    return "" if math.isnan(value) else f"{value:.{places}f}"
+
+
+def _rows(lines: Iterable[str], *, name: str, required: Sequence[str]) -> Iterator[tuple[str, dict[str, str]]]:
+    reader = csv.reader(lines)
+    header = next((row for row in reader if row), None)
+    if header is None:
+        raise InputError(field=name, problem="is empty", remedy=f"give a header with {','.join(required)}")
+    # Spreadsheets begin a file with a byte order mark, which would hide the first column.
+    names = [cell.strip().lstrip("\ufeff") for cell in header]
+    missing = [column for column in required if column not in names]
+    if missing:
+        raise InputError(
+            field=f"{name}, line {reader.line_num}",
+            problem=f"no column {', '.join(missing)} in the header",
+            remedy=f"the header must name {','.join(required)}",
+        )
+    for row in reader:
+        if not any(cell.strip() for cell in row):
+            continue
+        where = f"{name}, line {reader.line_num}"
+        if len(row) != len(names):
+            raise InputError(
+                field=where, problem=f"{len(row)} cells for {len(names)} columns", remedy="write one cell a column"
+            )
+        yield where, dict(zip(names, row, strict=True))
+
+
+def _number(text: str, *, where: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(field=where, problem=f"{text!r} is not a finite number", remedy="write a decimal number")
+    return value
+
+
+def _sigma(text: str | None, *, where: str) -> float:
+    if text is None or not text.strip():
+        return math.nan
+    value = _number(text, where=where)
+    if value <= 0.0:
+        raise InputError(field=where, problem=f"{text!r} is not positive", remedy="give the 1-sigma per axis in px")
+    return value

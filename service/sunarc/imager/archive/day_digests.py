@@ -1,0 +1,246 @@
+"""Number and hash of a camera's rows by kind and UTC day, equal on an imager and on its hub where their rows are."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, date, datetime, timedelta
+from functools import cache
+from typing import Annotated, Any, NamedTuple
+
+from sqlalchemy import (
+    JSON,
+    BigInteger,
+    Column,
+    ColumnElement,
+    Connection,
+    Float,
+    Text,
+    and_,
+    func,
+    or_,
+    select,
+    type_coerce,
+)
+
+from sunarc.common.findings import from_json
+from sunarc.common.utc import to_microseconds
+from sunarc.imager.archive.database.tables import (
+    CalendarDate,
+    FindingText,
+    FindingTuple,
+    JsonOf,
+    UtcTime,
+    findings_of_text,
+)
+from sunarc.imager.archive.feed_rows import FED, columns_of, plain_type
+from sunarc.imager.runtime.json_fields import Returned, described
+
+LEAST_KEPT = timedelta(days=90)
+"""Sightings younger than this are never removed; PostgreSQL's function has the same bound (revision 0014)."""
+
+MOST_DAYS = 32
+MOST_ROWS = 200_000
+"""Of what is read at once: seconds of processor; days of which one alone has more are not compared."""
+_DAY_COLUMNS: Mapping[str, str] = {
+    "pose_epoch": "started_at",
+    "sun_point": "time",
+    "day": "date",
+    "day_air": "date",
+    "calibration": "created_at",
+    "refit": "requested_at",
+    "event": "time",
+    "night": "date",
+    "housekeeping": "time",
+}
+"""The column that says of which day a row is; a camera's own row is of none."""
+_DAY_US = 86_400_000_000
+_LATEST = date(2200, 1, 1)
+"""A damaged time may be of no year."""
+_AT_ONCE = 2000
+"""Rows that are in memory at the same time."""
+
+
+class DayDigest(NamedTuple):
+    """Number of the rows of a kind on a UTC day, and the sum of their hashes modulo 2^64, hexadecimal."""
+
+    n: int
+    hash: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DayDigests:
+    """Digests of the days from one on, as many as can be read at once.
+
+    Attributes
+    ----------
+    until : the day after the last one.
+    days : by kind and day; a day without rows is not there, and one of which there are too many is None.
+    """
+
+    until: date
+    days: Mapping[str, Mapping[date, DayDigest | None]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StoredDays(Returned):
+    """What a hub has of a camera, for a comparison with what its imager has."""
+
+    revision: Annotated[str, described("Revision of the hub's tables; of rows of another one nothing is said.", "0019")]
+    until: Annotated[date, described("The day after the last one of which something is said.", "2026-06-30")]
+    days: Annotated[
+        Mapping[str, Mapping[date, DayDigest | None]],
+        described(
+            "By kind and UTC day the number of rows, and the sum of their hashes (hexadecimal). A day without rows is "
+            "left out; null: too many to be compared.",
+            {"sun_point": {"2026-06-29": [1440, "5f1d0c33a4b2e19d"]}},
+        ),
+    ]
+
+
+def day_digests(connection: Connection, camera: str, *, since: date, until: date) -> DayDigests:
+    """Return the digests of a camera's rows of the days `since` <= day < `until`, in one snapshot.
+
+    At most 32 days and 200,000 rows are read: where there are more, `until` of what is returned is earlier. An event
+    counts by its key alone, and once: the hub keeps the first of equal ones. Documents count by their checksums.
+    """
+    until = max(min(until, since + min(timedelta(days=MOST_DAYS), date.max - since)), since)
+    counts = {kind: _counts(connection, kind, camera, since, until) for kind in _DAY_COLUMNS}
+    left, day = MOST_ROWS, since
+    while day < until:
+        n_rows = sum(found.get(day, 0) for found in counts.values() if found.get(day, 0) <= MOST_ROWS)
+        if n_rows > left and day > since:
+            break
+        left, day = left - n_rows, day + timedelta(days=1)
+    days: dict[str, dict[date, DayDigest | None]] = {}
+    for kind, found in counts.items():
+        days[kind] = {}
+        for one, n_rows in found.items():
+            if one < day:
+                days[kind][one] = _digest(connection, kind, camera, one) if n_rows <= MOST_ROWS else None
+    return DayDigests(until=day, days=days)
+
+
+def first_and_last_day(connection: Connection, camera: str) -> tuple[date, date] | None:
+    """Return the days of a camera's first and last sighting; None without any."""
+    time = type_coerce(_column("sun_point"), BigInteger)
+    where = _owned("sun_point", camera), time.between(0, _us_of_date(_LATEST))
+    first, last = (connection.scalar(select(found(time)).where(*where)) for found in (func.min, func.max))
+    if not isinstance(first, int) or not isinstance(last, int):
+        return None
+    return _date_of_us(first), _date_of_us(last)
+
+
+def rows_of_day(kind: str, camera: str, day: date) -> ColumnElement[bool]:
+    """Return the condition that a row of a kind is a camera's, and of a UTC day."""
+    return and_(_owned(kind, camera), _between(kind, day, day + timedelta(days=1)))
+
+
+def _column(kind: str) -> Column[Any]:
+    return columns_of(kind)[_DAY_COLUMNS[kind]]
+
+
+def _owned(kind: str, camera: str) -> ColumnElement[bool]:
+    """Return the condition that a row is a camera's: an event of no camera is, on an imager, that of its own."""
+    owner = FED[kind][0].c.camera
+    return or_(owner == camera, owner.is_(None)) if kind == "event" else owner == camera
+
+
+def _between(kind: str, first: date, end: date) -> ColumnElement[bool]:
+    column = _column(kind)
+    if isinstance(column.type, CalendarDate):
+        return (column >= first) & (column < end)
+    time = type_coerce(column, BigInteger)
+    return (time >= _us_of_date(first)) & (time < _us_of_date(end))
+
+
+def _counts(connection: Connection, kind: str, camera: str, since: date, until: date) -> dict[date, int]:
+    """Return the number of rows by day."""
+    column = _column(kind)
+    dated = isinstance(column.type, CalendarDate)
+    day: ColumnElement[Any] = column if dated else type_coerce(column, BigInteger).op("/")(_DAY_US)
+    where = (_owned(kind, camera), _between(kind, since, until))
+    rows = connection.execute(select(day.label("of"), func.count()).where(*where).group_by("of")).all()
+    found = ((one if dated else _date_of_us(int(one) * _DAY_US), n) for one, n in rows if one is not None)
+    return {one: int(n) for one, n in found if isinstance(one, date)}
+
+
+def _digest(connection: Connection, kind: str, camera: str, day: date) -> DayDigest:
+    columns = _compared(kind)
+    statement = select(*(one.selected for one in columns)).where(rows_of_day(kind, camera, day))
+    rows = connection.execution_options(yield_per=_AT_ONCE).execute(statement)
+    hashes = _hashes(rows, [one.plain for one in columns], owner=None if kind != "event" else camera)
+    if kind == "event":
+        hashes = iter(set(hashes))
+    n = total = 0
+    for one in hashes:
+        n, total = n + 1, total + one
+    return DayDigest(n, f"{total & (2**64 - 1):016x}")
+
+
+def _hashes(rows: Iterator[Sequence[Any]], plain: Sequence[Callable[[Any], Any]], owner: str | None) -> Iterator[int]:
+    for row in rows:
+        values = [make(value) for make, value in zip(plain, row, strict=True)]
+        if owner is not None:
+            values[0] = owner
+        text = json.dumps(values, sort_keys=True, separators=(",", ":"))
+        yield int.from_bytes(hashlib.blake2b(text.encode(), digest_size=8).digest())
+
+
+class _Compared(NamedTuple):
+    """A column whose value counts, and what makes the same value of it on both engines."""
+
+    selected: ColumnElement[Any]
+    plain: Callable[[Any], Any]
+
+
+@cache
+def _compared(kind: str) -> tuple[_Compared, ...]:
+    names = FED[kind][1] if kind == "event" else columns_of(kind)  # an event's first column is its camera
+    columns = [columns_of(kind)[name] for name in names]
+    left_out = {"document"}  # its checksum stands for it
+    return tuple(_how(one) for one in columns if one.name not in left_out and not isinstance(one.type, JsonOf))
+
+
+def _how(column: Column[Any]) -> _Compared:
+    match column.type:
+        case UtcTime():
+            return _Compared(type_coerce(column, BigInteger), _same)
+        case FindingText():
+            return _Compared(type_coerce(column, Text), _finding_text)
+        case FindingTuple():
+            return _Compared(type_coerce(column, JSON), _findings)
+        case CalendarDate():
+            return _Compared(column, str)
+    kind = plain_type(column)
+    return _Compared(type_coerce(column, kind), _number if isinstance(kind, Float) else _same)
+
+
+def _same(value: Any) -> Any:  # noqa: ANN401 - of many types
+    return value
+
+
+def _number(value: Any) -> float | None:  # noqa: ANN401 - a damaged row has a text there
+    if not isinstance(value, int | float) or value != value or value in {float("inf"), float("-inf")}:  # noqa: PLR0124 - NaN
+        return None
+    return float(value) + 0.0  # SQLite has no negative zero
+
+
+def _findings(value: Any) -> list[dict[str, Any]]:  # noqa: ANN401 - whatever is stored
+    return [from_json(one).as_json() for one in value] if isinstance(value, list) else []
+
+
+def _finding_text(value: Any) -> Any:  # noqa: ANN401 - a damaged row has no text there
+    if not isinstance(value, str) or not value or value.startswith("[{"):
+        return value
+    return json.dumps([one.as_json() for one in findings_of_text(value)], separators=(",", ":"))
+
+
+def _us_of_date(day: date) -> int:
+    return to_microseconds(datetime(day.year, day.month, day.day, tzinfo=UTC))
+
+
+def _date_of_us(us: int) -> date:
+    return date(1970, 1, 1) + timedelta(microseconds=us)

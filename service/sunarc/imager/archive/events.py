@@ -1,0 +1,233 @@
+"""Refits, events, conditions, disk space and temperatures."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from typing import get_args
+
+from sqlalchemy import Connection, and_, delete, func, insert, or_, select, update
+
+from sunarc.common.errors import NotFoundError
+from sunarc.common.findings import Finding
+from sunarc.imager.archive.database import tables
+from sunarc.imager.archive.database.store import Part, given, upsert, values_of
+from sunarc.imager.archive.database.tables import condition, housekeeping, refit
+from sunarc.imager.archive.values import (
+    Event,
+    EventSeverity,
+    Housekeeping,
+    HousekeepingStep,
+    Refit,
+    RefitState,
+    fields_of,
+    merged,
+)
+
+_log = logging.getLogger(__name__)
+_LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "alarm": logging.ERROR}
+
+
+class RefitStore(Part):
+    """The refits."""
+
+    def count(self, camera: str) -> Mapping[str, int]:
+        """Return how many refits are in each state."""
+        return self._database.counts(select(refit.c.state, func.count()).where(refit.c.camera == camera), refit.c.state)
+
+    def add(self, refit: Refit) -> Refit:
+        """Write down that a refit was asked for, or has begun."""
+        with self._database.writing() as connection:
+            connection.execute(insert(tables.refit).values(fields_of(refit)))
+        return refit
+
+    def request(self, refit: Refit) -> Refit:
+        """Write down that a refit is asked for, or return the one of its camera that has been asked for already.
+
+        One that has not begun yet will see every sighting that this one would: there is never more than one of them,
+        beside the one that runs.
+        """
+        c = tables.refit.c
+        waiting = select(tables.refit).where(c.camera == refit.camera, c.state == "requested", c.finished_at.is_(None))
+        # Read under the write lock: two requests at once would otherwise both find nothing.
+        with self._database.writing() as connection:
+            found = values_of(connection, waiting.order_by(c.requested_at, c.id).limit(1), Refit)
+            if found:
+                return found[0]
+            connection.execute(insert(tables.refit).values(fields_of(refit)))
+        return refit
+
+    def start(self, refit_id: str, *, started_at: datetime) -> Refit:
+        """Write down that a refit has begun."""
+        return self._change(refit_id, state="running", started_at=started_at)
+
+    def finish(
+        self,
+        refit_id: str,
+        *,
+        state: RefitState,
+        finished_at: datetime,
+        calibration: str | None = None,
+        message: str = "",
+        findings: tuple[Finding, ...] = (),
+    ) -> Refit:
+        """Write down how a refit ended, and the calibration it made (accepted or refused)."""
+        return self._change(
+            refit_id,
+            state=state,
+            finished_at=finished_at,
+            calibration=calibration,
+            message=message,
+            findings=findings,
+        )
+
+    def get(self, refit_id: str) -> Refit:
+        """Return a refit by its id; NotFoundError when there is none."""
+        found = self._database.values(select(tables.refit).where(tables.refit.c.id == refit_id), Refit)
+        if not found:
+            raise NotFoundError(field="id", problem=f"there is no refit {refit_id}", remedy="use an id that was given")
+        return found[0]
+
+    def find(
+        self, camera: str, *, unfinished: bool = False, until: datetime | None = None, limit: int | None = None
+    ) -> tuple[Refit, ...]:
+        """Return a camera's refits asked for before `until`, the newest first; those that have not ended, if asked."""
+        c = tables.refit.c
+        filters = given((c.camera.__eq__, camera), (c.requested_at.__lt__, until))
+        statement = select(tables.refit).where(*filters).order_by(c.requested_at.desc(), c.id.desc()).limit(limit)
+        return self._database.values(statement.where(c.finished_at.is_(None)) if unfinished else statement, Refit)
+
+    def _change(self, refit_id: str, **columns: object) -> Refit:
+        self.get(refit_id)
+        this_refit = tables.refit.c.id == refit_id
+        with self._database.writing() as connection:
+            connection.execute(update(tables.refit).where(this_refit).values(**columns))
+            return values_of(connection, select(tables.refit).where(this_refit), Refit)[0]
+
+
+class EventStore(Part):
+    """The events."""
+
+    def add(self, event: Event) -> Event:
+        """Write an event down, log it, and return it with its id."""
+        with self._database.writing() as connection:
+            stored = insert_event(connection, event)
+        log_event(stored)
+        return stored
+
+    def find(
+        self,
+        camera: str | None = None,
+        *,
+        since: datetime | None = None,
+        until: datetime | None = None,
+        severity: EventSeverity | None = None,
+        kind: str | None = None,
+        limit: int | None = None,
+    ) -> tuple[Event, ...]:
+        """Return the events with `since` <= time < `until`, the newest first; None does not filter."""
+        c = tables.event.c
+        of_camera = [] if camera is None else [(c.camera == camera) | c.camera.is_(None)]
+        filters = given((c.time.__ge__, since), (c.time.__lt__, until), (c.severity.__eq__, severity))
+        filters += given((c.kind.__eq__, kind))
+        statement = select(tables.event).where(*of_camera, *filters).order_by(c.time.desc(), c.id.desc()).limit(limit)
+        return self._database.values(statement, Event)
+
+    def last_id(self) -> int:
+        """Return the number of the newest event of all cameras; 0 without one."""
+        with self._database.reading() as connection:
+            return int(connection.scalar(select(func.max(tables.event.c.id))) or 0)
+
+    def after(self, event_id: int, *, camera: str, limit: int) -> tuple[Event, ...]:
+        """Return a camera's events that were stored after another one, the oldest first; of many the newest ones."""
+        c = tables.event.c
+        of_camera = (c.camera == camera) | c.camera.is_(None)
+        newest = select(tables.event).where(of_camera, c.id > event_id).order_by(c.id.desc()).limit(limit)
+        return self._database.values(newest, Event)[::-1]
+
+
+def log_event(stored: Event) -> None:
+    """Log an event that is stored."""
+    shared = {"event_id": stored.id, "event_kind": stored.kind}  # what the journal's line has of /v1/events
+    _log.log(_LEVELS[stored.severity], "%s: %s", stored.kind, stored.text, extra=shared)
+
+
+def insert_event(connection: Connection, event: Event) -> Event:
+    """Store an event in a transaction, and return it with its id."""
+    row = fields_of(event)
+    row.pop("id")
+    key = connection.execute(insert(tables.event).values(row)).inserted_primary_key
+    return replace(event, id=None if key is None else int(key[0]))
+
+
+class ConditionStore(Part):
+    """The conditions that held when they were last stored."""
+
+    def times(self, camera: str) -> Mapping[str, datetime]:
+        """Return since when the stored conditions of a camera's service hold, by code; "" is the hub's own."""
+        with self._database.reading() as connection:
+            rows = connection.execute(select(condition.c.code, condition.c.since).where(condition.c.camera == camera))
+            return {str(code): since for code, since in rows if since is not None}
+
+    def save(self, camera: str, times: Mapping[str, datetime]) -> None:
+        """Store since when conditions hold, in place of all that was stored of this service."""
+        rows = [{"camera": camera, "code": code, "since": since} for code, since in times.items()]
+        with self._database.writing() as connection:
+            connection.execute(delete(condition).where(condition.c.camera == camera))
+            if rows:
+                connection.execute(insert(condition), rows)
+
+
+_KEPT: dict[HousekeepingStep, timedelta] = {"hour": timedelta(days=92), "day": timedelta(days=5 * 366)}
+_COLUMNS = [column for column in housekeeping.c if column.name not in {"camera", "step"}]
+
+
+class HousekeepingStore(Part):
+    """Disk space and temperatures."""
+
+    def add(self, camera: str, measured: Iterable[Housekeeping]) -> None:
+        """Add measurements to what is stored of their hour and their UTC day, in one transaction.
+
+        Parameters
+        ----------
+        camera : its name; it need not have answered yet.
+        measured : each within one hour.
+        """
+        with self._database.writing(camera=camera) as connection:
+            for one in measured:
+                for step in get_args(HousekeepingStep):
+                    _add(connection, camera, step, one)
+
+    def find(
+        self, camera: str, *, step: HousekeepingStep, since: datetime | None = None, until: datetime | None = None
+    ) -> tuple[Housekeeping, ...]:
+        """Return the hours or days that begin with `since` <= time < `until`, the newest first."""
+        c = housekeeping.c
+        filters = given((c.time.__ge__, since), (c.time.__lt__, until))
+        statement = select(*_COLUMNS).where(c.camera == camera, c.step == step, *filters).order_by(c.time.desc())
+        return self._database.values(statement, Housekeeping)
+
+    def expire(self, camera: str, *, now: datetime) -> int:
+        """Remove a camera's hours older than 92 days and days older than 1830, and return how many."""
+        c = housekeeping.c
+        old = or_(*(and_(c.step == step, c.time < now - kept) for step, kept in _KEPT.items()))
+        with self._database.writing(camera=camera) as connection:
+            return connection.execute(delete(housekeeping).where(c.camera == camera, old)).rowcount
+
+
+def _add(connection: Connection, camera: str, step: HousekeepingStep, measured: Housekeeping) -> None:
+    c, time = housekeeping.c, _begin(measured.time, step)
+    this = (c.camera == camera, c.step == step, c.time == time)
+    stored = values_of(connection, select(*_COLUMNS).where(*this), Housekeeping)
+    total = merged(measured, stored[0] if stored else Housekeeping(time=time), time=time)
+    upsert(
+        connection, housekeeping, {"camera": camera, "step": step, **fields_of(total)}, key=["camera", "step", "time"]
+    )
+
+
+def _begin(time: datetime, step: HousekeepingStep) -> datetime:
+    """Return the beginning of the hour or the UTC day of a time."""
+    hour = time.astimezone(UTC).replace(minute=0, second=0, microsecond=0)
+    return hour if step == "hour" else hour.replace(hour=0)

@@ -1,0 +1,295 @@
+"""The outbox: every change of a row that a hub is to know, written by triggers in the transaction of the change."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from datetime import date
+from itertools import chain
+from typing import Any
+
+from sqlalchemy import (
+    JSON,
+    Column,
+    ColumnElement,
+    Connection,
+    Date,
+    Float,
+    Row,
+    Text,
+    delete,
+    func,
+    insert,
+    literal_column,
+    select,
+    text,
+    true,
+    update,
+)
+
+from sunarc.common.errors import ConfigurationError
+from sunarc.imager.archive.database.connections import json_text, parsed_json
+from sunarc.imager.archive.database.store import Part
+from sunarc.imager.archive.database.tables import outbox, outbox_position
+from sunarc.imager.archive.day_digests import DayDigests, day_digests, first_and_last_day, rows_of_day
+from sunarc.imager.archive.feed_rows import FED, REMOVED, STATUS, FeedRow, columns_of, from_trigger, plain_type
+
+_CHANGES = ("insert", "update", "delete")
+_TRIGGERS = "SELECT name, sql FROM sqlite_master WHERE type = 'trigger' AND name LIKE 'outbox!_%' ESCAPE '!'"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OutboxPosition:
+    """How far an imager's rows came.
+
+    Attributes
+    ----------
+    installation : id of this database's outbox; a database that was put back to an earlier state needs another.
+    committed : the hub has everything up to this number.
+    sent : nothing beyond this number was ever sent; raised only after the hub has said where it stands.
+    """
+
+    installation: str
+    committed: int
+    sent: int
+
+
+class Outbox(Part):
+    """What an imager sends to a hub."""
+
+    def enable(self) -> bool:
+        """Begin to write changes to the outbox; with all rows that there are, unless it went on without a break.
+
+        A migration that makes a table anew takes its triggers away: they are compared with what they should be, and
+        where one differs all rows are queued again. Sent twice, a row is stored once. Of a kind that a former version
+        did not send the rows are queued, and no others.
+
+        Returns
+        -------
+        Whether all rows were queued.
+        """
+        if self._database.file is None:
+            raise ConfigurationError("hub.url: only an archive in SQLite is sent to a hub; unset `store` or `hub.url`")
+        wanted = dict(outbox_triggers())
+        with self._database.reading() as connection:
+            if _begun(connection) and _triggers(connection) == wanted:
+                return False
+        with self._database.writing() as connection:
+            present, begun = _triggers(connection), _begun(connection)
+            new = [kind for kind in FED if not present.keys() & _names(kind)]
+            others = {name: sql for name, sql in wanted.items() if not any(name in _names(kind) for kind in new)}
+            if begun and present and present == others:
+                for name in wanted.keys() - others.keys():
+                    connection.exec_driver_sql(wanted[name])
+                _queue(connection, new)
+                return False
+            _drop(connection, present)
+            for sql in wanted.values():
+                connection.exec_driver_sql(sql)
+            _queue_all(connection)
+            _set_position(connection, OutboxPosition(installation=uuid.uuid4().hex, committed=0, sent=0))
+        return True
+
+    def disable(self) -> None:
+        """End the outbox, with all that waits in it."""
+        if self._database.file is None:
+            return
+        with self._database.reading() as connection:
+            present = [str(name) for name, _ in connection.execute(text(_TRIGGERS))]
+        if present:
+            with self._database.writing() as connection:
+                _drop(connection, present)
+                connection.execute(delete(outbox))
+                connection.execute(delete(outbox_position))
+
+    def enabled(self) -> bool:
+        """Return whether changes are written to the outbox."""
+        with self._database.reading() as connection:
+            return _begun(connection)
+
+    def position(self) -> OutboxPosition:
+        """Return how far the outbox came; it has to be enabled."""
+        with self._database.reading() as connection:
+            return _position(connection)
+
+    def waiting(self) -> int:
+        """Return how many rows wait."""
+        with self._database.reading() as connection:
+            return connection.scalar(select(func.count()).select_from(outbox)) or 0
+
+    def rows(self, *, most: int, most_bytes: int) -> tuple[FeedRow, ...]:
+        """Return the next rows in their order: at most so many, and so many bytes, but at least one."""
+        with self._database.reading() as connection:
+            stored = _next(connection, most, most_bytes)
+        return _parsed(stored)
+
+    def rows_to_send(self, position: OutboxPosition, *, most: int, most_bytes: int) -> tuple[FeedRow, ...] | None:
+        """Return the next rows as `rows` does, and note that the hub may have them.
+
+        Both in one transaction: the database may be put back to an earlier copy at any time, and must then not know of
+        rows that only the copy's successor had.
+
+        Returns
+        -------
+        The rows; None where the outbox does not stand at `position`.
+        """
+        with self._database.writing() as connection:
+            if _position(connection) != position:
+                return None
+            stored = _next(connection, most, most_bytes)
+            if stored:
+                c = outbox_position.c
+                connection.execute(update(outbox_position).where(c.sent < stored[-1].seq).values(sent=stored[-1].seq))
+        return _parsed(stored)
+
+    def queue_status(self, status: Mapping[str, Any]) -> None:
+        """Queue the imager's own state, in place of what was not sent yet."""
+        with self._database.writing() as connection:
+            sent = select(outbox_position.c.sent).scalar_subquery()
+            connection.execute(delete(outbox).where(outbox.c.kind == STATUS, outbox.c.seq > sent))
+            connection.execute(insert(outbox).values(kind=STATUS, data=json_text(status)))
+
+    def acknowledge(self, seq: int) -> bool:
+        """Forget the rows up to a number, which the hub has; none where some come before it, and none has it.
+
+        Returns
+        -------
+        Whether the number can be one that the hub was sent.
+        """
+        with self._database.writing() as connection:
+            newest = connection.scalar(select(func.max(outbox.c.seq)).where(outbox.c.seq <= seq))
+            if newest not in {None, seq} or seq > _position(connection).sent:
+                return False
+            connection.execute(delete(outbox).where(outbox.c.seq <= seq))
+            connection.execute(update(outbox_position).values(committed=seq))
+        return True
+
+    def send_again(self, *, committed: int) -> None:
+        """Queue all rows again: the hub has less than it once confirmed."""
+        with self._database.writing() as connection:
+            _queue_all(connection)
+            connection.execute(update(outbox_position).values(committed=committed))
+
+    def digests(self, camera: str, *, since: date, until: date) -> DayDigests | None:
+        """Return the digests of a camera's days where the hub was sent all rows; None while some wait."""
+        with self._database.reading() as connection:
+            if connection.scalar(select(func.count()).select_from(outbox)):
+                return None
+            return day_digests(connection, camera, since=since, until=until)
+
+    def first_and_last_day(self, camera: str) -> tuple[date, date] | None:
+        """Return the days of a camera's first and last sighting; None without any."""
+        with self._database.reading() as connection:
+            return first_and_last_day(connection, camera)
+
+    def queue_days(self, camera: str, days: Iterable[tuple[str, date]]) -> int:
+        """Queue again a camera's rows of kinds and days, after all that they refer to; return how many they are."""
+        with self._database.writing() as connection:
+            before = connection.scalar(select(func.count()).select_from(outbox)) or 0
+            wanted = sorted(days, key=lambda one: (list(FED).index(one[0]), one[1]))
+            if wanted:
+                _queue(connection, ("camera", "pose_epoch"))
+            for kind, day in wanted:
+                _queue(connection, (kind,), rows_of_day(kind, camera, day))
+            return (connection.scalar(select(func.count()).select_from(outbox)) or 0) - before
+
+    def begin_installation(self, installation: str) -> None:
+        """Begin a feed of its own with all rows, under an id: another one went on under the former id."""
+        with self._database.writing() as connection:
+            _queue_all(connection)
+            _set_position(connection, OutboxPosition(installation=installation, committed=0, sent=0))
+
+
+def _begun(connection: Connection) -> bool:
+    return connection.scalar(select(func.count()).select_from(outbox_position)) == 1
+
+
+def _triggers(connection: Connection) -> dict[str, str]:
+    return {str(name): str(sql) for name, sql in connection.execute(text(_TRIGGERS))}
+
+
+def _position(connection: Connection) -> OutboxPosition:
+    return OutboxPosition(**connection.execute(select(outbox_position)).mappings().one())
+
+
+def _next(connection: Connection, most: int, most_bytes: int) -> list[Row[Any]]:
+    """Return the next rows as they are stored: at most so many, and so many bytes, but at least one."""
+    found: list[Row[Any]] = []
+    size = 0
+    for row in connection.execute(select(outbox).order_by(outbox.c.seq).limit(most)):
+        size += len(row.data)
+        if found and size > most_bytes:
+            break
+        found.append(row)
+    return found
+
+
+def _parsed(stored: Iterable[Row[Any]]) -> tuple[FeedRow, ...]:
+    rows: list[FeedRow] = []
+    for row in stored:
+        values = parsed_json(row.data) or {}
+        data = values if row.kind == STATUS else from_trigger(row.kind, values)
+        rows.append(FeedRow(seq=row.seq, kind=row.kind, data=data))
+    return tuple(rows)
+
+
+def _set_position(connection: Connection, position: OutboxPosition) -> None:
+    connection.execute(delete(outbox_position))
+    values = {"installation": position.installation, "committed": position.committed, "sent": position.sent}
+    connection.execute(insert(outbox_position).values(values))
+
+
+def _drop(connection: Connection, names: Mapping[str, str] | list[str]) -> None:
+    for name in names:
+        connection.exec_driver_sql(f'DROP TRIGGER "{name}"')
+
+
+def _queue_all(connection: Connection) -> None:
+    """Queue every row as it is now, in the order of the tables' references and in which rows were made."""
+    connection.execute(delete(outbox))
+    _queue(connection, FED)
+
+
+def _queue(connection: Connection, kinds: Iterable[str], where: ColumnElement[bool] | None = None) -> None:
+    for kind in kinds:
+        queued = (literal_column(f"'{kind}'", Text), literal_column(_object(kind, kind), Text))
+        rows = select(*queued).select_from(FED[kind][0]).where(true() if where is None else where)
+        in_order = rows.order_by(literal_column(f'"{kind}".rowid'))
+        connection.execute(insert(outbox).from_select(["kind", "data"], in_order))
+
+
+def outbox_triggers() -> Iterator[tuple[str, str]]:
+    """Yield the triggers that queue changed rows, each with its name and its SQL."""
+    for kind, (_, key) in FED.items():
+        changed = " OR ".join(f'OLD."{column.name}" IS NOT NEW."{column.name}"' for column in columns_of(kind).values())
+        moved = " OR ".join(f'OLD."{name}" IS NOT NEW."{name}"' for name in key)
+        stored = f"INSERT INTO outbox (kind, data) VALUES ('{kind}', {_object(kind, 'NEW')});"  # noqa: S608 - constants
+        removed = f"INSERT INTO outbox (kind, data) SELECT '{kind}{REMOVED}', {_object(kind, 'OLD', only=key)}"
+        for event, condition, actions in (
+            ("insert", "", stored),
+            ("update", f"WHEN {changed} ", f"{removed} WHERE {moved}; {stored}"),
+            ("delete", "", f"{removed};"),
+        ):
+            name = f"outbox_{kind}_{event}"
+            yield name, f'CREATE TRIGGER "{name}" AFTER {event.upper()} ON "{kind}" {condition}BEGIN {actions} END'
+
+
+def _names(kind: str) -> set[str]:
+    """Return the names of a table's triggers."""
+    return {f"outbox_{kind}_{event}" for event in _CHANGES}
+
+
+def _object(kind: str, row: str, *, only: tuple[str, ...] | None = None) -> str:
+    """Return the expression of a row's JSON object."""
+    columns = [column for column in columns_of(kind).values() if only is None or column.name in only]
+    pairs = chain.from_iterable((f"'{column.name}'", _expression(column, f'"{row}"')) for column in columns)
+    return f"json_object({', '.join(pairs)})"
+
+
+def _expression(column: Column[Any], row: str) -> str:
+    """Return the expression of a column in a row; it fails with no value, or the change itself would fail."""
+    kind, value = plain_type(column), f'{row}."{column.name}"'
+    if isinstance(kind, Float):
+        return f"quote({value})"  # SQLite's JSON has 15 digits, its literals have all
+    return f"CAST({value} AS {'TEXT' if isinstance(kind, Text | JSON | Date) else 'INTEGER'})"

@@ -1,0 +1,679 @@
+"""Cameras, their pose epochs, and the sightings made in them."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import Counter
+from collections.abc import Container, Iterable, Mapping, Sequence
+from dataclasses import fields, replace
+from datetime import date, datetime, timedelta
+from typing import Literal, NamedTuple
+
+import numpy as np
+from sqlalchemy import (
+    BigInteger,
+    ColumnElement,
+    Connection,
+    and_,
+    func,
+    insert,
+    or_,
+    select,
+    text,
+    type_coerce,
+    update,
+)
+
+from sunarc.common.array_types import FloatArray, IntArray
+from sunarc.common.errors import InputError
+from sunarc.common.findings import Finding
+from sunarc.common.utc import DAY_S
+from sunarc.detection.values import Detection
+from sunarc.imager.archive.calibration_rows import SERVED
+from sunarc.imager.archive.columns import (
+    CandidateColumns,
+    keep_measured,
+    keep_sigma,
+    listed,
+    read_candidates,
+    read_columns,
+    read_levels,
+    read_times,
+)
+from sunarc.imager.archive.database import tables
+from sunarc.imager.archive.database.store import Database, Part, given, insert_new, upsert, values_of
+from sunarc.imager.archive.database.tables import sun_point
+from sunarc.imager.archive.events import insert_event
+from sunarc.imager.archive.pictures_of_one_time import ELSEWHERE, judge_pictures
+from sunarc.imager.archive.values import (
+    CameraRecord,
+    Event,
+    PoseEpoch,
+    SightingCounts,
+    SunPoint,
+    SunPointColumns,
+    fields_of,
+)
+from sunarc.sky.days import SECONDS_PER_DEGREE, day_bounds_unix_s, solar_date
+from sunarc.sky.night import SUN
+from sunarc.sky.site import Site
+from sunarc.sources.image_key import ImageKey
+
+SUPERSEDED = (Finding("sighting_superseded"),)
+"""Findings of a sighting that was set aside: an image counts once."""
+_NOT_NAMED_AGAIN = (Finding("star_not_named_again"),)
+FIRST_SIGHTING = "first sighting"
+"""Reason of a camera's first pose epoch."""
+_STAR = "star"
+_KEY = ("camera", "time", "body", "exposure_us", "method", "file", "folder")
+
+
+class FileSighting(NamedTuple):
+    """What the archive holds of an image file by one method; `file` is empty where it is not known (version 0.2)."""
+
+    time_us: int
+    exposure_us: float
+    file: str
+    method: str
+    accepted: bool
+    verdict: str
+    ingest_pass: int | None
+    x_px: float | None = None
+    y_px: float | None = None
+    sigma_px: float | None = None
+    radius_px: float | None = None
+    folder: str = ""
+
+    @property
+    def key(self) -> ImageKey:
+        """What distinguishes the image from others."""
+        return ImageKey(self.time_us, self.exposure_us, self.file, self.folder)
+
+
+def _set_others_aside(connection: Connection, point: SunPoint) -> None:
+    others = (*_same_image(point), sun_point.c.method != point.method, sun_point.c.accepted.is_(True))
+    change = update(sun_point).where(*others, sun_point.c.folder == point.folder)
+    connection.execute(change.values(accepted=False, verdict="set_aside", findings=SUPERSEDED))
+
+
+def _name_folder(connection: Connection, point: SunPoint) -> None:
+    """Give former sightings of an image whose folder is not known (revision 0019) that of a new one."""
+    here = select(sun_point.c.id).where(*_same_image(point), sun_point.c.folder == point.folder)
+    unknown = (*_same_image(point), sun_point.c.folder == "", sun_point.c.method == point.method)
+    connection.execute(update(sun_point).where(*unknown, ~here.exists()).values(folder=point.folder))
+
+
+def _same_image(point: SunPoint) -> tuple[ColumnElement[bool], ...]:
+    c = sun_point.c
+    same_time = (c.camera == point.camera, c.time == point.time, c.body == point.body)
+    return *same_time, c.exposure_us == point.exposure_us, c.file == point.file
+
+
+FROZEN: Literal["frozen"] = "frozen"
+"""Verdict on a sighting in an image that the camera had delivered before."""
+MOVED = (Finding("camera_had_moved"),)
+"""Findings of a sighting that was found elsewhere and accepted once the camera was known to have moved."""
+LENS_CHANGED = "lens"
+"""Reason of a pose epoch that also has another lens: nothing from before says anything of it."""
+
+
+_FIRST_OF_EACH_DAY = text(
+    """
+    WITH RECURSIVE first(time) AS (
+        SELECT min(time) FROM sun_point WHERE camera = :camera AND time >= :since AND body = 'sun'
+        UNION ALL
+        SELECT (
+            SELECT min(time) FROM sun_point
+            WHERE camera = :camera AND time >= ((first.time + :ahead) / :day + 1) * :day - :ahead AND body = 'sun'
+        )
+        FROM first WHERE first.time IS NOT NULL
+    )
+    SELECT time FROM first WHERE time IS NOT NULL
+    """
+)
+"""One index lookup a day; five years take milliseconds."""
+
+
+class CameraStore(Part):
+    """The cameras that are known."""
+
+    def __init__(self, database: Database) -> None:
+        super().__init__(database)
+        self._saved: dict[str, CameraRecord] = {}
+
+    def save(self, record: CameraRecord) -> None:
+        """Write a camera down, in place of what was known of the same name."""
+        with self._database.writing() as connection:
+            upsert(connection, tables.camera, fields_of(record), key=["name"])
+        self._saved = {**self._saved, record.name: record}
+
+    def saved(self) -> tuple[CameraRecord, ...]:
+        """Return the cameras that were written down by this object."""
+        return tuple(self._saved.values())
+
+    def all(self) -> tuple[CameraRecord, ...]:
+        """Return the known cameras by name."""
+        return self._database.values(select(tables.camera).order_by(tables.camera.c.name), CameraRecord)
+
+    def get(self, name: str) -> CameraRecord | None:
+        """Return the camera of a name; None where it is not known."""
+        return next(
+            iter(self._database.values(select(tables.camera).where(tables.camera.c.name == name), CameraRecord)), None
+        )
+
+
+class EpochStore(Part):
+    """The pose epochs of cameras."""
+
+    def open(self, camera: str, *, at: datetime, reason: str) -> PoseEpoch:
+        """Begin a new pose epoch: the one before ends, and sightings from `at` on move to the new one."""
+        epochs = tables.pose_epoch.c
+        # Read under the write lock, so that no other thread opens an epoch between the check and the row.
+        with self._database.writing() as connection:
+            statement = select(tables.pose_epoch).where(epochs.camera == camera)
+            before = values_of(connection, statement, PoseEpoch)
+            # a closed epoch has no duration, but its beginning stays unique
+            if any(e.started_at >= at for e in before if e.ended_at != e.started_at or e.started_at == at):
+                raise InputError(
+                    field="at", problem="a pose epoch began at that time or later", remedy="give a later time"
+                )
+            epoch = PoseEpoch(id=_next_id(connection, camera), camera=camera, started_at=at, reason=reason)
+            closing = update(tables.pose_epoch).where(epochs.camera == camera, epochs.ended_at.is_(None))
+            connection.execute(closing.values(ended_at=at))
+            connection.execute(insert(tables.pose_epoch).values(fields_of(epoch)))
+            moving = update(sun_point).where(sun_point.c.camera == camera, sun_point.c.time >= at)
+            connection.execute(moving.values(pose_epoch=epoch.id))
+        return epoch
+
+    def split(self, camera: str, *, at: datetime, reason: str) -> tuple[PoseEpoch, PoseEpoch]:
+        """Divide the pose epoch that `at` lies in, and return both parts; sightings go with their part.
+
+        The part that calibrations answered for keeps the id: the later one where they all answer from `at` on, else
+        the earlier one.
+
+        Raises
+        ------
+        InputError : no epoch has `at` within it, or one that began at `at` was closed as wrong.
+        """
+        epochs = tables.pose_epoch.c
+        with self._database.writing() as connection:
+            statement = select(tables.pose_epoch).where(epochs.camera == camera).order_by(epochs.started_at)
+            every = values_of(connection, statement, PoseEpoch)
+            begun = [
+                epoch for epoch in every if epoch.started_at < at and (epoch.ended_at is None or at < epoch.ended_at)
+            ]
+            if not begun:
+                raise InputError(field="at", problem="not within a pose epoch", remedy="give a time within one")
+            if any(epoch.started_at == at for epoch in every):
+                raise InputError(
+                    field="at",
+                    problem="an epoch that began at that time was closed as wrong",
+                    remedy="give another time",
+                )
+            divided, new = begun[-1], _next_id(connection, camera)
+            first = _first_answered(connection, divided.id)
+            keeps_later = first is not None and first >= at
+            earlier = replace(divided, id=new if keeps_later else divided.id, ended_at=at)
+            later = replace(divided, id=divided.id if keeps_later else new, started_at=at, reason=reason)
+            remaining, added = (later, earlier) if keeps_later else (earlier, later)
+            connection.execute(update(tables.pose_epoch).where(epochs.id == divided.id).values(fields_of(remaining)))
+            connection.execute(insert(tables.pose_epoch).values(fields_of(added)))
+            side = sun_point.c.time < at if keeps_later else sun_point.c.time >= at
+            moving = update(sun_point).where(sun_point.c.camera == camera, sun_point.c.pose_epoch == divided.id, side)
+            connection.execute(moving.values(pose_epoch=new))
+        return earlier, later
+
+    def at(self, camera: str, at: datetime, *, reason: str) -> PoseEpoch:
+        """Return the pose epoch of a moment; the first one reaches back to the earliest moment asked for."""
+        with self._database.writing() as connection:
+            return _epoch_at(connection, camera, at, reason)
+
+    def current(self, camera: str, *, at: datetime | None = None) -> PoseEpoch | None:
+        """Return the pose epoch that goes on, or the one of the moment `at`; None before the first."""
+        epochs = tables.pose_epoch.c
+        newest = select(tables.pose_epoch).where(epochs.camera == camera, not_closed())
+        newest = newest.order_by(epochs.started_at.desc()).limit(1)
+        found = self._database.values(newest if at is None else newest.where(epochs.started_at <= at), PoseEpoch)
+        return found[0] if found else None
+
+    def find(self, camera: str, *, include_closed: bool = False) -> tuple[PoseEpoch, ...]:
+        """Return a camera's pose epochs, the first one first; those closed by an operator only if asked."""
+        epochs = tables.pose_epoch.c
+        filters = [epochs.camera == camera, *([] if include_closed else [not_closed()])]
+        return self._database.values(select(tables.pose_epoch).where(*filters).order_by(epochs.started_at), PoseEpoch)
+
+
+def _epoch_at(connection: Connection, camera: str, at: datetime, reason: str) -> PoseEpoch:
+    """Return the pose epoch of a moment; the first one is opened, or reaches back to the moment."""
+    epochs = tables.pose_epoch.c
+    known = _known_epochs(connection, camera)
+    if not known:
+        first = PoseEpoch(id=f"{camera}-1", camera=camera, started_at=at, reason=reason)
+        connection.execute(insert(tables.pose_epoch).values(fields_of(first)))
+        return first
+    if at < known[0].started_at:
+        connection.execute(update(tables.pose_epoch).where(epochs.id == known[0].id).values(started_at=at))
+        return replace(known[0], started_at=at)
+    return _newest_begun(known, at)
+
+
+def _known_epochs(connection: Connection, camera: str) -> tuple[PoseEpoch, ...]:
+    statement = select(tables.pose_epoch).where(tables.pose_epoch.c.camera == camera, not_closed())
+    return values_of(connection, statement.order_by(tables.pose_epoch.c.started_at), PoseEpoch)
+
+
+def _newest_begun(epochs: Sequence[PoseEpoch], at: datetime) -> PoseEpoch:
+    return epochs[bisect_right(epochs, at, key=lambda epoch: epoch.started_at) - 1]
+
+
+def _in_epochs(connection: Connection, points: Sequence[SunPoint], reason: str) -> Sequence[SunPoint]:
+    """Return the sightings, those without a pose epoch in that of their time.
+
+    In the transaction that stores them: an epoch that is opened before it is found here, and one that is opened after
+    it moves them.
+    """
+    without = [point for point in points if not point.pose_epoch]
+    epochs: dict[str, tuple[PoseEpoch, ...]] = {}
+    for camera in {point.camera for point in without}:
+        _epoch_at(connection, camera, min(point.time for point in without if point.camera == camera), reason)
+        epochs[camera] = _known_epochs(connection, camera)
+    return [
+        point if point.pose_epoch else replace(point, pose_epoch=_newest_begun(epochs[point.camera], point.time).id)
+        for point in points
+    ]
+
+
+class SightingStore(Part):
+    """The sightings: those of the service, and those of image files.
+
+    Sightings whose `pose_epoch` is empty are stored in the one of their time; `first_epoch` is the reason of a camera's
+    first one, where they open it.
+    """
+
+    def of_files(self, camera: str, *, times_us: Container[int]) -> list[FileSighting]:
+        """Return what is stored of the sun at the given times, microseconds since 1970-01-01 UTC."""
+        c = sun_point.c
+        names = [name for name in FileSighting._fields if name != "time_us"]
+        rows = select(type_coerce(c.time, BigInteger), *(c[name] for name in names)).where(
+            c.camera == camera, c.body == "sun"
+        )
+        with self._database.reading() as connection:
+            return [FileSighting(*row) for row in connection.execute(rows.order_by(c.id)) if row[0] in times_us]
+
+    def rename_files(self, camera: str, renamed: Mapping[ImageKey, ImageKey]) -> None:
+        """Give sightings of the sun in image files the names and folders of other keys."""
+        with self._database.writing() as connection:
+            for former, new in renamed.items():
+                change = update(sun_point).where(*_of_image(camera, former))
+                connection.execute(change.values(file=new.file, folder=new.folder))
+
+    def replace(self, points: Iterable[SunPoint], *, first_epoch: str = FIRST_SIGHTING) -> dict[str, Finding]:
+        """Store sightings of image files; one that is there already (see the key) is replaced, and keeps its id.
+
+        Where one is accepted, sightings of the same image by other methods are set aside: an image counts once. So are
+        those of the other images of its stack, which are among the points.
+
+        Returns
+        -------
+        What was set aside of pictures of one time in several folders, by their paths; see `judge_pictures`.
+        """
+        kept, aside = tuple(points), dict[str, Finding]()
+        stacked = {point.time for point in kept if point.accepted}
+        c = sun_point.c
+        self._database.prepare_months([point.time for point in kept])
+        with self._database.writing() as connection:
+            for camera in {point.camera for point in kept}:
+                times = [point.time for point in kept if point.camera == camera]
+                keep_measured(connection, camera, (c.camera == camera, c.time.between(min(times), max(times))))
+            for point in _in_epochs(connection, kept, first_epoch):
+                if point.folder:
+                    _name_folder(connection, point)
+                upsert(connection, sun_point, fields_of(point), key=_KEY)
+                if point.accepted or (point.verdict == "in_stack" and point.time in stacked):
+                    _set_others_aside(connection, point)
+            for camera in {point.camera for point in kept if point.folder}:
+                of_folders = {point.time for point in kept if point.camera == camera and point.folder}
+                aside |= judge_pictures(connection, camera, of_folders)
+        return aside
+
+    def replace_stars(self, camera: str, points: Iterable[SunPoint]) -> int:
+        """Store the stars of images that were looked at again, and return how many sightings are new.
+
+        Former sightings of stars in these images that are not among them are set aside; those of other images stay.
+        """
+        named = tuple(points)
+        self._database.prepare_months([point.time for point in named])
+        c = sun_point.c
+        of_images = (c.camera == camera, c.method == _STAR, c.time.in_({point.time for point in named}))
+        count = select(func.count()).where(*of_images)
+        aside = update(sun_point).where(*of_images, c.accepted.is_(True))
+        with self._database.writing() as connection:
+            keep_measured(connection, camera, of_images)
+            before = int(connection.scalar(count) or 0)
+            connection.execute(aside.values(accepted=False, verdict="set_aside", findings=_NOT_NAMED_AGAIN))
+            for point in _in_epochs(connection, named, FIRST_SIGHTING):
+                upsert(connection, sun_point, fields_of(point), key=_KEY)
+            return int(connection.scalar(count) or 0) - before
+
+    def mark_predicted(self, camera: str, keys: Iterable[ImageKey], *, ingest_pass: int) -> None:
+        """Set the `ingest_pass` of the sightings of image files."""
+        with self._database.writing() as connection:
+            for key in keys:
+                change = update(sun_point).where(*_of_image(camera, key))
+                connection.execute(change.values(ingest_pass=ingest_pass))
+
+    def methods_of_files(self, camera: str) -> tuple[str, ...]:
+        """Return the methods by which the sun was found in image files."""
+        c = sun_point.c
+        methods = select(c.method).distinct().where(c.camera == camera, c.file != "", c.x_px.is_not(None))
+        with self._database.reading() as connection:
+            return tuple(connection.scalars(methods.order_by(c.method)))
+
+    def scale_sigma(self, camera: str, *, method: str, factor: float, event: Event) -> int:
+        """Multiply the stated sigma of a method's sightings of image files, and return how many there are.
+
+        Calibrations that rest on them keep the sigma that they were given, so that they can be solved again. The event
+        is stored with it: both are, or neither is.
+        """
+        c = sun_point.c
+        of_series = and_(c.camera == camera, c.method == method, c.file != "", c.sigma_px.is_not(None))
+        with self._database.writing() as connection:
+            keep_sigma(connection, camera)
+            insert_event(connection, event)
+            return connection.execute(update(sun_point).where(of_series).values(sigma_px=c.sigma_px * factor)).rowcount
+
+    def exclude(self, camera: str, why: Finding, *, since: datetime, until: datetime | None = None) -> int:
+        """Leave accepted sightings with `since` <= time < `until` out of every fit, and return how many."""
+        c = sun_point.c
+        filters = given((c.camera.__eq__, camera), (c.time.__ge__, since), (c.time.__lt__, until))
+        change = update(sun_point).where(*filters, c.accepted.is_(True))
+        with self._database.writing() as connection:
+            return connection.execute(change.values(accepted=False, verdict="set_aside", findings=(why,))).rowcount
+
+    def readmit(self, camera: str, *, since: datetime, until: datetime | None = None) -> int:
+        """Accept the discs seen elsewhere with `since` <= time < `until`, and return how many: the camera has moved."""
+        c = sun_point.c
+        filters = given((c.camera.__eq__, camera), (c.time.__ge__, since), (c.time.__lt__, until))
+        filters += [c.verdict == ELSEWHERE, c.x_px.is_not(None), c.y_px.is_not(None)]
+        with self._database.writing() as connection:
+            change = update(sun_point).where(*filters).values(accepted=True, verdict="clear", findings=MOVED)
+            return connection.execute(change).rowcount
+
+    def add(self, points: Iterable[SunPoint], *, first_epoch: str = FIRST_SIGHTING) -> int:
+        """Store sightings and return how many were new; one that is there already is left as it is."""
+        new = tuple(points)
+        if not new:
+            return 0
+        self._database.prepare_months([point.time for point in new])
+        with self._database.writing() as connection:
+            rows = [fields_of(point) for point in _in_epochs(connection, new, first_epoch)]
+            return insert_new(connection, sun_point, rows)
+
+    def widen_clock_errors(self, camera: str, *, since: datetime, until: datetime, error_s: float) -> int:
+        """Widen the bound of the clock's error of sightings with `since` <= time <= `until`; return how many."""
+        c = sun_point.c
+        doubted = [c.camera == camera, c.time >= since, c.time <= until, func.coalesce(c.clock_error_s, 0.0) < error_s]
+        with self._database.writing() as connection:
+            keep_measured(connection, camera, doubted)
+            return connection.execute(update(sun_point).where(*doubted).values(clock_error_s=error_s)).rowcount
+
+    def find(
+        self,
+        camera: str,
+        *,
+        since: datetime | None = None,
+        until: datetime | None = None,
+        accepted: bool | None = None,
+        pose_epoch: str | None = None,
+        body: str | None = SUN,
+        ingest_pass: int | None = None,
+        largest_clock_error_s: float | None = None,
+        newest_first: bool = False,
+        limit: int | None = None,
+    ) -> tuple[SunPoint, ...]:
+        """Return sightings with `since` <= time < `until`, in the order of their times; None does not filter.
+
+        Of the sun unless another `body` is named.
+        """
+        c = sun_point.c
+        filters = _filters(camera, since=since, until=until, accepted=accepted, pose_epoch=pose_epoch)
+        filters += [*_clock_within(largest_clock_error_s)]
+        filters += given((c.body.__eq__, body), (c.ingest_pass.__eq__, ingest_pass))
+        fields = [column for column in c if column.name != "id"]
+        order = (c.time.desc(), c.id.desc()) if newest_first else (c.time, c.id)
+        return self._database.values(select(*fields).where(*filters).order_by(*order).limit(limit), SunPoint)
+
+    def columns(
+        self,
+        camera: str,
+        *,
+        since: datetime | None = None,
+        until: datetime | None = None,
+        pose_epoch: str | None = None,
+        method: str | None = None,
+        body: str | None = SUN,
+        no_sun: bool = False,
+        of_files: bool = False,
+        largest_clock_error_s: float | None = None,
+        after_id: int | None = None,
+    ) -> SunPointColumns:
+        """Return the accepted sightings with `since` <= time < `until` as columns, for a fit; None does not filter.
+
+        With `no_sun` only those of other bodies, with `of_files` only those in image files, with `after_id` only those
+        stored since the one of that key.
+        """
+        c = sun_point.c
+        # no column, so that SQLite finds the few new rows by their keys, and does not read all of the camera by theirs
+        of_camera = c.camera.__eq__ if after_id is None else c.camera.concat("").__eq__
+        filters = _filters(None, since=since, until=until, accepted=True, pose_epoch=pose_epoch)
+        filters += [of_camera(camera), *_clock_within(largest_clock_error_s)]
+        filters += given((c.body.__eq__, body), (c.method.__eq__, method), (c.file.__ne__, "" if of_files else None))
+        filters += given((c.id.__gt__, after_id), (c.body.__ne__, SUN if no_sun else None))
+        with self._database.reading() as connection:
+            return read_columns(connection, camera, filters, others=body != SUN)
+
+    def candidates(
+        self, camera: str, *, since: datetime | None = None, until: datetime | None = None
+    ) -> CandidateColumns:
+        """Return what decides which of the accepted sightings of the sun a fit uses; see `of_ids`."""
+        with self._database.reading() as connection:
+            return read_candidates(connection, camera, _filters(camera, since=since, until=until, accepted=True))
+
+    def of_ids(self, camera: str, ids: IntArray) -> SunPointColumns:
+        """Return the sightings of a camera with these keys, in the order of time; without those that are gone."""
+        with self._database.reading() as connection:
+            return read_columns(connection, camera, [listed(connection, ids)])
+
+    def newest_time(self, camera: str, *, largest_clock_error_s: float) -> datetime | None:
+        """Return the time of the newest sighting whose clock error bound is within a limit; None without one."""
+        c = sun_point.c
+        newest = select(c.time).where(c.camera == camera, *_clock_within(largest_clock_error_s))
+        with self._database.reading() as connection:
+            return connection.scalar(newest.order_by(c.time.desc()).limit(1))
+
+    def observation_times(
+        self, camera: str, *, since: datetime, until: datetime, largest_clock_error_s: float | None = None
+    ) -> FloatArray | None:
+        """Return when sun exposures were taken, with a sighting or without, s since 1970-01-01 UTC (n,).
+
+        None where sightings were imported: a file of sightings does not tell when there was an exposure without one.
+        Exposures whose clock may be wrong by more than `largest_clock_error_s` are left out, and images that the camera
+        had delivered before (`FROZEN`): they show another moment's sky.
+        """
+        c = sun_point.c
+        filters = [*_filters(camera, since=since, until=until), *_clock_within(largest_clock_error_s)]
+        filters += [c.body == SUN, c.verdict != FROZEN]
+        with self._database.reading() as connection:
+            imported = select(c.id).where(*filters, c.method == "import").limit(1)
+            if connection.scalar(imported) is not None:
+                return None
+            return read_times(connection, filters)
+
+    def sun_levels(
+        self, camera: str, *, since: datetime, until: datetime, largest_clock_error_s: float | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the accepted discs' times (unix seconds) and levels over full scale in 1 µs, background subtracted.
+
+        A saturated disc's level is what the fit made of its edges; above 100 times full scale it counts as that.
+        """
+        c = sun_point.c
+        filters = _filters(camera, since=since, until=until, accepted=True) + _clock_within(largest_clock_error_s)
+        filters += [c.method == "disc", c.body == SUN]
+        with self._database.reading() as connection:
+            return read_levels(connection, filters)
+
+    def dates(self, camera: str, *, longitude: float, since: date | None = None) -> tuple[date, ...]:
+        """Return the solar dates (from `since` on) on which the sun was looked at, accepted or not."""
+        values = {
+            "camera": camera,
+            "since": 0 if since is None else round(1e6 * day_bounds_unix_s(since, longitude=longitude)[0]),
+            "day": round(1e6 * DAY_S),
+            "ahead": round(1e6 * longitude * SECONDS_PER_DEGREE),
+        }
+        with self._database.reading() as connection:
+            times = connection.scalars(_FIRST_OF_EACH_DAY, values).all()
+        return tuple(solar_date(time / 1e6, longitude=longitude) for time in times)
+
+    def count(self, camera: str, *, since: datetime, until: datetime) -> Mapping[str, int]:
+        """Return how many sightings with `since` <= time < `until` have each verdict."""
+        c = sun_point.c
+        return self._database.counts(
+            select(c.verdict, func.count()).where(c.camera == camera, c.time >= since, c.time < until), c.verdict
+        )
+
+    def by_day(self, camera: str, *, longitude: float, since: date, until: date) -> tuple[SightingCounts, ...]:
+        """Return the counts of the looks at the sun on solar dates with `since` <= date < `until`, the newest first."""
+        c, ahead = sun_point.c, round(1e6 * longitude * SECONDS_PER_DEGREE)
+        begin, end = (round(1e6 * day_bounds_unix_s(one, longitude=longitude)[0]) for one in (since, until))
+        time = type_coerce(c.time, BigInteger)
+        number = ((time + ahead) // round(1e6 * DAY_S)).label("day")
+        counts = select(number, c.verdict, c.accepted, func.count(), func.max(c.clock_error_s))
+        of_days = counts.where(c.camera == camera, c.body == SUN, time >= begin, time < end)
+        with self._database.reading() as connection:
+            rows = connection.execute(of_days.group_by(number, c.verdict, c.accepted)).all()
+        by_day: dict[int, list[tuple[str, bool, int, float | None]]] = {}
+        for day_number, *row in rows:
+            by_day.setdefault(int(day_number), []).append((row[0], row[1], row[2], row[3]))
+        return tuple(_of_day(one, by_day[one]) for one in sorted(by_day, reverse=True))
+
+
+def _of_image(camera: str, key: ImageKey) -> tuple[ColumnElement[bool], ...]:
+    """Return the conditions that a row is of the sun in an image."""
+    c = sun_point.c
+    same_time = (type_coerce(c.time, BigInteger) == key.time_us, c.exposure_us == key.exposure_us)
+    return c.camera == camera, *same_time, c.file == key.file, c.folder == key.folder, c.body == SUN
+
+
+def _of_day(day: int, rows: list[tuple[str, bool, int, float | None]]) -> SightingCounts:
+    verdicts: Counter[str] = Counter()
+    for verdict, _, count, _ in rows:
+        verdicts[verdict] += count
+    return SightingCounts(
+        date=date(1970, 1, 1) + timedelta(days=day),
+        verdicts=dict(sorted(verdicts.items())),
+        accepted=sum(count for _, accepted, count, _ in rows if accepted),
+        clock_error_s=max((error for *_, error in rows if error is not None), default=None),
+    )
+
+
+def _next_id(connection: Connection, camera: str) -> str:
+    """Return an id for a new pose epoch; rows that cannot be read are counted, for their ids are taken."""
+    count = select(func.count()).select_from(tables.pose_epoch).where(tables.pose_epoch.c.camera == camera)
+    return f"{camera}-{(connection.scalar(count) or 0) + 1}"
+
+
+def _first_answered(connection: Connection, pose_epoch: str) -> datetime | None:
+    """Return from when on a calibration of a pose epoch answered; None where none did."""
+    c = tables.calibration.c
+    filters = (c.pose_epoch == pose_epoch, c.state.in_(SERVED))
+    return connection.scalar(select(c.valid_from).where(*filters).order_by(c.valid_from).limit(1))
+
+
+def _filters(
+    camera: str | None,
+    *,
+    since: datetime | None = None,
+    until: datetime | None = None,
+    accepted: bool | None = None,
+    pose_epoch: str | None = None,
+) -> list[ColumnElement[bool]]:
+    c = sun_point.c
+    return given(
+        (c.camera.__eq__, camera),
+        (c.time.__ge__, since),
+        (c.time.__lt__, until),
+        (c.accepted.__eq__, accepted),
+        (c.pose_epoch.__eq__, pose_epoch),
+    )
+
+
+def not_closed() -> ColumnElement[bool]:
+    """Return the condition that a pose epoch has a duration: one that was closed as wrong ends where it began."""
+    epochs = tables.pose_epoch.c
+    return or_(epochs.ended_at.is_(None), epochs.ended_at > epochs.started_at)
+
+
+def _clock_within(largest_s: float | None) -> list[ColumnElement[bool]]:
+    """Return the condition that a sighting's clock error bound, where one is known, is within a limit."""
+    return [] if largest_s is None else [func.coalesce(sun_point.c.clock_error_s, 0.0) <= largest_s]
+
+
+_SHARED = {field.name for field in fields(SunPoint)} & {field.name for field in fields(Detection)} - {"exposure_us"}
+"""What both have under the same name; the exposure of a detection may be unknown."""
+
+
+def sun_point_of(
+    detection: Detection,
+    *,
+    camera: str,
+    pose_epoch: str,
+    time: datetime,
+    exposure_us: float = 0.0,
+    clock_error_s: float | None = None,
+    file: str = "",
+    folder: str = "",
+    ingest_pass: int | None = None,
+) -> SunPoint:
+    """Return the sighting that a detection amounts to, accepted or not."""
+    return SunPoint(
+        camera=camera,
+        pose_epoch=pose_epoch,
+        time=time,
+        exposure_us=exposure_us,
+        clock_error_s=clock_error_s,
+        file=file,
+        folder=folder,
+        ingest_pass=ingest_pass,
+        **{name: getattr(detection, name) for name in _SHARED},
+    )
+
+
+_EARTH_RADIUS_M = 6_371_000.0
+SITE_LIMIT_M = 500.0
+"""A site that is wrong by this much turns the sun by 0.0045 degrees, about the best accuracy that is stated."""
+
+
+def require_same_site(record: CameraRecord, site: Site) -> None:
+    """Raise `InputError` when the settings name another site than the archive has for the camera.
+
+    Its sightings, poses and calibrations are directions of the sun at the stored site; at another one the same camera
+    would seem to have been turned.
+    """
+    distance = distance_m(record.site, site)
+    if distance > SITE_LIMIT_M:
+        raise InputError(
+            field="site",
+            problem=f"latitude {site.latitude:g}, longitude {site.longitude:g} is {distance / 1e3:.1f} km from "
+            f"{record.latitude:g}, {record.longitude:g}, where the archive has camera {record.name!r} "
+            f"(limit {SITE_LIMIT_M / 1e3:g} km)",
+            remedy="correct [site]; or, at a new site, set `name` to a new one (or `state` to an empty folder)",
+        )
+
+
+def distance_m(first: Site, second: Site) -> float:
+    """Return the great-circle distance of two places in metres (haversine, a sphere)."""
+    a, b = np.radians([first.latitude, second.latitude])
+    east = np.radians(second.longitude - first.longitude)
+    # The haversine stays exact for near places, where the cosine rule loses all its digits.
+    square = np.sin((b - a) / 2.0) ** 2 + np.cos(a) * np.cos(b) * np.sin(east / 2.0) ** 2
+    return float(2.0 * _EARTH_RADIUS_M * np.arcsin(np.sqrt(min(square, 1.0))))

@@ -1,0 +1,323 @@
+"""What `sunarc init` tries: pictures at hand, and whether the sun in them is up at the site that was given."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import PurePosixPath
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.common.array_types import FloatArray, Image
+from sunarc.common.errors import InputError
+from sunarc.common.findings import Finding, Message, Messages
+from sunarc.detection.values import Detection
+from sunarc.imaging.preview import preview
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_angles
+from sunarc.sources.detect_files import detect_in_image
+from sunarc.sources.image_files import ImageSource, image_of, kind_of
+from sunarc.sources.image_times import TimeRules, timed_frames
+from sunarc.sources.messages import MESSAGES as OF_FILES
+from sunarc.sources.messages import RefusedImageError
+from sunarc.sources.name_times import time_in_name
+
+_SITE_WRONG = "The sun that the pictures show would be below the horizon at the site: the site or the times are wrong."
+
+MESSAGES = Messages(
+    angle_unreadable=Message(
+        "{given!r} is no angle",
+        "Nothing was written.",
+        'give decimal degrees as -97.4849, or degrees, minutes and seconds as 97°29\'05.5"W',
+    ),
+    angle_of_other_axis=Message(
+        "{given!r} has the letter of the other axis",
+        "Nothing was written.",
+        "give N or S with the latitude, E or W with the longitude",
+    ),
+    angle_signed_twice=Message("{given!r} has a sign and a letter", "Nothing was written.", "give one of the two"),
+    angle_beyond=Message(
+        "{given!r} is beyond {most} degrees", "Nothing was written.", "correct it; were the two swapped?"
+    ),
+    answer_not_number=Message("{given!r} is no number", "Nothing was written.", "give one, as 318"),
+    answer_missing=Message("is not given, and standard input is no terminal", "Nothing was written.", "give {option}"),
+    answer_unknown=Message("{given!r} is unknown", "Nothing was written.", "give one of {choices}"),
+    answer_contradicts=Message(
+        "given with --source {source}", "Nothing was written.", "give {option} or another source"
+    ),
+    site_agrees=Message("the sun is up in all {suns} pictures that show it", "Site and times do not contradict it."),
+    site_not_held=Message(
+        "no picture with a sun and a time: latitude and longitude were compared with nothing",
+        "The site was written as it was given.",
+        "call sunarc init again when there are pictures of a clear day",
+    ),
+    site_swapped=Message(
+        "the sun would be below the horizon in {below} of {suns} pictures that show it; with latitude and longitude "
+        "swapped in {below_then}",
+        _SITE_WRONG,
+        "give --latitude {latitude} --longitude {longitude}, or correct --utc-offset",
+    ),
+    site_longitude_sign=Message(
+        "the sun would be below the horizon in {below} of {suns} pictures that show it; with the longitude's sign "
+        "changed in {below_then}",
+        _SITE_WRONG,
+        "give --longitude {longitude} (east is positive), or correct --utc-offset",
+    ),
+    site_latitude_sign=Message(
+        "the sun would be below the horizon in {below} of {suns} pictures that show it; with the latitude's sign "
+        "changed in {below_then}",
+        _SITE_WRONG,
+        "give --latitude {latitude} (north is positive), or correct --utc-offset",
+    ),
+    site_sun_down=Message(
+        "the sun would be below the horizon in {below} of {suns} pictures that show it",
+        _SITE_WRONG,
+        "correct --latitude, --longitude (east is positive) or --utc-offset (how far the pictures' times are ahead)",
+    ),
+    site_sun_down_in_some=Message(
+        "the sun would be below the horizon in {below} of {suns} pictures that show a light like it",
+        "The moon or a lamp at night, which the service leaves out; or the site or the times are wrong.",
+        "none where those pictures are of the night; otherwise correct --latitude, --longitude or --utc-offset",
+    ),
+    folder_without_images=Message(
+        "{path} has no picture yet", "Nothing was tried.", "start the program that fills it, or correct --folder"
+    ),
+)  # fmt: skip
+"""Of the answers to the questions, and of what was found of them."""
+
+
+class RefusedAnswerError(InputError):
+    """An answer that cannot be used.
+
+    Parameters
+    ----------
+    question : the option that gives it.
+    finding : why, of `MESSAGES`.
+    """
+
+    def __init__(self, question: str, finding: Finding) -> None:
+        remedy = f"{MESSAGES.remedy_of(finding)} [{finding.code}]"
+        super().__init__(field=question, problem=MESSAGES.text_of(finding), remedy=remedy)
+        self.finding = finding
+
+
+_NUMBER = r"\d+(?:[.,]\d+)?"
+_ANGLE = re.compile(
+    rf"\s*(?P<before>[NSEW])?\s*(?P<sign>[+\-−])?\s*(?P<degrees>{_NUMBER})\s*(?:°|d|deg|\s|$|(?=[NSEW]))\s*"
+    rf"(?:(?P<minutes>{_NUMBER})\s*(?:'|′|’|m|\s|$|(?=[NSEW]))\s*)?"
+    rf"(?:(?P<seconds>{_NUMBER})\s*(?:\"|″|”|''|s|\s|$|(?=[NSEW]))\s*)?(?P<after>[NSEW])?\s*",
+    re.IGNORECASE,
+)
+
+
+def parse_angle(text: str, *, question: str, axis: Literal["NS", "EW"]) -> float:
+    """Return an angle in degrees, north and east positive, from decimal degrees or degrees, minutes and seconds.
+
+    Parameters
+    ----------
+    text : as "-97.4849", "97.4849 W", "97°29'05.5W", "97 29 5.5 W"; a decimal comma is taken for a point.
+    question : the option that gives it.
+    axis : the letters of its two directions, the positive one first.
+
+    Raises
+    ------
+    RefusedAnswerError : it is no angle of this axis.
+    """
+    match = _ANGLE.fullmatch(text)
+    if match is None or (match["before"] and match["after"]):
+        raise RefusedAnswerError(question, Finding("angle_unreadable", {"given": text}))
+    letter = (match["before"] or match["after"] or "").upper()
+    if letter and letter not in axis:
+        raise RefusedAnswerError(question, Finding("angle_of_other_axis", {"given": text}))
+    if letter and match["sign"]:
+        raise RefusedAnswerError(question, Finding("angle_signed_twice", {"given": text}))
+    degrees, minutes, seconds = (_decimal(match[part]) for part in ("degrees", "minutes", "seconds"))
+    whole = [part for part in ("degrees", "minutes") if match["minutes" if part == "degrees" else "seconds"]]
+    if max(minutes, seconds) >= 60.0 or any(_decimal(match[part]) % 1.0 for part in whole):
+        raise RefusedAnswerError(question, Finding("angle_unreadable", {"given": text}))
+    angle = degrees + minutes / 60.0 + seconds / 3600.0
+    most = 90 if axis == "NS" else 180
+    if angle > most:
+        raise RefusedAnswerError(question, Finding("angle_beyond", {"given": text, "most": most}))
+    negative = letter == axis[1] or match["sign"] in {"-", "−"}
+    return round(-angle if negative else angle, 7) + 0.0
+
+
+def _decimal(digits: str | None) -> float:
+    return float((digits or "0").replace(",", "."))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TriedPicture:
+    """What a picture of the source shows.
+
+    Attributes
+    ----------
+    name : of its file, or its address.
+    size : width and height, px; None where it cannot be read.
+    time : when it was taken, aware; None where nothing states it.
+    rule : what states the time ("EXIF", "Allsky" …), "" where nothing does.
+    found : the sun that was looked for; None where there is no image.
+    faults : why there is no image, or no time.
+    """
+
+    name: str
+    size: tuple[int, int] | None = None
+    time: datetime | None = None
+    rule: str = ""
+    found: Detection | None = None
+    faults: tuple[Finding, ...] = ()
+
+    @property
+    def shows_sun(self) -> bool:
+        """Whether a sun was found in it."""
+        return self.found is not None and self.found.accepted
+
+    def describe(self) -> str:
+        """Return what was found in a sentence."""
+        size = "" if self.size is None else f"{self.size[0]}x{self.size[1]} px; "
+        when = "" if self.time is None else f"taken {self.time:%Y-%m-%d %H:%M:%S} UTC by {self.rule}; "
+        sun = ""
+        if self.found is not None:
+            at = f"sun found at ({self.found.x_px:.0f}, {self.found.y_px:.0f})" if self.shows_sun else "no sun found"
+            sun = at if self.shows_sun else f"{at}: {self.found.reason}"
+        faults = "; ".join(f"{OF_FILES.text_of(one)}: {OF_FILES.remedy_of(one)} [{one.code}]" for one in self.faults)
+        return "; ".join(part for part in (f"{size}{when}{sun}".rstrip("; "), faults) if part)
+
+
+_GOLDEN = 0.6180339887498949
+"""Steps of this share of a list, modulo 1, come everywhere in it, and in no step with the hours of a day."""
+
+
+def try_pictures(
+    source: ImageSource,
+    names: Sequence[str],
+    rules: TimeRules,
+    *,
+    most: int,
+    on_image: Callable[[TriedPicture, Image], None],
+) -> Iterator[TriedPicture]:
+    """Yield what pictures of a source show: the last one, then others from everywhere in the list.
+
+    Where names state times, pictures whose name states none (a copy of the newest one) are left out.
+
+    Parameters
+    ----------
+    source, names : the files, in the order of their names.
+    rules : how their times are read.
+    most : number of pictures that are looked at.
+    on_image : called with the first picture that can be read, and its image.
+    """
+    every_picture = [name for name in names if kind_of(name) is not None]
+    pictures = [name for name in every_picture if time_in_name(PurePosixPath(name).name) is not None] or every_picture
+    chosen = [len(pictures) - 1, *(int(len(pictures) * ((k * _GOLDEN) % 1.0)) for k in range(1, most))]
+    every, shown = frozenset(names), False
+    for number in dict.fromkeys(chosen) if pictures else ():
+        tried, image = _tried(source, pictures[number], rules, every)
+        if image is not None and not shown:
+            shown = True
+            on_image(tried, image)
+        yield tried
+
+
+def _tried(
+    source: ImageSource, name: str, rules: TimeRules, names: Collection[str]
+) -> tuple[TriedPicture, Image | None]:
+    tried = TriedPicture(name=PurePosixPath(name).name)
+    try:
+        frame = timed_frames(source, name, rules, names=names)[-1]
+        tried = replace(tried, time=frame.time, rule=frame.family)
+        number = frame.number
+    except RefusedImageError as error:
+        tried, number = replace(tried, faults=(error.finding,)), 0
+    image = image_of(source, name, number)
+    if isinstance(image, Finding):
+        return replace(tried, faults=tuple({one.code: one for one in (*tried.faults, image)}.values())), None
+    return look_for_sun(tried, image), image
+
+
+def look_for_sun(tried: TriedPicture, image: Image) -> TriedPicture:
+    """Return what a picture shows with its size, and the sun in it."""
+    return replace(tried, size=(image.shape[1], image.shape[0]), found=detect_in_image(image))
+
+
+_HORIZON_DEG = 91.5
+"""Apparent zenith angle beyond which the sun is not seen: refraction, the disc, and the dip of a mountain's horizon."""
+_EXPLAINED = 0.25
+"""A site explains the suns that are down when at most this share of them is down there."""
+_LEAST_NAMED = 3
+"""Suns that are down for a slip to be named: one or two may be the moon."""
+_MOST_LIGHTS = 0.5
+"""Share of suns that are down beyond which no moon explains it."""
+
+
+def judge_site(pictures: Sequence[TriedPicture], site: Site) -> Finding:
+    """Return whether the sun is up at a site in the pictures that show it, and if not, with which slip it would be.
+
+    A longitude that is wrong by some degrees, or a latitude by any, mostly leaves the sun up: that is not seen here.
+    """
+    times = [one.time.timestamp() for one in pictures if one.shows_sun and one.time is not None]
+    if not times:
+        return Finding("site_not_held")
+    below = _below_horizon(np.array(times), site)
+    if below == 0:
+        return Finding("site_agrees", {"suns": len(times)})
+    explaining = [slip for slip, then in _slips(np.array(times), site, below) if then <= _EXPLAINED * below]
+    if len(explaining) == 1 and below >= _LEAST_NAMED:
+        return explaining[0]
+    if below > _MOST_LIGHTS * len(times):
+        return Finding("site_sun_down", {"below": below, "suns": len(times)})
+    return Finding("site_sun_down_in_some", {"below": below, "suns": len(times)})
+
+
+def _slips(times: FloatArray, site: Site, below: int) -> Iterator[tuple[Finding, int]]:
+    """Yield the slips that may have been made, each with the number of suns that would then be below the horizon."""
+    suns, north, east = times.size, site.latitude, site.longitude
+    then = _below_horizon(times, replace(site, longitude=-east))
+    yield (
+        Finding("site_longitude_sign", {"below": below, "suns": suns, "below_then": then, "longitude": -east}),
+        then,
+    )
+    then = _below_horizon(times, replace(site, latitude=-north))
+    yield Finding("site_latitude_sign", {"below": below, "suns": suns, "below_then": then, "latitude": -north}), then
+    if abs(east) <= 90.0:
+        then = _below_horizon(times, replace(site, latitude=east, longitude=north))
+        yield (
+            Finding(
+                "site_swapped",
+                {"below": below, "suns": suns, "below_then": then, "latitude": east, "longitude": north},
+            ),
+            then,
+        )
+
+
+def _below_horizon(times: FloatArray, site: Site) -> int:
+    return int(np.count_nonzero(np.asarray(sun_angles(times, site).apparent_zenith) > _HORIZON_DEG))
+
+
+_SMALL_SIDE = 480
+_GREEN, _ORANGE = (0, 200, 0), (0, 140, 255)
+
+
+def small_picture(image: Image, found: Detection | None) -> bytes:
+    """Return a PNG of at most 480 px with a circle about the sun: green where it is accepted, else orange."""
+    canvas: NDArray[np.uint8] = preview(image) if image.ndim == 2 else _eight_bits(image)
+    scale = min(1.0, _SMALL_SIDE / max(canvas.shape[:2]))
+    size = max(1, round(scale * canvas.shape[1])), max(1, round(scale * canvas.shape[0]))
+    small = cv2.resize(canvas, size, interpolation=cv2.INTER_AREA)
+    if small.ndim == 2:
+        small = cv2.cvtColor(small, cv2.COLOR_GRAY2BGR)
+    if found is not None and found.x_px is not None and found.y_px is not None:
+        radius = max(round(2.0 * scale * (found.radius_px or 0.0)), 10)
+        at = round(scale * found.x_px), round(scale * found.y_px)
+        cv2.circle(small, at, radius, _GREEN if found.accepted else _ORANGE, 2, cv2.LINE_AA)
+    return cv2.imencode(".png", small)[1].tobytes()
+
+
+def _eight_bits(image: Image) -> NDArray[np.uint8]:
+    return image if image.dtype == np.uint8 else (image // 256).astype(np.uint8)  # type: ignore[return-value]

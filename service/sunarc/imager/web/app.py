@@ -1,0 +1,332 @@
+"""Application of an imager, made of its collaborators, and the parts that every application has."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import datetime
+from pathlib import Path as FilePath
+from typing import Any
+
+from fastapi import Depends, FastAPI
+from fastapi.openapi.utils import get_openapi
+from fastapi.responses import FileResponse
+from prometheus_client import CollectorRegistry, ProcessCollector
+from pydantic import BaseModel
+from pydantic.json_schema import JsonSchemaMode, models_json_schema
+from starlette.middleware.cors import CORSMiddleware
+from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
+from starlette.staticfiles import StaticFiles
+
+import sunarc
+from sunarc.calibration.answers.direction_table import lookup
+from sunarc.calibration.answers.error_model import draw_ensemble
+from sunarc.imager.archive.archive import Archive
+from sunarc.imager.archive.images import ImageStore
+from sunarc.imager.archive.values import Refit
+from sunarc.imager.runtime.status import StatusSnapshot
+from sunarc.imager.web.arrays import MOST_BYTES_AHEAD
+from sunarc.imager.web.bulk import ComputeSlots
+from sunarc.imager.web.context import CAMERA_PREFIX, ApiContext, DaySites, SingleFlightCache
+from sunarc.imager.web.middleware.admission import (
+    AllowedHosts,
+    ConcurrencyLimit,
+    RateLimit,
+    ReadTokenMiddleware,
+    host_names,
+    read_token,
+)
+from sunarc.imager.web.middleware.request_bodies import BodyReader, Boundary, HeadRequests
+from sunarc.imager.web.middleware.shared_quota import SharedQuota
+from sunarc.imager.web.options import ApiOptions
+from sunarc.imager.web.problems import (
+    Fault,
+    FaultGuard,
+    FaultLog,
+    Problem,
+    add_problem_handlers,
+    answers,
+    require_known_names,
+)
+from sunarc.imager.web.routes.calibrations import calibration_routes, decision_routes, refit_routes
+from sunarc.imager.web.routes.directions import direction_routes
+from sunarc.imager.web.routes.geolocation import GeolocateRequest, geolocation_routes
+from sunarc.imager.web.routes.health import camera_list_routes, health_routes
+from sunarc.imager.web.routes.images import image_routes
+from sunarc.imager.web.routes.maps import map_routes, mask_routes, remap_routes
+from sunarc.imager.web.routes.metrics import CountRequests, RequestCounts, StatusCollector
+from sunarc.imager.web.routes.nights import night_routes
+from sunarc.imager.web.routes.overlay import overlay_routes
+from sunarc.imager.web.routes.record import day_air_routes, event_stream_routes, housekeeping_routes, record_routes
+from sunarc.imager.web.routes.stored_answers import AnswerFiles
+from sunarc.imager.web.routes.sun import sun_routes
+from sunarc.imager.web.schemas import BackProjectRequest, ProjectRequest
+from sunarc.sky.site import Site
+
+_DESCRIPTION = """Keeps the geometric calibration of an all-sky imager right, from the sun and the stars.
+
+Pixels are (x, y) in px, x right, y down, (0, 0) the centre of the top-left pixel. Zenith and azimuth are in degrees,
+azimuth clockwise from north; directions are apparent (refracted) unit vectors, east-north-up. Times are RFC 3339, UTC.
+A sigma is per axis, an RMSE is of the two-dimensional distance. null means that there is no answer.
+
+Every route below /v1 but /v1/status and /v1/cameras answers for this service's own camera; as /v1/cameras/{camera}/…
+it answers for any camera that /v1/cameras lists (404 for another name)."""
+
+_OTHERS: tuple[tuple[type[BaseModel], JsonSchemaMode], ...] = (
+    (Problem, "serialization"),
+    (Fault, "serialization"),
+    (BackProjectRequest, "validation"),
+    (ProjectRequest, "validation"),
+    (GeolocateRequest, "validation"),
+)
+"""Shapes that no route's signature names."""
+_TAGS = {
+    "health": "whether the service answers, its state and its metrics",
+    "cameras": "the cameras of the archive",
+    "calibrations": "the valid one, the history, and an operator's decisions",
+    "directions": "directions of pixels, pixels of directions, positions of clouds and shadows",
+    "sun": "its position, and where it was detected",
+    "images": "composites, maps of them, masks and tables for OpenCV",
+    "record": "days, events and their stream, disk space and temperature, the latest image",
+    "refits": "requested, running and completed",
+    "epochs": "intervals in which the camera did not move",
+    "fleet": "what a hub stores of its cameras, and receives from them",
+    "drawing": "lines and maps to draw over the image",
+}
+_TEXTS = {"text/plain": "string", "application/yaml": "object"}
+"""Type of the content of the media types that are no bytes; YAML is what a reader of it makes of it."""
+
+
+def describe(app: FastAPI) -> None:
+    """Make the application return this document."""
+
+    def document() -> dict[str, Any]:
+        if app.openapi_schema is None:
+            app.openapi_schema = _document(app)
+        return app.openapi_schema
+
+    app.openapi = document  # type: ignore[method-assign]  # FastAPI's own way to do this
+
+
+def _document(app: FastAPI) -> dict[str, Any]:
+    document = get_openapi(title=app.title, version=app.version, description=_DESCRIPTION, routes=app.routes)
+    template = "#/components/schemas/{model}"
+    _, others = models_json_schema([*_OTHERS], ref_template=template)
+    schemas = document["components"]["schemas"]
+    for name in ("HTTPValidationError", "ValidationError"):
+        schemas.pop(name, None)
+    schemas |= others["$defs"]
+    document["paths"] = {path.replace("{camera}", "", 1): one for path, one in document["paths"].items()}
+    for path in document["paths"].values():
+        for operation in path.values():
+            operation["summary"] = operation["description"].partition("\n")[0].removesuffix(".")
+            _only_problems(operation["responses"])
+            _describe_bytes(operation["responses"])
+    used = {tag for path in document["paths"].values() for one in path.values() for tag in one.get("tags", ())}
+    document["tags"] = [{"name": name, "description": _TAGS[name]} for name in sorted(used)]
+    return document
+
+
+def _describe_bytes(responses: dict[str, Any]) -> None:
+    """Give a schema to every content that has none: files and texts."""
+    for answer in responses.values():
+        for media_type, content in answer.get("content", {}).items():
+            of_text = _TEXTS.get(media_type)
+            described = {"type": of_text} if of_text else {"type": "string", "format": "binary"}
+            content.setdefault("schema", described)
+
+
+def _only_problems(responses: dict[str, Any]) -> None:
+    """Replace FastAPI's own answer to what is invalid, and add the ones that any route may give."""
+    if "HTTPValidationError" in str(responses.get("422", "")):
+        responses["422"] = answers(422)[422]
+    for status, answer in answers(400, 401, 421, 422, 429, 500, 503).items():
+        responses.setdefault(str(status), answer)
+
+
+_ENSEMBLES = 4
+"""Ensembles that are kept: each of up to 64 draws, 5 MB."""
+_MOST_STREAMS = 64
+"""Streams of events that are open at once: each costs a look at the archive's revision twice a second."""
+STATIC = FilePath(__file__).parent / "static"
+_WORTH_COMPRESSING_BYTES = 1400  # less fits into one packet as it is
+_COMPRESSION_LEVEL = 4  # of JSON's numbers, higher ones make little more than work
+_COMPRESSED_ALREADY = (
+    *DEFAULT_EXCLUDED_CONTENT_TYPES,
+    *("application/octet-stream", "application/x-npy", "application/x-npz", "application/x-netcdf"),
+)
+
+
+def create_app(
+    *,
+    archive: Archive,
+    camera: str,
+    site: Site,
+    status: Callable[[], StatusSnapshot],
+    request_refit: Callable[[str], Refit],
+    frame_clock: Callable[[], datetime],
+    latest_image: Callable[[], FilePath | None],
+    options: ApiOptions,
+    images: ImageStore | None = None,
+    registry: CollectorRegistry | None = None,
+    stopping: Callable[[], bool] = lambda: False,
+) -> FastAPI:
+    """Return an application that serves one camera's archive.
+
+    Parameters
+    ----------
+    archive, camera, site : what was seen, by which camera, and where it stands.
+    status : returns the status board's snapshot.
+    request_refit : asks for a refit, with a reason.
+    frame_clock : the frames' time, aware.
+    latest_image : returns the newest preview's file (JPEG or PNG), or None.
+    options : limits and the token.
+    images : the composites; None where there are none.
+    registry : where Prometheus's numbers are registered; a new one by default.
+    stopping : returns whether the service is about to stop: streams of events end then.
+    """
+    context = new_context(
+        archive=archive,
+        camera=camera,
+        site=site,
+        status=status,
+        request_refit=request_refit,
+        frame_clock=frame_clock,
+        latest_image=latest_image,
+        options=options,
+        images=images,
+        stopping=stopping,
+        token=read_token(options.token_file, setting="api.token_file"),
+    )
+    numbers = registry or CollectorRegistry()
+    numbers.register(StatusCollector(context))
+    app = new_application("sunarc")
+    add_camera_routes(app, context)
+    app.include_router(camera_list_routes(context))
+    app.include_router(health_routes(context, numbers))
+    _add_dashboard(app)
+    complete(app, context)
+    count_requests(app, numbers)
+    return app
+
+
+def new_context(*, archive: Archive, **collaborators: Any) -> ApiContext:  # noqa: ANN401 - the fields of ApiContext
+    """Return the collaborators of an application, with the caches that its routes share."""
+    return ApiContext(
+        archive=archive,
+        sites=DaySites(archive),
+        ready=SingleFlightCache(
+            lambda record: lookup(archive.calibrations.model(record.id)),
+            key=lambda record: record.id,  # a model never changes under one id
+        ),
+        ensembles=SingleFlightCache(
+            lambda asked: draw_ensemble(
+                archive.calibrations.model(asked.calibration),
+                draws=asked.draws,
+                seed=asked.seed,
+                calibration_id=asked.calibration,
+            ),
+            key=lambda asked: asked.key,
+            most=_ENSEMBLES,
+        ),
+        **collaborators,
+    )
+
+
+def new_application(title: str) -> FastAPI:
+    """Return an application without routes."""
+    return FastAPI(
+        title=title,
+        version=sunarc.__version__,
+        docs_url=None,
+        redoc_url=None,
+        generate_unique_id_function=lambda route: route.name,
+        dependencies=[Depends(require_known_names)],
+    )
+
+
+def complete(app: FastAPI, context: ApiContext) -> None:
+    """Add what every application has in common: problem documents, its description, and limits."""
+    faults = FaultLog()
+    add_problem_handlers(app, faults)
+    describe(app)
+    _add_guards(app, context, faults)
+
+
+def count_requests(app: FastAPI, numbers: CollectorRegistry) -> None:
+    """Count the requests and what the process uses, where Prometheus's numbers are registered."""
+    counts = RequestCounts()
+    numbers.register(counts)
+    ProcessCollector(registry=numbers)
+    app.add_middleware(CountRequests, counts=counts)
+
+
+def _add_guards(app: FastAPI, context: ApiContext, faults: FaultLog) -> None:
+    """Put what every request passes before the application, the innermost first."""
+    options = context.options
+    app.add_middleware(
+        GZipMiddleware,
+        minimum_size=_WORTH_COMPRESSING_BYTES,
+        compresslevel=_COMPRESSION_LEVEL,
+        exclude_content_types=_COMPRESSED_ALREADY,
+    )
+    app.add_middleware(ConcurrencyLimit, at_once=options.max_at_once, streams=_MOST_STREAMS)
+    app.add_middleware(
+        BodyReader,
+        max_body_bytes=options.max_body_bytes,
+        max_array_bytes=options.max_array_bytes,
+        within_s=options.request_within_s,
+        quota=SharedQuota(options.max_large_at_once * (options.max_array_bytes + MOST_BYTES_AHEAD)),
+    )
+    reading = read_token(options.read_token_file, setting="api.read_token_file")
+    tokens = tuple(token for token in (reading, context.token) if token is not None)
+    if reading is not None:
+        app.add_middleware(ReadTokenMiddleware, tokens=tokens)
+    app.add_middleware(RateLimit, per_s=options.requests_per_s, burst=options.burst, tokens=tokens)
+    if options.cors_origins:
+        app.add_middleware(
+            CORSMiddleware,
+            allow_origins=list(options.cors_origins),
+            allow_methods=["GET", "POST", "PUT"],
+            allow_headers=["authorization", "content-type", "if-none-match"],
+            expose_headers=["etag", "location", "retry-after", "sunarc-calibration", "sunarc-columns"],
+        )
+    app.add_middleware(AllowedHosts, names=host_names(options))
+    app.add_middleware(FaultGuard, faults=faults)
+    app.add_middleware(HeadRequests)
+    app.add_middleware(Boundary, max_body_bytes=options.max_body_bytes, max_array_bytes=options.max_array_bytes)
+
+
+def add_camera_routes(app: FastAPI, context: ApiContext) -> None:
+    """Add every route of one camera: under /v1 for this service's own, under /v1/cameras/{camera} for any."""
+    slots, files = ComputeSlots(context.options.max_large_at_once), AnswerFiles()
+    for of_camera in (
+        calibration_routes(context),
+        decision_routes(context),
+        direction_routes(context, slots),
+        map_routes(context, files),
+        geolocation_routes(context, slots),
+        sun_routes(context),
+        overlay_routes(context),
+        record_routes(context),
+        housekeeping_routes(context),
+        night_routes(context),
+        event_stream_routes(context),
+        image_routes(context),
+        remap_routes(context, files),
+        mask_routes(context, files),
+        day_air_routes(context),
+        refit_routes(context),
+    ):
+        app.include_router(of_camera, prefix=CAMERA_PREFIX)
+
+
+def _add_dashboard(app: FastAPI) -> None:
+    @app.get("/", include_in_schema=False)
+    def dashboard() -> FileResponse:
+        return FileResponse(STATIC / "dashboard.html")
+
+    @app.get("/docs", include_in_schema=False)
+    def docs() -> FileResponse:
+        return FileResponse(STATIC / "docs" / "docs.html")
+
+    app.mount("/static", StaticFiles(directory=STATIC))

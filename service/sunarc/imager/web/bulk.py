@@ -1,0 +1,382 @@
+"""Answers of many rows, as JSON or .npy: which calibration answers which point, and how many are computed at once."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import OrderedDict, deque
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import partial
+from http import HTTPStatus
+from typing import Any
+
+import numpy as np
+from fastapi import Request
+from fastapi.responses import Response
+from pydantic_core import to_json
+from starlette.concurrency import run_in_threadpool
+
+from sunarc.calibration.answers.direction_table import Lookup
+from sunarc.calibration.answers.error_model import Ensemble
+from sunarc.common.array_types import FloatArray, IntArray
+from sunarc.common.errors import InputError, NotFoundError
+from sunarc.imager.archive.values import CalibrationRecord
+from sunarc.imager.web.arrays import NPY, Rows, bytes_ahead, read_rows, require_few, rows_response
+from sunarc.imager.web.context import CALIBRATION, ApiContext, Sampling
+from sunarc.imager.web.middleware.shared_quota import client_network
+from sunarc.imager.web.problems import Fault, RefusedError
+from sunarc.sky.days import solar_days
+
+_MOST_CALIBRATIONS = 8
+"""Of one request with a time for each point: as many as are kept ready."""
+_MOST_DAYS = 366
+"""Solar days of such a request; each has a site of its own, with the air measured on it."""
+_YEARS = (0.0, 7_258_118_400.0)
+"""Times that are answered for, 1970 to 2199, s since 1970: those of the API's other times."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answering:
+    """What answers a question.
+
+    Attributes
+    ----------
+    context : of the camera that was asked for.
+    record : its calibration.
+    ready : made ready.
+    time : that was asked for; now by the frames' time where none was.
+    each : what answers for the times of points; None where all points have one time.
+    """
+
+    context: ApiContext
+    record: CalibrationRecord
+    ready: Lookup
+    time: datetime
+    each: Timeline | None = None
+
+    @property
+    def calibrations(self) -> tuple[str, ...]:
+        """Return the ids of the calibrations, in the order of time."""
+        return (self.record.id,) if self.each is None else self.each.calibrations
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Timeline:
+    """What answers for each of many times.
+
+    Attributes
+    ----------
+    times : (m,) different times, rising, s since 1970.
+    groups : (m,) which of `answers` does; a group has one calibration and one solar day.
+    answers : in the order of time.
+    asked : (n,) times of the points, as they were asked.
+    """
+
+    times: FloatArray
+    groups: IntArray
+    answers: tuple[Answering, ...]
+    asked: FloatArray
+
+    @property
+    def calibrations(self) -> tuple[str, ...]:
+        """Return the ids of the calibrations, in the order of time."""
+        return tuple(dict.fromkeys(one.record.id for one in self.answers))
+
+    def split(self, times: FloatArray) -> Iterator[tuple[Answering, IntArray]]:
+        """Yield what answers for points of these times, and which points (indices)."""
+        groups = self.groups[np.searchsorted(self.times, times)]
+        for group in np.unique(groups).tolist():
+            yield self.answers[group], np.flatnonzero(groups == group)
+
+    def of_points(self) -> list[str]:
+        """Return the id of the calibration that answers for each of the points."""
+        names = [one.record.id for one in self.answers]
+        return [names[group] for group in self.groups[np.searchsorted(self.times, self.asked)].tolist()]
+
+
+def answering_at(context: ApiContext, request: Request, at: datetime | None) -> Answering:
+    """Return what answers a request for one time, now where there is none."""
+    selected, record = context.answering(request, at)
+    return Answering(
+        context=selected, record=record, ready=selected.ready.get(record), time=at or selected.frame_clock()
+    )
+
+
+def answering_each(context: ApiContext, request: Request, asked: FloatArray) -> Answering:
+    """Return what answers a request whose points have times of their own; by itself it is that of the first time.
+
+    Raises
+    ------
+    NotFoundError
+        No calibration answers for one of the times.
+    RefusedError
+        (413) More than 8 calibrations answer, or the times lie on more than 366 solar days.
+    InputError
+        A time lies outside the years 1970 to 2199.
+    """
+    within = np.isfinite(asked) & (asked >= _YEARS[0]) & (asked < _YEARS[1])
+    if not np.all(within):
+        place = f"at[{int(np.argmin(within))}]"
+        raise InputError(field=place, problem="lies outside the years 1970 to 2199", remedy="give s since 1970, UTC")
+    selected, times = context.of(request), np.unique(asked)
+    days = solar_days(times, longitude=selected.site.longitude)
+    require_few(len(np.unique(days)), most=_MOST_DAYS, field="at", what="solar days")
+    records = records_at(selected, times, asked)
+    changes = [k for k in range(len(times)) if k == 0 or days[k] != days[k - 1] or records[k] is not records[k - 1]]
+    answers = tuple(
+        Answering(context=selected, record=records[k], ready=selected.ready.get(records[k]), time=moment(times[k]))
+        for k in changes
+    )
+    groups = np.searchsorted(np.array(changes), np.arange(len(times)), side="right") - 1
+    each = Timeline(times=times, groups=groups, answers=answers, asked=asked)
+    first = answers[groups[np.searchsorted(times, asked[0])]]
+    return Answering(context=selected, record=first.record, ready=first.ready, time=moment(asked[0]), each=each)
+
+
+def records_at(context: ApiContext, unix_s: FloatArray, requested_unix_s: FloatArray) -> list[CalibrationRecord]:
+    """Return what answers at each of rising times.
+
+    A calibration answers for one interval of time (one that is made current again does so as a copy), so that what
+    answers at two times answers between them.
+    """
+    found: dict[int, CalibrationRecord] = {}
+    distinct: dict[str, CalibrationRecord] = {}
+
+    def look(k: int) -> CalibrationRecord:
+        if k not in found:
+            record = context.record_or_none(moment(unix_s[k]))
+            if record is None:
+                place = f"at[{int(np.flatnonzero(requested_unix_s == unix_s[k])[0])}]"
+                problem = f"no calibration answers for {moment(unix_s[k]).isoformat()}"
+                raise NotFoundError(field=place, problem=problem, remedy="see /v1/calibrations for what there is")
+            found[k] = distinct.setdefault(record.id, record)
+            require_few(len(distinct), most=_MOST_CALIBRATIONS, field="at", what="calibrations")
+        return found[k]
+
+    spans = [(0, len(unix_s) - 1)]
+    while spans:
+        low, high = spans.pop()
+        if look(low) is look(high):
+            found |= dict.fromkeys(range(low, high + 1), found[low])
+        elif high - low > 1:
+            middle = (low + high) // 2
+            spans += [(low, middle), (middle, high)]
+    return [found[k] for k in range(len(unix_s))]
+
+
+def moment(unix_s: float) -> datetime:
+    """Return seconds since 1970 as a time."""
+    return datetime.fromtimestamp(float(unix_s), UTC)
+
+
+class ComputeSlots:
+    """Semaphore of large computations that serves waiting addresses in turn.
+
+    A slot is taken when all that is computed on is there, and left when the numbers are: not while a request is being
+    sent, nor while its answer is being read. Addresses that wait take turns.
+
+    Parameters
+    ----------
+    most : how many run; an address of which more requests wait than that is refused (429).
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._free = most
+        self._waiting: OrderedDict[str | None, deque[asyncio.Future[None]]] = OrderedDict()
+
+    def require_room(self, client: str | None) -> None:
+        """Raise RefusedError (429) where too much of an address waits already. On the event loop alone."""
+        if len(self._waiting.get(client, ())) >= self._most:
+            fault = Fault(field="request", problem="too many large requests at once", remedy="ask again in a second")
+            raise RefusedError(HTTPStatus.TOO_MANY_REQUESTS, fault, headers={"retry-after": "1"})
+
+    @asynccontextmanager
+    async def slot(self, client: str | None) -> AsyncIterator[None]:
+        """Wait for a slot, and hold it. On the event loop alone."""
+        await self._take(client)
+        try:
+            yield
+        finally:
+            self._leave()
+
+    async def _take(self, client: str | None) -> None:
+        if self._free:
+            self._free -= 1
+            return
+        waiter: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._waiting.setdefault(client, deque()).append(waiter)
+        try:
+            await waiter
+        except asyncio.CancelledError:
+            if waiter.done() and not waiter.cancelled():
+                self._leave()  # it was handed a slot in the same moment
+            raise
+
+    def _leave(self) -> None:
+        """Pass the slot on to the next waiting address."""
+        while self._waiting:
+            client, waiters = self._waiting.popitem(last=False)
+            waiter = waiters.popleft()
+            if waiters:
+                self._waiting[client] = waiters
+            if not waiter.done():
+                waiter.set_result(None)
+                return
+        self._free += 1
+
+
+_JSON = "application/json"
+_SMALL_BYTES = 4096
+"""A question of this size is answered faster than a thread takes over."""
+_BINARY = {"schema": {"type": "string", "format": "binary"}}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Computation:
+    """One kind of request with many rows.
+
+    Attributes
+    ----------
+    read : returns the rows of a JSON body; at most so many.
+    columns : how many columns the rows may have.
+    answer : returns the answer's rows for the request's rows.
+    answer_columns : names of the answer's columns.
+    as_json : returns the answer's rows as a JSON object.
+    draw : returns the rows of one draw of an ensemble, (n, `draw_columns`), for the request's rows.
+    draw_columns : names of its columns.
+    draws_as_json : returns the rows of all draws, (draws, n, columns), as a JSON object.
+    double : answer in double precision whatever the question has.
+    times : returns the times of the rows, s since 1970; None where they have none. Then the times choose what answers.
+    """
+
+    read: Callable[[bytes, int], FloatArray]
+    columns: tuple[int, ...]
+    answer: Callable[[Answering, Rows], Rows]
+    answer_columns: tuple[str, ...]
+    as_json: Callable[[Answering, Rows], dict[str, Any]]
+    draw: Callable[[Answering, Ensemble, int, Rows], Rows]
+    draw_columns: tuple[str, ...]
+    draws_as_json: Callable[[FloatArray], dict[str, Any]]
+    double: bool = False
+    times: Callable[[Rows], FloatArray | None] = lambda _: None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Question:
+    """What a request asks beside its rows: the time, and how many draws of which seed."""
+
+    at: datetime | None
+    draws: int
+    seed: int
+
+
+async def compute(
+    computation: Computation, context: ApiContext, slots: ComputeSlots, request: Request, question: Question
+) -> Response:
+    """Answer a request in kind: JSON with JSON, .npy with .npy."""
+    media_type = request.headers.get("content-type", _JSON).partition(";")[0].strip().lower()
+    if media_type == NPY:
+        return await _rows(computation, context, slots, request, question)
+    if media_type != _JSON:
+        fault = Fault(field="content-type", problem=f"{media_type!r} is not read here", remedy=f"send {_JSON} or {NPY}")
+        raise RefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, fault)
+    body = await request.body()
+    if len(body) <= _SMALL_BYTES:
+        # On the event loop only where nothing has to be read or made: that would hold up every other request.
+        chosen = question.draws or CALIBRATION in request.query_params
+        ours_now = question.at is None and not chosen and not request.path_params["camera"] and b'"at"' not in body
+        if ours_now and context.ready.cached_value(context.record_or_none(None)) is not None:
+            return _json(computation, context, request, body, question)
+        return await run_in_threadpool(_json, computation, context, request, body, question)
+    client = client_network(request.scope)
+    slots.require_room(client)
+    async with slots.slot(client):
+        answer = await run_in_threadpool(_json, computation, context, request, body, question)
+    request.state.use.grow(len(answer.body))
+    return answer
+
+
+def body_of(schema: str, rows: str) -> dict[str, Any]:
+    """Return the description of a body that is JSON of a schema, or rows."""
+    content = {_JSON: {"schema": {"$ref": f"#/components/schemas/{schema}"}}, NPY: _BINARY}
+    return {"requestBody": {"required": True, "content": content, "description": f"JSON, or as .npy: {rows}"}}
+
+
+def row_responses(columns: Sequence[str]) -> dict[int | str, dict[str, Any]]:
+    """Return the description of an answer that may be rows."""
+    text = f"What was asked; as .npy, (n, {len(columns)}) in the precision of the question: {', '.join(columns)}."
+    text += " With draws, (draws, n, columns): see Sunarc-Columns."
+    headers = {
+        "Sunarc-Calibration": {"description": "Id of the calibration that answered.", "schema": {"type": "string"}},
+        "Sunarc-Columns": {"description": "Names of the columns of a .npy.", "schema": {"type": "string"}},
+    }
+    return {200: {"description": text, "headers": headers, "content": {NPY: {}}}}
+
+
+def _json(computation: Computation, context: ApiContext, request: Request, body: bytes, question: Question) -> Response:
+    rows = computation.read(body, context.options.max_points)
+    require_few(len(rows) * question.draws, most=context.options.max_points, field="draws")
+    answering = _answering(computation, context, request, rows, question)
+    answer = {"calibration": answering.record.id} | computation.as_json(answering, computation.answer(answering, rows))
+    if question.draws:
+        ensemble = _ensemble(answering, question)
+        drawn = np.array([computation.draw(answering, ensemble, draw, rows) for draw in ensemble], dtype=np.float64)
+        answer["draws"] = computation.draws_as_json(drawn)
+    content = to_json(answer, inf_nan_mode="null")
+    return Response(content, media_type=_JSON, headers=_calibrations(answering))
+
+
+async def _rows(
+    computation: Computation, context: ApiContext, slots: ComputeSlots, request: Request, question: Question
+) -> Response:
+    client = client_network(request.scope)
+    slots.require_room(client)
+    rows = read_rows(await request.body(), columns=computation.columns, most=context.options.max_rows)
+    if rows.dtype == np.float32 and computation.times(rows) is not None:
+        problem = "holds times in single precision, which are off by up to 64 s"
+        raise InputError(field="body", problem=problem, remedy="send float64")
+    rows = rows.astype(np.float64) if computation.double else rows
+    require_few(len(rows) * question.draws, most=context.options.max_rows, field="draws")
+    columns = computation.draw_columns if question.draws else computation.answer_columns
+    width = len(columns)
+    request.state.use.grow(bytes_ahead(rows, width) + (rows.nbytes if rows.flags.owndata else 0))
+    answering = await run_in_threadpool(_answering, computation, context, request, rows, question)
+    answers: list[Callable[[Rows], Rows]] = [partial(computation.answer, answering)]
+    if question.draws:
+        ensemble = await run_in_threadpool(_ensemble, answering, question)
+        answers = [partial(computation.draw, answering, ensemble, draw) for draw in ensemble]
+    return rows_response(
+        rows,
+        answers,
+        draws=question.draws,
+        width=width,
+        headers=_calibrations(answering) | {"sunarc-columns": ",".join(columns)},
+        slot=partial(slots.slot, client),
+    )
+
+
+def _ensemble(answering: Answering, question: Question) -> Ensemble:
+    """Return the draws that are asked for."""
+    sampling = Sampling(calibration=answering.record.id, draws=question.draws, seed=question.seed)
+    return answering.context.ensembles.get(sampling)
+
+
+def _answering(
+    computation: Computation, context: ApiContext, request: Request, rows: Rows, question: Question
+) -> Answering:
+    """Return what answers: for the time of each row where they have one, else for the one that is asked for."""
+    times = computation.times(rows)
+    if times is None or not len(times):
+        return answering_at(context, request, question.at)
+    for name, given in (("at", question.at), ("draws", question.draws)):
+        if given:
+            problem = "cannot be given together with a time for each point"
+            raise InputError(field=name, problem=problem, remedy="leave one of them out, or ask for each time alone")
+    return answering_each(context, request, times)
+
+
+def _calibrations(answering: Answering) -> dict[str, str]:
+    return {"sunarc-calibration": ", ".join(answering.calibrations)}

@@ -1,0 +1,250 @@
+"""Dependencies of the routes of one application, and what is cached for them."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from datetime import date, datetime
+from pathlib import Path
+from typing import Generic, TypeVar
+
+from starlette.convertors import Convertor, register_url_convertor
+from starlette.requests import Request
+
+from sunarc.calibration.answers.direction_table import Lookup
+from sunarc.calibration.answers.error_model import Ensemble
+from sunarc.calibration.model.result import Calibration
+from sunarc.common.errors import InputError, NotFoundError
+from sunarc.imager.archive.archive import Archive
+from sunarc.imager.archive.images import ImageStore
+from sunarc.imager.archive.values import CalibrationRecord, Refit
+from sunarc.imager.runtime.status import StatusSnapshot
+from sunarc.imager.web.options import ApiOptions
+from sunarc.sky.days import solar_date
+from sunarc.sky.site import Site
+
+_CACHE_SIZE = 8
+CALIBRATION, BEST = "calibration", "best"
+"""Name of the query parameter that chooses a calibration, and its value for the least uncertain of the pose epoch."""
+CAMERA_PREFIX = "/v1{camera:of_camera}"
+"""Prefix of the routes of one camera: `/v1`, or `/v1/cameras/NAME`."""
+
+Input = TypeVar("Input")
+Value = TypeVar("Value")
+
+
+class _OfCamera(Convertor[str]):
+    """Matches `/cameras/NAME` as the name, and nothing at all as an empty one: this service's own camera."""
+
+    regex = "(?:/cameras/[^/]+)?"
+
+    def convert(self, value: str) -> str:
+        return value.removeprefix("/cameras/")
+
+    def to_string(self, value: str) -> str:
+        return f"/cameras/{value}" if value else ""
+
+
+register_url_convertor("of_camera", _OfCamera())
+
+
+class SingleFlightCache(Generic[Input, Value]):
+    """What was made of what was asked for lately: made once, however many ask at the same time.
+
+    Parameters
+    ----------
+    make : makes it.
+    key : what makes it another one.
+    most : so many are kept.
+    """
+
+    def __init__(self, make: Callable[[Input], Value], *, key: Callable[[Input], str], most: int = _CACHE_SIZE) -> None:
+        self._make, self._most, self._key = make, most, key
+        self._lock = threading.Lock()
+        self._cache: OrderedDict[str, Value] = OrderedDict()
+
+    def cached_value(self, requested: Input | None) -> Value | None:
+        """Return what is there already, at once."""
+        return None if requested is None else self._cache.get(self._key(requested))
+
+    def get(self, requested: Input) -> Value:
+        """Return what is asked for; it may have to be made."""
+        key = self._key(requested)
+        # Made under the lock: who asks for the same meanwhile waits for it, and does not make it again.
+        with self._lock:
+            found = self._cache.get(key)
+            if found is None:
+                found = self._cache[key] = self._make(requested)
+            self._cache.move_to_end(key)
+            while len(self._cache) > self._most:
+                self._cache.popitem(last=False)
+            return found
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sampling:
+    """Which draws of a calibration are asked for: at least one; the seed decides them."""
+
+    calibration: str
+    draws: int
+    seed: int
+
+    @property
+    def key(self) -> str:
+        """Return what makes it another ensemble."""
+        return f"{self.calibration}/{self.seed}/{self.draws}"
+
+
+class DaySites:
+    """Cameras' sites in the measured air of a day, as last read; read again after anything was written to the archive.
+
+    Parameters
+    ----------
+    archive : where the measured air is.
+    """
+
+    def __init__(self, archive: Archive) -> None:
+        self._archive = archive
+        self._sites: dict[str, tuple[int, date, Site]] = {}
+
+    def get(self, camera: str, site: Site, day: date) -> Site:
+        """Return a camera's site in the measured air of a solar day."""
+        # Before the site, so that a commit between the two is seen at the next question.
+        revision = self._archive.revision()
+        cached = self._sites.get(camera)
+        if cached is None or cached[:2] != (revision, day):
+            cached = self._sites[camera] = (revision, day, self._archive.days.site_with_air_of(camera, site, day))
+        return cached[2]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ApiContext:
+    """The collaborators of one application (see `create_app`).
+
+    `chosen` is the calibration that a request asks to be answered with: an id, or "best"; None for the one of the time.
+    """
+
+    archive: Archive
+    camera: str
+    site: Site
+    status: Callable[[], StatusSnapshot]
+    request_refit: Callable[[str], Refit]
+    frame_clock: Callable[[], datetime]
+    latest_image: Callable[[], Path | None]
+    images: ImageStore | None
+    options: ApiOptions
+    token: bytes | None = field(repr=False)
+    sites: DaySites
+    ready: SingleFlightCache[CalibrationRecord, Lookup]
+    ensembles: SingleFlightCache[Sampling, Ensemble]
+    stopping: Callable[[], bool] = lambda: False
+    chosen: str | None = None
+
+    def of(self, request: Request) -> ApiContext:
+        """Return what is served of the camera in a request's path, by the calibration that its query names.
+
+        Where the path names no camera it is this service's own.
+        """
+        name = request.path_params["camera"]
+        if name == self.camera == "":
+            remedy = "name one: /v1/cameras/{camera}/…, see /v1/cameras"
+            raise NotFoundError(field="camera", problem="a hub has no camera of its own", remedy=remedy)
+        selected = self.named(name)
+        chosen = request.query_params.get(CALIBRATION)
+        return selected if chosen is None else replace(selected, chosen=chosen)
+
+    def answering(self, request: Request, at: datetime | None) -> tuple[ApiContext, CalibrationRecord]:
+        """Return what `of` returns, and the calibration of it that answers now, or for the moment `at`."""
+        selected = self.of(request)
+        return selected, selected.record(at)
+
+    def named(self, name: str) -> ApiContext:
+        """Return what is served of a camera; an empty name is this service's own."""
+        return self if name in ("", self.camera) else self._of_another(name)
+
+    def _of_another(self, name: str) -> ApiContext:
+        """Return what the archive remembers of a camera that another service drives."""
+        record = self.archive.cameras.get(name)
+        if record is None:
+            raise NotFoundError(field="camera", problem=f"there is no camera {name}", remedy="see /v1/cameras")
+        return replace(
+            self, camera=name, site=record.site, latest_image=lambda: None, images=None, request_refit=refuse_refit
+        )
+
+    def site_with_air_at(self, time: datetime) -> Site:
+        """Return the site in the measured air of the solar day of a moment, in its own where nothing was measured."""
+        return self.site_with_air_of(solar_date(time.timestamp(), longitude=self.site.longitude))
+
+    def site_with_air_of(self, day: date) -> Site:
+        """Return the site in the measured air of a solar day, in its own where nothing was measured."""
+        return self.sites.get(self.camera, self.site, day)
+
+    def record(self, at: datetime | None) -> CalibrationRecord:
+        """Return the calibration that answers now, or for the moment `at`; NotFoundError without one."""
+        record = self.record_or_none(at)
+        if record is None:
+            when = "is current" if at is None else f"answers for {at.isoformat()}"
+            raise NotFoundError(
+                field="calibration" if at is None else "at",
+                problem=f"no calibration {when}",
+                remedy="wait for a clear day, or see /v1/calibrations for what there is",
+            )
+        return record
+
+    def calibration(self, calibration_id: str, *, field_name: str = "id") -> CalibrationRecord:
+        """Return this camera's calibration of an id; NotFoundError without one."""
+        try:
+            record = self.archive.calibrations.get(calibration_id)
+        except NotFoundError as error:
+            raise NotFoundError(field=field_name, problem=error.problem, remedy=error.remedy) from None
+        if record.camera != self.camera:
+            problem = f"calibration {calibration_id} is another camera's"
+            raise NotFoundError(field=field_name, problem=problem, remedy="see /v1/cameras")
+        return record
+
+    def calibration_or_none(self, at: datetime | None) -> tuple[CalibrationRecord, Calibration] | None:
+        """Return the calibration that answers, in both its forms; None without one."""
+        record = self.record_or_none(at)
+        return None if record is None else (record, self.archive.calibrations.model(record.id))
+
+    def record_or_none(self, at: datetime | None) -> CalibrationRecord | None:
+        """Return the calibration that answers; None without one."""
+        if self.chosen is None:
+            return self.archive.calibrations.current(self.camera, at=at)
+        return self._best(at) if self.chosen == BEST else self._accepted(self.chosen)
+
+    def _accepted(self, calibration_id: str) -> CalibrationRecord:
+        """Return a calibration that may answer: none that its verdict refused."""
+        record = self.calibration(calibration_id, field_name=CALIBRATION)
+        if not record.accepted or record.damaged:
+            why = "is damaged" if record.damaged else "was refused by its verdict"
+            remedy = f"see its reasons in /v1/calibrations/{calibration_id}"
+            raise NotFoundError(field=CALIBRATION, problem=f"{calibration_id} {why}", remedy=remedy)
+        return record
+
+    def _best(self, at: datetime | None) -> CalibrationRecord | None:
+        """Return the accepted calibration of the pose epoch that answers with the least uncertainty over the sky."""
+        answering = self.archive.calibrations.current(self.camera, at=at)
+        if answering is None:
+            return None
+        rivals = [
+            record
+            for record in self.archive.calibrations.find(self.camera)
+            if record.pose_epoch == answering.pose_epoch and record.accepted and not record.damaged
+        ]
+        return min([answering, *rivals], key=_sky_rms_deg)
+
+
+def _sky_rms_deg(record: CalibrationRecord) -> float:
+    value = record.document.get("uncertainty", {}).get("sky_rms_deg")
+    return math.inf if value is None else float(value)
+
+
+def refuse_refit(_reason: str) -> Refit:
+    """Refuse a refit of a camera that another service drives."""
+    raise InputError(
+        field="camera", problem="another service solves this camera", remedy="ask the service that drives it"
+    )

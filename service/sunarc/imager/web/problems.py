@@ -1,0 +1,382 @@
+"""Every failure as one shape: a problem document of RFC 9457, with the field, the problem and the remedy."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import logging
+import re
+import threading
+import traceback
+from collections import OrderedDict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass
+from http import HTTPStatus
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.dependencies.models import Dependant
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from pydantic import BaseModel, Field
+from starlette.exceptions import HTTPException
+from starlette.routing import compile_path
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from sunarc.common.errors import ConflictError, InputError, NotFoundError, OutsideError, SunarcError
+
+_WINDOW_S = 300.0  # as long as the log's own filter holds repeats back
+_MAX_KINDS = 256
+
+
+@dataclass(slots=True)
+class _Kind:
+    """When a fault was last logged, and how often it has come since."""
+
+    logged_at_s: float
+    unlogged: int = 0
+
+
+class FaultLog:
+    """Logs faults: the first of a kind with its stack, later ones at most once in five minutes, with their count.
+
+    Faults are of one kind when the exception's type and the line that raised it are.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._kinds: OrderedDict[str, _Kind] = OrderedDict()
+
+    def record(self, error: BaseException, *, request: str, now_s: float) -> str:
+        """Log a fault, or count it; return its name, which the answer and the log share.
+
+        Parameters
+        ----------
+        error : the fault.
+        request : method and path.
+        now_s : seconds that never jump.
+        """
+        name, location = _identify(error)
+        with self._lock:
+            kind = self._kinds.get(name)
+            if kind is not None and now_s - kind.logged_at_s < _WINDOW_S:
+                kind.unlogged += 1
+                return name
+            self._kinds[name] = _Kind(now_s)
+            self._kinds.move_to_end(name)
+            if len(self._kinds) > _MAX_KINDS:
+                self._kinds.popitem(last=False)
+        # Outside the lock: formatting a stack takes milliseconds.
+        if kind is None:
+            _log.error("fault %s: %s failed at %s", name, request, location, exc_info=error)
+        else:
+            again = "fault %s again: %s failed at %s: %s (%d more since it was last logged)"
+            _log.error(again, name, request, location, type(error).__name__, kind.unlogged)
+        return name
+
+
+def _identify(error: BaseException) -> tuple[str, str]:
+    """Return a fault's name, and the line that raised it."""
+    frames = traceback.extract_tb(error.__traceback__)
+    location = f"{frames[-1].filename}:{frames[-1].lineno}" if frames else "an unknown line"
+    identity = f"{type(error).__module__}.{type(error).__qualname__} {location}"
+    return hashlib.sha256(identity.encode()).hexdigest()[:8], location
+
+
+MEDIA_TYPE = "application/problem+json"
+_MOST_FAULTS = 20
+_RETRY_AFTER_S = 5
+"""What is outside (a database, a disk) is mostly away for seconds, as in a restart."""
+_log = logging.getLogger(__name__)
+
+_PROBLEMS = {
+    "json_invalid": "is not JSON",
+    "model_attributes_type": "is not a JSON object",
+    "model_type": "is not a JSON object",
+}
+_REMEDIES = {
+    "missing": "add it",
+    "extra_forbidden": "remove it or correct its spelling",
+    "finite_number": "give a finite number",
+    "float_type": "give a number",
+    "list_type": "give a list",
+    "tuple_type": "give a list",
+    "json_invalid": "send a JSON document",
+    "model_attributes_type": "send a JSON object, with its content type",
+    "model_type": "send a JSON object",
+}
+_REMEDY = "see /openapi.json for what is expected"
+
+
+class Fault(BaseModel):
+    """One thing that is wrong."""
+
+    field: str = Field(description="Where: a parameter, or a place in the body.", examples=["pixels[3][0]"])
+    problem: str = Field(description="What is wrong with it.", examples=["input should be a finite number"])
+    remedy: str = Field(description="What to do about it.", examples=["give a finite number"])
+
+
+class Problem(BaseModel):
+    """A problem document (RFC 9457)."""
+
+    type: str = Field(description="Stable name of the kind of problem.", examples=["urn:sunarc:problem:invalid"])
+    title: str = Field(description="The kind of problem, in words.", examples=["Unprocessable Entity"])
+    status: int = Field(description="The HTTP status.", examples=[422])
+    detail: str = Field(
+        description="This problem, in one sentence.",
+        examples=["at: no calibration answers for 1999-01-01T00:00:00+00:00"],
+    )
+    instance: str = Field(description="The path that was asked for.", examples=["/v1/back-project"])
+    errors: list[Fault] = Field(description="What is wrong, one by one; may be empty.")
+
+
+_NOT_JSON = Fault(field="content-type", problem="is not accepted", remedy="send application/json")
+
+
+class RefusedError(SunarcError):
+    """A request that is refused by its form, whatever it asks.
+
+    Parameters
+    ----------
+    status : the HTTP status.
+    fault : where, what and what to do.
+    headers : to send along.
+    """
+
+    def __init__(self, status: HTTPStatus, fault: Fault, *, headers: Mapping[str, str] | None = None) -> None:
+        super().__init__(f"{fault.field}: {fault.problem}; {fault.remedy}")
+        self.status = status
+        self.fault = fault
+        self.headers = headers
+
+
+class UnreadError(HTTPException):
+    """A body that is not read to its end; the connection ends with it. FastAPI hands it on where it reads a body.
+
+    Parameters
+    ----------
+    status : the HTTP status.
+    fault : where, what and what to do.
+    """
+
+    def __init__(self, status: HTTPStatus, fault: Fault) -> None:
+        detail = f"{fault.field}: {fault.problem}; {fault.remedy}"
+        super().__init__(status, detail, headers={"connection": "close"})
+        self.fault = fault
+
+    def response(self, path: str) -> JSONResponse:
+        """Return the answer to the request for a path."""
+        return problem_response(
+            HTTPStatus(self.status_code), path=path, detail=self.detail, errors=[self.fault], headers=self.headers
+        )
+
+
+def problem_response(
+    status: HTTPStatus,
+    *,
+    path: str,
+    detail: str,
+    errors: Sequence[Fault] = (),
+    headers: Mapping[str, str] | None = None,
+) -> JSONResponse:
+    """Return a problem document as an answer."""
+    problem = Problem(
+        type=f"urn:sunarc:problem:{_KINDS.get(status, 'http')}",
+        title=status.phrase,
+        status=status,
+        detail=detail,
+        instance=path,
+        errors=list(errors),
+    )
+    return JSONResponse(problem.model_dump(), status_code=status, media_type=MEDIA_TYPE, headers=headers)
+
+
+def answers(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """Return the problem answers of a route, for its description."""
+    described = {"content": {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}}}
+    return {status: {"description": HTTPStatus(status).phrase, **described} for status in statuses}
+
+
+def add_problem_handlers(app: FastAPI, faults: FaultLog) -> None:
+    """Answer every failure of an application with a problem document; `FaultGuard` does so for what is left."""
+
+    async def ours(request: Request, error: Exception) -> JSONResponse:
+        if _is_fault(error):
+            name = _recorded(faults, error, request.scope)
+            return internal_problem(request.url.path, name)
+        return _ours(request, error)
+
+    app.add_exception_handler(RequestValidationError, _invalid)
+    app.add_exception_handler(HTTPException, _http)
+    app.add_exception_handler(SunarcError, ours)
+
+
+@dataclass(eq=False)
+class FaultGuard:
+    """Answers with a problem what nothing behind it has answered; the stack goes to the log once.
+
+    The web framework's own guard hands the exception on to the server, which would write its stack each time.
+
+    Parameters
+    ----------
+    app : what is behind it.
+    faults : the log.
+    """
+
+    app: ASGIApp
+    _: KW_ONLY
+    faults: FaultLog
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on; an answer that has begun is cut off."""
+        started = False
+
+        async def sending(message: Message) -> None:
+            nonlocal started
+            started = True
+            await send(message)
+
+        try:
+            await self.app(scope, receive, sending)
+        except Exception as error:  # noqa: BLE001 - that is its purpose
+            name = _recorded(self.faults, error, scope)
+            if not started and scope["type"] == "http":
+                await internal_problem(scope["path"], name)(scope, receive, send)
+
+
+def _recorded(faults: FaultLog, error: Exception, scope: Scope) -> str:
+    request = f"{scope.get('method', '')} {scope.get('path', '')}".strip()
+    return faults.record(error, request=request, now_s=asyncio.get_running_loop().time())
+
+
+def refusal_response(path: str, error: RefusedError) -> JSONResponse:
+    """Return the answer to a request for a path that is refused by its form."""
+    return problem_response(error.status, path=path, detail=str(error), errors=[error.fault], headers=error.headers)
+
+
+def internal_problem(path: str, name: str) -> JSONResponse:
+    """Return the answer to a request that met a fault of the service."""
+    detail = f"internal error; see the service log for fault {name}"
+    return problem_response(HTTPStatus.INTERNAL_SERVER_ERROR, path=path, detail=detail)
+
+
+_STATUSES = {NotFoundError: HTTPStatus.NOT_FOUND, ConflictError: HTTPStatus.CONFLICT}
+_KINDS = {
+    HTTPStatus.BAD_REQUEST: "malformed",
+    HTTPStatus.UNAUTHORIZED: "token",
+    HTTPStatus.FORBIDDEN: "forbidden",
+    HTTPStatus.NOT_FOUND: "not-found",
+    HTTPStatus.METHOD_NOT_ALLOWED: "method",
+    HTTPStatus.NOT_ACCEPTABLE: "not-acceptable",
+    HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE: "range",
+    HTTPStatus.REQUEST_TIMEOUT: "too-slow",
+    HTTPStatus.CONFLICT: "conflict",
+    HTTPStatus.REQUEST_ENTITY_TOO_LARGE: "too-large",
+    HTTPStatus.UNSUPPORTED_MEDIA_TYPE: "media-type",
+    HTTPStatus.MISDIRECTED_REQUEST: "misdirected",
+    HTTPStatus.UNPROCESSABLE_ENTITY: "invalid",
+    HTTPStatus.TOO_MANY_REQUESTS: "too-many",
+    HTTPStatus.INTERNAL_SERVER_ERROR: "internal",
+    HTTPStatus.SERVICE_UNAVAILABLE: "unavailable",
+}
+
+
+def _invalid(request: Request, error: Exception) -> JSONResponse:
+    found = error.errors() if isinstance(error, RequestValidationError) else ()
+    if any(tuple(one["loc"]) == ("body",) for one in found) and not _sends_json(request):
+        return _ours(request, RefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, _NOT_JSON))
+    faults = [_fault(one) for one in list(found)[:_MOST_FAULTS]]
+    return problem_response(
+        HTTPStatus.UNPROCESSABLE_ENTITY, path=request.url.path, detail=_sentence(faults), errors=faults
+    )
+
+
+def _sends_json(request: Request) -> bool:
+    media_type = request.headers.get("content-type", "application/json").partition(";")[0].strip().lower()
+    return media_type == "application/json" or media_type.endswith("+json")
+
+
+def _http(request: Request, error: Exception) -> JSONResponse:
+    if isinstance(error, UnreadError):
+        return error.response(request.url.path)
+    http_error = error if isinstance(error, HTTPException) else HTTPException(500)
+    status, headers = HTTPStatus(http_error.status_code), http_error.headers
+    if status == HTTPStatus.METHOD_NOT_ALLOWED and (methods := _methods(request)):
+        headers = {"allow": ", ".join(sorted(methods))}
+    return problem_response(status, path=request.url.path, detail=str(http_error.detail), headers=headers)
+
+
+def _methods(request: Request) -> set[str]:
+    """Return the methods that the described path of a request knows; it may be several routes' together."""
+    requested_path = re.sub("^/v1/cameras/[^/]+/", "/v1/", request.url.path)
+    described = request.app.openapi()["paths"].items()
+    found = [operations for path, operations in described if compile_path(path)[0].match(requested_path)]
+    methods = {method.upper() for operations in found for method in operations}
+    return methods | {"HEAD"} if "GET" in methods else methods
+
+
+def _is_fault(error: Exception) -> bool:
+    """Whether an error says something of the service, and nothing of the request or of what is outside."""
+    return not isinstance(error, RefusedError | InputError | OutsideError)
+
+
+def _ours(request: Request, error: Exception) -> JSONResponse:
+    path = request.url.path
+    if isinstance(error, RefusedError):
+        return refusal_response(path, error)
+    if isinstance(error, InputError):
+        status = _STATUSES.get(type(error), HTTPStatus.UNPROCESSABLE_ENTITY)
+        fault = Fault(field=error.field, problem=error.problem, remedy=error.remedy)
+        return problem_response(status, path=path, detail=str(error), errors=[fault])
+    _log.error("%s %s: %s", request.method, path, error)
+    again = {"retry-after": str(_RETRY_AFTER_S)}
+    return problem_response(HTTPStatus.SERVICE_UNAVAILABLE, path=path, detail=str(error), headers=again)
+
+
+def _fault(error: Mapping[str, Any]) -> Fault:
+    kind, message = error["type"], str(error["msg"]).removeprefix("Value error, ")
+    return Fault(
+        field="body" if kind == "json_invalid" else _location(error["loc"]),
+        problem=_PROBLEMS.get(kind, message[:1].lower() + message[1:]),
+        remedy=_REMEDIES.get(kind, _REMEDY),
+    )
+
+
+def _location(location: Iterable[str | int]) -> str:
+    """Name a place as its sender would: ("body", "pixels", 3, 0) is pixels[3][0]."""
+    first, *rest = location
+    parts = [f"[{part}]" if isinstance(part, int) else f".{part}" for part in rest]
+    return "".join(parts).lstrip(".") or str(first)
+
+
+def _sentence(faults: Sequence[Fault]) -> str:
+    first = faults[0]
+    others = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
+    return f"{first.field}: {first.problem}; {first.remedy}{others}"
+
+
+def require_known_names(request: Request) -> None:
+    """Refuse (422) a request whose query has a name that its route does not know.
+
+    Raises
+    ------
+    RefusedError
+        Names the parameter, and those that exist.
+    """
+    given = request.query_params.keys()
+    if not given:
+        return
+    known = set(_names(request.scope["route"].dependant))
+    for name in given:
+        if name not in known:
+            remedy = f"use {', '.join(sorted(known))}" if known else "leave it out; this route has no parameters"
+            fault = Fault(field=name, problem="is not a parameter of this route", remedy=remedy)
+            raise RefusedError(HTTPStatus.UNPROCESSABLE_ENTITY, fault)
+
+
+def _names(dependant: Dependant) -> Iterator[str]:
+    """Yield the names of the query parameters of a route and of what it depends on."""
+    for parameter in dependant.query_params:
+        yield parameter.alias
+    for further in dependant.dependencies:
+        yield from _names(further)

@@ -1,0 +1,284 @@
+"""Routes: the calibration that answers, the history, what a person decides about it, and refits."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from functools import partial
+from typing import Annotated, Any
+
+import numpy as np
+from fastapi import APIRouter, Depends, Path, Query, Request
+from fastapi.responses import Response
+
+from sunarc.common.errors import NotFoundError
+from sunarc.formats.exported import Exported
+from sunarc.formats.formats import FORMATS, SERVED, ServedFormat, export
+from sunarc.imager.archive.values import CalibrationRecord, CalibrationState, Refit
+from sunarc.imager.web.context import ApiContext, SingleFlightCache
+from sunarc.imager.web.middleware.admission import require_write_token
+from sunarc.imager.web.parameters import BY_CALIBRATION, At, CalibrationId, Cursor, IfNoneMatch, page_at, row_limit
+from sunarc.imager.web.problems import answers
+from sunarc.imager.web.schemas import Calibrations, CalibrationSummary, ClosedEpoch, Decision, RefitRequest, Refits
+
+_DOCUMENT: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "The calibration document, schema sunarc.calibration/2.",
+        "headers": {"ETag": {"description": "Changes with the document.", "schema": {"type": "string"}}},
+        "content": {"application/json": {"schema": {"type": "object", "additionalProperties": True}}},
+    },
+    304: {"description": "The document is the one that If-None-Match names."},
+}
+
+_EXPORTED: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "The calibration document, schema sunarc.calibration/2, or another format of it.",
+        "headers": {
+            "ETag": {"description": "Changes with the document.", "schema": {"type": "string"}},
+            "Sunarc-Fit-Error": {
+                "description": "How far another format is from the calibration over the sky, RMS, px.",
+                "schema": {"type": "number"},
+            },
+            "Sunarc-Fit-Error-Max": {"description": "The same at most, px.", "schema": {"type": "number"}},
+            "Sunarc-Fit-Error-Deg": {"description": "The same, RMS, degrees.", "schema": {"type": "number"}},
+        },
+        "content": _DOCUMENT[200]["content"]
+        | {str(FORMATS[name].media_type).partition(";")[0]: {} for name in SERVED if name != "json"},
+    },
+    304: _DOCUMENT[304],
+}
+
+
+def calibration_routes(context: ApiContext) -> APIRouter:
+    """Return the routes of calibrations."""
+    routes = APIRouter(tags=["calibrations"])
+
+    made = {name: SingleFlightCache(partial(_exported, name), key=tag_of) for name in SERVED}
+    written = _Written()
+
+    @routes.get("/calibration", dependencies=BY_CALIBRATION, responses=_EXPORTED | answers(404, 422))
+    def calibration(
+        request: Request,
+        at: At = None,
+        format_: Annotated[ServedFormat, Query(alias="format", description="Of the answer (docs/rest.md).")] = "json",
+        if_none_match: IfNoneMatch = None,
+    ) -> Response:
+        """Return the calibration that is valid now, or at the time `at`."""
+        record = context.of(request).record(at)
+        if format_ == "json":
+            return written.answer(record, if_none_match)
+        return _export(record, made, format_, if_none_match)
+
+    @routes.get("/calibrations", responses=answers(422))
+    def calibrations(
+        request: Request,
+        state: Annotated[CalibrationState | None, Query(description="Of the calibrations to return.")] = None,
+        limit: Annotated[int, row_limit(1000)] = 100,
+        cursor: Cursor = None,
+    ) -> Calibrations:
+        """Return the history, the newest first, refused candidates with their reasons."""
+        selected, page = context.of(request), page_at(cursor, limit)
+        found = selected.archive.calibrations.find(
+            selected.camera, state=state, until=page.until(None), limit=page.rows
+        )
+        rows, next_ = page.cut(found, request, time=lambda record: record.created_at)
+        return Calibrations(calibrations=[summary(record) for record in rows], next=next_)
+
+    @routes.get("/calibrations/{calibration_id}", responses=_DOCUMENT | answers(404))
+    def calibration_by_id(
+        request: Request, calibration_id: CalibrationId, if_none_match: IfNoneMatch = None
+    ) -> Response:
+        """Return one calibration's document, with its evidence."""
+        return tagged(_text(context.of(request).calibration(calibration_id)), if_none_match)
+
+    return routes
+
+
+def summary(record: CalibrationRecord) -> CalibrationSummary:
+    """Return what a list shows of a calibration."""
+    metrics, uncertainty = record.document.get("metrics", {}), record.document.get("uncertainty", {})
+    return CalibrationSummary(
+        id=record.id,
+        camera=record.camera,
+        state=record.state,
+        method=record.method,
+        created_at=record.created_at,
+        valid_from=record.valid_from,
+        valid_until=record.valid_until,
+        pose_epoch=record.pose_epoch,
+        parent=record.parent,
+        accepted=record.accepted,
+        pinned=record.pinned,
+        reasons=list(record.reasons),
+        findings=list(record.findings),
+        rmse_px=metrics.get("rmse_px"),
+        sky_rms_deg=uncertainty.get("sky_rms_deg"),
+    )
+
+
+def tag_of(record: CalibrationRecord) -> str:
+    """Return what changes with a calibration's document."""
+    return hashlib.sha256(_text(record)).hexdigest()[:32]
+
+
+class _Written:
+    """The document that was sent last, as text: every client asks for the same one."""
+
+    def __init__(self) -> None:
+        self._last: tuple[CalibrationRecord, bytes, str] | None = None
+
+    def answer(self, record: CalibrationRecord, if_none_match: str | None) -> Response:
+        """Return a record's document; it is written anew where another record was sent before."""
+        last = self._last
+        if last is None or last[0] is not record:
+            text = _text(record)
+            last = self._last = record, text, etag_of(text)
+        return _with_tag(last[1], last[2], if_none_match)
+
+
+def tagged(content: bytes, if_none_match: str | None) -> Response:
+    """Return JSON with a tag of its content; nothing but the tag to a client that has it."""
+    return _with_tag(content, etag_of(content), if_none_match)
+
+
+def etag_of(content: bytes) -> str:
+    """Return the ETag of what this content is, or decides."""
+    return f'"{hashlib.sha256(content).hexdigest()[:32]}"'
+
+
+def decimal(value: float, *, digits: int = 4) -> str:
+    """Return a number for a header, of so many significant digits, never with an exponent.
+
+    As the decimals of structured fields (RFC 9651), but with more digits after the point where it needs them.
+    """
+    return np.format_float_positional(value, precision=digits, unique=False, fractional=False, trim="-")
+
+
+def _with_tag(content: bytes, tag: str, if_none_match: str | None) -> Response:
+    headers = {"etag": tag, "cache-control": "no-cache"}
+    if matches(if_none_match, tag):
+        return Response(status_code=304, headers=headers)
+    return Response(content, media_type="application/json", headers=headers)
+
+
+def _text(record: CalibrationRecord) -> bytes:
+    return json.dumps(record.document, allow_nan=False, separators=(",", ":")).encode()
+
+
+def _exported(format_: ServedFormat, record: CalibrationRecord) -> Exported:
+    return export(record.document, format_)
+
+
+def _export(
+    record: CalibrationRecord,
+    made: dict[ServedFormat, SingleFlightCache[CalibrationRecord, Exported]],
+    format_: ServedFormat,
+    if_none_match: str | None,
+) -> Response:
+    tag = f'"{tag_of(record)}-{format_}"'
+    headers = {"etag": tag, "cache-control": "no-cache"}
+    if matches(if_none_match, tag):
+        return Response(status_code=304, headers=headers)
+    exported = made[format_].get(record)
+    headers["content-disposition"] = f'attachment; filename="{FORMATS[format_].file}"'
+    if exported.difference is not None:
+        headers |= {
+            "sunarc-fit-error": decimal(exported.difference.rms_px),
+            "sunarc-fit-error-max": decimal(exported.difference.max_px),
+            "sunarc-fit-error-deg": decimal(exported.difference.rms_deg),
+        }
+    return Response(exported.sent, media_type=FORMATS[format_].media_type, headers=headers)
+
+
+def matches(if_none_match: str | None, tag: str) -> bool:
+    """Return whether a client that sent this If-None-Match has what the tag names."""
+    tags = {one.strip().removeprefix("W/") for one in (if_none_match or "").split(",")}
+    return tag in tags or "*" in tags
+
+
+EpochId = Annotated[
+    str, Path(description="Id of a pose epoch, as events and calibrations name it.", examples=["imager-2"])
+]
+
+
+def decision_routes(context: ApiContext) -> APIRouter:
+    """Return the routes that let a person decide which calibration answers."""
+    routes = APIRouter(
+        dependencies=[Depends(require_write_token(context.token))], responses=answers(400, 403, 404, 408, 413, 415, 422)
+    )
+    of_calibrations: dict[str, Any] = {"tags": ["calibrations"], "responses": answers(409)}
+
+    def decide(
+        change: Callable[..., CalibrationRecord], request: Request, calibration_id: str, decision: Decision
+    ) -> CalibrationSummary:
+        record = context.of(request).calibration(calibration_id)
+        return summary(change(record.id, at=context.frame_clock(), reason=decision.reason))
+
+    @routes.post("/calibrations/{calibration_id}/activate", **of_calibrations)
+    def activate(request: Request, calibration_id: CalibrationId, decision: Decision) -> CalibrationSummary:
+        """Make a calibration of the history the current one, from now on; a copy of it where it was current before."""
+        return decide(context.archive.calibrations.reinstate, request, calibration_id, decision)
+
+    @routes.post("/calibrations/{calibration_id}/pin", **of_calibrations)
+    def pin(request: Request, calibration_id: CalibrationId, decision: Decision) -> CalibrationSummary:
+        """Keep the current calibration, whatever a refit finds, until it is unpinned or another is activated."""
+        return decide(context.archive.calibrations.pin, request, calibration_id, decision)
+
+    @routes.post("/calibrations/{calibration_id}/unpin", **of_calibrations)
+    def unpin(request: Request, calibration_id: CalibrationId, decision: Decision) -> CalibrationSummary:
+        """Let refits replace the current calibration again."""
+        return decide(context.archive.calibrations.unpin, request, calibration_id, decision)
+
+    @routes.post("/epochs/{epoch_id}/close", tags=["epochs"])
+    def close_epoch(request: Request, epoch_id: EpochId, decision: Decision) -> ClosedEpoch:
+        """Undo a pose epoch begun by mistake: the one before continues, and its calibration is current again."""
+        selected = context.of(request)
+        if epoch_id not in {epoch.id for epoch in selected.archive.epochs.find(selected.camera)}:
+            raise NotFoundError(
+                field="id",
+                problem=f"there is no open pose epoch {epoch_id} of camera {selected.camera}",
+                remedy="see `sunarc epochs list`",
+            )
+        current = selected.archive.calibrations.close_epoch(epoch_id, at=selected.frame_clock(), reason=decision.reason)
+        return ClosedEpoch(id=epoch_id, calibration=current)
+
+    return routes
+
+
+RefitId = Annotated[str, Path(description="Id of a refit, as the answer to its request has it.", examples=["3f2a9c"])]
+
+
+def refit_routes(context: ApiContext) -> APIRouter:
+    """Return the routes that ask for refits and follow them."""
+    routes = APIRouter(tags=["refits"])
+
+    @routes.post(
+        "/refits",
+        status_code=202,
+        dependencies=[Depends(require_write_token(context.token))],
+        responses=answers(400, 403, 408, 413, 415, 422),
+    )
+    def request_refit(request: Request, response: Response, asked: RefitRequest | None = None) -> Refit:
+        """Request a refit with all sightings; the answer has its address. A refit that waits already is returned."""
+        refit = context.of(request).request_refit((asked or RefitRequest()).reason)
+        response.headers["location"] = f"/v1/refits/{refit.id}"
+        return refit
+
+    @routes.get("/refits", responses=answers(422))
+    def refits(request: Request, limit: Annotated[int, row_limit()] = 100, cursor: Cursor = None) -> Refits:
+        """Return the refits, waiting, running and completed, the newest first."""
+        selected, page = context.of(request), page_at(cursor, limit)
+        found = selected.archive.refits.find(selected.camera, until=page.until(None), limit=page.rows)
+        rows, next_ = page.cut(found, request, time=lambda refit: refit.requested_at)
+        return Refits(refits=list(rows), next=next_)
+
+    @routes.get("/refits/{refit_id}", responses=answers(404))
+    def refit(request: Request, refit_id: RefitId) -> Refit:
+        """Return the state of a refit."""
+        refit = context.archive.refits.get(refit_id)
+        if refit.camera != context.of(request).camera:
+            raise NotFoundError(field="id", problem=f"refit {refit_id} is another camera's", remedy="see /v1/cameras")
+        return refit
+
+    return routes

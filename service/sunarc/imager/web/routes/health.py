@@ -1,0 +1,106 @@
+"""Routes: alive, ready, everything at a glance, and the numbers for Prometheus."""
+
+from __future__ import annotations
+
+from http import HTTPStatus
+
+from fastapi import APIRouter, Request
+from fastapi.responses import JSONResponse, Response
+from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
+
+from sunarc.imager.runtime.status import StatusSnapshot
+from sunarc.imager.web.context import ApiContext
+from sunarc.imager.web.problems import Fault, answers, problem_response
+from sunarc.imager.web.routes.calibrations import summary
+from sunarc.imager.web.routes.record import days_out
+from sunarc.imager.web.schemas import (
+    Alive,
+    Cameras,
+    Readiness,
+    Status,
+)
+
+
+def health_routes(context: ApiContext, registry: CollectorRegistry) -> APIRouter:
+    """Return the routes of the service's state."""
+    routes = APIRouter(tags=["health"])
+
+    @routes.get("/healthz")
+    async def healthz() -> Alive:
+        """Return 200 while the process answers."""
+        return Alive()
+
+    @routes.get("/readyz", response_model=Readiness, responses=answers(503))
+    def readyz(request: Request) -> Readiness | JSONResponse:
+        """Return whether the service is ready or degraded (200), or not ready (503), each reason with a remedy."""
+        return readiness(context.status(), request.url.path)
+
+    @routes.get("/v1/status")
+    def status() -> Status:
+        """Return the state of the service, its workers, camera, clock and disk, and the current calibration."""
+        return _status(context)
+
+    @routes.get(
+        "/metrics",
+        response_class=Response,
+        responses={200: {"description": "Prometheus text.", "content": {"text/plain": {}}}},
+    )
+    def metrics() -> Response:
+        """Return the metrics in Prometheus's text format."""
+        return Response(generate_latest(registry), headers={"content-type": CONTENT_TYPE_LATEST})
+
+    return routes
+
+
+def readiness(snapshot: StatusSnapshot, path: str) -> Readiness | JSONResponse:
+    """Return the answer to whether the service is ready, for a path."""
+    if snapshot.health == "not_ready":
+        return _not_ready(snapshot, path)
+    return Readiness(status=snapshot.health, reasons=snapshot.reasons, findings=snapshot.findings)
+
+
+def _not_ready(snapshot: StatusSnapshot, path: str) -> JSONResponse:
+    faults = [Fault(field=reason.code, problem=reason.text, remedy=reason.remedy) for reason in snapshot.reasons]
+    worst = next(reason for reason in snapshot.reasons if reason.severity == "not_ready")
+    return problem_response(
+        HTTPStatus.SERVICE_UNAVAILABLE, path=path, detail=f"{worst.text}; {worst.remedy}", errors=faults
+    )
+
+
+def _status(context: ApiContext) -> Status:
+    snapshot = context.status()
+    record = context.archive.calibrations.current(context.camera)
+    days = days_out(context, context.archive.days.find(context.camera, limit=1))
+    camera = context.archive.cameras.get(context.camera)
+    return Status(
+        health=snapshot.health,
+        reasons=snapshot.reasons,
+        findings=snapshot.findings,
+        version=snapshot.version,
+        camera_name=context.camera,
+        started_at=snapshot.started_at,
+        frame_time=context.frame_clock(),
+        workers=snapshot.workers,
+        camera=snapshot.camera,
+        capture=snapshot.capture,
+        clock=snapshot.clock,
+        disk_free_bytes=None if snapshot.disk is None else snapshot.disk.free_bytes,
+        disk=snapshot.disk,
+        last_frame_at=snapshot.last_frame_at,
+        last_sighting_at=snapshot.last_sighting_at,
+        calibration=None if record is None else summary(record),
+        last_day=days[0] if days else None,
+        image_size=None if camera is None else list(camera.image_size),
+    )
+
+
+def camera_list_routes(context: ApiContext) -> APIRouter:
+    """Return the route that lists the cameras."""
+    routes = APIRouter(tags=["cameras"])
+
+    @routes.get("/v1/cameras")
+    def cameras() -> Cameras:
+        """Return the cameras of the archive; every route of one camera exists under /v1/cameras/{camera}/ too."""
+        return Cameras(default=context.camera, cameras=list(context.archive.cameras.all()))
+
+    return routes

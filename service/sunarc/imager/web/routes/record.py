@@ -1,0 +1,341 @@
+"""Routes: days and their measured air, events and their stream, disk space and temperature."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import re
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
+from datetime import timedelta
+from typing import Annotated, Any, Literal, NamedTuple
+
+from fastapi import APIRouter, Depends, Header, Path, Query, Request
+from fastapi.responses import Response, StreamingResponse
+from pydantic import BaseModel
+from starlette.concurrency import run_in_threadpool
+
+from sunarc.common.errors import InputError, NotFoundError, OutsideError
+from sunarc.common.foreign_files import read_regular
+from sunarc.common.utc import rfc3339
+from sunarc.imager.archive.notices import NoticeKind, condition_changes, stored_changes
+from sunarc.imager.archive.values import Day, DayAir, EventSeverity, Housekeeping, HousekeepingStep, fields_of
+from sunarc.imager.runtime.json_fields import SolarDate, described
+from sunarc.imager.runtime.status import StatusSnapshot
+from sunarc.imager.web.context import ApiContext
+from sunarc.imager.web.middleware.admission import require_write_token
+from sunarc.imager.web.middleware.request_bodies import asked_by_head
+from sunarc.imager.web.parameters import Cursor, IfNoneMatch, Since, Until, page_at, row_limit
+from sunarc.imager.web.problems import answers
+from sunarc.imager.web.routes.calibrations import matches
+from sunarc.imager.web.routes.images import ThumbnailWidth, thumbnail
+from sunarc.imager.web.schemas import DayAirIn, DayAirOut, Days, DayWithAir, Events
+
+DayPath = Annotated[SolarDate, Path(description="Local mean solar date.", examples=["2013-05-13"])]
+
+
+def day_air_routes(context: ApiContext) -> APIRouter:
+    """Return the routes that take and answer the measured air of days."""
+    routes = APIRouter(prefix="/days/{date}/air", tags=["record"])
+
+    @routes.get("", responses=answers(422))
+    def day_air(request: Request, date: DayPath) -> DayAirOut:
+        """Return the measured air of a solar day; nulls where nothing was measured."""
+        selected = context.of(request)
+        stored = selected.archive.days.air(selected.camera, since=date, until=date + timedelta(days=1))
+        return air_out(stored[0]) if stored else DayAirOut(temperature_c=None, pressure_hpa=None, set_at=None)
+
+    @routes.put(
+        "",
+        dependencies=[Depends(require_write_token(context.token))],
+        responses=answers(400, 403, 404, 408, 413, 415, 422),
+    )
+    def set_day_air(request: Request, date: DayPath, air: DayAirIn) -> DayAirOut:
+        """Set the measured air of a solar day, replacing what was set before; both null remove it.
+
+        The sun's position on that day is computed with it from now on, and the next refit uses it for the day's
+        sightings, except for those that were imported with an air of their own.
+        """
+        selected = context.of(request)
+        given = DayAir(
+            camera=selected.camera,
+            date=date,
+            temperature_c=air.temperature_c,
+            pressure_hpa=air.pressure_hpa,
+            set_at=selected.frame_clock(),
+        )
+        return air_out(selected.archive.days.set_air(given))
+
+    return routes
+
+
+def air_out(air: DayAir) -> DayAirOut:
+    """Return a day's air as an answer."""
+    return DayAirOut(temperature_c=air.temperature_c, pressure_hpa=air.pressure_hpa, set_at=air.set_at)
+
+
+_MEDIA_TYPES = {".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".png": "image/png"}
+_IMAGE: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "The image.",
+        "content": {media_type: {} for media_type in sorted(set(_MEDIA_TYPES.values()))},
+    },
+    304: {"description": "The image is the one that If-None-Match names."},
+}
+
+
+def record_routes(context: ApiContext) -> APIRouter:
+    """Return the routes of days and events."""
+    routes = APIRouter(tags=["record"])
+
+    @routes.get("/days", responses=answers(422))
+    def days(
+        *,
+        request: Request,
+        since: Annotated[SolarDate | None, Query(description="From this date on.")] = None,
+        until: Annotated[SolarDate | None, Query(description="Before this date.")] = None,
+        limit: Annotated[int, row_limit()] = 366,
+        cursor: Cursor = None,
+    ) -> Days:
+        """Return the verdicts of the solar days with since <= date < until, the newest first."""
+        selected, page = context.of(request), page_at(cursor, limit)
+        found = selected.archive.days.find(selected.camera, since=since, until=page.until_date(until), limit=page.rows)
+        rows, next_ = page.cut(found, request, time=lambda day: day.date)
+        return Days(days=days_out(selected, rows), next=next_)
+
+    @routes.get("/events", responses=answers(422))
+    def events(
+        *,
+        request: Request,
+        since: Since = None,
+        until: Until = None,
+        severity: Annotated[EventSeverity | None, Query(description="Of the events to return.")] = None,
+        kind: Annotated[str | None, Query(max_length=60, description="Of the events to return.")] = None,
+        limit: Annotated[int, row_limit()] = 100,
+        cursor: Cursor = None,
+    ) -> Events:
+        """Return the events with since <= time < until, the newest first."""
+        selected, page = context.of(request), page_at(cursor, limit)
+        found = selected.archive.events.find(
+            selected.camera, since=since, until=page.until(until), severity=severity, kind=kind, limit=page.rows
+        )
+        rows, next_ = page.cut(found, request, time=lambda event: event.time)
+        return Events(events=list(rows), next=next_)
+
+    @routes.get("/image/latest", response_class=Response, responses=_IMAGE | answers(404))
+    def latest_image(request: Request, width: ThumbnailWidth = None, if_none_match: IfNoneMatch = None) -> Response:
+        """Return the newest composite's preview, or a thumbnail of it."""
+        return _image(context.of(request), if_none_match, width)
+
+    return routes
+
+
+def days_out(context: ApiContext, days: Sequence[Day]) -> list[DayWithAir]:
+    """Return days, with their measured air where there is one, as an answer."""
+    if not days:
+        return []
+    dates = [day.date for day in days]
+    measured = context.archive.days.air(context.camera, since=min(dates), until=max(dates) + timedelta(days=1))
+    air = {one.date: air_out(one) for one in measured}
+    return [DayWithAir(**fields_of(day), air=air.get(day.date)) for day in days]
+
+
+def _image(context: ApiContext, if_none_match: str | None, width: int | None) -> Response:
+    path = context.latest_image()
+    if path is None:
+        raise NotFoundError(field="image", problem="no image was kept yet", remedy="wait for the first cycle")
+    tag = path.stem if width is None else f"{path.stem}-{width}"
+    headers = {"etag": f'"{tag}"', "cache-control": "no-cache"}
+    if matches(if_none_match, headers["etag"]):
+        return Response(status_code=304, headers=headers)
+    try:
+        content = read_regular(path)
+    except OSError as error:
+        raise OutsideError(f"the image {path.name} cannot be read: {error.strerror}") from error
+    if width is not None:
+        return Response(thumbnail(path, width, "jpeg"), media_type="image/jpeg", headers=headers)
+    return Response(content, media_type=_MEDIA_TYPES[path.suffix], headers=headers)
+
+
+class HousekeepingRows(BaseModel):
+    """Disk space and temperature, the newest first; hours and days without a measurement are left out."""
+
+    step: Annotated[HousekeepingStep, described("Length of each row: an hour, or a UTC day.", "hour")]
+    rows: Annotated[list[Housekeeping], described("The newest first.")]
+
+
+def housekeeping_routes(context: ApiContext) -> APIRouter:
+    """Return the route of disk space and temperature."""
+    routes = APIRouter(tags=["record"])
+
+    @routes.get("/housekeeping", responses=answers(422))
+    def housekeeping(
+        *,
+        request: Request,
+        step: Annotated[
+            HousekeepingStep, Query(description="Hours are kept for 92 days, UTC days for five years.")
+        ] = "hour",
+        since: Since = None,
+        until: Until = None,
+    ) -> HousekeepingRows:
+        """Return free disk space and camera temperature of hours or days that begin at since <= time < until."""
+        selected = context.of(request)
+        found = selected.archive.housekeeping.find(selected.camera, step=step, since=since, until=until)
+        return HousekeepingRows(step=step, rows=list(found))
+
+    return routes
+
+
+Kind = NoticeKind | Literal["state", "worker", "frame"]  # what `event:` says
+
+MEDIA_TYPE = "text/event-stream"
+_POLL_S = 0.5
+"""Between two looks at archive and status: they cost microseconds where nothing was written."""
+_HEARTBEAT_S = 15.0
+"""Between two signs of life where nothing happens: below the idle timeout of proxies (nginx: 60 s)."""
+_RETRY_MS = 3000
+"""After which a client that was cut off comes back."""
+_MOST_MISSED = 500
+"""Events that a client hears of that comes back; of more, the newest ones."""
+_ID = re.compile(r"(\d{1,15})\.(.*)", re.ASCII)
+_EXAMPLE = (
+    'event: calibration\\nid: 17.20130514T150508Z-52ee44\\ndata: {"calibration": "20130514T150508Z-52ee44"}\\n\\n'
+)
+_STREAM: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "Server-sent events (docs/rest.md), until the client or the service ends the stream.",
+        "content": {MEDIA_TYPE: {"schema": {"type": "string"}, "example": _EXAMPLE}},
+    }
+}
+
+
+class StreamMessage(NamedTuple):
+    """One message of the stream."""
+
+    kind: Kind
+    data: Mapping[str, Any]
+    id: str
+
+    @property
+    def text(self) -> str:
+        """Return it as the stream has it."""
+        data = json.dumps(self.data, separators=(",", ":"))
+        return f"event: {self.kind}\nid: {self.id}\ndata: {data}\n\n"
+
+
+class Position(NamedTuple):
+    """Up to where a client has heard: the newest event's number and the current calibration; an empty one is none."""
+
+    event: int
+    calibration: str
+
+    @classmethod
+    def of(cls, text: str) -> Position:
+        """Return the position that an id names; InputError for what is none."""
+        found = _ID.fullmatch(text)
+        if found is None:
+            remedy = "send the id of a message of this stream, or leave it out"
+            raise InputError(field="last-event-id", problem=f"{text[:40]!r} is not an id", remedy=remedy)
+        return cls(int(found[1]), found[2])
+
+    @property
+    def text(self) -> str:
+        """Return the id that names it."""
+        return f"{self.event}.{self.calibration}"
+
+
+class Follower:
+    """What one client has heard, and what is new to it.
+
+    Parameters
+    ----------
+    context : of the camera that is followed.
+    position : up to where it had heard when it was cut off; None for one that begins now.
+    """
+
+    def __init__(self, context: ApiContext, position: Position | None) -> None:
+        self._context = context
+        self._revision = context.archive.revision()
+        self._status = context.status()
+        known = Position(context.archive.events.last_id(), self._calibration())
+        self.position = position or known
+        self._behind = position is not None
+
+    def state(self) -> StreamMessage:
+        """Return how things are now."""
+        conditions = list(self._status.conditions.values())
+        data = {"health": self._status.health, "calibration": self._calibration() or None, "conditions": conditions}
+        return StreamMessage("state", data, self.position.text)
+
+    def news(self) -> list[StreamMessage]:
+        """Return what happened since the last question, the oldest first."""
+        revision = self._context.archive.revision()
+        stored = list(self._stored()) if revision != self._revision or self._behind else []
+        self._revision, self._behind = revision, False
+        before, self._status = self._status, self._context.status()
+        changed = _changes(before, self._status)
+        return [*stored, *(StreamMessage(kind, data, self.position.text) for kind, data in changed)]
+
+    def _stored(self) -> Iterator[StreamMessage]:
+        archive, known = self._context.archive, self.position
+        events = archive.events.after(known.event, camera=self._context.camera, limit=_MOST_MISSED)
+        changes = stored_changes(events, self._calibration(), after_event=known.event, known=known.calibration)
+        for kind, data, event, calibration in changes:
+            self.position = Position(event, calibration)
+            yield StreamMessage(kind, data, self.position.text)
+
+    def _calibration(self) -> str:
+        record = self._context.record_or_none(None)
+        return "" if record is None else record.id
+
+
+def _changes(before: StatusSnapshot, now: StatusSnapshot) -> Iterator[tuple[Kind, Mapping[str, Any]]]:
+    """Yield what two snapshots of the status differ in."""
+    yield from condition_changes(before.conditions, now.conditions)
+    states = {worker.name: worker.state for worker in before.workers}
+    for worker in now.workers:
+        if states.get(worker.name) != worker.state:
+            yield ("worker", {"name": worker.name, "state": worker.state})
+    if now.last_frame_at is not None and now.last_frame_at != before.last_frame_at:
+        yield ("frame", {"time": rfc3339(now.last_frame_at)})
+
+
+def event_stream_routes(context: ApiContext) -> APIRouter:
+    """Return the route of the stream."""
+    routes = APIRouter(tags=["record"])
+
+    @routes.get("/events/stream", response_class=Response, responses=_STREAM | answers(404, 422))
+    async def event_stream(
+        request: Request,
+        last_event_id: Annotated[
+            str | None,
+            Header(max_length=200, description="Id of the last message received: what came after it is sent."),
+        ] = None,
+    ) -> Response:
+        """Stream the state, then changes of calibration, conditions, days, workers and frames as they happen."""
+        headers = {"cache-control": "no-cache", "x-accel-buffering": "no"}
+        selected = await run_in_threadpool(context.of, request)
+        position = Position.of(last_event_id) if last_event_id else None
+        follower = await run_in_threadpool(Follower, selected, position)
+        content = _nothing() if asked_by_head(request.scope) else stream_messages(follower, context.stopping)
+        return StreamingResponse(content, media_type=MEDIA_TYPE, headers=headers)
+
+    return routes
+
+
+async def _nothing() -> AsyncIterator[str]:
+    return
+    yield
+
+
+async def stream_messages(follower: Follower, stopping: Callable[[], bool]) -> AsyncIterator[str]:
+    """Yield the stream's text until the service stops: messages as they come, comments where none comes."""
+    yield f"retry: {_RETRY_MS}\n{follower.state().text}"
+    silent_s = 0.0
+    while not stopping():
+        news = await run_in_threadpool(follower.news)
+        if news:
+            yield "".join(message.text for message in news)
+        elif silent_s >= _HEARTBEAT_S:
+            yield ":\n\n"
+        silent_s = 0.0 if news or silent_s >= _HEARTBEAT_S else silent_s + _POLL_S
+        await asyncio.sleep(_POLL_S)

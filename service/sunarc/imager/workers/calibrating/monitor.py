@@ -1,0 +1,609 @@
+"""Monitoring of the current calibration: the verdicts of completed days, and changes of the pose."""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+from collections import deque
+from collections.abc import Callable, Container
+from dataclasses import KW_ONLY, asdict, dataclass, field, replace
+from datetime import date, datetime, timedelta
+
+import numpy as np
+
+from sunarc.calibration.lens_library.first_pose import north_sigma_deg, top_azimuth_deg
+from sunarc.calibration.messages import MESSAGES as OF_FITS
+from sunarc.calibration.model.result import Calibration, Verdict
+from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
+from sunarc.calibration.quality.day_quality import DOUBTFUL_CLOCK_SHARE, decide_day, measure_day
+from sunarc.calibration.quality.first_motion import FEWEST_IN_MOTION, site_contradiction
+from sunarc.changes.daily_rotations import PoseOffset, daily_pose_offset
+from sunarc.changes.detect_change import REMEMBERED, update_window
+from sunarc.changes.messages import MESSAGES as CHANGES
+from sunarc.changes.values import LENS_KINDS, Change, Sighting, SightingWindow, WatchOptions
+from sunarc.common.errors import InputError, OutsideError
+from sunarc.common.findings import Finding
+from sunarc.common.utc import MICROSECOND, utc_time
+from sunarc.imager.archive.archive import CameraArchive
+from sunarc.imager.archive.calibrations import EPOCH_CLOSED
+from sunarc.imager.archive.pictures_of_one_time import ELSEWHERE
+from sunarc.imager.archive.sightings import LENS_CHANGED
+from sunarc.imager.archive.values import Day, PoseEpoch, Refit, SunPoint, SunPointColumns
+from sunarc.imager.runtime.loop import DropOldestQueue, turns
+from sunarc.imager.runtime.status import Reason, StatusRegistry
+from sunarc.imager.workers.calibrating.provisional_pose import (
+    FEWEST,
+    ProvisionalPoseEstimator,
+    is_first_pose,
+    is_provisional,
+)
+from sunarc.imager.workers.calibrating.solver_process import points_of
+from sunarc.imager.workers.messages import MESSAGES, condition
+from sunarc.sky.days import day_bounds_unix_s, solar_date
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_angles, sun_directions
+
+_log = logging.getLogger(__name__)
+_POLL_S = 0.5
+_WAITING = 256
+_JITTER = timedelta(seconds=1)
+"""A camera that dates its frames may be ahead of the time carried on from its last one by its own jitter."""
+_POSE_CODES = ("provisional_pose", "first_pose_provisional", "provisional_calibration")
+_SITE_CODES = ("sun_seen_below_horizon", "sun_contradicts_site")
+_FIRST = 10
+_FIRST_WITHIN_S = 7200.0
+"""The last sightings of a camera without a calibration, whose motion is compared with the stated site's sun: an evening
+and the next morning are none."""
+_FUTURE_EPOCH = "epoch_in_future"
+_RECOVERED_AFTER = 4
+"""Consecutive sightings that agree again before a fault of the clock, the image or the site is cleared."""
+_MANY_AGREEING = 8
+"""Sightings that agree with a turn before it takes the place of a step of a clock that nothing watches."""
+
+
+@dataclass(eq=False)
+class WatchWorker:
+    """Compares sightings with the active calibration, and acts on detected changes.
+
+    Parameters
+    ----------
+    camera : its archive and site.
+    options : thresholds of a change.
+    reposer : poses the camera anew.
+    now : frame time; sightings and pose epochs dated later are not used.
+    board : where a change degrades the service.
+    host_dates : whether the sightings' times are of the host's clock, whose steps are known.
+    """
+
+    camera: CameraArchive
+    _: KW_ONLY
+    options: WatchOptions
+    reposer: ProvisionalPoseEstimator
+    now: Callable[[], datetime]
+    board: StatusRegistry
+    host_dates: bool = True
+
+    def __post_init__(self) -> None:
+        """Begin with an empty window."""
+        self._sightings: DropOldestQueue[Sighting] = DropOldestQueue(capacity=_WAITING)
+        self._older_came = threading.Event()
+        self._watch = SightingWindow()
+        self._epoch: str | None = None
+        self._has_future_epochs = False
+        self._shown: str | None = None
+        self._first: deque[Sighting] = deque(maxlen=_FIRST)
+        self._fault: Change | None = None
+        self._agreeing = 0
+
+    def notice(
+        self,
+        time: datetime,
+        *,
+        x_px: float,
+        y_px: float,
+        sigma_px: float | None,
+        clock_error_s: float | None = None,
+    ) -> None:
+        """Take note of a sighting, unless its time is doubtful; never waits."""
+        if clock_error_s is None or clock_error_s <= MAX_CLOCK_ERROR_S:
+            self._sightings.put(self._observed(time, x_px, y_px, sigma_px))
+
+    def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
+        """Work until stopped; what was seen before the start is remembered first."""
+        self.remember()
+        for _ in turns(stop, heartbeat):
+            self.process_next(timeout_s=_POLL_S)
+
+    def remember(self) -> None:
+        """Fill the window with the last sightings of the current pose epoch whose times are trusted and past."""
+        self._watch = SightingWindow()
+        epoch = self._present_epoch()
+        self._epoch = None if epoch is None else epoch.id
+        self._publish_future_epochs()
+        if epoch is None:
+            return
+        # what an operator has judged is not judged again: the move would be found once more in the same sightings
+        closed = self.camera.archive.events.find(self.camera.name, kind=EPOCH_CLOSED, until=self._latest(), limit=1)
+        points = self.camera.archive.sightings.find(
+            self.camera.name,
+            since=max([epoch.started_at, *(event.time for event in closed)]),
+            until=self._latest(),
+            largest_clock_error_s=MAX_CLOCK_ERROR_S,
+            newest_first=True,
+            limit=2 * REMEMBERED,
+        )
+        usable = [point for point in points if point.accepted or point.verdict == ELSEWHERE][:REMEMBERED]
+        for point in reversed(usable):
+            self._process_safely(_of_point(point, self._observed))
+
+    def look_again(self) -> None:
+        """Have the window filled anew: sightings were stored that are older than its last one; never waits."""
+        self._older_came.set()
+
+    def process_next(self, *, timeout_s: float = 0.0) -> bool:
+        """Look at the next sighting, if there is one within `timeout_s`; return whether there was."""
+        sighting = self._sightings.get(timeout_s=timeout_s)
+        if sighting is not None or self._older_came.is_set():
+            self._begin_anew_if_outdated()
+        if sighting is not None:
+            self._process_safely(sighting)
+        return sighting is not None
+
+    def _begin_anew_if_outdated(self) -> None:
+        try:
+            if self._is_of_another_epoch():
+                self._clear_move()
+                self.remember()
+            elif self._is_ahead() or (self._older_came.is_set() and self._fault is None):
+                self._older_came.clear()
+                self.remember()
+            elif self._has_future_epochs:
+                self._publish_future_epochs()
+        except OutsideError as error:
+            _log.warning("could not compare the pose epochs with the time: %s", error)
+
+    def _latest(self) -> datetime:
+        return self.now() + _JITTER
+
+    def _present_epoch(self) -> PoseEpoch | None:
+        return self.camera.archive.epochs.current(self.camera.name, at=self._latest())
+
+    def _is_ahead(self) -> bool:
+        """Return whether the time went back behind what is remembered."""
+        return bool(len(self._watch)) and float(self._watch.unix_s[-1]) > self._latest().timestamp()
+
+    def _is_of_another_epoch(self) -> bool:
+        """Return whether an operator, the refit worker or another camera changed the pose epoch."""
+        epoch = self._present_epoch()
+        return epoch is not None and epoch.id != self._epoch
+
+    def _process_safely(self, sighting: Sighting) -> None:
+        try:
+            self._process(sighting)
+        except (np.linalg.LinAlgError, InputError, OutsideError) as error:
+            _log.warning("could not compare a sighting with the calibration: %s", error)
+
+    def _process(self, sighting: Sighting) -> None:
+        current = self._current()
+        if sighting.unix_s > self._latest().timestamp():
+            return
+        if current is None:
+            self._begin(sighting)
+            return
+        if len(self._watch) and sighting.unix_s <= self._watch.unix_s[-1]:
+            return
+        site = self.camera.site_with_air_at(utc_time(sighting.unix_s))
+        if site != self.camera.site:  # not in `notice`, which must not wait for the database
+            sighting = replace(sighting, direction=_sun(sighting.unix_s, site))
+        self._watch, change = update_window(
+            self._watch,
+            sighting,
+            calibration=current,
+            site=site,
+            options=self.options,
+            clock_stepped=self._clock_stepped(),
+            posed_from_few=is_provisional(current),
+        )
+        if self._is_turn_after_all(change):
+            self._end_fault()
+        if self._fault is not None:
+            self._wait_for_recovery(sighting)
+        elif change is not None:
+            self._act(change)
+        if self.reposer.improve():
+            self._publish_pose()
+
+    def _begin(self, sighting: Sighting) -> None:
+        """Estimate the first pose of a camera whose type of lens is known, and publish how far that is."""
+        self._compare_with_site(sighting)
+        if self.reposer.first is None:
+            return
+        if self.reposer.improve():
+            self._publish_pose()
+            return
+        n, refusal = self.reposer.count, self.reposer.refusal
+        self.board.set_condition("first_sun", waiting_condition(n, sighting.pixel) if n < FEWEST else None)
+        self.board.set_condition("first_pose_refused", None if refusal is None else refused_condition(refusal))
+
+    def _compare_with_site(self, sighting: Sighting) -> None:
+        """Set or clear the conditions of a sun that goes otherwise than it does over the stated site."""
+        while self._first and abs(sighting.unix_s - self._first[0].unix_s) > _FIRST_WITHIN_S:
+            self._first.popleft()
+        self._first.append(sighting)
+        if len(self._first) < FEWEST_IN_MOTION:  # what the evening showed stands until the morning shows something
+            return
+        record = self.camera.archive.cameras.get(self.camera.name)
+        if record is None:
+            return
+        found = site_contradiction(
+            np.array([one.unix_s for one in self._first]),
+            np.array([one.pixel for one in self._first]),
+            site=self.camera.site,
+            image_size=record.image_size,
+            mirrored=self.reposer.mirrored,
+        )
+        self._show_contradiction(found)
+
+    def _show_contradiction(self, found: Finding | None) -> None:
+        for code in _SITE_CODES:
+            of_code = found is not None and found.code == code
+            self.board.set_condition(code, Reason.of(found, MESSAGES) if of_code and found is not None else None)
+
+    def _act(self, change: Change) -> None:
+        """Report a change, and act on it by its kind."""
+        at = utc_time(change.at_unix_s)
+        moved = change.kind == "bump" or change.kind in LENS_KINDS
+        epoch = self._epoch_begun_by(change) if moved else None
+        if epoch is not None:
+            self._publish(change, epoch.started_at)
+            self.camera.archive.sightings.readmit(self.camera.name, since=at, until=self._latest())
+            return
+        self._report(change, at)
+        if moved:
+            self._open_epoch(change, at)
+        else:
+            self._fault, self._agreeing = change, 0
+            self.camera.archive.sightings.exclude(self.camera.name, change.finding, since=at)
+
+    def _epoch_begun_by(self, change: Change) -> PoseEpoch | None:
+        """Return the present epoch where the move began it and no pose has been found since; None for another move."""
+        epoch = self._present_epoch()
+        if epoch is None or self._watch.unix_s[0] < change.at_unix_s:
+            return None
+        reported = self.camera.archive.events.find(
+            self.camera.name, kind=change.kind, since=epoch.started_at, until=self._latest()
+        )
+        return epoch if reported else None
+
+    def _open_epoch(self, change: Change, at: datetime) -> None:
+        """Open a pose epoch at the first sighting after the change, and exclude those that may be of either side."""
+        earliest = utc_time(change.earliest_unix_s)
+        ambiguous = Finding("sighting_ambiguous", {"earliest": earliest.isoformat()})
+        self.camera.archive.sightings.exclude(self.camera.name, ambiguous, since=earliest + MICROSECOND, until=at)
+        try:
+            reason = LENS_CHANGED if change.kind in LENS_KINDS else change.kind
+            self.camera.archive.epochs.open(self.camera.name, at=at, reason=reason)
+        except InputError as error:  # the whole epoch is of the new pose or lens
+            _log.info("%s", error)
+        self.camera.archive.sightings.readmit(self.camera.name, since=at, until=self._latest())
+        epoch = self._present_epoch()
+        self._epoch = None if epoch is None else epoch.id
+        current = self.camera.archive.calibrations.current(self.camera.name)
+        if change.kind in LENS_KINDS:
+            if current is not None:
+                self.camera.archive.calibrations.retire(current.id, at=max(at, current.valid_from))
+            self._watch = SightingWindow()
+        else:
+            self._watch = self._watch.since(change.at_unix_s)
+
+    def _is_turn_after_all(self, change: Change | None) -> bool:
+        """Return whether what a few sightings showed as a step of an unwatched clock is a turn by many."""
+        if change is None or self._fault is None or self.host_dates:
+            return False
+        return (self._fault.kind, change.kind) == ("clock", "bump") and change.agreeing >= _MANY_AGREEING
+
+    def _end_fault(self) -> None:
+        if self._fault is not None:
+            self.board.set_condition(self._fault.finding.code, None)
+            self._fault = None
+
+    def _wait_for_recovery(self, sighting: Sighting) -> None:
+        """Leave out what comes in while the clock, the image or the site is wrong."""
+        fault = self._fault
+        if fault is None:
+            return
+        self._agreeing = self._agreeing + 1 if self._watch.trusted[-1] else 0
+        if self._agreeing >= _RECOVERED_AFTER:
+            self._end_fault()
+            return
+        time = utc_time(sighting.unix_s)
+        self.camera.archive.sightings.exclude(self.camera.name, fault.finding, since=time, until=time + MICROSECOND)
+
+    def _report(self, change: Change, at: datetime) -> None:
+        self.camera.add_event(
+            change.finding, CHANGES, time=at, severity="alarm", kind=change.kind, details=change.as_details()
+        )
+        self._publish(change, at)
+
+    def _publish(self, change: Change, at: datetime) -> None:
+        text = f"since {at.isoformat(timespec='seconds')}: {change.text}"
+        reason = Reason.of(change.finding, CHANGES)
+        self.board.set_condition(reason.code, replace(reason, text=text, data=change.as_details()), log=False)
+
+    def _clear_move(self) -> None:
+        for kind in ("bump", *LENS_KINDS):
+            self.board.set_condition(f"changed_{kind}", None)
+
+    def _publish_pose(self) -> None:
+        """Set or clear the conditions of a provisional pose; a full fit of the epoch clears them."""
+        current = self._current()
+        if current is None:
+            return
+        self._clear_move()
+        if not is_provisional(current):
+            self._first.clear()
+            self._show_contradiction(None)
+        reason = pose_condition(current)
+        for code in (*_POSE_CODES, "first_sun", "first_pose_refused"):
+            self.board.set_condition(code, reason if reason is not None and reason.code == code else None)
+
+    def _current(self) -> Calibration | None:
+        """Return what is served, and show how its pose stands where that is another calibration than before."""
+        record = self.camera.archive.calibrations.current(self.camera.name)
+        model = self.camera.archive.calibrations.current_model(self.camera.name)
+        before, self._shown = self._shown, None if record is None else record.id
+        if record is None:
+            for code in _POSE_CODES:
+                self.board.set_condition(code, None)
+        elif model is not None and before != record.id:
+            self._publish_pose()
+        return model
+
+    def _clock_stepped(self) -> bool | None:
+        """Return whether the clock was set while the sightings in question were made; None where nothing watches it."""
+        if not self.host_dates:
+            return None
+        if not len(self._watch):
+            return False
+        since = utc_time(float(self._watch.unix_s[max(len(self._watch) - 12, 0)]))
+        events = self.camera.archive.events.find(self.camera.name, since=since)
+        return any(event.kind == "clock_step" for event in events)
+
+    def _publish_future_epochs(self) -> None:
+        """Set or clear the condition of pose epochs that begin later than now: they block new ones."""
+        epochs = self.camera.archive.epochs.find(self.camera.name)
+        later = [epoch for epoch in epochs if epoch.started_at > self._latest()]
+        self._has_future_epochs = bool(later)
+        self.board.set_condition(_FUTURE_EPOCH, _of_the_future(later[0]) if later else None)
+
+    def _observed(self, time: datetime, x_px: float, y_px: float, sigma_px: float | None) -> Sighting:
+        return Sighting(
+            unix_s=time.timestamp(),
+            pixel=(x_px, y_px),
+            direction=_sun(time.timestamp(), self.camera.site),
+            sigma_px=np.nan if sigma_px is None else sigma_px,
+        )
+
+
+def _of_point(point: SunPoint, watched: Callable[[datetime, float, float, float | None], Sighting]) -> Sighting:
+    if point.x_px is None or point.y_px is None:
+        raise InputError(field="sighting", problem="without a pixel", remedy="look at accepted ones")
+    return watched(point.time, point.x_px, point.y_px, point.sigma_px)
+
+
+def _sun(unix_s: float, site: Site) -> tuple[float, float, float]:
+    """Return the sun's apparent direction, east-north-up."""
+    east, north, up = sun_directions(unix_s, site).tolist()
+    return east, north, up
+
+
+def _of_the_future(epoch: PoseEpoch) -> Reason:
+    return condition(_FUTURE_EPOCH, pose_epoch=epoch.id, started_at=epoch.started_at.isoformat(timespec="seconds"))
+
+
+# Conditions of a pose that is provisional, refused, or waited for.
+
+
+def waiting_condition(n: int, pixel: tuple[float, float]) -> Reason:
+    """Return the condition of a first pose that waits for sightings: how many there are, and where the last one is."""
+    return condition("first_sun", n=n, least=FEWEST, x_px=pixel[0], y_px=pixel[1])
+
+
+def pose_condition(current: Calibration) -> Reason | None:
+    """Return the condition of a pose that is provisional; None for that of a full fit."""
+    if current.sigma_limit_deg is not None:
+        return condition("provisional_calibration", limit_deg=current.sigma_limit_deg, n=current.evidence.n_used)
+    if not is_provisional(current):
+        return None
+    if not is_first_pose(current):
+        return condition("provisional_pose", n=current.evidence.n_used, sigma_deg=current.sky_rms_deg)
+    return condition(
+        "first_pose_provisional",
+        n=current.evidence.n_used,
+        sigma_deg=current.sky_rms_deg,
+        north_sigma_deg=north_sigma_deg(current),
+        top_azimuth_deg=top_azimuth_deg(current.camera),
+    )
+
+
+def refused_condition(verdict: Verdict) -> Reason:
+    """Return the condition of a first pose that is refused."""
+    finding = verdict.findings[0]
+    return condition("first_pose_refused", reason=OF_FITS.text_of(finding), remedy=OF_FITS.remedy_of(finding))
+
+
+# The verdicts of days by the images that were to be expected.
+
+_LEARNED_DAYS = timedelta(days=7)
+_LONGEST_S = 3600.0
+_FEWEST_BETWEEN = 3
+_FIRST_S = 60.0
+
+
+class LearnedCadence:
+    """The seconds between images by day, learned from those of the last seven days; 60 until there are some.
+
+    Parameters
+    ----------
+    camera : whose archive has the times.
+    stated_s : as it is set; None learns it.
+    """
+
+    def __init__(self, camera: CameraArchive, stated_s: float | None) -> None:
+        self._camera, self._stated_s = camera, stated_s
+        self._learned: tuple[datetime, float] | None = None
+
+    def at(self, time: datetime) -> float:
+        """Return it for a moment; asked of the archive at most once an hour."""
+        if self._stated_s is not None:
+            return self._stated_s
+        if self._learned is None or abs(time - self._learned[0]) >= timedelta(hours=1):
+            learned_s = self._of(time)
+            if learned_s is None:
+                return _FIRST_S if self._learned is None else self._learned[1]
+            self._learned = (time, learned_s)
+        return self._learned[1]
+
+    def _of(self, time: datetime) -> float | None:
+        try:
+            times = self._camera.archive.sightings.observation_times(
+                self._camera.name, since=time - _LEARNED_DAYS, until=time
+            )
+        except OutsideError as error:
+            _log.warning("the cadence of the images cannot be learned: %s", error)
+            return None
+        between = np.diff(np.unique(times)) if times is not None else np.zeros(0)
+        between = between[between <= _LONGEST_S]
+        if between.size < _FEWEST_BETWEEN:
+            return None
+        return max(float(np.median(between)), 1.0)
+
+
+_WORTH_A_REFIT = frozenset({"clear", "partly"})
+
+
+@dataclass(eq=False)
+class DayJudge:
+    """Evaluates each completed day, and requests a refit after one that shows the sun.
+
+    Parameters
+    ----------
+    camera : its archive and site.
+    cadence_s, sun_zenith_deg : how often, and down to where, the sun is looked at.
+    now : frame time.
+    request_refit : asks for a refit, with the reason.
+    waiting : days of which sightings are still to come: they are judged later.
+    """
+
+    camera: CameraArchive
+    _: KW_ONLY
+    cadence_s: Callable[[], float]
+    sun_zenith_deg: float
+    now: Callable[[], datetime]
+    request_refit: Callable[[str], Refit]
+    waiting: Callable[[], Container[date]] = frozenset
+    _judged_before: date | None = field(default=None, init=False)
+    _again: set[date] = field(default_factory=set, init=False)
+    _looks_back: bool = field(default=False, init=False)
+
+    def judge_ended_days(self) -> list[Day]:
+        """Judge what is due and return the verdicts; one refit is asked for, however many days were clear."""
+        longitude = self.camera.site.longitude
+        today = solar_date(self.now().timestamp(), longitude=longitude)
+        looks_back, self._looks_back = self._looks_back, False
+        if looks_back or (self._judged_before is not None and self._judged_before > today):
+            self._judged_before = None  # or the time went back
+        archive, name, waiting = self.camera.archive, self.camera.name, self.waiting()
+        again = {day for day in set(self._again) if day < today and day not in waiting}
+        since = min([self._judged_before, *again]) if self._judged_before is not None else None
+        judged = {day.date for day in archive.days.find(name, since=since) if self._stands(day)} - again
+        observed = archive.sightings.dates(name, longitude=longitude, since=since)
+        due = [day for day in observed if day < today and day not in judged]
+        verdicts = [self._measure(day) for day in due if day not in waiting]
+        worth = [day for day in verdicts if day.verdict in _WORTH_A_REFIT]
+        if worth:
+            self.request_refit("after " + ", ".join(f"{day.date} ({day.verdict})" for day in worth))
+        for day in verdicts:
+            self._remember(day)
+        self._again -= again
+        self._judged_before = min([today, *(day for day in due if day in waiting)])
+        return verdicts
+
+    def judge_again(self, day: date) -> None:
+        """Judge a day once more where it is judged already: sightings of it came late."""
+        self._again.add(day)
+
+    def look_back(self) -> None:
+        """Have every day looked for that is not judged: sightings of earlier ones came."""
+        self._looks_back = True
+
+    def _stands(self, day: Day) -> bool:
+        """Return whether a verdict was given after its day had ended and before now: else a wrong clock gave it."""
+        end = utc_time(day_bounds_unix_s(day.date, longitude=self.camera.site.longitude)[1])
+        return end <= day.decided_at <= self.now()
+
+    def _measure(self, date_: date) -> Day:
+        start, end = day_bounds_unix_s(date_, longitude=self.camera.site.longitude)
+        since, until, cadence_s = utc_time(start), utc_time(end), self.cadence_s()
+        columns = self.camera.archive.sightings.columns(self.camera.name, since=since, until=until)
+        doubtful = np.nan_to_num(columns.clock_error_s) > MAX_CLOCK_ERROR_S
+        share = float(np.mean(doubtful)) if doubtful.size else 0.0
+        largest_s = MAX_CLOCK_ERROR_S if share <= DOUBTFUL_CLOCK_SHARE else None
+        if largest_s is not None:  # else the day is judged by its clock
+            columns = columns.select(~doubtful)
+        frames = np.arange(start, end, cadence_s)
+        up = sun_angles(frames, self.camera.site).apparent_zenith < self.sun_zenith_deg
+        measure = measure_day(
+            points_of(columns),
+            site=self.camera.site,
+            n_possible=int(np.count_nonzero(up)),
+            observed_unix_s=self.camera.archive.sightings.observation_times(
+                self.camera.name, since=since, until=until, largest_clock_error_s=largest_s
+            ),
+            cadence_s=cadence_s,
+            doubtful_clock=share,
+        )
+        decided = decide_day(measure)
+        offset = self._pose_offset(columns) if decided.kind in _WORTH_A_REFIT else None
+        return Day(
+            camera=self.camera.name,
+            date=date_,
+            verdict=decided.kind,
+            findings=decided.findings,
+            n=measure.n,
+            n_cycles=measure.n_cycles,
+            n_possible=measure.n_possible,
+            n_observed=measure.n_observed,
+            decided_at=self.now(),
+            arc_deg=measure.arc_deg,
+            solid_angle_sr=measure.solid_angle_sr,
+            doubtful_clock=_finite(measure.doubtful_clock),
+            sd_px=_finite(measure.sd_px),
+            rmsd_px=_finite(measure.rmsd_px),
+            pose_offset_deg=None if offset is None else offset.turn_deg,
+            pose_offset_sigma_deg=None if offset is None else offset.sigma_deg,
+        )
+
+    def _pose_offset(self, columns: SunPointColumns) -> PoseOffset | None:
+        """Return how the camera stood turned against the current calibration, where that is of the day's last epoch."""
+        current = self.camera.archive.calibrations.current(self.camera.name)
+        if current is None or not columns.epoch_ids or current.pose_epoch != columns.epoch_ids[-1]:
+            return None
+        calibration = self.camera.archive.calibrations.current_model(self.camera.name)
+        if calibration is None:
+            return None
+        last = columns.select(columns.epoch == len(columns.epoch_ids) - 1)
+        return daily_pose_offset(points_of(last), calibration=calibration, site=self.camera.site)
+
+    def _remember(self, day: Day) -> None:
+        self.camera.archive.days.save(day)
+        offsets = {"pose_offset_deg": day.pose_offset_deg, "pose_offset_sigma_deg": day.pose_offset_sigma_deg}
+        numbers = {key: value for key, value in asdict(day).items() if isinstance(value, int | float)}
+        why = {"date": f"{day.date}", "verdict": day.verdict, "reasons": "; ".join(day.reasons)}
+        found, details = Finding("day", {**numbers, **why}), {key: value for key, value in offsets.items() if value}
+        self.camera.add_event(found, MESSAGES, time=day.decided_at, severity="info", details=details)
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

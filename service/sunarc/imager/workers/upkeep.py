@@ -1,0 +1,383 @@
+"""Upkeep: disk space, the database's file, and the record of the service's own state."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+
+from sunarc.common.errors import OutsideError, StoreFullError
+from sunarc.common.findings import Finding
+from sunarc.imager.archive.archive import Archive, CameraArchive
+from sunarc.imager.archive.database.recovery import Recovery
+from sunarc.imager.archive.database.store import Reserve
+from sunarc.imager.archive.images import DiskOptions, DiskUsage, ImageStore
+from sunarc.imager.archive.values import Event, Housekeeping, merged
+from sunarc.imager.runtime.clock import Clock
+from sunarc.imager.runtime.loop import Attempts, Loop, Pauses
+from sunarc.imager.runtime.status import DiskStatus, Reason, StatusRegistry
+from sunarc.imager.workers.messages import MESSAGES, condition
+
+_log = logging.getLogger(__name__)
+_DISK_EVERY_S = 5.0
+"""Seconds from check to check: a full cycle's images in between are far below what is kept free."""
+_UNREADABLE = "images_unreadable"
+_DISK_CODES = ("disk_low", "disk_full", "disk_no_inodes")
+
+
+@dataclass(kw_only=True, eq=False)
+class DiskWorker:
+    """Checks the disk periodically, removes images by age and by free space, and publishes the disk's state.
+
+    Parameters
+    ----------
+    store : the images.
+    reserve : space for the database, released when the disk is full and taken again when it is not.
+    options : how much images may have.
+    clock : real time.
+    age_from : the time that the age of images is counted from; None while it cannot be trusted.
+    board : where the disk's state is shown.
+    """
+
+    store: ImageStore
+    reserve: Reserve
+    options: DiskOptions
+    clock: Clock
+    age_from: Callable[[], datetime | None]
+    board: StatusRegistry
+
+    def __post_init__(self) -> None:
+        """Look every few seconds, whether that fails or not."""
+        self._attempts = Attempts(
+            self.clock,
+            Pauses(_DISK_EVERY_S, _DISK_EVERY_S),
+            board=self.board,
+            code=_UNREADABLE,
+            reason=lambda error, _: condition(_UNREADABLE, error=error),
+        )
+
+    def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
+        """Check until stopped."""
+        self._attempts.attempt(self.store.clear_up)
+        Loop(self.clock, stop, heartbeat).repeat(self.check)
+
+    def check(self) -> float:
+        """Check once, and return the seconds until the next time; a folder that cannot be read becomes a condition."""
+        return self._attempts.attempt(self._check)
+
+    def _check(self) -> None:
+        try:
+            self._clean()
+        except OSError as error:
+            raise OutsideError(str(error)) from error
+
+    def _clean(self) -> None:
+        now = self.age_from()
+        if now is not None:
+            keep = self.options.keep_days
+            removed = self.store.expire(now - timedelta(days=keep), keep_newest_days=int(keep))
+            if removed:
+                _log.info("%d images older than %g days were removed", removed, self.options.keep_days)
+        has_space = self.store.make_room()
+        usage = self.store.usage()
+        self.reserve.balance(usage.free_bytes)
+        self._publish(usage, has_space=has_space)
+
+    def _publish(self, usage: DiskUsage, *, has_space: bool) -> None:
+        self.board.note(
+            disk=DiskStatus(
+                free_bytes=usage.free_bytes,
+                images_bytes=usage.images_bytes,
+                oldest_image_at=usage.oldest_image_at,
+            )
+        )
+        self.board.set_one_condition(_DISK_CODES, self._reason(usage, has_space=has_space))
+
+    def _reason(self, usage: DiskUsage, *, has_space: bool) -> Reason | None:
+        if usage.out_of_files:
+            code = "disk_no_inodes"
+        elif has_space:
+            return None
+        else:
+            code = "disk_low" if self.reserve.held() else "disk_full"
+        free_mb, images_mb = usage.free_bytes / 1e6, usage.images_bytes / 1e6
+        return condition(code, folder=str(self.store.folder), free_mb=free_mb, images_mb=images_mb)
+
+
+_DATABASE_EVERY_S = 2.0
+_MISSING = "database_missing"
+_SLOW = "database_slow"
+_SLOW_S, _SLOW_WITHIN_S = 0.5, 60.0
+"""From here on a commit tells of a device that stalls; a sound one takes some milliseconds. It does now and then, not
+every time: the condition lasts so long after the last one."""
+_STORE_FULL = "store_full"
+_STORE_FAILED = "store_failed"
+
+
+@dataclass(kw_only=True, eq=False)
+class DatabaseWorker:
+    """Checks periodically that the database's file is the one that was opened, and restores it where it is not.
+
+    Parameters
+    ----------
+    archive : whose file.
+    clock : real time.
+    now : frame time, which dates events.
+    board : where a lost database is shown.
+    recovered : what was done about a lost database at the start; None when it was in place.
+    waiting : how many images and sightings wait to be stored.
+    """
+
+    archive: Archive
+    clock: Clock
+    now: Callable[[], datetime]
+    board: StatusRegistry
+    recovered: Recovery | None = None
+    waiting: Callable[[], int] = lambda: 0
+
+    def __post_init__(self) -> None:
+        """Look every few seconds, and show what was done before."""
+        self._attempts = Attempts(
+            self.clock,
+            Pauses(_DATABASE_EVERY_S, _DATABASE_EVERY_S),
+            board=self.board,
+            code=_MISSING,
+            reason=lambda error, _: condition(_MISSING, error=error),
+        )
+        if self.recovered is not None:
+            _publish(self.board, self.recovered)
+
+    def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
+        """Check until stopped."""
+        Loop(self.clock, stop, heartbeat).repeat(self.check)
+
+    def check(self) -> float:
+        """Check once, and return the seconds until the next time."""
+        return self._attempts.attempt(self._check)
+
+    def _check(self) -> None:
+        seconds = self.archive.database.commits.slowest_s(_SLOW_WITHIN_S)
+        slow = condition(_SLOW, seconds=seconds, waiting=self.waiting()) if seconds >= _SLOW_S else None
+        self.board.set_condition(_SLOW, slow)
+        done = self.archive.recover(now=self.clock.now())
+        if done is not None:
+            self.recovered = done
+            _publish(self.board, done)
+        self._report()
+
+    def _report(self) -> None:
+        """Write the event of a recovery, as soon as it can be written."""
+        if self.recovered is None:
+            return
+        event = Event.of(_finding(self.recovered), MESSAGES, time=self.now(), severity="alarm")
+        try:
+            self.archive.events.add(event)
+        except OutsideError as error:
+            _log.error("could not store the event %s: %s", event.kind, error)
+        else:
+            self.recovered = None
+
+
+def _finding(done: Recovery) -> Finding:
+    return Finding(f"database_{done.kind}", {"text": done.text})
+
+
+def _publish(board: StatusRegistry, done: Recovery) -> None:
+    reason = Reason.of(_finding(done), MESSAGES)
+    board.set_condition(reason.code, reason, log=False)
+
+
+@dataclass(kw_only=True, eq=False)
+class StoreRoomWorker:
+    """Checks whether a hub's database can store a row, and shows why not.
+
+    Parameters
+    ----------
+    archive : the hub's.
+    clock : real time.
+    board : where it is shown.
+    """
+
+    archive: Archive
+    clock: Clock
+    board: StatusRegistry
+
+    def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
+        """Check until stopped."""
+        Loop(self.clock, stop, heartbeat).every(_DATABASE_EVERY_S, self.check)
+
+    def check(self) -> None:
+        """Check once."""
+        failure = None
+        try:
+            self.archive.require_storing(now=self.clock.now())
+        except StoreFullError as error:
+            failure = condition(_STORE_FULL, severity="not_ready", error=str(error))
+        except OutsideError as error:
+            failure = condition(_STORE_FAILED, severity="not_ready", error=str(error))
+        self.board.set_one_condition((_STORE_FULL, _STORE_FAILED), failure)
+
+
+_SAMPLE_EVERY_S = 10.0
+_STORE_EVERY_S = 600.0
+"""A kill loses at most so much of an hour; 300 writes a day are a tenth of the sightings'."""
+_MOST_WAITING = 1000
+"""Hours that are held in memory while the disk is full; of more the oldest are dropped."""
+
+
+@dataclass(kw_only=True, eq=False)
+class HousekeepingWorker:
+    """Reads disk space and temperature off the status, and stores them by hour and by day.
+
+    Parameters
+    ----------
+    camera : its archive.
+    clock : real time.
+    now : the frames' time; None while it cannot be trusted, and nothing is recorded.
+    age_from : the time that the age of rows is counted from; None while none are to be removed.
+    board : where disk and camera stand.
+    """
+
+    camera: CameraArchive
+    clock: Clock
+    now: Callable[[], datetime | None]
+    age_from: Callable[[], datetime | None]
+    board: StatusRegistry
+
+    def __post_init__(self) -> None:
+        """Begin without samples."""
+        self._waiting: dict[datetime, Housekeeping] = {}
+        self._stored_s = self.clock.monotonic()
+        self._failed = False
+
+    def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
+        """Sample until stopped, and store what is left."""
+        Loop(self.clock, stop, heartbeat).every(_SAMPLE_EVERY_S, self.step)
+        self.store()
+
+    def step(self) -> None:
+        """Sample once, and store when it is time."""
+        now = self.now()
+        if now is not None:
+            self._sample(now)
+        if self.clock.monotonic() - self._stored_s >= _STORE_EVERY_S or self._has_ended_hour():
+            self.store()
+
+    def _has_ended_hour(self) -> bool:
+        """Whether an hour has just ended: a simulated one lasts seconds. What could not be stored waits its time."""
+        return len(self._waiting) > 1 and not self._failed
+
+    def _sample(self, now: datetime) -> None:
+        snapshot = self.board.snapshot()
+        disk, degrees = snapshot.disk, None if snapshot.camera is None else snapshot.camera.temperature_c
+        if disk is None and degrees is None:
+            return
+        hour = now.astimezone(UTC).replace(minute=0, second=0, microsecond=0)
+        sample = Housekeeping(
+            time=hour,
+            disk_free_bytes=None if disk is None else disk.free_bytes,
+            images_bytes=None if disk is None else disk.images_bytes,
+            temperature_c=degrees,
+            temperature_min_c=degrees,
+            temperature_max_c=degrees,
+            n_temperatures=int(degrees is not None),
+        )
+        self._waiting[hour] = merged(sample, self._waiting.get(hour, Housekeeping(time=hour)), time=hour)
+        while len(self._waiting) > _MOST_WAITING:
+            del self._waiting[min(self._waiting)]
+
+    def store(self) -> None:
+        """Store what waits; where that fails it waits on."""
+        self._stored_s = self.clock.monotonic()
+        age_from = self.age_from()
+        try:
+            if self._waiting:
+                self.camera.archive.housekeeping.add(self.camera.name, self._waiting.values())
+                self._waiting.clear()
+            if age_from is not None:
+                self.camera.archive.housekeeping.expire(self.camera.name, now=age_from)
+        except OutsideError as error:
+            if not self._failed:
+                _log.warning("could not store disk space and temperature, will retry: %s", error)
+            self._failed = True
+        else:
+            self._failed = False
+
+
+_LOOK_EVERY_S = 10.0
+_LEAST_HELD = timedelta(seconds=60)
+"""A condition that holds for less is not stored: one that comes and goes would be written at every cycle."""
+SETTLED_S = 900.0
+"""For so long after the start a stored condition that is not set may come back: some need ten slots to be found."""
+
+
+@dataclass(kw_only=True, eq=False)
+class ConditionTimesWorker:
+    """Stores since when conditions hold, and hands the status what the store has at the start.
+
+    Parameters
+    ----------
+    archive : the store.
+    camera : whose conditions; "" for the hub's own.
+    board : where conditions are set.
+    clock : real time.
+    passing : codes that say something of this run of the service alone.
+    """
+
+    archive: Archive
+    camera: str
+    board: StatusRegistry
+    clock: Clock
+    passing: Collection[str] = ()
+
+    def __post_init__(self) -> None:
+        """Hand the status what is stored."""
+        self._settled_s = self.clock.monotonic() + SETTLED_S
+        self._failed = False
+        self._stored: Mapping[str, datetime] | None = None
+        self._resume()
+
+    def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
+        """Look until stopped."""
+        Loop(self.clock, stop, heartbeat).every(_LOOK_EVERY_S, self.step)
+
+    def step(self) -> None:
+        """Look once, and store what changed; where that fails it is tried again at the next look."""
+        if self._stored is None:
+            self._resume()
+        if self._stored is None:
+            return
+        held = self._held(self._stored)
+        if held == self._stored:
+            return
+        try:
+            self.archive.conditions.save(self.camera, held)
+        except OutsideError as error:
+            self._complain("could not store since when conditions hold, will retry: %s", error)
+        else:
+            self._stored, self._failed = held, False
+
+    def _resume(self) -> None:
+        try:
+            self._stored = self.archive.conditions.times(self.camera)
+        except OutsideError as error:
+            self._complain("could not read since when conditions hold, will retry: %s", error)
+        else:
+            self.board.resume(self._stored, within_s=self._settled_s - self.clock.monotonic())
+
+    def _complain(self, text: str, error: OutsideError) -> None:
+        if not self._failed:
+            _log.warning(text, error)
+        self._failed = True
+
+    def _held(self, stored: Mapping[str, datetime]) -> dict[str, datetime]:
+        now = self.clock.now()
+        present = {reason.code: reason.since for reason in self.board.snapshot().reasons if reason.since is not None}
+        lasting = {
+            code: since
+            for code, since in present.items()
+            if code not in self.passing and (code in stored or now - since >= _LEAST_HELD)
+        }
+        return {**self.board.awaited(), **lasting}

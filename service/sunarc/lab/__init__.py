@@ -1,0 +1,1 @@
+"""Laboratory: the simulator, the paper's studies and the benchmark."""

@@ -1,0 +1,28 @@
+"""Key of an image: its time, exposure, name and folder."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from pathlib import PurePosixPath
+from typing import NamedTuple
+
+from sunarc.common.utc import to_microseconds
+
+
+class ImageKey(NamedTuple):
+    """What distinguishes an image from others of its camera.
+
+    time_us: microseconds since 1970-01-01 UTC. exposure_us: 0 where not known. file: its name, empty where not known
+    (version 0.2). folder: below its source, "." for the source itself; empty where not known (revision 0019).
+    """
+
+    time_us: int
+    exposure_us: float
+    file: str
+    folder: str = ""
+
+
+def image_key(time: datetime, exposure_us: float | None, path: str) -> ImageKey:
+    """Return the key of an image that was not looked at yet, by its file's path below the source."""
+    file = PurePosixPath(path)
+    return ImageKey(to_microseconds(time), exposure_us or 0.0, file.name, file.parent.as_posix())

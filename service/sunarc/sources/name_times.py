@@ -1,0 +1,255 @@
+"""Times in the names of image files, read whole: fraction, half of the day and zone; what has two readings has no time.
+
+Sources: ARM, https://www.arm.gov (datastreams, as `sgptsiskyimageC1.a1.20130513.123000.jpg`; ordered files repeat the
+time at the end); RMS, https://github.com/CroatianMeteorNetwork/RMS (`FF_CODE_date_time_ms_frame.fits`); indi-allsky,
+https://github.com/aaronwmorris/indi-allsky (`ccd1_date_time.jpg`); Allsky, https://github.com/AllskyTeam/allsky
+(`image-datetime.jpg`); Eye2Sky, https://eye2sky.de/data/data_description (`date_time_EXPOSURE.jpg`); EKO ASI-16
+(`datetime_11.jpg`, the last number for the exposure); SKIPP'D and TSI (`datetime.jpg`).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
+from typing import NamedTuple
+
+from sunarc.common.findings import Finding
+
+_FIRST_YEAR, _LAST_YEAR = 1970, 2100
+"""No sky camera wrote files before."""
+
+
+def is_of_images(time: datetime) -> bool:
+    """Return whether a time is within the years 1970 to 2100: others are of damaged names, headers and clocks."""
+    return _FIRST_YEAR <= time.year <= _LAST_YEAR
+
+
+class NamedTime(NamedTuple):
+    """What a name states: its family, what precedes the time, the time as it is written, and how far ahead of UTC."""
+
+    family: str
+    prefix: str
+    time: datetime
+    ahead: timedelta | None
+
+
+# Zones as they are written.
+
+_ZONES = {
+    "Z": 0.0, "UTC": 0.0, "GMT": 0.0, "CET": 1.0, "CEST": 2.0, "EET": 2.0, "EEST": 3.0, "SAST": 2.0, "AWST": 8.0,
+    "ACST": 9.5, "ACDT": 10.5, "AEST": 10.0, "AEDT": 11.0, "NZST": 12.0, "NZDT": 13.0, "JST": 9.0, "KST": 9.0,
+    "EDT": -4.0, "MDT": -6.0, "PDT": -7.0, "AKST": -9.0, "AKDT": -8.0,
+}  # fmt: skip
+"""Hours ahead of UTC by abbreviation (tz database): those of one meaning. CST, IST, BST, EST, PST, MST have several."""
+_PARTS_OF_HOURS = {
+    -570,
+    -210,
+    -150,
+    210,
+    270,
+    330,
+    345,
+    390,
+    525,
+    570,
+    630,
+    765,
+    825,
+}
+_IN_USE = {60 * hours for hours in range(-12, 15)} | _PARTS_OF_HOURS
+"""Minutes that clocks of places are ahead of UTC (tz database, since 1970)."""
+_HOURS = r"(?P<hours>\d{1,2})(?:[:_-]?(?P<minutes>00|15|30|45))?(?![0-9A-Za-z])"
+_ZONE = re.compile(rf"(?:(?P<letters>[A-Z]{{1,5}})|(?P<base>UTC|GMT)?(?P<sign>[+-]){_HOURS})$", re.ASCII)
+
+
+def zone_of(text: str) -> timedelta | None:
+    """Return how far a zone as "CEST", "+02:00" or "GMT+5:30" is ahead of UTC; None where that has not one sense."""
+    found = _ZONE.match(text.strip().upper())
+    if found is None:
+        return None
+    if found["letters"]:
+        hours = _ZONES.get(found["letters"])
+        return None if hours is None else timedelta(hours=hours)
+    return _ahead(found)
+
+
+def _ahead(found: re.Match[str]) -> timedelta | None:
+    """Return the time of a zone; None where no place's clocks are so far ahead."""
+    minutes = 60 * int(found["hours"]) + int(found["minutes"] or 0)
+    signed = -minutes if found["sign"] == "-" else minutes
+    return timedelta(minutes=signed) if signed in _IN_USE else None
+
+
+# Names of known families.
+
+_COMPACT = r"(\d{4})(\d{2})(\d{2})(\d{2})(\d{2})(\d{2})()"
+_PARTED = r"(\d{4})(\d{2})(\d{2})_(\d{2})(\d{2})(\d{2})()"
+_DOTTED = _PARTED.replace("_", r"\.")
+_SUFFIX = r"\.[A-Za-z]\w*$"
+
+
+class NameFamily(NamedTuple):
+    """Names of one kind of camera or archive: what precedes the time tells cameras apart."""
+
+    name: str
+    pattern: re.Pattern[str]
+    ahead: timedelta | None
+
+
+def _family(name: str, pattern: str, ahead: timedelta | None = None) -> NameFamily:
+    return NameFamily(name, re.compile(pattern, re.ASCII), ahead)
+
+
+FAMILIES = (
+    _family(
+        "ARM", r"^(\w+\.\w\d\.)(\d{4})(\d{2})(\d{2})\.(\d{2})(\d{2})(\d{2})()\.\w+(?:\.\d{14}\.\w+)?$", timedelta(0)
+    ),
+    _family("RMS", r"^(FF_?\w+?_)(\d{4})(\d{2})(\d{2})_(\d{2})(\d{2})(\d{2})(_\d{3})_\d+\.", timedelta(0)),
+    _family("Allsky", rf"^(image-){_COMPACT}{_SUFFIX}"),
+    _family("indi-allsky", rf"^(ccd\d+_){_PARTED}{_SUFFIX}"),
+    _family("EKO", rf"^(){_COMPACT}_1[12]{_SUFFIX}"),
+    _family("Eye2Sky", rf"^(){_PARTED}_\d+{_SUFFIX}"),
+    _family("SKIPP'D or TSI", rf"^(){_COMPACT}{_SUFFIX}"),
+)
+"""Known families, the most specific first."""
+
+
+def _of_family(name: str) -> NamedTime | None:
+    for family in FAMILIES:
+        match = family.pattern.search(name)
+        if match is not None:
+            prefix, *numbers, fraction = match.groups()
+            time = _time(numbers)
+            if time is not None:
+                time += timedelta(seconds=float((fraction or "0").replace("_", "0.")))
+                return NamedTime(family.name, prefix, time, family.ahead)
+    return None
+
+
+def _time(numbers: list[str]) -> datetime | None:
+    """Return year to second as a time; None where they are no time of images."""
+    try:
+        time = datetime(*(int(number) for number in numbers))  # type: ignore[arg-type] # noqa: DTZ001 - of a name
+    except ValueError:
+        return None
+    return time if is_of_images(time) else None
+
+
+# Any other names.
+
+_WHEN = re.compile(
+    r"(?<!\d)(\d{4})(?P<dash>[-_]?)(\d{2})(?P=dash)(\d{2})(?P<between>[-_T ]*)"
+    r"(?:(\d{2})[-_:h](\d{2})[-_:m](\d{2})|(\d{2})(\d{2})(\d{2})(?P<run>\d{3}|\d{6})?)(?!\d)s?",
+    re.ASCII,
+)
+_SIGNED = rf"(?P<base>UTC|GMT)?(?P<sign>[+-]){_HOURS}"
+_REST = re.compile(
+    r"(?P<fraction>[.,]\d+|[-_]\d{6}(?=Z|[+-]\d{2}))?"
+    r"(?:[-_ ]?(?P<half>[AaPp])\.?[Mm](?![A-Za-z]))?"
+    rf"(?:[-_ ]?(?:{_SIGNED}|(?P<letters>{'|'.join(sorted(_ZONES, key=len, reverse=True))})(?![0-9A-Za-z+])))?",
+    re.ASCII,
+)
+_UNREAD_ZONE = re.compile(r"[-_ ]?(?:UTC|GMT)?\+\d|[-_ ]?(?:UTC|GMT)-\d", re.ASCII)
+_YEAR_LAST = re.compile(
+    r"(?<!\d)(\d{2})[-_.]?(\d{2})[-_.]?((?:19|20)\d{2})[-_T. ]+(\d{2})[-_:h.]?(\d{2})[-_:m.]?(\d{2})(?!\d)", re.ASCII
+)
+_TEN_DIGITS = re.compile(r"(?<!\d)(\d{2})(\d{2})(\d{2})(\d{2})(\d{2})(?!\d)", re.ASCII)
+
+
+def time_in_name(name: str) -> NamedTime | None:
+    """Return the time in a file's name; None where it states none, or has more than one reading."""
+    named = _of_family(name)
+    if named is not None:
+        return named
+    if _YEAR_LAST.search(name):
+        return None
+    readings = _readings(name)
+    return readings[0] if len({(one.time, one.ahead) for one in readings}) == 1 else None
+
+
+def ambiguous_times(name: str) -> tuple[str, str] | None:
+    """Return two readings of a name that has more than one; None for others. A reading that is no time is "-"."""
+    match = _YEAR_LAST.search(name)
+    if match is not None:
+        first, second, year, *clock = match.groups()
+        return _shown(_time([year, second, first, *clock])), _shown(_time([year, first, second, *clock]))
+    found = list(dict.fromkeys(_shown(one.time, one.ahead) for one in _readings(name)))
+    if len(found) > 1:
+        return found[0], found[1]
+    numbers = None if found else _TEN_DIGITS.search(name)
+    if numbers is None:
+        return None
+    short = _time(["20" + numbers[1], *numbers.groups()[1:], "0"])
+    return _shown(datetime.fromtimestamp(int(numbers[0]), UTC).replace(tzinfo=None), timedelta(0)), _shown(short)
+
+
+def _shown(time: datetime | None, ahead: timedelta | None = None) -> str:
+    if time is None:
+        return "-"
+    return (time if ahead is None else time.replace(tzinfo=UTC) - ahead).isoformat(timespec="seconds")
+
+
+def _readings(name: str) -> list[NamedTime]:
+    """Return what a name's dates and times may mean, each with its rest read to the end."""
+    found = list[NamedTime]()
+    for match in _WHEN.finditer(name):
+        numbers = [one for one in match.group(1, 3, 4, 6, 7, 8, 9, 10, 11) if one is not None]
+        time, rest = _time(numbers), _REST.match(name, match.end())
+        if time is None or rest is None:
+            continue
+        clock = [_with_half(time, rest["half"])] if rest["half"] else [time]
+        seconds = float(f"0.{match['run']}") if match["run"] else float("0." + (rest["fraction"] or "-0")[1:])
+        iso = "T" in match["between"]
+        for at in clock:
+            for ahead in _zones(rest, name, iso=iso):
+                utc = ahead == timedelta(0)
+                family = "date and time, UTC" if utc else "date and time"
+                prefix = name[: match.start()]
+                if at is not None:
+                    found.append(NamedTime(family, prefix, at + timedelta(seconds=seconds), ahead))
+    return found
+
+
+def _with_half(time: datetime, half: str) -> datetime | None:
+    """Return the time of a clock of 12 hours; None where it shows another hour."""
+    if not 1 <= time.hour <= 12:
+        return None
+    return time.replace(hour=time.hour % 12 + (12 if half in "Pp" else 0))
+
+
+def _zones(rest: re.Match[str], name: str, *, iso: bool) -> Iterator[timedelta | None]:
+    """Yield what may be the zone after a time (None: none is written), two where the end may be a number of images."""
+    if rest["letters"]:
+        yield timedelta(hours=_ZONES[rest["letters"]])
+    elif rest["sign"] is None:
+        if not _UNREAD_ZONE.match(name, rest.end()):
+            yield None
+    else:
+        yield from _signed(rest, iso=iso)
+
+
+def _signed(rest: re.Match[str], *, iso: bool) -> Iterator[timedelta | None]:
+    ahead, whole = _ahead(rest), rest["minutes"] is not None and len(rest["hours"]) == 2
+    if rest["sign"] == "+":
+        if ahead is not None:
+            yield ahead
+    elif rest["base"]:
+        if not whole:
+            yield timedelta(0)
+        if ahead is not None:
+            yield ahead
+    else:
+        # -0500 may be a zone or the image's number, -05 is a zone in ISO 8601 alone
+        if not (whole and iso and ahead):
+            yield None
+        if ahead and len(rest["hours"]) == 2 and (whole or iso):
+            yield ahead
+
+
+def no_time_finding(name: str) -> Finding:
+    """Return why nothing states the time of a file."""
+    readings = ambiguous_times(name)
+    if readings is None:
+        return Finding("file_time_unknown")
+    return Finding("file_time_ambiguous", {"first": readings[0], "second": readings[1]})

@@ -1,0 +1,279 @@
+"""Where an archive's files are: a folder, a zip or tar archive, an address of fsspec."""
+
+from __future__ import annotations
+
+import atexit
+import hashlib
+import tarfile
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache
+from lzma import LZMAError
+from pathlib import Path
+from stat import S_ISREG
+from typing import Any, NamedTuple
+
+from sunarc.common.errors import InputError, OutsideError
+from sunarc.common.extras import extra_module
+from sunarc.common.foreign_files import name_path, name_text, open_regular, read_regular
+from sunarc.sources.image_files import ImageSource, SourceFile, kind_of
+
+
+def open_source(address: str) -> ImageSource:
+    """Return the source at an address: a folder, a zip or tar archive, an image file, or one of fsspec (`scheme://…`).
+
+    An address is the `name_text` of a path.
+
+    Raises
+    ------
+    InputError : there is none, or the extra that it needs is not installed.
+    """
+    if "://" in address:
+        return Remote(address)
+    path = Path(name_path(address))
+    if path.is_dir() or (path.is_file() and kind_of(address) is not None):
+        return Folder(address)
+    if not path.is_file():
+        raise InputError(field=address, problem="is neither a folder nor a file", remedy="name a folder or an archive")
+    if zipfile.is_zipfile(path):
+        return ZipFile(address)
+    if tarfile.is_tarfile(path):
+        return TarFile(address)
+    raise InputError(
+        field=address, problem="is neither a zip nor a tar archive", remedy="name a folder of images, or an archive"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Folder:
+    """The files below a folder, or a single file; see `ImageSource`."""
+
+    address: str
+
+    def files(self) -> Iterator[SourceFile]:
+        """Yield all files below it; stamped with the time of their last change."""
+        root, folder = Path(name_path(self.address)), self._root
+        for path in [root] if root.is_file() else sorted(root.rglob("*")):
+            with suppress(OSError):  # it is gone again
+                state = path.stat()
+                if S_ISREG(state.st_mode):
+                    yield SourceFile(name_text(path.relative_to(folder)), state.st_size, str(state.st_mtime_ns))
+
+    def read(self, name: str) -> bytes:
+        """Return a file's content."""
+        return read_regular(self.path(name))
+
+    def path(self, name: str) -> Path:
+        """Return where a file is."""
+        return self._root / name_path(name)
+
+    @property
+    def _root(self) -> Path:
+        root = Path(name_path(self.address))
+        return root.parent if root.is_file() else root
+
+
+_HASH_BYTES = 16
+"""Two of 1e9 files have the same hash by chance with a probability of 1e-21."""
+
+
+def hash_of(content: bytes) -> str:
+    """Return the hash of a file's content, 32 hexadecimal digits."""
+    return hashlib.blake2b(content, digest_size=_HASH_BYTES).hexdigest()
+
+
+class HashedSource:
+    """Another source, which keeps the content and hash of the file that was read last; see `ImageSource`."""
+
+    def __init__(self, source: ImageSource) -> None:
+        self._source = source
+        self._last: tuple[str, bytes, str] | None = None
+
+    @property
+    def address(self) -> str:
+        """What `open_source` opens the other one by."""
+        return self._source.address
+
+    def files(self) -> Iterator[SourceFile]:
+        """Yield all files, in the order of their names."""
+        return self._source.files()
+
+    def read(self, name: str) -> bytes:
+        """Return a file's content; that of the last file is not read again."""
+        if self._last is None or self._last[0] != name:
+            self._last = None  # two large files are not in memory at once
+            content = self._source.read(name)
+            self._last = (name, content, hash_of(content))
+        return self._last[1]
+
+    def path(self, name: str) -> Path | None:
+        """Return where a file is on this disk; None where it is elsewhere."""
+        return self._source.path(name)
+
+    def content(self, name: str) -> str | None:
+        """Return the hash of a file's bytes, 32 hexadecimal digits; None unless it was the last one that was read."""
+        return self._last[2] if self._last is not None and self._last[0] == name else None
+
+
+_STAMPS = ("ETag", "etag", "checksum", "mtime", "LastModified", "last_modified", "created", "CRC")
+"""What file systems say of a file that changes with its content, the surest first."""
+
+
+@dataclass(frozen=True, slots=True)
+class Remote:
+    """The files below an address; see `ImageSource`."""
+
+    address: str
+
+    def files(self) -> Iterator[SourceFile]:
+        """Yield all files below it."""
+        system, root = _system_of(self.address)
+        try:
+            found: dict[str, dict[str, Any]] = system.find(root, detail=True)
+        except (OSError, ValueError) as error:
+            raise OutsideError(f"{self.address} could not be listed: {error}") from error
+        for path in sorted(found):
+            info = found[path]
+            stamp = next((str(info[name]) for name in _STAMPS if info.get(name) is not None), "")
+            yield SourceFile(name_text(path.removeprefix(root).lstrip("/")), int(info.get("size") or 0), stamp)
+
+    def read(self, name: str) -> bytes:
+        """Return a file's content."""
+        system, root = _system_of(self.address)
+        return bytes(system.cat_file(f"{root.rstrip('/')}/{name_path(name)}"))
+
+    def path(self, name: str) -> None:
+        """Return None: it is elsewhere."""
+        del name
+
+
+@cache
+def _system_of(address: str) -> tuple[Any, str]:
+    core = extra_module("fsspec.core", extra="remote")
+    try:
+        system, root = core.url_to_fs(address)
+    except (ImportError, ValueError, OSError) as error:
+        raise InputError(
+            field=address, problem=f"cannot be opened ({error})", remedy="install the fsspec package of this address"
+        ) from None
+    return system, str(root)
+
+
+_FAULTS = (tarfile.TarError, zlib.error, LZMAError, EOFError)
+
+
+@dataclass(frozen=True, slots=True)
+class TarFile:
+    """The files in a tar archive; see `ImageSource`."""
+
+    address: str
+
+    def files(self) -> Iterator[SourceFile]:
+        """Yield all files in it, stamped with the time of their last change and their place in the archive."""
+        members = _tar_of(self.address).members
+        for name in sorted(members):
+            info = members[name]
+            yield SourceFile(name, info.size, f"{info.mtime}-{info.offset}")
+
+    def read(self, name: str) -> bytes:
+        """Return a file's content."""
+        opened = _tar_of(self.address)
+        if name not in opened.members:
+            raise FileNotFoundError(2, "is not in the archive", name)
+        member = opened.members[name]
+        if opened.archive is None:
+            with open_regular(Path(name_path(self.address))) as file:
+                file.seek(member.offset_data)
+                content = file.read(member.size)
+        else:
+            content = _extracted(opened.archive, member)
+        if len(content) != member.size:
+            raise OSError(f"the archive ends within {name}")
+        return content
+
+    def path(self, name: str) -> None:
+        """Return None: it is within the archive."""
+        del name
+
+
+class _Opened(NamedTuple):
+    """The files of an archive, and where it is compressed the open archive, which cannot be read at any place."""
+
+    members: dict[str, tarfile.TarInfo]
+    archive: tarfile.TarFile | None
+
+
+def _extracted(archive: tarfile.TarFile, member: tarfile.TarInfo) -> bytes:
+    try:
+        file = archive.extractfile(member)
+        return b"" if file is None else file.read()
+    except _FAULTS as error:
+        raise OSError(f"{type(error).__name__}: {error}") from None
+
+
+@cache  # the headers stand between the files: a process reads them once
+def _tar_of(address: str) -> _Opened:
+    for mode in ("r:", "r:*"):
+        try:
+            archive = tarfile.open(name_path(address), mode)  # noqa: SIM115 - closed below
+        except (*_FAULTS, OSError):
+            continue
+        return _listed(address, archive, compressed=mode == "r:*")
+    raise InputError(field=address, problem="is not a complete tar archive", remedy="copy it again")
+
+
+def _listed(address: str, archive: tarfile.TarFile, *, compressed: bool) -> _Opened:
+    try:
+        members = {name_text(info.name): info for info in archive.getmembers() if info.isfile()}
+    except (*_FAULTS, OSError) as error:
+        archive.close()
+        raise InputError(
+            field=address, problem=f"is not a complete tar archive ({error})", remedy="copy it again"
+        ) from None
+    if not compressed:
+        archive.close()
+        return _Opened(members, None)
+    atexit.register(archive.close)
+    return _Opened(members, archive)
+
+
+@dataclass(frozen=True, slots=True)
+class ZipFile:
+    """The files in a zip archive; see `ImageSource`."""
+
+    address: str
+
+    def files(self) -> Iterator[SourceFile]:
+        """Yield all files in it; stamped with the checksum of their content."""
+        members = _members_of(self.address)
+        for name in sorted(members):
+            yield SourceFile(name, members[name].file_size, f"{members[name].CRC:08x}")
+
+    def read(self, name: str) -> bytes:
+        """Return a file's content."""
+        try:
+            return _zip_of(self.address).read(_members_of(self.address)[name])
+        except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, KeyError) as error:
+            raise OSError(f"{type(error).__name__}: {error}") from None
+
+    def path(self, name: str) -> None:
+        """Return None: it is within the archive."""
+        del name
+
+
+@cache  # the directory of a large archive takes seconds to read, and a process reads it once
+def _zip_of(address: str) -> zipfile.ZipFile:
+    try:
+        return zipfile.ZipFile(name_path(address))
+    except (zipfile.BadZipFile, OSError, ValueError) as error:  # a ValueError of names that are not as it states
+        raise InputError(
+            field=address, problem=f"is not a complete zip archive ({error})", remedy="copy it again"
+        ) from None
+
+
+@cache
+def _members_of(address: str) -> dict[str, zipfile.ZipInfo]:
+    return {name_text(one.filename): one for one in _zip_of(address).infolist() if not one.is_dir()}
