@@ -29,7 +29,7 @@ from sunarc.sources.index import CameraPlan, Selector, index_archive, read_camer
 from sunarc.sources.look import Chunk, Item, look_at
 
 _AHEAD = 3
-"""Chunks that wait at each worker, as in `reanalysis/cluster`."""
+"""Chunks that wait at each worker, as in `archives/cluster`."""
 _DRIVER = -1
 """User of the processors that is no worker."""
 _MEASURED = (1, 2, 4, 8)

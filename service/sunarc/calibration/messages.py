@@ -26,8 +26,8 @@ MESSAGES = Messages(
         "mask these positions, or leave these sightings out",
     ),
     sightings_below_horizon=Message(
-        "the sun was below the horizon at {n} of {n_all} sightings ({share:.0%}, at most {limit:.0%}): the sign of "
-        "latitude or longitude, or the clock (its zone), is wrong",
+        "the sun was below the horizon at {n} of {n_all} sightings ({share:.0%}, at most {limit:.0%}): the site (a "
+        "sign, or latitude and longitude exchanged) or the clock (its zone) is wrong",
         _REFUSED,
         "check --latitude (north is positive), --longitude (east is positive) and the times (UTC, or --utc-offset)",
     ),
@@ -248,7 +248,7 @@ MESSAGES = Messages(
     ),
     clock_unbounded=Message(
         "the clock is assumed right to {clock_error_s:g} s: each minute of a constant error turns the camera about the "
-        "pole by {turn_deg_per_minute:.2f}°, which no sighting shows",
+        "pole by {turn_deg_per_minute:.2f}°, which no sighting shows; state another bound by --clock-error",
         "The fit is used; its uncertainty holds no larger error of the clock.",
         "state the bound of the clock (--clock-error S, folder.clock_error_s)",
     ),
