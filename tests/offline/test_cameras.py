@@ -11,7 +11,7 @@ from tests.fixtures.settings import SGP, new_settings
 
 from sunarc.common.errors import InputError
 from sunarc.imager.archive.archive import Archive, open_archive
-from sunarc.imager.live.cameras import known_camera, register_camera
+from sunarc.imager.live.camera_record import known_camera, register_camera
 
 
 @pytest.fixture

@@ -1,8 +1,6 @@
-"""Archives of images: a folder into the service's archive, or years of several cameras to epochs and calibrations.
+"""Archives of images: years of several cameras to epochs and calibrations, or a folder into a service's archive.
 
-`run` the entry of `sunarc reanalyse`, `ingest` that of `sunarc ingest` · `sources` where files are, `image_files` the
-images in them, `image_times` when they were taken · `index` which images are whose · `look` what a worker does with
-images, `cluster` workers on Dask · `ledger` what is done already · `passes` both passes · `consensus` where the sun
-should be · `states` when a camera was moved or changed, or its clock was wrong · `fit` calibrations · `nights` stars ·
-`results` the tables, `report` the page. The processes that look at images load no more than they need.
+`run` the entry of `sunarc reanalyse`, `ingest` that of `sunarc ingest` · `cluster` workers on Dask, `pool` processes of
+this machine · `ledger` the answers that are kept · `passes` both passes over the images · `states` when a camera was
+moved or changed, or its clock was wrong · `fit` calibrations · `nights` stars · `results` tables, `report` the page.
 """

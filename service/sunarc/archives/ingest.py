@@ -31,7 +31,7 @@ from sunarc.imager.archive.archive import Archive, open_archive
 from sunarc.imager.archive.database.recovery import upgrade_present
 from sunarc.imager.archive.sightings import FileSighting, sun_point_of
 from sunarc.imager.archive.values import SunPoint
-from sunarc.imager.live.cameras import known_camera, register_camera
+from sunarc.imager.live.camera_record import known_camera, register_camera
 from sunarc.imager.live.folder_nights import ingest_nights
 from sunarc.imager.live.learned_sigma import ValidCamera, factor_in_force, learn_sigma, with_factor
 from sunarc.imager.runtime.clock import SystemClock

@@ -1,6 +1,6 @@
-"""A calibration in other formats, each with its stated error, and files of other formats read as a camera.
+"""Formats of a calibration, each with its stated error, and files of other programs read as a camera.
 
-`formats` by name · `reading` by content, and the camera of ours that is closest to a file's · `fisheye` (OpenCV, ROS,
+`calibration_document`, `lens_prior` and `csv_files` our own · `formats` all others by name · `fisheye` (OpenCV, ROS,
 COLMAP), `ocam` (OCamCalib), `asi_core`, `mrcal` models fitted to ours and their files · `tables` NetCDF and npz ·
-`pixel_maps`, `remap` maps · `view` what a file says of a camera, and how far two of them are apart.
+`pixel_maps`, `remap` maps · `view` a file's camera, and how far two of them are apart.
 """

@@ -1,1 +1,1 @@
-"""Values of a calibration: sightings, options, result, residual field, backward model, document."""
+"""Values of a calibration: sightings, options, result, residual field."""

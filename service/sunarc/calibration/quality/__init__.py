@@ -1,1 +1,1 @@
-"""Checks of data and of fits: days, fit verdict, acceptance, clock and site."""
+"""Checks of data and of fits: days, fit verdict, tilt, clock and site."""

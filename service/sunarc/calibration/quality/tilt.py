@@ -3,6 +3,7 @@
 A wrong zone or longitude turns the sky about its pole, a wrong latitude turns it about the east, and the fit turns the
 camera with it. Every tilted camera is level at one other place: where its optical axis is the zenith. No residual but
 refraction's tells the two apart; how cameras are mounted and how often such mistakes are made does.
+`fit_checks` refuses the tilt that nobody stated.
 """
 
 from __future__ import annotations

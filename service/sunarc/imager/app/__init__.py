@@ -1,5 +1,5 @@
-"""The composition root: the only package that chooses and joins parts.
+"""Composition root of an imager: the only package that chooses and joins parts.
 
 `service` the parts of a running imager · `serving` start, run and stop · `status_line` the line of systemctl status ·
-`hub` a hub · `cameras` the camera that the settings name · `simulating` the simulated imager.
+`cameras` the camera that the settings name · `pushing` receivers of messages.
 """

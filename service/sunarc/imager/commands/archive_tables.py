@@ -36,7 +36,7 @@ from sunarc.imager.archive.values import (
     Refit,
     SunPoint,
 )
-from sunarc.imager.live.cameras import known_camera, register_camera
+from sunarc.imager.live.camera_record import known_camera, register_camera
 from sunarc.imager.settings.model import Settings
 from sunarc.optics.camera import inside_image
 from sunarc.sky.directions import angular_distance

@@ -23,7 +23,7 @@ from sunarc.imager.archive.database.recovery import upgrade_present
 from sunarc.imager.archive.database.schema import require_file
 from sunarc.imager.archive.database.state_folder import lock_state
 from sunarc.imager.archive.values import Refit
-from sunarc.imager.live.cameras import known_camera
+from sunarc.imager.live.camera_record import known_camera
 from sunarc.imager.live.learned_sigma import ValidCamera, learn_sigma
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.runtime.status import StatusRegistry

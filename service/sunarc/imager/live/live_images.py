@@ -20,7 +20,7 @@ from sunarc.imager.archive.archive import CameraArchive
 from sunarc.imager.archive.pictures_of_one_time import ELSEWHERE
 from sunarc.imager.archive.sightings import FROZEN, sun_point_of
 from sunarc.imager.archive.values import CalibrationRecord, SunPoint
-from sunarc.imager.live.cameras import register_camera
+from sunarc.imager.live.camera_record import register_camera
 from sunarc.imager.live.learned_sigma import ValidCamera, factor_in_force, learn_sigma, with_factor
 from sunarc.imager.runtime.status import StatusRegistry
 from sunarc.imager.settings.model import Settings

@@ -1,1 +1,1 @@
-"""What keeps the service running: supervisor, status registry, clock, systemd, scheduled jobs, preflight checks."""
+"""Supervisor, status registry, clock, systemd, scheduled jobs: what keeps the service running."""

@@ -1,1 +1,1 @@
-"""Workers of the service: `capture`, `sightings`, `night`, `images`, `timing`, `calibrating`, `feeding`, `pushing`."""
+"""Workers: `capture`, `detect`, `night`, `calibrating`, `clock_watch`, `upkeep`, `feed`, `push`, `mqtt`."""
