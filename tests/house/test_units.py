@@ -50,7 +50,7 @@ def launcher() -> ModuleType:
     return made
 
 
-def test_a_changed_bit_of_the_compiled_module_is_found_wherever_it_is(launcher: ModuleType, tmp_path: Path) -> None:
+def test_a_compiled_module_that_is_changed_or_missing_is_found(launcher: ModuleType, tmp_path: Path) -> None:
     module = tmp_path / "sunarc" / "_kernels.cpython-311-x86_64-linux-gnu.so"
     module.parent.mkdir()
     whole = bytes(range(256)) * 8
@@ -62,3 +62,5 @@ def test_a_changed_bit_of_the_compiled_module_is_found_wherever_it_is(launcher: 
     for place in (0, 1, 700, len(whole) - 1):
         module.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
         assert launcher.damaged(tmp_path) == module
+    module.unlink()
+    assert launcher.damaged(tmp_path) == module
