@@ -7,12 +7,16 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from tests.offline.live.followed import Followed, serve_calibration_of
 from tests.offline.live.sky_pictures import Lens, jpeg, picture, sun_at
 from tests.offline.live.test_snapshots import bomb
+
+from sunarc.sources import image_files
 
 MORNING = datetime(2025, 5, 13, 15, 0, tzinfo=UTC)
 LENS = Lens()
@@ -259,6 +263,25 @@ def test_images_of_another_size_and_of_another_camera_are_left_out_and_the_right
     assert followed.verdicts() == ["clear"] * (6 + 5)
     assert followed.service.archive.seen_files.refused("roof") == {"file_other_camera": 3, "file_size_differs": 4}
     assert "images_of_another_size" in followed.codes()
+
+
+def test_an_image_that_is_refused_for_its_size_is_not_decoded(
+    followed: Followed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shapes, decode = set[tuple[int, ...]](), image_files.decoded
+
+    def recorded(encoded: bytes) -> NDArray[Any] | None:
+        image = decode(encoded)
+        shapes.add(() if image is None else image.shape[:2])
+        return image
+
+    monkeypatch.setattr(image_files, "decoded", recorded)
+    take(followed, 1)
+    time = followed.clock.now()
+    followed.write(allsky(time), shot(time, lens=Lens(size=200, focal_px=60.0, x=99.0, y=99.0)))
+    followed.turn()
+    assert followed.service.archive.seen_files.refused("roof") == {"file_size_differs": 1}
+    assert shapes == {(LENS.size, LENS.size)}
 
 
 @pytest.fixture

@@ -182,8 +182,8 @@ class LiveImages:
         return [one.found if isinstance(one.found, Finding) else aside.get(one.file) for one in answers]
 
     def _repeated(self, address: str, image: LiveImage, suns: Mapping[str, Detection]) -> Finding | None:
-        """Return the finding of a picture that came before; None for a new one, and for one that cannot be read."""
-        pixels = image_of(open_source(address), image.file)
+        """Return the finding of a picture that came before; None for a new one, and for one that cannot be used."""
+        pixels = image_of(open_source(address), image.file, size=self.size)
         if isinstance(pixels, Finding):
             return None
         places = ((one.x_px, one.y_px) for one in suns.values())  # of a bright region that is refused too
