@@ -30,6 +30,7 @@ from sunarc.detection.values import BAYERS, Bayer
 from sunarc.imaging.metadata import document_of
 from sunarc.imaging.preview import decoded
 from sunarc.sources.messages import RefusedImageError
+from sunarc.sources.name_times import is_of_images
 
 
 class SourceFile(NamedTuple):
@@ -433,9 +434,12 @@ def _fits_units(content: bytes, name: str) -> list[Any]:
 
 
 def _fits_time(header: dict[str, Any], *keys: str) -> datetime | None:
-    """Return the first time under some keys of a header, read with its zone; None of another scale than UTC."""
+    """Return the first time of images under some keys of a header, read with its zone; None of another scale than UTC.
+
+    Cameras without a clock write a placeholder, as 0.
+    """
     times = (_fits_mjd(header, key) if key.startswith("MJD") else _fits_date(header, key) for key in keys)
-    time = next((one for one in times if one is not None), None)
+    time = next((one for one in times if one is not None and is_of_images(one)), None)
     scale = str(header.get("TIMESYS", "UTC")).strip().upper()
     return time if scale in {"UTC", "UT"} else None
 

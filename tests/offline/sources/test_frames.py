@@ -136,6 +136,9 @@ def test_a_fits_file_that_cannot_be_used_gives_its_reason(
         ({"DATE-OBS": "2013-05-13 18:30:00"}, NOON, None),
         ({"DATE_OBS": "2013-05-13T18:30:00"}, NOON, None),
         ({"MJD-OBS": 56425.770833333336}, NOON, None),
+        ({"MJD-OBS": 0.0}, None, None),
+        ({"DATE-OBS": "0001-01-01T00:00:00", "MJD-OBS": 56425.770833333336}, NOON, None),
+        ({"DATE-AVG": "1900-01-01T00:00:00", "DATE-OBS": "2013-05-13T18:30:00"}, NOON, None),
         ({"DATE-BEG": "2013-05-13T18:29:30", "DATE-END": "2013-05-13T18:30:30"}, NOON, 6e7),
     ],
 )
