@@ -162,7 +162,7 @@ def time_in_name(name: str) -> NamedTime | None:
     named = _of_family(name)
     if named is not None:
         return named
-    if _YEAR_LAST.search(name):
+    if _year_last(name) is not None:
         return None
     readings = _readings(name)
     return readings[0] if len({(one.time, one.ahead) for one in readings}) == 1 else None
@@ -170,10 +170,9 @@ def time_in_name(name: str) -> NamedTime | None:
 
 def ambiguous_times(name: str) -> tuple[str, str] | None:
     """Return two readings of a name that has more than one; None for others. A reading that is no time is "-"."""
-    match = _YEAR_LAST.search(name)
-    if match is not None:
-        first, second, year, *clock = match.groups()
-        return _shown(_time([year, second, first, *clock])), _shown(_time([year, first, second, *clock]))
+    last = _year_last(name)
+    if last is not None:
+        return _shown(last[0]), _shown(last[1])
     found = list(dict.fromkeys(_shown(one.time, one.ahead) for one in _readings(name)))
     if len(found) > 1:
         return found[0], found[1]
@@ -182,6 +181,26 @@ def ambiguous_times(name: str) -> tuple[str, str] | None:
         return None
     short = _time(["20" + numbers[1], *numbers.groups()[1:], "0"])
     return _shown(datetime.fromtimestamp(int(numbers[0]), UTC).replace(tzinfo=None), timedelta(0)), _shown(short)
+
+
+def _year_last(name: str) -> tuple[datetime | None, datetime | None] | None:
+    """Return a date that ends with its year and its time, the day first and the month first; None without one.
+
+    Digits before a year that begins a date and a time (`cam-10-12-2023-06-20-19-45-00`) are of something else.
+    """
+    for match in _YEAR_LAST.finditer(name):
+        begun = _WHEN.match(name, match.start(3))
+        if begun is not None and _time(_numbers(begun)) is not None:
+            continue
+        first, second, year, *clock = match.groups()
+        day_first, month_first = _time([year, second, first, *clock]), _time([year, first, second, *clock])
+        if day_first is not None or month_first is not None:
+            return day_first, month_first
+    return None
+
+
+def _numbers(match: re.Match[str]) -> list[str]:
+    return [one for one in match.group(1, 3, 4, 6, 7, 8, 9, 10, 11) if one is not None]
 
 
 def _shown(time: datetime | None, ahead: timedelta | None = None) -> str:
@@ -194,8 +213,7 @@ def _readings(name: str) -> list[NamedTime]:
     """Return what a name's dates and times may mean, each with its rest read to the end."""
     found = list[NamedTime]()
     for match in _WHEN.finditer(name):
-        numbers = [one for one in match.group(1, 3, 4, 6, 7, 8, 9, 10, 11) if one is not None]
-        time, rest = _time(numbers), _REST.match(name, match.end())
+        time, rest = _time(_numbers(match)), _REST.match(name, match.end())
         if time is None or rest is None:
             continue
         clock = [_with_half(time, rest["half"])] if rest["half"] else [time]

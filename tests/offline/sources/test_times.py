@@ -10,6 +10,7 @@ from zoneinfo import ZoneInfo
 
 import pytest
 from tests.offline.sources.archives import GREY, encoded, folder_of
+from tests.offline.sources.test_frames import fits_of
 from tests.offline.test_ingest_times import TAKEN, ZONE, taken, with_exif
 
 from sunarc.common.errors import InputError
@@ -35,6 +36,11 @@ NAMES = {
     "20130513183000.jpg": ("SKIPP'D or TSI", "", "unknown"),
     "20130513T183000Z.png": ("date and time, UTC", "", "utc"),
     "roof7_2013-05-13_18-30-00.png": ("date and time", "roof7_", "unknown"),
+    "1234_2013-05-13_18-30-00.jpg": ("date and time", "1234_", "unknown"),
+    "cam0001_2013-05-13_18-30-00.jpg": ("date and time", "cam0001_", "unknown"),
+    "192.168.10.20_2013-05-13_18-30-00.jpg": ("date and time", "192.168.10.20_", "unknown"),
+    "cam-10-12-2013-05-13-18-30-00.jpg": ("date and time", "cam-10-12-", "unknown"),
+    "1012_20130513_183000Z.jpg": ("date and time, UTC", "1012_", "utc"),
 }
 
 
@@ -78,6 +84,12 @@ def test_a_name_without_a_zone_needs_an_offset_and_one_in_utc_ignores_it(name: s
         ("05-06-2013_12-30-00.jpg", ("2013-06-05T12:30:00", "2013-05-06T12:30:00")),
         ("13.05.2013 12.30.00.jpg", ("2013-05-13T12:30:00", "-")),
         ("cam_05132013_123000.jpg", ("-", "2013-05-13T12:30:00")),
+        ("20-06-2023_19-45-00.jpg", ("2023-06-20T19:45:00", "-")),
+        ("cam0001_05-06-2013_12-30-00.jpg", ("2013-06-05T12:30:00", "2013-05-06T12:30:00")),
+        ("05-06-2013-12-10-09-123456.jpg", ("2013-06-05T12:10:09", "2013-05-06T12:10:09")),
+        ("05-06-2013-12-10-09-17.jpg", ("2013-06-05T12:10:09", "2013-05-06T12:10:09")),
+        ("05062013_12_10_09_10_11.jpg", ("2013-06-05T12:10:09", "2013-05-06T12:10:09")),
+        ("34-56-2013_12-30-00.jpg", None),
         ("20130513_123000.jpg", None),
         ("sky.jpg", None),
     ],
@@ -123,6 +135,11 @@ def test_a_mobotix_cameras_header_tells_time_and_zone(zone: str, clock: str, tmp
     comment = b"\xff\xfe" + (len(text) + 2).to_bytes(2, "big") + text
     frame = frame_of("e00017.jpg", tmp_path, content=picture[:2] + comment + picture[2:])
     assert (frame.time, frame.family) == (NOON, "Mobotix header")
+
+
+def test_a_placeholder_in_a_fits_header_does_not_hide_the_time_of_the_name(tmp_path: Path) -> None:
+    frame = frame_of("20130513T183000Z.fits", tmp_path, content=fits_of(GREY, **{"MJD-OBS": 0.0}))
+    assert (frame.time, frame.family) == (NOON, "date and time, UTC")
 
 
 def test_what_nothing_tells_is_refused(tmp_path: Path) -> None:
