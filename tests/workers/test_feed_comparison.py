@@ -84,6 +84,29 @@ def test_rows_that_never_came_come_the_next_night_and_it_is_said(bench: Bench, a
     assert bench.hub.feeds.quarantine() == ()
 
 
+def test_rows_that_could_not_be_queued_are_compared_again(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench.imager.sightings.add(sighting(n) for n in range(10))
+    worker = bench.worker()
+    send_all(worker)
+    for _ in range(8):
+        step(worker)
+    lose(bench.hub, first=1, n_rows=2)
+
+    def fail(*_: object) -> int:
+        raise OutsideError("the disk is full")
+
+    with monkeypatch.context() as full:
+        full.setattr(type(bench.imager.outbox), "queue_days", fail)
+        night(bench, worker)
+    assert events(bench) == []
+    bench.clock.advance(601.0)
+    for _ in range(8):
+        step(worker)
+    assert bench.codes() == set()
+    assert same(bench)
+    assert events(bench) == ["hub_rows_sent_again"]
+
+
 def test_a_value_that_the_hub_has_otherwise_is_written_again(bench: Bench) -> None:
     bench.imager.sightings.add(sighting(n) for n in range(5))
     worker = bench.worker()

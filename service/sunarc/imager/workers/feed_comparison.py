@@ -119,22 +119,23 @@ class FeedComparison:
             return False
         if not since < stored.until <= own.until:
             raise HubAnswerError(f"days until {stored.until} where those of {since} to {own.until} were asked for")
-        self._windows.popleft()
-        if stored.until < until:
-            self._windows.appendleft((stored.until, until))
         self.compared_at, self._skipped = self.clock.now(), ""
         differing = dict(self._differing(own, stored, since))
         again = {key: pair for key, pair in differing.items() if self._goes_again(key, pair)}
         self._judge({key: pair for key, pair in differing.items() if key not in again})
         found_sound = {key for key in self._lacking if since <= key[1] < stored.until} - differing.keys()
         self._show_lacking(self._lacking - found_sound)
+        if again:  # first of all: what could not be queued is compared again
+            outbox.queue_days(self.camera.name, again)
+            self._sent_again |= again.keys()
+        self._windows.popleft()
+        if stored.until < until:
+            self._windows.appendleft((stored.until, until))
         if not again:
             return False
-        self._sent_again |= again.keys()
         self._windows.append((since, stored.until))  # once more, when they were sent
         kinds, n_rows = ", ".join(sorted({kind for kind, _ in again})), sum(pair.own.n for pair in again.values())
         self._say(Finding("hub_rows_sent_again", {"kinds": kinds, "n_rows": n_rows, **_days_of(again)}), "warning")
-        outbox.queue_days(self.camera.name, again)
         return True
 
     def _goes_again(self, key: KindDay, pair: _OwnAndHub) -> bool:
