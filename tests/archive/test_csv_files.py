@@ -120,6 +120,14 @@ def test_stars_planets_and_the_moon_are_known_by_name_where_the_site_is() -> Non
         read_sightings([header, *rows], name="stars.csv")
 
 
+def test_poses_are_in_the_order_of_their_first_times() -> None:
+    days = {"1": 3, "2": 14, "10": 25, "b": 1}
+    rows = [f"roof,2013-05-{day:02d}T18:30:00Z,1,2,{epoch}" for epoch, day in days.items()]
+    rows += ["roof,2013-05-27T18:30:00Z,1,2,b", "roof,2013-05-26T18:30:00Z,1,2,1"]
+    found = read_sightings(["camera,time_utc,x_px,y_px,epoch", *rows], name="s.csv")
+    assert found.epoch.tolist() == [1, 2, 3, 0, 0, 1]
+
+
 def test_the_epochs_of_a_camera_are_poses_and_two_cameras_are_refused() -> None:
     header = "camera,time_utc,x_px,y_px,epoch"
     row = "{},2013-05-13T18:30:00Z,871.5,883.25,{}"

@@ -73,7 +73,7 @@ def read_sightings(lines: Iterable[str], *, name: str, site: Site | None = None)
     if named.size:
         directions[named] = _named_directions(bodies[named], columns[named], [wheres[n] for n in named.tolist()], site)
     return Sightings.of(
-        epoch=_epochs(of_camera, name=name),
+        epoch=_epochs(of_camera, columns[:, 0], name=name),
         unix_s=columns[:, 0],
         pixels=columns[:, 1:3],
         sigma_px=columns[:, 3],
@@ -101,8 +101,11 @@ def _named_directions(names: NameArray, columns: FloatArray, wheres: Sequence[st
     return found
 
 
-def _epochs(of_camera: Sequence[tuple[str, str]], *, name: str) -> IntArray:
-    """Return the pose epochs (n,) of rows by their cameras and epochs; InputError where they are of several cameras."""
+def _epochs(of_camera: Sequence[tuple[str, str]], unix_s: FloatArray, *, name: str) -> IntArray:
+    """Return the pose epochs (n,) of rows in the order of their first times (`unix_s`, (n,)).
+
+    InputError where the rows are of several cameras.
+    """
     cameras = sorted({camera for camera, _ in of_camera})
     if len(cameras) > 1:
         raise InputError(
@@ -112,7 +115,11 @@ def _epochs(of_camera: Sequence[tuple[str, str]], *, name: str) -> IntArray:
         )
     if cameras in ([], [""]):
         return np.zeros(len(of_camera), dtype=np.int64)
-    return np.unique([epoch for _, epoch in of_camera], return_inverse=True)[1].astype(np.int64)
+    names, of_row = np.unique([epoch for _, epoch in of_camera], return_inverse=True)
+    begins = np.full(names.size, np.inf)
+    np.minimum.at(begins, of_row, unix_s)
+    order = np.argsort(begins, kind="stable")  # as text "10" stands before "2"
+    return np.argsort(order)[of_row].astype(np.int64)
 
 
 def _direction(row: dict[str, str], *, where: str) -> tuple[float, float]:
