@@ -17,6 +17,9 @@ import pytest
 from tests.fixtures.archive import make_empty
 from tests.fixtures.ports import free_port
 
+from sunarc.common.errors import OutsideError
+from sunarc.imager.archive.database.state_folder import as_owner
+
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc
 
@@ -193,6 +196,43 @@ def test_a_folder_of_roots_that_others_may_write_is_refused(sunarc: Sunarc, plac
     place.state.chmod(mode)
     answer = sunarc(*words(place, ("upgrade",)))
     assert (answer.code, f"{place.state} belongs to root" in answer.err) == (3, True)
+
+
+@pytest.mark.parametrize("mode", [0o777, 0o775, 0o1777])
+def test_a_missing_folder_that_others_could_make_first_is_refused(sunarc: Sunarc, place: Place, mode: int) -> None:
+    shared = place.victims.parent / "shared"
+    shared.mkdir()
+    shared.chmod(mode)
+    for state in (shared / "state", shared / "state" / "deeper"):
+        answer = sunarc(*words(place, ("upgrade",))[:-1], str(state))
+        assert (answer.code, answer.err.count("\n")) == (3, 1)
+        assert str(shared) in answer.err
+        assert not (shared / "state").exists()
+    shared.chmod(0o755)
+    with as_owner(shared / "state"):
+        assert os.geteuid() == 0
+
+
+@pytest.mark.parametrize("call", ["setgroups", "setegid", "seteuid"])
+def test_root_is_itself_again_after_half_a_change_of_identity(
+    place: Place, monkeypatch: pytest.MonkeyPatch, call: str
+) -> None:
+    before, change = (os.geteuid(), os.getegid(), os.getgroups()), getattr(os, call)
+
+    def fail(wanted: object) -> None:
+        if wanted not in before:
+            raise PermissionError(1, "Operation not permitted")
+        change(wanted)
+
+    monkeypatch.setattr(os, call, fail)
+    with pytest.raises(OutsideError, match=str(USER)), as_owner(place.state):
+        pass
+    assert (os.geteuid(), os.getegid(), os.getgroups()) == before
+
+
+def test_what_may_not_be_done_without_a_file_is_named_by_the_folder(place: Place) -> None:
+    with pytest.raises(OutsideError, match=f"^{place.state} "), as_owner(place.state):
+        os.setgroups([1, 2, 3])
 
 
 def test_a_link_of_roots_to_the_owners_folder_is_followed(sunarc: Sunarc, place: Place) -> None:

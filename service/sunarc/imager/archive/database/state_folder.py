@@ -18,6 +18,7 @@ from sunarc.common.errors import OutsideError
 
 PRIVATE = 0o640
 """Mode of a copy of the database: its owner, and the group for backups."""
+_BY_OTHERS = stat.S_IWOTH | stat.S_IWGRP
 
 
 @contextmanager
@@ -29,14 +30,32 @@ def as_owner(folder: Path) -> Iterator[None]:
 
     Raises
     ------
-    OutsideError : others may write into a folder of root's on the way; or root may not act as the owner here.
+    OutsideError : others may write into a folder of root's on the way, or could make a missing one; or root may not act
+        as the owner here.
     """
     owner = _owner_on_the_way(folder) if os.geteuid() == 0 else None
     if owner is None:
         yield
         return
     uid, gid = owner
-    groups = os.getgroups()
+    groups, root_gid = os.getgroups(), os.getegid()
+    try:
+        _act_as(uid, gid, folder)
+        yield
+    except PermissionError as error:
+        raise OutsideError(
+            f"{error.filename or folder} is not for user {_name_of(uid)}, the owner of {folder}, as whom root works "
+            "there; name a place that this user may use"
+        ) from error
+    finally:
+        os.seteuid(0)
+        os.setegid(root_gid)
+        if os.getgroups() != groups:  # where root may not set them, they are as they were
+            os.setgroups(groups)
+
+
+def _act_as(uid: int, gid: int, folder: Path) -> None:
+    """Take the rights of a user; OutsideError where root may not, with part of the identity perhaps changed."""
     try:
         os.setgroups(os.getgrouplist(_name_of(uid), gid))
         os.setegid(gid)
@@ -46,17 +65,6 @@ def as_owner(folder: Path) -> Iterator[None]:
             f"root cannot act as user {_name_of(uid)}, the owner of {folder}: {error.strerror}; "
             "run the command as that user"
         ) from None
-    try:
-        yield
-    except PermissionError as error:
-        raise OutsideError(
-            f"{error.filename} is not for user {_name_of(uid)}, the owner of {folder}, as whom root works there; "
-            "name a place that this user may use"
-        ) from error
-    finally:
-        os.seteuid(0)
-        os.setegid(0)
-        os.setgroups(groups)
 
 
 def _owner_on_the_way(folder: Path, most_links: int = 40) -> tuple[int, int] | None:
@@ -66,7 +74,14 @@ def _owner_on_the_way(folder: Path, most_links: int = 40) -> tuple[int, int] | N
         here = place.parent if name == ".." else place / name
         try:
             found = here.lstat()
-        except (FileNotFoundError, NotADirectoryError):
+        except NotADirectoryError:
+            return None
+        except FileNotFoundError:
+            if place.lstat().st_mode & _BY_OTHERS:  # they could make it first, and a sticky folder does not hinder that
+                raise OutsideError(
+                    f"{here} does not exist, and others may write into {place}; make it and give it to the service's "
+                    "user (mkdir, chown), or run the command as that user"
+                ) from None
             return None
         if found.st_uid != 0:
             return found.st_uid, found.st_gid
@@ -74,7 +89,7 @@ def _owner_on_the_way(folder: Path, most_links: int = 40) -> tuple[int, int] | N
             if not most_links:
                 raise OutsideError(f"{folder}: its links have no end; name the folder itself")
             return _owner_on_the_way(Path(place, here.readlink(), *names[n:]), most_links - 1)
-        by_others = stat.S_IWOTH if n < len(names) else stat.S_IWOTH | stat.S_IWGRP
+        by_others = stat.S_IWOTH if n < len(names) else _BY_OTHERS
         if found.st_mode & by_others and not found.st_mode & stat.S_ISVTX:
             raise OutsideError(
                 f"{here} belongs to root, and others may write into it; give it to the service's user (chown), "
