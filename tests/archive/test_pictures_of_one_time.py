@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from sunarc.common.findings import Finding
 from sunarc.imager.archive.archive import Archive, open_archive
 from sunarc.imager.archive.database.schema import downgrade, upgrade
 from sunarc.imager.archive.pictures_of_one_time import TWO_PICTURES
@@ -60,6 +61,20 @@ def test_what_was_set_aside_counts_again_once_they_agree(archive: Archive) -> No
     assert [one.accepted for one in archive.sightings.find("roof")] == [False, False]
     archive.sightings.replace([RAW])
     assert rows(archive) == {"annotated": (True, "clear"), "raw": (False, "set_aside")}
+
+
+def test_a_sighting_keeps_its_own_findings_while_it_is_set_aside_and_after(archive: Archive) -> None:
+    own = (Finding("sun_near_edge"), Finding("sighting_superseded"))
+    for _ in range(2):  # and does not gain this rule's twice
+        archive.sightings.replace([replace(DRAWN, findings=own), replace(RAW, x_px=950.0)])
+        aside = next(one for one in archive.sightings.find("roof") if one.folder == "annotated")
+        assert (aside.verdict, aside.findings[0].code, aside.findings[1:]) == ("set_aside", TWO_PICTURES, own)
+        archive.sightings.replace([replace(RAW, x_px=950.0)])
+        aside = next(one for one in archive.sightings.find("roof") if one.folder == "annotated")
+        assert (aside.findings[0].code, aside.findings[1:]) == (TWO_PICTURES, own)
+    archive.sightings.replace([RAW])
+    (counts,) = archive.sightings.find("roof", accepted=True)
+    assert (counts.folder, counts.verdict, counts.findings) == ("annotated", "clear", own)
 
 
 def test_a_sun_elsewhere_is_not_accepted_twice_once_the_camera_is_known_to_have_moved(archive: Archive) -> None:

@@ -29,6 +29,8 @@ class _Sun(NamedTuple):
     row: Row[Any]
     path: str
     verdict: str
+    findings: tuple[Finding, ...]
+    """Its own ones, without that of this rule."""
 
     def distance_px(self, other: _Sun) -> float:
         return math.hypot(self.row.x_px - other.row.x_px, self.row.y_px - other.row.y_px)
@@ -72,19 +74,23 @@ def _judge(connection: Connection, folders: Sequence[Sequence[Row[Any]]]) -> dic
     counts, others = (suns[0], every[len(suns[0]) :]) if agree else ([], every)
     for sun in counts:
         if sun.verdict != sun.row.verdict:  # it was set aside before
-            _change(connection, sun, accepted=sun.verdict != ELSEWHERE, verdict=sun.verdict, findings=())
+            _change(connection, sun, accepted=sun.verdict != ELSEWHERE, verdict=sun.verdict, findings=sun.findings)
     found = {}
     for sun in others:
         other = next(path for path in (_path(rows[0]) for rows in folders) if path != sun.path)
         found[sun.path] = Finding(TWO_PICTURES, {"file": sun.path, "other": other, "verdict": sun.verdict})
-        _change(connection, sun, accepted=False, verdict="set_aside", findings=(found[sun.path],))
+        findings = (found[sun.path], *sun.findings)
+        _change(connection, sun, accepted=False, verdict="set_aside", findings=findings)
     return found
 
 
 def _sun_of(row: Row[Any]) -> _Sun | None:
     aside: Mapping[str, Any] = next((one.data for one in row.findings if one.code == TWO_PICTURES), {})
     has_sun = (row.accepted or row.verdict == ELSEWHERE or aside) and row.x_px is not None and row.y_px is not None
-    return _Sun(row, _path(row), str(aside.get("verdict", row.verdict))) if has_sun else None
+    if not has_sun:
+        return None
+    own = tuple(one for one in row.findings if one.code != TWO_PICTURES)
+    return _Sun(row, _path(row), str(aside.get("verdict", row.verdict)), own)
 
 
 def _path(row: Row[Any]) -> str:
