@@ -94,6 +94,7 @@ def test_one_comparison_at_a_time_is_made_and_the_others_are_asked_to_wait(
         busy = pool.submit(ask, hub)
         answer = busy.result(30.0)
         assert (answer.status_code, answer.headers["retry-after"]) == (429, "30")
+        assert ask(hub, token="").status_code == 401  # a stranger learns nothing of it
         may_end.set()
         assert first.result(30.0).status_code == 200
     assert ask(hub).status_code == 200

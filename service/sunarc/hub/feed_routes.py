@@ -131,7 +131,7 @@ class FeedReceiver:
 
     def _take(self, sent: SentBody, *, large: bool) -> int | None:
         camera, installation, after = sent.camera, sent.installation, sent.after
-        self._require_token(camera, sent.token)
+        self.require_token(camera, sent.token)
         if not _INSTALLATION.fullmatch(installation):
             raise self._refused(camera, "", Refusal(reason="malformed", text="the installation's id is not a word"))
         if sent.revision > head_revision():
@@ -152,7 +152,8 @@ class FeedReceiver:
             raise _error(committed)
         return committed
 
-    def _require_token(self, camera: str, token: str) -> None:
+    def require_token(self, camera: str, token: str) -> None:
+        """Raise `RefusedError` where a token is not one of the camera's, and write that into quarantine."""
         own, now = token_digest(token), self.now()
         if self._has(camera, own, now):
             return
@@ -180,7 +181,7 @@ class FeedReceiver:
         ------
         RefusedError : the token is not the camera's, or another installation sends its rows.
         """
-        self._require_token(camera, token)
+        self.require_token(camera, token)
         found = self.archive.feeds.digests(camera, installation, since=since, until=until)
         if found is None:
             raise _error(Refusal(reason="second_installation", text=f"{installation} does not send as {camera}"))
@@ -239,6 +240,7 @@ def feed_routes(receiver: FeedReceiver) -> APIRouter:
         if int(request.headers.get("content-length") or LARGE_BYTES + 1) <= LARGE_BYTES:
             committed = await run_in_threadpool(receiver.take, sent, large=False)
         if committed is None:
+            await run_in_threadpool(receiver.require_token, camera, sent.token)  # a stranger gets no slot
             # After a failure of the hub all imagers catch up: without a limit they would have every thread of the pool.
             async with slots:
                 committed = await run_in_threadpool(receiver.take, sent, large=True)
@@ -264,12 +266,14 @@ def _add_stored_days(routes: APIRouter, receiver: FeedReceiver) -> None:
         At most 32 days and 200,000 rows are read; `until` says how far. One sender at a time is answered, the others
         429.
         """
+        token = _token_of(request)
+        await run_in_threadpool(receiver.require_token, camera, token)  # a stranger gets no slot
         if comparing.locked():
             fault = Fault(field="request", problem="another comparison is under way", remedy="try again later")
             raise RefusedError(HTTPStatus.TOO_MANY_REQUESTS, fault, headers={"retry-after": "30"})
         last = until if revision == head_revision() else since  # of other columns hashes say nothing
         async with comparing:
-            ask = partial(receiver.stored_days, camera, _token_of(request), installation, since=since, until=last)
+            ask = partial(receiver.stored_days, camera, token, installation, since=since, until=last)
             found = await run_in_threadpool(ask)
         return StoredDays(revision=head_revision(), until=found.until, days=found.days)
 
