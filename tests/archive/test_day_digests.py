@@ -8,13 +8,14 @@ from datetime import date, timedelta
 from pathlib import Path
 
 import pytest
+from sqlalchemy import Connection
 from tests.archive.test_feeds import live_a_little
 from tests.fixtures.fleet import NOON, NOW, feed, new_imager, next_batch, sighting
 
 from sunarc.common.findings import uncoded
 from sunarc.hub.archive import HubArchive
 from sunarc.imager.archive import day_digests as digests_module
-from sunarc.imager.archive.day_digests import MOST_DAYS, DayDigests
+from sunarc.imager.archive.day_digests import MOST_DAYS, DayDigest, DayDigests
 from sunarc.imager.archive.values import Day, Event
 
 DAY = NOON.date()
@@ -114,6 +115,32 @@ def test_no_more_is_read_than_may_be_at_once(imager: HubArchive, monkeypatch: py
     assert long.until == date(2020, 1, 1) + timedelta(days=MOST_DAYS)
     for since, until in ((date.max, date.max), (date.max, date.min), (date.min, date.max)):
         assert imager.outbox.digests("roof", since=since, until=until) is not None
+
+
+def test_of_a_day_with_too_many_rows_the_largest_kinds_are_left_out(
+    imager: HubArchive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read = list[str]()
+    digest = digests_module._digest
+
+    def counting(connection: Connection, kind: str, camera: str, day: date) -> DayDigest:
+        read.append(kind)
+        return digest(connection, kind, camera, day)
+
+    monkeypatch.setattr(digests_module, "MOST_ROWS", 10)
+    monkeypatch.setattr(digests_module, "_digest", counting)
+    imager.sightings.add(sighting(n) for n in range(8))
+    for n in range(7):
+        imager.events.add(Event(time=NOON, kind=f"start{n}", severity="info", text="begun"))
+    rows = imager.outbox.rows_to_send(imager.outbox.position(), most=99, most_bytes=10**9)
+    assert rows
+    imager.outbox.acknowledge(rows[-1].seq)
+    found = imager.outbox.digests("roof", since=DAY, until=UNTIL)
+    assert found is not None
+    assert found.days["sun_point"] == {DAY: None}
+    assert found.days["event"][DAY] is not None
+    assert found.until == UNTIL
+    assert read == ["event"]
 
 
 def test_days_are_queued_again_after_what_they_refer_to(imager: HubArchive, hub: HubArchive) -> None:

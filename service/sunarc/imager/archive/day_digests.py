@@ -43,7 +43,7 @@ LEAST_KEPT = timedelta(days=90)
 
 MOST_DAYS = 32
 MOST_ROWS = 200_000
-"""Of what is read at once: seconds of processor; days of which one alone has more are not compared."""
+"""Of what is read at once: seconds of processor; of a day that has more its largest kinds are not compared."""
 _DAY_COLUMNS: Mapping[str, str] = {
     "pose_epoch": "started_at",
     "sun_point": "time",
@@ -77,7 +77,7 @@ class DayDigests:
     Attributes
     ----------
     until : the day after the last one.
-    days : by kind and day; a day without rows is not there, and one of which there are too many is None.
+    days : by kind and day; a day without rows is not there, and one of which there are too many to read is None.
     """
 
     until: date
@@ -103,24 +103,35 @@ class StoredDays(Returned):
 def day_digests(connection: Connection, camera: str, *, since: date, until: date) -> DayDigests:
     """Return the digests of a camera's rows of the days `since` <= day < `until`, in one snapshot.
 
-    At most 32 days and 200,000 rows are read: where there are more, `until` of what is returned is earlier. An event
-    counts by its key alone, and once: the hub keeps the first of equal ones. Documents count by their checksums.
+    At most 32 days and 200,000 rows are read: where there are more, `until` of what is returned is earlier, and where
+    one day alone has more, its largest kinds are left out until the others are no more. An event counts by its key
+    alone, and once: the hub keeps the first of equal ones. Documents count by their checksums.
     """
     until = max(min(until, since + min(timedelta(days=MOST_DAYS), date.max - since)), since)
     counts = {kind: _counts(connection, kind, camera, since, until) for kind in _DAY_COLUMNS}
     left, day = MOST_ROWS, since
+    read: dict[date, dict[str, int]] = {}
     while day < until:
-        n_rows = sum(found.get(day, 0) for found in counts.values() if found.get(day, 0) <= MOST_ROWS)
-        if n_rows > left and day > since:
+        of_day = _kinds_to_read(counts, day)
+        left -= sum(of_day.values())
+        if left < 0:
             break
-        left, day = left - n_rows, day + timedelta(days=1)
-    days: dict[str, dict[date, DayDigest | None]] = {}
-    for kind, found in counts.items():
-        days[kind] = {}
-        for one, n_rows in found.items():
-            if one < day:
-                days[kind][one] = _digest(connection, kind, camera, one) if n_rows <= MOST_ROWS else None
+        read[day], day = of_day, day + timedelta(days=1)
+    days: dict[str, dict[date, DayDigest | None]] = {
+        kind: {
+            one: _digest(connection, kind, camera, one) if kind in read[one] else None for one in found if one in read
+        }
+        for kind, found in counts.items()
+    }
     return DayDigests(until=day, days=days)
+
+
+def _kinds_to_read(counts: Mapping[str, Mapping[date, int]], day: date) -> dict[str, int]:
+    """Return the number of a day's rows by kind, without the largest kinds where it has more than may be read."""
+    of_day = sorted((found[day], kind) for kind, found in counts.items() if day in found)
+    while sum(n_rows for n_rows, _ in of_day) > MOST_ROWS:
+        of_day.pop()
+    return {kind: n_rows for n_rows, kind in of_day}
 
 
 def first_and_last_day(connection: Connection, camera: str) -> tuple[date, date] | None:
