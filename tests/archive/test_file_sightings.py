@@ -64,6 +64,14 @@ def test_an_image_counts_once_and_by_the_method_that_accepted_it_last(archive: A
     assert [p.verdict for p in archive.sightings.find("roof", accepted=False)] == ["set_aside"]
 
 
+def test_a_sighting_of_an_unknown_folder_is_set_aside_by_another_methods(archive: Archive) -> None:
+    archive.sightings.replace([FOUND])
+    archive.sightings.replace([replace(FOUND, method="disc", folder="raw")])
+    accepted = archive.sightings.find("roof", accepted=True)
+    assert [(p.method, p.folder) for p in accepted] == [("disc", "raw")]
+    assert [p.verdict for p in archive.sightings.find("roof", accepted=False)] == ["set_aside"]
+
+
 def test_a_refusal_by_another_method_leaves_the_accepted_sighting(archive: Archive) -> None:
     archive.sightings.replace([FOUND])
     archive.sightings.replace([replace(REFUSED, method="disc")])
