@@ -7,14 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.common.array_types import Image
+from sunarc.common.array_types import BoolArray, FloatArray, Image
+from sunarc.imaging.levels import full_scale, level_step, levels, mid_tones
 
 _TILE_PX = 16
 """The largest block that JPEG codes by itself."""
 _LEAST_RANGE = 0.01
 """Of the full scale within a textured tile; 3 counts at least."""
-_MID_TONES, _LEAST_MID = (0.02, 0.98), 0.125
-"""Of the full scale, and the share of a textured tile that is between: black and saturated pixels do not change."""
+_LEAST_MID = 0.125
+"""Share of a textured tile's pixels that are mid-tones: black and saturated ones do not change."""
 _TEXTURED_SHARE = 0.15
 """Of all tiles: two lines of text are less, on a black image too."""
 _FEWEST = 12
@@ -24,11 +25,15 @@ _AROUND_SHARE, _AROUND_TILES = 0.06, 3
 """Tiles around the sun, as a share of the image's shorter side, and at least."""
 _FEWEST_AROUND = 4
 _NOISE_ROWS, _LEAST_BENT = 2, 2.0
-"""Every so many rows are taken; a second difference of rounded smooth values is 1 count at most."""
+"""Every so many rows are taken; steps between levels: a second difference of rounded smooth values is 1 at most."""
 _BLOCK_PX = 8
 """JPEG makes steps where its blocks meet."""
 _MID_TONE_TILES = 0.5
 """Share of the tiles that are of mid-tones: of fewer, a foreground may be all, and it stands still."""
+_LEAST_TONES = 0.5
+"""Share of the pixels of such a tile that are mid-tones: of fewer, an edge may be all that is seen in it."""
+_PERHAPS_MOSAIC = 0.25
+"""Share of a tile's pixels that are rough, exceeded in every mosaic of two colours, and by noise of 0.6 counts."""
 _SMOOTHEST, _LEAST_ROUGH = 0.25, 0.02
 """Quantile of the tiles by their share of rough pixels. Noise of 1.5 counts gives .03 to .1 in JPEG of quality 92,
 and smooth images 0 in JPEG of any."""
@@ -60,13 +65,12 @@ def image_tiles(image: Image) -> ImageTiles:
     image : (rows, columns) or (rows, columns, channels), of integers or of floats.
     """
     values = image.reshape(len(image), -1)
-    wide = _TILE_PX * (values.shape[1] // max(image.shape[1], 1) or 1)
-    full = 255.0 if image.dtype == np.uint8 else max(float(image.max(initial=0)), 1.0)
+    wide = _TILE_PX * (1 if image.ndim == 2 else image.shape[2])
     padded = np.pad(values, ((0, -len(values) % _TILE_PX), (0, -values.shape[1] % wide)), mode="edge")
     weights = np.random.default_rng(0).integers(0, 1 << 63, (_TILE_PX, wide), dtype=np.uint64) | np.uint64(1)
     rows, columns = len(padded) // _TILE_PX, padded.shape[1] // wide
     hashes, textured = np.zeros((rows, columns), np.uint64), np.zeros((rows, columns), np.bool_)
-    least, (low, high) = max(3.0, _LEAST_RANGE * full), (bound * full for bound in _MID_TONES)
+    least, (low, high) = max(3.0, _LEAST_RANGE * full_scale(image)), mid_tones(image)
     for row in range(rows):
         tiles = padded[row * _TILE_PX : (row + 1) * _TILE_PX].reshape(_TILE_PX, columns, wide)
         counts = tiles.astype(np.uint64) if tiles.dtype.kind != "f" else tiles.astype(np.float64).view(np.uint64)
@@ -75,26 +79,61 @@ def image_tiles(image: Image) -> ImageTiles:
         mid = np.mean((tones > low) & (tones < high), axis=(0, 2))
         spread = np.ptp(tones, axis=(0, 2))
         textured[row] = (spread >= least) & (mid >= _LEAST_MID)
-    return ImageTiles(hashes, textured, _has_noise(image[::_NOISE_ROWS], (low, high)))
+    return ImageTiles(hashes, textured, _has_noise(image))
 
 
-def _has_noise(image: Image, mid_tones: tuple[float, float]) -> bool:
+def _has_noise(image: Image) -> bool:
     """Return whether even the smoothest parts of the mid-tones are rough: foregrounds are, smooth skies are not."""
-    values = image.reshape(*image.shape[:2], -1).astype(np.float64)
-    bent = np.abs(values[:, 2:] - 2.0 * values[:, 1:-1] + values[:, :-2]) >= _LEAST_BENT
-    bent[:, np.arange(1, values.shape[1] - 1) % _BLOCK_PX % (_BLOCK_PX - 1) == 0] = False
-    mid = (values[:, 1:-1] > mid_tones[0]) & (values[:, 1:-1] < mid_tones[1])
-    rows, columns = (length // _TILE_PX for length in mid.shape[:2])
-    shares = [
-        one[: rows * _TILE_PX, : columns * _TILE_PX]
-        .reshape(rows, _TILE_PX, columns, _TILE_PX, values.shape[2])
-        .mean(axis=(1, 3, 4), dtype=np.float64)
-        for one in (mid, bent & mid)
-    ]
-    rough = shares[1][shares[0] > 0.5]
-    if rough.size == 0 or rough.size < _MID_TONE_TILES * shares[0].size:
+    low, high = mid_tones(image)
+    least = _LEAST_BENT * _step(image, low, high)
+    every = image[::_NOISE_ROWS]
+    firsts = range(0, len(every) - _TILE_PX + 1, _TILE_PX)
+    shares = [_mid_and_rough(every[first : first + _TILE_PX], (low, high), least) for first in firsts]
+    if not shares:
+        return False
+    mid, rough = np.concatenate(shares, axis=1)
+    rough = rough[mid > _LEAST_TONES]
+    if rough.size == 0 or rough.size < _MID_TONE_TILES * mid.size:
         return False
     return bool(np.quantile(rough, _SMOOTHEST) >= _LEAST_ROUGH)
+
+
+def _step(image: Image, low: float, high: float) -> int:
+    """Return the step between the levels of an image's mid-tones, in counts; 1 of floats, and of fewer than two."""
+    if image.dtype.kind == "f":
+        return 1
+    counts = levels(image)
+    return max(level_step(counts[(counts > low) & (counts < high)]), 1)
+
+
+def _mid_and_rough(strip: Image, tones: tuple[float, float], least: float) -> FloatArray:
+    """Return (2, tiles): of the pixels of each tile of a strip, the shares that are mid-tones, and rough ones.
+
+    The columns of a raw mosaic are of two colours by turns: where most pixels are rough, those of one are compared.
+    """
+    values = strip.reshape(*strip.shape[:2], -1).astype(np.result_type(strip.dtype, np.float32))
+    mid = (strip > tones[0]) & (strip < tones[1])
+    mid = mid.reshape(values.shape)[:, 1:-1]
+    bent = _bent(values, 1, least)
+    bent[:, np.arange(1, values.shape[1] - 1) % _BLOCK_PX % (_BLOCK_PX - 1) == 0] = False
+    rough = _tile_means(bent & mid)
+    if values.shape[2] == 1 and np.any(rough > _PERHAPS_MOSAIC):
+        same_colour = np.zeros_like(mid)
+        same_colour[:, 1:-1] = _bent(values, 2, least)
+        rough = np.where(rough > _PERHAPS_MOSAIC, _tile_means(same_colour & mid), rough)
+    return np.stack([_tile_means(mid), rough])
+
+
+def _bent(values: NDArray[np.floating], apart: int, least: float) -> BoolArray:
+    """Return whether each pixel is off the line through those so many columns to its left and right."""
+    left, middle, right = values[:, : -2 * apart], values[:, apart:-apart], values[:, 2 * apart :]
+    return np.asarray(np.abs(right - 2.0 * middle + left) >= least)
+
+
+def _tile_means(marked: BoolArray) -> FloatArray:
+    columns = marked.shape[1] // _TILE_PX
+    tiles = marked[:, : columns * _TILE_PX].reshape(len(marked), columns, _TILE_PX, marked.shape[2])
+    return np.asarray(tiles.mean(axis=(0, 2, 3), dtype=np.float64))
 
 
 def shared_texture(now: ImageTiles, before: ImageTiles) -> float | None:

@@ -6,16 +6,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.common.array_types import Image
+from sunarc.imaging.levels import full_scale, level_step, levels, mid_tones
 
 _FEWEST_ROWS, _ROWS_SHARE = 16, 0.05
+"""Rows, and share of an image's rows: equal rows of a wall or of text are fewer. Chosen, not measured."""
 _LEAST_STRUCTURE = 0.125
 """Of the pixels of a row that are mid-tones other than their neighbours: a mast before a white sky has few."""
-_MID_TONES = (0.02, 0.98)
 _FEWEST_LEVELS = 6
 """A drawn or overexposed image has fewer."""
 _COARSEST_STEPS = 32
 """Levels of 5 bits; images of fewer are named."""
 _LEAST_RANGE = 0.25
+"""Of the full scale, between the darkest and the brightest level: a uniform image has few levels without a fault."""
 
 
 def repeated_rows(image: Image) -> int:
@@ -26,13 +28,12 @@ def repeated_rows(image: Image) -> int:
     image : (rows, columns) or (rows, columns, channels), in counts.
     """
     values = image.reshape(len(image), -1)
-    full = _full_scale(image)
-    channels = max(values.shape[1] // max(image.shape[1], 1), 1)
+    channels = 1 if image.ndim == 2 else image.shape[2]
     same = np.zeros(len(values), np.bool_)
     same[1:] = np.all(values[1:] == values[:-1], axis=1)
     if not same.any():
         return 0
-    low, high = (bound * full for bound in _MID_TONES)
+    low, high = mid_tones(image)
     alike = values[same]
     mid = (alike[:, channels:] > low) & (alike[:, channels:] < high)
     same[same] = np.mean(mid & (alike[:, channels:] != alike[:, :-channels]), axis=1) >= _LEAST_STRUCTURE
@@ -49,17 +50,11 @@ def missing_levels(image: Image) -> int:
     """
     if image.dtype.kind not in "ui" or image.size == 0:
         return 0
-    full = _full_scale(image)
-    levels = np.flatnonzero(np.bincount(image.ravel())) if image.dtype.itemsize <= 2 else np.unique(image)
-    span = float(levels[-1] - levels[0])
-    if len(levels) < _FEWEST_LEVELS or span < _LEAST_RANGE * full:
+    full, counts = full_scale(image), levels(image)
+    if len(counts) < _FEWEST_LEVELS or float(counts[-1]) - float(counts[0]) < _LEAST_RANGE * full:
         return 0
-    steps = round(full / float(np.gcd.reduce(levels - levels[0])))
+    steps = round(full / level_step(counts))
     return steps + 1 if steps <= _COARSEST_STEPS else 0
-
-
-def _full_scale(image: Image) -> float:
-    return 255.0 if image.dtype == np.uint8 else max(float(image.max(initial=0)), 1.0)
 
 
 def _longest_run(marked: NDArray[np.bool_]) -> int:
