@@ -92,9 +92,8 @@ class FileSighting(NamedTuple):
 
 def _set_others_aside(connection: Connection, point: SunPoint) -> None:
     others = (*_same_image(point), sun_point.c.method != point.method, sun_point.c.accepted.is_(True))
-    change = update(sun_point).where(
-        *others, sun_point.c.folder.in_((point.folder, ""))
-    )  # "": not known (revision 0019)
+    folders = (point.folder, "")  # that of former sightings is not known (revision 0019)
+    change = update(sun_point).where(*others, sun_point.c.folder.in_(folders))
     connection.execute(change.values(accepted=False, verdict="set_aside", findings=SUPERSEDED))
 
 
