@@ -13,7 +13,7 @@ from sunarc.calibration.fit.robust_fit import RobustFit
 from sunarc.calibration.model.sightings import Kind
 from sunarc.calibration.quality.tilt import Place, level_place, tilt_question
 from sunarc.calibration.solve.problem import Bins
-from sunarc.common.array_types import FloatArray
+from sunarc.common.array_types import BoolArray, FloatArray
 from sunarc.optics.camera import Camera
 from sunarc.optics.pose import rotation_matrix
 from sunarc.sky.site import Site
@@ -32,7 +32,7 @@ def log_odds_of_tilt(fit: RobustFit, camera: Camera, site: Site) -> float | None
     """Return the natural log odds of a fit's camera against the most probable one that is level at another place.
 
     The sightings are the same, and the sky is turned as a whole: only the refraction of the sun's light differs.
-    None where the camera is level where it is said to stand.
+    None where the camera is level where it is said to stand, and without a sighting of the sun.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def log_odds_of_tilt(fit: RobustFit, camera: Camera, site: Site) -> float | None
     site : the one that was stated.
     """
     question = tilt_question(camera, site)
-    if question is None:
+    if question is None or not np.any(_of_sun(fit)):
         return None
     level = level_place(camera, site)
     places = [Place(float(question.data["latitude"]), float(question.data["longitude"])), *_near(level)]
@@ -61,7 +61,7 @@ def _near(level: Place) -> list[Place]:
     for radius in np.radians(_RINGS_DEG).tolist():
         for turn in (2.0 * math.pi * np.arange(_AROUND) / _AROUND).tolist():
             x, y, z = math.cos(radius) * up + math.sin(radius) * (math.cos(turn) * east + math.sin(turn) * north)
-            found.append(Place(math.degrees(math.asin(z)), math.degrees(math.atan2(y, x))))
+            found.append(Place(math.degrees(math.asin(min(max(z, -1.0), 1.0))), math.degrees(math.atan2(y, x))))
     return found
 
 
@@ -70,8 +70,7 @@ def _directions(fit: RobustFit, site: Site, place: Place) -> FloatArray | None:
 
     Sightings of other bodies keep theirs.
     """
-    observed = fit.observed
-    of_sun = (observed.kind == Kind.SUN) & ~observed.alone
+    observed, of_sun = fit.observed, _of_sun(fit)
     there = sun_directions(
         observed.unix_s[of_sun],
         replace(site, latitude=place.latitude, longitude=place.longitude),
@@ -83,6 +82,11 @@ def _directions(fit: RobustFit, site: Site, place: Place) -> FloatArray | None:
     directions = np.array(observed.directions)
     directions[of_sun] = there @ _axes(place) @ _axes(Place(site.latitude, site.longitude)).T
     return directions
+
+
+def _of_sun(fit: RobustFit) -> BoolArray:
+    """Return (n,): whether a sighting's direction is that of the sun's path."""
+    return np.asarray((fit.observed.kind == Kind.SUN) & ~fit.observed.alone)
 
 
 def _axes(place: Place) -> FloatArray:
