@@ -12,10 +12,15 @@ import numpy as np
 import population as pop
 import pytest
 
+from sunarc.calibration import compared_fits, handedness
 from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.fit.assemble import Job
+from sunarc.calibration.handedness import Fitted
 from sunarc.calibration.model.options import CalibrationOptions, Mirrored
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.calibration.plausible_start import Hand
+from sunarc.common.array_types import stacked
 from sunarc.common.utc import DAY_S
 from sunarc.formats.csv_files import read_sightings
 from sunarc.optics.forward import project
@@ -26,6 +31,7 @@ SHARED = Path(__file__).parents[3] / "shared"
 REAL = SHARED / "real" / "fe4_2016-08-30.csv"
 EQUATOR = SHARED / "cases" / "engine" / "n_equator-about-equinox--mirrored-untold--1-d_lens0.csv"
 SIZE = (pop.SIZE, pop.SIZE)
+NORTH = Site(latitude=20.0, longitude=103.8)
 
 
 def _day(site: Site, date: datetime, seed: int, *, sigma_px: float = 0.3, mirrored: bool = False) -> Sightings:
@@ -110,3 +116,45 @@ def test_a_latitude_of_the_wrong_sign_is_no_mirror_image() -> None:
         (said,) = [one for one in calibration.verdict.findings if one.code == "latitude_of_other_sign_fits"]
         assert said.data["latitude"] == pytest.approx(54.4959)
     assert calibrate(points, site=right, image_size=(1920, 1920)).verdict.accepted
+
+
+def _day_and_sunrise(*, n_of_day: int, pose: int) -> Sightings:
+    """Return a mirrored camera's day at 20° north, and two sightings of a pose when the sun is down at 20° south."""
+    day = _day(NORTH, datetime(2026, 6, 21, tzinfo=UTC), 5, mirrored=True)
+    low = day.select(slice(0, 2))
+    later = replace(low, unix_s=low.unix_s + DAY_S, epoch=np.full(2, pose))
+    return stacked([day.select(slice(25, -25)).thinned(n_of_day), later])
+
+
+@pytest.mark.parametrize(
+    ("n_of_day", "pose", "n_fits"),
+    [(60, 0, 1), (60, 1, 0), (19, 0, 0)],
+    ids=["enough", "a pose without sightings", "too few sightings"],
+)
+def test_the_other_latitude_is_asked_about_by_sightings_that_can_be_fitted(
+    monkeypatch: pytest.MonkeyPatch, n_of_day: int, pose: int, n_fits: int
+) -> None:
+    fit_of_hand, fits = handedness.fit_of_hand, list[Job]()
+
+    def noting(job: Job, hand: Hand, *, than: float) -> Fitted | None:
+        fits.append(job)
+        return fit_of_hand(job, hand, than=than)
+
+    monkeypatch.setattr(handedness, "fit_of_hand", noting)
+    options = CalibrationOptions(projection="equisolid", mirrored="yes")
+    calibrate(_day_and_sunrise(n_of_day=n_of_day, pose=pose), site=NORTH, image_size=SIZE, options=options)
+    of_south = [job for job in fits if job.site.latitude < 0.0]
+    assert len(of_south) == n_fits
+    assert all(len(job.usable) == n_of_day for job in of_south)
+
+
+@pytest.mark.parametrize("stated", [None, "auto"])
+def test_two_hands_that_both_miss_the_sightings_are_not_told_apart(
+    monkeypatch: pytest.MonkeyPatch, stated: Mirrored | None
+) -> None:
+    monkeypatch.setattr(compared_fits, "log_evidence", lambda *_: math.nan)  # as of cameras that miss by 1e11 px
+    options = CalibrationOptions(projection="equisolid", mirrored=stated)
+    site = Site(latitude=1.35, longitude=103.8)
+    found = calibrate(_day(site, datetime(2026, 3, 26, tzinfo=UTC), 5), site=site, image_size=SIZE, options=options)
+    assert not found.verdict.accepted
+    assert _codes(found)[0] == "mirroring_ambiguous"

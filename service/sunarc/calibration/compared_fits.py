@@ -57,10 +57,12 @@ def log_evidences(lenses: Mapping[Name, ComparedLens], bins: Bins, information: 
     """Return the log evidence of each over the best one's, the sightings of some information (n,), px⁻².
 
     It is over lens and pose (Laplace's approximation), the scales of the residual distortion, and those of the field.
+    Minus infinity for all where none comes near the sightings.
     """
     found: dict[Name, float] = {}
     for name, (problem, observed, at, grid) in lenses.items():
         system = linear_system(problem, observed, bins, at, information=information, basis=grid.basis)
         value = log_evidence(log_weights(system.normal(), grid))
         found[name] = -math.inf if math.isnan(value) else value  # a camera may miss the sightings by 1e11 px
-    return {name: value - max(found.values()) for name, value in found.items()}
+    best = max(found.values())
+    return {name: value - best if math.isfinite(best) else value for name, value in found.items()}

@@ -19,7 +19,7 @@ from sunarc.calibration.fit.robust_fit import RobustFit, fit_robustly
 from sunarc.calibration.model.sightings import Kind, filter_sightings
 from sunarc.calibration.noise import NoiseGroups
 from sunarc.calibration.plausible_start import Hand, Start, plausible_start
-from sunarc.calibration.quality.fit_checks import below_horizon
+from sunarc.calibration.quality.fit_checks import before_fit, below_horizon
 from sunarc.calibration.quality.tilt import mount_density
 from sunarc.common.findings import Finding
 from sunarc.optics.pose import rotation_matrix
@@ -98,10 +98,14 @@ def fit_of_hand(job: Job, hand: Hand, *, than: float) -> Fitted | None:
 
 
 def gain_of_other(fitted: Fitted, other: Fitted, job: Job) -> float:
-    """Return by how many half squares another fit of the job's sightings is more probable, mounts considered."""
+    """Return by how many half squares another fit of the job's sightings is more probable, mounts considered.
+
+    0 where neither camera comes near the sightings, so that they tell nothing.
+    """
     both = {False: fitted.fit, True: other.fit}
     evidence = log_evidences_of_fits(both, NoiseGroups.of(job.usable).bins)
-    return evidence[True] - evidence[False] + _log_density(other.fit) - _log_density(fitted.fit)
+    gain = evidence[True] - evidence[False] + _log_density(other.fit) - _log_density(fitted.fit)
+    return 0.0 if math.isnan(gain) else gain
 
 
 def _log_density(fit: RobustFit) -> float:
@@ -126,7 +130,10 @@ def _of_other_latitude(fitted: Fitted, job: Job) -> Finding | None:
     if len(usable) == 0 or below_horizon(usable, job.options):
         return None
     there, here = np.isin(usable.index, job.usable.index), np.isin(job.usable.index, usable.index)
-    twin = fit_of_hand(job._replace(usable=usable.select(there), site=site, start=None), "no", than=fitted.start.cost)
+    some = usable.select(there)
+    if before_fit(some, job.options) or np.unique(some.epoch).size != np.unique(job.usable.epoch).size:
+        return None
+    twin = fit_of_hand(job._replace(usable=some, site=site, start=None), "no", than=fitted.start.cost)
     if twin is None:
         return None
     if not np.all(here):  # the same sightings on both sides
