@@ -18,7 +18,7 @@ import uuid
 from pathlib import Path
 from typing import Any
 
-REVISION = "0019"
+REVISION = "0020"
 AGAIN_LATER = {408, 429, 500, 502, 503, 504}
 
 

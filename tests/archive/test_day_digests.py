@@ -8,6 +8,7 @@ from datetime import date, timedelta
 from pathlib import Path
 
 import pytest
+from pydantic import TypeAdapter
 from sqlalchemy import Connection
 from tests.archive.test_feeds import live_a_little
 from tests.fixtures.fleet import NOON, NOW, feed, new_imager, next_batch, sighting
@@ -15,7 +16,8 @@ from tests.fixtures.fleet import NOON, NOW, feed, new_imager, next_batch, sighti
 from sunarc.common.findings import uncoded
 from sunarc.hub.archive import HubArchive
 from sunarc.imager.archive import day_digests as digests_module
-from sunarc.imager.archive.day_digests import MOST_DAYS, DayDigest, DayDigests
+from sunarc.imager.archive.database.schema import head_revision
+from sunarc.imager.archive.day_digests import MOST_DAYS, DayDigest, DayDigests, StoredDays
 from sunarc.imager.archive.values import Day, Event
 
 DAY = NOON.date()
@@ -161,3 +163,8 @@ def test_a_day_without_time_is_of_its_date(imager: HubArchive, hub: HubArchive) 
     imager.days.save(day)
     feed(imager, hub)
     assert set(of_hub(hub, imager).days["day"]) == {date(2026, 5, 20)}
+
+
+def test_the_example_of_a_revision_is_the_head() -> None:
+    examples = TypeAdapter(StoredDays).json_schema()["properties"]["revision"]["examples"]
+    assert examples == [head_revision()]

@@ -88,7 +88,7 @@ class DayDigests:
 class StoredDays(Returned):
     """What a hub has of a camera, for a comparison with what its imager has."""
 
-    revision: Annotated[str, described("Revision of the hub's tables; of rows of another one nothing is said.", "0019")]
+    revision: Annotated[str, described("Revision of the hub's tables; of rows of another one nothing is said.", "0020")]
     until: Annotated[date, described("The day after the last one of which something is said.", "2026-06-30")]
     days: Annotated[
         Mapping[str, Mapping[date, DayDigest | None]],
