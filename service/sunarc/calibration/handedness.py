@@ -25,12 +25,12 @@ from sunarc.common.findings import Finding
 from sunarc.optics.pose import rotation_matrix
 
 _AMBIGUOUS = 3.0
-"""Half squares by which the finished fit of one handedness must be the more probable one."""
+"""Logarithm of the odds (half a difference of chi-squared) for a handedness to be taken: 20 to 1. Chosen."""
 _BETTER = 10.0
-"""Half squares by which another camera must be more probable to be named as the right one."""
+"""Logarithm of the odds for another camera to be named as the right one: 22,000 to 1. Chosen."""
 _FAR = 60.0
-"""Half squares between starts from which the worse one is not fitted: of 36 days near the equator none became the
-better one by the fit."""
+"""Half a difference of chi-squared between starts, from which the worse one is not fitted: of 36 days near the equator
+none became the better one by the fit."""
 
 
 class Fitted(NamedTuple):

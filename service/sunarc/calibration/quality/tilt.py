@@ -25,11 +25,17 @@ from sunarc.sky.site import Site
 LEVEL_DEG = 5.0
 """degrees; a camera tilted by more is asked about. A mount that was levelled by hand and eye is level to 2."""
 _DEG_PER_H, _MIN_PER_DEG = 15.0, 4.0
+"""Degrees of longitude by which the sun goes in an hour, and minutes that it takes for a degree."""
 _LEVELLED_DEG = 2.0
+"""1-sigma of a mount levelled by hand and eye about each axis, degrees. Chosen, not measured."""
 _TILTED_ON_PURPOSE = 0.05
+"""Share of mounts that were not levelled, with any tilt up to the steepest. Chosen, not measured."""
 _STEEPEST_DEG = 75.0
-"""1-sigma of a levelled mount about each axis; share of mounts that were not levelled: any tilt up to the steepest."""
+"""degrees; a camera tilted by more looks at the horizon. Chosen, not measured."""
+_OVER_STEEPEST = 0.01
+"""Density of tilts beyond the steepest as a share of that below: rare, not excluded. Chosen, not measured."""
 _LARGEST_ZONE_H = 14
+"""hours; the zone farthest from UTC, of Kiribati (tz database)."""
 _EXCHANGED, _WRONG_SIGN, _WRONG_ZONE, _WRONG_CLOCK, _WRONG_COORDINATE = 0.005, 0.005, 0.02, 0.02, 0.001
 """Shares of sites whose coordinates are exchanged, or one of whose coordinates has the wrong sign; whose times are of
 another zone (whole hours, the rarer the more), by a clock that is off, or one of whose coordinates is wrong by any
@@ -166,7 +172,7 @@ def mount_density(axis: FloatArray) -> FloatArray:
     tilt, sigma = angles_from_direction(axis)[0], math.radians(_LEVELLED_DEG)
     levelled = np.exp(-0.5 * (tilt / _LEVELLED_DEG) ** 2) / (2.0 * math.pi * sigma**2)
     cap = 2.0 * math.pi * (1.0 - math.cos(math.radians(_STEEPEST_DEG)))
-    on_purpose = np.where(tilt <= _STEEPEST_DEG, 1.0, 0.01) / cap
+    on_purpose = np.where(tilt <= _STEEPEST_DEG, 1.0, _OVER_STEEPEST) / cap
     return np.asarray((1.0 - _TILTED_ON_PURPOSE) * levelled + _TILTED_ON_PURPOSE * on_purpose)
 
 

@@ -25,9 +25,9 @@ from sunarc.imager.workers.messages import MESSAGES, condition
 
 _log = logging.getLogger(__name__)
 _BEGINS_S, _SPREAD_S = 3600, 7200
-"""After midnight, mean solar time; a fleet's comparisons begin within two hours."""
+"""s after midnight, mean solar time, and s over which a fleet's comparisons begin: of 1000 imagers one every 7 s."""
 _AGAIN_S = 600.0
-"""After a comparison that failed: the hub was busy or not reached."""
+"""s after a comparison that failed: the hub was busy or not reached, and is left alone."""
 _WITHOUT_COMPARISON = frozenset({HTTPStatus.NOT_FOUND, HTTPStatus.METHOD_NOT_ALLOWED, HTTPStatus.NOT_IMPLEMENTED})
 _WINDOW = timedelta(days=MOST_DAYS)
 _NONE = DayDigest(0, f"{0:016x}")
