@@ -25,6 +25,7 @@ from sunarc.calibration.noise import NoiseGroups, measured_noise
 from sunarc.calibration.plausible_start import Start, most_plausible_start
 from sunarc.calibration.quality.fit_checks import before_fit, too_uncertain
 from sunarc.calibration.start.initial_guess import single_problem
+from sunarc.common.array_types import FloatArray
 from sunarc.common.findings import Finding
 from sunarc.optics.camera import PARAMETER_NAMES, Camera
 from sunarc.optics.forward import project, project_with_rows_fast
@@ -41,6 +42,8 @@ _LEAST_PROBABILITY = 0.01
 """Probability above which the difference to another projection's camera enters the stated uncertainty."""
 _RIDGE = 1e-6
 """Share of the largest singular value below which a direction of the parameters images nothing."""
+_RIM = 0.1
+"""Share of the seen sky that another lens may leave out without a difference: the rim beyond 90° of a tilted camera."""
 _FEWEST = 60
 """Usable sightings that a choice needs: of 35, a third of them drawn aside by cloud, a wrong lens was made by far the
 most probable one."""
@@ -163,23 +166,42 @@ def _with_differences(calibration: Calibration, others: Sequence[Camera]) -> tup
     directions = seen_sky(camera)
     pixels, by_parameters = project_with_rows_fast(camera, directions)
     rows = by_parameters[..., [PARAMETER_NAMES.index(name) for name in calibration.parameter_names]]
+    seen = np.all(np.isfinite(pixels), axis=-1) & np.all(np.isfinite(rows), axis=(1, 2))
+    if not np.any(seen):
+        return calibration, 0.0
+    directions, pixels, rows = directions[seen], pixels[seen], rows[seen]
     scale = np.sqrt(np.maximum(np.diag(calibration.covariance), np.finfo(float).tiny))
     more, squares = np.zeros_like(calibration.covariance), []
     for other in others:
-        # another lens may image the horizon far outside of the image
-        there = np.clip(project(other, directions), 0.0, (camera.width - 1.0, camera.height - 1.0))
-        seen = np.all(np.isfinite(pixels), axis=-1) & np.all(np.isfinite(rows), axis=(1, 2))
-        if not np.any(seen):
+        there = _places_by(other, directions, pixels)
+        off = np.degrees(angular_distance(unproject(camera, there), directions))
+        compared = np.isfinite(off)
+        if not np.any(compared):
             continue
-        design, apart = (rows[seen] * scale).reshape(-1, scale.size), np.nan_to_num((there - pixels)[seen]).ravel()
+        design, apart = (rows[compared] * scale).reshape(-1, scale.size), (there - pixels)[compared].ravel()
         change = scale * np.linalg.lstsq(design, apart, rcond=_RIDGE)[0]
-        more += np.outer(change, change) / len(others)
-        off = np.degrees(angular_distance(unproject(camera, there[seen]), directions[seen]))
-        squares.append(float(np.nanmean(off**2)))
-    widened = with_covariance(calibration, calibration.covariance + more)
+        more += np.outer(change, change)
+        squares.append(float(np.mean(off[compared] ** 2)))
+    n_compared = max(len(squares), 1)
+    widened = with_covariance(calibration, calibration.covariance + more / n_compared)
     rms, most = sky_sigma_deg(widened)
-    off_deg = math.sqrt(sum(squares) / len(others))
-    return replace(widened, sky_rms_deg=rms, sky_max_deg=most), off_deg
+    return replace(widened, sky_rms_deg=rms, sky_max_deg=most), math.sqrt(sum(squares) / n_compared)
+
+
+def _places_by(other: Camera, directions: FloatArray, pixels: FloatArray) -> FloatArray:
+    """Return (n, 2), px: where another camera images directions that are imaged at some pixels, within the image.
+
+    NaN at the rim that it does not image; where it does not image more than that, it is half the image off.
+    """
+    size = np.array([other.width, other.height], dtype=np.float64)
+    # another lens may image the horizon far outside of the image
+    there = np.clip(project(other, directions), 0.0, size - 1.0)
+    missing = ~np.all(np.isfinite(there), axis=-1)
+    if np.mean(missing) > _RIM:
+        outward = pixels[missing] - 0.5 * (size - 1.0)
+        outward /= np.maximum(np.linalg.norm(outward, axis=-1, keepdims=True), 1.0)
+        there[missing] = pixels[missing] - 0.5 * np.min(size) * outward
+    return np.asarray(there)
 
 
 def compare_projections(job: Job) -> tuple[ProjectionChoice, dict[Projection, Fitted]]:
