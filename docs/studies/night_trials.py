@@ -233,7 +233,7 @@ class Made:
         views = [
             StarView(
                 unix_s=when + late_s, sky=nights.sky_of(when + late_s), stars=stars,
-                predicted=nights.predicted(served, when + late_s, within_px=BENT_PX),
+                predicted=nights.predicted(served, when + late_s, within_px=BENT_PX), camera=served.camera,
             )
             for when, stars, _ in found
         ]  # fmt: skip

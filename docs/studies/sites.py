@@ -113,7 +113,7 @@ def fitted(world: World, slip: str, number: int) -> Calibration:
     rng, (latitude, longitude) = np.random.default_rng([54, number]), world.site
     start = datetime(2024, 1, 1, tzinfo=UTC) + timedelta(days=int(rng.integers(0, 270)))
     step = {1: "5min", 4: "12min"}[world.days]
-    times = pd.DatetimeIndex([])
+    times: pd.Index[pd.Timestamp] = pd.DatetimeIndex([])
     for day in range(world.days):
         noon = start + timedelta(days=20 * day, hours=12.0 - longitude / 15.0)
         times = times.append(pd.date_range(noon - timedelta(hours=9), noon + timedelta(hours=9), freq=step))

@@ -9,7 +9,7 @@ from sqlalchemy import URL
 from tests.fixtures.archive import make_empty
 from tests.fixtures.postgresql import Server, postgresql
 
-from sunarc.imager.archive.archive import Archive, open_archive
+from sunarc.hub.archive import HubArchive, open_hub_archive
 from sunarc.imager.archive.values import CameraRecord
 
 __all__ = ["postgresql"]
@@ -50,8 +50,8 @@ def store(engine: str, tmp_path: Path, request: pytest.FixtureRequest) -> Iterat
 
 
 @pytest.fixture
-def archive(store: Path | URL) -> Iterator[Archive]:
-    archive = open_archive(store)
+def archive(store: Path | URL) -> Iterator[HubArchive]:
+    archive = open_hub_archive(store)
     archive.cameras.save(ROOF)
     archive.epochs.open("roof", at=datetime(2013, 5, 1, tzinfo=UTC), reason="installed")
     yield archive
@@ -59,7 +59,7 @@ def archive(store: Path | URL) -> Iterator[Archive]:
 
 
 @pytest.fixture
-def hub(store: Path | URL) -> Iterator[Archive]:
+def hub(store: Path | URL) -> Iterator[HubArchive]:
     """Yield an archive that has no camera yet."""
-    with open_archive(store) as archive:
+    with open_hub_archive(store) as archive:
         yield archive

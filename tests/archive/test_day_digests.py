@@ -52,7 +52,7 @@ def test_they_are_equal_where_the_rows_are(imager: HubArchive, hub: HubArchive) 
     own = of_imager(imager)
     assert own == of_hub(hub, imager)
     assert {kind for kind, days in own.days.items() if days} == digests_module._DAY_COLUMNS.keys() - {"housekeeping"}
-    assert own.days["sun_point"][DAY].n == len(imager.sightings.find("roof"))
+    assert own.days["sun_point"][DAY].n == len(imager.sightings.find("roof"))  # type: ignore[union-attr]
     assert own.until == UNTIL
 
 

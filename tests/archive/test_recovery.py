@@ -211,22 +211,6 @@ def test_many_threads_lose_nothing_that_was_acknowledged_when_the_database_is_de
     assert check(path).sound
 
 
-def test_a_restored_database_belongs_to_the_owner_of_its_folder(archive: Archive, path: Path, tmp_path: Path) -> None:
-    if os.geteuid() != 0:
-        pytest.skip("only root may give files away")
-    archive.close()
-    state = tmp_path / "theirs"
-    state.mkdir()
-    os.chown(state, 12345, 12346)
-    target = state / "sunarc.sqlite"
-    restore(target, path, now=NOW)
-    kept = restore(target, path, now=NOW)
-    assert kept is not None
-    for file in (target, kept):
-        found = file.stat()
-        assert (found.st_uid, found.st_gid, oct(found.st_mode & 0o777)) == (12345, 12346, "0o640")
-
-
 @pytest.mark.parametrize("content", [b"", b"SQLite format 3\0" + bytes(5000), b"something else"])
 def test_a_damaged_database_is_moved_aside_by_a_restore(archive: Archive, path: Path, content: bytes) -> None:
     remember(archive, "here")

@@ -17,7 +17,7 @@ from time import perf_counter
 
 from tests.fleet.simulated_fleet import Fleet, Imager, feed_worker, fleet_of
 
-from sunarc.imager.archive.archive import open_archive
+from sunarc.hub.archive import open_hub_archive
 from sunarc.imager.workers.options import HubOptions
 
 _ROWS_A_DAY = 2880
@@ -32,7 +32,7 @@ def send_all(imagers: list[tuple[Path, str, HubOptions]]) -> None:
     """Send for ever, a thread an imager: in a process of its own, as imagers share no interpreter with others."""
     with ExitStack() as stack:
         for file, name, options in imagers:
-            archive = stack.enter_context(open_archive(file))
+            archive = stack.enter_context(open_hub_archive(file))
             worker = feed_worker(archive, name, options)
             arguments = (threading.Event(), lambda: None)
             threading.Thread(target=worker.run, args=arguments, daemon=True).start()

@@ -33,8 +33,10 @@ def image(folder: Path, number: int, *, deep: bool = False) -> ArchiveImage:
 
 
 def sighting(one: ArchiveImage, verdict: str, *, x: float | None = None) -> FileSighting:
+    time_us, exposure_us, file, _ = one.key
+    y = None if x is None else 100.0
     return FileSighting(
-        *one.key, "paper", verdict == "clear", verdict, 1, x_px=x, y_px=None if x is None else 100.0, radius_px=8.0
+        time_us, exposure_us, file, "paper", verdict == "clear", verdict, 1, x_px=x, y_px=y, radius_px=8.0
     )
 
 

@@ -12,7 +12,7 @@ from tests.fixtures.archive import new_archive
 from tests.fixtures.board import status_registry
 
 from sunarc.common.errors import InputError
-from sunarc.hub.archive import HubArchive
+from sunarc.hub.archive import HubArchive, open_hub_archive
 from sunarc.hub.nightly import NightlyWork, nightly_jobs
 from sunarc.imager.runtime.clock import VirtualClock
 from sunarc.imager.runtime.status import StatusRegistry
@@ -50,7 +50,8 @@ class Bench:
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[Bench]:
     clock = VirtualClock(NIGHT)
-    with new_archive(tmp_path) as archive:
+    new_archive(tmp_path).close()
+    with open_hub_archive(tmp_path / "sunarc.sqlite") as archive:
         yield Bench(archive, clock, status_registry(clock))
 
 

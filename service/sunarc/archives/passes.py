@@ -339,8 +339,9 @@ def without_lifted(searched: Looked, looked: Looked, refused: Sequence[bool]) ->
 
 
 def _lifted(first: Found, second: Found) -> bool:
-    suns = isinstance(first, FoundSun) and isinstance(second, FoundSun)
-    return suns and second.accepted and not first.accepted
+    if not isinstance(first, FoundSun) or not isinstance(second, FoundSun):
+        return False
+    return second.accepted and not first.accepted
 
 
 def _place(found: FoundSun) -> tuple[float, float] | None:

@@ -40,8 +40,8 @@ from sunarc.imager.cameras.frame import SkyCamera
 from sunarc.imager.cameras.options import AravisOptions, FolderOptions
 from sunarc.imager.commands.first_look import MESSAGES as OF_FIRST_LOOK
 from sunarc.imager.commands.first_look import TriedPicture, judge_site, look_for_sun, small_picture, try_pictures
+from sunarc.imager.live.folder_conditions import time_rules
 from sunarc.imager.live.folder_files import is_image
-from sunarc.imager.live.folder_worker import time_rules
 from sunarc.imager.live.rtsp import client_of
 from sunarc.imager.runtime.clock import Clock, SystemClock, host_clock_state
 from sunarc.imager.runtime.host import listen, prepare_state

@@ -62,7 +62,7 @@ def pictures(camera: Camera) -> Iterator[tuple[datetime, NDArray[np.uint8], tupl
         if camera.kind.startswith("frozen") and n >= fault_at:
             shown, sun = still if still is not None else (shown, sun)
             still = (shown, sun)
-        shown = _damaged(camera, shown) if n >= fault_at else shown
+        shown = np.asarray(_damaged(camera, shown) if n >= fault_at else shown, np.uint8)
         if camera.clock:
             shown = cv2.rectangle(shown.copy(), (0, 0), (SIDE // 2, 10), 0, -1)
             text = f"{time:%H:%M:%S}"
@@ -105,7 +105,7 @@ def _damaged(camera: Camera, shown: NDArray[np.uint8]) -> NDArray[np.uint8]:
     if camera.kind == "smear":
         shown = shown.copy()
         shown[SIDE // 2 :] = shown[SIDE // 2]
-    return shown & 0xF0 if camera.kind == "four bits" else shown
+    return np.asarray(shown & 0xF0, np.uint8) if camera.kind == "four bits" else shown
 
 
 def codes_of(camera: Camera) -> set[str]:
@@ -127,7 +127,7 @@ def codes_of(camera: Camera) -> set[str]:
 
 def drawn(kind: str, rng: np.random.Generator) -> Camera:
     """Return a camera of a kind; four-bit data reaches the file without JPEG alone."""
-    quality = None if kind == "four bits" else rng.choice([None, 40, 75, 92])
+    quality = None if kind == "four bits" else (None, 40, 75, 92)[int(rng.integers(4))]
     noise = float(rng.choice([0.0, 0.0, 0.5, 1.5, 4.0]))
     noise = max(noise, 0.5) if kind == "frozen overcast" else noise
     return Camera(kind, noise, quality, bool(rng.integers(2)), bool(rng.integers(2)), int(rng.integers(1 << 31)))

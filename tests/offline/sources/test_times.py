@@ -6,6 +6,7 @@ import random
 import re
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 from zoneinfo import ZoneInfo
 
 import pytest
@@ -44,7 +45,7 @@ NAMES = {
 }
 
 
-def frame_of(name: str, folder: Path, *, content: bytes | None = None, **rules: object) -> TimedFrame:
+def frame_of(name: str, folder: Path, *, content: bytes | None = None, **rules: Any) -> TimedFrame:
     picture = encoded(GREY, ".png") if content is None else content
     source = open_source(str(folder_of({name: picture}, folder)))
     names = {file.name for file in source.files()}

@@ -249,7 +249,8 @@ class Service:
         if settings.source != "folder" or options is None:
             return None, None
         from sunarc.imager.live.folder_archive import FolderArchiveWorker  # noqa: PLC0415
-        from sunarc.imager.live.folder_worker import FolderWorker, time_rules  # noqa: PLC0415
+        from sunarc.imager.live.folder_conditions import time_rules  # noqa: PLC0415
+        from sunarc.imager.live.folder_worker import FolderWorker  # noqa: PLC0415
         from sunarc.imager.live.live_images import LiveImages  # noqa: PLC0415
 
         rules = time_rules(options)

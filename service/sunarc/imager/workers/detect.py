@@ -103,8 +103,8 @@ class FrozenFrames:
         if earlier is None:
             earlier = self._same_position(frame.time, detection)
         if earlier is None:
-            repeated = self._tiles.earlier(image_tiles(frame.image), frame.time, None)
-            earlier = None if repeated is None else repeated.time
+            tiles = self._tiles.earlier(image_tiles(frame.image), frame.time, None)
+            earlier = None if tiles is None else tiles.time
         if earlier is None:
             if _is_informative(frame.image):
                 self._alarm.clear()

@@ -203,7 +203,7 @@ def fetch(request: HttpRequest, *, context: ssl.SSLContext | None, limit: Limit,
         head = h11.Request(
             method=request.method,
             target=f"{request.url.scheme}://{request.url.netloc}{target}" if whole else target,
-            headers=[(name, value.encode("latin-1")) for name, value in lines.items()],
+            headers=[(name.encode("ascii"), value.encode("latin-1")) for name, value in lines.items()],
         )
         try:
             return _answer(channel, [head, h11.Data(data=request.body), h11.EndOfMessage()], limit, most_bytes)
