@@ -45,7 +45,7 @@ NAMES = {
 }
 
 
-def frame_of(name: str, folder: Path, *, content: bytes | None = None, **rules: Any) -> TimedFrame:
+def frame_of(name: str, folder: Path, *, content: bytes | None = None, **rules: Any) -> TimedFrame:  # noqa: ANN401 - as `TimeRules`
     picture = encoded(GREY, ".png") if content is None else content
     source = open_source(str(folder_of({name: picture}, folder)))
     names = {file.name for file in source.files()}
