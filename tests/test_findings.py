@@ -8,7 +8,7 @@ import math
 import pytest
 
 from sunarc.calibration import messages
-from sunarc.common.findings import Finding, Message, Messages, findings_of, from_json, significant, uncoded
+from sunarc.common.findings import Finding, Message, Messages, counted, findings_of, from_json, significant, uncoded
 
 ROOM = Messages(too_hot=Message("{what}:{value:.1f}>{limit:g}", "Hot.", "cool {what}"))
 
@@ -26,6 +26,10 @@ def test_the_sentence_and_the_remedy_are_made_of_the_data() -> None:
 )  # fmt: skip
 def test_a_number_is_shown_with_its_significant_digits(value: float | None, text: str) -> None:
     assert significant(value, 2) == text
+
+
+def test_one_thing_has_no_plural() -> None:
+    assert [counted(n, "new sighting") for n in (0, 1, 2)] == ["0 new sightings", "1 new sighting", "2 new sightings"]
 
 
 def test_counts_take_a_plural_and_what_is_not_finite_is_unknown() -> None:

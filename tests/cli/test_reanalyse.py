@@ -35,6 +35,7 @@ def test_a_folder_without_suns_has_no_calibration_and_exits_1(
     assert (camera["camera"], camera["images"], camera["accepted"]) == ("roof", 5, 0)
     assert [one["code"] for one in camera["findings"]] == ["too_few_sightings"]
     assert "2013-05-13T18:00:00Z" in answer.err
+    assert "5 images of " in answer.err
     assert {path.name for path in (tmp_path / "out").iterdir()} >= {"report.html", "report.json", "ledger.sqlite"}
 
 

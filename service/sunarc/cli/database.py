@@ -14,6 +14,7 @@ from sqlalchemy import URL
 
 from sunarc.cli.options import AsJson, Config, OptionalState, State, parse_image_size, print_rows, service_settings
 from sunarc.common.errors import InputError, disk_errors
+from sunarc.common.findings import counted
 from sunarc.common.utc import parse_time
 from sunarc.imager.archive.database.backup import backup, backup_into, newest_sound_copy, restore
 from sunarc.imager.archive.database.connections import server_url
@@ -50,7 +51,7 @@ def import_points(
     size = None if image_size is None else parse_image_size(image_size)
     added, total, outside = read_points(settings, file, image_size=size)
     left_out = f", {outside} outside the image were left out" if outside else ""
-    print(f"{added} of {total} sightings added, {total - added - outside} were there already{left_out}")
+    print(f"{added} of {counted(total, 'sighting')} added, {total - added - outside} were there already{left_out}")
     note_running_service(settings.state)
 
 

@@ -25,6 +25,7 @@ from sunarc.cli.options import (
     service_settings,
 )
 from sunarc.common.errors import InputError
+from sunarc.common.findings import counted
 from sunarc.imager.archive.messages import MESSAGES as OF_ARCHIVE
 from sunarc.imager.workers.messages import MESSAGES as OF_WORKERS
 from sunarc.sources.detect_files import METHODS
@@ -126,11 +127,11 @@ def _print_summary(summary: IngestSummary) -> None:
     )
     for night in summary.nights:
         print(
-            f"night of {night.date}: {night.verdict}, stars named in {night.accepted} of {night.images} images, "
-            f"{night.stored} new sightings"
+            f"night of {night.date}: {night.verdict}, stars named in {night.accepted} of "
+            f"{counted(night.images, 'image')}, {counted(night.stored, 'new sighting')}"
         )
     if summary.nights_known:
-        print(f"{summary.nights_known} images of nights known already")
+        print(f"{counted(summary.nights_known, 'image')} of nights known already")
     for finding in summary.camera_findings:
         print(f"camera: {sentence_of(finding, OF_ARCHIVE, OF_WORKERS)}")
     if summary.contact_sheet is not None:

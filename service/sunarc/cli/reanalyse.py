@@ -31,7 +31,7 @@ from sunarc.cli.options import (
     stated_once,
 )
 from sunarc.common.errors import InputError
-from sunarc.common.findings import significant
+from sunarc.common.findings import counted, significant
 from sunarc.common.foreign_files import name_text
 from sunarc.imager.archive.messages import MESSAGES as OF_ARCHIVE
 from sunarc.imager.runtime.clock import SystemClock
@@ -198,7 +198,7 @@ def _confirm(indexed: Indexed, *, yes: bool) -> None:
     """
     for one in indexed.cameras:
         width, height = one.size
-        seen = f"{len(one.images)} images of {width}x{height} px; times by {one.family}"
+        seen = f"{counted(len(one.images), 'image')} of {width}x{height} px; times by {one.family}"
         print(f"camera {one.plan.name}: {seen}: {one.example[0]} is {one.example[1]}", file=sys.stderr)
     for failure in (*indexed.refused, *indexed.failures[:_LISTED]):
         print(f"left out {failure.file}: {sentence_of(failure.finding, OF_ARCHIVE)}", file=sys.stderr)
@@ -243,5 +243,6 @@ def _print(summary: Summary, target: Path) -> None:
     print_table(header, rows)
     images, suns = (sum(one[key] for one in summary.report["cameras"]) for key in ("images", "accepted"))
     left_out = sum(summary.report["failures"].values())
-    print(f"{images} images, {suns} suns, {left_out} files left out, {summary.report['seconds']:.0f} s")
+    counts = (counted(images, "image"), counted(suns, "sun"), f"{counted(left_out, 'file')} left out")
+    print(f"{', '.join(counts)}, {summary.report['seconds']:.0f} s")
     print(f"report: {target / 'report.html'}")

@@ -16,6 +16,7 @@ from sunarc.cli.options import SITE, Altitude, AsJson, choice_of, print_json, pr
 from sunarc.cli.star_files import StarImage, StarOptions, find_stars, find_stars_blind, write_star_sightings
 from sunarc.common.errors import InputError, disk_errors
 from sunarc.common.extras import extra_module
+from sunarc.common.findings import counted
 from sunarc.detection.values import BAYERS
 from sunarc.formats.csv_files import read_sightings
 from sunarc.imager.runtime.clock import SystemClock
@@ -129,7 +130,7 @@ def stars(
     if output is not None:
         count = _write(output, found, sun, most)
         if not as_json:
-            print(f"{count} sightings of stars written to {output}")
+            print(f"{counted(count, 'sighting')} of stars written to {output}")
     if any(finding.code == "file_other_site" for image in found for finding in image.findings):
         raise typer.Exit(1)
 

@@ -43,11 +43,16 @@ class _Words(string.Formatter):
         if format_spec.startswith("~") and isinstance(value, int | float):
             return significant(value, int(format_spec[1:]))
         if re.fullmatch("[a-z]{3,}", format_spec):
-            return f"{value} {format_spec}" + ("" if value == 1 else "s")
+            return counted(value, format_spec)
         return str(super().format_field(value, format_spec))
 
 
 _WORDS = _Words()
+
+
+def counted(n: object, noun: str) -> str:
+    """Return a number of things with their noun: 1 day, 2 days."""
+    return f"{n} {noun}" + ("" if n == 1 else "s")
 
 
 def significant(value: float | None, digits: int) -> str:
