@@ -16,6 +16,7 @@ from tests.offline.live.followed import Followed, serve_calibration_of
 from tests.offline.live.sky_pictures import Lens, jpeg, picture, sun_at
 from tests.offline.live.test_snapshots import bomb
 
+from sunarc.imaging.preview import decoded
 from sunarc.sources import image_files
 
 MORNING = datetime(2025, 5, 13, 15, 0, tzinfo=UTC)
@@ -268,10 +269,10 @@ def test_images_of_another_size_and_of_another_camera_are_left_out_and_the_right
 def test_an_image_that_is_refused_for_its_size_is_not_decoded(
     followed: Followed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    shapes, decode = set[tuple[int, ...]](), image_files.decoded
+    shapes = set[tuple[int, ...]]()
 
     def recorded(encoded: bytes) -> NDArray[Any] | None:
-        image = decode(encoded)
+        image = decoded(encoded)
         shapes.add(() if image is None else image.shape[:2])
         return image
 
