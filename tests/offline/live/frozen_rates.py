@@ -64,7 +64,7 @@ def pictures(camera: Camera) -> Iterator[tuple[datetime, NDArray[np.uint8], tupl
             still = (shown, sun)
         shown = np.asarray(_damaged(camera, shown) if n >= fault_at else shown, np.uint8)
         if camera.clock:
-            shown = cv2.rectangle(shown.copy(), (0, 0), (SIDE // 2, 10), 0, -1)
+            shown = np.asarray(cv2.rectangle(shown.copy(), (0, 0), (SIDE // 2, 10), 0, -1), np.uint8)
             text = f"{time:%H:%M:%S}"
             shown = np.asarray(cv2.putText(shown, text, (1, 9), cv2.FONT_HERSHEY_SIMPLEX, 0.35, 220, 1), np.uint8)
         if camera.quality is not None:

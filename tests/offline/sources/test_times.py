@@ -49,7 +49,7 @@ def frame_of(name: str, folder: Path, *, content: bytes | None = None, **rules: 
     picture = encoded(GREY, ".png") if content is None else content
     source = open_source(str(folder_of({name: picture}, folder)))
     names = {file.name for file in source.files()}
-    (frame,) = timed_frames(source, name, TimeRules(**rules), names=names)  # type: ignore[arg-type]
+    (frame,) = timed_frames(source, name, TimeRules(**rules), names=names)
     return frame
 
 
@@ -268,7 +268,7 @@ def test_a_zone_in_a_name_that_contradicts_the_option_is_refused(tmp_path: Path)
 
 
 def test_a_pattern_with_folders_reads_them(tmp_path: Path) -> None:
-    rules = {"pattern": "%Y/%m/%d/%H%M%S", "offset": timedelta(0)}
+    rules: dict[str, Any] = {"pattern": "%Y/%m/%d/%H%M%S", "offset": timedelta(0)}
     assert frame_of("all/2013/05/13/183000.png", tmp_path, **rules).time == NOON
 
 
