@@ -113,10 +113,9 @@ def fitted(world: World, slip: str, number: int) -> Calibration:
     rng, (latitude, longitude) = np.random.default_rng([54, number]), world.site
     start = datetime(2024, 1, 1, tzinfo=UTC) + timedelta(days=int(rng.integers(0, 270)))
     step = {1: "5min", 4: "12min"}[world.days]
-    times: pd.Index[pd.Timestamp] = pd.DatetimeIndex([])
-    for day in range(world.days):
-        noon = start + timedelta(days=20 * day, hours=12.0 - longitude / 15.0)
-        times = times.append(pd.date_range(noon - timedelta(hours=9), noon + timedelta(hours=9), freq=step))
+    noons = [start + timedelta(days=20 * day, hours=12.0 - longitude / 15.0) for day in range(world.days)]
+    ranges = [pd.date_range(noon - timedelta(hours=9), noon + timedelta(hours=9), freq=step) for noon in noons]
+    times = pd.DatetimeIndex(np.concatenate([one.to_numpy() for one in ranges]), tz="UTC")
     directions = sun(times, latitude, longitude)
     clear = (directions[:, 2] > math.sin(math.radians(_LOWEST_DEG))) & (rng.uniform(size=len(times)) > 0.15)
     pixels = seen(world, directions[clear], mirrored=slip == "mirrored")

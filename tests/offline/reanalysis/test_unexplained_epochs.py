@@ -180,9 +180,9 @@ def test_a_few_suns_of_a_morning_have_an_epoch_that_may_be_kept_as_provisional()
 
 
 @pytest.mark.parametrize(
-    ("until_deg", "level_within_deg", "doubted"), [(180.0, None, True), (180.0, 20.0, False), (360.0, None, False)]
+    ("until_deg", "level_within_deg", "doubted"), [(180.0, None, True), (180.0, 20.0, False), (360.0, None, True)]
 )
-def test_a_tilt_that_a_few_suns_of_a_morning_determine_poorly_is_doubted(
+def test_a_tilt_that_nobody_stated_is_doubted_by_a_morning_and_by_a_day(
     until_deg: float, level_within_deg: float | None, *, doubted: bool
 ) -> None:
     """A latitude that is wrong by 7 degrees is a camera that is tilted by as much."""
