@@ -17,7 +17,7 @@ from sunarc.common.findings import Finding
 from sunarc.detection.messages import reason_of
 from sunarc.detection.stars.detect import detect_stars
 from sunarc.detection.stars.warm_pixels import WarmPixelMap
-from sunarc.imager.cameras.frame import frame_of
+from sunarc.imager.live.file_frames import frame_of
 from sunarc.sky.night import body_directions
 from sunarc.sources.image_files import images_in
 from sunarc.sources.index import ArchiveImage, CameraImages, by_night, evenly

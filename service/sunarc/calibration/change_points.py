@@ -404,7 +404,7 @@ def calibrate_moved(
         usable = replace(usable, epoch=points.epoch[usable.index])
     if begin is not None:
         found = judged(points, start=begin)
-    return Moved(lens.allowed_for(_with_moves(found, usable)), points)
+    return Moved(_with_moves(lens.allowed_for(found), usable), points)
 
 
 def _with_one_more(points: Sightings, usable: Sightings, solved: Calibration, fit: _Fit) -> Moved | None:

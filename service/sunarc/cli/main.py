@@ -14,8 +14,8 @@ from typer.core import TyperGroup
 from typer.main import get_group
 
 from sunarc import __version__
-from sunarc.cli.options import until_the_end
 from sunarc.common.errors import ConfigurationError, InputError, OutsideError, SunarcError
+from sunarc.imager.archive.database.state_folder import until_the_end
 from sunarc.imager.runtime.child_process import one_thread_each
 
 

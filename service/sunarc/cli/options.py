@@ -6,7 +6,7 @@ import json
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -16,7 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from sunarc.common.errors import InputError
-from sunarc.imager.archive.database.state_folder import as_owner
+from sunarc.imager.archive.database.state_folder import as_owner, until_the_end
 from sunarc.imager.runtime.clock import SystemClock
 
 if TYPE_CHECKING:
@@ -28,8 +28,6 @@ SITE = "Where the camera stands"
 Config = Annotated[
     Path | None, typer.Option("--config", envvar="SUNARC_CONFIG", help="Settings file (TOML).", show_default=False)
 ]
-until_the_end = ExitStack()
-"""Contexts that last until the command has ended; `main` closes them."""
 
 
 def act_as_owner(folder: Path | None) -> Path | None:
@@ -55,8 +53,6 @@ LevelWithin = Annotated[
     typer.Option(
         help="Largest tilt of the camera, degrees. Unless given, a first fit that is tilted by more than 5 is "
         "refused: a wrong site or clock looks the same.",
-        min=0.0,
-        max=90.0,
     ),
 ]
 ClockError = Annotated[

@@ -204,5 +204,5 @@ def test_sightings_of_a_frozen_image_are_an_answer_and_no_exception(
     points = replace(seen, pixels=pixels)
     found = estimate_pose(points, start=calibrated, site=SGP)
     assert found.verdict.reasons
-    assert found.verdict.accepted == (shown == "corner")  # there the first half is good
+    assert not found.verdict.accepted  # not either where the first half is good: half of the sightings is left out
     daily_pose_offset(points, calibration=calibrated, site=SGP)

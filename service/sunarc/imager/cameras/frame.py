@@ -8,16 +8,9 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Protocol, runtime_checkable
 
-import numpy as np
-
 from sunarc.common.array_types import Image
 from sunarc.common.errors import InputError
-from sunarc.common.utc import utc_time
 from sunarc.imaging.exposure import ExposureBounds
-from sunarc.sources.detect_files import estimated_full_scale
-
-_UNSTATED_US = 1e6
-"""Exposure of a file that states none: a second, so that the night's zero point is that of one exposure."""
 
 _SINGLE_CHANNEL = re.compile(r"(?:Mono|Bayer(?:RG|BG|GR|GB))(?:(8|14|16)|(10|12)(?:p|Packed)?)")
 
@@ -184,23 +177,3 @@ def full_scale_of(pixel_format: str, *, field: str = "pixel_format") -> int:
 def middle_of_exposure(start: datetime, exposure_us: float) -> datetime:
     """Return the middle of an exposure that began at `start`."""
     return start + timedelta(microseconds=exposure_us / 2.0)
-
-
-def frame_of(image: Image, unix_s: float, exposure_us: float | None, number: int) -> Frame:
-    """Return an image of a file as a frame of a camera.
-
-    Parameters
-    ----------
-    image : pixels, of 8 or 16 bits.
-    unix_s, exposure_us : when it was taken, and for how long; None where that is not stated.
-    number : among those of the night.
-    """
-    return Frame(
-        image=image,
-        time=utc_time(unix_s),
-        exposure_us=exposure_us or _UNSTATED_US,
-        gain_db=0.0,
-        pixel_format="Mono8" if image.dtype == np.uint8 else "Mono16",
-        full_scale=estimated_full_scale(image),
-        frame_id=number,
-    )

@@ -11,7 +11,7 @@ from sunarc.common.findings import Finding
 from sunarc.common.utc import utc_time
 from sunarc.imager.archive.archive import Archive, CameraArchive
 from sunarc.imager.archive.values import Night, Refit
-from sunarc.imager.cameras.frame import frame_of
+from sunarc.imager.live.file_frames import frame_of
 from sunarc.imager.runtime.loop import DropOldestQueue
 from sunarc.imager.runtime.status import StatusRegistry
 from sunarc.imager.settings.model import Settings

@@ -22,8 +22,9 @@ from sunarc.common.utc import utc_time
 from sunarc.imager.archive.archive import CameraArchive
 from sunarc.imager.archive.pictures_of_one_time import TWO_PICTURES
 from sunarc.imager.archive.seen_files import SeenFile
-from sunarc.imager.cameras.frame import Frame, frame_of
+from sunarc.imager.cameras.frame import Frame
 from sunarc.imager.cameras.options import WHOLE_SECONDS_S, FolderOptions
+from sunarc.imager.live.file_frames import frame_of
 from sunarc.imager.live.folder_conditions import DATED_AGAIN, FUTURE, AheadOfClock, ArrivalTimes, LeftOut, time_rules
 from sunarc.imager.live.folder_files import (
     FolderListing,

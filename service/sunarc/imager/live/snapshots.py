@@ -21,8 +21,9 @@ from sunarc.common.errors import ConfigurationError, InputError, OutsideError
 from sunarc.common.findings import Finding
 from sunarc.common.foreign_files import name_text
 from sunarc.imager.archive.images import ImageStore, write_atomically
-from sunarc.imager.cameras.frame import Frame, frame_of
+from sunarc.imager.cameras.frame import Frame
 from sunarc.imager.cameras.options import SnapshotOptions
+from sunarc.imager.live.file_frames import frame_of
 from sunarc.imager.live.live_images import LiveImage, LiveImages
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.runtime.loop import DropOldestQueue, Loop
