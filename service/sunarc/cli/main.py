@@ -6,6 +6,7 @@ A command's module is loaded when the command is called, with the libraries that
 from __future__ import annotations
 
 import importlib
+import io
 import sys
 from typing import Annotated, Any, NamedTuple
 
@@ -109,7 +110,8 @@ def main() -> None:
     """Run the command line; every expected failure is one line on standard error."""
     one_thread_each()
     for stream in (sys.stdout, sys.stderr):  # a name of bytes that are no text ends no command
-        stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     try:
         with until_the_end:
             cli(standalone_mode=True)
