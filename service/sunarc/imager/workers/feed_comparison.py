@@ -169,7 +169,7 @@ class FeedComparison:
         first = min(lacking, key=lambda key: key[1], default=None)
         found = None
         if first is not None:
-            found = condition("hub_lacks_rows", n_days=len(lacking), kind=first[0], first=first[1].isoformat())
+            found = condition(_LACKS, n_days=len(lacking), kind=first[0], first=first[1].isoformat())
         self.board.set_condition(_LACKS, found)
 
     def _say(self, found: Finding, severity: EventSeverity) -> None:
