@@ -13,7 +13,7 @@ import numpy as np
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.common.array_types import FloatArray, IntArray, NameArray
 from sunarc.common.errors import InputError
-from sunarc.common.utc import parse_time, rfc3339
+from sunarc.common.utc import DAY_S, parse_time, rfc3339
 from sunarc.sky.directions import angles_from_direction, direction_from_angles
 from sunarc.sky.night import SUN, body_directions
 from sunarc.sky.site import PA_PER_HPA, PRESSURE_BOUNDS_HPA, TEMPERATURE_BOUNDS_C, Site
@@ -22,7 +22,7 @@ SIGHTING_COLUMNS = ("time_utc", "x_px", "y_px", "sigma_px", "body")
 _REQUIRED = ("time_utc", "x_px", "y_px")
 _AIR_COLUMNS = ("temperature_c", "pressure_hpa")
 _DIRECTION_COLUMNS = ("zenith_deg", "azimuth_deg")
-_CLOCK_BOUNDS_S = (0.0, 86_400.0)
+_CLOCK_BOUNDS_S = (0.0, DAY_S)
 _ZENITH_BOUNDS_DEG, _AZIMUTH_BOUNDS_DEG = (0.0, 180.0), (-360.0, 360.0)
 
 

@@ -464,7 +464,7 @@ def _stated(table: Mapping[str, Any], key: str, choices: Sequence[str], common: 
     return found
 
 
-_MOST_CLOCK_S = 86_400.0
+_MOST_CLOCK_S = DAY_S
 """A clock that is off by more than a day has no bound."""
 
 
