@@ -21,22 +21,7 @@ from types import TracebackType
 from typing import Any, NamedTuple, Protocol, Self, TypeVar, cast
 
 import numpy as np
-from sqlalchemy import (
-    Column,
-    Connection,
-    Engine,
-    Integer,
-    LargeBinary,
-    MetaData,
-    String,
-    Table,
-    Text,
-    create_engine,
-    delete,
-    func,
-    insert,
-    select,
-)
+import sqlalchemy as sa
 from sqlalchemy.exc import SQLAlchemyError
 
 from sunarc.common.errors import OutsideError
@@ -44,44 +29,44 @@ from sunarc.common.findings import Finding, from_json
 from sunarc.detection.values import Detection
 from sunarc.sources.look import NamedStars, PackedMask, software
 
-_METADATA = MetaData()
-_ANSWER = Table(
+_METADATA = sa.MetaData()
+_ANSWER = sa.Table(
     "image_answer",
     _METADATA,
-    Column("camera", String(200), primary_key=True),
-    Column("address", String(500), primary_key=True),
-    Column("file", String(500), primary_key=True),
-    Column("number", Integer, primary_key=True),
-    Column("stage", Integer, primary_key=True),
-    Column("key", String(24), nullable=False),
-    Column("stamp", String(24), nullable=False),
-    Column("content", String(32)),
-    Column("found", Text, nullable=False),
+    sa.Column("camera", sa.String(200), primary_key=True),
+    sa.Column("address", sa.String(500), primary_key=True),
+    sa.Column("file", sa.String(500), primary_key=True),
+    sa.Column("number", sa.Integer, primary_key=True),
+    sa.Column("stage", sa.Integer, primary_key=True),
+    sa.Column("key", sa.String(24), nullable=False),
+    sa.Column("stamp", sa.String(24), nullable=False),
+    sa.Column("content", sa.String(32)),
+    sa.Column("found", sa.Text, nullable=False),
 )
-_CHUNK = Table(
+_CHUNK = sa.Table(
     "chunk",
     _METADATA,
-    Column("id", Integer, primary_key=True),
-    Column("camera", String(200), nullable=False),
-    Column("stage", Integer, nullable=False),
-    Column("images", Integer, nullable=False),
-    Column("version", String(40), nullable=False),
+    sa.Column("id", sa.Integer, primary_key=True),
+    sa.Column("camera", sa.String(200), nullable=False),
+    sa.Column("stage", sa.Integer, nullable=False),
+    sa.Column("images", sa.Integer, nullable=False),
+    sa.Column("version", sa.String(40), nullable=False),
 )
-_MASK = Table(
+_MASK = sa.Table(
     "mask",
     _METADATA,
-    Column("camera", String(200), primary_key=True),
-    Column("version", String(40), nullable=False),
-    Column("rows", Integer),
-    Column("columns", Integer),
-    Column("compressed", LargeBinary),
+    sa.Column("camera", sa.String(200), primary_key=True),
+    sa.Column("version", sa.String(40), nullable=False),
+    sa.Column("rows", sa.Integer),
+    sa.Column("columns", sa.Integer),
+    sa.Column("compressed", sa.LargeBinary),
 )
-_RESULT = Table(
+_RESULT = sa.Table(
     "result",
     _METADATA,
-    Column("name", String(24), primary_key=True),
-    Column("key", String(24), nullable=False),
-    Column("content", LargeBinary, nullable=False),
+    sa.Column("name", sa.String(24), primary_key=True),
+    sa.Column("key", sa.String(24), nullable=False),
+    sa.Column("content", sa.LargeBinary, nullable=False),
 )
 _AT_ONCE = 1000
 """Rows that are held at once while a camera's answers are read."""
@@ -147,7 +132,7 @@ class Ledger:
     """
 
     def __init__(self, address: str) -> None:
-        self._engine: Engine = create_engine(address)
+        self._engine: sa.Engine = sa.create_engine(address)
         with self._connected() as connection:
             if self._engine.dialect.name == "sqlite":
                 connection.exec_driver_sql("PRAGMA journal_mode=WAL")
@@ -161,7 +146,7 @@ class Ledger:
         self._engine.dispose()
 
     @contextmanager
-    def _connected(self) -> Iterator[Connection]:
+    def _connected(self) -> Iterator[sa.Connection]:
         """Connect, for one transaction; raise OutsideError where the database cannot be used, as a damaged one."""
         try:
             with self._engine.begin() as connection:
@@ -174,7 +159,7 @@ class Ledger:
         """Yield the answers for a camera's images in a pass; one that is damaged is left out, and made again."""
         c = _ANSWER.c
         columns = (c.address, c.file, c.number, c.key, c.stamp, c.content, c.found)
-        rows = select(*columns).where(c.camera == camera, c.stage == pass_number)
+        rows = sa.select(*columns).where(c.camera == camera, c.stage == pass_number)
         with self._connected() as connection:
             for row in connection.execution_options(yield_per=_AT_ONCE).execute(rows):
                 try:
@@ -199,16 +184,16 @@ class Ledger:
         with self._connected() as connection:
             for row in rows:
                 same = (c.camera == camera, c.address == row["address"], c.file == row["file"])
-                connection.execute(delete(_ANSWER).where(*same, c.number == row["number"], c.stage == pass_number))
+                connection.execute(sa.delete(_ANSWER).where(*same, c.number == row["number"], c.stage == pass_number))
             if rows:
-                connection.execute(insert(_ANSWER), rows)
+                connection.execute(sa.insert(_ANSWER), rows)
             count = {"camera": camera, "stage": pass_number, "images": len(rows), "version": version}
-            connection.execute(insert(_CHUNK), [count])
+            connection.execute(sa.insert(_CHUNK), [count])
 
     def mask(self, camera: str, *, version: str) -> KeptMask | None:
         """Return the mask of a camera that was kept; None where none was, or by another version, or it is damaged."""
         c = _MASK.c
-        rows = select(c.rows, c.columns, c.compressed).where(c.camera == camera, c.version == version)
+        rows = sa.select(c.rows, c.columns, c.compressed).where(c.camera == camera, c.version == version)
         with self._connected() as connection:
             row = connection.execute(rows).first()
         if row is None:
@@ -228,12 +213,12 @@ class Ledger:
         compressed = None if mask is None else mask.compressed
         row = {"camera": camera, "version": version, "rows": rows, "columns": columns, "compressed": compressed}
         with self._connected() as connection:
-            connection.execute(delete(_MASK).where(_MASK.c.camera == camera))
-            connection.execute(insert(_MASK), [row])
+            connection.execute(sa.delete(_MASK).where(_MASK.c.camera == camera))
+            connection.execute(sa.insert(_MASK), [row])
 
     def result(self, name: str, key: str) -> Any:  # noqa: ANN401 - of any type
         """Return what was kept under a name; None where nothing was, or it was made of something else."""
-        rows = select(_RESULT.c.content).where(_RESULT.c.name == content_key(name), _RESULT.c.key == key)
+        rows = sa.select(_RESULT.c.content).where(_RESULT.c.name == content_key(name), _RESULT.c.key == key)
         with self._connected() as connection:
             content = connection.scalar(rows)
         return None if content is None else _unpacked(content)
@@ -243,8 +228,8 @@ class Ledger:
         # by its hash: a name holds paths, which may be longer than a column
         row = {"name": content_key(name), "key": key, "content": pickle.dumps(value, protocol=5)}
         with self._connected() as connection:
-            connection.execute(delete(_RESULT).where(_RESULT.c.name == row["name"]))
-            connection.execute(insert(_RESULT), [row])
+            connection.execute(sa.delete(_RESULT).where(_RESULT.c.name == row["name"]))
+            connection.execute(sa.insert(_RESULT), [row])
 
     def each(
         self, make: ParallelMap, run: Callable[[Given], Made], given: Sequence[Given], *, names: Sequence[str]
@@ -270,7 +255,7 @@ class Ledger:
     def chunks(self) -> int:
         """Return how many chunks were ever finished."""
         with self._connected() as connection:
-            return int(connection.scalar(select(func.count()).select_from(_CHUNK)) or 0)
+            return int(connection.scalar(sa.select(sa.func.count()).select_from(_CHUNK)) or 0)
 
 
 def _written(found: Detection | NamedStars | Finding) -> dict[str, Any]:

@@ -21,14 +21,7 @@ from sunarc.detection.values import Detection, Expectation, Verdict
 from sunarc.optics.forward import project
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions
-from sunarc.sources.expected_sun import (
-    MOST_EXPOSURES,
-    PREDICTED,
-    SEARCHED,
-    STARS,
-    expectations,
-    is_consistent,
-)
+from sunarc.sources import expected_sun
 from sunarc.sources.index import ArchiveImage, CameraImages, ReportProgress
 from sunarc.sources.look import (
     IN_STACK,
@@ -154,7 +147,7 @@ class Passes(NamedTuple):
             Work(one, [(n, Item(i.file, i.number, i.exposure_us)) for n, i in enumerate(one.images)], mask)
             for one, mask in zip(cameras, masks, strict=True)
         )
-        found = self._looked(work, SEARCHED, "searching")
+        found = self._looked(work, expected_sun.SEARCHED, "searching")
         return [_complete(one.images, new) for one, new in zip(cameras, found, strict=True)]
 
     def predict(
@@ -171,7 +164,7 @@ class Passes(NamedTuple):
             Work(camera, _not_as_expected(looked, of_camera), mask)
             for (camera, looked), of_camera, mask in zip(searched, expected, masks, strict=True)
         )
-        found = self._looked(work, PREDICTED, "with prediction")
+        found = self._looked(work, expected_sun.PREDICTED, "with prediction")
         return [
             _complete(
                 looked.images, (former if one is None else one for one, former in zip(new, looked.found, strict=True))
@@ -182,7 +175,7 @@ class Passes(NamedTuple):
     def name(self, work: Iterable[Work], *, run: Callable[[Chunk], list[Answer]]) -> list[Looked]:
         """Return the stars that are named in images of the night; `run` names those of a unit of work."""
         every = list(work)
-        found = self._looked(every, STARS, "naming stars", run=run)
+        found = self._looked(every, expected_sun.STARS, "naming stars", run=run)
         return [_complete(one.camera.images, new) for one, new in zip(every, found, strict=True)]
 
     def _looked(
@@ -314,7 +307,7 @@ def _not_as_expected(looked: Looked, expected: Sequence[Expectation | None]) -> 
         for number, (image, found, one) in enumerate(zip(looked.images, looked.found, expected, strict=True))
         if isinstance(found, FoundSun)
     ]
-    again = [one for one in suns if one[2].verdict != IN_STACK and not is_consistent(one[2], one[3])]
+    again = [one for one in suns if one[2].verdict != IN_STACK and not expected_sun.is_consistent(one[2], one[3])]
     stacked = {image.time_us for _, image, found, _ in suns if found.verdict == IN_STACK}
     times = {image.time_us for _, image, _, _ in again} & stacked
     numbers = {number for number, *_ in again}
@@ -377,7 +370,7 @@ def _stacks_of(work: Work, waiting: Mapping[int, Item]) -> list[Chunk]:
     stacks = [
         part
         for members in by_time.values()
-        for part in ([members] if len(members) <= MOST_EXPOSURES else [[one] for one in members])
+        for part in ([members] if len(members) <= expected_sun.MOST_EXPOSURES else [[one] for one in members])
         if any(number in waiting for number, _ in part)
     ]
     alone = [] if plan.one_by_one else [part[0] for part in stacks if len(part) == 1]
@@ -416,7 +409,7 @@ def predictions(
         state = states[epochs[number].state]
         times = np.array([image.unix_s for image in members]) - state.clock_offset_s
         misfit = None if misfit_px is None else misfit_px[epochs[number].state]
-        found = expectations(state.calibration, times, site=camera.plan.site, misfit_px=misfit)
+        found = expected_sun.expectations(state.calibration, times, site=camera.plan.site, misfit_px=misfit)
         expected += [rounded(one) for one in found]
     return expected
 

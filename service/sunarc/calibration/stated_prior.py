@@ -9,21 +9,12 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Gt, Le
 
+from sunarc.calibration import pose
 from sunarc.calibration.answers.error_model import error_model_of
 from sunarc.calibration.fit.assemble import Job, calibration_from_fit, refused, unseen_field
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances
 from sunarc.calibration.model.result import Calibration, refused_for, with_options
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
-from sunarc.calibration.pose import (
-    FEWEST,
-    MOST,
-    fit_pose,
-    options_about,
-    outcome_of,
-    stated_calibration,
-    tolerance_px,
-    with_noise,
-)
 from sunarc.calibration.solve.priors import FREE, LENS, N_LENS, lens_prior, precisions
 from sunarc.common.array_types import FloatArray
 from sunarc.common.bounds import require_bounds
@@ -82,24 +73,24 @@ def calibrate_with_prior(
     options : what makes the answer acceptable; its projection and handedness are the prior's.
     """
     prior = prior.lens_alone()
-    options = options_about(prior, options)
+    options = pose.options_about(prior, options)
     size = (prior.width, prior.height)
     usable = filter_sightings(points, site=site, image_size=size)
     job = Job(points=points, usable=usable, site=site, image_size=size, options=options, start=prior, free="prior")
     job = job._replace(tilt_known=tolerances.pose_deg is not None)  # a stated pose states its tilt
-    if len(usable) < FEWEST:
-        return refused(job, (Finding("too_few_sightings", {"n": len(usable), "least": FEWEST}),))
+    if len(usable) < pose.FEWEST:
+        return refused(job, (Finding("too_few_sightings", {"n": len(usable), "least": pose.FEWEST}),))
     basis = whitened_basis(prior, tolerances)
     # its pose is free of error: `fit_pose` adds what is not known of it
     field = unseen_field(prior, size=FREE.size)
-    start = stated_calibration(job, prior, covariance=basis @ basis.T, field=field)
-    sightings = with_noise(usable, points, start)
+    start = pose.stated_calibration(job, prior, covariance=basis @ basis.T, field=field)
+    sightings = pose.with_noise(usable, points, start)
     turned_rad = None if tolerances.pose_deg is None else math.radians(tolerances.pose_deg)
     distance = _distance(start, sightings, turned_rad)
     if distance > _LARGEST_DEPARTURE:
         return refused(job, (_contradicted(distance),))
-    fit = fit_pose(start, sightings, turned_rad=turned_rad)
-    fitted = outcome_of(fit, start, usable, wander_rad=0.0)
+    fit = pose.fit_pose(start, sightings, turned_rad=turned_rad)
+    fitted = pose.outcome_of(fit, start, usable, wander_rad=0.0)
     result = calibration_from_fit(fitted, job)
     result = with_options(result, prior=asdict(tolerances))
     departure = _departure(prior, basis, turned_rad, fit.camera, fit.error_model.covariance)
@@ -132,8 +123,8 @@ def _distance(start: Calibration, sightings: Sightings, turned_rad: float | None
     """
     if turned_rad is None:
         return 0.0
-    model, camera, some = error_model_of(start), start.camera.at_every_angle(), sightings.thinned(MOST)
-    tolerance = tolerance_px(model.with_free_rotation(np.zeros(3), sigma_rad=turned_rad), camera, some)
+    model, camera, some = error_model_of(start), start.camera.at_every_angle(), sightings.thinned(pose.MOST)
+    tolerance = pose.tolerance_px(model.with_free_rotation(np.zeros(3), sigma_rad=turned_rad), camera, some)
     off = np.linalg.norm(finite(some.pixels - project_fast(camera, some.directions)), axis=-1)
     return float(np.median(off / tolerance)) / math.sqrt(2.0)
 

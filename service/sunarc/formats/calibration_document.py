@@ -10,16 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from sunarc.calibration.model import result
 from sunarc.calibration.model.residual_field import Field
-from sunarc.calibration.model.result import (
-    Calibration,
-    ErrorMixture,
-    Metrics,
-    Move,
-    NightDifference,
-    Provenance,
-    Verdict,
-)
 from sunarc.common.array_types import FloatArray
 from sunarc.common.errors import InputError
 from sunarc.common.findings import Finding, from_json
@@ -66,7 +58,7 @@ class DocumentReader:
             raise InputError(field=key, problem=f"{found!r} is not a number", remedy="give a number")
         return float(found)
 
-    def numbers_of(self, key: str, kind: type[Metrics | Site]) -> dict[str, Any]:
+    def numbers_of(self, key: str, kind: type[result.Metrics | Site]) -> dict[str, Any]:
         """Return the numbers that a dataclass holds, by name; those with a default only where there is one."""
         optional = {f.name: f.default is not MISSING for f in fields(kind)}
         found = {name: self.number(f"{key}.{name}", needed=not may_miss) for name, may_miss in optional.items()}
@@ -112,7 +104,7 @@ Document = dict[str, Any]
 
 
 def to_document(
-    calibration: Calibration,
+    calibration: result.Calibration,
     *,
     id: str,  # noqa: A002 - the document's own name for it
     camera: str,
@@ -158,8 +150,8 @@ def to_document(
         "pose": calibration.pose._asdict(),
         "uncertainty": _uncertainty(calibration),
         "night": None if calibration.night is None else _plain(asdict(calibration.night)),
-        "metrics": {f.name: _number(getattr(calibration.metrics, f.name)) for f in fields(Metrics)},
-        "evidence": {f.name: _plain(getattr(calibration.evidence, f.name)) for f in fields(Provenance)},
+        "metrics": {f.name: _number(getattr(calibration.metrics, f.name)) for f in fields(result.Metrics)},
+        "evidence": {f.name: _plain(getattr(calibration.evidence, f.name)) for f in fields(result.Provenance)},
         "verdict": {
             "accepted": calibration.verdict.accepted,
             "marginal": calibration.verdict.marginal,
@@ -170,7 +162,7 @@ def to_document(
     }
 
 
-def _uncertainty(calibration: Calibration) -> Document:
+def _uncertainty(calibration: result.Calibration) -> Document:
     return {
         "parameters": list(calibration.parameter_names),
         "covariance": calibration.covariance.tolist(),
@@ -183,13 +175,13 @@ def _uncertainty(calibration: Calibration) -> Document:
     }
 
 
-def _without_clock_deg(calibration: Calibration) -> float:
+def _without_clock_deg(calibration: result.Calibration) -> float:
     """Return the 1-sigma over the sky without the clock's error that is stated for all sightings, degrees."""
     without_deg = calibration.sky_rms_without_clock_deg
     return calibration.sky_rms_deg if without_deg is None else without_deg
 
 
-def _mixture_document(mixture: ErrorMixture) -> Document:
+def _mixture_document(mixture: result.ErrorMixture) -> Document:
     return {
         "shares": mixture.shares.tolist(),
         "pixels_px": np.round(mixture.pixels_px, 1).tolist(),
@@ -249,14 +241,14 @@ def _number(value: float | None) -> float | None:
 def _plain(value: object) -> object:
     if isinstance(value, float):
         return _number(value)
-    if isinstance(value, Move):
+    if isinstance(value, result.Move):
         return _plain(asdict(value))
     if isinstance(value, Mapping):
         return {str(k): _plain(v) for k, v in value.items()}
     return [_plain(v) for v in value] if isinstance(value, tuple | list) else value
 
 
-def from_document(document: object) -> Calibration:
+def from_document(document: object) -> result.Calibration:
     """Return the calibration that a document holds.
 
     Raises
@@ -283,7 +275,7 @@ def from_document(document: object) -> Calibration:
     field = _read_field(read, len(names), earlier=earlier)
     if not earlier:
         camera = replace(camera, displacement=_read_mean(read, field.basis))
-    return Calibration(
+    return result.Calibration(
         camera=camera,
         poses=(camera.rotation_cam_enu,),
         parameter_names=names,
@@ -299,7 +291,7 @@ def from_document(document: object) -> Calibration:
             max_error_px=read.number("backward_model.max_error_px"),
         ),
         evidence=_read_evidence(read),
-        verdict=Verdict(
+        verdict=result.Verdict(
             accepted=bool(read.value("verdict.accepted")),
             findings=_read_findings(read),
             marginal=bool(read.value("verdict.marginal", needed=False)),
@@ -382,7 +374,7 @@ def _read_field(read: DocumentReader, size: int, *, earlier: bool) -> Field:
     )
 
 
-def _read_mixture(read: DocumentReader) -> ErrorMixture | None:
+def _read_mixture(read: DocumentReader) -> result.ErrorMixture | None:
     """Return how the errors are spread; None where they are as a Gaussian's, as in documents before version 0.4."""
     key = "uncertainty.mixture"
     if read.value(key, needed=False) is None:
@@ -398,7 +390,7 @@ def _read_mixture(read: DocumentReader) -> ErrorMixture | None:
         if not right:
             remedy = "give shares that sum to 1, and at least one place with a positive scale for each"
             raise InputError(field=f"{key}.{name}", problem="a number is out of bounds", remedy=remedy)
-    return ErrorMixture(shares=shares, pixels_px=pixels, scales=scales)
+    return result.ErrorMixture(shares=shares, pixels_px=pixels, scales=scales)
 
 
 def _read_mean(read: DocumentReader, basis: WaveBasis) -> Displacement | None:
@@ -407,16 +399,16 @@ def _read_mean(read: DocumentReader, basis: WaveBasis) -> Displacement | None:
     return basis.displacement(mean) if np.any(mean) else None
 
 
-def _read_metrics(read: DocumentReader) -> Metrics:
-    numbers = read.numbers_of("metrics", Metrics)
-    return Metrics(**numbers | {"n": read.count("metrics.n")})
+def _read_metrics(read: DocumentReader) -> result.Metrics:
+    numbers = read.numbers_of("metrics", result.Metrics)
+    return result.Metrics(**numbers | {"n": read.count("metrics.n")})
 
 
-def _read_evidence(read: DocumentReader) -> Provenance:
+def _read_evidence(read: DocumentReader) -> result.Provenance:
     options = read.value("evidence.options")
     clock_s, beyond_s = (read.number(f"evidence.{name}", needed=False) for name in ("clock_error_s", "clock_beyond_s"))
     stated = read.value("evidence.clock_stated", needed=False)
-    return Provenance(
+    return result.Provenance(
         days=tuple(str(d) for d in read.items("evidence.days")),
         n_supplied=read.count("evidence.n_supplied"),
         n_used=read.count("evidence.n_used"),
@@ -438,11 +430,11 @@ def _read_evidence(read: DocumentReader) -> Provenance:
     )
 
 
-def _read_night(read: DocumentReader) -> NightDifference | None:
+def _read_night(read: DocumentReader) -> result.NightDifference | None:
     if read.value("night", needed=False) is None:
         return None
     turn, sigma = (read.numbers(f"night.{name}", 3) for name in ("pose_difference_deg", "pose_sigma_deg"))
-    return NightDifference(
+    return result.NightDifference(
         n=read.count("night.n"),
         pose_difference_deg=(turn[0], turn[1], turn[2]),
         pose_sigma_deg=(sigma[0], sigma[1], sigma[2]),
@@ -451,10 +443,10 @@ def _read_night(read: DocumentReader) -> NightDifference | None:
     )
 
 
-def _read_move(read: DocumentReader) -> Move:
+def _read_move(read: DocumentReader) -> result.Move:
     x, y, z = read.numbers("pose_before", 3)
     numbers = {name: read.number(name) for name in ("before_unix_s", "after_unix_s", "turn_deg")}
-    return Move(**numbers, pose_before=(x, y, z))
+    return result.Move(**numbers, pose_before=(x, y, z))
 
 
 def _read_spread(read: DocumentReader) -> tuple[float, float, float] | None:

@@ -19,16 +19,7 @@ from sqlalchemy import JSON, BigInteger, Boolean, Column, Float, Integer, Text
 from sunarc.common.findings import from_json
 from sunarc.common.utc import from_microseconds, to_microseconds
 from sunarc.imager.archive import values
-from sunarc.imager.archive.database.tables import (
-    CalendarDate,
-    FindingText,
-    FindingTuple,
-    JsonOf,
-    NumberTuple,
-    UtcTime,
-    Word,
-    findings_of_text,
-)
+from sunarc.imager.archive.database import tables
 from sunarc.imager.archive.feed_rows import FED, MOST_ROW_BYTES, REMOVED, SINCE, STATUS, columns_of, plain_type
 from sunarc.imager.runtime.json_fields import descriptions
 
@@ -155,17 +146,17 @@ def _numbers(length: int) -> _Rule:
 
 def _rule(column: Column[Any]) -> _Rule:  # noqa: PLR0911 - a column has one of many types
     match column.type:
-        case UtcTime():
+        case tables.UtcTime():
             return _TIME
-        case CalendarDate():
+        case tables.CalendarDate():
             return _DAY
-        case Word(words=words):
+        case tables.Word(words=words):
             return _words(words)
-        case FindingTuple():
+        case tables.FindingTuple():
             return _LIST
-        case NumberTuple(length=length):
+        case tables.NumberTuple(length=length):
             return _numbers(length)
-        case JsonOf():
+        case tables.JsonOf():
             schema = {name: part for name, part in column.type.schema().items() if name != "$defs"}
             return _Rule(schema, (_LIST if schema.get("type") == "array" else _OBJECT).fits)
     plain = plain_type(column)
@@ -265,7 +256,7 @@ def _conversions(kind: str) -> tuple[tuple[str, str, Callable[[Any], Any]], ...]
 
 
 def _conversion(column: Column[Any]) -> Callable[[Any], Any] | None:
-    if isinstance(column.type, JsonOf):
+    if isinstance(column.type, tables.JsonOf):
         return column.type.read
     if isinstance(plain_type(column), Float):
         return float
@@ -273,11 +264,11 @@ def _conversion(column: Column[Any]) -> Callable[[Any], Any] | None:
 
 
 _CONVERSIONS: Mapping[type, Callable[[Any], Any]] = {
-    UtcTime: from_microseconds,
-    CalendarDate: date.fromisoformat,
-    FindingText: findings_of_text,
-    FindingTuple: lambda value: tuple(from_json(one) for one in value),
-    NumberTuple: tuple,
+    tables.UtcTime: from_microseconds,
+    tables.CalendarDate: date.fromisoformat,
+    tables.FindingText: tables.findings_of_text,
+    tables.FindingTuple: lambda value: tuple(from_json(one) for one in value),
+    tables.NumberTuple: tuple,
 }
 
 
@@ -292,7 +283,7 @@ def feed_schema(revision: str) -> dict[str, Any]:
     parts: dict[str, Any] = {}
     for kind in FED:
         for column in columns_of(kind).values():
-            parts |= column.type.schema().get("$defs", {}) if isinstance(column.type, JsonOf) else {}
+            parts |= column.type.schema().get("$defs", {}) if isinstance(column.type, tables.JsonOf) else {}
         kinds[kind] = _object(kind, only_key=False)
         kinds[kind + REMOVED] = _object(kind, only_key=True)
     kinds[STATUS] = {

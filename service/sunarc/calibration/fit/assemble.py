@@ -14,20 +14,9 @@ from sunarc.calibration.answers.covariance import pose_error, sky_sigma_deg, wit
 from sunarc.calibration.fit.cross_validation import Doubts, HeldOut, doubts, held_out, without_parts
 from sunarc.calibration.fit.effects import CLOCK_OFFSET_S, N_RADIAL, OFFSET_PX, POSE_DIFFERENCE_DEG, SWAY_DEG, SWAYS
 from sunarc.calibration.fit.robust_fit import RobustFit
+from sunarc.calibration.model import result
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.residual_field import Field
-from sunarc.calibration.model.result import (
-    NO_METRICS,
-    Calibration,
-    ErrorMixture,
-    Metrics,
-    NightDifference,
-    Provenance,
-    Verdict,
-    fit_metrics,
-    proves,
-    residual_angles,
-)
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.quality.fit_checks import fit_verdict
 from sunarc.calibration.quality.widening import with_pose_spread
@@ -83,13 +72,13 @@ class FitOutcome(NamedTuple):
     radial_px: float
     held_out: HeldOut | None
     log_odds: Mapping[str, float] = MappingProxyType({})
-    night: NightDifference | None = None
-    mixture: ErrorMixture | None = None
+    night: result.NightDifference | None = None
+    mixture: result.ErrorMixture | None = None
     doubts: Doubts | None = None
     sways_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
-def calibration_from_fit(fitted: FitOutcome, job: Job, *, others: Sequence[Finding] = ()) -> Calibration:
+def calibration_from_fit(fitted: FitOutcome, job: Job, *, others: Sequence[Finding] = ()) -> result.Calibration:
     """Return the calibration that a fit makes; `others`: findings about other cameras that refuse it."""
     usable, options = job.usable, job.options
     cameras = [tidied(camera, options) for camera in fitted.cameras]
@@ -101,7 +90,7 @@ def calibration_from_fit(fitted: FitOutcome, job: Job, *, others: Sequence[Findi
         clock_error_s=evidence.clock_error_s if evidence.clock_stated else 0.0,
         site_error_m=options.site_error_m,
     )
-    calibration = Calibration(
+    calibration = result.Calibration(
         camera=camera,
         poses=tuple(c.rotation_cam_enu for c in cameras),
         parameter_names=fitted.parameter_names,
@@ -113,7 +102,7 @@ def calibration_from_fit(fitted: FitOutcome, job: Job, *, others: Sequence[Findi
         pose=pose_angles(camera.rotation_cam_enu),
         backward=fit_backward(camera),
         evidence=evidence,
-        verdict=Verdict(accepted=False, findings=(Finding("not_evaluated"),)),
+        verdict=result.Verdict(accepted=False, findings=(Finding("not_evaluated"),)),
         method=options.method,
         site=job.site,
         mixture=fitted.mixture,
@@ -138,12 +127,12 @@ def tidied(camera: Camera, options: CalibrationOptions) -> Camera:
     )
 
 
-def _metrics(fitted: FitOutcome, usable: Sightings, cameras: list[Camera]) -> Metrics:
+def _metrics(fitted: FitOutcome, usable: Sightings, cameras: list[Camera]) -> result.Metrics:
     angle = np.full(len(usable), np.nan)
     for epoch, camera in enumerate(cameras):
         in_epoch = usable.epoch == epoch
-        angle[in_epoch] = residual_angles(camera, usable.pixels[in_epoch], usable.directions[in_epoch])
-    metrics = fit_metrics(fitted.residual, fitted.used, angle)
+        angle[in_epoch] = result.residual_angles(camera, usable.pixels[in_epoch], usable.directions[in_epoch])
+    metrics = result.fit_metrics(fitted.residual, fitted.used, angle)
     if fitted.held_out is None:
         return metrics
     return replace(
@@ -153,10 +142,10 @@ def _metrics(fitted: FitOutcome, usable: Sightings, cameras: list[Camera]) -> Me
     )
 
 
-def _evidence(job: Job, fitted: FitOutcome | None = None) -> Provenance:
+def _evidence(job: Job, fitted: FitOutcome | None = None) -> result.Provenance:
     """Return what a fit rests on, or what there is without one."""
     known = job.points.clock_error_s[np.isfinite(job.points.clock_error_s)]
-    none = Provenance(
+    none = result.Provenance(
         days=tuple(date_of_day(int(day)).isoformat() for day in np.unique(job.usable.day)),
         n_supplied=len(job.points),
         n_used=0,
@@ -185,7 +174,7 @@ def _evidence(job: Job, fitted: FitOutcome | None = None) -> Provenance:
     )
 
 
-def refused(job: Job, findings: tuple[Finding, ...]) -> Calibration:
+def refused(job: Job, findings: tuple[Finding, ...]) -> result.Calibration:
     """Return the calibration without a fit: the ideal lens, level, with its prior uncertainty."""
     options, circle = job.options, job.circle
     camera, tolerances = level_camera(circle, image_size=job.image_size, options=options), options.tolerances
@@ -196,7 +185,7 @@ def refused(job: Job, findings: tuple[Finding, ...]) -> Calibration:
         prior.basis / precisions(tolerances.radial_px, tolerances.decentering_px)
     ) @ prior.basis.T
     covariance[POSE, POSE] = _UNKNOWN_POSE * np.eye(3)
-    return Calibration(
+    return result.Calibration(
         camera=camera,
         poses=(camera.rotation_cam_enu,),
         parameter_names=FREE_NAMES,
@@ -204,11 +193,11 @@ def refused(job: Job, findings: tuple[Finding, ...]) -> Calibration:
         field=unseen_field(camera, size=FREE.size),
         sky_rms_deg=180.0,
         sky_max_deg=180.0,
-        metrics=NO_METRICS,
+        metrics=result.NO_METRICS,
         pose=pose_angles(camera.rotation_cam_enu),
         backward=NO_BACKWARD,
         evidence=_evidence(job),
-        verdict=Verdict(accepted=False, findings=findings),
+        verdict=result.Verdict(accepted=False, findings=findings),
         method=options.method,
         site=job.site,
         left_out=np.arange(len(job.points)),
@@ -270,7 +259,7 @@ def robust_outcome(fit: RobustFit, usable: Sightings, options: CalibrationOption
 
 def _sways_deg(fit: RobustFit, usable: Sightings) -> tuple[float, float, float]:
     """Return how far the mount stands turned on a day, 1-sigma about east, north and up; 0 where it is not proven."""
-    if not proves(SWAYS, fit.log_odds.get(SWAYS, 0.0)):
+    if not result.proves(SWAYS, fit.log_odds.get(SWAYS, 0.0)):
         return 0.0, 0.0, 0.0
     of_block = fit.problem.block_slice(SWAYS)
     square = (fit.unknowns[of_block] ** 2 + np.diag(fit.posterior.covariance)[of_block]).reshape(-1, 3)
@@ -278,14 +267,14 @@ def _sways_deg(fit: RobustFit, usable: Sightings) -> tuple[float, float, float]:
     return _three(SWAY_DEG * np.sqrt(np.mean(square, axis=0) * np.unique(usable.day).size / len(square)))
 
 
-def _night_difference(fit: RobustFit, usable: Sightings) -> NightDifference | None:
+def _night_difference(fit: RobustFit, usable: Sightings) -> result.NightDifference | None:
     """Return the systematic errors of the night, as found."""
     pose, star = (fit.problem.block_slice(name) for name in ("night_pose", "night_offset"))
     if "night_pose" not in fit.problem.names:
         return None
     turn, sigma = fit.unknowns[pose], np.sqrt(np.diag(fit.posterior.covariance)[pose])
     radial = slice(star.start, min(star.start + N_RADIAL, star.stop))
-    return NightDifference(
+    return result.NightDifference(
         n=int(np.sum((fit.noise.weight > 0.0) & usable.night)),
         pose_difference_deg=_three(POSE_DIFFERENCE_DEG * turn),
         pose_sigma_deg=_three(POSE_DIFFERENCE_DEG * sigma),

@@ -16,20 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.lens_library import lens_type
 from sunarc.calibration.lens_library.conditioning import with_lens
-from sunarc.calibration.lens_library.lens_type import (
-    LENS_NAMES,
-    Gaussian,
-    Information,
-    LensType,
-    UnitSpread,
-    frame_of,
-    gaussian_of,
-    information_of,
-    spread_scales,
-    type_camera,
-    usual_precision,
-)
 from sunarc.calibration.model.options import CalibrationOptions, LensTolerances
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
@@ -63,7 +51,7 @@ class Unit(NamedTuple):
     calibration: Calibration
 
 
-def lens_type_of(units: Sequence[Unit], *, spread: UnitSpread | None = None) -> LensType:
+def lens_type_of(units: Sequence[Unit], *, spread: lens_type.UnitSpread | None = None) -> lens_type.LensType:
     """Return what calibrations of several cameras say of their type of lens.
 
     Parameters
@@ -77,18 +65,18 @@ def lens_type_of(units: Sequence[Unit], *, spread: UnitSpread | None = None) -> 
         Where the cameras cannot be of one type: another projection, image size or handedness; or where a calibration
         does not state the covariance of its lens.
     """
-    stated = UnitSpread() if spread is None else spread
+    stated = lens_type.UnitSpread() if spread is None else spread
     require_one_type(units)
     first = units[0].calibration.camera
-    frame = frame_of(first)
+    frame = lens_type.frame_of(first)
     fits = [one.calibration for one in units]
-    known = [information_of(gaussian_of(fit, frame), fit.evidence.radial_px) for fit in fits]
+    known = [lens_type.information_of(lens_type.gaussian_of(fit, frame), fit.evidence.radial_px) for fit in fits]
     focal = float(np.mean(first.focal_length_px))
     spreads = estimated_spread(known, stated, focal_px=focal) if len(units) >= ENOUGH_UNITS else stated
     unit = further_unit(known, spreads.scales(focal), radial_px=_radial_px(units))
-    camera = type_camera(frame, unit.mean, first, max_angle=min(fit.camera.max_angle for fit in fits))
+    camera = lens_type.type_camera(frame, unit.mean, first, max_angle=min(fit.camera.max_angle for fit in fits))
     fields = [fit.field for fit in fits]
-    return LensType(
+    return lens_type.LensType(
         camera=camera,
         covariance=frame.basis @ unit.covariance @ frame.basis.T,
         spread=spreads,
@@ -105,7 +93,7 @@ def require_one_type(units: Sequence[Unit]) -> None:
         raise InputError(field="lens prior", problem="no calibration", remedy="name accepted calibrations")
     _require_alike([(one.camera, _kind(one.calibration.camera)) for one in units])
     for one in units:
-        if any(name not in one.calibration.parameter_names for name in LENS_NAMES):
+        if any(name not in one.calibration.parameter_names for name in lens_type.LENS_NAMES):
             raise InputError(
                 field=one.camera,
                 problem="the calibration does not state the covariance of its whole lens",
@@ -137,7 +125,7 @@ def _radial_px(units: Sequence[Unit]) -> float:
     return max([one for one in found if math.isfinite(one)], default=LensTolerances().radial_px)
 
 
-def further_unit(known: Sequence[Information], scales: FloatArray, *, radial_px: float) -> Gaussian:
+def further_unit(known: Sequence[lens_type.Information], scales: FloatArray, *, radial_px: float) -> lens_type.Gaussian:
     """Return the lens of a unit that was not measured, where others were.
 
     Parameters
@@ -146,13 +134,13 @@ def further_unit(known: Sequence[Information], scales: FloatArray, *, radial_px:
     scales : (17,) 1-sigma between units.
     radial_px : scale of the residual radial distortion of the type's mean, of which nothing else is known.
     """
-    precision, vector, _ = _of_mean(known, scales[None], usual_precision(radial_px))
+    precision, vector, _ = _of_mean(known, scales[None], lens_type.usual_precision(radial_px))
     covariance = np.linalg.inv(0.5 * (precision[0] + precision[0].T))
-    return Gaussian(covariance @ vector[0], np.asarray(covariance + np.diag(scales**2)))
+    return lens_type.Gaussian(covariance @ vector[0], np.asarray(covariance + np.diag(scales**2)))
 
 
 def _of_mean(
-    known: Sequence[Information], scales: FloatArray, usual: FloatArray
+    known: Sequence[lens_type.Information], scales: FloatArray, usual: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the precision of the type's mean, its product with the mean, and the log evidence given a mean of 0.
 
@@ -174,19 +162,21 @@ def _of_mean(
     return precision, vector, value
 
 
-def estimated_spread(known: Sequence[Information], stated: UnitSpread, *, focal_px: float) -> UnitSpread:
+def estimated_spread(
+    known: Sequence[lens_type.Information], stated: lens_type.UnitSpread, *, focal_px: float
+) -> lens_type.UnitSpread:
     """Return the root mean square spread between units over its posterior.
 
     The four scales are tried at five factors of the stated ones each.
     """
-    usual = usual_precision(math.nan)
+    usual = lens_type.usual_precision(math.nan)
     factors = np.array(list(product(_FACTORS, repeat=4)))
     base = np.array([stated.focal_length * focal_px, stated.center_px, stated.radial_px, stated.decentering_px])
     log_weight = log_evidences(known, factors * base, usual)
     log_weight = log_weight - 0.5 * np.sum((np.log(factors) / _FACTOR_LOG_SIGMA) ** 2, axis=1)
     weight = np.exp(log_weight - log_weight.max())
     found = np.sqrt(weight @ factors**2 / weight.sum())
-    return UnitSpread(
+    return lens_type.UnitSpread(
         focal_length=min(stated.focal_length * float(found[0]), 0.1),
         center_px=min(stated.center_px * float(found[1]), 200.0),
         radial_px=min(stated.radial_px * float(found[2]), 20.0),
@@ -194,9 +184,11 @@ def estimated_spread(known: Sequence[Information], stated: UnitSpread, *, focal_
     )
 
 
-def log_evidences(known: Sequence[Information], spreads: FloatArray, usual: FloatArray) -> FloatArray:
+def log_evidences(known: Sequence[lens_type.Information], spreads: FloatArray, usual: FloatArray) -> FloatArray:
     """Return (k,): the log evidence of spreads (k, 4), but for a constant."""
-    precision, vector, value = _of_mean(known, np.stack([spread_scales(*one) for one in spreads.tolist()]), usual)
+    precision, vector, value = _of_mean(
+        known, np.stack([lens_type.spread_scales(*one) for one in spreads.tolist()]), usual
+    )
     mean = np.linalg.solve(precision, vector[..., None])[..., 0]
     return np.asarray(value + 0.5 * np.sum(vector * mean, axis=1) - 0.5 * np.linalg.slogdet(precision)[1])
 
@@ -226,10 +218,10 @@ class Joint(NamedTuple):
     """The calibration of every entry, in their order, and the type of lens; None where no camera was accepted."""
 
     calibrations: tuple[Calibration, ...]
-    lens: LensType | None
+    lens: lens_type.LensType | None
 
 
-def calibrate_jointly(entries: Sequence[Entry], *, spread: UnitSpread | None = None) -> Joint:
+def calibrate_jointly(entries: Sequence[Entry], *, spread: lens_type.UnitSpread | None = None) -> Joint:
     """Return the calibrations of cameras of one type of lens, and the type.
 
     A camera whose fit is refused, or whose lens contradicts that of the others, is refused and says so; it says nothing

@@ -11,18 +11,7 @@ from annotated_types import Gt, Le
 
 from sunarc.calibration.model.options import ImageCircle, LensTolerances
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.solve.priors import (
-    DECENTERING,
-    FREE,
-    HIGHER,
-    LENS,
-    N_LENS,
-    RADIAL,
-    LensPrior,
-    Whitened,
-    lens_prior,
-    precisions,
-)
+from sunarc.calibration.solve import priors
 from sunarc.common.array_types import FloatArray
 from sunarc.common.bounds import require_bounds
 from sunarc.optics.camera import PARAMETER_NAMES, Camera, Param
@@ -32,18 +21,18 @@ from sunarc.optics.camera import PARAMETER_NAMES, Camera, Param
 # They are those of the fit's priors (`solve.priors`): px of focal length, principal point, residual radial
 # distortion and decentering near the horizon, and the usual tolerances of aspect, skew, p3 and p4.
 
-LENS_NAMES = tuple(PARAMETER_NAMES[i] for i in LENS)
+LENS_NAMES = tuple(PARAMETER_NAMES[i] for i in priors.LENS)
 """Names of a lens's 17 parameters, in order."""
-IN_FREE = np.isin(FREE, LENS)
+IN_FREE = np.isin(priors.FREE, priors.LENS)
 """Which of a calibration's 20 parameters are the lens's."""
 _RIGHT_ANGLE = math.pi / 2
-_BROAD = [Whitened.FOCAL_LENGTH, Whitened.CENTER_X, Whitened.CENTER_Y]
+_BROAD = [priors.Whitened.FOCAL_LENGTH, priors.Whitened.CENTER_X, priors.Whitened.CENTER_Y]
 """What a fit's prior says next to nothing of, or says by the image circle, which was measured."""
 PARTS = {
-    "focal length": np.array([Whitened.FOCAL_LENGTH]),
-    "centre": np.array([Whitened.CENTER_X, Whitened.CENTER_Y]),
-    "radial distortion": np.arange(RADIAL.start, RADIAL.stop),
-    "decentering": np.arange(DECENTERING.start, HIGHER.stop),
+    "focal length": np.array([priors.Whitened.FOCAL_LENGTH]),
+    "centre": np.array([priors.Whitened.CENTER_X, priors.Whitened.CENTER_Y]),
+    "radial distortion": np.arange(priors.RADIAL.start, priors.RADIAL.stop),
+    "decentering": np.arange(priors.DECENTERING.start, priors.HIGHER.stop),
 }
 """Places of the coordinates whose spread between units has a scale of its own; skew and aspect have none."""
 
@@ -62,21 +51,21 @@ class Information(NamedTuple):
     vector: FloatArray
 
 
-def frame_of(camera: Camera) -> LensPrior:
+def frame_of(camera: Camera) -> priors.LensPrior:
     """Return the frame about a lens, by its projection and focal length; all are px or usual tolerances."""
     tolerances = LensTolerances(circle_center_px=1.0, circle_focal_length_px=1.0)
     # a circle of 1 px makes both absolute; its place and radius do not count
     circle = ImageCircle(x=(camera.width - 1) / 2.0, y=(camera.height - 1) / 2.0, radius=1.0)
-    return lens_prior(camera, tolerances=tolerances, circle=circle, field_angle=_RIGHT_ANGLE)
+    return priors.lens_prior(camera, tolerances=tolerances, circle=circle, field_angle=_RIGHT_ANGLE)
 
 
-def gaussian_of(calibration: Calibration, frame: LensPrior) -> Gaussian:
+def gaussian_of(calibration: Calibration, frame: priors.LensPrior) -> Gaussian:
     """Return a calibration's lens in a frame."""
     indices = [calibration.parameter_names.index(name) for name in LENS_NAMES]
     return _in_frame(calibration.camera, calibration.covariance[np.ix_(indices, indices)], frame)
 
 
-def _in_frame(camera: Camera, covariance: FloatArray, frame: LensPrior) -> Gaussian:
+def _in_frame(camera: Camera, covariance: FloatArray, frame: priors.LensPrior) -> Gaussian:
     whitened = np.linalg.solve(frame.basis, np.linalg.solve(frame.basis, covariance).T)
     return Gaussian(frame.whitened(camera), 0.5 * (whitened + whitened.T))
 
@@ -87,7 +76,7 @@ def usual_precision(radial_px: float) -> FloatArray:
     Of NaN, the usual scale.
     """
     usual = LensTolerances()
-    result = precisions(radial_px if radial_px > 0.0 else usual.radial_px, usual.decentering_px)
+    result = priors.precisions(radial_px if radial_px > 0.0 else usual.radial_px, usual.decentering_px)
     result[_BROAD] = 0.0
     return result
 
@@ -99,7 +88,11 @@ def prior_precision_of(posterior: Gaussian, radial_px: float) -> FloatArray:
     where a posterior is wider than the usual prior, the prior was at least as wide.
     """
     result = usual_precision(radial_px)
-    for group in (RADIAL, slice(DECENTERING.start, HIGHER.stop), slice(Whitened.ASPECT, Whitened.SKEW + 1)):
+    for group in (
+        priors.RADIAL,
+        slice(priors.DECENTERING.start, priors.HIGHER.stop),
+        slice(priors.Whitened.ASPECT, priors.Whitened.SKEW + 1),
+    ):
         root = np.sqrt(result[group])
         wider = np.linalg.eigvalsh(posterior.covariance[group, group] * root * root[:, None])[-1]
         result[group] /= max(float(wider), 1.0)
@@ -119,7 +112,7 @@ def information_of(posterior: Gaussian, radial_px: float) -> Information:
     precision = prior_precision_of(posterior, radial_px)
     factor = np.linalg.cholesky(posterior.covariance)
     # in the posterior's own units the sightings' share of what is known lies between 0 and 1
-    share, vectors = np.linalg.eigh(np.eye(N_LENS) - (factor.T * precision) @ factor)
+    share, vectors = np.linalg.eigh(np.eye(priors.N_LENS) - (factor.T * precision) @ factor)
     axes = np.linalg.solve(factor.T, vectors)
     mean = (axes.T @ posterior.mean) * (share > 0.0)
     return Information((axes * np.clip(share, 0.0, 1.0)) @ axes.T, axes @ mean)
@@ -127,11 +120,11 @@ def information_of(posterior: Gaussian, radial_px: float) -> Information:
 
 def spread_scales(focal_px: float, center_px: float, radial_px: float, decentering_px: float) -> FloatArray:
     """Return (17,): 1-sigma of the coordinates between units of a lens."""
-    result = np.ones(N_LENS)
-    result[Whitened.FOCAL_LENGTH] = focal_px
-    result[[Whitened.CENTER_X, Whitened.CENTER_Y]] = center_px
-    result[RADIAL] = radial_px
-    result[DECENTERING] = decentering_px
+    result = np.ones(priors.N_LENS)
+    result[priors.Whitened.FOCAL_LENGTH] = focal_px
+    result[[priors.Whitened.CENTER_X, priors.Whitened.CENTER_Y]] = center_px
+    result[priors.RADIAL] = radial_px
+    result[priors.DECENTERING] = decentering_px
     return result
 
 
@@ -187,7 +180,7 @@ class LensType:
     days: tuple[str, ...]
 
     @property
-    def frame(self) -> LensPrior:
+    def frame(self) -> priors.LensPrior:
         """The coordinates of its lenses."""
         return frame_of(self.camera)
 
@@ -200,8 +193,8 @@ class LensType:
         return {"cameras": list(self.cameras), "days": list(self.days), "spread": asdict(self.spread)}
 
 
-def type_camera(frame: LensPrior, mean: FloatArray, like: Camera, *, max_angle: float) -> Camera:
+def type_camera(frame: priors.LensPrior, mean: FloatArray, like: Camera, *, max_angle: float) -> Camera:
     """Return the level camera of a lens in a frame, of the projection and the image of another one."""
     vector = np.zeros(len(Param))
-    vector[LENS] = frame.lens(mean)
+    vector[priors.LENS] = frame.lens(mean)
     return replace(like.lens_alone(), max_angle=max_angle).with_parameters(vector)

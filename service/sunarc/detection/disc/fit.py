@@ -11,23 +11,7 @@ from numpy.typing import NDArray
 
 from sunarc.common.array_types import BoolArray, FloatArray
 from sunarc.common.robust_statistics import mad_sigma
-from sunarc.detection.disc.model import (
-    PSF,
-    WINGS,
-    DiscProblem,
-    DiscState,
-    Evaluation,
-    Prior,
-    SunSources,
-    evaluate,
-    information_of,
-    inverse,
-    make_problem,
-    normal_equations,
-    unevenness,
-    with_levels,
-    without,
-)
+from sunarc.detection.disc import model
 from sunarc.detection.disc.window import Window
 from sunarc.detection.values import LightFit, Sensor
 
@@ -57,7 +41,7 @@ def is_foreign(rows: float, columns: float) -> bool:
 
 
 def band_evidence(
-    problem: DiscProblem, state: DiscState, evaluation: Evaluation, solved: Solved, *, sigma_px: float
+    problem: model.DiscProblem, state: model.DiscState, evaluation: model.Evaluation, solved: Solved, *, sigma_px: float
 ) -> tuple[float, float]:
     """Return how much the best band of rows, and the best band of columns, lowers the fit's chi².
 
@@ -88,7 +72,7 @@ def _best_band(
     line: NDArray[np.intp],
     lines: int,
     own: FloatArray,
-    evaluation: Evaluation,
+    evaluation: model.Evaluation,
     solved: Solved,
     *,
     least_px: float,
@@ -115,9 +99,9 @@ def _best_band(
     return float(np.max(gained[noticeable] / np.maximum(misfit[noticeable], 1.0), initial=0.0))
 
 
-def _misfit(line: NDArray[np.intp], lines: int, evaluation: Evaluation, covariance: FloatArray) -> FloatArray:
+def _misfit(line: NDArray[np.intp], lines: int, evaluation: model.Evaluation, covariance: FloatArray) -> FloatArray:
     """Return the mean chi² of the pixels outside of each band, each counting as much as it tells of the position."""
-    information, chi2 = information_of(evaluation.jacobian, evaluation.weight, evaluation.residual, covariance)
+    information, chi2 = model.information_of(evaluation.jacobian, evaluation.weight, evaluation.residual, covariance)
     first, last = np.triu_indices(lines + 1, 1)
     values = np.stack([information, information * chi2], axis=-1)
     total = values.sum(axis=0)
@@ -179,9 +163,9 @@ def fit_disc(
     *,
     start: tuple[float, float],
     shapes: Sequence[tuple[float, FloatArray]],
-    sources: SunSources,
+    sources: model.SunSources,
     sensor: Sensor,
-    prior: Prior,
+    prior: model.Prior,
 ) -> DiscFit | None:
     """Fit the disc in a window.
 
@@ -200,7 +184,7 @@ def fit_disc(
     """
     position = np.array([start[0] - window.first[0], start[1] - window.first[1]])
     starts = [np.array([*position, math.log(psf), 0.0, s[0, 0], s[0, 1], s[1, 1]]) for psf, s in shapes]
-    problem = make_problem(window, origin=position, sensor=sensor, sources=sources, prior=prior)
+    problem = model.make_problem(window, origin=position, sensor=sensor, sources=sources, prior=prior)
     if problem.pixels.place.size < 30 + 4 * window.colours:
         return None
     state, evaluation, converged = _from_best(problem, starts)
@@ -208,65 +192,69 @@ def fit_disc(
         bad = _outliers(evaluation)
         if not bad.any():
             break
-        problem = without(problem, bad)
-        state, evaluation, converged = _solve(problem, state, evaluate(problem, state))
+        problem = model.without(problem, bad)
+        state, evaluation, converged = _solve(problem, state, model.evaluate(problem, state))
     if _chi2(evaluation) > _WINGS_CHI2:
         problem = problem._replace(prior=prior._replace(free_wings=True))
-        state, evaluation, converged = _solve(problem, state, evaluate(problem, state))
+        state, evaluation, converged = _solve(problem, state, model.evaluate(problem, state))
     return _summary(problem, state, evaluation, converged=converged)
 
 
-def _from_best(problem: DiscProblem, starts: list[FloatArray]) -> tuple[DiscState, Evaluation, bool]:
+def _from_best(problem: model.DiscProblem, starts: list[FloatArray]) -> tuple[model.DiscState, model.Evaluation, bool]:
     """Fit from the first start, and from the best of the others where its chi² is high.
 
     A saturated disc hides its shape: where that is free a poor start may fit well, and the best is taken at once.
     """
     if problem.window.saturated_px and problem.sensor.binning > 1:  # clipped means: many local minima
-        return min((_solve(problem, *with_levels(problem, start)) for start in starts), key=lambda one: one[1].cost)
+        return min(
+            (_solve(problem, *model.with_levels(problem, start)) for start in starts), key=lambda one: one[1].cost
+        )
     if problem.window.saturated_px and problem.prior.free_stretch:
         return _solve(problem, *_best_start(problem, starts))
-    end = _solve(problem, *with_levels(problem, starts[0]))
+    end = _solve(problem, *model.with_levels(problem, starts[0]))
     if len(starts) == 1 or _chi2(end[1]) < _MULTISTART_CHI2:
         return end
     return min(end, _solve(problem, *_best_start(problem, starts[1:])), key=lambda one: one[1].cost)
 
 
-def _best_start(problem: DiscProblem, starts: list[FloatArray]) -> tuple[DiscState, Evaluation]:
-    return min((with_levels(problem, nonlinear) for nonlinear in starts), key=lambda start: start[1].cost)
+def _best_start(problem: model.DiscProblem, starts: list[FloatArray]) -> tuple[model.DiscState, model.Evaluation]:
+    return min((model.with_levels(problem, nonlinear) for nonlinear in starts), key=lambda start: start[1].cost)
 
 
-def _chi2(evaluation: Evaluation) -> float:
+def _chi2(evaluation: model.Evaluation) -> float:
     """Return the reduced chi²."""
     count, parameters = int(evaluation.jacobian.shape[0]), int(evaluation.jacobian.shape[1])
     return float(evaluation.weight @ evaluation.residual**2) / max(count - parameters, 1)
 
 
-def _stepped(problem: DiscProblem, state: DiscState, step: FloatArray) -> DiscState:
+def _stepped(problem: model.DiscProblem, state: model.DiscState, step: FloatArray) -> model.DiscState:
     nonlinear, colours = state.nonlinear.copy(), problem.window.colours
     free, middle = problem.prior.free, problem.prior.log_psf
     count = len(free)
     nonlinear[free] += np.minimum(np.maximum(step[:count], -2.0), 2.0)
     # Beyond a factor of 4.5 the sources are too coarse or too many for this point spread.
-    nonlinear[PSF] = min(max(nonlinear[PSF], middle - 1.5), middle + 1.5)
-    nonlinear[WINGS] = min(max(nonlinear[WINGS], 0.0), 0.3)
+    nonlinear[model.PSF] = min(max(nonlinear[model.PSF], middle - 1.5), middle + 1.5)
+    nonlinear[model.WINGS] = min(max(nonlinear[model.WINGS], 0.0), 0.3)
     flux, background = step[count : count + colours], step[count + colours : count + 2 * colours]
     around = step[count + 2 * colours :]
-    return DiscState(nonlinear, state.flux + flux, state.background + background, state.around + around)
+    return model.DiscState(nonlinear, state.flux + flux, state.background + background, state.around + around)
 
 
-def _solve(problem: DiscProblem, state: DiscState, evaluation: Evaluation) -> tuple[DiscState, Evaluation, bool]:
+def _solve(
+    problem: model.DiscProblem, state: model.DiscState, evaluation: model.Evaluation
+) -> tuple[model.DiscState, model.Evaluation, bool]:
     """Minimise by Levenberg and Marquardt's method."""
     # Almost a Gauss-Newton step: the start is within a pixel, and each rejected step raises the damping 100-fold.
     damping = 1e-6
     binned = problem.sensor.binning > 1  # clipped means tell the disc's size, which moves their centre
     settled = math.inf if problem.window.saturated_px and not binned else _CONVERGED_COST
     for _ in range(_STEPS if not binned else _STEPS_BINNED):
-        matrix, gradient = normal_equations(problem, state, evaluation)
+        matrix, gradient = model.normal_equations(problem, state, evaluation)
         diagonal = matrix.ravel()[:: gradient.size + 1]
         diagonal += np.maximum(diagonal, 1e-12) * damping + 1e-12
         step = np.asarray(np.linalg.solve(matrix, gradient), dtype=np.float64)
         next_state = _stepped(problem, state, step)
-        tried = evaluate(problem, next_state)
+        tried = model.evaluate(problem, next_state)
         moved, gained = float(np.max(np.abs(step[:2]))), evaluation.cost - tried.cost
         still = moved < _CONVERGED_PX and abs(gained) < settled
         small = still or (moved < 10.0 * _CONVERGED_PX and abs(gained) < 0.01)
@@ -282,7 +270,7 @@ def _solve(problem: DiscProblem, state: DiscState, evaluation: Evaluation) -> tu
     return state, evaluation, False
 
 
-def _outliers(evaluation: Evaluation) -> BoolArray:
+def _outliers(evaluation: model.Evaluation) -> BoolArray:
     """Return the few pixels that no disc explains (hot or dead ones); none where they are many."""
     deviation = np.abs(evaluation.residual) * np.sqrt(evaluation.weight)
     if float(deviation.max()) <= _OUTLIER:
@@ -293,15 +281,17 @@ def _outliers(evaluation: Evaluation) -> BoolArray:
     return bad if np.count_nonzero(bad) <= _MOST_OUTLIERS else np.zeros_like(bad)
 
 
-def _summary(problem: DiscProblem, state: DiscState, evaluation: Evaluation, *, converged: bool) -> DiscFit:
-    matrix, gradient = normal_equations(problem, state, evaluation)
-    covariance = inverse(matrix)
+def _summary(
+    problem: model.DiscProblem, state: model.DiscState, evaluation: model.Evaluation, *, converged: bool
+) -> DiscFit:
+    matrix, gradient = model.normal_equations(problem, state, evaluation)
+    covariance = model.inverse(matrix)
     count = evaluation.residual.size
     chi2 = _chi2(evaluation)
     first_flux = matrix.shape[0] - state.around.size - 2 * problem.window.colours
     levels = state.flux / max(abs(float(np.linalg.det(state.stretch))), 1e-9)
     best = int(np.argmax(levels))
-    flux_sigma = math.sqrt(max(float(inverse(matrix[first_flux:, first_flux:])[best, best]), 1e-30))
+    flux_sigma = math.sqrt(max(float(model.inverse(matrix[first_flux:, first_flux:])[best, best]), 1e-30))
     level = float(levels[best]) / (math.pi * problem.sources.core.mean_level)
     # Mean square beyond the expected variance: negative by chance where the model is right.
     excess = float(np.mean(evaluation.residual**2 - 1.0 / evaluation.weight))
@@ -311,26 +301,26 @@ def _summary(problem: DiscProblem, state: DiscState, evaluation: Evaluation, *, 
         x_px=float(state.nonlinear[0]) + problem.window.first[0],
         y_px=float(state.nonlinear[1]) + problem.window.first[1],
         sigma_px=sigma_px,
-        width_px=math.exp(float(state.nonlinear[PSF])),
+        width_px=math.exp(float(state.nonlinear[model.PSF])),
         stretch=state.stretch,
         level=level,
         background=float(state.background[best]),
         snr=float(state.flux[best]) / flux_sigma,
         chi2=chi2,
         residual=math.sqrt(max(excess, 0.0)) / top,
-        uneven=unevenness(problem, state, evaluation) / max(chi2, 1.0),
+        uneven=model.unevenness(problem, state, evaluation) / max(chi2, 1.0),
         bands=band_evidence(problem, state, evaluation, (covariance, gradient), sigma_px=sigma_px),
         used_px=count,
         converged=converged,
     )
 
 
-def _local_chi2(evaluation: Evaluation, covariance: FloatArray) -> float:
+def _local_chi2(evaluation: model.Evaluation, covariance: FloatArray) -> float:
     """Return the reduced chi² of the pixels that tell the position, each counting as much as it tells.
 
     It rests on few pixels, so it is widened as Student's distribution is: the mean square of error / sigma stays 1.
     """
-    information, chi2 = information_of(evaluation.jacobian, evaluation.weight, evaluation.residual, covariance)
+    information, chi2 = model.information_of(evaluation.jacobian, evaluation.weight, evaluation.residual, covariance)
     total, squares, misfit = (max(float(information @ by), 1e-300) for by in (np.ones(chi2.size), information, chi2))
     freedom = max(total**2 / squares, 4.0)
     return float(misfit / total * freedom / (freedom - 2.0))

@@ -11,22 +11,7 @@ import numpy as np
 
 from sunarc.common.array_types import BoolArray, FloatArray, Image
 from sunarc.common.findings import Finding
-from sunarc.detection.photo.candidates import (
-    MAX_SIGMA,
-    MIN_LEVEL,
-    MIN_NEAR,
-    OFF_GLARE,
-    REACH_PX,
-    REACH_SIGMAS,
-    Candidate,
-    ImagePart,
-    candidates_in,
-    candidates_near,
-    part_near,
-    plane_of,
-    whole_part,
-    window_step,
-)
+from sunarc.detection.photo import candidates
 from sunarc.detection.photo.rim import Rim
 from sunarc.detection.photo.urquhart2016 import locate, planes_of
 from sunarc.detection.values import Bayer, Detection, Expectation, Verdict, require_photo
@@ -73,12 +58,12 @@ _OTHER_PLATEAUS, _OTHER_AREA = 2.0, 0.001
 class Judged(NamedTuple):
     """A candidate with its verdict and what decided."""
 
-    seen: Candidate
+    seen: candidates.Candidate
     verdict: Verdict
     finding: Finding
 
 
-def best_of(seen: list[Candidate], expectation: Expectation | None) -> Judged:
+def best_of(seen: list[candidates.Candidate], expectation: Expectation | None) -> Judged:
     """Return the most sun-like candidate with its verdict.
 
     Those within a prediction's reach come first, what stands out from the sky before what does not.
@@ -88,7 +73,7 @@ def best_of(seen: list[Candidate], expectation: Expectation | None) -> Judged:
     return max(judged, key=lambda each: (-order.get(each.verdict, 0), each.seen.score))
 
 
-def _verdict(seen: Candidate, expectation: Expectation | None) -> tuple[Verdict, Finding]:
+def _verdict(seen: candidates.Candidate, expectation: Expectation | None) -> tuple[Verdict, Finding]:
     if expectation is None:
         return (
             edge(seen, has_aureole=lies_in_aureole(seen))
@@ -98,7 +83,7 @@ def _verdict(seen: Candidate, expectation: Expectation | None) -> tuple[Verdict,
             or _clear(seen.rim)
         )
     distance = math.hypot(seen.rim.x - expectation.x_px, seen.rim.y - expectation.y_px)
-    if distance > REACH_SIGMAS * math.hypot(expectation.uncertainty_px, seen.sigma_px) + REACH_PX:
+    if distance > candidates.REACH_SIGMAS * math.hypot(expectation.uncertainty_px, seen.sigma_px) + candidates.REACH_PX:
         return "reflection", Finding("blob_displaced", {"distance_px": distance})
     return (
         edge(seen, has_aureole=True)
@@ -112,24 +97,24 @@ def _clear(rim: Rim) -> tuple[Verdict, Finding]:
     return "clear", Finding("blob_found", {"diameter_px": 2.0 * rim.radius, "share": rim.share})
 
 
-def edge(seen: Candidate, *, has_aureole: bool) -> tuple[Verdict, Finding] | None:
+def edge(seen: candidates.Candidate, *, has_aureole: bool) -> tuple[Verdict, Finding] | None:
     """Return why a round region with an edge may be a white roof, a lamp at night, or a gap in the cloud."""
     rim = seen.rim
-    if rim.near >= MIN_NEAR and rim.far >= _MIN_FAR and 1.0 - rim.near <= _STEEPEST * (1.0 - rim.far):
+    if rim.near >= candidates.MIN_NEAR and rim.far >= _MIN_FAR and 1.0 - rim.near <= _STEEPEST * (1.0 - rim.far):
         return None
     if rim.edged and has_aureole and rim.radius >= _EDGED_LEAST * seen.size_px:
         return None
     return "hidden", Finding("blob_edged", {"near": rim.near, "far": rim.far})
 
 
-def lies_in_aureole(seen: Candidate) -> bool:
+def lies_in_aureole(seen: candidates.Candidate) -> bool:
     """Return whether what is about a round region is the sun's aureole: lighter than the sky, and nothing else is."""
     far = seen.rim.far
     is_lightest = far >= max(_AUREOLE * seen.sky, _AUREOLE_FAR) and seen.lighter <= _AUREOLE_LIGHTER
     return is_lightest and seen.rim.near >= far and seen.sky >= _DAY
 
 
-def _fault(seen: Candidate) -> tuple[Verdict, Finding] | None:
+def _fault(seen: candidates.Candidate) -> tuple[Verdict, Finding] | None:
     """Return why a round region is of no use, wherever it is."""
     rim = seen.rim
     if rim.near > _MAX_NEAR or rim.far > _MAX_FAR:
@@ -138,21 +123,21 @@ def _fault(seen: Candidate) -> tuple[Verdict, Finding] | None:
         return "partly_covered", Finding("blob_one_sided", {"share": rim.share, "limit": _MIN_SHARE})
     if rim.scatter > _MAX_SCATTER * rim.radius:
         return "veiled", Finding("blob_uneven", {"scatter": rim.scatter / rim.radius})
-    if seen.sigma_px > max(min(MAX_SIGMA * seen.size_px, _MAX_SIGMA_RADIUS * rim.radius), _MAX_SIGMA_PX):
+    if seen.sigma_px > max(min(candidates.MAX_SIGMA * seen.size_px, _MAX_SIGMA_RADIUS * rim.radius), _MAX_SIGMA_PX):
         return "veiled", Finding("blob_centre_uncertain", {"sigma_px": seen.sigma_px})
     return None
 
 
-def _unlike_a_sun(seen: Candidate, min_flat: float, off_px: float) -> tuple[Verdict, Finding] | None:
+def _unlike_a_sun(seen: candidates.Candidate, min_flat: float, off_px: float) -> tuple[Verdict, Finding] | None:
     """Return why a round region may be a patch of bright cloud."""
     if seen.rim.flat < min_flat:
         return "veiled", Finding("blob_not_clipped", {"flat": seen.rim.flat})
-    if off_px > max(OFF_GLARE * seen.size_px, _OFF_GLARE_RADIUS * seen.rim.radius):
+    if off_px > max(candidates.OFF_GLARE * seen.size_px, _OFF_GLARE_RADIUS * seen.rim.radius):
         return "veiled", Finding("blob_off_glare", {"distance_px": off_px})
     return None
 
 
-def _one_of_many(seen: Candidate) -> tuple[Verdict, Finding] | None:
+def _one_of_many(seen: candidates.Candidate) -> tuple[Verdict, Finding] | None:
     """Return why a round region may be one of a cloud's: too wide, not alone, or not in the middle of an aureole."""
     radius = seen.rim.radius / seen.size_px
     if radius > _MAX_RADIUS:
@@ -289,12 +274,12 @@ def _near(photo: Photo, expectation: Expectation, *, elsewhere: bool) -> Detecti
     Light is looked at in a window about the place; in the whole image where a plateau is too wide for the window.
     """
     image, full_scale, exposure_us, static, bayer = photo
-    step = window_step(image, bayer)
-    part = part_near(image, expectation, step=step, static=static, bayer=bayer)
-    seen = candidates_near(part, full_scale=full_scale)
+    step = candidates.window_step(image, bayer)
+    part = candidates.part_near(image, expectation, step=step, static=static, bayer=bayer)
+    seen = candidates.candidates_near(part, full_scale=full_scale)
     if seen is None:
-        part = part_near(image, expectation, step=step, static=static, bayer=bayer, complete=True)
-        seen = candidates_near(part, full_scale=full_scale)
+        part = candidates.part_near(image, expectation, step=step, static=static, bayer=bayer, complete=True)
+        seen = candidates.candidates_near(part, full_scale=full_scale)
     best = best_of(seen, expectation) if seen else None
     if best is not None and not (elsewhere and best.verdict == "reflection"):
         return _detection(best, part, photo)
@@ -302,20 +287,20 @@ def _near(photo: Photo, expectation: Expectation, *, elsewhere: bool) -> Detecti
 
 
 def _anywhere(photo: Photo, expectation: Expectation | None) -> Detection:
-    part = whole_part(photo.image, static=photo.static, bayer=photo.bayer)
-    seen = candidates_in(part, full_scale=photo.full_scale)
+    part = candidates.whole_part(photo.image, static=photo.static, bayer=photo.bayer)
+    seen = candidates.candidates_in(part, full_scale=photo.full_scale)
     if seen:
         return _detection(best_of(seen, expectation), part, photo)
     return _nothing(part, photo.full_scale, photo.exposure_us)
 
 
-def _nothing(part: ImagePart, full_scale: int, exposure_us: float | None) -> Detection:
+def _nothing(part: candidates.ImagePart, full_scale: int, exposure_us: float | None) -> Detection:
     peak = float(part.plane.max(initial=0)) / full_scale
     return _none(*_why_none(part.plane, peak, full_scale), exposure_us, peak)
 
 
 def _why_none(plane: Image, peak: float, full_scale: int) -> tuple[Verdict, Finding]:
-    if peak < MIN_LEVEL:
+    if peak < candidates.MIN_LEVEL:
         return "hidden", Finding("image_dark", {"peak": peak})
     level = float(np.median(plane[::8, ::8])) / full_scale
     if level >= _ALL_WHITE:
@@ -334,7 +319,7 @@ def _none(verdict: Verdict, finding: Finding, exposure_us: float | None, peak: f
     )
 
 
-def _detection(best: Judged, part: ImagePart, photo: Photo) -> Detection:
+def _detection(best: Judged, part: candidates.ImagePart, photo: Photo) -> Detection:
     rim, full_scale = best.seen.rim, photo.full_scale
     return Detection(
         method="paper",
@@ -354,11 +339,11 @@ def _detection(best: Judged, part: ImagePart, photo: Photo) -> Detection:
     )
 
 
-def _sparse(photo: Photo, part: ImagePart) -> Image:
+def _sparse(photo: Photo, part: candidates.ImagePart) -> Image:
     """Return every 16th row and column of the whole plane."""
     if part.cell == 1:
-        return plane_of(photo.image[::_SPARSE, ::_SPARSE], None)
-    whole = part if part.near is None else whole_part(photo.image, static=None, bayer=photo.bayer)
+        return candidates.plane_of(photo.image[::_SPARSE, ::_SPARSE], None)
+    whole = part if part.near is None else candidates.whole_part(photo.image, static=None, bayer=photo.bayer)
     return whole.plane[::_SPARSE, ::_SPARSE]
 
 

@@ -31,6 +31,7 @@ from sunarc.imager.runtime.loop import DropOldestQueue
 from sunarc.imager.runtime.status import StatusRegistry
 from sunarc.imager.runtime.supervisor import Supervised, Worker
 from sunarc.imager.settings.model import Settings
+from sunarc.imager.workers import upkeep
 from sunarc.imager.workers.calibrating.monitor import DayJudge, LearnedCadence, WatchWorker
 from sunarc.imager.workers.calibrating.provisional_pose import FirstPose, ProvisionalPoseEstimator
 from sunarc.imager.workers.calibrating.refit import RefitWorker
@@ -45,13 +46,6 @@ from sunarc.imager.workers.night.exposures import MoonCapture, MoonExposures, Ni
 from sunarc.imager.workers.night.night import NightWorker
 from sunarc.imager.workers.options import NightOptions
 from sunarc.imager.workers.sun_prediction import SunPredictor
-from sunarc.imager.workers.upkeep import (
-    ConditionTimesWorker,
-    DatabaseWorker,
-    DiskWorker,
-    HousekeepingWorker,
-    StoreRoomWorker,
-)
 from sunarc.sky.night import moon_disc
 from sunarc.sky.site import Site
 
@@ -479,9 +473,9 @@ class Service:
             board=self.board,
         )
 
-    def disk_worker(self) -> DiskWorker:
+    def disk_worker(self) -> upkeep.DiskWorker:
         """Return the worker that keeps the disk from filling."""
-        return DiskWorker(
+        return upkeep.DiskWorker(
             store=self.images,
             reserve=self.reserve,
             options=self.settings.disk,
@@ -490,10 +484,10 @@ class Service:
             board=self.board,
         )
 
-    def database_worker(self) -> DatabaseWorker:
+    def database_worker(self) -> upkeep.DatabaseWorker:
         """Return the worker that watches the database's file."""
         recovered, self._recovered = self._recovered, None
-        return DatabaseWorker(
+        return upkeep.DatabaseWorker(
             archive=self.archive,
             clock=self.clock,
             now=self.frame_time.now,
@@ -594,14 +588,14 @@ def imager_recording(service: Service) -> tuple[Supervised, ...]:
     def now() -> datetime | None:
         return frame_time.now() if frame_time.is_known and service.clock_watch.trusted() else None
 
-    housekeeping = HousekeepingWorker(
+    housekeeping = upkeep.HousekeepingWorker(
         camera=service.camera,
         clock=service.clock,
         now=now,
         age_from=service.clock_watch.cleaning_time,
         board=service.board,
     )
-    conditions = ConditionTimesWorker(
+    conditions = upkeep.ConditionTimesWorker(
         archive=service.archive,
         camera=service.settings.name,
         board=service.board,
@@ -616,8 +610,8 @@ def imager_recording(service: Service) -> tuple[Supervised, ...]:
 
 def hub_recording(archive: Archive, board: StatusRegistry, clock: Clock) -> tuple[Supervised, ...]:
     """Return the workers of a hub's own conditions; whatever its database does, a restart of the hub helps nothing."""
-    conditions = ConditionTimesWorker(archive=archive, camera=_OF_THE_HUB, board=board, clock=clock)
-    room = StoreRoomWorker(archive=archive, clock=clock, board=board)
+    conditions = upkeep.ConditionTimesWorker(archive=archive, camera=_OF_THE_HUB, board=board, clock=clock)
+    room = upkeep.StoreRoomWorker(archive=archive, clock=clock, board=board)
     return (
         Supervised(name="conditions", make_worker=lambda: conditions),
         Supervised(name="room", make_worker=lambda: room, optional=True),

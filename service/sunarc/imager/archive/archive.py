@@ -14,19 +14,7 @@ from sqlalchemy import URL, Engine
 from sunarc.common.errors import OutsideError
 from sunarc.common.findings import Finding, Messages
 from sunarc.imager.archive.calibrations import CalibrationStore
-from sunarc.imager.archive.database.connections import (
-    DAMAGED,
-    DELETED,
-    EMPTIED,
-    REPLACED,
-    DatabaseFile,
-    create_archive_engine,
-    create_server_engine,
-    name_of,
-    reading,
-    require_writable,
-    writing,
-)
+from sunarc.imager.archive.database import connections
 from sunarc.imager.archive.database.recovery import Recovery, rebuild
 from sunarc.imager.archive.database.schema import UPGRADE_SERVER, require_file, require_head
 from sunarc.imager.archive.database.store import Database
@@ -58,7 +46,7 @@ class Archive:
     engine, file : see `Database`.
     """
 
-    def __init__(self, engine: Engine, file: DatabaseFile | None) -> None:
+    def __init__(self, engine: Engine, file: connections.DatabaseFile | None) -> None:
         database = self.database = Database(engine, file)
         self._witness = None if file is None else _reader(file)
         self.cameras = CameraStore(database)
@@ -106,7 +94,7 @@ class Archive:
         problem = file.problem()
         if problem is None:
             return None
-        if problem not in {DELETED, REPLACED, EMPTIED, DAMAGED}:
+        if problem not in {connections.DELETED, connections.REPLACED, connections.EMPTIED, connections.DAMAGED}:
             raise OutsideError(f"the database {file.path} {problem}")
         with self.database.out_of_use():
             done = rebuild(file.path, witness, problem=problem, now=now, close=self.close)
@@ -145,12 +133,12 @@ def open_database(kind: type[Opened], store: Path | URL, *, upgrade_command: str
     path = store
     command = upgrade_command or f"sunarc db upgrade --state {path.parent}"
     require_file(path, command=command)
-    file = DatabaseFile(path)
-    engine = create_archive_engine(path, file=file)
+    file = connections.DatabaseFile(path)
+    engine = connections.create_archive_engine(path, file=file)
     try:
-        with reading(engine) as connection:
+        with connections.reading(engine) as connection:
             require_head(connection, where=str(path), command=command)
-        with writing(engine):
+        with connections.writing(engine):
             pass  # a folder that cannot be written to is found now, not at the first sighting
         file.remember()
         return kind(engine, file)
@@ -160,18 +148,18 @@ def open_database(kind: type[Opened], store: Path | URL, *, upgrade_command: str
 
 
 def _open_on_server(kind: type[Opened], url: URL, *, command: str) -> Opened:
-    engine = create_server_engine(url)
+    engine = connections.create_server_engine(url)
     try:
-        with reading(engine) as connection:
-            require_writable(connection)
-            require_head(connection, where=name_of(url), command=command)
+        with connections.reading(engine) as connection:
+            connections.require_writable(connection)
+            require_head(connection, where=connections.name_of(url), command=command)
         return kind(engine, None)
     except BaseException:
         engine.dispose()
         raise
 
 
-def _reader(file: DatabaseFile) -> sqlite3.Connection:
+def _reader(file: connections.DatabaseFile) -> sqlite3.Connection:
     """Return a connection that keeps the database and its write-ahead log open, so that they outlive their names."""
     try:
         connection = file.connect()

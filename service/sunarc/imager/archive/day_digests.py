@@ -10,31 +10,11 @@ from datetime import UTC, date, datetime, timedelta
 from functools import cache
 from typing import Annotated, Any, NamedTuple
 
-from sqlalchemy import (
-    JSON,
-    BigInteger,
-    Column,
-    ColumnElement,
-    Connection,
-    Float,
-    Text,
-    and_,
-    func,
-    or_,
-    select,
-    type_coerce,
-)
+import sqlalchemy as sa
 
 from sunarc.common.findings import from_json
 from sunarc.common.utc import to_microseconds
-from sunarc.imager.archive.database.tables import (
-    CalendarDate,
-    FindingText,
-    FindingTuple,
-    JsonOf,
-    UtcTime,
-    findings_of_text,
-)
+from sunarc.imager.archive.database import tables
 from sunarc.imager.archive.feed_rows import FED, columns_of, plain_type
 from sunarc.imager.runtime.json_fields import Returned, described
 
@@ -100,7 +80,7 @@ class StoredDays(Returned):
     ]
 
 
-def day_digests(connection: Connection, camera: str, *, since: date, until: date) -> DayDigests:
+def day_digests(connection: sa.Connection, camera: str, *, since: date, until: date) -> DayDigests:
     """Return the digests of a camera's rows of the days `since` <= day < `until`, in one snapshot.
 
     At most 32 days and 200,000 rows are read: where there are more, `until` of what is returned is earlier, and where
@@ -134,53 +114,53 @@ def _kinds_to_read(counts: Mapping[str, Mapping[date, int]], day: date) -> dict[
     return {kind: n_rows for n_rows, kind in of_day}
 
 
-def first_and_last_day(connection: Connection, camera: str) -> tuple[date, date] | None:
+def first_and_last_day(connection: sa.Connection, camera: str) -> tuple[date, date] | None:
     """Return the days of a camera's first and last sighting; None without any."""
-    time = type_coerce(_column("sun_point"), BigInteger)
+    time = sa.type_coerce(_column("sun_point"), sa.BigInteger)
     where = _owned("sun_point", camera), time.between(0, _us_of_date(_LATEST))
-    first, last = (connection.scalar(select(found(time)).where(*where)) for found in (func.min, func.max))
+    first, last = (connection.scalar(sa.select(found(time)).where(*where)) for found in (sa.func.min, sa.func.max))
     if not isinstance(first, int) or not isinstance(last, int):
         return None
     return _date_of_us(first), _date_of_us(last)
 
 
-def rows_of_day(kind: str, camera: str, day: date) -> ColumnElement[bool]:
+def rows_of_day(kind: str, camera: str, day: date) -> sa.ColumnElement[bool]:
     """Return the condition that a row of a kind is a camera's, and of a UTC day."""
-    return and_(_owned(kind, camera), _between(kind, day, day + timedelta(days=1)))
+    return sa.and_(_owned(kind, camera), _between(kind, day, day + timedelta(days=1)))
 
 
-def _column(kind: str) -> Column[Any]:
+def _column(kind: str) -> sa.Column[Any]:
     return columns_of(kind)[_DAY_COLUMNS[kind]]
 
 
-def _owned(kind: str, camera: str) -> ColumnElement[bool]:
+def _owned(kind: str, camera: str) -> sa.ColumnElement[bool]:
     """Return the condition that a row is a camera's: an event of no camera is, on an imager, that of its own."""
     owner = FED[kind][0].c.camera
-    return or_(owner == camera, owner.is_(None)) if kind == "event" else owner == camera
+    return sa.or_(owner == camera, owner.is_(None)) if kind == "event" else owner == camera
 
 
-def _between(kind: str, first: date, end: date) -> ColumnElement[bool]:
+def _between(kind: str, first: date, end: date) -> sa.ColumnElement[bool]:
     column = _column(kind)
-    if isinstance(column.type, CalendarDate):
+    if isinstance(column.type, tables.CalendarDate):
         return (column >= first) & (column < end)
-    time = type_coerce(column, BigInteger)
+    time = sa.type_coerce(column, sa.BigInteger)
     return (time >= _us_of_date(first)) & (time < _us_of_date(end))
 
 
-def _counts(connection: Connection, kind: str, camera: str, since: date, until: date) -> dict[date, int]:
+def _counts(connection: sa.Connection, kind: str, camera: str, since: date, until: date) -> dict[date, int]:
     """Return the number of rows by day."""
     column = _column(kind)
-    dated = isinstance(column.type, CalendarDate)
-    day: ColumnElement[Any] = column if dated else type_coerce(column, BigInteger).op("/")(_DAY_US)
+    dated = isinstance(column.type, tables.CalendarDate)
+    day: sa.ColumnElement[Any] = column if dated else sa.type_coerce(column, sa.BigInteger).op("/")(_DAY_US)
     where = (_owned(kind, camera), _between(kind, since, until))
-    rows = connection.execute(select(day.label("of"), func.count()).where(*where).group_by("of")).all()
+    rows = connection.execute(sa.select(day.label("of"), sa.func.count()).where(*where).group_by("of")).all()
     found = ((one if dated else _date_of_us(int(one) * _DAY_US), n) for one, n in rows if one is not None)
     return {one: int(n) for one, n in found if isinstance(one, date)}
 
 
-def _digest(connection: Connection, kind: str, camera: str, day: date) -> DayDigest:
+def _digest(connection: sa.Connection, kind: str, camera: str, day: date) -> DayDigest:
     columns = _compared(kind)
-    statement = select(*(one.selected for one in columns)).where(rows_of_day(kind, camera, day))
+    statement = sa.select(*(one.selected for one in columns)).where(rows_of_day(kind, camera, day))
     rows = connection.execution_options(yield_per=_AT_ONCE).execute(statement)
     hashes = _hashes(rows, [one.plain for one in columns], owner=None if kind != "event" else camera)
     if kind == "event":
@@ -203,7 +183,7 @@ def _hashes(rows: Iterator[Sequence[Any]], plain: Sequence[Callable[[Any], Any]]
 class _Compared(NamedTuple):
     """A column whose value counts, and what makes the same value of it on both engines."""
 
-    selected: ColumnElement[Any]
+    selected: sa.ColumnElement[Any]
     plain: Callable[[Any], Any]
 
 
@@ -212,21 +192,21 @@ def _compared(kind: str) -> tuple[_Compared, ...]:
     names = FED[kind][1] if kind == "event" else columns_of(kind)  # an event's first column is its camera
     columns = [columns_of(kind)[name] for name in names]
     left_out = {"document"}  # its checksum stands for it
-    return tuple(_how(one) for one in columns if one.name not in left_out and not isinstance(one.type, JsonOf))
+    return tuple(_how(one) for one in columns if one.name not in left_out and not isinstance(one.type, tables.JsonOf))
 
 
-def _how(column: Column[Any]) -> _Compared:
+def _how(column: sa.Column[Any]) -> _Compared:
     match column.type:
-        case UtcTime():
-            return _Compared(type_coerce(column, BigInteger), _same)
-        case FindingText():
-            return _Compared(type_coerce(column, Text), _finding_text)
-        case FindingTuple():
-            return _Compared(type_coerce(column, JSON), _findings)
-        case CalendarDate():
+        case tables.UtcTime():
+            return _Compared(sa.type_coerce(column, sa.BigInteger), _same)
+        case tables.FindingText():
+            return _Compared(sa.type_coerce(column, sa.Text), _finding_text)
+        case tables.FindingTuple():
+            return _Compared(sa.type_coerce(column, sa.JSON), _findings)
+        case tables.CalendarDate():
             return _Compared(column, str)
     kind = plain_type(column)
-    return _Compared(type_coerce(column, kind), _number if isinstance(kind, Float) else _same)
+    return _Compared(sa.type_coerce(column, kind), _number if isinstance(kind, sa.Float) else _same)
 
 
 def _same(value: Any) -> Any:  # noqa: ANN401 - of many types
@@ -246,7 +226,7 @@ def _findings(value: Any) -> list[dict[str, Any]]:  # noqa: ANN401 - whatever is
 def _finding_text(value: Any) -> Any:  # noqa: ANN401 - a damaged row has no text there
     if not isinstance(value, str) or not value or value.startswith("[{"):
         return value
-    return json.dumps([one.as_json() for one in findings_of_text(value)], separators=(",", ":"))
+    return json.dumps([one.as_json() for one in tables.findings_of_text(value)], separators=(",", ":"))
 
 
 def _us_of_date(day: date) -> int:

@@ -9,24 +9,7 @@ from datetime import date
 from itertools import chain
 from typing import Any
 
-from sqlalchemy import (
-    JSON,
-    Column,
-    ColumnElement,
-    Connection,
-    Date,
-    Float,
-    Row,
-    Text,
-    delete,
-    func,
-    insert,
-    literal_column,
-    select,
-    text,
-    true,
-    update,
-)
+import sqlalchemy as sa
 
 from sunarc.common.errors import ConfigurationError
 from sunarc.imager.archive.database.connections import json_text, parsed_json
@@ -96,12 +79,12 @@ class Outbox(Part):
         if self._database.file is None:
             return
         with self._database.reading() as connection:
-            present = [str(name) for name, _ in connection.execute(text(_TRIGGERS))]
+            present = [str(name) for name, _ in connection.execute(sa.text(_TRIGGERS))]
         if present:
             with self._database.writing() as connection:
                 _drop(connection, present)
-                connection.execute(delete(outbox))
-                connection.execute(delete(outbox_position))
+                connection.execute(sa.delete(outbox))
+                connection.execute(sa.delete(outbox_position))
 
     def enabled(self) -> bool:
         """Return whether changes are written to the outbox."""
@@ -116,7 +99,7 @@ class Outbox(Part):
     def waiting(self) -> int:
         """Return how many rows wait."""
         with self._database.reading() as connection:
-            return connection.scalar(select(func.count()).select_from(outbox)) or 0
+            return connection.scalar(sa.select(sa.func.count()).select_from(outbox)) or 0
 
     def rows(self, *, most: int, most_bytes: int) -> tuple[FeedRow, ...]:
         """Return the next rows in their order: at most so many, and so many bytes, but at least one."""
@@ -140,15 +123,17 @@ class Outbox(Part):
             stored = _next(connection, most, most_bytes)
             if stored:
                 c = outbox_position.c
-                connection.execute(update(outbox_position).where(c.sent < stored[-1].seq).values(sent=stored[-1].seq))
+                connection.execute(
+                    sa.update(outbox_position).where(c.sent < stored[-1].seq).values(sent=stored[-1].seq)
+                )
         return _parsed(stored)
 
     def queue_status(self, status: Mapping[str, Any]) -> None:
         """Queue the imager's own state, in place of what was not sent yet."""
         with self._database.writing() as connection:
-            sent = select(outbox_position.c.sent).scalar_subquery()
-            connection.execute(delete(outbox).where(outbox.c.kind == STATUS, outbox.c.seq > sent))
-            connection.execute(insert(outbox).values(kind=STATUS, data=json_text(status)))
+            sent = sa.select(outbox_position.c.sent).scalar_subquery()
+            connection.execute(sa.delete(outbox).where(outbox.c.kind == STATUS, outbox.c.seq > sent))
+            connection.execute(sa.insert(outbox).values(kind=STATUS, data=json_text(status)))
 
     def acknowledge(self, seq: int) -> bool:
         """Forget the rows up to a number, which the hub has; none where some come before it, and none has it.
@@ -158,23 +143,23 @@ class Outbox(Part):
         Whether the number can be one that the hub was sent.
         """
         with self._database.writing() as connection:
-            newest = connection.scalar(select(func.max(outbox.c.seq)).where(outbox.c.seq <= seq))
+            newest = connection.scalar(sa.select(sa.func.max(outbox.c.seq)).where(outbox.c.seq <= seq))
             if newest not in {None, seq} or seq > _position(connection).sent:
                 return False
-            connection.execute(delete(outbox).where(outbox.c.seq <= seq))
-            connection.execute(update(outbox_position).values(committed=seq))
+            connection.execute(sa.delete(outbox).where(outbox.c.seq <= seq))
+            connection.execute(sa.update(outbox_position).values(committed=seq))
         return True
 
     def send_again(self, *, committed: int) -> None:
         """Queue all rows again: the hub has less than it once confirmed."""
         with self._database.writing() as connection:
             _queue_all(connection)
-            connection.execute(update(outbox_position).values(committed=committed))
+            connection.execute(sa.update(outbox_position).values(committed=committed))
 
     def digests(self, camera: str, *, since: date, until: date) -> DayDigests | None:
         """Return the digests of a camera's days where the hub was sent all rows; None while some wait."""
         with self._database.reading() as connection:
-            if connection.scalar(select(func.count()).select_from(outbox)):
+            if connection.scalar(sa.select(sa.func.count()).select_from(outbox)):
                 return None
             return day_digests(connection, camera, since=since, until=until)
 
@@ -186,13 +171,13 @@ class Outbox(Part):
     def queue_days(self, camera: str, days: Iterable[tuple[str, date]]) -> int:
         """Queue again a camera's rows of kinds and days, after all that they refer to; return how many they are."""
         with self._database.writing() as connection:
-            before = connection.scalar(select(func.count()).select_from(outbox)) or 0
+            before = connection.scalar(sa.select(sa.func.count()).select_from(outbox)) or 0
             wanted = sorted(days, key=lambda one: (list(FED).index(one[0]), one[1]))
             if wanted:
                 _queue(connection, ("camera", "pose_epoch"))
             for kind, day in wanted:
                 _queue(connection, (kind,), rows_of_day(kind, camera, day))
-            return (connection.scalar(select(func.count()).select_from(outbox)) or 0) - before
+            return (connection.scalar(sa.select(sa.func.count()).select_from(outbox)) or 0) - before
 
     def begin_installation(self, installation: str) -> None:
         """Begin a feed of its own with all rows, under an id: another one went on under the former id."""
@@ -201,23 +186,23 @@ class Outbox(Part):
             _set_position(connection, OutboxPosition(installation=installation, committed=0, sent=0))
 
 
-def _begun(connection: Connection) -> bool:
-    return connection.scalar(select(func.count()).select_from(outbox_position)) == 1
+def _begun(connection: sa.Connection) -> bool:
+    return connection.scalar(sa.select(sa.func.count()).select_from(outbox_position)) == 1
 
 
-def _triggers(connection: Connection) -> dict[str, str]:
-    return {str(name): str(sql) for name, sql in connection.execute(text(_TRIGGERS))}
+def _triggers(connection: sa.Connection) -> dict[str, str]:
+    return {str(name): str(sql) for name, sql in connection.execute(sa.text(_TRIGGERS))}
 
 
-def _position(connection: Connection) -> OutboxPosition:
-    return OutboxPosition(**connection.execute(select(outbox_position)).mappings().one())
+def _position(connection: sa.Connection) -> OutboxPosition:
+    return OutboxPosition(**connection.execute(sa.select(outbox_position)).mappings().one())
 
 
-def _next(connection: Connection, most: int, most_bytes: int) -> list[Row[Any]]:
+def _next(connection: sa.Connection, most: int, most_bytes: int) -> list[sa.Row[Any]]:
     """Return the next rows as they are stored: at most so many, and so many bytes, but at least one."""
-    found: list[Row[Any]] = []
+    found: list[sa.Row[Any]] = []
     size = 0
-    for row in connection.execute(select(outbox).order_by(outbox.c.seq).limit(most)):
+    for row in connection.execute(sa.select(outbox).order_by(outbox.c.seq).limit(most)):
         size += len(row.data)
         if found and size > most_bytes:
             break
@@ -225,7 +210,7 @@ def _next(connection: Connection, most: int, most_bytes: int) -> list[Row[Any]]:
     return found
 
 
-def _parsed(stored: Iterable[Row[Any]]) -> tuple[FeedRow, ...]:
+def _parsed(stored: Iterable[sa.Row[Any]]) -> tuple[FeedRow, ...]:
     rows: list[FeedRow] = []
     for row in stored:
         values = parsed_json(row.data) or {}
@@ -234,29 +219,29 @@ def _parsed(stored: Iterable[Row[Any]]) -> tuple[FeedRow, ...]:
     return tuple(rows)
 
 
-def _set_position(connection: Connection, position: OutboxPosition) -> None:
-    connection.execute(delete(outbox_position))
+def _set_position(connection: sa.Connection, position: OutboxPosition) -> None:
+    connection.execute(sa.delete(outbox_position))
     values = {"installation": position.installation, "committed": position.committed, "sent": position.sent}
-    connection.execute(insert(outbox_position).values(values))
+    connection.execute(sa.insert(outbox_position).values(values))
 
 
-def _drop(connection: Connection, names: Mapping[str, str] | list[str]) -> None:
+def _drop(connection: sa.Connection, names: Mapping[str, str] | list[str]) -> None:
     for name in names:
         connection.exec_driver_sql(f'DROP TRIGGER "{name}"')
 
 
-def _queue_all(connection: Connection) -> None:
+def _queue_all(connection: sa.Connection) -> None:
     """Queue every row as it is now, in the order of the tables' references and in which rows were made."""
-    connection.execute(delete(outbox))
+    connection.execute(sa.delete(outbox))
     _queue(connection, FED)
 
 
-def _queue(connection: Connection, kinds: Iterable[str], where: ColumnElement[bool] | None = None) -> None:
+def _queue(connection: sa.Connection, kinds: Iterable[str], where: sa.ColumnElement[bool] | None = None) -> None:
     for kind in kinds:
-        queued = (literal_column(f"'{kind}'", Text), literal_column(_object(kind, kind), Text))
-        rows = select(*queued).select_from(FED[kind][0]).where(true() if where is None else where)
-        in_order = rows.order_by(literal_column(f'"{kind}".rowid'))
-        connection.execute(insert(outbox).from_select(["kind", "data"], in_order))
+        queued = (sa.literal_column(f"'{kind}'", sa.Text), sa.literal_column(_object(kind, kind), sa.Text))
+        rows = sa.select(*queued).select_from(FED[kind][0]).where(sa.true() if where is None else where)
+        in_order = rows.order_by(sa.literal_column(f'"{kind}".rowid'))
+        connection.execute(sa.insert(outbox).from_select(["kind", "data"], in_order))
 
 
 def outbox_triggers() -> Iterator[tuple[str, str]]:
@@ -287,9 +272,9 @@ def _object(kind: str, row: str, *, only: tuple[str, ...] | None = None) -> str:
     return f"json_object({', '.join(pairs)})"
 
 
-def _expression(column: Column[Any], row: str) -> str:
+def _expression(column: sa.Column[Any], row: str) -> str:
     """Return the expression of a column in a row; it fails with no value, or the change itself would fail."""
     kind, value = plain_type(column), f'{row}."{column.name}"'
-    if isinstance(kind, Float):
+    if isinstance(kind, sa.Float):
         return f"quote({value})"  # SQLite's JSON has 15 digits, its literals have all
-    return f"CAST({value} AS {'TEXT' if isinstance(kind, Text | JSON | Date) else 'INTEGER'})"
+    return f"CAST({value} AS {'TEXT' if isinstance(kind, sa.Text | sa.JSON | sa.Date) else 'INTEGER'})"

@@ -20,38 +20,9 @@ from typing import Any, Literal
 
 import numpy as np
 
+from sunarc.common import errors
 from sunarc.common.array_types import Image
-from sunarc.common.errors import (
-    CameraError,
-    CameraLostError,
-    CameraSilentError,
-    CameraTimeoutError,
-    ConfigurationError,
-    SunarcError,
-)
-from sunarc.imager.cameras.features import (
-    BLACK_LEVEL,
-    GAIN,
-    PASSED_EVERYWHERE_BYTES,
-    PREFERRED_BUFFER_BYTES,
-    SIMULATED_SPEED,
-    Link,
-    Pin,
-    changed_pins,
-    first,
-    gain_db,
-    gain_raise_db,
-    has,
-    is_usable,
-    link_to,
-    pin_settings,
-    read,
-    serial_of,
-    simulated_speed,
-    temperature_c,
-    with_gain_raised,
-    write,
-)
+from sunarc.imager.cameras import features
 from sunarc.imager.cameras.frame import CameraCondition, CameraInfo, Frame, full_scale_of, middle_of_exposure
 from sunarc.imager.cameras.options import AravisOptions, utc_of_timestamp
 from sunarc.imager.cameras.packed import packed_bytes, packing_of, unpack
@@ -85,33 +56,33 @@ class ExposureControl:
     def set(self, camera: Any, exposure_us: float) -> float:  # noqa: ANN401 - a GObject has no types
         """Set the nearest possible exposure, and return the one read back, µs."""
         steps = self.bounds.nearest(exposure_us) / self.unit_us
-        pin = write(camera, self.feature, self.kind, round(steps) if self.kind == "integer" else steps)
+        pin = features.write(camera, self.feature, self.kind, round(steps) if self.kind == "integer" else steps)
         return float(pin.value) * self.unit_us
 
     def get(self, camera: Any) -> float:  # noqa: ANN401 - a GObject has no types
         """Return the exposure read back from the camera, µs."""
-        return float(read(camera, self.feature, self.kind)) * self.unit_us
+        return float(features.read(camera, self.feature, self.kind)) * self.unit_us
 
 
 def require_taken(actual_us: float, asked_us: float, *, before_us: float) -> float:
     """Return an exposure that was read back; CameraError where the camera kept the one before instead of another."""
     if actual_us == before_us and not 1.0 / _SAME <= actual_us / asked_us <= _SAME:
-        raise CameraError(f"the camera keeps an exposure of {actual_us:g} µs and does not take {asked_us:g} µs")
+        raise errors.CameraError(f"the camera keeps an exposure of {actual_us:g} µs and does not take {asked_us:g} µs")
     return actual_us
 
 
 def exposure_control(camera: Any) -> ExposureControl:  # noqa: ANN401 - a GObject has no types
     """Find out how a camera's exposure is set; CameraError when it cannot be."""
     for feature in (*_FLOATS, _RAW):
-        if not has(camera, feature):
+        if not features.has(camera, feature):
             continue
-        unit_us = float(camera.get_float(_RAW_UNIT)) if feature == _RAW and has(camera, _RAW_UNIT) else 1.0
+        unit_us = float(camera.get_float(_RAW_UNIT)) if feature == _RAW and features.has(camera, _RAW_UNIT) else 1.0
         with contextlib.suppress(Exception):  # a few cameras hold whole microseconds: refused as a float
             bounds = camera.get_float_bounds(feature)
             return _control(feature, "float", unit_us, bounds, _step(camera.get_float_increment, feature))
         bounds = camera.get_integer_bounds(feature)
         return _control(feature, "integer", unit_us, bounds, _step(camera.get_integer_increment, feature))
-    raise CameraError(f"the camera's exposure cannot be set: it has none of {', '.join((*_FLOATS, _RAW))}")
+    raise errors.CameraError(f"the camera's exposure cannot be set: it has none of {', '.join((*_FLOATS, _RAW))}")
 
 
 def _control(
@@ -236,7 +207,7 @@ def open_aravis(options: AravisOptions, clock: Clock) -> AravisCamera:
     camera = AravisCamera(options, clock, library=_library())
     try:
         camera.connect()
-    except SunarcError as error:
+    except errors.SunarcError as error:
         camera.close()
         error.__context__ = error.__cause__ = None  # a traceback would keep the device, and with it the control of it
         raise error.with_traceback(None)  # noqa: B904 - the cause was cut off on purpose
@@ -262,9 +233,9 @@ class AravisCamera:
         self._info: CameraInfo | None = None
         self._exposure: ExposureControl | None = None
         self._exposure_us = 0.0
-        self._pins: tuple[Pin, ...] = ()
+        self._pins: tuple[features.Pin, ...] = ()
         self._day_gain_db, self._simulated = 0.0, False
-        self.link: Link | None = None
+        self.link: features.Link | None = None
         self._previous_id: int | None = None
         self._is_suspect = False
 
@@ -272,7 +243,7 @@ class AravisCamera:
     def info(self) -> CameraInfo:
         """What is known of the camera."""
         if self._info is None:
-            raise CameraLostError(f"the camera at {self._options.address} is not open")
+            raise errors.CameraLostError(f"the camera at {self._options.address} is not open")
         return self._info
 
     def connect(self) -> None:
@@ -285,10 +256,12 @@ class AravisCamera:
             self._device = self._camera.get_device()
             self._handler = self._device.connect("control-lost", event_setter(self._lost))
             if self._camera.is_gv_device() and not self._device.is_controller():
-                raise CameraLostError(f"the camera at {address} is controlled by another program; close that one")
-            self._pins = pin_settings(self._camera, self._options)
-            self._day_gain_db = gain_db(self._pins)
-            self._simulated = has(self._camera, SIMULATED_SPEED)
+                raise errors.CameraLostError(
+                    f"the camera at {address} is controlled by another program; close that one"
+                )
+            self._pins = features.pin_settings(self._camera, self._options)
+            self._day_gain_db = features.gain_db(self._pins)
+            self._simulated = features.has(self._camera, features.SIMULATED_SPEED)
             self._exposure = exposure_control(self._camera)
             self._noted = NotedExposure(self._camera, self._exposure, error=self._glib.Error)
             self._open_stream(self._options.packet_size)
@@ -317,7 +290,7 @@ class AravisCamera:
         """Raise the gain by decibels, and read it back (see `GainCamera`)."""
         self._require_control()
         with self._translated("setting the gain"):
-            self._pins = with_gain_raised(self._camera, self._pins, self._day_gain_db, by_db=by_db)
+            self._pins = features.with_gain_raised(self._camera, self._pins, self._day_gain_db, by_db=by_db)
 
     def restore_gain(self) -> None:
         """Restore the gain of the settings, and read it back (see `GainCamera`)."""
@@ -331,12 +304,14 @@ class AravisCamera:
         """Ask for every pinned setting (see `SkyCamera`)."""
         self._require_control()
         with self._translated("asking for the settings"):
-            changed = list(changed_pins(self._camera, self._pins))
+            changed = list(features.changed_pins(self._camera, self._pins))
             if changed:
-                raise CameraLostError(f"the camera was restarted or set by another program: {'; '.join(changed)}")
+                raise errors.CameraLostError(
+                    f"the camera was restarted or set by another program: {'; '.join(changed)}"
+                )
             return CameraCondition(
-                temperature_c=temperature_c(self._camera),
-                speed=simulated_speed(self._camera) if self._simulated else None,
+                temperature_c=features.temperature_c(self._camera),
+                speed=features.simulated_speed(self._camera) if self._simulated else None,
             )
 
     def abilities(self) -> tuple[tuple[str, str], ...]:
@@ -364,12 +339,12 @@ class AravisCamera:
     @property
     def _control(self) -> ExposureControl:
         if self._exposure is None:
-            raise CameraLostError(f"the camera at {self._options.address} is not open")
+            raise errors.CameraLostError(f"the camera at {self._options.address} is not open")
         return self._exposure
 
     def _require_control(self) -> None:
         if self._lost.is_set():
-            raise CameraLostError(f"the camera at {self.info.address} no longer answers")
+            raise errors.CameraLostError(f"the camera at {self.info.address} no longer answers")
 
     def _describe(self, exposure: ExposureControl) -> CameraInfo:
         camera = self._camera
@@ -379,7 +354,7 @@ class AravisCamera:
             address=self._options.address,
             vendor=str(camera.get_vendor_name() or ""),
             model=str(camera.get_model_name() or ""),
-            serial=serial_of(camera),
+            serial=features.serial_of(camera),
             width=int(width),
             height=int(height),
             pixel_format=pixel_format,
@@ -387,7 +362,7 @@ class AravisCamera:
             exposure_min_us=exposure.bounds.minimum_us,
             exposure_max_us=exposure.bounds.maximum_us,
             exposure_step_us=exposure.bounds.step_us,
-            gain_raise_db=gain_raise_db(camera, self._pins),
+            gain_raise_db=features.gain_raise_db(camera, self._pins),
         )
 
     def _open_stream(self, packet_size: int | None) -> None:
@@ -402,10 +377,10 @@ class AravisCamera:
         payload = self._camera.get_payload()
         self._stream = self._camera.create_stream(None, None)
         if self._stream is None:
-            raise CameraLostError(f"the camera at {options.address} gives no stream")
+            raise errors.CameraLostError(f"the camera at {options.address} gives no stream")
         if self._camera.is_gv_device():
             # granted up to net.core.rmem_max
-            self._stream.set_property("socket-buffer-size", PREFERRED_BUFFER_BYTES)
+            self._stream.set_property("socket-buffer-size", features.PREFERRED_BUFFER_BYTES)
             self._stream.set_property("socket-buffer", aravis.GvStreamSocketBuffer.FIXED)
             self._tell_link(payload)
         for _ in range(_BUFFERS):
@@ -413,7 +388,7 @@ class AravisCamera:
 
     def _tell_link(self, payload: int) -> None:
         """Say in the log how the stream is received, and what will lose packets."""
-        self.link = link_to(
+        self.link = features.link_to(
             self._options.address,
             packet_bytes=int(self._camera.gv_get_packet_size()),
             frame_bytes=payload,
@@ -428,11 +403,11 @@ class AravisCamera:
         if self._started(exposure) != "incomplete":
             return
         large = self.link.packet_bytes if self.link is not None else 0
-        if large <= PASSED_EVERYWHERE_BYTES:
+        if large <= features.PASSED_EVERYWHERE_BYTES:
             return
-        self._restart_stream(PASSED_EVERYWHERE_BYTES)
+        self._restart_stream(features.PASSED_EVERYWHERE_BYTES)
         if self._started(exposure) == "whole":
-            self._info = replace(self.info, packet_bytes=PASSED_EVERYWHERE_BYTES, packet_bytes_lost=large)
+            self._info = replace(self.info, packet_bytes=features.PASSED_EVERYWHERE_BYTES, packet_bytes_lost=large)
             _log.warning("stream: no frame came whole with packets of %d bytes; smaller ones are used", large)
         else:
             self._restart_stream(large)
@@ -477,15 +452,17 @@ class AravisCamera:
         buffer = self._stream.timeout_pop_buffer(int(exposure_us + self._options.answer_timeout_s * 1e6))
         if buffer is None:
             if self._lost.is_set():
-                raise CameraLostError("the camera no longer answers")
+                raise errors.CameraLostError("the camera no longer answers")
             raise self._silent()
         try:
             return self._checked(buffer, info, exposure_us, triggered_at)
         finally:
             self._stream.push_buffer(buffer)
 
-    def _silent(self) -> CameraSilentError:
-        return CameraSilentError(f"no frame came within {self._options.answer_timeout_s:g} s of the exposure's end")
+    def _silent(self) -> errors.CameraSilentError:
+        return errors.CameraSilentError(
+            f"no frame came within {self._options.answer_timeout_s:g} s of the exposure's end"
+        )
 
     def _checked(
         self,
@@ -498,11 +475,11 @@ class AravisCamera:
         if status != self._aravis.BufferStatus.SUCCESS:  # nothing else of such a buffer may be touched
             raise incomplete(status.value_nick)
         if (buffer.get_image_width(), buffer.get_image_height()) != (info.width, info.height):
-            raise CameraError(f"a frame of {buffer.get_image_width()}×{buffer.get_image_height()} px came")
+            raise errors.CameraError(f"a frame of {buffer.get_image_width()}×{buffer.get_image_height()} px came")
         image = image_of(buffer.get_image_data(), info)
         frame_id = int(buffer.get_frame_id())
         if self._previous_id is not None and not follows(self._previous_id, frame_id):
-            raise CameraError(f"frame {frame_id} came after frame {self._previous_id}")
+            raise errors.CameraError(f"frame {frame_id} came after frame {self._previous_id}")
         self._previous_id = frame_id
         if self._noted is not None:
             require_exposure(self._noted.of(buffer), exposure_us)
@@ -514,13 +491,13 @@ class AravisCamera:
             image=image,
             time=middle_of_exposure(started_at, exposure_us),
             exposure_us=exposure_us,
-            gain_db=gain_db(self._pins),
+            gain_db=features.gain_db(self._pins),
             pixel_format=info.pixel_format,
             full_scale=info.full_scale,
             frame_id=frame_id,
             host_offset_s=offset_s,
             binning=self._options.binning,
-            raised_db=gain_db(self._pins) - self._day_gain_db,
+            raised_db=features.gain_db(self._pins) - self._day_gain_db,
         )
 
     @contextmanager
@@ -533,8 +510,10 @@ class AravisCamera:
             quark = self._aravis.device_error_quark()
             codes = (missing.TIMEOUT, missing.NOT_CONNECTED, missing.NOT_CONTROLLER, missing.NOT_FOUND)
             if self._lost.is_set() or any(error.matches(quark, code) for code in codes):
-                raise CameraLostError(f"{doing}: no answer ({error.message}); check power and network") from error
-            raise CameraError(f"{doing}: {error.message}") from error
+                raise errors.CameraLostError(
+                    f"{doing}: no answer ({error.message}); check power and network"
+                ) from error
+            raise errors.CameraError(f"{doing}: {error.message}") from error
 
 
 def _library() -> tuple[Any, Any]:
@@ -547,7 +526,7 @@ def _library() -> tuple[Any, Any]:
             gi.require_version("Aravis", "0.8")
             from gi.repository import Aravis, GLib  # noqa: PLC0415 - only after the version was required
     except (ImportError, ValueError) as error:
-        raise ConfigurationError(
+        raise errors.ConfigurationError(
             f"Aravis is missing ({error}); run: apt-get install python3-gi gir1.2-aravis-0.8, "
             "and use a virtual environment on /usr/bin/python3"
         ) from None
@@ -561,19 +540,19 @@ def abilities_of(
     camera: Any,  # noqa: ANN401 - a GObject has no types
     *,
     exposure: ExposureControl,
-    pins: tuple[Pin, ...],
+    pins: tuple[features.Pin, ...],
     notes_exposures: bool,
 ) -> Iterator[tuple[str, str]]:
     """Yield what there is, and what of it is used."""
     width, height = camera.get_sensor_size()
-    binning = "bins" if has(camera, "BinningHorizontal") else "does not bin"
+    binning = "bins" if features.has(camera, "BinningHorizontal") else "does not bin"
     yield "sensor", f"{width}x{height} px, {binning}"
     offered = [str(name) for name in camera.dup_available_pixel_formats_as_strings()]
-    left_out = [name for name in offered if not is_usable(name)]
+    left_out = [name for name in offered if not features.is_usable(name)]
     not_used = f" (of no use here: {', '.join(left_out)})" if left_out else ""
-    yield "pixel formats", ", ".join(name for name in offered if is_usable(name)) + not_used
-    for what, names in (("gain", GAIN), ("black level", BLACK_LEVEL)):
-        name = first(camera, names)
+    yield "pixel formats", ", ".join(name for name in offered if features.is_usable(name)) + not_used
+    for what, names in (("gain", features.GAIN), ("black level", features.BLACK_LEVEL)):
+        name = features.first(camera, names)
         pinned = next((pin.value for pin in pins if pin.name == name), None)
         yield what, "cannot be set" if name is None else f"{name}, held at {pinned}"
     noted = (
@@ -582,7 +561,7 @@ def abilities_of(
         else "read back from the camera, and judged by brightness"
     )
     yield "exposure", f"by {exposure.feature}; {noted}"
-    degrees = temperature_c(camera)
+    degrees = features.temperature_c(camera)
     yield "temperature", "not reported" if degrees is None else f"{degrees:.1f} °C"
     yield "held settings", ", ".join(f"{pin.name} {pin.value}" for pin in pins)
 
@@ -600,7 +579,7 @@ def follows(previous_id: int, frame_id: int) -> bool:
 def require_exposure(noted_us: float, exposure_us: float) -> None:
     """Raise `CameraError` when the exposure that a frame notes of itself is not the one that was read back."""
     if not abs(noted_us - exposure_us) <= max(1.0, _CHUNK_TOLERANCE * exposure_us):
-        raise CameraError(f"a frame notes an exposure of {noted_us:g} µs, not {exposure_us:g} µs")
+        raise errors.CameraError(f"a frame notes an exposure of {noted_us:g} µs, not {exposure_us:g} µs")
 
 
 def image_of(data: bytes, info: CameraInfo) -> Image:
@@ -609,7 +588,9 @@ def image_of(data: bytes, info: CameraInfo) -> Image:
     depth = 1 if info.full_scale == 255 else 2
     expected = count * depth if packing is None else packed_bytes(packing, count)
     if len(data) < expected:
-        raise CameraError(f"a frame of {len(data)} bytes came, {expected} bytes in {info.pixel_format} are expected")
+        raise errors.CameraError(
+            f"a frame of {len(data)} bytes came, {expected} bytes in {info.pixel_format} are expected"
+        )
     if packing is not None:
         return _read_only(unpack(data, packing, count)).reshape(info.height, info.width)
     flat = np.frombuffer(data, np.uint8, count) if depth == 1 else np.frombuffer(data, np.uint16, count)
@@ -621,8 +602,10 @@ def _read_only(image: Image) -> Image:
     return image
 
 
-def incomplete(status: str) -> CameraError:
+def incomplete(status: str) -> errors.CameraError:
     """Return the error that an unusable buffer's status stands for."""
     if status in {"timeout", "missing-packets"}:
-        return CameraTimeoutError(f"packets of the frame were lost ({status}); see the network's buffer settings")
-    return CameraError(f"the frame is not usable ({status})")
+        return errors.CameraTimeoutError(
+            f"packets of the frame were lost ({status}); see the network's buffer settings"
+        )
+    return errors.CameraError(f"the frame is not usable ({status})")

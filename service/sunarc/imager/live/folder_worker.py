@@ -24,16 +24,9 @@ from sunarc.imager.archive.pictures_of_one_time import TWO_PICTURES
 from sunarc.imager.archive.seen_files import SeenFile
 from sunarc.imager.cameras.frame import Frame
 from sunarc.imager.cameras.options import WHOLE_SECONDS_S, FolderOptions
+from sunarc.imager.live import folder_files
 from sunarc.imager.live.file_frames import frame_of
 from sunarc.imager.live.folder_conditions import DATED_AGAIN, FUTURE, AheadOfClock, ArrivalTimes, LeftOut, time_rules
-from sunarc.imager.live.folder_files import (
-    FolderListing,
-    FolderWatch,
-    Settling,
-    changed_s,
-    is_image,
-    source_file,
-)
 from sunarc.imager.live.live_images import LiveImage, LiveImages
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.runtime.loop import DropOldestQueue, Loop
@@ -43,15 +36,8 @@ from sunarc.imager.workers.clock_watch import FrameTime
 from sunarc.imager.workers.messages import condition
 from sunarc.sky.days import solar_date
 from sunarc.sky.sun import DARK_ZENITH_DEG
+from sunarc.sources import image_files
 from sunarc.sources.expected_sun import MOST_EXPOSURES
-from sunarc.sources.image_files import (
-    MOST_PIXELS,
-    NOT_READ,
-    SourceFile,
-    content_of,
-    image_of,
-    image_size,
-)
 from sunarc.sources.image_times import TimedFrame, timed_frames
 from sunarc.sources.index import at_night
 from sunarc.sources.messages import MESSAGES, RefusedImageError
@@ -64,7 +50,7 @@ _log = logging.getLogger(__name__)
 class _Dated(NamedTuple):
     """A file whose image has a time."""
 
-    file: SourceFile
+    file: image_files.SourceFile
     frame: TimedFrame
     content: str
 
@@ -129,7 +115,7 @@ class FolderWorker:
     cadence: LearnedCadence
     board: StatusRegistry
     night: DropOldestQueue[Frame] | None = None
-    archive_of: Callable[[Sequence[SourceFile]], None] = lambda _: None
+    archive_of: Callable[[Sequence[image_files.SourceFile]], None] = lambda _: None
     judge_again: Callable[[date], None] = lambda _: None
     look_again: Callable[[], None] = lambda: None
 
@@ -138,16 +124,16 @@ class FolderWorker:
         self._rules = time_rules(self.options)
         self._root = self.options.path
         self._source = Folder(name_text(self._root))
-        self._listing = FolderListing(self._root, self.options.files)
-        self._settling = Settling(self._root, self.options.settle_s)
+        self._listing = folder_files.FolderListing(self._root, self.options.files)
+        self._settling = folder_files.Settling(self._root, self.options.settle_s)
         self._left_out = LeftOut(self.board)
         self._arrivals = ArrivalTimes(self.board, settle_s=self.options.settle_s)
         self._stamps: dict[str, str] = {}
         self._verdicts: dict[str, str] = {}
         self._ahead = AheadOfClock(self.clock)
         self._remembers = False
-        self._ready: dict[str, tuple[SourceFile, float]] = {}
-        self._late: dict[str, SourceFile] = {}
+        self._ready: dict[str, tuple[image_files.SourceFile, float]] = {}
+        self._late: dict[str, image_files.SourceFile] = {}
         self._again: dict[str, float] = {}
         self._late_days: dict[date, float] = {}
         self._late_s: float | None = None
@@ -166,7 +152,9 @@ class FolderWorker:
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Follow the folder until stopped."""
         loop = Loop(self.clock, stop, heartbeat)
-        watch = FolderWatch(self._root, self.clock, poll_s=self.options.poll_s, polling=self.options.polling)
+        watch = folder_files.FolderWatch(
+            self._root, self.clock, poll_s=self.options.poll_s, polling=self.options.polling
+        )
         try:
             for _ in loop.turns():
                 if self.clock.monotonic() - self._listed_s >= watch.list_every_s and not self.list_new():
@@ -206,14 +194,14 @@ class FolderWorker:
     def note_names(self, names: Iterable[str]) -> None:
         """Take note of files that the file system reports as changed."""
         now_s = self.clock.monotonic()
-        for file in self._present(name for name in names if is_image(name, self.options.files)):
+        for file in self._present(name for name in names if folder_files.is_image(name, self.options.files)):
             if self._is_new(file):
                 self._settling.add(file, now_s)
 
-    def _present(self, names: Iterable[str]) -> Iterator[SourceFile]:
+    def _present(self, names: Iterable[str]) -> Iterator[image_files.SourceFile]:
         for name in names:
             with suppress(OSError):  # it is gone
-                yield source_file(name, (self._root / name_path(name)).stat())
+                yield folder_files.source_file(name, (self._root / name_path(name)).stat())
 
     def work(self, heartbeat: Callable[[], None] = lambda: None) -> bool:
         """Look at the images that are complete, live ones before late ones; return whether there may be more."""
@@ -241,7 +229,7 @@ class FolderWorker:
             self.look_again()
         return False
 
-    def _newest_ready(self) -> dict[str, tuple[SourceFile, float]]:
+    def _newest_ready(self) -> dict[str, tuple[image_files.SourceFile, float]]:
         """Return some complete files, those that came last first: a live one does not wait for thousands of others."""
         names = heapq.nsmallest(_AT_ONCE, self._ready, key=lambda name: (-self._ready[name][1], name))
         names.sort(key=lambda name: (self._ready[name][1], name))
@@ -284,19 +272,19 @@ class FolderWorker:
         named = (time_in_name(PurePosixPath(one.file).name) for one in newest if one.code is None)
         self._usual = next((one.prefix for one in named if one is not None), None)
 
-    def _is_new(self, file: SourceFile) -> bool:
+    def _is_new(self, file: image_files.SourceFile) -> bool:
         name = file.name
         seen = self._stamps.get(name)
         return seen != file.stamp and name not in self._ready and name not in self._late and name not in self._again
 
-    def _first_listing(self, listed: Sequence[SourceFile], new: Sequence[SourceFile]) -> None:
+    def _first_listing(self, listed: Sequence[image_files.SourceFile], new: Sequence[image_files.SourceFile]) -> None:
         """Divide what is there at the start: the newest are live, few are late, many are an archive."""
         now = self.clock.now().timestamp()
-        recent = [file for file in new if now - changed_s(file) < _LIVE.total_seconds()]
+        recent = [file for file in new if now - folder_files.changed_s(file) < _LIVE.total_seconds()]
         for file in recent:
             self._settling.add(file, self.clock.monotonic())
-        older = [file for file in new if now - changed_s(file) >= _LIVE.total_seconds()]
-        self._register(sorted(listed, key=changed_s))
+        older = [file for file in new if now - folder_files.changed_s(file) >= _LIVE.total_seconds()]
+        self._register(sorted(listed, key=folder_files.changed_s))
         if len(older) > _MANY:
             self.archive_of(older)
             for file in older:
@@ -308,7 +296,7 @@ class FolderWorker:
         )
         self._prune({file.name for file in listed})
 
-    def take_late(self, files: Iterable[SourceFile]) -> None:
+    def take_late(self, files: Iterable[image_files.SourceFile]) -> None:
         """Look at files behind the live ones."""
         self._late.update((file.name, file) for file in files)
 
@@ -322,27 +310,29 @@ class FolderWorker:
         except OutsideError as error:
             _log.warning("files that are gone are not forgotten: %s", error)
 
-    def _register(self, files: Sequence[SourceFile]) -> None:
+    def _register(self, files: Sequence[image_files.SourceFile]) -> None:
         if self.images.size is None and files:
-            found = (image_size(self._source, file.name) for file in files[-_SIZES:])
-            self.images.register([one for one in found if one is not None and one[0] * one[1] <= MOST_PIXELS])
+            found = (image_files.image_size(self._source, file.name) for file in files[-_SIZES:])
+            self.images.register(
+                [one for one in found if one is not None and one[0] * one[1] <= image_files.MOST_PIXELS]
+            )
 
     # What is done with a file.
 
     def _take_files(
         self,
-        files: Sequence[SourceFile],
+        files: Sequence[image_files.SourceFile],
         heartbeat: Callable[[], None],
         *,
         live: bool,
-        since_s: dict[str, tuple[SourceFile, float]] | None = None,
+        since_s: dict[str, tuple[image_files.SourceFile, float]] | None = None,
     ) -> None:
         self._register(files)
         by_time: dict[datetime, list[_Dated]] = {}
         for file in files:
             dated = self._dated(file)
             if dated is not None and live:
-                self._arrivals.note(dated.frame.time, utc_time(changed_s(file)))
+                self._arrivals.note(dated.frame.time, utc_time(folder_files.changed_s(file)))
             if dated is not None and live and not self._is_recent(dated.frame.time):
                 self._late[file.name] = file
             elif dated is not None:
@@ -363,7 +353,7 @@ class FolderWorker:
             return self._newest is None or time > self._newest[1] - _LIVE
         return time > self.frame_time.now() - _LIVE
 
-    def _awaits_more(self, members: Sequence[_Dated], since_s: dict[str, tuple[SourceFile, float]]) -> bool:
+    def _awaits_more(self, members: Sequence[_Dated], since_s: dict[str, tuple[image_files.SourceFile, float]]) -> bool:
         """Put the exposures of an incomplete stack back, where stacks came before and the last one is not long ago."""
         now_s = self.clock.monotonic()
         oldest_s = min(since_s[one.file.name][1] for one in members)
@@ -373,23 +363,23 @@ class FolderWorker:
             self._ready[one.file.name] = (one.file, since_s[one.file.name][1])
         return True
 
-    def _dated(self, file: SourceFile) -> _Dated | None:
+    def _dated(self, file: image_files.SourceFile) -> _Dated | None:
         """Return a file with the time of its image; None where it is left out, which is written down."""
         name = file.name
         try:
             frame = self._timed(file)
             if self._is_doubtful(file, frame.time):
                 return None
-            content = hash_of(content_of(self._source, name))
+            content = hash_of(image_files.content_of(self._source, name))
         except RefusedImageError as error:
             self._refuse(file, self._as_latest(name, error.finding))
             return None
         except OSError as error:
-            self._refuse(file, Finding(NOT_READ, {"error": error.strerror or str(error)}))
+            self._refuse(file, Finding(image_files.NOT_READ, {"error": error.strerror or str(error)}))
             return None
         return _Dated(file, frame, content)
 
-    def _timed(self, file: SourceFile) -> TimedFrame:
+    def _timed(self, file: image_files.SourceFile) -> TimedFrame:
         """Return when the image of a file was taken; RefusedImageError where that cannot be."""
         if file.size > MOST_BYTES:
             raise RefusedImageError(file.name, Finding("file_too_large", {"bytes": file.size, "most": MOST_BYTES}))
@@ -404,9 +394,9 @@ class FolderWorker:
             raise RefusedImageError(file.name, Finding("file_time_future", {"ahead_s": ahead_s}))
         return frame
 
-    def _is_doubtful(self, file: SourceFile, time: datetime) -> bool:
+    def _is_doubtful(self, file: image_files.SourceFile, time: datetime) -> bool:
         """Return whether an image was ahead of a clock that no file's change shows to have been years behind."""
-        behind_s = time.timestamp() - changed_s(file)
+        behind_s = time.timestamp() - folder_files.changed_s(file)
         return self._verdicts.pop(file.name, "") == FUTURE and behind_s < _YEARS_S
 
     def _as_latest(self, name: str, finding: Finding) -> Finding:
@@ -463,7 +453,7 @@ class FolderWorker:
         for one in seen:
             if one.code is None and one.file not in without:
                 with suppress(OSError):  # it is gone
-                    dated = self._dated(source_file(one.file, (self._root / name_path(one.file)).stat()))
+                    dated = self._dated(folder_files.source_file(one.file, (self._root / name_path(one.file)).stat()))
                     if dated is not None and dated.frame.time == one.time:
                         yield dated
 
@@ -475,7 +465,7 @@ class FolderWorker:
             if not takes or not later or self.night is None:
                 self._refuse(one.file, at_night(zenith), one)
                 continue
-            pixels = image_of(self._source, one.file.name, size=self.images.size)
+            pixels = image_files.image_of(self._source, one.file.name, size=self.images.size)
             if isinstance(pixels, Finding):
                 self._refuse(one.file, pixels, one)
                 continue
@@ -501,8 +491,8 @@ class FolderWorker:
         if self._usual is None or is_gone:
             self._usual = prefix
 
-    def _may_grow(self, file: SourceFile) -> bool:
-        return self.clock.now().timestamp() - changed_s(file) < _HALF_WRITTEN_S
+    def _may_grow(self, file: image_files.SourceFile) -> bool:
+        return self.clock.now().timestamp() - folder_files.changed_s(file) < _HALF_WRITTEN_S
 
     def _noted(self, time: datetime, new: Sequence[_Dated], *, live: bool) -> None:
         """Show the newest image, and take the time from it where images are the only clock."""
@@ -525,12 +515,12 @@ class FolderWorker:
         for one in members:
             self._again[one.file.name] = self.clock.monotonic() + _AGAIN_S
 
-    def _refuse(self, file: SourceFile, finding: Finding, dated: _Dated | None = None) -> None:
+    def _refuse(self, file: image_files.SourceFile, finding: Finding, dated: _Dated | None = None) -> None:
         if finding.code == _TRUNCATED and self._may_grow(file):
             self._again[file.name] = self.clock.monotonic() + _AGAIN_S
             return
         self._left_out.note(file.name, finding)
-        if finding.code == NOT_READ:
+        if finding.code == image_files.NOT_READ:
             self._again[file.name] = self.clock.monotonic() + _AGAIN_S
             return
         self._write(file, dated, finding.code)
@@ -538,7 +528,7 @@ class FolderWorker:
     def _seen(self, one: _Dated) -> None:
         self._write(one.file, one, None)
 
-    def _write(self, file: SourceFile, dated: _Dated | None, code: str | None) -> None:
+    def _write(self, file: image_files.SourceFile, dated: _Dated | None, code: str | None) -> None:
         """Write a file down as seen; after its sightings, so that a process that dies between looks at it again."""
         seen = SeenFile(
             camera=self.camera.name,

@@ -24,29 +24,14 @@ from sunarc.imager.archive.archive import Archive
 from sunarc.imager.archive.images import ImageStore
 from sunarc.imager.archive.values import Refit
 from sunarc.imager.runtime.status import StatusSnapshot
+from sunarc.imager.web import problems
 from sunarc.imager.web.arrays import MOST_BYTES_AHEAD
 from sunarc.imager.web.bulk import ComputeSlots
 from sunarc.imager.web.context import CAMERA_PREFIX, ApiContext, DaySites, SingleFlightCache
-from sunarc.imager.web.middleware.admission import (
-    AllowedHosts,
-    ConcurrencyLimit,
-    RateLimit,
-    ReadTokenMiddleware,
-    host_names,
-    read_token,
-)
+from sunarc.imager.web.middleware import admission
 from sunarc.imager.web.middleware.request_bodies import BodyReader, Boundary, HeadRequests
 from sunarc.imager.web.middleware.shared_quota import SharedQuota
 from sunarc.imager.web.options import ApiOptions
-from sunarc.imager.web.problems import (
-    Fault,
-    FaultGuard,
-    FaultLog,
-    Problem,
-    add_problem_handlers,
-    answers,
-    require_known_names,
-)
 from sunarc.imager.web.routes.calibrations import calibration_routes, decision_routes, refit_routes
 from sunarc.imager.web.routes.directions import direction_routes
 from sunarc.imager.web.routes.geolocation import GeolocateRequest, geolocation_routes
@@ -72,8 +57,8 @@ Every route below /v1 but /v1/status and /v1/cameras answers for this service's 
 it answers for any camera that /v1/cameras lists (404 for another name)."""
 
 _OTHERS: tuple[tuple[type[BaseModel], JsonSchemaMode], ...] = (
-    (Problem, "serialization"),
-    (Fault, "serialization"),
+    (problems.Problem, "serialization"),
+    (problems.Fault, "serialization"),
     (BackProjectRequest, "validation"),
     (ProjectRequest, "validation"),
     (GeolocateRequest, "validation"),
@@ -138,8 +123,8 @@ def _describe_bytes(responses: dict[str, Any]) -> None:
 def _only_problems(responses: dict[str, Any]) -> None:
     """Replace FastAPI's own answer to what is invalid, and add the ones that any route may give."""
     if "HTTPValidationError" in str(responses.get("422", "")):
-        responses["422"] = answers(422)[422]
-    for status, answer in answers(400, 401, 421, 422, 429, 500, 503).items():
+        responses["422"] = problems.answers(422)[422]
+    for status, answer in problems.answers(400, 401, 421, 422, 429, 500, 503).items():
         responses.setdefault(str(status), answer)
 
 
@@ -195,7 +180,7 @@ def create_app(
         options=options,
         images=images,
         stopping=stopping,
-        token=read_token(options.token_file, setting="api.token_file"),
+        token=admission.read_token(options.token_file, setting="api.token_file"),
     )
     numbers = registry or CollectorRegistry()
     numbers.register(StatusCollector(context))
@@ -240,14 +225,14 @@ def new_application(title: str) -> FastAPI:
         docs_url=None,
         redoc_url=None,
         generate_unique_id_function=lambda route: route.name,
-        dependencies=[Depends(require_known_names)],
+        dependencies=[Depends(problems.require_known_names)],
     )
 
 
 def complete(app: FastAPI, context: ApiContext) -> None:
     """Add what every application has in common: problem documents, its description, and limits."""
-    faults = FaultLog()
-    add_problem_handlers(app, faults)
+    faults = problems.FaultLog()
+    problems.add_problem_handlers(app, faults)
     describe(app)
     _add_guards(app, context, faults)
 
@@ -260,7 +245,7 @@ def count_requests(app: FastAPI, numbers: CollectorRegistry) -> None:
     app.add_middleware(CountRequests, counts=counts)
 
 
-def _add_guards(app: FastAPI, context: ApiContext, faults: FaultLog) -> None:
+def _add_guards(app: FastAPI, context: ApiContext, faults: problems.FaultLog) -> None:
     """Put what every request passes before the application, the innermost first."""
     options = context.options
     app.add_middleware(
@@ -269,7 +254,7 @@ def _add_guards(app: FastAPI, context: ApiContext, faults: FaultLog) -> None:
         compresslevel=_COMPRESSION_LEVEL,
         exclude_content_types=_COMPRESSED_ALREADY,
     )
-    app.add_middleware(ConcurrencyLimit, at_once=options.max_at_once, streams=_MOST_STREAMS)
+    app.add_middleware(admission.ConcurrencyLimit, at_once=options.max_at_once, streams=_MOST_STREAMS)
     app.add_middleware(
         BodyReader,
         max_body_bytes=options.max_body_bytes,
@@ -277,11 +262,11 @@ def _add_guards(app: FastAPI, context: ApiContext, faults: FaultLog) -> None:
         within_s=options.request_within_s,
         quota=SharedQuota(options.max_large_at_once * (options.max_array_bytes + MOST_BYTES_AHEAD)),
     )
-    reading = read_token(options.read_token_file, setting="api.read_token_file")
+    reading = admission.read_token(options.read_token_file, setting="api.read_token_file")
     tokens = tuple(token for token in (reading, context.token) if token is not None)
     if reading is not None:
-        app.add_middleware(ReadTokenMiddleware, tokens=tokens)
-    app.add_middleware(RateLimit, per_s=options.requests_per_s, burst=options.burst, tokens=tokens)
+        app.add_middleware(admission.ReadTokenMiddleware, tokens=tokens)
+    app.add_middleware(admission.RateLimit, per_s=options.requests_per_s, burst=options.burst, tokens=tokens)
     if options.cors_origins:
         app.add_middleware(
             CORSMiddleware,
@@ -290,8 +275,8 @@ def _add_guards(app: FastAPI, context: ApiContext, faults: FaultLog) -> None:
             allow_headers=["authorization", "content-type", "if-none-match"],
             expose_headers=["etag", "location", "retry-after", "sunarc-calibration", "sunarc-columns"],
         )
-    app.add_middleware(AllowedHosts, names=host_names(options))
-    app.add_middleware(FaultGuard, faults=faults)
+    app.add_middleware(admission.AllowedHosts, names=admission.host_names(options))
+    app.add_middleware(problems.FaultGuard, faults=faults)
     app.add_middleware(HeadRequests)
     app.add_middleware(Boundary, max_body_bytes=options.max_body_bytes, max_array_bytes=options.max_array_bytes)
 

@@ -25,15 +25,7 @@ from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.runtime.loop import Attempts, Loop, Pauses
 from sunarc.imager.runtime.status import Reason, StatusRegistry
 from sunarc.imager.runtime.supervisor import worker_code
-from sunarc.imager.workers.http_exchange import (
-    HttpRequest,
-    Limit,
-    Trust,
-    UnfinishedError,
-    connected,
-    exchange,
-    exchange_errors,
-)
+from sunarc.imager.workers import http_exchange
 from sunarc.imager.workers.messages import condition, condition_of
 from sunarc.imager.workers.options import read_secret
 
@@ -248,7 +240,7 @@ class Webhook:
         self.name = webhook_name(self.url)
         self._url = urllib.parse.urlsplit(self.url)
         self._key = b""
-        self._trust = Trust() if self._url.scheme == "https" else None
+        self._trust = http_exchange.Trust() if self._url.scheme == "https" else None
 
     def publish_states(self, heartbeat: Callable[[], None]) -> None:
         """Read the key, if it is not there yet: a webhook keeps no state of the cameras."""
@@ -258,11 +250,11 @@ class Webhook:
     def probe(self) -> None:
         """Read the key, connect, and end the connection."""
         self._read_key()
-        request = HttpRequest(method="POST", url=self._url, headers={}, body=b"")
+        request = http_exchange.HttpRequest(method="POST", url=self._url, headers={}, body=b"")
         try:
-            with exchange_errors():
-                connected(request, self._context(), self._limit(lambda: None)).close()
-        except (OSError, UnfinishedError) as error:
+            with http_exchange.exchange_errors():
+                http_exchange.connected(request, self._context(), self._limit(lambda: None)).close()
+        except (OSError, http_exchange.UnfinishedError) as error:
             raise OutsideError(f"{self._url.hostname}: {error}") from error
 
     def close(self, *, graceful: bool) -> None:
@@ -280,10 +272,10 @@ class Webhook:
             "webhook-timestamp": timestamp,
             "webhook-signature": signature(self._key, notice.id, timestamp, body),
         }
-        request = HttpRequest(method="POST", url=self._url, headers=headers, body=body)
+        request = http_exchange.HttpRequest(method="POST", url=self._url, headers=headers, body=body)
         try:
-            status, _ = exchange(request, context=self._context(), limit=self._limit(heartbeat))
-        except (OSError, UnfinishedError) as error:
+            status, _ = http_exchange.exchange(request, context=self._context(), limit=self._limit(heartbeat))
+        except (OSError, http_exchange.UnfinishedError) as error:
             raise OutsideError(f"{self._url.hostname}: {error}") from error
         if HTTPStatus.OK <= status < HTTPStatus.MULTIPLE_CHOICES:
             return
@@ -297,8 +289,8 @@ class Webhook:
     def _read_key(self) -> None:
         self._key = self._key or read_secret(self.secret_file)
 
-    def _limit(self, heartbeat: Callable[[], None]) -> Limit:
-        return Limit(_WITHIN_S, monotonic=self.clock.monotonic, heartbeat=heartbeat)
+    def _limit(self, heartbeat: Callable[[], None]) -> http_exchange.Limit:
+        return http_exchange.Limit(_WITHIN_S, monotonic=self.clock.monotonic, heartbeat=heartbeat)
 
 
 def webhook_name(url: str) -> str:

@@ -11,19 +11,9 @@ from numpy.typing import NDArray
 from sunarc import _kernels
 from sunarc.common.array_types import BoolArray, FloatArray, Image
 from sunarc.detection.values import Bayer
+from sunarc.lab.simulation import scene_parts
 from sunarc.lab.simulation.night import NightLight
 from sunarc.lab.simulation.options import Bump, SceneOptions, SensorModel, Weather
-from sunarc.lab.simulation.scene_parts import (
-    CloudLayer,
-    RegionLight,
-    Stamp,
-    cloud_layer,
-    disc_points,
-    is_blocked,
-    is_covered,
-    pixel_field,
-    stamp_of,
-)
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector
@@ -66,7 +56,9 @@ class Scene:
         self.options = options or SceneOptions()
         self.sensor = sensor or SensorModel()
         self._bumped: Scene | None = None
-        self._field = pixel_field(camera, field_deg=self.options.field_deg, obstructions=self.options.obstructions)
+        self._field = scene_parts.pixel_field(
+            camera, field_deg=self.options.field_deg, obstructions=self.options.obstructions
+        )
         self._night = None
         if (night := self.options.night) is not None:
             obstructions = self.options.obstructions
@@ -152,9 +144,9 @@ class Scene:
 
     def sun_transmittance(self, unix_s: float) -> float:
         """Return how much of the sun's light clouds and obstructions let through, averaged over its disc."""
-        layer = cloud_layer(self.weather(unix_s), seed=self.options.seed, unix_s=unix_s)
+        layer = scene_parts.cloud_layer(self.weather(unix_s), seed=self.options.seed, unix_s=unix_s)
         sun = self.sun_direction(unix_s)
-        points = disc_points(self.camera, sun, limb_darkening=self.options.limb_darkening)
+        points = scene_parts.disc_points(self.camera, sun, limb_darkening=self.options.limb_darkening)
         if points is None:
             return 0.0
         transmittance = self._transmittance(points.direction_enu, layer) * self._uncovered(points.direction_enu, sun)
@@ -180,7 +172,7 @@ class Scene:
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the light of a region in full scales per microsecond, and its smear in electrons, (w,)."""
         sun = self.sun_direction(unix_s)
-        layer = cloud_layer(self.weather(unix_s), seed=self.options.seed, unix_s=unix_s)
+        layer = scene_parts.cloud_layer(self.weather(unix_s), seed=self.options.seed, unix_s=unix_s)
         x, y, width, height = region
         field = np.ascontiguousarray(self._field[y : y + height, x : x + width])
         smear = np.zeros(width, dtype=np.float32)
@@ -188,17 +180,17 @@ class Scene:
         stamps += self._moon(layer)
         light = _kernels.sky_light(field, sun.astype(np.float32), self._levels(sun[2], share), *layer)
         if self._night is not None and sun[2] < _NIGHT_UP:
-            well_e, part = self.sensor.full_well_e, RegionLight(light, field, (x, y))
+            well_e, part = self.sensor.full_well_e, scene_parts.RegionLight(light, field, (x, y))
             self._night.add(part, unix_s=unix_s, exposure_us=exposure_us, layer=layer, well_e=well_e)
         for stamp in stamps:
             add_stamp(light, stamp, (x, y))
             column_sum = stamp.values.sum(axis=0, keepdims=True) * self.sensor.smear_us_per_row
-            add_stamp(smear[None, :], Stamp(stamp.x, 0, column_sum * self.sensor.full_well_e), (x, 0))
+            add_stamp(smear[None, :], scene_parts.Stamp(stamp.x, 0, column_sum * self.sensor.full_well_e), (x, 0))
         return light, smear
 
-    def _stamps(self, sun: FloatArray, layer: CloudLayer) -> tuple[list[Stamp], float]:
+    def _stamps(self, sun: FloatArray, layer: scene_parts.CloudLayer) -> tuple[list[scene_parts.Stamp], float]:
         """Return the images of the sun's disc, and how much of its light comes through."""
-        points = disc_points(self.camera, sun, limb_darkening=self.options.limb_darkening)
+        points = scene_parts.disc_points(self.camera, sun, limb_darkening=self.options.limb_darkening)
         if points is None:
             return [], 0.0
         transmittance = self._transmittance(points.direction_enu, layer) * self._uncovered(points.direction_enu, sun)
@@ -206,32 +198,34 @@ class Scene:
         if share <= 0.0:
             return [], 0.0
         weight = points.weight_px * transmittance * self._disc_rate(sun[2])
-        stamps = [stamp_of(points.pixel, weight, sigma_px=self.options.psf_sigma_px)]
+        stamps = [scene_parts.stamp_of(points.pixel, weight, sigma_px=self.options.psf_sigma_px)]
         if self.options.ghost_strength > 0.0:
             opposite = 2.0 * np.array(self.camera.principal_point_px) - points.pixel
-            stamps.append(stamp_of(opposite, weight * self.options.ghost_strength, sigma_px=self.options.psf_sigma_px))
+            stamps.append(
+                scene_parts.stamp_of(opposite, weight * self.options.ghost_strength, sigma_px=self.options.psf_sigma_px)
+            )
         return stamps, share
 
-    def _moon(self, layer: CloudLayer) -> list[Stamp]:
+    def _moon(self, layer: scene_parts.CloudLayer) -> list[scene_parts.Stamp]:
         """Return the image of the full moon, where there is one: even, and 400 000 times fainter than the sun."""
         if self.options.moon_at is None:
             return []
         zenith, azimuth = self.options.moon_at
         direction = direction_from_angles(zenith_deg=zenith, azimuth_deg=azimuth)
-        points = disc_points(self.camera, direction, limb_darkening=0.0)
+        points = scene_parts.disc_points(self.camera, direction, limb_darkening=0.0)
         if points is None:
             return []
         weight = (
             points.weight_px * self._transmittance(points.direction_enu, layer) * self._disc_rate(direction[2]) * _MOON
         )
-        return [stamp_of(points.pixel, weight, sigma_px=self.options.psf_sigma_px)]
+        return [scene_parts.stamp_of(points.pixel, weight, sigma_px=self.options.psf_sigma_px)]
 
-    def _transmittance(self, direction_enu: FloatArray, layer: CloudLayer) -> FloatArray:
+    def _transmittance(self, direction_enu: FloatArray, layer: scene_parts.CloudLayer) -> FloatArray:
         through = _kernels.cloud_transmittance(*layer, direction_enu.astype(np.float32))
-        return np.where(is_blocked(direction_enu, self.options.obstructions), 0.0, through)
+        return np.where(scene_parts.is_blocked(direction_enu, self.options.obstructions), 0.0, through)
 
     def _uncovered(self, direction_enu: FloatArray, sun_enu: FloatArray) -> BoolArray:
-        return ~is_covered(direction_enu, sun_enu, share=self.options.sun_cover)
+        return ~scene_parts.is_covered(direction_enu, sun_enu, share=self.options.sun_cover)
 
     def _disc_rate(self, sun_up: float) -> float:
         """Return full scales per microsecond in the middle of the disc, behind the air and the filter."""
@@ -272,7 +266,7 @@ def bumped_camera(camera: Camera, bump: Bump) -> Camera:
     return replace(camera, rotation_cam_enu=rotation_vector(rotation_matrix(camera.rotation_cam_enu) @ back))
 
 
-def add_stamp(image: NDArray[np.float32], stamp: Stamp, origin: tuple[int, int]) -> None:
+def add_stamp(image: NDArray[np.float32], stamp: scene_parts.Stamp, origin: tuple[int, int]) -> None:
     """Add a stamp to an image whose first pixel is `origin` of the sensor, where they overlap."""
     x, y = stamp.x - origin[0], stamp.y - origin[1]
     height, width = stamp.values.shape

@@ -11,15 +11,8 @@ from sqlalchemy import URL, Connection, Engine, func, inspect, select
 import sunarc
 from sunarc.common.errors import InputError, SchemaError, disk_errors
 from sunarc.imager.archive.calibration_rows import damaged_calibrations
+from sunarc.imager.archive.database import connections
 from sunarc.imager.archive.database.backup import backup, remove_old_asides
-from sunarc.imager.archive.database.connections import (
-    create_archive_engine,
-    create_server_engine,
-    name_of,
-    reading,
-    require_writable,
-    writing,
-)
 from sunarc.imager.archive.database.tables import metadata
 
 UPGRADE_SERVER = "sunarc db upgrade --store ADDRESS, as the database's owner"
@@ -67,9 +60,9 @@ def upgrade(path: Path) -> Path | None:
     existed = path.exists()
     with disk_errors(path.parent):
         path.parent.mkdir(parents=True, exist_ok=True)
-    engine = create_archive_engine(path, foreign_keys=False, create=True)
+    engine = connections.create_archive_engine(path, foreign_keys=False, create=True)
     try:
-        with reading(engine) as connection:
+        with connections.reading(engine) as connection:
             revision = _revision(connection)
         if revision == head_revision():
             return None
@@ -85,13 +78,13 @@ def upgrade(path: Path) -> Path | None:
 
 def upgrade_server(url: URL) -> bool:
     """Bring a PostgreSQL database to the head revision as its owner, and return whether anything was to do."""
-    engine = create_server_engine(url)
+    engine = connections.create_server_engine(url)
     try:
-        with reading(engine) as connection:
-            require_writable(connection)
+        with connections.reading(engine) as connection:
+            connections.require_writable(connection)
             revision = _revision(connection)
         if revision is not None and revision not in known_revisions():
-            raise _newer(revision, name_of(url))
+            raise _newer(revision, connections.name_of(url))
         if revision != head_revision():
             _migrate(engine, to="head")
         return revision != head_revision()
@@ -102,12 +95,12 @@ def upgrade_server(url: URL) -> bool:
 def check(store: Path | URL) -> Check:
     """Return revision, integrity and size of a database, changing nothing."""
     if isinstance(store, URL):
-        engine = create_server_engine(store)
+        engine = connections.create_server_engine(store)
     else:
         require_file(store, command="sunarc db upgrade")
-        engine = create_archive_engine(store)
+        engine = connections.create_archive_engine(store)
     try:
-        with reading(engine) as connection:
+        with connections.reading(engine) as connection:
             revision, head = _revision(connection), head_revision()
             rows = {
                 name: connection.scalar(select(func.count()).select_from(table)) or 0
@@ -133,9 +126,9 @@ def downgrade(path: Path, revision: str) -> Path:
     """
     require_file(path, command="sunarc db upgrade")
     revisions = known_revisions()
-    engine = create_archive_engine(path, foreign_keys=False, create=True)
+    engine = connections.create_archive_engine(path, foreign_keys=False, create=True)
     try:
-        with reading(engine) as connection:
+        with connections.reading(engine) as connection:
             present = _revision(connection)
         if present not in revisions or revision not in revisions or revision > present:
             older = ", ".join(revisions[: revisions.index(present) + 1]) if present in revisions else "none"
@@ -201,7 +194,7 @@ def _migrate(engine: Engine, *, to: str) -> None:
 
     config = Config()
     config.set_main_option("script_location", str(_migrations()).replace("%", "%%"))
-    with writing(engine) as connection:
+    with connections.writing(engine) as connection:
         config.attributes["connection"] = connection
         if to == "head":
             command.upgrade(config, to)

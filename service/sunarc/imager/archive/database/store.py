@@ -18,31 +18,11 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, TypeVar, cast
 
-from sqlalchemy import (
-    Column,
-    ColumnElement,
-    Connection,
-    Engine,
-    QueuePool,
-    Select,
-    Table,
-    TextClause,
-    TypeDecorator,
-    insert,
-    text,
-)
+import sqlalchemy as sa
 from sqlalchemy.dialects import postgresql, sqlite
 
 from sunarc.common.errors import InputError, OutsideError, StoreFullError
-from sunarc.imager.archive.database.connections import (
-    DatabaseFile,
-    Months,
-    SnapshotVersion,
-    json_text,
-    outside_errors,
-    reading,
-    writing,
-)
+from sunarc.imager.archive.database import connections
 from sunarc.imager.archive.database.tables import quarantine
 from sunarc.imager.archive.images import replacing
 from sunarc.imager.runtime.deadline import SingleCall
@@ -98,11 +78,11 @@ class Database:
     file : its file, as it was opened; None on PostgreSQL.
     """
 
-    def __init__(self, engine: Engine, file: DatabaseFile | None) -> None:
+    def __init__(self, engine: sa.Engine, file: connections.DatabaseFile | None) -> None:
         self.engine = engine
         self.file = file
-        self._changes = SnapshotVersion(engine) if file is None else Changes(engine, file)
-        self.months = Months(engine) if file is None else None
+        self._changes = connections.SnapshotVersion(engine) if file is None else Changes(engine, file)
+        self.months = connections.Months(engine) if file is None else None
         self.commits = CommitTimes()
         self._usable = threading.Event()
         self._usable.set()
@@ -126,14 +106,14 @@ class Database:
         return self._changes.count()
 
     @contextmanager
-    def reading(self) -> Iterator[Connection]:
+    def reading(self) -> Iterator[sa.Connection]:
         """Yield a connection that reads one snapshot of the database."""
         self._usable.wait(_REBUILT_WITHIN_S)
-        with reading(self.engine) as connection:
+        with connections.reading(self.engine) as connection:
             yield connection
 
     @contextmanager
-    def writing(self, *, camera: str | None = None) -> Iterator[Connection]:
+    def writing(self, *, camera: str | None = None) -> Iterator[sa.Connection]:
         """Yield a connection that writes, and commit at the end; of one camera's rows alone where it is named."""
         # On PostgreSQL rows of different cameras are written at the same time.
         with self._noticing_room(), nullcontext() if camera is not None and self.file is None else self._lock:
@@ -142,7 +122,7 @@ class Database:
                 self.file.require_in_place()
             commit: object | None = None
             try:
-                with writing(self.engine, camera=camera) as connection:
+                with connections.writing(self.engine, camera=camera) as connection:
                     yield connection
                     commit = self.commits.begin()
             finally:
@@ -179,14 +159,14 @@ class Database:
             try:
                 # A reader between `wait` and its connection is not counted: a new connection is refused
                 # (`DatabaseFile.connect`), a pooled one reads the former file once more.
-                if cast("QueuePool", self.engine.pool).checkedout():
+                if cast("sa.QueuePool", self.engine.pool).checkedout():
                     where = "" if self.file is None else f" {self.file.path}"
                     raise OutsideError(f"the database{where} is being read; it is put back at the next look")
                 yield
             finally:
                 self._usable.set()
 
-    def counts(self, statement: Select[Any], by: Column[str]) -> Mapping[str, int]:
+    def counts(self, statement: sa.Select[Any], by: sa.Column[str]) -> Mapping[str, int]:
         """Return the counts of a statement, grouped by a column."""
         with self.reading() as connection:
             rows = connection.execute(statement.group_by(by)).all()
@@ -240,7 +220,7 @@ class Database:
         row = {**words, "camera": _WITHOUT_CAMERA, "seq": 0, "data": text if self.file is None else "", "n": 0}
         time = self._tried_at
         with self.writing(camera=_WITHOUT_CAMERA) as connection, connection.begin_nested() as tried:
-            connection.execute(insert(quarantine).values(**row, first_at=time, last_at=time))
+            connection.execute(sa.insert(quarantine).values(**row, first_at=time, last_at=time))
             tried.rollback()
 
     def _try_to_allocate(self, path: Path, count: int) -> None:
@@ -252,7 +232,7 @@ class Database:
                 raise OutsideError(f"cannot write beside the database {path}: {error}") from error
             raise StoreFullError(f"the disk of the database {path} is full: {error}") from error
 
-    def values(self, statement: Select[Any], kind: type[Value]) -> tuple[Value, ...]:
+    def values(self, statement: sa.Select[Any], kind: type[Value]) -> tuple[Value, ...]:
         """Return one value per row; see `values_of`."""
         with self.reading() as connection:
             return values_of(connection, statement, kind)
@@ -270,7 +250,7 @@ class Part:
         self._database = database
 
 
-def values_of(connection: Connection, statement: Select[Any], kind: type[Value]) -> tuple[Value, ...]:
+def values_of(connection: sa.Connection, statement: sa.Select[Any], kind: type[Value]) -> tuple[Value, ...]:
     """Return one value per row; the columns carry the names of its fields.
 
     A row whose required values cannot be read (see `types`) is left out, and logged.
@@ -302,11 +282,11 @@ def _made(kind: type[Value], fields: dict[str, Any]) -> Value | None:
         return None
 
 
-def _required(column: ColumnElement[Any]) -> bool:
-    return isinstance(column, Column) and not column.nullable and isinstance(column.type, TypeDecorator)
+def _required(column: sa.ColumnElement[Any]) -> bool:
+    return isinstance(column, sa.Column) and not column.nullable and isinstance(column.type, sa.TypeDecorator)
 
 
-def given(*filters: tuple[Callable[[Any], Any], object | None]) -> list[ColumnElement[bool]]:
+def given(*filters: tuple[Callable[[Any], Any], object | None]) -> list[sa.ColumnElement[bool]]:
     """Return the conditions whose argument is given: `given((column.__eq__, None))` filters nothing."""
     return [compare(argument) for compare, argument in filters if argument is not None]
 
@@ -323,7 +303,7 @@ class Changes:
     file : its file.
     """
 
-    def __init__(self, engine: Engine, file: DatabaseFile) -> None:
+    def __init__(self, engine: sa.Engine, file: connections.DatabaseFile) -> None:
         self.engine = engine
         self.file = file
         self._lock = threading.Lock()
@@ -332,7 +312,7 @@ class Changes:
 
     def count(self) -> int:
         """Return a number that is another one after any commit, of this process or another."""
-        with self._lock, outside_errors(self.engine):
+        with self._lock, connections.outside_errors(self.engine):
             if self._connection is None:
                 try:
                     self._connection = self.file.connect()
@@ -351,11 +331,11 @@ class Changes:
             self._connection = None
 
 
-def _insert(connection: Connection, table: Table) -> sqlite.Insert | postgresql.Insert:
+def _insert(connection: sa.Connection, table: sa.Table) -> sqlite.Insert | postgresql.Insert:
     return sqlite.insert(table) if connection.dialect.name == "sqlite" else postgresql.insert(table)
 
 
-def insert_new(connection: Connection, table: Table, rows: Sequence[Mapping[str, Any]]) -> int:
+def insert_new(connection: sa.Connection, table: sa.Table, rows: Sequence[Mapping[str, Any]]) -> int:
     """Insert rows and return how many were new; one whose key is there already is left as it is."""
     statement = _insert(connection, table).on_conflict_do_nothing()
     if connection.dialect.name == "sqlite":
@@ -365,8 +345,8 @@ def insert_new(connection: Connection, table: Table, rows: Sequence[Mapping[str,
 
 
 def upsert(
-    connection: Connection,
-    table: Table,
+    connection: sa.Connection,
+    table: sa.Table,
     row: Mapping[str, Any],
     *,
     key: Sequence[str],
@@ -389,8 +369,8 @@ def upsert(
 
 
 def upsert_all(
-    connection: Connection,
-    table: Table,
+    connection: sa.Connection,
+    table: sa.Table,
     rows: Sequence[Mapping[str, Any]],
     *,
     key: Sequence[str],
@@ -413,8 +393,8 @@ def upsert_all(
 
 
 def upsert_records(
-    connection: Connection,
-    table: Table,
+    connection: sa.Connection,
+    table: sa.Table,
     rows: Sequence[Mapping[str, Any]],
     *,
     columns: Sequence[str],
@@ -427,14 +407,14 @@ def upsert_records(
     """
     last = {tuple(row.get(name) for name in key): row for row in rows}
     statement = _of_records(table.name, tuple(columns), tuple(key))
-    connection.execute(statement, {"rows": json_text(list(last.values()))})
+    connection.execute(statement, {"rows": connections.json_text(list(last.values()))})
 
 
 @cache
-def _of_records(table: str, columns: tuple[str, ...], key: tuple[str, ...]) -> TextClause:
+def _of_records(table: str, columns: tuple[str, ...], key: tuple[str, ...]) -> sa.TextClause:
     names = ", ".join(columns)
     written = ", ".join(f"{name} = excluded.{name}" for name in columns if name not in key)
-    return text(
+    return sa.text(
         f"INSERT INTO {table} ({names}) "  # noqa: S608 - names of the table's own columns
         f"SELECT {names} FROM json_populate_recordset(NULL::{table}, CAST(:rows AS json)) "
         f"ON CONFLICT ({', '.join(key)}) DO UPDATE SET {written}"

@@ -12,58 +12,29 @@ from collections.abc import Callable
 from datetime import date, datetime
 from typing import Any, get_args
 
+import sqlalchemy as sa
 from pydantic import TypeAdapter, ValidationError
-from sqlalchemy import (
-    JSON,
-    BigInteger,
-    Boolean,
-    Column,
-    ColumnElement,
-    Date,
-    Dialect,
-    Float,
-    ForeignKey,
-    Index,
-    Integer,
-    LargeBinary,
-    MetaData,
-    Table,
-    Text,
-    TypeDecorator,
-    UniqueConstraint,
-    false,
-    text,
-)
 from sqlalchemy.ext.compiler import compiles
 from sqlalchemy.sql.compiler import SQLCompiler
 from sqlalchemy.sql.functions import GenericFunction
 
 from sunarc.common.findings import Finding, from_json
 from sunarc.common.utc import from_microseconds, to_microseconds
+from sunarc.imager.archive import values
 from sunarc.imager.archive.database.connections import parsed_json
-from sunarc.imager.archive.values import (
-    CalibrationState,
-    DayVerdict,
-    EventSeverity,
-    HousekeepingStep,
-    NightBand,
-    NightSeries,
-    NightVerdict,
-    RefitState,
-)
 
 
-class UtcTime(TypeDecorator[datetime]):
+class UtcTime(sa.TypeDecorator[datetime]):
     """An aware UTC time as whole microseconds since 1970, so that equality and order are exact."""
 
-    impl = BigInteger
+    impl = sa.BigInteger
     cache_ok = True
 
-    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> int | None:  # noqa: ARG002 - SQLAlchemy's
+    def process_bind_param(self, value: datetime | None, dialect: sa.Dialect) -> int | None:  # noqa: ARG002 - SQLAlchemy's
         """Return the number to store."""
         return None if value is None else to_microseconds(value)
 
-    def process_result_value(self, value: Any | None, dialect: Dialect) -> datetime | None:  # noqa: ANN401, ARG002 - SQLAlchemy's
+    def process_result_value(self, value: Any | None, dialect: sa.Dialect) -> datetime | None:  # noqa: ANN401, ARG002 - SQLAlchemy's
         """Return the stored time, aware."""
         if not isinstance(value, int):
             return None
@@ -73,84 +44,84 @@ class UtcTime(TypeDecorator[datetime]):
             return None
 
 
-class Number(TypeDecorator[float]):
+class Number(sa.TypeDecorator[float]):
     """A number; a text that stands in its place is None, and so is NaN: SQLite stores it as NULL."""
 
-    impl = Float
+    impl = sa.Float
     cache_ok = True
 
-    def process_bind_param(self, value: float | None, dialect: Dialect) -> float | None:  # noqa: ARG002 - SQLAlchemy's
+    def process_bind_param(self, value: float | None, dialect: sa.Dialect) -> float | None:  # noqa: ARG002 - SQLAlchemy's
         """Return the number to store."""
         return None if value is None or math.isnan(value) else value
 
-    def process_result_value(self, value: Any | None, dialect: Dialect) -> float | None:  # noqa: ANN401, ARG002 - SQLAlchemy's
+    def process_result_value(self, value: Any | None, dialect: sa.Dialect) -> float | None:  # noqa: ANN401, ARG002 - SQLAlchemy's
         """Return the stored number."""
         return value if isinstance(value, int | float) else None
 
 
-class Count(TypeDecorator[int]):
+class Count(sa.TypeDecorator[int]):
     """A whole number; what stands in its place is None."""
 
-    impl = Integer
+    impl = sa.Integer
     cache_ok = True
 
-    def process_result_value(self, value: Any | None, dialect: Dialect) -> int | None:  # noqa: ANN401, ARG002 - SQLAlchemy's
+    def process_result_value(self, value: Any | None, dialect: sa.Dialect) -> int | None:  # noqa: ANN401, ARG002 - SQLAlchemy's
         """Return the stored number."""
         return value if isinstance(value, int) else None
 
 
-class CalendarDate(TypeDecorator[date]):
+class CalendarDate(sa.TypeDecorator[date]):
     """A date, as SQLAlchemy's `Date` stores it: ISO 8601 text in SQLite."""
 
-    impl = Date
+    impl = sa.Date
     cache_ok = True
 
-    def result_processor(self, dialect: Dialect, coltype: object) -> Callable[[Any], date | None]:  # noqa: ARG002 - SQLAlchemy's
+    def result_processor(self, dialect: sa.Dialect, coltype: object) -> Callable[[Any], date | None]:  # noqa: ARG002 - SQLAlchemy's
         """Return what reads the stored text."""
         return _date
 
 
-class Word(TypeDecorator[str]):
+class Word(sa.TypeDecorator[str]):
     """One word of a few; another one is None."""
 
-    impl = Text
+    impl = sa.Text
     cache_ok = True
 
     def __init__(self, words: tuple[str, ...]) -> None:
         super().__init__()
         self.words = words
 
-    def process_result_value(self, value: Any | None, dialect: Dialect) -> str | None:  # noqa: ANN401, ARG002 - SQLAlchemy's
+    def process_result_value(self, value: Any | None, dialect: sa.Dialect) -> str | None:  # noqa: ANN401, ARG002 - SQLAlchemy's
         """Return the stored word."""
         return value if value in self.words else None
 
 
-class FindingTuple(TypeDecorator[tuple[Finding, ...]]):
+class FindingTuple(sa.TypeDecorator[tuple[Finding, ...]]):
     """Findings, as a JSON list of objects; sentences of version 0.2 become findings without a code."""
 
-    impl = JSON
+    impl = sa.JSON
     cache_ok = True
 
-    def process_bind_param(self, value: tuple[Finding, ...] | None, dialect: Dialect) -> list[dict[str, Any]]:  # noqa: ARG002 - SQLAlchemy's
+    def process_bind_param(self, value: tuple[Finding, ...] | None, dialect: sa.Dialect) -> list[dict[str, Any]]:  # noqa: ARG002 - SQLAlchemy's
         """Return the list to store."""
         return [finding.as_json() for finding in value or ()]
 
-    def process_result_value(self, value: Any | None, dialect: Dialect) -> tuple[Finding, ...]:  # noqa: ANN401, ARG002 - SQLAlchemy's
+    def process_result_value(self, value: Any | None, dialect: sa.Dialect) -> tuple[Finding, ...]:  # noqa: ANN401, ARG002 - SQLAlchemy's
         """Return the stored findings; none where they cannot be read."""
         return tuple(from_json(one) for one in value) if isinstance(value, list) else ()
 
 
-class FindingText(TypeDecorator[tuple[Finding, ...]]):
+class FindingText(sa.TypeDecorator[tuple[Finding, ...]]):
     """Findings, as the text of a JSON list, empty without any; a sentence of revision 0017 and before is `uncoded`."""
 
-    impl = Text
+    impl = sa.Text
     cache_ok = True
 
-    def process_bind_param(self, value: tuple[Finding, ...] | None, dialect: Dialect) -> str:  # noqa: ARG002 - SQLAlchemy's
+    def process_bind_param(self, value: tuple[Finding, ...] | None, dialect: sa.Dialect) -> str:  # noqa: ARG002 - SQLAlchemy's
         """Return the text to store; equal findings have equal texts."""
         return json.dumps([one.as_json() for one in value], separators=(",", ":")) if value else ""
 
-    def process_result_value(self, value: Any | None, dialect: Dialect) -> tuple[Finding, ...]:  # noqa: ANN401, ARG002 - SQLAlchemy's
+    def process_result_value(self, value: Any | None, dialect: sa.Dialect) -> tuple[Finding, ...]:  # noqa: ANN401, ARG002 - SQLAlchemy's
         """Return the stored findings."""
         return findings_of_text(value)
 
@@ -161,28 +132,28 @@ def findings_of_text(text: Any | None) -> tuple[Finding, ...]:  # noqa: ANN401 -
     return tuple(from_json(one) for one in (stored if isinstance(stored, list) else [text]))
 
 
-class NumberTuple(TypeDecorator[tuple[float, ...]]):
+class NumberTuple(sa.TypeDecorator[tuple[float, ...]]):
     """So many numbers, as a JSON list; None where there are none."""
 
-    impl = JSON(none_as_null=True)
+    impl = sa.JSON(none_as_null=True)
     cache_ok = True
 
     def __init__(self, length: int) -> None:
         super().__init__()
         self.length = length
 
-    def process_bind_param(self, value: tuple[float, ...] | None, dialect: Dialect) -> list[float] | None:  # noqa: ARG002 - SQLAlchemy's
+    def process_bind_param(self, value: tuple[float, ...] | None, dialect: sa.Dialect) -> list[float] | None:  # noqa: ARG002 - SQLAlchemy's
         """Return the list to store."""
         return None if value is None else list(value)
 
-    def process_result_value(self, value: Any | None, dialect: Dialect) -> tuple[float, ...] | None:  # noqa: ANN401, ARG002 - SQLAlchemy's
+    def process_result_value(self, value: Any | None, dialect: sa.Dialect) -> tuple[float, ...] | None:  # noqa: ANN401, ARG002 - SQLAlchemy's
         """Return the stored numbers."""
         if not isinstance(value, list) or len(value) != self.length:
             return None
         return tuple(value) if all(isinstance(number, int | float) for number in value) else None
 
 
-class JsonOf(TypeDecorator[Any]):
+class JsonOf(sa.TypeDecorator[Any]):
     """A value of a type, as JSON; None where what is stored is none of it, as with a field that is missing.
 
     Parameters
@@ -190,7 +161,7 @@ class JsonOf(TypeDecorator[Any]):
     kind : the type, as pydantic reads and writes it.
     """
 
-    impl = JSON(none_as_null=True)
+    impl = sa.JSON(none_as_null=True)
     cache_ok = True
 
     def __init__(self, kind: type[Any]) -> None:
@@ -198,11 +169,11 @@ class JsonOf(TypeDecorator[Any]):
         self.kind = kind
         self._adapter: TypeAdapter[Any] = TypeAdapter(kind)
 
-    def process_bind_param(self, value: Any | None, dialect: Dialect) -> Any:  # noqa: ANN401, ARG002 - SQLAlchemy's
+    def process_bind_param(self, value: Any | None, dialect: sa.Dialect) -> Any:  # noqa: ANN401, ARG002 - SQLAlchemy's
         """Return the JSON to store."""
         return None if value is None else self._adapter.dump_python(value, mode="json")
 
-    def process_result_value(self, value: Any | None, dialect: Dialect) -> Any:  # noqa: ANN401, ARG002 - SQLAlchemy's
+    def process_result_value(self, value: Any | None, dialect: sa.Dialect) -> Any:  # noqa: ANN401, ARG002 - SQLAlchemy's
         """Return the stored value."""
         try:
             return None if value is None else self.read(value)
@@ -218,24 +189,24 @@ class JsonOf(TypeDecorator[Any]):
         return self._adapter.json_schema()
 
 
-class JsonObject(TypeDecorator[dict[str, Any]]):
+class JsonObject(sa.TypeDecorator[dict[str, Any]]):
     """A JSON object; empty where it cannot be read."""
 
-    impl = JSON
+    impl = sa.JSON
     cache_ok = True
 
-    def process_result_value(self, value: Any | None, dialect: Dialect) -> dict[str, Any]:  # noqa: ANN401, ARG002 - SQLAlchemy's
+    def process_result_value(self, value: Any | None, dialect: sa.Dialect) -> dict[str, Any]:  # noqa: ANN401, ARG002 - SQLAlchemy's
         """Return the stored object."""
         return value if isinstance(value, dict) else {}
 
 
-def stored_bytes(column: ColumnElement[Any]) -> ColumnElement[bytes]:
+def stored_bytes(column: sa.ColumnElement[Any]) -> sa.ColumnElement[bytes]:
     """Return the bytes of a JSON column as they are stored."""
     return _StoredBytes(column)
 
 
 class _StoredBytes(GenericFunction[bytes]):
-    type = LargeBinary()
+    type = sa.LargeBinary()
     inherit_cache = True
 
 
@@ -252,7 +223,7 @@ def _convert_to_bytes(element: _StoredBytes, compiler: SQLCompiler, **options: A
 class stored_as(GenericFunction[bool]):  # noqa: N801 - a function of SQL
     """Whether a column's value is stored as SQLite's `kind`; on PostgreSQL: whether there is one."""
 
-    type = Boolean()
+    type = sa.Boolean()
     inherit_cache = True
 
 
@@ -265,7 +236,7 @@ def _compare_type(element: stored_as, compiler: SQLCompiler, **options: Any) -> 
 class is_number(GenericFunction[bool]):  # noqa: N801 - a function of SQL
     """Whether a column's value is a number; on PostgreSQL: whether there is one."""
 
-    type = Boolean()
+    type = sa.Boolean()
     inherit_cache = True
 
 
@@ -290,7 +261,7 @@ def _date(stored: object) -> date | None:
         return None
 
 
-metadata = MetaData(
+metadata = sa.MetaData(
     naming_convention={
         "ix": "ix_%(table_name)s_%(column_0_N_name)s",
         "uq": "uq_%(table_name)s",
@@ -300,55 +271,55 @@ metadata = MetaData(
 )
 
 
-def _camera_column(*, nullable: bool = False) -> Column[str]:
-    return Column("camera", Text, ForeignKey("camera.name"), nullable=nullable)
+def _camera_column(*, nullable: bool = False) -> sa.Column[str]:
+    return sa.Column("camera", sa.Text, sa.ForeignKey("camera.name"), nullable=nullable)
 
 
 def _only(condition: str) -> dict[str, Any]:
     """Return the condition of a partial index, for both engines."""
-    return {"sqlite_where": text(condition), "postgresql_where": text(condition)}
+    return {"sqlite_where": sa.text(condition), "postgresql_where": sa.text(condition)}
 
 
-camera = Table(
+camera = sa.Table(
     "camera",
     metadata,
-    Column("name", Text, primary_key=True),
-    Column("latitude", Float, nullable=False),
-    Column("longitude", Float, nullable=False),
-    Column("altitude", Float, nullable=False),
-    Column("width", Integer, nullable=False),
-    Column("height", Integer, nullable=False),
-    Column("model", Text, nullable=False),
-    Column("serial", Text, nullable=False),
-    Column("pixel_format", Text, nullable=False, server_default=""),
+    sa.Column("name", sa.Text, primary_key=True),
+    sa.Column("latitude", sa.Float, nullable=False),
+    sa.Column("longitude", sa.Float, nullable=False),
+    sa.Column("altitude", sa.Float, nullable=False),
+    sa.Column("width", sa.Integer, nullable=False),
+    sa.Column("height", sa.Integer, nullable=False),
+    sa.Column("model", sa.Text, nullable=False),
+    sa.Column("serial", sa.Text, nullable=False),
+    sa.Column("pixel_format", sa.Text, nullable=False, server_default=""),
 )
 
-pose_epoch = Table(
+pose_epoch = sa.Table(
     "pose_epoch",
     metadata,
-    Column("id", Text, primary_key=True),
+    sa.Column("id", sa.Text, primary_key=True),
     _camera_column(),
-    Column("started_at", UtcTime, nullable=False),
-    Column("ended_at", UtcTime),
-    Column("reason", Text, nullable=False),
-    UniqueConstraint("camera", "started_at"),
+    sa.Column("started_at", UtcTime, nullable=False),
+    sa.Column("ended_at", UtcTime),
+    sa.Column("reason", sa.Text, nullable=False),
+    sa.UniqueConstraint("camera", "started_at"),
 )
 
-sun_point = Table(
+sun_point = sa.Table(
     "sun_point",
     metadata,
-    Column("id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
+    sa.Column("id", sa.BigInteger().with_variant(sa.Integer, "sqlite"), primary_key=True),
     _camera_column(),
-    Column("pose_epoch", Text, ForeignKey("pose_epoch.id"), nullable=False),
-    Column("time", UtcTime, nullable=False),
-    Column("body", Text, nullable=False),
-    Column("exposure_us", Number, nullable=False),
-    Column("method", Text, nullable=False),
-    Column("accepted", Boolean, nullable=False),
-    Column("verdict", Text, nullable=False),
-    Column("reason", FindingText, key="findings", nullable=False),
+    sa.Column("pose_epoch", sa.Text, sa.ForeignKey("pose_epoch.id"), nullable=False),
+    sa.Column("time", UtcTime, nullable=False),
+    sa.Column("body", sa.Text, nullable=False),
+    sa.Column("exposure_us", Number, nullable=False),
+    sa.Column("method", sa.Text, nullable=False),
+    sa.Column("accepted", sa.Boolean, nullable=False),
+    sa.Column("verdict", sa.Text, nullable=False),
+    sa.Column("reason", FindingText, key="findings", nullable=False),
     *(
-        Column(name, Number)
+        sa.Column(name, Number)
         for name in (
             "x_px",
             "y_px",
@@ -361,304 +332,306 @@ sun_point = Table(
             "snr",
         )
     ),
-    Column("saturated_px", Integer),
-    Column("clock_error_s", Number),
-    Column("temperature_c", Number),
-    Column("pressure_hpa", Number),
-    Column("file", Text, nullable=False, server_default=""),
-    Column("ingest_pass", Integer),
-    Column("folder", Text, nullable=False, server_default=""),
-    UniqueConstraint("camera", "time", "body", "exposure_us", "method", "file", "folder"),
+    sa.Column("saturated_px", sa.Integer),
+    sa.Column("clock_error_s", Number),
+    sa.Column("temperature_c", Number),
+    sa.Column("pressure_hpa", Number),
+    sa.Column("file", sa.Text, nullable=False, server_default=""),
+    sa.Column("ingest_pass", sa.Integer),
+    sa.Column("folder", sa.Text, nullable=False, server_default=""),
+    sa.UniqueConstraint("camera", "time", "body", "exposure_us", "method", "file", "folder"),
 )
 
-day = Table(
+day = sa.Table(
     "day",
     metadata,
-    Column("camera", Text, ForeignKey("camera.name"), primary_key=True),
-    Column("date", CalendarDate, primary_key=True),
-    Column("verdict", Word(get_args(DayVerdict)), nullable=False),
-    Column("reasons", FindingTuple, key="findings", nullable=False),
-    Column("n", Integer, nullable=False),
-    Column("n_possible", Integer, nullable=False),
-    Column("decided_at", UtcTime, nullable=False),
-    Column("arc_deg", Float),
-    Column("sd_px", Float),
-    Column("rmsd_px", Float),
-    Column("n_cycles", Integer),
-    Column("n_observed", Integer),
-    Column("solid_angle_sr", Float),
-    Column("doubtful_clock", Float),
-    Column("pose_offset_deg", NumberTuple(3)),
-    Column("pose_offset_sigma_deg", NumberTuple(3)),
+    sa.Column("camera", sa.Text, sa.ForeignKey("camera.name"), primary_key=True),
+    sa.Column("date", CalendarDate, primary_key=True),
+    sa.Column("verdict", Word(get_args(values.DayVerdict)), nullable=False),
+    sa.Column("reasons", FindingTuple, key="findings", nullable=False),
+    sa.Column("n", sa.Integer, nullable=False),
+    sa.Column("n_possible", sa.Integer, nullable=False),
+    sa.Column("decided_at", UtcTime, nullable=False),
+    sa.Column("arc_deg", sa.Float),
+    sa.Column("sd_px", sa.Float),
+    sa.Column("rmsd_px", sa.Float),
+    sa.Column("n_cycles", sa.Integer),
+    sa.Column("n_observed", sa.Integer),
+    sa.Column("solid_angle_sr", sa.Float),
+    sa.Column("doubtful_clock", sa.Float),
+    sa.Column("pose_offset_deg", NumberTuple(3)),
+    sa.Column("pose_offset_sigma_deg", NumberTuple(3)),
 )
 
-night = Table(
+night = sa.Table(
     "night",
     metadata,
-    Column("camera", Text, ForeignKey("camera.name"), primary_key=True),
-    Column("date", CalendarDate, primary_key=True),
-    Column("verdict", Word(get_args(NightVerdict)), nullable=False),
-    Column("findings", FindingTuple, nullable=False),
-    Column("decided_at", UtcTime, nullable=False),
+    sa.Column("camera", sa.Text, sa.ForeignKey("camera.name"), primary_key=True),
+    sa.Column("date", CalendarDate, primary_key=True),
+    sa.Column("verdict", Word(get_args(values.NightVerdict)), nullable=False),
+    sa.Column("findings", FindingTuple, nullable=False),
+    sa.Column("decided_at", UtcTime, nullable=False),
     *(
-        Column(name, Count, nullable=False)
+        sa.Column(name, Count, nullable=False)
         for name in (
             *("n_images", "n_accepted", "n_stored", "n_moon_images", "n_moon_stored"),
             *("n_warm_pixels", "n_stars", "n_matched"),
         )
     ),
     *(
-        Column(name, Number)
+        sa.Column(name, Number)
         for name in (
             *("star_offset_px", "limiting_magnitude", "star_fwhm_px", "cloud_fraction", "transparency", "extinction"),
             *("extinction_sigma", "zero_point", "star_ellipticity", "halo", "width_growth", "halo_growth"),
             "fading_mag",
         )
     ),
-    Column("zenith_bands", JsonOf(tuple[NightBand, ...]), nullable=False),
-    Column("images", JsonOf(NightSeries)),
-    Column("picture_time", UtcTime),
+    sa.Column("zenith_bands", JsonOf(tuple[values.NightBand, ...]), nullable=False),
+    sa.Column("images", JsonOf(values.NightSeries)),
+    sa.Column("picture_time", UtcTime),
 )
 
-day_air = Table(
+day_air = sa.Table(
     "day_air",
     metadata,
-    Column("camera", Text, ForeignKey("camera.name"), primary_key=True),
-    Column("date", CalendarDate, primary_key=True),
-    Column("temperature_c", Float),
-    Column("pressure_hpa", Float),
-    Column("set_at", UtcTime, nullable=False),
+    sa.Column("camera", sa.Text, sa.ForeignKey("camera.name"), primary_key=True),
+    sa.Column("date", CalendarDate, primary_key=True),
+    sa.Column("temperature_c", sa.Float),
+    sa.Column("pressure_hpa", sa.Float),
+    sa.Column("set_at", UtcTime, nullable=False),
 )
 
-calibration = Table(
+calibration = sa.Table(
     "calibration",
     metadata,
-    Column("id", Text, primary_key=True),
+    sa.Column("id", sa.Text, primary_key=True),
     _camera_column(),
-    Column("state", Word(get_args(CalibrationState)), nullable=False),
-    Column("method", Text, nullable=False),
-    Column("created_at", UtcTime, nullable=False),
-    Column("valid_from", UtcTime, nullable=False),
-    Column("valid_until", UtcTime),
-    Column("pose_epoch", Text, ForeignKey("pose_epoch.id")),
-    Column("parent", Text, ForeignKey("calibration.id")),
-    Column("accepted", Boolean, nullable=False),
-    Column("reasons", FindingTuple, key="findings", nullable=False),
-    Column("document", JSON, nullable=False),
-    Column("document_sha256", Text, nullable=False, server_default=""),
-    Column("pinned", Boolean, nullable=False, server_default=false()),
-    Index("ix_calibration_camera_valid_from", "camera", "valid_from"),
-    Index("uq_calibration_one_current", "camera", unique=True, **_only("state = 'current'")),
+    sa.Column("state", Word(get_args(values.CalibrationState)), nullable=False),
+    sa.Column("method", sa.Text, nullable=False),
+    sa.Column("created_at", UtcTime, nullable=False),
+    sa.Column("valid_from", UtcTime, nullable=False),
+    sa.Column("valid_until", UtcTime),
+    sa.Column("pose_epoch", sa.Text, sa.ForeignKey("pose_epoch.id")),
+    sa.Column("parent", sa.Text, sa.ForeignKey("calibration.id")),
+    sa.Column("accepted", sa.Boolean, nullable=False),
+    sa.Column("reasons", FindingTuple, key="findings", nullable=False),
+    sa.Column("document", sa.JSON, nullable=False),
+    sa.Column("document_sha256", sa.Text, nullable=False, server_default=""),
+    sa.Column("pinned", sa.Boolean, nullable=False, server_default=sa.false()),
+    sa.Index("ix_calibration_camera_valid_from", "camera", "valid_from"),
+    sa.Index("uq_calibration_one_current", "camera", unique=True, **_only("state = 'current'")),
 )
 
-used_sightings = Table(
+used_sightings = sa.Table(
     "used_sightings",
     metadata,
-    Column("calibration", Text, ForeignKey("calibration.id"), primary_key=True),
-    Column("ids", LargeBinary, nullable=False),
-    Column("epochs", JSON, nullable=False),
-    Column("digest", Text, nullable=False),
-    Column("air", LargeBinary),
-    Column("sigma", LargeBinary),
+    sa.Column("calibration", sa.Text, sa.ForeignKey("calibration.id"), primary_key=True),
+    sa.Column("ids", sa.LargeBinary, nullable=False),
+    sa.Column("epochs", sa.JSON, nullable=False),
+    sa.Column("digest", sa.Text, nullable=False),
+    sa.Column("air", sa.LargeBinary),
+    sa.Column("sigma", sa.LargeBinary),
 )
 
-refit = Table(
+refit = sa.Table(
     "refit",
     metadata,
-    Column("id", Text, primary_key=True),
+    sa.Column("id", sa.Text, primary_key=True),
     _camera_column(),
-    Column("requested_at", UtcTime, nullable=False),
-    Column("reason", Text, nullable=False),
-    Column("state", Word(get_args(RefitState)), nullable=False),
-    Column("started_at", UtcTime),
-    Column("finished_at", UtcTime),
-    Column("calibration", Text, ForeignKey("calibration.id")),
-    Column("message", Text, nullable=False),
-    Column("findings", FindingTuple),
-    Index("ix_refit_camera_requested_at", "camera", "requested_at"),
-    Index("ix_refit_unfinished", "camera", "requested_at", **_only("finished_at IS NULL")),
+    sa.Column("requested_at", UtcTime, nullable=False),
+    sa.Column("reason", sa.Text, nullable=False),
+    sa.Column("state", Word(get_args(values.RefitState)), nullable=False),
+    sa.Column("started_at", UtcTime),
+    sa.Column("finished_at", UtcTime),
+    sa.Column("calibration", sa.Text, sa.ForeignKey("calibration.id")),
+    sa.Column("message", sa.Text, nullable=False),
+    sa.Column("findings", FindingTuple),
+    sa.Index("ix_refit_camera_requested_at", "camera", "requested_at"),
+    sa.Index("ix_refit_unfinished", "camera", "requested_at", **_only("finished_at IS NULL")),
 )
 
-event = Table(
+event = sa.Table(
     "event",
     metadata,
-    Column("id", Integer, primary_key=True),
+    sa.Column("id", sa.Integer, primary_key=True),
     _camera_column(nullable=True),
-    Column("time", UtcTime, nullable=False),
-    Column("kind", Text, nullable=False),
-    Column("severity", Word(get_args(EventSeverity)), nullable=False),
-    Column("text", Text, nullable=False),
-    Column("details", JsonObject, nullable=False),
-    Index("ix_event_time", "time"),
+    sa.Column("time", UtcTime, nullable=False),
+    sa.Column("kind", sa.Text, nullable=False),
+    sa.Column("severity", Word(get_args(values.EventSeverity)), nullable=False),
+    sa.Column("text", sa.Text, nullable=False),
+    sa.Column("details", JsonObject, nullable=False),
+    sa.Index("ix_event_time", "time"),
 )
 
-outbox = Table(
+outbox = sa.Table(
     "outbox",
     metadata,
-    Column("seq", Integer, primary_key=True),
-    Column("kind", Text, nullable=False),
-    Column("data", Text, nullable=False),
+    sa.Column("seq", sa.Integer, primary_key=True),
+    sa.Column("kind", sa.Text, nullable=False),
+    sa.Column("data", sa.Text, nullable=False),
     sqlite_autoincrement=True,
 )
 
-outbox_position = Table(
+outbox_position = sa.Table(
     "outbox_position",
     metadata,
-    Column("installation", Text, primary_key=True),
-    Column("committed", BigInteger, nullable=False),
-    Column("sent", BigInteger, nullable=False),
+    sa.Column("installation", sa.Text, primary_key=True),
+    sa.Column("committed", sa.BigInteger, nullable=False),
+    sa.Column("sent", sa.BigInteger, nullable=False),
 )
 
-feed_token = Table(
+feed_token = sa.Table(
     "feed_token",
     metadata,
-    Column("digest", Text, primary_key=True),
-    Column("camera", Text, nullable=False),
-    Column("created_at", UtcTime, nullable=False),
-    Column("expires_at", UtcTime),
+    sa.Column("digest", sa.Text, primary_key=True),
+    sa.Column("camera", sa.Text, nullable=False),
+    sa.Column("created_at", UtcTime, nullable=False),
+    sa.Column("expires_at", UtcTime),
 )
 
-feed = Table(
+feed = sa.Table(
     "feed",
     metadata,
-    Column("camera", Text, primary_key=True),
-    Column("installation", Text, primary_key=True),
-    Column("committed", BigInteger, nullable=False),
-    Column("accepted", Boolean, nullable=False),
-    Column("first_at", UtcTime, nullable=False),
-    Column("last_at", UtcTime, nullable=False),
+    sa.Column("camera", sa.Text, primary_key=True),
+    sa.Column("installation", sa.Text, primary_key=True),
+    sa.Column("committed", sa.BigInteger, nullable=False),
+    sa.Column("accepted", sa.Boolean, nullable=False),
+    sa.Column("first_at", UtcTime, nullable=False),
+    sa.Column("last_at", UtcTime, nullable=False),
 )
 
-quarantine = Table(
+quarantine = sa.Table(
     "quarantine",
     metadata,
-    Column("camera", Text, primary_key=True),
-    Column("installation", Text, primary_key=True),
-    Column("reason", Text, primary_key=True),
-    Column("seq", BigInteger, primary_key=True, autoincrement=False),
-    Column("kind", Text, nullable=False),
-    Column("text", Text, nullable=False),
-    Column("data", Text, nullable=False),
-    Column("n", Integer, nullable=False),
-    Column("first_at", UtcTime, nullable=False),
-    Column("last_at", UtcTime, nullable=False),
-    Index("ix_quarantine_last_at", "last_at"),
+    sa.Column("camera", sa.Text, primary_key=True),
+    sa.Column("installation", sa.Text, primary_key=True),
+    sa.Column("reason", sa.Text, primary_key=True),
+    sa.Column("seq", sa.BigInteger, primary_key=True, autoincrement=False),
+    sa.Column("kind", sa.Text, nullable=False),
+    sa.Column("text", sa.Text, nullable=False),
+    sa.Column("data", sa.Text, nullable=False),
+    sa.Column("n", sa.Integer, nullable=False),
+    sa.Column("first_at", UtcTime, nullable=False),
+    sa.Column("last_at", UtcTime, nullable=False),
+    sa.Index("ix_quarantine_last_at", "last_at"),
 )
 
-fleet = Table(
+fleet = sa.Table(
     "fleet",
     metadata,
-    Column("camera", Text, primary_key=True),
-    Column("received_at", UtcTime, nullable=False),
-    Column("last_sighting_at", UtcTime),
-    Column("calibration", Text),
-    Column("calibrated_at", UtcTime),
-    Column("sky_rms_deg", Float),
-    Column("status", JsonObject, nullable=False),
-    Column("status_at", UtcTime),
+    sa.Column("camera", sa.Text, primary_key=True),
+    sa.Column("received_at", UtcTime, nullable=False),
+    sa.Column("last_sighting_at", UtcTime),
+    sa.Column("calibration", sa.Text),
+    sa.Column("calibrated_at", UtcTime),
+    sa.Column("sky_rms_deg", sa.Float),
+    sa.Column("status", JsonObject, nullable=False),
+    sa.Column("status_at", UtcTime),
 )
 
-notice = Table(
+notice = sa.Table(
     "notice",
     metadata,
-    Column("seq", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
-    Column("id", Text, nullable=False),
-    Column("camera", Text, nullable=False),
-    Column("time", UtcTime, nullable=False),
-    Column("kind", Text, nullable=False),
-    Column("data", JsonObject, nullable=False),
+    sa.Column("seq", sa.BigInteger().with_variant(sa.Integer, "sqlite"), primary_key=True),
+    sa.Column("id", sa.Text, nullable=False),
+    sa.Column("camera", sa.Text, nullable=False),
+    sa.Column("time", UtcTime, nullable=False),
+    sa.Column("kind", sa.Text, nullable=False),
+    sa.Column("data", JsonObject, nullable=False),
     sqlite_autoincrement=True,
 )
 
-notice_position = Table(
+notice_position = sa.Table(
     "notice_position",
     metadata,
-    Column("camera", Text, primary_key=True),
-    Column("event", BigInteger, nullable=False),
-    Column("calibration", Text, nullable=False),
-    Column("conditions", JsonObject, nullable=False),
-    Column("since", UtcTime, nullable=False),
+    sa.Column("camera", sa.Text, primary_key=True),
+    sa.Column("event", sa.BigInteger, nullable=False),
+    sa.Column("calibration", sa.Text, nullable=False),
+    sa.Column("conditions", JsonObject, nullable=False),
+    sa.Column("since", UtcTime, nullable=False),
 )
 
-notice_sink = Table(
+notice_sink = sa.Table(
     "notice_sink",
     metadata,
-    Column("sink", Text, primary_key=True),
-    Column("seq", BigInteger, nullable=False),
-    Column("refused", Integer, nullable=False),
+    sa.Column("sink", sa.Text, primary_key=True),
+    sa.Column("seq", sa.BigInteger, nullable=False),
+    sa.Column("refused", sa.Integer, nullable=False),
 )
 
-day_summary = Table(
+day_summary = sa.Table(
     "day_summary",
     metadata,
-    Column("camera", Text, ForeignKey("camera.name"), primary_key=True),
-    Column("date", CalendarDate, primary_key=True),
-    Column("verdict", Text, nullable=False),
-    Column("n_sightings", Integer, nullable=False),
-    Column("n_accepted", Integer, nullable=False),
-    Column("clock_error_s", Number),
-    Column("temperature_c", Number),
-    Column("n_warnings", Integer, nullable=False),
-    Column("calibration", Text),
-    Column("sky_rms_deg", Number),
-    Column("pose_offset_deg", Number),
-    Column("decided_at", UtcTime, nullable=False),
+    sa.Column("camera", sa.Text, sa.ForeignKey("camera.name"), primary_key=True),
+    sa.Column("date", CalendarDate, primary_key=True),
+    sa.Column("verdict", sa.Text, nullable=False),
+    sa.Column("n_sightings", sa.Integer, nullable=False),
+    sa.Column("n_accepted", sa.Integer, nullable=False),
+    sa.Column("clock_error_s", Number),
+    sa.Column("temperature_c", Number),
+    sa.Column("n_warnings", sa.Integer, nullable=False),
+    sa.Column("calibration", sa.Text),
+    sa.Column("sky_rms_deg", Number),
+    sa.Column("pose_offset_deg", Number),
+    sa.Column("decided_at", UtcTime, nullable=False),
 )
 
-nightly_run = Table(
+nightly_run = sa.Table(
     "nightly_run",
     metadata,
-    Column("night", CalendarDate, primary_key=True),
-    Column("started_at", UtcTime, nullable=False),
-    Column("finished_at", UtcTime),
-    Column("results", JsonObject, nullable=False),
+    sa.Column("night", CalendarDate, primary_key=True),
+    sa.Column("started_at", UtcTime, nullable=False),
+    sa.Column("finished_at", UtcTime),
+    sa.Column("results", JsonObject, nullable=False),
 )
 
-housekeeping = Table(
+housekeeping = sa.Table(
     "housekeeping",
     metadata,
-    Column("camera", Text, primary_key=True),  # no reference: disks fill before a camera has answered
-    Column("step", Word(get_args(HousekeepingStep)), primary_key=True),
-    Column("time", UtcTime, primary_key=True),
-    *(Column(name, BigInteger) for name in ("disk_free_bytes", "images_bytes")),
-    *(Column(name, Number) for name in ("temperature_c", "temperature_min_c", "temperature_max_c")),
-    Column("n_temperatures", Integer, nullable=False),
+    sa.Column("camera", sa.Text, primary_key=True),  # no reference: disks fill before a camera has answered
+    sa.Column("step", Word(get_args(values.HousekeepingStep)), primary_key=True),
+    sa.Column("time", UtcTime, primary_key=True),
+    *(sa.Column(name, sa.BigInteger) for name in ("disk_free_bytes", "images_bytes")),
+    *(sa.Column(name, Number) for name in ("temperature_c", "temperature_min_c", "temperature_max_c")),
+    sa.Column("n_temperatures", sa.Integer, nullable=False),
 )
 
-night_image = Table(
+night_image = sa.Table(
     "night_image",
     metadata,
-    Column("camera", Text, primary_key=True),  # no reference: a full disk may have refused the camera's own row
-    Column("time", UtcTime, primary_key=True),
-    Column("kind", Word(("stars", "moon")), primary_key=True),
-    *(Column(name, Number, nullable=False) for name in ("exposure_us", "gain_db")),
-    Column("pixel_format", Text, nullable=False),
-    *(Column(name, Integer, nullable=False) for name in ("full_scale", "width", "height", "binning")),
-    Column("serial", Text, nullable=False),
-    Column("clock_error_s", Number, nullable=False),
-    Column("halo", Number),
-    Column("digest", BigInteger, nullable=False),
-    *(Column(name, Integer, nullable=False) for name in ("n_repeated", "n_tries")),
-    Column("measured", LargeBinary, nullable=False),
-    Column("picture", LargeBinary),
+    sa.Column("camera", sa.Text, primary_key=True),  # no reference: a full disk may have refused the camera's own row
+    sa.Column("time", UtcTime, primary_key=True),
+    sa.Column("kind", Word(("stars", "moon")), primary_key=True),
+    *(sa.Column(name, Number, nullable=False) for name in ("exposure_us", "gain_db")),
+    sa.Column("pixel_format", sa.Text, nullable=False),
+    *(sa.Column(name, sa.Integer, nullable=False) for name in ("full_scale", "width", "height", "binning")),
+    sa.Column("serial", sa.Text, nullable=False),
+    sa.Column("clock_error_s", Number, nullable=False),
+    sa.Column("halo", Number),
+    sa.Column("digest", sa.BigInteger, nullable=False),
+    *(sa.Column(name, sa.Integer, nullable=False) for name in ("n_repeated", "n_tries")),
+    sa.Column("measured", sa.LargeBinary, nullable=False),
+    sa.Column("picture", sa.LargeBinary),
 )
 
-seen_file = Table(
+seen_file = sa.Table(
     "seen_file",
     metadata,
-    Column("camera", Text, primary_key=True),  # no reference: files are seen before an image shows the camera's size
-    Column("file", Text, primary_key=True),
-    Column("stamp", Text, nullable=False),
-    Column("content", Text),
-    Column("time", UtcTime),
-    Column("code", Text),
-    Index("ix_seen_file_time", "camera", "time"),
+    sa.Column(
+        "camera", sa.Text, primary_key=True
+    ),  # no reference: files are seen before an image shows the camera's size
+    sa.Column("file", sa.Text, primary_key=True),
+    sa.Column("stamp", sa.Text, nullable=False),
+    sa.Column("content", sa.Text),
+    sa.Column("time", UtcTime),
+    sa.Column("code", sa.Text),
+    sa.Index("ix_seen_file_time", "camera", "time"),
 )
 
-condition = Table(
+condition = sa.Table(
     "condition",
     metadata,
-    Column("camera", Text, primary_key=True),
-    Column("code", Text, primary_key=True),
-    Column("since", UtcTime, nullable=False),
+    sa.Column("camera", sa.Text, primary_key=True),
+    sa.Column("code", sa.Text, primary_key=True),
+    sa.Column("since", UtcTime, nullable=False),
 )

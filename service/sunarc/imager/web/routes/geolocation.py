@@ -14,18 +14,8 @@ from sunarc.common.array_types import BoolArray, FloatArray
 from sunarc.common.errors import InputError
 from sunarc.geolocation.locate import Located, clouds, shadows
 from sunarc.imager.runtime.json_fields import Time, described
+from sunarc.imager.web import bulk
 from sunarc.imager.web.arrays import Rows
-from sunarc.imager.web.bulk import (
-    Answering,
-    Computation,
-    ComputeSlots,
-    Question,
-    Timeline,
-    body_of,
-    compute,
-    moment,
-    row_responses,
-)
 from sunarc.imager.web.context import ApiContext
 from sunarc.imager.web.json_bodies import parsed_body
 from sunarc.imager.web.parameters import BY_CALIBRATION, Answers, At, Body, Draws, ListOf, Number, Pair, Pixel, Seed
@@ -166,7 +156,7 @@ LOCATED = (*_OF_ONE, *(f"shadow_{name}" for name in _OF_ONE))
 """Columns of the answer: a cloud and its shadow."""
 
 
-def geolocation_routes(context: ApiContext, slots: ComputeSlots) -> APIRouter:
+def geolocation_routes(context: ApiContext, slots: bulk.ComputeSlots) -> APIRouter:
     """Return the route of the positions of clouds."""
     routes = APIRouter(tags=["directions"])
 
@@ -174,8 +164,8 @@ def geolocation_routes(context: ApiContext, slots: ComputeSlots) -> APIRouter:
         "/geolocate",
         dependencies=BY_CALIBRATION,
         response_model=GeolocateAnswer,
-        responses=row_responses(LOCATED) | answers(404, 408, 413, 415, 422),
-        openapi_extra=body_of(
+        responses=bulk.row_responses(LOCATED) | answers(404, 408, 413, 415, 422),
+        openapi_extra=bulk.body_of(
             "GeolocateRequest",
             "(n, 3) x, y in px, cloud base height in m, without a place where it is not above 0 and at most 30 000; "
             "(n, 4) with the height's 1-sigma in m; (n, 5) with that and a time for each point, s since 1970-01-01 UTC "
@@ -184,7 +174,7 @@ def geolocation_routes(context: ApiContext, slots: ComputeSlots) -> APIRouter:
     )
     async def geolocate(request: Request, at: At = None, draws: Draws = 0, seed: Seed = 0) -> Response:
         """Return the positions of clouds of a given height and their shadows, now, at `at` or each at its own time."""
-        return await compute(_GEOLOCATION, context, slots, request, Question(at=at, draws=draws, seed=seed))
+        return await bulk.compute(_GEOLOCATION, context, slots, request, bulk.Question(at=at, draws=draws, seed=seed))
 
     return routes
 
@@ -230,7 +220,7 @@ def _times(points: Rows) -> FloatArray | None:
     return np.ascontiguousarray(points[:, _TIME], dtype=np.float64)
 
 
-def _locate(answering: Answering, points: Rows) -> Rows:
+def _locate(answering: bulk.Answering, points: Rows) -> Rows:
     exact = np.asarray(points, dtype=np.float64)
     if answering.each is None:
         return _located_at(answering, exact, answering.time.timestamp())
@@ -240,7 +230,7 @@ def _locate(answering: Answering, points: Rows) -> Rows:
     return rows
 
 
-def _located_at(answering: Answering, exact: FloatArray, unix_s: float | FloatArray) -> FloatArray:
+def _located_at(answering: bulk.Answering, exact: FloatArray, unix_s: float | FloatArray) -> FloatArray:
     """Return the answer's rows for points that see the sun of one time, or each of its own, of one solar day."""
     site = answering.context.site_with_air_at(answering.time)
     exact = _with_heights(exact)
@@ -268,7 +258,7 @@ def _height_sigma(points: FloatArray) -> FloatArray:
     return points[:, 3] if points.shape[1] > 3 else np.zeros(len(points))
 
 
-def _draw_places(answering: Answering, ensemble: Ensemble, draw: int, points: Rows) -> Rows:
+def _draw_places(answering: bulk.Answering, ensemble: Ensemble, draw: int, points: Rows) -> Rows:
     """Return (n, 12): clouds and shadows by one draw; its heights are off by one number of sigmas, all to one side."""
     site, exact = (
         answering.context.site_with_air_at(answering.time),
@@ -305,7 +295,7 @@ def _row(found: Located) -> FloatArray:
     return row
 
 
-def _geolocation_json(answering: Answering, rows: Rows) -> dict[str, Any]:
+def _geolocation_json(answering: bulk.Answering, rows: Rows) -> dict[str, Any]:
     sun = sun_angles(answering.time.timestamp(), answering.context.site_with_air_at(answering.time))
     each = {} if answering.each is None else {"each": _each_json(answering.each)}
     return {
@@ -317,14 +307,14 @@ def _geolocation_json(answering: Answering, rows: Rows) -> dict[str, Any]:
     }
 
 
-def _each_json(each: Timeline) -> dict[str, Any]:
+def _each_json(each: bulk.Timeline) -> dict[str, Any]:
     zenith, azimuth = np.empty((2, len(each.asked)))
     for one, at in each.split(each.asked):
         sun = sun_angles(each.asked[at], one.context.site_with_air_at(one.time))
         zenith[at], azimuth[at] = sun.apparent_zenith, sun.azimuth
     return {
         "calibration": each.of_points(),
-        "time": [moment(time) for time in each.asked.tolist()],
+        "time": [bulk.moment(time) for time in each.asked.tolist()],
         "sun": {"apparent_zenith": zenith.tolist(), "azimuth": azimuth.tolist()},
     }
 
@@ -335,7 +325,7 @@ def _columns_by_name(rows: Rows) -> dict[str, Any]:
     return singles | {"covariance_m2": spread}
 
 
-_GEOLOCATION = Computation(
+_GEOLOCATION = bulk.Computation(
     read=_read,
     columns=(3, 4, _TIME + 1),
     answer=_locate,

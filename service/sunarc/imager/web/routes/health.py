@@ -9,16 +9,11 @@ from fastapi.responses import JSONResponse, Response
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
 
 from sunarc.imager.runtime.status import StatusSnapshot
+from sunarc.imager.web import schemas
 from sunarc.imager.web.context import ApiContext
 from sunarc.imager.web.problems import Fault, answers, problem_response
 from sunarc.imager.web.routes.calibrations import summary
 from sunarc.imager.web.routes.record import days_out
-from sunarc.imager.web.schemas import (
-    Alive,
-    Cameras,
-    Readiness,
-    Status,
-)
 
 
 def health_routes(context: ApiContext, registry: CollectorRegistry) -> APIRouter:
@@ -26,17 +21,17 @@ def health_routes(context: ApiContext, registry: CollectorRegistry) -> APIRouter
     routes = APIRouter(tags=["health"])
 
     @routes.get("/healthz")
-    async def healthz() -> Alive:
+    async def healthz() -> schemas.Alive:
         """Return 200 while the process answers."""
-        return Alive()
+        return schemas.Alive()
 
-    @routes.get("/readyz", response_model=Readiness, responses=answers(503))
-    def readyz(request: Request) -> Readiness | JSONResponse:
+    @routes.get("/readyz", response_model=schemas.Readiness, responses=answers(503))
+    def readyz(request: Request) -> schemas.Readiness | JSONResponse:
         """Return whether the service is ready or degraded (200), or not ready (503), each reason with a remedy."""
         return readiness(context.status(), request.url.path)
 
     @routes.get("/v1/status")
-    def status() -> Status:
+    def status() -> schemas.Status:
         """Return the state of the service, its workers, camera, clock and disk, and the current calibration."""
         return _status(context)
 
@@ -52,11 +47,11 @@ def health_routes(context: ApiContext, registry: CollectorRegistry) -> APIRouter
     return routes
 
 
-def readiness(snapshot: StatusSnapshot, path: str) -> Readiness | JSONResponse:
+def readiness(snapshot: StatusSnapshot, path: str) -> schemas.Readiness | JSONResponse:
     """Return the answer to whether the service is ready, for a path."""
     if snapshot.health == "not_ready":
         return _not_ready(snapshot, path)
-    return Readiness(status=snapshot.health, reasons=snapshot.reasons, findings=snapshot.findings)
+    return schemas.Readiness(status=snapshot.health, reasons=snapshot.reasons, findings=snapshot.findings)
 
 
 def _not_ready(snapshot: StatusSnapshot, path: str) -> JSONResponse:
@@ -67,12 +62,12 @@ def _not_ready(snapshot: StatusSnapshot, path: str) -> JSONResponse:
     )
 
 
-def _status(context: ApiContext) -> Status:
+def _status(context: ApiContext) -> schemas.Status:
     snapshot = context.status()
     record = context.archive.calibrations.current(context.camera)
     days = days_out(context, context.archive.days.find(context.camera, limit=1))
     camera = context.archive.cameras.get(context.camera)
-    return Status(
+    return schemas.Status(
         health=snapshot.health,
         reasons=snapshot.reasons,
         findings=snapshot.findings,
@@ -99,8 +94,8 @@ def camera_list_routes(context: ApiContext) -> APIRouter:
     routes = APIRouter(tags=["cameras"])
 
     @routes.get("/v1/cameras")
-    def cameras() -> Cameras:
+    def cameras() -> schemas.Cameras:
         """Return the cameras of the archive; every route of one camera exists under /v1/cameras/{camera}/ too."""
-        return Cameras(default=context.camera, cameras=list(context.archive.cameras.all()))
+        return schemas.Cameras(default=context.camera, cameras=list(context.archive.cameras.all()))
 
     return routes
