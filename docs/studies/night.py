@@ -26,7 +26,6 @@ from sunarc.calibration.answers.covariance import hemisphere, project_with_covar
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.fit.effects import DECENTRED_PX, OFFSET_PX, POSE_DIFFERENCE_DEG
 from sunarc.calibration.fit.marginal_likelihood import DECENTERING_LOG_SIGMA, RADIAL_LOG_SIGMA
-from sunarc.calibration.messages import text_of
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Kind, Sightings
@@ -240,7 +239,7 @@ def one_lens(seed: int, asked: argparse.Namespace, case: Case) -> tuple[FloatArr
     truth = truth_of(seed, days=asked.days, field_px=asked.field, drawn=case.drawn)
     stars = night_of(truth, seed, asked, case)
     both = fitted(together(truth.sun, stars)) if len(stars) else truth.day
-    left_out = [text_of(one) for one in both.verdict.findings if one.code == "night_contradicts_day"]
+    left_out = [one.text for one in both.verdict.findings if one.code == "night_contradicts_day"]
     said = f"{len(stars)} stars of {np.sqrt(np.mean(stars.sigma_px**2)):.3f} px; {left_out or both.night}"
     return error_of(truth.day, truth.camera, truth.field), error_of(both, truth.camera, truth.field), said
 

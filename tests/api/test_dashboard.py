@@ -22,11 +22,9 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from tests.api.conftest import LENS, NOON, REFUSED
 from tests.fixtures.calibrations import SITE
 
-from sunarc.calibration.messages import MESSAGES, text_of
 from sunarc.common.findings import Finding
 from sunarc.imager.archive.values import Event, SunPoint
-from sunarc.imager.runtime.status import Reason
-from sunarc.imager.workers.messages import condition
+from sunarc.imager.runtime.status import Reason, condition
 from sunarc.optics.forward import project
 from sunarc.optics.inverse import unproject
 from sunarc.sky.sun import sun_directions
@@ -192,7 +190,7 @@ def test_the_dashboard_in_a_browser(pictured: Made) -> None:
         shown(desktop.page)
         assert desktop.page.evaluate(MARKER) == pytest.approx(sun.tolist(), abs=1.0)
         assert desktop.page.get_attribute("#health", "data-health") == "ready"
-        assert desktop.page.inner_text(f"#calibrations [data-code={REFUSED.code}]") == text_of(REFUSED)
+        assert desktop.page.inner_text(f"#calibrations [data-code={REFUSED.code}]") == REFUSED.text
         shows_conditions_by_their_codes(desktop.page, pictured)
         updates_live(desktop.page, pictured)
         has_a_history(desktop.page)
@@ -221,7 +219,7 @@ def test_the_dashboard_in_a_browser(pictured: Made) -> None:
 def shows_conditions_by_their_codes(page: Page, made: Made) -> None:
     """Check that a condition is shown with its severity, what to do if anything, and its code."""
     made.board.set_condition("images_unreadable", condition("images_unreadable", error="the disk is gone"))
-    made.board.set_condition("no_frame_yet", Reason.of(Finding("not_mirrored"), MESSAGES, code="no_frame_yet"))
+    made.board.set_condition("no_frame_yet", Reason.of(Finding("not_mirrored"), code="no_frame_yet"))
     unreadable = "#reasons li[data-code=images_unreadable][data-severity=degraded]"
     page.wait_for_selector(f"{unreadable} .action", timeout=10_000)
     assert "since 2013-05-13 09:30" in page.inner_text(f"{unreadable} small")

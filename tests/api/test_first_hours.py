@@ -20,8 +20,7 @@ from sunarc.calibration.model.result import Verdict
 from sunarc.common.findings import Finding
 from sunarc.formats.calibration_document import to_document
 from sunarc.imager.archive.values import SunPoint
-from sunarc.imager.runtime.status import CameraStatus, ClockStatus, Reason
-from sunarc.imager.workers.messages import MESSAGES, condition
+from sunarc.imager.runtime.status import CameraStatus, ClockStatus, Reason, condition
 from sunarc.optics.forward import project
 from sunarc.sky.sun import sun_directions
 
@@ -73,7 +72,7 @@ def serve_first_poses(made: Made) -> None:
         made.archive.calibrations.activate(made.archive.calibrations.add(written).id)
     made.board.set_condition("no_calibration", None)
     made.board.set_condition(
-        "first_pose_provisional", Reason.of(Finding("first_pose_provisional", {"sigma_deg": 1.6, **north}), MESSAGES)
+        "first_pose_provisional", Reason.of(Finding("first_pose_provisional", {"sigma_deg": 1.6, **north}))
     )
 
 

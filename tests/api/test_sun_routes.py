@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.detection.messages import MESSAGES
+from sunarc.common.findings import Finding
 from sunarc.optics.forward import project
 from sunarc.sky.days import solar_date
 from sunarc.sky.directions import angles_from_direction
@@ -72,7 +72,7 @@ def test_sightings_are_the_newest_first_with_the_rejected_ones(made: Made) -> No
     assert {(p["verdict"], p["findings"][0]["code"], p["x_px"]) for p in hidden} == {
         ("hidden", "disc_too_few_pixels", None)
     }
-    assert {p["reason"] for p in hidden} == {MESSAGES["disc_too_few_pixels"].text}
+    assert {p["reason"] for p in hidden} == {Finding("disc_too_few_pixels").text}
     assert told["next"] is None
     assert all(p["residual"] is None for p in points)
 

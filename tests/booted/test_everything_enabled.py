@@ -20,7 +20,7 @@ from tests.fixtures.archive import make_empty
 
 from sunarc.hub.archive import open_hub_archive
 from sunarc.hub.feed_routes import token_digest
-from sunarc.imager.runtime.supervisor import worker_code
+from sunarc.imager.runtime.status import worker_code
 
 from .conditions import findings, wait_for_reason
 from .machine import IMAGER_ADDRESS, wait_for

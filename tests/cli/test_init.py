@@ -24,9 +24,10 @@ import pytest
 from tests.fixtures.rtsp_camera import RtspCamera
 
 from sunarc.common.findings import Finding
+from sunarc.common.messages import message_of
 from sunarc.detection.values import Detection
 from sunarc.imager.checks import CheckResult, question_of, run_checks
-from sunarc.imager.commands.first_look import MESSAGES, RefusedAnswerError, TriedPicture, judge_site, parse_angle
+from sunarc.imager.commands.first_look import RefusedAnswerError, TriedPicture, judge_site, parse_angle
 from sunarc.imager.runtime.clock import SystemClock
 from sunarc.imager.settings.load import load_settings
 from sunarc.lab.simulation.made_archive import encoded, photograph
@@ -147,7 +148,7 @@ def test_wrong_input_is_one_line_with_a_code_and_nothing_is_written(
     assert answer.err.count("\n") == 1
     assert answer.err.startswith(f"sunarc: {field}: ")
     assert answer.err.endswith(f"[{code}]\n")
-    assert code in MESSAGES
+    assert message_of(code) is not None
     assert not file.exists()
 
 

@@ -10,9 +10,9 @@ import pytest
 from tests.finding_codes import codes
 
 from sunarc import detection
-from sunarc.common.findings import Finding
+from sunarc.common.findings import Finding, joined
+from sunarc.common.messages import message_of
 from sunarc.detection.disc.series import beside, combine
-from sunarc.detection.messages import MESSAGES, reason_of
 from sunarc.detection.values import Detection, Verdict
 
 FITTED = Finding("disc_found", {"chi2": 1.043})
@@ -33,14 +33,14 @@ def disc(x_px: float, *findings: Finding, verdict: Verdict = "clear", snr: float
 
 
 def test_one_finding_is_its_own_sentence() -> None:
-    assert disc(1.0, FITTED).reason == MESSAGES.text_of(FITTED)
+    assert disc(1.0, FITTED).reason == FITTED.text
     assert disc(1.0).reason == ""
 
 
 def test_what_was_left_out_follows_after_a_comma_and_a_mean_after_a_semicolon() -> None:
     left_out = Finding("saturated_left_out", {"n": 12})
     mean = Finding("bracket_mean", {"frames": 3, "chi2": 2.345, "freedom": 4})
-    assert reason_of([FITTED, left_out, mean]) == (
+    assert joined([FITTED, left_out, mean]) == (
         "a disc was fitted, reduced chi² 1.04, 12 saturated pixels left out; mean of 3 frames (chi² 2.3, 4 degrees of "
         "freedom)"
     )
@@ -48,21 +48,19 @@ def test_what_was_left_out_follows_after_a_comma_and_a_mean_after_a_semicolon() 
 
 @pytest.mark.parametrize("code", ["sun_elsewhere", "bracket_covered"])
 def test_what_explains_another_frame_stands_before_a_colon(code: str) -> None:
-    alone = reason_of([Finding(code)])
-    assert reason_of([Finding(code), FITTED]) == f"{alone}: {MESSAGES.text_of(FITTED)}"
+    alone = joined([Finding(code)])
+    assert joined([Finding(code), FITTED]) == f"{alone}: {FITTED.text}"
 
 
 def test_a_mean_keeps_the_finding_of_its_best_frame() -> None:
-    joined = combine([disc(10.0, FITTED), disc(10.002, FITTED)])
-    assert codes(joined.findings) == ["disc_found", "bracket_mean"]
-    assert dict(joined.findings[1].data) == pytest.approx(
-        {"frames": 2, "chi2": 0.002**2 / (2 * 0.003**2), "freedom": 2}
-    )
+    mean = combine([disc(10.0, FITTED), disc(10.002, FITTED)])
+    assert codes(mean.findings) == ["disc_found", "bracket_mean"]
+    assert dict(mean.findings[1].data) == pytest.approx({"frames": 2, "chi2": 0.002**2 / (2 * 0.003**2), "freedom": 2})
 
 
 def test_frames_that_contradict_each_other_give_one_finding() -> None:
-    joined = combine([disc(10.0, FITTED), disc(11.0, FITTED)])
-    assert (joined.verdict, codes(joined.findings)) == ("partly_covered", ["bracket_inconsistent"])
+    mean = combine([disc(10.0, FITTED), disc(11.0, FITTED)])
+    assert (mean.verdict, codes(mean.findings)) == ("partly_covered", ["bracket_inconsistent"])
 
 
 def test_a_frame_beside_a_covered_one_carries_its_findings() -> None:
@@ -87,5 +85,7 @@ def given_data() -> dict[str, set[str]]:
 
 @pytest.mark.parametrize("code", sorted(given_data()))
 def test_the_data_of_a_code_are_those_of_its_sentence(code: str) -> None:
-    fields = {name for _, name, _, _ in Formatter().parse(MESSAGES[code].text) if name}
+    message = message_of(code)
+    assert message is not None
+    fields = {name for _, name, _, _ in Formatter().parse(message.text) if name}
     assert given_data()[code] == fields

@@ -66,6 +66,7 @@ from sunarc.lab.studies.benchmark_scores import score
 from sunarc.sky.site import Site
 from sunarc.sources.files import read_image, read_lines
 from sunarc.sources.image_files import (
+    RefusedImageError,
     checked_image,
     fits_bayer,
     fits_frame,
@@ -79,7 +80,6 @@ from sunarc.sources.image_files import (
 from sunarc.sources.image_times import exif_time, sidecar_time
 from sunarc.sources.index import CameraPlan, Selector, read_cameras
 from sunarc.sources.look import PackedMask
-from sunarc.sources.messages import RefusedImageError
 
 ROOT = Path(__file__).resolve().parents[2]
 SLOWEST_S = 1.0

@@ -56,8 +56,10 @@ def test_no_name_and_no_text_of_the_package_has_them(sources: dict[str, str]) ->
     assert [f"{name}:{found}" for name, text in sources.items() for found in found_in(text)] == []
 
 
-def test_no_document_has_them(root: Path) -> None:
-    texts = {name: (root / name).read_text("utf-8") for name in DOCUMENTS}
+def test_no_document_and_no_message_has_them(root: Path) -> None:
+    names = [*DOCUMENTS, *(str(path.relative_to(root)) for path in root.glob("service/sunarc/*/messages.toml"))]
+    assert len(names) > len(DOCUMENTS)
+    texts = {name: (root / name).read_text("utf-8") for name in names}
     assert [
         name for name, text in texts.items() if any(WORDS.fullmatch(word) for word in re.findall(r"\w+", text))
     ] == []

@@ -16,7 +16,6 @@ from tests.fixtures.archive import new_archive
 
 from sunarc.common.errors import InputError, OutsideError
 from sunarc.common.findings import Finding
-from sunarc.detection.messages import MESSAGES
 from sunarc.imager.archive.archive import Archive
 from sunarc.imager.archive.values import Day, DayAir, Refit, SunPoint
 from sunarc.imager.commands.archive_tables import export_everything, table_cell
@@ -68,7 +67,7 @@ def test_a_sightings_row_holds_its_values_and_empty_cells_where_it_has_none(tmp_
         "2013-05-13T18:30:00Z", "3.25", "0.04", "1",
     )  # fmt: skip
     assert (hidden["x_px"], hidden["sigma_px"], hidden["accepted"]) == ("", "", "0")
-    assert (list(seen)[6], seen["reason"], hidden["reason"]) == ("reason", MESSAGES.text_of(FOUND), "")
+    assert (list(seen)[6], seen["reason"], hidden["reason"]) == ("reason", FOUND.text, "")
     assert [json.loads(row["findings"]) for row in (seen, hidden)] == [[FOUND.as_json()], []]
 
 

@@ -12,8 +12,7 @@ import pytest
 from PIL import Image
 
 from sunarc.common.array_types import Image as Pixels
-from sunarc.sources.image_files import checked_image, content_of, image_size
-from sunarc.sources.messages import RefusedImageError
+from sunarc.sources.image_files import RefusedImageError, checked_image, content_of, image_size
 from sunarc.sources.sources import Folder
 
 ROWS, COLUMNS = 48, 64

@@ -24,7 +24,7 @@ from sunarc.imager.archive.values import CameraRecord, SunPointColumns
 from sunarc.imager.workers.night.images import night_picture, store_picture
 from sunarc.optics.forward import project
 from sunarc.sky.night import body_directions
-from sunarc.sources.messages import RefusedImageError
+from sunarc.sources.image_files import RefusedImageError
 
 NIGHT = ("20260313T060000Z", "20260313T064000Z", "20260313T072000Z")
 

@@ -30,7 +30,6 @@ from sunarc.optics.forward import project
 from sunarc.sky.sun import sun_directions
 from sunarc.sources import look
 from sunarc.sources.expected_sun import PREDICTED, SEARCHED
-from sunarc.sources.messages import sentence_of
 
 MORNING = datetime(2013, 5, 13, 14, 0, tzinfo=UTC)
 CAMERA = small_camera()
@@ -181,7 +180,7 @@ def test_without_a_camera_the_first_answers_stay_and_the_reason_is_given(
         draw(images, number, sun_px(number))
     summary = ingested(images, monkeypatch, Fits(refusing()))
     assert [finding.code for finding in summary.camera_findings] == ["too_few_sightings"]
-    assert "20" in sentence_of(summary.camera_findings[0])
+    assert "20" in summary.camera_findings[0].sentence
     assert {point.ingest_pass for point in stored(images)} == {SEARCHED}
     assert summary.accepted == COUNT
 

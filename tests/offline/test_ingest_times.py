@@ -15,8 +15,8 @@ from tests.fixtures.settings import new_settings
 from sunarc.archives.ingest import IngestOptions, ingest_folder
 from sunarc.archives.ingest_summary import IngestSummary
 from sunarc.common.errors import InputError
+from sunarc.sources.image_files import RefusedImageError
 from sunarc.sources.image_times import TimeRules, UtcOffset, timed_picture
-from sunarc.sources.messages import RefusedImageError
 from sunarc.sources.sources import Folder
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)

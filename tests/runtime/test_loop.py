@@ -7,12 +7,10 @@ from dataclasses import dataclass, field
 import pytest
 
 from sunarc.common.errors import OutsideError
-from sunarc.common.findings import Finding, Message, Messages
+from sunarc.common.findings import Finding
 from sunarc.imager.runtime.clock import VirtualClock
 from sunarc.imager.runtime.loop import Attempts, DropOldestQueue, Loop, Pauses, entries
 from sunarc.imager.runtime.status import Reason, StatusRegistry
-
-MESSAGES = Messages(failing=Message("{error} for {hours} h", "It fails.", "end its cause"))
 
 
 @dataclass
@@ -36,7 +34,7 @@ class Beats:
 
 def attempts(clock: VirtualClock, board: StatusRegistry, *, after_s: float = 0.0) -> Attempts:
     def reason(error: str, hours: float) -> Reason:
-        return Reason.of(Finding("failing", {"error": error, "hours": hours}), MESSAGES)
+        return Reason.of(Finding("hub_unreachable", {"error": error, "hours": hours}), code="failing")
 
     return Attempts(clock, Pauses(2.0, 15.0), board=board, code="failing", reason=reason, after_s=after_s)
 

@@ -21,7 +21,6 @@ from sunarc.common.errors import InputError
 from sunarc.lab.studies.benchmark_cases import CONDITIONS, LENSES, BenchmarkTruth, benchmark_case, sides_of
 from sunarc.lab.studies.benchmark_files import read_case, read_entry, read_round, read_truth, truth_hash, write_round
 from sunarc.lab.studies.benchmark_scores import Answered, BandScore, Score, answers_of, calibrate_case, score
-from sunarc.lab.studies.messages import MESSAGES
 from sunarc.sky.directions import angles_from_direction, direction_from_angles
 
 __all__ = ["sunarc"]
@@ -241,7 +240,7 @@ def test_a_wrong_entry_is_scored_as_what_it_is(
     write_table(tmp_path / "s000.csv", change(rows))
     found = score("entrant", {"s000": truth}, read_entry(tmp_path, {"s000": truth}))
     assert codes(found) == ([] if code is None else [code])
-    assert all("{" not in MESSAGES.text_of(finding) for finding in found.findings)
+    assert all("{" not in finding.text for finding in found.findings)
     everything = band(found)
     assert everything.median_deg == pytest.approx(0.1, abs=1e-6)
     assert (everything.p90_deg > 1.0) == (lost > 0)

@@ -7,7 +7,6 @@ from datetime import UTC, datetime, timedelta, timezone
 import pytest
 
 from sunarc.imager.workers.clock_watch import ClockStep, camera_offset, stepped
-from sunarc.imager.workers.messages import text_of
 
 AT = datetime(2013, 5, 13, 18, 30, 0, 250_000, tzinfo=UTC)
 
@@ -22,7 +21,7 @@ def test_a_step_states_the_clock_its_size_and_its_time_in_utc(at: datetime, *, g
     found = stepped("clock_stepped", "host", step(at, gradual=gradual))
     assert (found.data["clock"], found.data["step_s"], found.data["at"]) == ("host", -2.5, "2013-05-13T18:30:00Z")
     assert ("8 s" in str(found.data["how"])) == within
-    assert text_of(found) != f"clock_stepped {dict(found.data)}"
+    assert found.text != f"clock_stepped {dict(found.data)}"
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,6 @@ from sunarc.imager.workers.calibrating.solver_process import (
     SolverDiedError,
     solve_in_child,
 )
-from sunarc.imager.workers.messages import text_of
 from sunarc.lab.simulation.truth import SGP, true_camera
 from sunarc.optics.camera import PARAMETER_NAMES
 from sunarc.optics.forward import project
@@ -141,7 +140,7 @@ def test_a_pinned_calibration_stays_and_the_better_one_waits_as_a_candidate(
     second = carry_out("b", replace(good, sky_rms_deg=0.9 * good.sky_rms_deg))
     assert second.state == "accepted"
     assert codes(second.findings)[-1] == "active_is_pinned"
-    assert second.message.endswith(text_of(Finding("active_is_pinned")))
+    assert second.message.endswith(Finding("active_is_pinned").text)
     current = archive.calibrations.current("roof")
     assert current is not None
     assert current.id == first.calibration
@@ -161,7 +160,7 @@ def test_a_fit_that_refuses_itself_is_kept_with_its_reasons(
 def test_a_solve_that_fails_is_told_and_changes_nothing(carry_out: Carry, archive: Archive) -> None:
     too_long = Finding("solve_too_long", {"limit_s": 1.0})
     refit = carry_out("a", SolveFailedError(too_long))
-    assert (refit.state, refit.findings, refit.message) == ("failed", (too_long,), text_of(too_long))
+    assert (refit.state, refit.findings, refit.message) == ("failed", (too_long,), too_long.text)
     assert archive.calibrations.find("roof") == ()
 
 

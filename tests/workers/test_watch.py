@@ -21,7 +21,6 @@ from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.changes import detect_change
 from sunarc.changes.detect_change import update_window
-from sunarc.changes.messages import MESSAGES
 from sunarc.changes.values import Change, Sighting, SightingWindow, WatchOptions
 from sunarc.common.errors import OutsideError
 from sunarc.common.findings import from_json, uncoded
@@ -225,7 +224,7 @@ def test_a_move_for_which_no_pose_is_found_is_one_event_and_one_epoch(
     assert {"unit", "size_sigma", "text", "remedy"} <= set(event.details)
     (finding,) = event.findings
     assert finding["code"] == "changed_bump"
-    assert MESSAGES.text_of(from_json(finding)) == event.text  # the data are those of the sentence
+    assert from_json(finding).text == event.text  # the data are those of the sentence
     assert len(imager.archive.epochs.find("roof")) == 2
     assert "changed_bump" in imager.codes()
     assert imager.archive.sightings.columns("roof", pose_epoch="roof-2").unix_s.size == 30

@@ -19,7 +19,6 @@ from sunarc.imager.live.folder_nights import NightOutcome
 from sunarc.imaging.preview import preview
 from sunarc.sources.image_files import image_of
 from sunarc.sources.index import ArchiveImage, Failure
-from sunarc.sources.messages import MESSAGES
 from sunarc.sources.sources import open_source
 
 
@@ -71,8 +70,7 @@ class IngestSummary:
             "nights": [night.as_json() for night in self.nights],
             "nights_known": self.nights_known,
             "files_skipped": [
-                {"file": one.file, **one.finding.as_json(), "reason": MESSAGES.text_of(one.finding)}
-                for one in self.skipped
+                {"file": one.file, **one.finding.as_json(), "reason": one.finding.text} for one in self.skipped
             ],
         }
 

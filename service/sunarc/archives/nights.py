@@ -13,8 +13,7 @@ from sunarc.archives.passes import Looked, Work, epoch_at
 from sunarc.archives.states import Epoch, State
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.common.array_types import Image
-from sunarc.common.findings import Finding
-from sunarc.detection.messages import reason_of
+from sunarc.common.findings import Finding, joined
 from sunarc.detection.stars.detect import detect_stars
 from sunarc.detection.stars.warm_pixels import WarmPixelMap
 from sunarc.imager.live.file_frames import frame_of
@@ -172,7 +171,7 @@ def _rows(view: StarView, found: MatchedView, size: tuple[int, int]) -> NamedSta
 
 
 def _not_named(findings: Sequence[Finding]) -> Finding:
-    return Finding("stars_not_named", {"error": reason_of(findings)})
+    return Finding("stars_not_named", {"error": joined(findings)})
 
 
 def star_points(found: NightsLooked, states: Sequence[State], epochs: Sequence[Epoch]) -> Sightings | None:

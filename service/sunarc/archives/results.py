@@ -27,14 +27,12 @@ from sunarc.common.findings import Finding
 from sunarc.common.foreign_files import is_regular, read_regular
 from sunarc.common.utc import DAY_S, rfc3339, utc_time
 from sunarc.detection.values import Expectation
-from sunarc.imager.archive.messages import MESSAGES as OF_ARCHIVE
 from sunarc.imager.live.learned_sigma import sigma_of_series
 from sunarc.optics.forward import project
 from sunarc.sky.sun import sun_directions
 from sunarc.sources.expected_sun import PREDICTED, SEARCHED
 from sunarc.sources.index import CameraImages, Failure, Indexed
 from sunarc.sources.look import IN_STACK, NamedStars, software
-from sunarc.sources.messages import MESSAGES, sentence_of
 from sunarc.sources.sources import hash_of
 
 _CELLS = 48
@@ -334,7 +332,7 @@ def _failures(results: Sequence[CameraResult], indexed: Indexed) -> list[tuple[s
             answers = zip(looked.images, looked.found, strict=True)
             found += [Failure(image.name, answer) for image, answer in answers if isinstance(answer, Finding)]
         found += [Failure(image.name, Finding("night_between_poses")) for image in one.nights.nights.left_out]
-    return sorted((one.file, one.finding.code, MESSAGES.text_of(one.finding)) for one in found)
+    return sorted((one.file, one.finding.code, one.finding.text) for one in found)
 
 
 def _epochs(result: CameraResult, documents: Mapping[tuple[str, str], Document]) -> list[Document]:
@@ -384,7 +382,7 @@ def _camera(result: CameraResult, documents: Mapping[tuple[str, str], Document])
         "accepted": accepted(result.looked),
         "second_pass": {"found": pairs.count((False, True)), "refused": pairs.count((True, False))},
         "by_verdict": dict(verdicts.most_common()),
-        "findings": [{**one.as_json(), "reason": sentence_of(one, OF_ARCHIVE)} for one in result.rough.findings],
+        "findings": [{**one.as_json(), "reason": one.sentence} for one in result.rough.findings],
         "nights": _nights(result),
         "epochs": [_epoch_summary(result, n, documents) for n in range(len(result.epochs))],
         "horizon": None if result.horizon is None else {"seen": result.horizon.seen, "hidden": result.horizon.hidden},
@@ -415,7 +413,7 @@ def _epoch_summary(result: CameraResult, number: int, documents: Mapping[tuple[s
 
 
 def _refusal(failure: Failure) -> Document:
-    return {"camera": failure.file, **failure.finding.as_json(), "reason": sentence_of(failure.finding, OF_ARCHIVE)}
+    return {"camera": failure.file, **failure.finding.as_json(), "reason": failure.finding.sentence}
 
 
 def _write_exports(

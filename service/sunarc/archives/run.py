@@ -29,7 +29,6 @@ from sunarc.common.findings import Finding
 from sunarc.imager.archive.database.state_folder import lock_state
 from sunarc.imager.runtime.clock import Clock
 from sunarc.sources.index import CameraImages, Indexed, ReportProgress
-from sunarc.sources.messages import MESSAGES
 
 _ANOTHER = "wait for that run to end, or give another folder (-o)"
 _DIED = Finding("camera_kills_workers", {"deaths": DEATHS})
@@ -81,7 +80,7 @@ def reanalyse(
     OutsideError : the folder cannot be written or another run writes into it, or no worker answers.
     """
     if not indexed.cameras:
-        seen = [f"{one.file}: {MESSAGES.text_of(one.finding)}" for one in (*indexed.refused, *indexed.failures)][:5]
+        seen = [f"{one.file}: {one.finding.text}" for one in (*indexed.refused, *indexed.failures)][:5]
         raise InputError(field="SOURCE", problem=f"has no image to look at ({'; '.join(seen)})", remedy="see above")
     began = clock.monotonic()
     with disk_errors(options.target):

@@ -10,7 +10,6 @@ import numpy as np
 from annotated_types import Ge, Le
 
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.changes.messages import MESSAGES
 from sunarc.common.array_types import BoolArray, FloatArray, stacked
 from sunarc.common.bounds import require_bounds
 from sunarc.common.findings import Finding
@@ -129,12 +128,12 @@ class Change:
     @property
     def text(self) -> str:
         """The change in a sentence."""
-        return MESSAGES.text_of(self.finding)
+        return self.finding.text
 
     @property
     def remedy(self) -> str:
         """What to do about it."""
-        return MESSAGES.remedy_of(self.finding)
+        return self.finding.remedy
 
     def as_details(self) -> dict[str, float | int | str]:
         """Return what is stored of it: its numbers and names, the sentence and the remedy."""

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar, get_args
 import typer
 
 from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread
-from sunarc.calibration.messages import MESSAGES
 from sunarc.calibration.model.options import CalibrationOptions, Mirrored
 from sunarc.calibration.stated_prior import PriorTolerances
 from sunarc.cli.calibrate_files import (
@@ -36,7 +35,8 @@ from sunarc.cli.options import (
     stated_once,
 )
 from sunarc.common.errors import InputError
-from sunarc.common.findings import findings_of, significant
+from sunarc.common.findings import findings_of
+from sunarc.common.messages import significant
 from sunarc.imager.runtime.clock import SystemClock
 from sunarc.optics.projections import PROJECTIONS
 from sunarc.sky.site import Site
@@ -412,7 +412,7 @@ def _print_calibration(document: dict[str, Any]) -> None:
 
 def _remedies(verdict: dict[str, Any]) -> list[str]:
     """Return what to do about a calibration that is not accepted, each once."""
-    found = [] if verdict["accepted"] else [MESSAGES.remedy_of(finding) for finding in findings_of(verdict)]
+    found = [] if verdict["accepted"] else [finding.remedy for finding in findings_of(verdict)]
     return [one for one in dict.fromkeys(found) if one != "none"]
 
 

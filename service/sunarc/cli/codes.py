@@ -6,35 +6,9 @@ import re
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from sunarc.calibration.messages import MESSAGES as OF_CALIBRATION
-from sunarc.changes.messages import MESSAGES as OF_CHANGES
 from sunarc.cli.options import AsJson, print_json
-from sunarc.common.findings import Messages
-from sunarc.detection.messages import MESSAGES as OF_DETECTION
-from sunarc.formats.messages import MESSAGES as OF_FORMATS
-from sunarc.imager.app.status_line import MESSAGES as OF_APP
-from sunarc.imager.archive.messages import MESSAGES as OF_ARCHIVE
-from sunarc.imager.commands.first_look import MESSAGES as OF_COMMANDS
-from sunarc.imager.runtime.supervisor import MESSAGES as OF_RUNTIME
-from sunarc.imager.workers.messages import MESSAGES as OF_WORKERS
-from sunarc.lab.studies.messages import MESSAGES as OF_STUDIES
-from sunarc.sources.messages import MESSAGES as OF_SOURCES
-from sunarc.stars.messages import MESSAGES as OF_STARS
+from sunarc.common.messages import all_messages
 
-_TABLES: dict[str, Messages] = {
-    "detection": OF_DETECTION,
-    "calibration": OF_CALIBRATION,
-    "changes": OF_CHANGES,
-    "stars": OF_STARS,
-    "imager/archive": OF_ARCHIVE,
-    "imager/runtime": OF_RUNTIME,
-    "imager/workers": OF_WORKERS,
-    "imager/app": OF_APP,
-    "formats": OF_FORMATS,
-    "sources": OF_SOURCES,
-    "lab/studies": OF_STUDIES,
-    "imager/commands": OF_COMMANDS,
-}
 _HEAD = """# Codes of findings
 
 Verdicts of calibrations and days, sightings, conditions in `/readyz` and `/v1/status`, and events carry
@@ -65,8 +39,9 @@ def codes(*, as_json: AsJson = False) -> None:
 
 
 def all_codes() -> list[Code]:
-    """Return the codes of all packages, each one's in alphabetical order."""
-    return [Code(code, package, *table[code]) for package, table in _TABLES.items() for code in sorted(table)]
+    """Return the codes of all installed houses, the library's first, by room and code."""
+    codes = [Code(code, one.room, one.text, one.meaning, one.action) for code, one in all_messages()]
+    return sorted(codes, key=lambda one: ("/" in one.room, one.room, one.code))
 
 
 def codes_as_markdown(codes: Iterable[Code]) -> str:

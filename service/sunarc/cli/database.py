@@ -14,7 +14,7 @@ from sqlalchemy import URL
 
 from sunarc.cli.options import AsJson, Config, OptionalState, State, parse_image_size, print_rows, service_settings
 from sunarc.common.errors import InputError, disk_errors
-from sunarc.common.findings import counted
+from sunarc.common.messages import counted
 from sunarc.common.utc import parse_time
 from sunarc.imager.archive.database.backup import backup, backup_into, newest_sound_copy, restore
 from sunarc.imager.archive.database.connections import server_url

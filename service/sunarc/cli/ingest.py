@@ -25,12 +25,9 @@ from sunarc.cli.options import (
     service_settings,
 )
 from sunarc.common.errors import InputError
-from sunarc.common.findings import counted
-from sunarc.imager.archive.messages import MESSAGES as OF_ARCHIVE
-from sunarc.imager.workers.messages import MESSAGES as OF_WORKERS
+from sunarc.common.messages import counted
 from sunarc.sources.detect_files import METHODS
 from sunarc.sources.image_times import TimeRules, utc_offset_of
-from sunarc.sources.messages import sentence_of
 
 _LISTED = 20
 """Images that are named with the reason why they were left out; --json lists all."""
@@ -133,6 +130,6 @@ def _print_summary(summary: IngestSummary) -> None:
     if summary.nights_known:
         print(f"{counted(summary.nights_known, 'image')} of nights known already")
     for finding in summary.camera_findings:
-        print(f"camera: {sentence_of(finding, OF_ARCHIVE, OF_WORKERS)}")
+        print(f"camera: {finding.sentence}")
     if summary.contact_sheet is not None:
         print(f"examples of each verdict: {summary.contact_sheet}")

@@ -31,16 +31,14 @@ from sunarc.cli.options import (
     stated_once,
 )
 from sunarc.common.errors import InputError
-from sunarc.common.findings import counted, significant
 from sunarc.common.foreign_files import name_text
-from sunarc.imager.archive.messages import MESSAGES as OF_ARCHIVE
+from sunarc.common.messages import counted, significant
 from sunarc.imager.runtime.clock import SystemClock
 from sunarc.optics.projections import PROJECTIONS
 from sunarc.sky.site import Site
 from sunarc.sources.detect_files import METHODS
 from sunarc.sources.image_times import TimeRules, utc_offset_of
 from sunarc.sources.index import CameraPlan, Indexed, Selector, index_archive, new_camera_name, read_cameras
-from sunarc.sources.messages import sentence_of
 
 _LISTED = 10
 """Files that are named with the reason why they are left out; failures.csv has all."""
@@ -201,7 +199,7 @@ def _confirm(indexed: Indexed, *, yes: bool) -> None:
         seen = f"{counted(len(one.images), 'image')} of {width}x{height} px; times by {one.family}"
         print(f"camera {one.plan.name}: {seen}: {one.example[0]} is {one.example[1]}", file=sys.stderr)
     for failure in (*indexed.refused, *indexed.failures[:_LISTED]):
-        print(f"left out {failure.file}: {sentence_of(failure.finding, OF_ARCHIVE)}", file=sys.stderr)
+        print(f"left out {failure.file}: {failure.finding.sentence}", file=sys.stderr)
     if len(indexed.failures) > _LISTED:
         print(f"… and {len(indexed.failures) - _LISTED} more", file=sys.stderr)
     if yes or not indexed.cameras:

@@ -14,18 +14,15 @@ import numpy as np
 
 import sunarc
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.messages import MESSAGES as OF_CALIBRATION
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.selection import MOST_STARS, image_parts, sky_parts, surest_of_parts
 from sunarc.common.array_types import FloatArray, Image, IntArray, evenly_spread
 from sunarc.common.errors import InputError
-from sunarc.common.findings import Finding, Messages
+from sunarc.common.findings import Finding, joined
 from sunarc.common.foreign_files import is_regular, name_text
 from sunarc.common.utc import DAY_S, rfc3339, utc_time
-from sunarc.detection.messages import MESSAGES as OF_DETECTION
-from sunarc.detection.messages import reason_of
 from sunarc.detection.stars.detect import detect_stars
 from sunarc.detection.stars.matching import StarMatches
 from sunarc.detection.values import FWHM, Bayer, PredictedStars, Stars
@@ -38,15 +35,11 @@ from sunarc.sky.night import FAINTEST_V, NightSky, night_sky
 from sunarc.sky.site import Site
 from sunarc.sources.detect_files import estimated_full_scale
 from sunarc.sources.files import read_file, read_image
-from sunarc.sources.image_files import kind_of
+from sunarc.sources.image_files import RefusedImageError, kind_of
 from sunarc.sources.image_times import ASSUMED_UTC, TimeRules, timed_picture
-from sunarc.sources.messages import MESSAGES, RefusedImageError
 from sunarc.sources.sources import Folder
 from sunarc.stars.blind_start import BlindOptions, BlindStart, NightDetections, blind_start, with_clock_error
-from sunarc.stars.messages import MESSAGES as OF_STARS
 from sunarc.stars.views import StarView, match_views, matching_flip, predict_stars
-
-_OF_CAMERA = Messages(OF_CALIBRATION | OF_STARS | OF_DETECTION)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,7 +136,7 @@ def _with_flips(named: list[StarImage], seen: Sequence[StarImage], calibration: 
     count_of = iter(counts)
     found = [0 if view is None else next(count_of) for view in read]
     return [
-        replace(one, findings=findings, reason=reason_of(findings))
+        replace(one, findings=findings, reason=joined(findings))
         if n and (findings := (*one.findings, Finding("stars_flipped", {"flip": flip, "n": n})))
         else one
         for one, n in zip(named, found, strict=True)
@@ -161,7 +154,7 @@ def named_stars(images: Sequence[StarImage], calibration: Calibration, *, within
     return [
         replace(
             one,
-            reason=reason_of(found[row].matches.findings),
+            reason=joined(found[row].matches.findings),
             findings=found[row].matches.findings,
             stars=found[row].stars,
             matches=found[row].matches,
@@ -225,12 +218,12 @@ def read_stars(path: Path, site: Site, options: StarOptions, *, size: tuple[int,
     try:
         time, image, bayer = _read(path, options)
     except RefusedImageError as refused:
-        return StarImage(file=name_text(path), reason=MESSAGES.text_of(refused.finding), findings=(refused.finding,))
+        return StarImage(file=name_text(path), reason=refused.finding.text, findings=(refused.finding,))
     except InputError as error:
         unreadable = Finding("file_unreadable", {"error": str(error)})
-        return StarImage(file=name_text(path), reason=reason_of([unreadable]), findings=(unreadable,))
+        return StarImage(file=name_text(path), reason=joined([unreadable]), findings=(unreadable,))
     if (elsewhere := _other_site(path, site)) is not None:
-        reason = MESSAGES.text_of(elsewhere)
+        reason = elsewhere.text
         return StarImage(file=name_text(path), reason=reason, findings=(elsewhere,), time=time)
     found = (image.shape[1], image.shape[0])
     _require_size(path, found, size)
@@ -356,7 +349,7 @@ class BlindResult:
         """Return the summary of the start and of the images."""
         return {
             "accepted": self.accepted,
-            "reason": "; ".join(_OF_CAMERA.text_of(finding) for finding in self.findings),
+            "reason": "; ".join(finding.text for finding in self.findings),
             "findings": [finding.as_json() for finding in self.findings],
             "images": [image.as_json() for image in self.images],
         }
@@ -430,7 +423,7 @@ def _dated(image: StarImage, unix_s: float) -> StarImage:
         return image
     days, date = (image.time.timestamp() - unix_s) / DAY_S, f"{utc_time(unix_s):%Y-%m-%d}"
     findings = (*image.findings, Finding("stars_years_apart", {"days": days, "date": date}))
-    return replace(image, findings=findings, reason=reason_of(findings))
+    return replace(image, findings=findings, reason=joined(findings))
 
 
 def _one_night(seen: Sequence[StarImage]) -> list[StarImage]:

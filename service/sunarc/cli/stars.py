@@ -16,7 +16,7 @@ from sunarc.cli.options import SITE, Altitude, AsJson, choice_of, print_json, pr
 from sunarc.cli.star_files import StarImage, StarOptions, find_stars, find_stars_blind, write_star_sightings
 from sunarc.common.errors import InputError, disk_errors
 from sunarc.common.extras import extra_module
-from sunarc.common.findings import counted
+from sunarc.common.messages import counted
 from sunarc.detection.values import BAYERS
 from sunarc.formats.csv_files import read_sightings
 from sunarc.imager.runtime.clock import SystemClock

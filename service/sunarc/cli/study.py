@@ -220,7 +220,6 @@ def score_entries(
     """
     from sunarc.lab.studies.benchmark_files import read_entry, read_round, read_truth, truth_hash
     from sunarc.lab.studies.benchmark_scores import as_object, score, tables_of
-    from sunarc.lab.studies.messages import MESSAGES
 
     truths, published = read_truth(truth), read_round(cases)[1]
     scores = [score(entry.resolve().name, truths, read_entry(entry, truths)) for entry in entries]
@@ -237,7 +236,7 @@ def score_entries(
     print(text)
     for one in scores:
         for finding in one.findings:
-            print(f"{one.entrant}: {MESSAGES.text_of(finding)} [{finding.code}]")
+            print(f"{one.entrant}: {finding.text} [{finding.code}]")
 
 
 def _each(values: Iterable[AnyValue], advance: Callable[[], None]) -> Iterator[AnyValue]:

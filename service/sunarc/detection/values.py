@@ -12,8 +12,7 @@ from annotated_types import Ge, Le
 from sunarc.common.array_types import BoolArray, FloatArray, Image, IntArray, NameArray, picked
 from sunarc.common.bounds import require_bounds
 from sunarc.common.errors import InputError
-from sunarc.common.findings import Finding
-from sunarc.detection.messages import reason_of
+from sunarc.common.findings import Finding, joined
 
 Method = Literal["disc", "paper"]
 Verdict = Literal[
@@ -81,7 +80,7 @@ class Detection:
     @property
     def reason(self) -> str:
         """What decided, in a sentence."""
-        return reason_of(self.findings)
+        return joined(self.findings)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -20,7 +20,6 @@ from sunarc.formats import fisheye, pixel_maps
 from sunarc.formats.asi_core import asi_core_file, read_asi_core
 from sunarc.formats.calibration_document import from_document
 from sunarc.formats.exported import PIXELS, Exported, Table, Variable, notes_of
-from sunarc.formats.messages import MESSAGES
 from sunarc.formats.mrcal import cameramodel, read_mrcal, splined_model, splined_view
 from sunarc.formats.ocam import calib_results, ocam_model, ocam_view, read_ocamcalib
 from sunarc.formats.remap import is_remap, read_remap, remap_table, sky_grid
@@ -78,11 +77,11 @@ class FormatError(InputError):
     Parameters
     ----------
     field : what names it, or the file.
-    finding : of `MESSAGES`.
+    finding : why.
     """
 
     def __init__(self, field: str, finding: Finding) -> None:
-        super().__init__(field=field, problem=MESSAGES.text_of(finding), remedy=MESSAGES.remedy_of(finding))
+        super().__init__(field=field, problem=finding.text, remedy=finding.remedy)
         self.finding = finding
 
 

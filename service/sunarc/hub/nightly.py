@@ -22,8 +22,7 @@ from sunarc.hub.cloud_edges import SunSeries, cloud_lag
 from sunarc.hub.nightly_store import CrossCheck, Found, NightlyRun
 from sunarc.imager.archive.values import CalibrationRecord, CameraRecord
 from sunarc.imager.runtime.clock import Clock
-from sunarc.imager.runtime.status import StatusRegistry
-from sunarc.imager.workers.messages import condition
+from sunarc.imager.runtime.status import StatusRegistry, condition
 from sunarc.imager.workers.options import NightlyOptions
 from sunarc.optics.inverse import unproject
 from sunarc.sky.days import date_of_day, day_bounds_unix_s, solar_date, solar_days

@@ -38,7 +38,6 @@ from sunarc.imager.archive.outbox import OutboxPosition
 from sunarc.imager.cameras.aravis import AravisCamera, open_aravis
 from sunarc.imager.cameras.frame import SkyCamera
 from sunarc.imager.cameras.options import AravisOptions, FolderOptions
-from sunarc.imager.commands.first_look import MESSAGES as OF_FIRST_LOOK
 from sunarc.imager.commands.first_look import TriedPicture, judge_site, look_for_sun, small_picture, try_pictures
 from sunarc.imager.live.folder_conditions import time_rules
 from sunarc.imager.live.folder_files import is_image
@@ -52,7 +51,6 @@ from sunarc.imager.workers.hub_connection import HubConnection, HubRefusal
 from sunarc.imager.workers.push import Sink
 from sunarc.sky.site import Site
 from sunarc.sources.image_files import image_of
-from sunarc.sources.messages import MESSAGES as OF_FILES
 from sunarc.sources.sources import Folder, open_source
 
 # Checks of a camera: abilities, stream, exposures, and a few trial frames.
@@ -307,13 +305,13 @@ def _snapshot(settings: Settings, shown: Path | None) -> tuple[Outcome, str, str
         return "fail", f"setting {settings.source} is missing", ""
     found = client_of(options, SystemClock(), dated_by_camera=settings.dated_by_camera).picture()
     if isinstance(found, Finding):
-        return "fail", f"{OF_FILES.text_of(found)}; {OF_FILES.remedy_of(found)} [{found.code}]", found.code
+        return "fail", f"{found.sentence} [{found.code}]", found.code
     with tempfile.TemporaryDirectory() as place:
         name = f"picture.{found.suffix}"
         (Path(place) / name).write_bytes(found.content)
         image = image_of(Folder(name_text(place)), name)
     if isinstance(image, Finding):
-        return "fail", f"{OF_FILES.text_of(image)}; {OF_FILES.remedy_of(image)} [{image.code}]", image.code
+        return "fail", f"{image.sentence} [{image.code}]", image.code
     rule = "its Last-Modified" if settings.dated_by_camera else "this host's clock"
     tried = look_for_sun(TriedPicture(name=name, time=found.time, rule=rule), image)
     if shown is not None:
@@ -337,8 +335,8 @@ def _picture_result(tried: TriedPicture, files: int, picture: Path | None) -> Tr
 
 
 def _sentence(finding: Finding) -> str:
-    remedy = OF_FIRST_LOOK.remedy_of(finding)
-    return OF_FIRST_LOOK.text_of(finding) + ("" if remedy == "none" else f"; {remedy}") + f" [{finding.code}]"
+    remedy = finding.remedy
+    return finding.text + ("" if remedy == "none" else f"; {remedy}") + f" [{finding.code}]"
 
 
 def _room_for(state: Path) -> tuple[Outcome, str]:

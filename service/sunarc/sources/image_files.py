@@ -29,7 +29,6 @@ from sunarc.common.utc import EPOCH, parse_time
 from sunarc.detection.values import BAYERS, Bayer
 from sunarc.imaging.metadata import document_of
 from sunarc.imaging.preview import decoded
-from sunarc.sources.messages import RefusedImageError
 from sunarc.sources.name_times import is_of_images
 
 
@@ -66,6 +65,20 @@ class ImageSource(Protocol):
 
     def path(self, name: str) -> Path | None:
         """Return where a file is on this disk; None where it is within another file, or elsewhere."""
+
+
+class RefusedImageError(InputError):
+    """An image that is left out.
+
+    Parameters
+    ----------
+    name : the file, or its part that is wrong.
+    finding : why.
+    """
+
+    def __init__(self, name: str, finding: Finding) -> None:
+        super().__init__(field=name, problem=finding.text, remedy=finding.remedy)
+        self.finding = finding
 
 
 _FORMATS = ("JPEG", "PNG", "TIFF", "JPEG2000")  # a JPEG of several images (MPO) opens as JPEG

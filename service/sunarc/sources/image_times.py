@@ -19,8 +19,15 @@ from PIL import Image as Pictures
 from sunarc.common.errors import InputError
 from sunarc.common.findings import Finding
 from sunarc.common.utc import parse_time, utc_time
-from sunarc.sources.image_files import FileImage, ImageSource, content_of, document_in, frames_in, kind_of
-from sunarc.sources.messages import RefusedImageError
+from sunarc.sources.image_files import (
+    FileImage,
+    ImageSource,
+    RefusedImageError,
+    content_of,
+    document_in,
+    frames_in,
+    kind_of,
+)
 from sunarc.sources.name_times import NamedTime, is_of_images, no_time_finding, time_in_name, zone_of
 
 _EXPOSURE = re.compile(r"_(\d+(?:\.\d+)?)us(?![a-zA-Z])")

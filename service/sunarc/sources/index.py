@@ -28,10 +28,9 @@ from sunarc.sky.site import Site
 from sunarc.sky.sun import DARK_ZENITH_DEG, sun_angles
 from sunarc.sources.detect_files import Method
 from sunarc.sources.files import read_file
-from sunarc.sources.image_files import ImageSource, SourceFile, image_size, kind_of
+from sunarc.sources.image_files import ImageSource, RefusedImageError, SourceFile, image_size, kind_of
 from sunarc.sources.image_key import ImageKey
 from sunarc.sources.image_times import TimedFrame, TimeRules, timed_frames, utc_offset_of
-from sunarc.sources.messages import RefusedImageError
 from sunarc.sources.sources import hash_of, open_source
 
 ReportProgress = Callable[[str, int, int], None]

@@ -31,9 +31,8 @@ from sunarc.imager.live.rtsp import RtspClient
 from sunarc.imager.live.snapshots import SnapshotClient
 from sunarc.imager.runtime.clock import VirtualClock
 from sunarc.sky.days import solar_date
-from sunarc.sources.image_files import kind_of
+from sunarc.sources.image_files import RefusedImageError, kind_of
 from sunarc.sources.image_times import TimeRules, timed_frames
-from sunarc.sources.messages import MESSAGES, RefusedImageError
 from sunarc.sources.sources import Folder
 
 NOW = datetime(2025, 5, 13, 15, 0, tzinfo=UTC)
@@ -181,7 +180,7 @@ def ask(count: int, seed: int) -> Counter[str]:
 def _code(found: object) -> str:
     if not isinstance(found, Finding):
         return "picture"
-    shown = {"text": MESSAGES.text_of(found), "remedy": MESSAGES.remedy_of(found), "data": dict(found.data)}
+    shown = {"text": found.text, "remedy": found.remedy, "data": dict(found.data)}
     json.dumps(shown, allow_nan=False).encode()
     return found.code
 

@@ -18,8 +18,7 @@ from tests.offline.sources.archives import DEEP, GREY, encoded, folder_of, zip_o
 
 from sunarc.common.array_types import Image
 from sunarc.common.findings import Finding
-from sunarc.sources.image_files import fits_bayer, frames_in, images_in
-from sunarc.sources.messages import RefusedImageError
+from sunarc.sources.image_files import RefusedImageError, fits_bayer, frames_in, images_in
 from sunarc.sources.sources import open_source
 
 SIZE = (24, 20)

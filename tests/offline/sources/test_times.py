@@ -15,13 +15,13 @@ from tests.offline.sources.test_frames import fits_of
 from tests.offline.test_ingest_times import TAKEN, ZONE, taken, with_exif
 
 from sunarc.common.errors import InputError
+from sunarc.sources.image_files import RefusedImageError
 from sunarc.sources.image_times import (
     TimedFrame,
     TimeRules,
     timed_frames,
     utc_offset_of,
 )
-from sunarc.sources.messages import RefusedImageError
 from sunarc.sources.name_times import ambiguous_times, time_in_name, zone_of
 from sunarc.sources.sources import open_source
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sunarc.calibration.messages import text_of
 from sunarc.calibration.model.options import Method
 from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.sightings import Sightings
@@ -150,7 +149,7 @@ class Verdict:
     @property
     def reasons(self) -> tuple[str, ...]:
         """The findings as sentences."""
-        return tuple(text_of(finding) for finding in self.findings)
+        return tuple(finding.text for finding in self.findings)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

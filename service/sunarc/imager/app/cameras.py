@@ -9,7 +9,6 @@ from datetime import datetime
 
 from sunarc.common.errors import ConfigurationError, InputError
 from sunarc.common.findings import Finding
-from sunarc.imager.app.status_line import MESSAGES
 from sunarc.imager.archive.archive import Archive
 from sunarc.imager.archive.sightings import LENS_CHANGED, require_same_site
 from sunarc.imager.archive.values import CameraRecord, Event
@@ -103,7 +102,7 @@ def note_other_camera(archive: Archive, record: CameraRecord, *, at: datetime) -
     details = {"model": record.model, "serial": record.serial, "serial_before": stored.serial}
     replaced = Finding("camera_replaced", {**details, "calibration": retired or "none"})
     archive.events.add(
-        Event.of(replaced, MESSAGES, time=at, severity="alarm", camera=record.name, details={"calibration": retired})
+        Event.of(replaced, time=at, severity="alarm", camera=record.name, details={"calibration": retired})
     )
     return record
 

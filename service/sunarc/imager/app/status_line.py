@@ -5,24 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass
 
-from sunarc.common.findings import Finding, Message, Messages
+from sunarc.common.findings import Finding
 from sunarc.imager.runtime.host import Notifier
 from sunarc.imager.runtime.status import Reason, StatusRegistry, StatusSnapshot
-
-MESSAGES = Messages(
-    no_frame_yet=Message(
-        "no frame has come from the camera since the service started",
-        "A service that is restarted again and again before its first frame is never ready.",
-        "wait for the first exposure; if this stays, see the camera's own condition or the log",
-    ),
-    camera_replaced=Message(
-        "camera {model} with serial number {serial} has replaced serial number {serial_before}; calibration "
-        "{calibration} was retired",
-        "The calibration of another camera is not used.",
-        "none: the new camera is calibrated from its own sightings",
-    ),
-)
-
 
 _LEAST_INTERVAL_S = 10.0  # a line is for people; systemd logs none of it, but each is a message on its bus
 _MOST_CODES = 4
@@ -42,7 +27,7 @@ class FirstFrame:
     def __init__(self, board: StatusRegistry) -> None:
         self._board = board
         self._before = board.snapshot().last_frame_at
-        board.set_condition(NO_FRAME_YET, Reason.of(Finding(NO_FRAME_YET), MESSAGES), log=False)  # at every start
+        board.set_condition(NO_FRAME_YET, Reason.of(Finding(NO_FRAME_YET)), log=False)  # at every start
 
     def check(self) -> None:
         """Clear it once the last frame is another one than that before the start."""

@@ -12,7 +12,7 @@ from typing import Any, Self, TypeVar
 from sqlalchemy import URL, Engine
 
 from sunarc.common.errors import OutsideError
-from sunarc.common.findings import Finding, Messages
+from sunarc.common.findings import Finding
 from sunarc.imager.archive.calibrations import CalibrationStore
 from sunarc.imager.archive.database import connections
 from sunarc.imager.archive.database.recovery import Recovery, rebuild
@@ -191,7 +191,6 @@ class CameraArchive:
     def add_event(
         self,
         finding: Finding,
-        messages: Messages,
         *,
         time: datetime,
         severity: EventSeverity,
@@ -199,5 +198,5 @@ class CameraArchive:
         details: Mapping[str, Any] = MappingProxyType({}),
     ) -> Event:
         """Store the event of a finding and return it; `details` are what the finding's data do not say."""
-        event = Event.of(finding, messages, time=time, severity=severity, camera=self.name, kind=kind, details=details)
+        event = Event.of(finding, time=time, severity=severity, camera=self.name, kind=kind, details=details)
         return self.archive.events.add(event)

@@ -35,7 +35,6 @@ from sunarc.imager.archive.columns import copy_used, keep_used, sightings_used_b
 from sunarc.imager.archive.database.store import Database, Part, given, values_of
 from sunarc.imager.archive.database.tables import calibration, pose_epoch, sun_point
 from sunarc.imager.archive.events import insert_event
-from sunarc.imager.archive.messages import MESSAGES, text_of
 from sunarc.imager.archive.pictures_of_one_time import ELSEWHERE
 from sunarc.imager.archive.sightings import LENS_CHANGED, MOVED, not_closed
 from sunarc.imager.archive.values import CalibrationRecord, CalibrationState, Event, PoseEpoch, SunPointColumns
@@ -279,7 +278,7 @@ class CalibrationStore(Part):
             )
         if found[0].damaged:
             raise wrong_state(
-                calibration_id, f"cannot be used: {text_of(DAMAGED)}", remedy="name another one, or calibrate anew"
+                calibration_id, f"cannot be used: {DAMAGED.text}", remedy="name another one, or calibrate anew"
             )
         return found[0]
 
@@ -452,7 +451,7 @@ def store_decision(
     details: Mapping[str, Any] = MappingProxyType({}),
 ) -> None:
     """Store the event of a decision in the transaction that carries it out."""
-    insert_event(connection, Event.of(found, MESSAGES, time=at, severity="info", camera=camera, details=details))
+    insert_event(connection, Event.of(found, time=at, severity="info", camera=camera, details=details))
 
 
 EPOCH_CLOSED = "epoch_closed"

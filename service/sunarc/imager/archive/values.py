@@ -8,15 +8,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from datetime import date, datetime
 from types import MappingProxyType
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeVar, get_args
 
 import numpy as np
 from pydantic import Field, computed_field
 
+from sunarc.changes.values import ChangeKind
 from sunarc.common.array_types import BoolArray, FloatArray, IntArray, NameArray
 from sunarc.common.errors import InputError
-from sunarc.common.findings import Finding, Messages
-from sunarc.imager.archive.messages import code_of_event, reason_of, text_of
+from sunarc.common.findings import Finding, joined
 from sunarc.imager.runtime.json_fields import EXAMPLE_TIME, Findings, FindingsJson, Returned, SolarDate, Time, described
 from sunarc.sky.site import Site
 
@@ -115,7 +115,7 @@ class SunPoint(Returned):
     @property
     def reason(self) -> str:
         """The findings in a sentence."""
-        return reason_of(self.findings)
+        return joined(self.findings)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -224,7 +224,7 @@ class Day(Returned):
     @property
     def reasons(self) -> tuple[str, ...]:
         """The findings as sentences."""
-        return tuple(text_of(finding) for finding in self.findings)
+        return tuple(finding.text for finding in self.findings)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -374,7 +374,7 @@ class CalibrationRecord:
     @property
     def reasons(self) -> tuple[str, ...]:
         """The findings as sentences."""
-        return tuple(text_of(finding) for finding in self.findings)
+        return tuple(finding.text for finding in self.findings)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -421,7 +421,6 @@ class Event(Returned):
     @staticmethod
     def of(
         finding: Finding,
-        messages: Messages,
         *,
         time: datetime,
         severity: EventSeverity,
@@ -433,11 +432,11 @@ class Event(Returned):
 
         Parameters
         ----------
-        finding, messages : what happened, and the table with its sentence.
+        finding : what happened.
         kind : where it is not the code.
         details : what the finding's data do not say.
         """
-        text, data = messages.text_of(finding), {**finding.data, **details}
+        text, data = finding.text, {**finding.data, **details}
         return Event(time=time, kind=kind or finding.code, severity=severity, text=text, camera=camera, details=data)
 
     @computed_field(  # type: ignore[prop-decorator]
@@ -449,6 +448,13 @@ class Event(Returned):
         # numbers and names only: a boolean is none, though Python counts it among the integers
         plain = {key: value for key, value in self.details.items() if type(value) in {str, int, float}}
         return [Finding(code_of_event(self.kind, self.details), plain).as_json()]
+
+
+def code_of_event(kind: str, details: Mapping[str, Any]) -> str:
+    """Return the code of a stored event, of which the archive has the kind: several codes may share one."""
+    if kind not in get_args(ChangeKind):
+        return kind
+    return "pose_changed" if details.get("searched") else f"changed_{kind}"
 
 
 def fields_of(value: Any) -> dict[str, Any]:  # noqa: ANN401 - any dataclass

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.common.array_types import FloatArray
 from sunarc.common.errors import InputError, OutsideError
-from sunarc.common.findings import Finding
+from sunarc.common.findings import Finding, joined
 from sunarc.common.utc import rfc3339, utc_time
 from sunarc.formats.csv_files import read_sightings, write_sightings
 from sunarc.formats.exported import Table, Variable
@@ -24,7 +24,6 @@ from sunarc.formats.tables import netcdf_bytes
 from sunarc.imager.archive.archive import Archive, open_archive
 from sunarc.imager.archive.database.recovery import upgrade_present
 from sunarc.imager.archive.database.schema import upgrade
-from sunarc.imager.archive.messages import reason_of
 from sunarc.imager.archive.values import (
     CameraRecord,
     Day,
@@ -224,7 +223,7 @@ def import_points(settings: Settings, path: Path, *, image_size: tuple[int, int]
         register_camera(archive, settings, size)
         imported = Finding("sighting_imported", {"file": path.name})
         return (
-            archive.sightings.add(_points(settings, table, imported), first_epoch=reason_of([imported])),
+            archive.sightings.add(_points(settings, table, imported), first_epoch=joined([imported])),
             total,
             total - len(table),
         )

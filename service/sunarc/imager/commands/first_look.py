@@ -15,80 +15,15 @@ from numpy.typing import NDArray
 
 from sunarc.common.array_types import FloatArray, Image
 from sunarc.common.errors import InputError
-from sunarc.common.findings import Finding, Message, Messages
+from sunarc.common.findings import Finding
 from sunarc.detection.values import Detection
 from sunarc.imaging.preview import preview
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles
 from sunarc.sources.detect_files import detect_in_image
-from sunarc.sources.image_files import ImageSource, image_of, kind_of
+from sunarc.sources.image_files import ImageSource, RefusedImageError, image_of, kind_of
 from sunarc.sources.image_times import TimeRules, timed_frames
-from sunarc.sources.messages import MESSAGES as OF_FILES
-from sunarc.sources.messages import RefusedImageError
 from sunarc.sources.name_times import time_in_name
-
-_SITE_WRONG = "The sun that the pictures show would be below the horizon at the site: the site or the times are wrong."
-
-MESSAGES = Messages(
-    angle_unreadable=Message(
-        "{given!r} is no angle",
-        "Nothing was written.",
-        'give decimal degrees as -97.4849, or degrees, minutes and seconds as 97°29\'05.5"W',
-    ),
-    angle_of_other_axis=Message(
-        "{given!r} has the letter of the other axis",
-        "Nothing was written.",
-        "give N or S with the latitude, E or W with the longitude",
-    ),
-    angle_signed_twice=Message("{given!r} has a sign and a letter", "Nothing was written.", "give one of the two"),
-    angle_beyond=Message(
-        "{given!r} is beyond {most} degrees", "Nothing was written.", "correct it; were the two swapped?"
-    ),
-    answer_not_number=Message("{given!r} is no number", "Nothing was written.", "give one, as 318"),
-    answer_missing=Message("is not given, and standard input is no terminal", "Nothing was written.", "give {option}"),
-    answer_unknown=Message("{given!r} is unknown", "Nothing was written.", "give one of {choices}"),
-    answer_contradicts=Message(
-        "given with --source {source}", "Nothing was written.", "give {option} or another source"
-    ),
-    site_agrees=Message("the sun is up in all {suns} pictures that show it", "Site and times do not contradict it."),
-    site_not_held=Message(
-        "no picture with a sun and a time: latitude and longitude were compared with nothing",
-        "The site was written as it was given.",
-        "call sunarc init again when there are pictures of a clear day",
-    ),
-    site_swapped=Message(
-        "the sun would be below the horizon in {below} of {suns} pictures that show it; with latitude and longitude "
-        "swapped in {below_then}",
-        _SITE_WRONG,
-        "give --latitude {latitude} --longitude {longitude}, or correct --utc-offset",
-    ),
-    site_longitude_sign=Message(
-        "the sun would be below the horizon in {below} of {suns} pictures that show it; with the longitude's sign "
-        "changed in {below_then}",
-        _SITE_WRONG,
-        "give --longitude {longitude} (east is positive), or correct --utc-offset",
-    ),
-    site_latitude_sign=Message(
-        "the sun would be below the horizon in {below} of {suns} pictures that show it; with the latitude's sign "
-        "changed in {below_then}",
-        _SITE_WRONG,
-        "give --latitude {latitude} (north is positive), or correct --utc-offset",
-    ),
-    site_sun_down=Message(
-        "the sun would be below the horizon in {below} of {suns} pictures that show it",
-        _SITE_WRONG,
-        "correct --latitude, --longitude (east is positive) or --utc-offset (how far the pictures' times are ahead)",
-    ),
-    site_sun_down_in_some=Message(
-        "the sun would be below the horizon in {below} of {suns} pictures that show a light like it",
-        "The moon or a lamp at night, which the service leaves out; or the site or the times are wrong.",
-        "none where those pictures are of the night; otherwise correct --latitude, --longitude or --utc-offset",
-    ),
-    folder_without_images=Message(
-        "{path} has no picture yet", "Nothing was tried.", "start the program that fills it, or correct --folder"
-    ),
-)  # fmt: skip
-"""Of the answers to the questions, and of what was found of them."""
 
 
 class RefusedAnswerError(InputError):
@@ -97,12 +32,12 @@ class RefusedAnswerError(InputError):
     Parameters
     ----------
     question : the option that gives it.
-    finding : why, of `MESSAGES`.
+    finding : why.
     """
 
     def __init__(self, question: str, finding: Finding) -> None:
-        remedy = f"{MESSAGES.remedy_of(finding)} [{finding.code}]"
-        super().__init__(field=question, problem=MESSAGES.text_of(finding), remedy=remedy)
+        remedy = f"{finding.remedy} [{finding.code}]"
+        super().__init__(field=question, problem=finding.text, remedy=remedy)
         self.finding = finding
 
 
@@ -186,7 +121,7 @@ class TriedPicture:
         if self.found is not None:
             at = f"sun found at ({self.found.x_px:.0f}, {self.found.y_px:.0f})" if self.shows_sun else "no sun found"
             sun = at if self.shows_sun else f"{at}: {self.found.reason}"
-        faults = "; ".join(f"{OF_FILES.text_of(one)}: {OF_FILES.remedy_of(one)} [{one.code}]" for one in self.faults)
+        faults = "; ".join(f"{one.text}: {one.remedy} [{one.code}]" for one in self.faults)
         return "; ".join(part for part in (f"{size}{when}{sun}".rstrip("; "), faults) if part)
 
 

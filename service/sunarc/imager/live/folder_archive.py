@@ -27,7 +27,6 @@ from sunarc.imager.workers.clock_watch import FrameTime
 from sunarc.sky.days import solar_date
 from sunarc.sources.image_files import SourceFile
 from sunarc.sources.image_times import TimeRules
-from sunarc.sources.messages import MESSAGES
 
 _log = logging.getLogger(__name__)
 _LOOK_S = 2.0
@@ -107,7 +106,7 @@ class FolderArchiveWorker:
             _AGAIN,
             board=self.board,
             code=_FAILED,
-            reason=lambda error, _hours: Reason.of(Finding(_FAILED, {"error": error}), MESSAGES),
+            reason=lambda error, _hours: Reason.of(Finding(_FAILED, {"error": error})),
         )
 
     def analyse(self, files: Sequence[SourceFile]) -> None:
@@ -205,7 +204,7 @@ class FolderArchiveWorker:
             if files and self.clock.monotonic() >= next_s:
                 next_s = self.clock.monotonic() + _COUNT_S
                 found = Finding(_IN_WORK, {"n": len(self._older), "stored": self._stored() - before})
-                self.board.set_condition(_IN_WORK, Reason.of(found, MESSAGES))
+                self.board.set_condition(_IN_WORK, Reason.of(found))
 
         return in_child(call, ChildControl(self.clock, _LONGEST_S, stop, show))
 

@@ -8,13 +8,11 @@ from datetime import datetime
 import numpy as np
 
 from sunarc.common.findings import Finding
-from sunarc.imager.archive.messages import MESSAGES as OF_ARCHIVE
 from sunarc.imager.archive.pictures_of_one_time import TWO_PICTURES
 from sunarc.imager.cameras.options import FolderOptions
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.runtime.status import Reason, StatusRegistry
 from sunarc.sources.image_times import TimeRules, utc_offset_of
-from sunarc.sources.messages import MESSAGES
 
 
 def time_rules(options: FolderOptions) -> TimeRules:
@@ -81,9 +79,9 @@ class LeftOut:
 
 def _reason_of(code: str, n: int, file: str, finding: Finding) -> Reason:
     if finding.code == code:
-        return Reason.of(finding, OF_ARCHIVE)
-    why, remedy = MESSAGES.text_of(finding), MESSAGES.remedy_of(finding)
-    return Reason.of(Finding(code, {"n": n, "file": file, "why": why, "remedy": remedy}), MESSAGES)
+        return Reason.of(finding)
+    why, remedy = finding.text, finding.remedy
+    return Reason.of(Finding(code, {"n": n, "file": file, "why": why, "remedy": remedy}))
 
 
 _QUARTER_S, _SAME_S = 900.0, 120.0
@@ -120,7 +118,7 @@ class ArrivalTimes:
         late = not wrong and late_s > self._most_late_s and spread_s < max(_SAME_S, _SPREAD_SHARE * late_s)
         if late:
             found = Finding("image_times_late", {"late_s": round(late_s)})
-        self._board.set_one_condition(_ARRIVAL_CODES, Reason.of(found, MESSAGES) if wrong or late else None)
+        self._board.set_one_condition(_ARRIVAL_CODES, Reason.of(found) if wrong or late else None)
 
 
 class AheadOfClock:

@@ -30,17 +30,15 @@ from sunarc.imager.live.folder_conditions import DATED_AGAIN, FUTURE, AheadOfClo
 from sunarc.imager.live.live_images import LiveImage, LiveImages
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.runtime.loop import DropOldestQueue, Loop
-from sunarc.imager.runtime.status import CameraStatus, CaptureStatus, Reason, StatusRegistry
+from sunarc.imager.runtime.status import CameraStatus, CaptureStatus, Reason, StatusRegistry, condition
 from sunarc.imager.workers.calibrating.monitor import LearnedCadence
 from sunarc.imager.workers.clock_watch import FrameTime
-from sunarc.imager.workers.messages import condition
 from sunarc.sky.days import solar_date
 from sunarc.sky.sun import DARK_ZENITH_DEG
 from sunarc.sources import image_files
 from sunarc.sources.expected_sun import MOST_EXPOSURES
 from sunarc.sources.image_times import TimedFrame, timed_frames
 from sunarc.sources.index import at_night
-from sunarc.sources.messages import MESSAGES, RefusedImageError
 from sunarc.sources.name_times import time_in_name
 from sunarc.sources.sources import Folder, hash_of
 
@@ -371,7 +369,7 @@ class FolderWorker:
             if self._is_doubtful(file, frame.time):
                 return None
             content = hash_of(image_files.content_of(self._source, name))
-        except RefusedImageError as error:
+        except image_files.RefusedImageError as error:
             self._refuse(file, self._as_latest(name, error.finding))
             return None
         except OSError as error:
@@ -382,7 +380,9 @@ class FolderWorker:
     def _timed(self, file: image_files.SourceFile) -> TimedFrame:
         """Return when the image of a file was taken; RefusedImageError where that cannot be."""
         if file.size > MOST_BYTES:
-            raise RefusedImageError(file.name, Finding("file_too_large", {"bytes": file.size, "most": MOST_BYTES}))
+            raise image_files.RefusedImageError(
+                file.name, Finding("file_too_large", {"bytes": file.size, "most": MOST_BYTES})
+            )
         sidecar = PurePosixPath(file.name).with_suffix(".json").as_posix()
         names = {sidecar} if is_regular(self._root / name_path(sidecar)) else set[str]()
         frame = timed_frames(self._source, file.name, self._rules, names=names)[0]
@@ -391,7 +391,7 @@ class FolderWorker:
         if self.frame_time.speed == 1.0 and ahead_s > most_s:
             self._verdicts.pop(file.name, None)
             self._ahead.note(file.name, ahead_s - most_s)
-            raise RefusedImageError(file.name, Finding("file_time_future", {"ahead_s": ahead_s}))
+            raise image_files.RefusedImageError(file.name, Finding("file_time_future", {"ahead_s": ahead_s}))
         return frame
 
     def _is_doubtful(self, file: image_files.SourceFile, time: datetime) -> bool:
@@ -552,7 +552,7 @@ class FolderWorker:
         denied = isinstance(error, PermissionError)
         kind = "folder_not_permitted" if denied else "folder_missing"
         found = Finding(kind, {"folder": name_text(self._root), "error": error.strerror or str(error)})
-        self.board.set_one_condition(_FOLDER_CODES, Reason.of(found, MESSAGES, severity="not_ready"))
+        self.board.set_one_condition(_FOLDER_CODES, Reason.of(found, severity="not_ready"))
         self.board.note(camera=CameraStatus(name=self.camera.name, connected=False, address=name_text(self._root)))
         self._listing.forget()
 
@@ -564,7 +564,7 @@ class FolderWorker:
                 "folder_not_permitted",
                 {"folder": f"{name_text(self._root)}/{one.name}".rstrip("/"), "error": one.error},
             )
-            reason = Reason.of(found, MESSAGES)
+            reason = Reason.of(found)
         self.board.set_one_condition(_FOLDER_CODES, reason)
 
     def _check_arrival(self, now_s: float) -> None:
@@ -580,7 +580,7 @@ class FolderWorker:
         file, time = ("none", "") if self._newest is None else self._newest
         stated = time.isoformat(timespec="seconds") if isinstance(time, datetime) else "never"
         found = Finding(_NO_IMAGE, {"minutes": int(silent_s / 60.0), "file": file, "time": stated})
-        self.board.set_condition(_NO_IMAGE, Reason.of(found, MESSAGES))
+        self.board.set_condition(_NO_IMAGE, Reason.of(found))
 
     def _day(self, unix_s: float) -> date:
         return solar_date(unix_s, longitude=self.camera.site.longitude)

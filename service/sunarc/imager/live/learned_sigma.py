@@ -27,7 +27,6 @@ from sunarc.imager.archive.values import Event
 from sunarc.imager.settings.model import Settings
 from sunarc.optics.forward import project
 from sunarc.sky.sun import sun_directions
-from sunarc.sources.messages import MESSAGES
 
 _LEAST_SIGHTINGS = 20
 _LARGEST_FACTOR = 5.0
@@ -74,7 +73,7 @@ def learn_sigma(archive: Archive, settings: Settings, cameras: Sequence[ValidCam
         change = sigma_factor(residual, columns.sigma_px, in_force=before)
         if change is not None:
             learned = Finding(_EVENT, {"method": method, "factor": before * change, "n": int(columns.unix_s.size)})
-            event = Event.of(learned, MESSAGES, time=now, severity="info", camera=settings.name)
+            event = Event.of(learned, time=now, severity="info", camera=settings.name)
             archive.sightings.scale_sigma(settings.name, method=method, factor=change, event=event)
 
 

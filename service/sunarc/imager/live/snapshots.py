@@ -27,17 +27,15 @@ from sunarc.imager.live.file_frames import frame_of
 from sunarc.imager.live.live_images import LiveImage, LiveImages
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.runtime.loop import DropOldestQueue, Loop
-from sunarc.imager.runtime.status import CameraStatus, CaptureStatus, Reason, StatusRegistry
+from sunarc.imager.runtime.status import CameraStatus, CaptureStatus, Reason, StatusRegistry, condition
 from sunarc.imager.workers.capture import NOT_WRITTEN
 from sunarc.imager.workers.clock_watch import FrameTime
 from sunarc.imager.workers.http_exchange import HttpAnswer, HttpRequest, Limit, Trust, UnfinishedError, fetch, target_of
 from sunarc.imager.workers.http_login import authorization, challenges_in, offers
-from sunarc.imager.workers.messages import condition
 from sunarc.imager.workers.options import CaptureOptions, read_login
 from sunarc.sky.sun import DARK_ZENITH_DEG
 from sunarc.sources.image_files import MOST_PIXELS, image_of, image_size
 from sunarc.sources.image_times import exif_time
-from sunarc.sources.messages import MESSAGES
 from sunarc.sources.name_times import is_of_images
 from sunarc.sources.sources import Folder, hash_of
 
@@ -339,8 +337,8 @@ class SnapshotWorker:
         return path
 
     def _show(self, finding: Finding | None) -> None:
-        self.board.set_one_condition(CODES, None if finding is None else Reason.of(finding, MESSAGES))
+        self.board.set_one_condition(CODES, None if finding is None else Reason.of(finding))
 
     def _refused(self, finding: Finding) -> Finding:
-        why, remedy = MESSAGES.text_of(finding), MESSAGES.remedy_of(finding)
+        why, remedy = finding.text, finding.remedy
         return Finding(_REFUSED[self.kind], {"why": why, "remedy": remedy})

@@ -14,7 +14,7 @@ from apscheduler.triggers.base import BaseTrigger
 from sunarc.common.findings import Data, Finding
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.runtime.status import Reason, StatusRegistry
-from sunarc.imager.runtime.supervisor import MESSAGES, Heartbeat
+from sunarc.imager.runtime.supervisor import Heartbeat
 
 _log = logging.getLogger(__name__)
 
@@ -128,7 +128,7 @@ class Schedule:
         except Exception as error:  # noqa: BLE001 - one failed call must not end the schedule
             _log.exception("the scheduled job failed")
             data: Data = {"error": f"{type(error).__name__}: {error}", "every_s": self._every_s}
-            self._board.set_condition(_FAILED, Reason.of(Finding(_FAILED, data), MESSAGES), log=False)  # with its stack
+            self._board.set_condition(_FAILED, Reason.of(Finding(_FAILED, data)), log=False)  # with its stack
         else:
             self._board.set_condition(_FAILED, None)
         finally:

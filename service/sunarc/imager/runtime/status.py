@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, TypedDict, Unpack
 from pydantic import Field as PydanticField
 from pydantic import TypeAdapter
 
-from sunarc.common.findings import Data, Finding, Messages
+from sunarc.common.findings import Data, Finding
 from sunarc.imager.runtime.json_fields import EXAMPLE_TIME, Returned, Time, described
 
 _log = logging.getLogger(__name__)
@@ -51,15 +51,30 @@ class Reason(Returned):
     data: Annotated[Data, PydanticField(exclude=True)] = field(default_factory=dict)
 
     @staticmethod
-    def of(finding: Finding, messages: Messages, *, severity: Severity = "degraded", code: str | None = None) -> Reason:
-        """Return the reason that a finding is, by its messages; `code` where it is one of several of its kind."""
+    def of(finding: Finding, *, severity: Severity = "degraded", code: str | None = None) -> Reason:
+        """Return the reason that a finding is, by its message; `code` where it is one of several of its kind."""
         return Reason(
             code=code or finding.code,
             severity=severity,
-            text=messages.text_of(finding),
-            remedy=messages.remedy_of(finding),
+            text=finding.text,
+            remedy=finding.remedy,
             data=finding.data,
         )
+
+
+def condition(code: str, *, severity: Severity = "degraded", **data: float | str) -> Reason:
+    """Return a condition for the status board."""
+    return Reason.of(Finding(code, data), severity=severity)
+
+
+def condition_of(code: str, name: str, *, severity: Severity = "degraded", **data: float | str) -> Reason:
+    """Return a condition of one worker or receiver, whose name ends its code."""
+    return Reason.of(Finding(code, {"name": name, **data}), severity=severity, code=worker_code(code, name))
+
+
+def worker_code(code: str, name: str) -> str:
+    """Return the code of a condition of one worker or receiver: that of its message and the name."""
+    return f"{code}_{name}"
 
 
 _REASON = TypeAdapter(Reason)

@@ -13,56 +13,9 @@ from annotated_types import Ge, Le
 
 from sunarc.common.bounds import Positive, require_bounds
 from sunarc.common.errors import OutsideError
-from sunarc.common.findings import Finding, Message, Messages
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.runtime.loop import Pauses
-from sunarc.imager.runtime.status import Reason, Severity, StatusRegistry, WorkerState, WorkerStatus
-
-MESSAGES = Messages(
-    worker_stuck=Message(
-        "worker {name}: no heartbeat for more than {limit_s:g} s",
-        "A worker or loop (`web`: the HTTP server, `schedule`) does not answer; systemd's watchdog is not notified.",
-        "systemd restarts the service by its watchdog; without systemd, restart it",
-    ),
-    optional_worker_stuck=Message(
-        "worker {name}: no heartbeat for more than {limit_s:g} s; the measurement does not depend on it",
-        "A worker that sends to a hub, a broker or a receiver does not answer; systemd's watchdog is notified all the "
-        "same.",
-        "check the receiver and the network; if it stays, restart the service",
-    ),
-    worker_hindered=Message(
-        "worker {name} is blocked: {error}",
-        "A worker cannot work for a reason outside of the service.",
-        "fix the cause; it is retried automatically",
-    ),
-    worker_restarting=Message(
-        "worker {name} died {deaths} times in {within_s:g} s; last error: {error}",
-        "Not ready for `capture` and `detect`, else degraded.",
-        "it is restarted automatically; the log has the stack",
-    ),
-    worker_failed=Message(
-        "worker {name} disabled after repeated failures; last error: {error}",
-        "It died more than `supervisor.max_restarts` times; not ready for `capture` and `detect`, else degraded.",
-        "fix the cause, the log has the stack; {retried}",
-    ),
-    schedule_failed=Message(
-        "scheduled work failed: {error}",
-        "Days are evaluated late; on a hub, the nightly work is done late.",
-        "it is retried every {every_s:g} s; the log has the stack",
-    ),
-)
-
-
-def worker_code(code: str, name: str) -> str:
-    """Return the code of a condition of one worker: that of the table and the worker's name."""
-    return f"{code}_{name}"
-
-
-def of_worker(code: str, name: str, *, severity: Severity = "degraded", **data: float | str) -> Reason:
-    """Return a condition of one worker; `code` is that of the table."""
-    finding = Finding(code, {"name": name, **data})
-    return Reason.of(finding, MESSAGES, severity=severity, code=worker_code(code, name))
-
+from sunarc.imager.runtime.status import Severity, StatusRegistry, WorkerState, WorkerStatus, condition_of, worker_code
 
 _STUCK, _OPTIONAL_STUCK = "worker_stuck", "optional_worker_stuck"
 
@@ -148,7 +101,7 @@ class Staleness:
         stuck = age_s > self._stale_after_s
         reason = None
         if stuck:
-            reason = of_worker(self._code, self._name, severity=self._severity, limit_s=self._stale_after_s)
+            reason = condition_of(self._code, self._name, severity=self._severity, limit_s=self._stale_after_s)
         self._board.set_condition(worker_code(self._code, self._name), reason)
         return stuck
 
@@ -439,7 +392,7 @@ class _Life:
         self._publish("worker_failed", severity=self._worker.severity, retried=retried)
 
     def _publish(self, code: str, *, severity: Severity = "degraded", **data: float | str) -> None:
-        reason = of_worker(code, self.name, severity=severity, error=self._last_error or "", **data)
+        reason = condition_of(code, self.name, severity=severity, error=self._last_error or "", **data)
         self._board.set_condition(reason.code, reason)
 
     def _clear(self, *codes: str) -> None:

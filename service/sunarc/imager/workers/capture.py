@@ -22,11 +22,10 @@ from sunarc.imager.archive.images import ImageStore
 from sunarc.imager.cameras.frame import CameraCondition, Frame, GainCamera, SkyCamera
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.runtime.loop import DropOldestQueue, Loop, Pauses, entries
-from sunarc.imager.runtime.status import CameraStatus, StatusRegistry
+from sunarc.imager.runtime.status import CameraStatus, StatusRegistry, condition
 from sunarc.imager.workers.capture_status import CaptureReport
 from sunarc.imager.workers.clock_watch import FrameTime
 from sunarc.imager.workers.exposures import ExposureSequence, SunExposures
-from sunarc.imager.workers.messages import condition
 from sunarc.imager.workers.night.exposures import NightCapture
 from sunarc.imager.workers.options import CaptureOptions, SensorOptions, sensor_of
 from sunarc.imager.workers.sun_prediction import SunPredictor

@@ -19,7 +19,6 @@ from sunarc.imager.cameras.options import TAI_MINUS_UTC_S
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.runtime.loop import Loop
 from sunarc.imager.runtime.status import ClockStatus, Reason, StatusRegistry
-from sunarc.imager.workers.messages import MESSAGES
 from sunarc.imager.workers.options import ClockOptions
 
 _COMPARED = 4
@@ -452,7 +451,6 @@ class ClockWatch:
     def _store(self, step: ClockStep, wait_s: float) -> None:
         self.camera.add_event(
             stepped("clock_step", self._whose, step),
-            MESSAGES,
             time=step.at,
             severity="warning",
             details={
@@ -503,13 +501,13 @@ class ClockWatch:
     def _write_offset(self, offset: Finding) -> None:
         """Write an event when the camera's time is found not to be the host's."""
         try:
-            self.camera.add_event(offset, MESSAGES, time=self.frame_time.now(), severity="alarm")
+            self.camera.add_event(offset, time=self.frame_time.now(), severity="alarm")
         except OutsideError as error:
             _log.warning("could not store an event: %s", error)
 
     def _put(self, code: str, finding: Finding | None, *, log: bool = False) -> None:
         """Set or clear a condition; without `log` where an event says the same."""
-        self.board.set_condition(code, None if finding is None else Reason.of(finding, MESSAGES), log=log)
+        self.board.set_condition(code, None if finding is None else Reason.of(finding), log=log)
 
 
 # Conditions of the clock that dates the frames.

@@ -25,9 +25,8 @@ from sunarc.imager.archive.sightings import FROZEN, sun_point_of
 from sunarc.imager.archive.values import SunPoint
 from sunarc.imager.cameras.frame import Frame
 from sunarc.imager.runtime.loop import DropOldestQueue, entries
-from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.runtime.status import StatusRegistry, condition
 from sunarc.imager.workers.image_faults import FrozenAlarm, RepeatedImages, TransferFaults, sun_moved
-from sunarc.imager.workers.messages import condition
 from sunarc.imager.workers.options import SensorOptions, sensor_of
 from sunarc.imager.workers.sun_prediction import SunPredictor
 from sunarc.imaging.image_tiles import image_tiles

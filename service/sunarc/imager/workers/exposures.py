@@ -13,9 +13,8 @@ import numpy as np
 from sunarc.common.errors import CameraError, CameraLostError, ExposureMismatchError
 from sunarc.detection.values import Detection
 from sunarc.imager.cameras.frame import CameraInfo, Frame, SkyCamera
-from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.runtime.status import StatusRegistry, condition
 from sunarc.imager.workers.capture_status import CaptureReport
-from sunarc.imager.workers.messages import condition
 from sunarc.imaging import exposure
 from sunarc.imaging.brightness import Exposed, light_ratio_contradiction
 

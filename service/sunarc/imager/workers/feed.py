@@ -18,10 +18,9 @@ from sunarc.imager.archive.feed_rows import FeedRow
 from sunarc.imager.archive.outbox import OutboxPosition
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.runtime.loop import Attempts, Loop, Pauses
-from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.runtime.status import StatusRegistry, condition
 from sunarc.imager.workers.feed_comparison import FeedComparison
 from sunarc.imager.workers.hub_connection import AskStoredDays, HubAnswerError, HubRefusal, HubUnfinishedError, Send
-from sunarc.imager.workers.messages import condition
 
 _log = logging.getLogger(__name__)
 _MOST_ROWS = 1000

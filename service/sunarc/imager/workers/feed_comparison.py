@@ -19,9 +19,8 @@ from sunarc.imager.archive.database.schema import head_revision
 from sunarc.imager.archive.day_digests import LEAST_KEPT, MOST_DAYS, DayDigest, DayDigests, StoredDays
 from sunarc.imager.archive.values import EventSeverity
 from sunarc.imager.runtime.clock import Clock
-from sunarc.imager.runtime.status import StatusRegistry
+from sunarc.imager.runtime.status import StatusRegistry, condition
 from sunarc.imager.workers.hub_connection import AskStoredDays, HubAnswerError, HubRefusal
-from sunarc.imager.workers.messages import MESSAGES, condition
 
 _log = logging.getLogger(__name__)
 _BEGINS_S, _SPREAD_S = 3600, 7200
@@ -173,7 +172,7 @@ class FeedComparison:
         self.board.set_condition(_LACKS, found)
 
     def _say(self, found: Finding, severity: EventSeverity) -> None:
-        self.camera.add_event(found, MESSAGES, time=self.clock.now(), severity=severity)
+        self.camera.add_event(found, time=self.clock.now(), severity=severity)
 
     def _skip(self, reason: str) -> None:
         """Compare nothing until the next night, and say so once."""

@@ -14,7 +14,6 @@ from sunarc.common.errors import OutsideError
 from sunarc.common.findings import Finding
 from sunarc.imager.archive.archive import CameraArchive
 from sunarc.imager.runtime.status import Reason, StatusRegistry
-from sunarc.imager.workers.messages import MESSAGES
 from sunarc.imaging.image_tiles import ImageTiles, is_same_sun, is_same_texture, shared_texture
 from sunarc.imaging.transfer_faults import missing_levels, repeated_rows
 from sunarc.sky.directions import angular_distance
@@ -121,10 +120,10 @@ class FrozenAlarm:
         if self._in_a_row < _LASTING:
             return
         found = Finding(_FROZEN_CODE, {"n": self._in_a_row, "time": earlier.isoformat(timespec="seconds")})
-        self._board.set_condition(_FROZEN_CODE, Reason.of(found, MESSAGES), log=False)
+        self._board.set_condition(_FROZEN_CODE, Reason.of(found), log=False)
         if self._in_a_row == _LASTING:
             try:
-                self._camera.add_event(found, MESSAGES, time=time, severity="alarm")
+                self._camera.add_event(found, time=time, severity="alarm")
             except OutsideError as error:
                 _log.warning("could not store an event: %s", error)
 
@@ -158,4 +157,4 @@ class TransferFaults:
         if self._in_a_row == 0:
             self._board.set_one_condition(_TRANSFER_CODES, None)
         elif self._in_a_row >= _LASTING:
-            self._board.set_one_condition(_TRANSFER_CODES, Reason.of(found, MESSAGES))
+            self._board.set_one_condition(_TRANSFER_CODES, Reason.of(found))

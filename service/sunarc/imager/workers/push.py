@@ -23,10 +23,8 @@ from sunarc.imager.archive.archive import Archive
 from sunarc.imager.archive.notices import CameraState, Notice
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.runtime.loop import Attempts, Loop, Pauses
-from sunarc.imager.runtime.status import Reason, StatusRegistry
-from sunarc.imager.runtime.supervisor import worker_code
+from sunarc.imager.runtime.status import Reason, StatusRegistry, condition, condition_of, worker_code
 from sunarc.imager.workers import http_exchange
-from sunarc.imager.workers.messages import condition, condition_of
 from sunarc.imager.workers.options import read_secret
 
 _log = logging.getLogger(__name__)

@@ -17,8 +17,7 @@ from sunarc.imager.archive.images import DiskOptions, DiskUsage, ImageStore
 from sunarc.imager.archive.values import Event, Housekeeping, merged
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.runtime.loop import Attempts, Loop, Pauses
-from sunarc.imager.runtime.status import DiskStatus, Reason, StatusRegistry
-from sunarc.imager.workers.messages import MESSAGES, condition
+from sunarc.imager.runtime.status import DiskStatus, Reason, StatusRegistry, condition
 
 _log = logging.getLogger(__name__)
 _DISK_EVERY_S = 5.0
@@ -171,7 +170,7 @@ class DatabaseWorker:
         """Write the event of a recovery, as soon as it can be written."""
         if self.recovered is None:
             return
-        event = Event.of(_finding(self.recovered), MESSAGES, time=self.now(), severity="alarm")
+        event = Event.of(_finding(self.recovered), time=self.now(), severity="alarm")
         try:
             self.archive.events.add(event)
         except OutsideError as error:
@@ -185,7 +184,7 @@ def _finding(done: Recovery) -> Finding:
 
 
 def _publish(board: StatusRegistry, done: Recovery) -> None:
-    reason = Reason.of(_finding(done), MESSAGES)
+    reason = Reason.of(_finding(done))
     board.set_condition(reason.code, reason, log=False)
 
 

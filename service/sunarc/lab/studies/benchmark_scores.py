@@ -17,9 +17,9 @@ from sunarc.calibration.change_points import calibrate_moved
 from sunarc.calibration.model.options import CalibrationOptions, Method
 from sunarc.calibration.model.result import Calibration
 from sunarc.common.array_types import BoolArray, FloatArray
-from sunarc.common.findings import Finding, significant
+from sunarc.common.findings import Finding
+from sunarc.common.messages import significant
 from sunarc.lab.studies.benchmark_cases import FAR_DEG, BenchmarkCase, BenchmarkTruth, sides_of
-from sunarc.lab.studies.messages import MESSAGES
 from sunarc.optics.inverse import unproject
 from sunarc.sky.directions import angles_from_direction, angular_distance
 
@@ -316,7 +316,7 @@ def as_object(one: Score) -> dict[str, Any]:
         return [plain(held) for held in value] if isinstance(value, list | tuple) else value
 
     stored = asdict(replace(one, findings=()))
-    findings = [{**finding.as_json(), "text": MESSAGES.text_of(finding)} for finding in one.findings]
+    findings = [{**finding.as_json(), "text": finding.text} for finding in one.findings]
     return {key: plain(value) for key, value in stored.items()} | {"findings": findings}
 
 

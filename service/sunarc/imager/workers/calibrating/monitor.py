@@ -13,14 +13,12 @@ from datetime import date, datetime, timedelta
 import numpy as np
 
 from sunarc.calibration.lens_library.first_pose import north_sigma_deg, top_azimuth_deg
-from sunarc.calibration.messages import MESSAGES as OF_FITS
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
 from sunarc.calibration.quality.day_quality import DOUBTFUL_CLOCK_SHARE, decide_day, measure_day
 from sunarc.calibration.quality.first_motion import FEWEST_IN_MOTION, site_contradiction
 from sunarc.changes.daily_rotations import PoseOffset, daily_pose_offset
 from sunarc.changes.detect_change import REMEMBERED, update_window
-from sunarc.changes.messages import MESSAGES as CHANGES
 from sunarc.changes.values import LENS_KINDS, Change, Sighting, SightingWindow, WatchOptions
 from sunarc.common.errors import InputError, OutsideError
 from sunarc.common.findings import Finding
@@ -31,7 +29,7 @@ from sunarc.imager.archive.pictures_of_one_time import ELSEWHERE
 from sunarc.imager.archive.sightings import LENS_CHANGED
 from sunarc.imager.archive.values import Day, PoseEpoch, Refit, SunPoint, SunPointColumns
 from sunarc.imager.runtime.loop import DropOldestQueue, turns
-from sunarc.imager.runtime.status import Reason, StatusRegistry
+from sunarc.imager.runtime.status import Reason, StatusRegistry, condition
 from sunarc.imager.workers.calibrating.provisional_pose import (
     FEWEST,
     ProvisionalPoseEstimator,
@@ -39,7 +37,6 @@ from sunarc.imager.workers.calibrating.provisional_pose import (
     is_provisional,
 )
 from sunarc.imager.workers.calibrating.solver_process import points_of
-from sunarc.imager.workers.messages import MESSAGES, condition
 from sunarc.sky.days import day_bounds_unix_s, solar_date
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles, sun_directions
@@ -248,7 +245,7 @@ class WatchWorker:
     def _show_contradiction(self, found: Finding | None) -> None:
         for code in _SITE_CODES:
             of_code = found is not None and found.code == code
-            self.board.set_condition(code, Reason.of(found, MESSAGES) if of_code and found is not None else None)
+            self.board.set_condition(code, Reason.of(found) if of_code and found is not None else None)
 
     def _act(self, change: Change) -> None:
         """Report a change, and act on it by its kind."""
@@ -321,14 +318,12 @@ class WatchWorker:
         self.camera.archive.sightings.exclude(self.camera.name, fault.finding, since=time, until=time + MICROSECOND)
 
     def _report(self, change: Change, at: datetime) -> None:
-        self.camera.add_event(
-            change.finding, CHANGES, time=at, severity="alarm", kind=change.kind, details=change.as_details()
-        )
+        self.camera.add_event(change.finding, time=at, severity="alarm", kind=change.kind, details=change.as_details())
         self._publish(change, at)
 
     def _publish(self, change: Change, at: datetime) -> None:
         text = f"since {at.isoformat(timespec='seconds')}: {change.text}"
-        reason = Reason.of(change.finding, CHANGES)
+        reason = Reason.of(change.finding)
         self.board.set_condition(reason.code, replace(reason, text=text, data=change.as_details()), log=False)
 
     def _clear_move(self) -> None:
@@ -430,7 +425,7 @@ def pose_condition(current: Calibration) -> Reason | None:
 def refused_condition(verdict: Verdict) -> Reason:
     """Return the condition of a first pose that is refused."""
     finding = verdict.findings[0]
-    return condition("first_pose_refused", reason=OF_FITS.text_of(finding), remedy=OF_FITS.remedy_of(finding))
+    return condition("first_pose_refused", reason=finding.text, remedy=finding.remedy)
 
 
 # The verdicts of days by the images that were to be expected.
@@ -602,7 +597,7 @@ class DayJudge:
         numbers = {key: value for key, value in asdict(day).items() if isinstance(value, int | float)}
         why = {"date": f"{day.date}", "verdict": day.verdict, "reasons": "; ".join(day.reasons)}
         found, details = Finding("day", {**numbers, **why}), {key: value for key, value in offsets.items() if value}
-        self.camera.add_event(found, MESSAGES, time=day.decided_at, severity="info", details=details)
+        self.camera.add_event(found, time=day.decided_at, severity="info", details=details)
 
 
 def _finite(value: float) -> float | None:

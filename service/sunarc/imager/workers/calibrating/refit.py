@@ -15,7 +15,6 @@ import numpy as np
 
 import sunarc
 from sunarc.calibration.acceptance import accept, pose_spread_deg, unseen_points
-from sunarc.calibration.messages import MESSAGES as CHANGES
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
@@ -44,10 +43,9 @@ from sunarc.imager.archive.values import (
 )
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.runtime.loop import Loop
-from sunarc.imager.runtime.status import Reason, StatusRegistry
+from sunarc.imager.runtime.status import Reason, StatusRegistry, condition
 from sunarc.imager.workers.calibrating import solver_process
 from sunarc.imager.workers.calibrating.provisional_pose import is_provisional
-from sunarc.imager.workers.messages import MESSAGES, condition, text_of
 from sunarc.imager.workers.options import RefitOptions
 from sunarc.sky.days import solar_date
 from sunarc.sky.night import SUN
@@ -143,12 +141,10 @@ class EpochSearch:
                 continue
             divided += [part.id for part in parts]
             self.camera.add_event(
-                _found(step, at), CHANGES, time=at, severity="warning", kind="bump", details={"searched": True}
+                _found(step, at), time=at, severity="warning", kind="bump", details={"searched": True}
             )
         found = Finding(SEARCHED, {"steps": len(steps), "last_id": self._last_id})
-        self.camera.add_event(
-            found, MESSAGES, time=self.now(), severity="info", details={"divided": sorted(set(divided))}
-        )
+        self.camera.add_event(found, time=self.now(), severity="info", details={"divided": sorted(set(divided))})
 
     def unanswered(self, epoch: str) -> bool:
         """Return whether no calibration of a pose epoch answered since it has its present bounds."""
@@ -521,13 +517,13 @@ class RefitWorker:
     def _finish(
         self, refit: Refit, state: RefitState, findings: tuple[Finding, ...], *, calibration: str | None = None
     ) -> None:
-        now, message = self.now(), "; ".join(map(text_of, findings))
+        now, message = self.now(), "; ".join(one.text for one in findings)
         self.camera.archive.refits.finish(
             refit.id, state=state, finished_at=now, calibration=calibration, message=message, findings=findings
         )
         found = Finding(f"refit_{state}", {"refit": refit.id, "message": message})
         severity: EventSeverity = "info" if state == "accepted" else "warning"
-        self.camera.add_event(found, MESSAGES, time=now, severity=severity, details={"calibration": calibration})
+        self.camera.add_event(found, time=now, severity=severity, details={"calibration": calibration})
 
 
 def _in_child(
@@ -641,8 +637,8 @@ class CalibrationIntegrityCheck:
             self._replace(calibration)
         written = self.camera.archive.events.find(self.camera.name, kind=code)
         if all(event.details.get("calibration") != calibration for event in written):
-            self.camera.add_event(finding, MESSAGES, time=self.now(), severity="alarm")
-        return Reason.of(finding, MESSAGES)
+            self.camera.add_event(finding, time=self.now(), severity="alarm")
+        return Reason.of(finding)
 
     def _replace(self, damaged: str) -> None:
         """Ask for a refit in place of a damaged calibration, once."""

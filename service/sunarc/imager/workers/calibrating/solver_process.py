@@ -22,7 +22,6 @@ from sunarc.common.findings import Finding
 from sunarc.imager.archive.values import SunPointColumns
 from sunarc.imager.runtime.child_process import answer_call, one_thread_each
 from sunarc.imager.runtime.clock import Clock
-from sunarc.imager.workers.messages import text_of
 from sunarc.sky.night import SUN, body_directions
 from sunarc.sky.site import Site
 
@@ -37,11 +36,11 @@ class SolveFailedError(Exception):
 
     Parameters
     ----------
-    finding : what happened, of the workers' messages.
+    finding : what happened.
     """
 
     def __init__(self, finding: Finding) -> None:
-        super().__init__(text_of(finding))
+        super().__init__(finding.text)
         self.finding = finding
 
 

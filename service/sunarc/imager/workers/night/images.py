@@ -30,7 +30,6 @@ from sunarc.imager.archive.archive import CameraArchive
 from sunarc.imager.archive.days import NightImage
 from sunarc.imager.archive.images import ImageStore, write_atomically
 from sunarc.imager.cameras.frame import Frame
-from sunarc.imager.workers.messages import text_of
 from sunarc.imager.workers.night.named_stars import TakenImage
 from sunarc.imaging.metadata import jpeg_with
 from sunarc.optics.camera import camera_sees
@@ -332,7 +331,7 @@ class WarmPixelFile:
         except OSError as error:
             found = Finding("warm_pixels_unwritten", {"file": self.path.name, "error": error.strerror or str(error)})
             # no event: a disk that is full has no room for one
-            _log.warning("%s: %s", found.code, text_of(found), extra={"event_kind": found.code})
+            _log.warning("%s: %s", found.code, found.text, extra={"event_kind": found.code})
 
 
 def _parsed_list(content: bytes) -> tuple[SensorFormat, IntArray]:

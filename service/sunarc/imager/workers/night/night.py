@@ -26,8 +26,7 @@ from sunarc.imager.archive.images import ImageStore
 from sunarc.imager.archive.values import Event, Night, NightVerdict, Refit, SunPoint, unusable_night
 from sunarc.imager.cameras.frame import Frame
 from sunarc.imager.runtime.loop import turns
-from sunarc.imager.runtime.status import Reason, StatusRegistry
-from sunarc.imager.workers.messages import MESSAGES, condition, text_of
+from sunarc.imager.runtime.status import Reason, StatusRegistry, condition
 from sunarc.imager.workers.night.exposures import NightCapture
 from sunarc.imager.workers.night.images import (
     FrameNote,
@@ -320,7 +319,7 @@ class NightWorker:
         return self._serial
 
     def _report(self, found: Finding) -> None:
-        self.camera.add_event(found, MESSAGES, time=self.now(), severity="warning")
+        self.camera.add_event(found, time=self.now(), severity="warning")
 
     def add_moon_exposures(self, frames: Sequence[Frame]) -> None:
         """Keep the brightest cutouts of a slot's short exposures, in which the moon may be, until the night is over."""
@@ -534,9 +533,9 @@ def event_of_night(night: Night) -> Event:
         parts |= {"images": asdict(night.images) | {"time": times}}
     if night.picture_time is not None:
         parts["picture_time"] = rfc3339(night.picture_time)
-    why = "; ".join(map(text_of, night.findings))
+    why = "; ".join(one.text for one in night.findings)
     found = Finding("night", {"date": f"{night.date}", "verdict": night.verdict, "reasons": why, **numbers})
-    return Event.of(found, MESSAGES, time=night.decided_at, severity="info", camera=night.camera, details=parts)
+    return Event.of(found, time=night.decided_at, severity="info", camera=night.camera, details=parts)
 
 
 def _known(value: float) -> float | None:
