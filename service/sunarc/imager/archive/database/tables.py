@@ -271,6 +271,11 @@ metadata = sa.MetaData(
 )
 
 
+def columns(kind: Any, names: str, **options: Any) -> list[sa.Column[Any]]:  # noqa: ANN401 - of SQLAlchemy
+    """Return columns of one type with the same options; `names` has spaces between them."""
+    return [sa.Column(name, kind, **options) for name in names.split()]
+
+
 def _camera_column(*, nullable: bool = False) -> sa.Column[str]:
     return sa.Column("camera", sa.Text, sa.ForeignKey("camera.name"), nullable=nullable)
 
@@ -284,13 +289,9 @@ camera = sa.Table(
     "camera",
     metadata,
     sa.Column("name", sa.Text, primary_key=True),
-    sa.Column("latitude", sa.Float, nullable=False),
-    sa.Column("longitude", sa.Float, nullable=False),
-    sa.Column("altitude", sa.Float, nullable=False),
-    sa.Column("width", sa.Integer, nullable=False),
-    sa.Column("height", sa.Integer, nullable=False),
-    sa.Column("model", sa.Text, nullable=False),
-    sa.Column("serial", sa.Text, nullable=False),
+    *columns(sa.Float, "latitude longitude altitude", nullable=False),
+    *columns(sa.Integer, "width height", nullable=False),
+    *columns(sa.Text, "model serial", nullable=False),
     sa.Column("pixel_format", sa.Text, nullable=False, server_default=""),
 )
 
@@ -318,24 +319,9 @@ sun_point = sa.Table(
     sa.Column("accepted", sa.Boolean, nullable=False),
     sa.Column("verdict", sa.Text, nullable=False),
     sa.Column("reason", FindingText, key="findings", nullable=False),
-    *(
-        sa.Column(name, Number)
-        for name in (
-            "x_px",
-            "y_px",
-            "sigma_px",
-            "peak_fraction",
-            "background_fraction",
-            "radius_px",
-            "ellipticity",
-            "residual_chi2",
-            "snr",
-        )
-    ),
+    *columns(Number, "x_px y_px sigma_px peak_fraction background_fraction radius_px ellipticity residual_chi2 snr"),
     sa.Column("saturated_px", sa.Integer),
-    sa.Column("clock_error_s", Number),
-    sa.Column("temperature_c", Number),
-    sa.Column("pressure_hpa", Number),
+    *columns(Number, "clock_error_s temperature_c pressure_hpa"),
     sa.Column("file", sa.Text, nullable=False, server_default=""),
     sa.Column("ingest_pass", sa.Integer),
     sa.Column("folder", sa.Text, nullable=False, server_default=""),
@@ -349,18 +335,12 @@ day = sa.Table(
     sa.Column("date", CalendarDate, primary_key=True),
     sa.Column("verdict", Word(get_args(values.DayVerdict)), nullable=False),
     sa.Column("reasons", FindingTuple, key="findings", nullable=False),
-    sa.Column("n", sa.Integer, nullable=False),
-    sa.Column("n_possible", sa.Integer, nullable=False),
+    *columns(sa.Integer, "n n_possible", nullable=False),
     sa.Column("decided_at", UtcTime, nullable=False),
-    sa.Column("arc_deg", sa.Float),
-    sa.Column("sd_px", sa.Float),
-    sa.Column("rmsd_px", sa.Float),
-    sa.Column("n_cycles", sa.Integer),
-    sa.Column("n_observed", sa.Integer),
-    sa.Column("solid_angle_sr", sa.Float),
-    sa.Column("doubtful_clock", sa.Float),
-    sa.Column("pose_offset_deg", NumberTuple(3)),
-    sa.Column("pose_offset_sigma_deg", NumberTuple(3)),
+    *columns(sa.Float, "arc_deg sd_px rmsd_px"),
+    *columns(sa.Integer, "n_cycles n_observed"),
+    *columns(sa.Float, "solid_angle_sr doubtful_clock"),
+    *columns(NumberTuple(3), "pose_offset_deg pose_offset_sigma_deg"),
 )
 
 night = sa.Table(
@@ -371,20 +351,15 @@ night = sa.Table(
     sa.Column("verdict", Word(get_args(values.NightVerdict)), nullable=False),
     sa.Column("findings", FindingTuple, nullable=False),
     sa.Column("decided_at", UtcTime, nullable=False),
-    *(
-        sa.Column(name, Count, nullable=False)
-        for name in (
-            *("n_images", "n_accepted", "n_stored", "n_moon_images", "n_moon_stored"),
-            *("n_warm_pixels", "n_stars", "n_matched"),
-        )
+    *columns(
+        Count,
+        "n_images n_accepted n_stored n_moon_images n_moon_stored n_warm_pixels n_stars n_matched",
+        nullable=False,
     ),
-    *(
-        sa.Column(name, Number)
-        for name in (
-            *("star_offset_px", "limiting_magnitude", "star_fwhm_px", "cloud_fraction", "transparency", "extinction"),
-            *("extinction_sigma", "zero_point", "star_ellipticity", "halo", "width_growth", "halo_growth"),
-            "fading_mag",
-        )
+    *columns(
+        Number,
+        "star_offset_px limiting_magnitude star_fwhm_px cloud_fraction transparency extinction "
+        "extinction_sigma zero_point star_ellipticity halo width_growth halo_growth fading_mag",
     ),
     sa.Column("zenith_bands", JsonOf(tuple[values.NightBand, ...]), nullable=False),
     sa.Column("images", JsonOf(values.NightSeries)),
@@ -396,8 +371,7 @@ day_air = sa.Table(
     metadata,
     sa.Column("camera", sa.Text, sa.ForeignKey("camera.name"), primary_key=True),
     sa.Column("date", CalendarDate, primary_key=True),
-    sa.Column("temperature_c", sa.Float),
-    sa.Column("pressure_hpa", sa.Float),
+    *columns(sa.Float, "temperature_c pressure_hpa"),
     sa.Column("set_at", UtcTime, nullable=False),
 )
 
@@ -408,8 +382,7 @@ calibration = sa.Table(
     _camera_column(),
     sa.Column("state", Word(get_args(values.CalibrationState)), nullable=False),
     sa.Column("method", sa.Text, nullable=False),
-    sa.Column("created_at", UtcTime, nullable=False),
-    sa.Column("valid_from", UtcTime, nullable=False),
+    *columns(UtcTime, "created_at valid_from", nullable=False),
     sa.Column("valid_until", UtcTime),
     sa.Column("pose_epoch", sa.Text, sa.ForeignKey("pose_epoch.id")),
     sa.Column("parent", sa.Text, sa.ForeignKey("calibration.id")),
@@ -429,8 +402,7 @@ used_sightings = sa.Table(
     sa.Column("ids", sa.LargeBinary, nullable=False),
     sa.Column("epochs", sa.JSON, nullable=False),
     sa.Column("digest", sa.Text, nullable=False),
-    sa.Column("air", sa.LargeBinary),
-    sa.Column("sigma", sa.LargeBinary),
+    *columns(sa.LargeBinary, "air sigma"),
 )
 
 refit = sa.Table(
@@ -441,8 +413,7 @@ refit = sa.Table(
     sa.Column("requested_at", UtcTime, nullable=False),
     sa.Column("reason", sa.Text, nullable=False),
     sa.Column("state", Word(get_args(values.RefitState)), nullable=False),
-    sa.Column("started_at", UtcTime),
-    sa.Column("finished_at", UtcTime),
+    *columns(UtcTime, "started_at finished_at"),
     sa.Column("calibration", sa.Text, sa.ForeignKey("calibration.id")),
     sa.Column("message", sa.Text, nullable=False),
     sa.Column("findings", FindingTuple),
@@ -467,8 +438,7 @@ outbox = sa.Table(
     "outbox",
     metadata,
     sa.Column("seq", sa.Integer, primary_key=True),
-    sa.Column("kind", sa.Text, nullable=False),
-    sa.Column("data", sa.Text, nullable=False),
+    *columns(sa.Text, "kind data", nullable=False),
     sqlite_autoincrement=True,
 )
 
@@ -476,8 +446,7 @@ outbox_position = sa.Table(
     "outbox_position",
     metadata,
     sa.Column("installation", sa.Text, primary_key=True),
-    sa.Column("committed", sa.BigInteger, nullable=False),
-    sa.Column("sent", sa.BigInteger, nullable=False),
+    *columns(sa.BigInteger, "committed sent", nullable=False),
 )
 
 feed_token = sa.Table(
@@ -492,27 +461,20 @@ feed_token = sa.Table(
 feed = sa.Table(
     "feed",
     metadata,
-    sa.Column("camera", sa.Text, primary_key=True),
-    sa.Column("installation", sa.Text, primary_key=True),
+    *columns(sa.Text, "camera installation", primary_key=True),
     sa.Column("committed", sa.BigInteger, nullable=False),
     sa.Column("accepted", sa.Boolean, nullable=False),
-    sa.Column("first_at", UtcTime, nullable=False),
-    sa.Column("last_at", UtcTime, nullable=False),
+    *columns(UtcTime, "first_at last_at", nullable=False),
 )
 
 quarantine = sa.Table(
     "quarantine",
     metadata,
-    sa.Column("camera", sa.Text, primary_key=True),
-    sa.Column("installation", sa.Text, primary_key=True),
-    sa.Column("reason", sa.Text, primary_key=True),
+    *columns(sa.Text, "camera installation reason", primary_key=True),
     sa.Column("seq", sa.BigInteger, primary_key=True, autoincrement=False),
-    sa.Column("kind", sa.Text, nullable=False),
-    sa.Column("text", sa.Text, nullable=False),
-    sa.Column("data", sa.Text, nullable=False),
+    *columns(sa.Text, "kind text data", nullable=False),
     sa.Column("n", sa.Integer, nullable=False),
-    sa.Column("first_at", UtcTime, nullable=False),
-    sa.Column("last_at", UtcTime, nullable=False),
+    *columns(UtcTime, "first_at last_at", nullable=False),
     sa.Index("ix_quarantine_last_at", "last_at"),
 )
 
@@ -533,8 +495,7 @@ notice = sa.Table(
     "notice",
     metadata,
     sa.Column("seq", sa.BigInteger().with_variant(sa.Integer, "sqlite"), primary_key=True),
-    sa.Column("id", sa.Text, nullable=False),
-    sa.Column("camera", sa.Text, nullable=False),
+    *columns(sa.Text, "id camera", nullable=False),
     sa.Column("time", UtcTime, nullable=False),
     sa.Column("kind", sa.Text, nullable=False),
     sa.Column("data", JsonObject, nullable=False),
@@ -565,14 +526,11 @@ day_summary = sa.Table(
     sa.Column("camera", sa.Text, sa.ForeignKey("camera.name"), primary_key=True),
     sa.Column("date", CalendarDate, primary_key=True),
     sa.Column("verdict", sa.Text, nullable=False),
-    sa.Column("n_sightings", sa.Integer, nullable=False),
-    sa.Column("n_accepted", sa.Integer, nullable=False),
-    sa.Column("clock_error_s", Number),
-    sa.Column("temperature_c", Number),
+    *columns(sa.Integer, "n_sightings n_accepted", nullable=False),
+    *columns(Number, "clock_error_s temperature_c"),
     sa.Column("n_warnings", sa.Integer, nullable=False),
     sa.Column("calibration", sa.Text),
-    sa.Column("sky_rms_deg", Number),
-    sa.Column("pose_offset_deg", Number),
+    *columns(Number, "sky_rms_deg pose_offset_deg"),
     sa.Column("decided_at", UtcTime, nullable=False),
 )
 
@@ -591,8 +549,8 @@ housekeeping = sa.Table(
     sa.Column("camera", sa.Text, primary_key=True),  # no reference: disks fill before a camera has answered
     sa.Column("step", Word(get_args(values.HousekeepingStep)), primary_key=True),
     sa.Column("time", UtcTime, primary_key=True),
-    *(sa.Column(name, sa.BigInteger) for name in ("disk_free_bytes", "images_bytes")),
-    *(sa.Column(name, Number) for name in ("temperature_c", "temperature_min_c", "temperature_max_c")),
+    *columns(sa.BigInteger, "disk_free_bytes images_bytes"),
+    *columns(Number, "temperature_c temperature_min_c temperature_max_c"),
     sa.Column("n_temperatures", sa.Integer, nullable=False),
 )
 
@@ -602,14 +560,14 @@ night_image = sa.Table(
     sa.Column("camera", sa.Text, primary_key=True),  # no reference: a full disk may have refused the camera's own row
     sa.Column("time", UtcTime, primary_key=True),
     sa.Column("kind", Word(("stars", "moon")), primary_key=True),
-    *(sa.Column(name, Number, nullable=False) for name in ("exposure_us", "gain_db")),
+    *columns(Number, "exposure_us gain_db", nullable=False),
     sa.Column("pixel_format", sa.Text, nullable=False),
-    *(sa.Column(name, sa.Integer, nullable=False) for name in ("full_scale", "width", "height", "binning")),
+    *columns(sa.Integer, "full_scale width height binning", nullable=False),
     sa.Column("serial", sa.Text, nullable=False),
     sa.Column("clock_error_s", Number, nullable=False),
     sa.Column("halo", Number),
     sa.Column("digest", sa.BigInteger, nullable=False),
-    *(sa.Column(name, sa.Integer, nullable=False) for name in ("n_repeated", "n_tries")),
+    *columns(sa.Integer, "n_repeated n_tries", nullable=False),
     sa.Column("measured", sa.LargeBinary, nullable=False),
     sa.Column("picture", sa.LargeBinary),
 )
@@ -631,7 +589,6 @@ seen_file = sa.Table(
 condition = sa.Table(
     "condition",
     metadata,
-    sa.Column("camera", sa.Text, primary_key=True),
-    sa.Column("code", sa.Text, primary_key=True),
+    *columns(sa.Text, "camera code", primary_key=True),
     sa.Column("since", UtcTime, nullable=False),
 )
