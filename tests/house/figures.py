@@ -321,7 +321,7 @@ class Station(NamedTuple):
     """A function that an array of sightings comes by: as an argument of a name, or as what it returns (no name).
 
     place: its file. own: whether the array is a column of `Sightings`, and no other of its length. fitting, solving:
-    whether `calibrate`, and the first round of the robust solve, have begun.
+    whether `calibrate_moved`, which the command calls, and the first round of the robust solve have begun.
     """
 
     place: str
@@ -350,7 +350,7 @@ def stations_of_sightings(*more: str) -> set[Station]:
         if event not in {"call", "return"} or not code.co_filename.startswith(package) or code.co_name.startswith("<"):
             return
         place, function = str(Path(code.co_filename).relative_to(package)), code.co_qualname
-        if place == "calibration/calibrate.py":
+        if place == "calibration/change_points.py" and function == "calibrate_moved":
             begun.add(function)
         if event == "return" and function == "Sightings.__post_init__":
             columns.update({id(one): one for one in _arrays(frame.f_locals["self"])})
@@ -359,7 +359,7 @@ def stations_of_sightings(*more: str) -> set[Station]:
         for name, value in carried.items():
             if found := _arrays(value):
                 own = any(id(one) in columns for one in found)
-                stations.add(Station(place, function, name, own, "calibrate" in begun, "_rounds" in begun))
+                stations.add(Station(place, function, name, own, "calibrate_moved" in begun, "_rounds" in begun))
         if place == "calibration/fit/robust_rounds.py":
             begun.add(function)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import reduce
+from typing import Required, TypedDict, Unpack
 
 from sunarc.calibration.fit.assemble import Job, calibration_from_fit, refused, robust_outcome
 from sunarc.calibration.fit.cross_validation import contradiction, day_contradicts_night, of_one_kind
@@ -23,17 +24,27 @@ from sunarc.optics.camera import Camera
 from sunarc.sky.site import Site
 
 
-def calibrate(
-    points: Sightings,
-    *,
-    site: Site,
-    image_size: tuple[int, int],
-    options: CalibrationOptions = USUAL_OPTIONS,
-    circle: ImageCircle | None = None,
-    start: Camera | None = None,
-    parts: bool = True,
-    tilt_known: bool = False,
-) -> Calibration:
+class FitInput(TypedDict, total=False):
+    """Arguments of `calibrate` by their names."""
+
+    site: Required[Site]
+    """Where the camera stands."""
+    image_size: Required[tuple[int, int]]
+    """Width and height, px."""
+    options: CalibrationOptions
+    """How to fit; the defaults are the service's."""
+    circle: ImageCircle | None
+    """The image circle, where it is known."""
+    start: Camera | None
+    """A camera to start from, in place of a search."""
+    parts: bool
+    """Whether the fit is tested against parts of the sightings and the other handedness; default True. A fit that is
+    only compared with others needs no such test."""
+    tilt_known: bool
+    """Whether the camera was accepted before at this site by this clock: its tilt is not asked about; default False."""
+
+
+def calibrate(points: Sightings, **given: Unpack[FitInput]) -> Calibration:
     """Fit a camera to sightings of the sun.
 
     Poor data give a calibration whose verdict is refused and says why; they never raise.
@@ -41,52 +52,34 @@ def calibrate(
     Parameters
     ----------
     points : the sightings; several pose epochs share the lens, and the calibration is of the latest.
-    site : where the camera stands.
-    image_size : width and height, px.
-    options : how to fit; the defaults are the service's.
-    circle : the image circle, where it is known.
-    start : a camera to start from, in place of a search.
-    parts : whether parts of the sightings are held against the fit, and the other handedness; one that is only
-        compared with others needs it not.
-    tilt_known : whether the camera was accepted before at this site by this clock: its tilt is not asked about.
+    given : see `FitInput`.
 
     Raises
     ------
     InputError
         Where the image size is not a size.
     """
-    lens = prepared(
-        points,
-        site=site,
-        image_size=image_size,
-        options=options,
-        circle=circle,
-        start=start,
-        parts=parts,
-        tilt_known=tilt_known,
-    )
+    lens = prepared(points, **given)
     return lens.allowed_for(calibrate_chosen(lens))
 
 
-def prepared(
-    points: Sightings,
-    *,
-    site: Site,
-    image_size: tuple[int, int],
-    options: CalibrationOptions,
-    circle: ImageCircle | None,
-    start: Camera | None,
-    parts: bool,
-    tilt_known: bool,
-) -> ChosenLens:
+def prepared(points: Sightings, **given: Unpack[FitInput]) -> ChosenLens:
     """Return the input of a fit with the usable sightings and the projection; arguments as of `calibrate`."""
+    site, image_size, start = given["site"], given["image_size"], given.get("start")
     if min(image_size) < 16:
         raise InputError(field="image size", problem=f"{image_size} px", remedy="give width and height in px")
-    usable = filter_sightings(points, site=site, image_size=image_size)
-    begin = None if start is None else start.lens_alone()
-    return chosen_lens(
-        Job(points, usable, site, image_size, options, circle, begin, parts=parts, tilt_known=tilt_known)
+    job = Job(
+        points,
+        filter_sightings(points, site=site, image_size=image_size),
+        site,
+        image_size,
+        given.get("options", USUAL_OPTIONS),
+        given.get("circle"),
+        None if start is None else start.lens_alone(),
+        parts=given.get("parts", True),
+        tilt_known=given.get("tilt_known", False),
     )
+    return chosen_lens(job)
 
 
 def calibrate_chosen(lens: ChosenLens) -> Calibration:

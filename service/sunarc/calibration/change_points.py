@@ -13,14 +13,14 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
-from typing import NamedTuple
+from typing import NamedTuple, Unpack
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from sunarc.calibration.calibrate import calibrate, calibrate_chosen, prepared
+from sunarc.calibration.calibrate import FitInput, calibrate, calibrate_chosen, prepared
 from sunarc.calibration.evidence import RECORD_GAIN, log_marginal, matern_3_2
-from sunarc.calibration.model.options import USUAL_OPTIONS, CalibrationOptions, ImageCircle, LensTolerances
+from sunarc.calibration.model.options import LensTolerances
 from sunarc.calibration.model.result import Calibration, Move, residuals_by_pose
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.priors import LENS, N_LENS, lens_prior, precisions
@@ -31,7 +31,6 @@ from sunarc.common.utc import DAY_S, rfc3339, utc_time
 from sunarc.optics.camera import POSE, Camera, Param
 from sunarc.optics.forward import project_fast, project_with_rows_fast
 from sunarc.optics.pose import rotation_between
-from sunarc.sky.site import Site
 
 # Bayes factor of a step of the pose against one pose, by the residuals of a fit with and of one without it.
 #
@@ -347,17 +346,7 @@ class _Parted(NamedTuple):
     smallest_deg: float
 
 
-def calibrate_moved(
-    points: Sightings,
-    *,
-    site: Site,
-    image_size: tuple[int, int],
-    options: CalibrationOptions = USUAL_OPTIONS,
-    circle: ImageCircle | None = None,
-    start: Camera | None = None,
-    parts: bool = True,
-    tilt_known: bool = False,
-) -> Moved:
+def calibrate_moved(points: Sightings, **given: Unpack[FitInput]) -> Moved:
     """Fit a camera that may have been moved among the sightings: one lens, and a pose before and after every move.
 
     The calibration is of the last pose; its evidence lists the moves, and its verdict names them. Sightings that are
@@ -367,28 +356,11 @@ def calibrate_moved(
 
     Parameters
     ----------
-    points, site, image_size, options, circle, start, parts, tilt_known : as `calibrate` takes them.
+    points, given : as `calibrate` takes them.
     """
-    lens = prepared(
-        points,
-        site=site,
-        image_size=image_size,
-        options=options,
-        circle=circle,
-        start=start,
-        parts=parts,
-        tilt_known=tilt_known,
-    )
+    lens = prepared(points, **given)
     options, usable = lens.job.options, lens.job.usable
-    judged = partial(
-        calibrate,
-        site=site,
-        image_size=image_size,
-        options=options,
-        circle=circle,
-        parts=parts,
-        tilt_known=tilt_known,
-    )
+    judged = partial(calibrate, **(given | {"options": options, "start": None}))
     # what is only compared with another need not explain its days
     fit = partial(judged, options=replace(options, max_unexplained=1.0), parts=False)
     found, usable = calibrate_chosen(lens), usable.select(~usable.alone)
