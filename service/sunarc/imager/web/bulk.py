@@ -26,7 +26,7 @@ from sunarc.imager.archive.values import CalibrationRecord
 from sunarc.imager.web.arrays import NPY, Rows, bytes_ahead, read_rows, require_few, rows_response
 from sunarc.imager.web.context import CALIBRATION, ApiContext, Sampling
 from sunarc.imager.web.middleware.shared_quota import client_network
-from sunarc.imager.web.problems import Fault, RefusedError
+from sunarc.imager.web.problems import Fault, RefusedError, Responses, described_answer
 from sunarc.sky.days import solar_days
 
 _MOST_CALIBRATIONS = 8
@@ -305,15 +305,15 @@ def body_of(schema: str, rows: str) -> dict[str, Any]:
     return {"requestBody": {"required": True, "content": content, "description": f"JSON, or as .npy: {rows}"}}
 
 
-def row_responses(columns: Sequence[str]) -> dict[int | str, dict[str, Any]]:
+def row_responses(columns: Sequence[str]) -> Responses:
     """Return the description of an answer that may be rows."""
     text = f"What was asked; as .npy, (n, {len(columns)}) in the precision of the question: {', '.join(columns)}."
     text += " With draws, (draws, n, columns): see Sunarc-Columns."
     headers = {
-        "Sunarc-Calibration": {"description": "Id of the calibration that answered.", "schema": {"type": "string"}},
-        "Sunarc-Columns": {"description": "Names of the columns of a .npy.", "schema": {"type": "string"}},
+        "Sunarc-Calibration": "Id of the calibration that answered.",
+        "Sunarc-Columns": "Names of the columns of a .npy.",
     }
-    return {200: {"description": text, "headers": headers, "content": {NPY: {}}}}
+    return described_answer(text, [NPY], headers=headers)
 
 
 def _json(computation: Computation, context: ApiContext, request: Request, body: bytes, question: Question) -> Response:

@@ -191,7 +191,37 @@ def problem_response(
     return JSONResponse(problem.model_dump(), status_code=status, media_type=MEDIA_TYPE, headers=headers)
 
 
-def answers(*statuses: int) -> dict[int | str, dict[str, Any]]:
+Responses = dict[int | str, dict[str, Any]]
+"""Description of a route's answers by their status."""
+
+
+def described_answer(
+    text: str,
+    content: Mapping[str, Any] | Iterable[str],
+    *,
+    headers: Mapping[str, str] | None = None,
+    numbers: Mapping[str, str] | None = None,
+    same: str | None = None,
+) -> Responses:
+    """Return the description of a route's answer 200, and of 304 where the client has it.
+
+    Parameters
+    ----------
+    text : the answer in words.
+    content : its media types, with their schemas where they are described.
+    headers, numbers : texts of its headers, and of those that hold a number.
+    same : noun with verb for the text of 304: "The map is the one"; None without an `ETag`.
+    """
+    kinds = (("string", headers or {}), ("number", numbers or {}))
+    described = {
+        name: {"description": one, "schema": {"type": kind}} for kind, texts in kinds for name, one in texts.items()
+    }
+    media = dict(content) if isinstance(content, Mapping) else {name: {} for name in content}
+    found: Responses = {200: {"description": text, **({"headers": described} if described else {}), "content": media}}
+    return found if same is None else found | {304: {"description": f"{same} that If-None-Match names."}}
+
+
+def answers(*statuses: int) -> Responses:
     """Return the problem answers of a route, for its description."""
     described = {"content": {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}}}
     return {status: {"description": HTTPStatus(status).phrase, **described} for status in statuses}

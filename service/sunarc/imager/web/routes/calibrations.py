@@ -15,39 +15,30 @@ from fastapi.responses import Response
 from sunarc.common.errors import NotFoundError
 from sunarc.formats.exported import Exported
 from sunarc.formats.formats import FORMATS, SERVED, ServedFormat, export
-from sunarc.imager.archive.values import CalibrationRecord, CalibrationState, Refit
+from sunarc.imager.archive.values import CalibrationRecord, CalibrationState, Refit, fields_of
 from sunarc.imager.web.context import ApiContext, SingleFlightCache
 from sunarc.imager.web.middleware.admission import require_write_token
 from sunarc.imager.web.parameters import BY_CALIBRATION, At, CalibrationId, Cursor, IfNoneMatch, page_at, row_limit
-from sunarc.imager.web.problems import answers
+from sunarc.imager.web.problems import answers, described_answer
 from sunarc.imager.web.schemas import Calibrations, CalibrationSummary, ClosedEpoch, Decision, RefitRequest, Refits
 
-_DOCUMENT: dict[int | str, dict[str, Any]] = {
-    200: {
-        "description": "The calibration document, schema sunarc.calibration/2.",
-        "headers": {"ETag": {"description": "Changes with the document.", "schema": {"type": "string"}}},
-        "content": {"application/json": {"schema": {"type": "object", "additionalProperties": True}}},
+_JSON = {"application/json": {"schema": {"type": "object", "additionalProperties": True}}}
+_TAGGED = {"ETag": "Changes with the document."}
+_SAME = "The document is the one"
+_DOCUMENT = described_answer(
+    "The calibration document, schema sunarc.calibration/2.", _JSON, headers=_TAGGED, same=_SAME
+)
+_EXPORTED = described_answer(
+    "The calibration document, schema sunarc.calibration/2, or another format of it.",
+    _JSON | {str(FORMATS[name].media_type).partition(";")[0]: {} for name in SERVED if name != "json"},
+    headers=_TAGGED,
+    numbers={
+        "Sunarc-Fit-Error": "How far another format is from the calibration over the sky, RMS, px.",
+        "Sunarc-Fit-Error-Max": "The same at most, px.",
+        "Sunarc-Fit-Error-Deg": "The same, RMS, degrees.",
     },
-    304: {"description": "The document is the one that If-None-Match names."},
-}
-
-_EXPORTED: dict[int | str, dict[str, Any]] = {
-    200: {
-        "description": "The calibration document, schema sunarc.calibration/2, or another format of it.",
-        "headers": {
-            "ETag": {"description": "Changes with the document.", "schema": {"type": "string"}},
-            "Sunarc-Fit-Error": {
-                "description": "How far another format is from the calibration over the sky, RMS, px.",
-                "schema": {"type": "number"},
-            },
-            "Sunarc-Fit-Error-Max": {"description": "The same at most, px.", "schema": {"type": "number"}},
-            "Sunarc-Fit-Error-Deg": {"description": "The same, RMS, degrees.", "schema": {"type": "number"}},
-        },
-        "content": _DOCUMENT[200]["content"]
-        | {str(FORMATS[name].media_type).partition(";")[0]: {} for name in SERVED if name != "json"},
-    },
-    304: _DOCUMENT[304],
-}
+    same=_SAME,
+)
 
 
 def calibration_routes(context: ApiContext) -> APIRouter:
@@ -99,19 +90,8 @@ def summary(record: CalibrationRecord) -> CalibrationSummary:
     """Return what a list shows of a calibration."""
     metrics, uncertainty = record.document.get("metrics", {}), record.document.get("uncertainty", {})
     return CalibrationSummary(
-        id=record.id,
-        camera=record.camera,
-        state=record.state,
-        method=record.method,
-        created_at=record.created_at,
-        valid_from=record.valid_from,
-        valid_until=record.valid_until,
-        pose_epoch=record.pose_epoch,
-        parent=record.parent,
-        accepted=record.accepted,
-        pinned=record.pinned,
+        **fields_of(record),
         reasons=list(record.reasons),
-        findings=list(record.findings),
         rmse_px=metrics.get("rmse_px"),
         sky_rms_deg=uncertainty.get("sky_rms_deg"),
     )

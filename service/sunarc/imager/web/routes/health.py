@@ -8,6 +8,7 @@ from fastapi import APIRouter, Request
 from fastapi.responses import JSONResponse, Response
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
 
+from sunarc.imager.archive.values import fields_of
 from sunarc.imager.runtime.status import StatusSnapshot
 from sunarc.imager.web import schemas
 from sunarc.imager.web.context import ApiContext
@@ -68,21 +69,12 @@ def _status(context: ApiContext) -> schemas.Status:
     days = days_out(context, context.archive.days.find(context.camera, limit=1))
     camera = context.archive.cameras.get(context.camera)
     return schemas.Status(
+        **fields_of(snapshot),
         health=snapshot.health,
-        reasons=snapshot.reasons,
         findings=snapshot.findings,
-        version=snapshot.version,
         camera_name=context.camera,
-        started_at=snapshot.started_at,
         frame_time=context.frame_clock(),
-        workers=snapshot.workers,
-        camera=snapshot.camera,
-        capture=snapshot.capture,
-        clock=snapshot.clock,
         disk_free_bytes=None if snapshot.disk is None else snapshot.disk.free_bytes,
-        disk=snapshot.disk,
-        last_frame_at=snapshot.last_frame_at,
-        last_sighting_at=snapshot.last_sighting_at,
         calibration=None if record is None else summary(record),
         last_day=days[0] if days else None,
         image_size=None if camera is None else list(camera.image_size),

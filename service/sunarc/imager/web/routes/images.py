@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import datetime, timedelta
 from http import HTTPStatus
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import cv2
 import numpy as np
@@ -21,7 +21,7 @@ from sunarc.common.utc import rfc3339
 from sunarc.imager.runtime.json_fields import Time
 from sunarc.imager.web.context import ApiContext
 from sunarc.imager.web.parameters import AnsweringId, Cursor, IfNoneMatch, Next, Since, Until, page_at, row_limit
-from sunarc.imager.web.problems import Fault, RefusedError, answers
+from sunarc.imager.web.problems import Fault, RefusedError, answers, described_answer
 from sunarc.imager.web.routes.calibrations import decimal, matches
 from sunarc.imager.web.routes.stored_answers import RANGED, byte_range
 from sunarc.imaging.metadata import document_of
@@ -54,19 +54,16 @@ _QUALITY = 85
 _RESOLUTION = timedelta(milliseconds=1)
 _HEAD_BYTES = 65_536
 """Where the metadata stand: before the image data."""
-_IMAGE: dict[int | str, dict[str, Any]] = {
-    200: {
-        "description": "The image.",
-        "headers": {
-            "Sunarc-Time": {"description": "Of its first exposure, RFC 3339, UTC.", "schema": {"type": "string"}},
-            "Sunarc-Calibration": {"description": "Id of what answers at that time.", "schema": {"type": "string"}},
-            "Sunarc-Exposures-Us": {"description": "Exposures it was made of, µs.", "schema": {"type": "string"}},
-        },
-        "content": {media_type: {} for media_type in sorted(_MEDIA_TYPES.values())},
+_IMAGE = RANGED | described_answer(
+    "The image.",
+    sorted(_MEDIA_TYPES.values()),
+    headers={
+        "Sunarc-Time": "Of its first exposure, RFC 3339, UTC.",
+        "Sunarc-Calibration": "Id of what answers at that time.",
+        "Sunarc-Exposures-Us": "Exposures it was made of, µs.",
     },
-    **RANGED,
-    304: {"description": "The image is the one that If-None-Match names."},
-}
+    same="The image is the one",
+)
 ThumbnailWidth = Annotated[
     int | None, Query(ge=_WIDTHS[0], le=_WIDTHS[1], description="Of a thumbnail, px; never enlarged.")
 ]

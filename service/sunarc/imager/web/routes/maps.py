@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
@@ -32,7 +32,7 @@ from sunarc.imager.archive.values import CalibrationRecord
 from sunarc.imager.web.bulk import ComputeSlots
 from sunarc.imager.web.context import ApiContext
 from sunarc.imager.web.parameters import BY_CALIBRATION, At, IfNoneMatch
-from sunarc.imager.web.problems import answers
+from sunarc.imager.web.problems import answers, described_answer
 from sunarc.imager.web.routes.calibrations import decimal, etag_of
 from sunarc.imager.web.routes.images import Captured, composite_file, decoded_preview
 from sunarc.imager.web.routes.stored_answers import RANGED, AnswerFiles, ResponseBody, Tagged
@@ -41,15 +41,13 @@ from sunarc.optics.camera import Camera
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions
 
-_MAP: dict[int | str, dict[str, Any]] = {
-    200: {
-        "description": "zenith, azimuth, direction, sigma of every pixel, and masks (docs/rest.md).",
-        "headers": {"ETag": {"description": "Changes with the calibration.", "schema": {"type": "string"}}},
-        "content": {str(FORMATS[name].media_type): {} for name in MAP_FORMATS},
-    },
-    **RANGED,
-    304: {"description": "The map is the one that If-None-Match names."},
-}
+_TABLE_TYPES = tuple(str(FORMATS[name].media_type) for name in MAP_FORMATS)
+_MAP = RANGED | described_answer(
+    "zenith, azimuth, direction, sigma of every pixel, and masks (docs/rest.md).",
+    _TABLE_TYPES,
+    headers={"ETag": "Changes with the calibration."},
+    same="The map is the one",
+)
 Radius = Annotated[
     float | None,
     Query(gt=0.0, le=90.0, description="Adds a mask of a disc round the sun of so many degrees.", examples=[10.0]),
@@ -129,15 +127,16 @@ def _tag(requested: _Map) -> str:
 def _sun_mask(site: Site, time: datetime, radius_deg: float, found: BackProjectionMap) -> dict[str, Variable]:
     sun = sun_directions(time.timestamp(), site).astype(np.float32)
     near = found.directions @ sun > math.cos(math.radians(radius_deg))
-    attributes = {
-        "long_name": "1 within a disc round the sun",
-        "units": "1",
-        "flag_values": np.array([0, 1], dtype=np.uint8),
-        "flag_meanings": "away_from_the_sun near_the_sun",
-        "radius_deg": radius_deg,
-        "time": time.isoformat(),
-    }
-    return {"sun_mask": Variable(dimensions=("y", "x"), values=near.astype(np.uint8), attributes=attributes)}
+    of_sun = {"radius_deg": radius_deg, "time": time.isoformat()}
+    return {"sun_mask": _flags(near, "1 within a disc round the sun", "away_from_the_sun near_the_sun", of_sun)}
+
+
+def _flags(holds: BoolArray, text: str, meanings: str, more: Mapping[str, Any]) -> Variable:
+    """Return a mask as a variable of CF flags."""
+    flags = {"units": "1", "flag_values": np.array([0, 1], dtype=np.uint8), "flag_meanings": meanings}
+    return Variable(
+        dimensions=("y", "x"), values=holds.astype(np.uint8), attributes={"long_name": text, **flags, **more}
+    )
 
 
 def hidden_by_obstructions(context: ApiContext, record: CalibrationRecord) -> BoolArray | None:
@@ -159,28 +158,15 @@ def _obstructions(context: ApiContext, record: CalibrationRecord) -> dict[str, V
     hidden = hidden_by_obstructions(context, record)
     if hidden is None:
         return {}
-    attributes = {
-        "long_name": "1 where something hides the sky",
-        "units": "1",
-        "flag_values": np.array([0, 1], dtype=np.uint8),
-        "flag_meanings": "sky obstruction",
-    }
-    values = hidden.astype(np.uint8)
-    return {"obstruction_mask": Variable(dimensions=("y", "x"), values=values, attributes=attributes)}
+    return {"obstruction_mask": _flags(hidden, "1 where something hides the sky", "sky obstruction", {})}
 
 
-_MASK: dict[int | str, dict[str, Any]] = {
-    200: {
-        "description": "PNG of 8 bits of the image's size: 255 where the mask holds, else 0.",
-        "headers": {
-            "Sunarc-Calibration": {"description": "Id of the calibration.", "schema": {"type": "string"}},
-            "ETag": {"description": "Changes with the mask.", "schema": {"type": "string"}},
-        },
-        "content": {"image/png": {}},
-    },
-    **RANGED,
-    304: {"description": "The mask is the one that If-None-Match names."},
-}
+_MASK = RANGED | described_answer(
+    "PNG of 8 bits of the image's size: 255 where the mask holds, else 0.",
+    ["image/png"],
+    headers={"Sunarc-Calibration": "Id of the calibration.", "ETag": "Changes with the mask."},
+    same="The mask is the one",
+)
 _RADIUS = Annotated[float, Query(gt=0.0, le=90.0, description="Of the disc, degrees on the sky.", examples=[10.0])]
 _ELEVATION = Annotated[
     float, Query(ge=-20.0, lt=90.0, description="Apparent elevation of the mask's edge, degrees.", examples=[0.0])
@@ -270,39 +256,24 @@ _HALF_WIDTH = Annotated[
         description="From the camera to the outermost cells, m; to 78 degrees of zenith angle where not given.",
     ),
 ]
-_HEADERS: dict[str, Any] = {
-    "Sunarc-Calibration": {"description": "Id of the calibration.", "schema": {"type": "string"}},
-    "Sunarc-Sigma-Deg": {
-        "description": "1-sigma of the directions, RMS over the grid, degrees.",
-        "schema": {"type": "number"},
+_of_grid = partial(
+    described_answer,
+    headers={"Sunarc-Calibration": "Id of the calibration.", "ETag": "Changes with the calibration and the grid."},
+    numbers={
+        "Sunarc-Sigma-Deg": "1-sigma of the directions, RMS over the grid, degrees.",
+        "Sunarc-Height-M": "Of the layer of a ground grid, metres.",
+        "Sunarc-Sigma-M": "The same on the ground grid, m, by the calibration.",
     },
-    "Sunarc-Height-M": {"description": "Of the layer of a ground grid, metres.", "schema": {"type": "number"}},
-    "Sunarc-Sigma-M": {
-        "description": "The same on the ground grid, m, by the calibration.",
-        "schema": {"type": "number"},
-    },
-    "ETag": {"description": "Changes with the calibration and the grid.", "schema": {"type": "string"}},
-}
-_TABLES: dict[int | str, dict[str, Any]] = {
-    200: {
-        "description": "map_x, map_y (size, size), single precision; -1 where the image has nothing (docs/rest.md).",
-        "headers": _HEADERS,
-        "content": {str(FORMATS[name].media_type): {} for name in MAP_FORMATS},
-    },
-    **RANGED,
-    **answers(404, 416, 422),
-    304: {"description": "The tables are the ones that If-None-Match names."},
-}
-_PICTURE: dict[int | str, dict[str, Any]] = {
-    200: {
-        "description": "PNG of 8 bits; 0 where the image has nothing.",
-        "headers": _HEADERS,
-        "content": {"image/png": {}},
-    },
-    **RANGED,
-    **answers(404, 416, 422),
-    304: {"description": "The picture is the one that If-None-Match names."},
-}
+)
+_NOT_MADE = RANGED | answers(404, 416, 422)
+_TABLES = _NOT_MADE | _of_grid(
+    "map_x, map_y (size, size), single precision; -1 where the image has nothing (docs/rest.md).",
+    _TABLE_TYPES,
+    same="The tables are the ones",
+)
+_PICTURE = _NOT_MADE | _of_grid(
+    "PNG of 8 bits; 0 where the image has nothing.", ["image/png"], same="The picture is the one"
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

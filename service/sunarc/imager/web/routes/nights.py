@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from datetime import date, datetime
 from http import HTTPStatus
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Query, Request
 from fastapi import Path as InPath
@@ -20,7 +20,7 @@ from sunarc.imager.archive.values import Night
 from sunarc.imager.runtime.json_fields import SolarDate, Time, described
 from sunarc.imager.web.context import ApiContext
 from sunarc.imager.web.parameters import Cursor, IfNoneMatch, Next, Pair, Since, Size, Unit, Until, page_at, row_limit
-from sunarc.imager.web.problems import answers
+from sunarc.imager.web.problems import answers, described_answer
 from sunarc.imager.web.routes.calibrations import matches
 from sunarc.sky.days import day_bounds_unix_s
 
@@ -83,14 +83,12 @@ _PICTURE, _NAMES = "night.jpg", "night.json"
 """Kinds of files of the store of images, as the worker of the night writes them."""
 _CACHED = "private, max-age=300"
 """A night whose work was interrupted may get another picture; it may hold people, so no shared cache keeps it."""
-_IMAGE: dict[int | str, dict[str, Any]] = {
-    200: {
-        "description": "The picture, 1024 px wide at most.",
-        "headers": {"Sunarc-Time": {"description": "Middle of its exposure.", "schema": {"type": "string"}}},
-        "content": {"image/jpeg": {}},
-    },
-    304: {"description": "The picture is the one that If-None-Match names."},
-}
+_IMAGE = described_answer(
+    "The picture, 1024 px wide at most.",
+    ["image/jpeg"],
+    headers={"Sunarc-Time": "Middle of its exposure."},
+    same="The picture is the one",
+)
 Evening = Annotated[SolarDate, InPath(description="Local mean solar date of the evening, as /v1/nights has it.")]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from datetime import date, datetime
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from fastapi import APIRouter, Query, Request
@@ -18,7 +18,7 @@ from sunarc.common.array_types import FloatArray
 from sunarc.common.errors import InputError
 from sunarc.imager.web.context import ApiContext
 from sunarc.imager.web.parameters import BY_CALIBRATION, Answers, At, IfNoneMatch, Pair, Size
-from sunarc.imager.web.problems import answers
+from sunarc.imager.web.problems import Responses, answers
 from sunarc.imager.web.routes.calibrations import tagged
 from sunarc.imager.web.routes.sun import track_of
 from sunarc.imager.web.schemas import SunTrack
@@ -109,7 +109,7 @@ _Cells = Annotated[int, Query(ge=4, le=96, description="Cells along the image's 
 _SOLSTICES = (("june solstice", 6, 21), ("december solstice", 12, 21))
 
 
-def _described(model: type[BaseModel]) -> dict[int | str, dict[str, Any]]:
+def _described(model: type[BaseModel]) -> Responses:
     return {
         200: {"model": model, "headers": {"ETag": {"description": "Changes with it.", "schema": {"type": "string"}}}},
         304: {"description": "It is the one that If-None-Match names."},

@@ -25,7 +25,7 @@ from sunarc.imager.web.context import ApiContext
 from sunarc.imager.web.middleware.admission import require_write_token
 from sunarc.imager.web.middleware.request_bodies import asked_by_head
 from sunarc.imager.web.parameters import Cursor, IfNoneMatch, Since, Until, page_at, row_limit
-from sunarc.imager.web.problems import answers
+from sunarc.imager.web.problems import answers, described_answer
 from sunarc.imager.web.routes.calibrations import matches
 from sunarc.imager.web.routes.images import ThumbnailWidth, thumbnail
 from sunarc.imager.web.schemas import DayAirIn, DayAirOut, Days, DayWithAir, Events
@@ -74,13 +74,7 @@ def air_out(air: DayAir) -> DayAirOut:
 
 
 _MEDIA_TYPES = {".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".png": "image/png"}
-_IMAGE: dict[int | str, dict[str, Any]] = {
-    200: {
-        "description": "The image.",
-        "content": {media_type: {} for media_type in sorted(set(_MEDIA_TYPES.values()))},
-    },
-    304: {"description": "The image is the one that If-None-Match names."},
-}
+_IMAGE = described_answer("The image.", sorted(set(_MEDIA_TYPES.values())), same="The image is the one")
 
 
 def record_routes(context: ApiContext) -> APIRouter:
@@ -200,12 +194,10 @@ _ID = re.compile(r"(\d{1,15})\.(.*)", re.ASCII)
 _EXAMPLE = (
     'event: calibration\\nid: 17.20130514T150508Z-52ee44\\ndata: {"calibration": "20130514T150508Z-52ee44"}\\n\\n'
 )
-_STREAM: dict[int | str, dict[str, Any]] = {
-    200: {
-        "description": "Server-sent events (docs/rest.md), until the client or the service ends the stream.",
-        "content": {MEDIA_TYPE: {"schema": {"type": "string"}, "example": _EXAMPLE}},
-    }
-}
+_STREAM = described_answer(
+    "Server-sent events (docs/rest.md), until the client or the service ends the stream.",
+    {MEDIA_TYPE: {"schema": {"type": "string"}, "example": _EXAMPLE}},
+)
 
 
 class StreamMessage(NamedTuple):

@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from http import HTTPStatus
-from typing import Any
 
 from fastapi import Request
 from fastapi.responses import Response
@@ -22,7 +21,7 @@ from starlette.types import Receive, Scope, Send
 from sunarc.common.errors import OutsideError
 from sunarc.imager.web.bulk import ComputeSlots
 from sunarc.imager.web.middleware.shared_quota import QuotaUse, SharedQuota, client_network
-from sunarc.imager.web.problems import Fault, RefusedError
+from sunarc.imager.web.problems import Fault, RefusedError, Responses
 from sunarc.imager.web.routes.calibrations import matches
 
 _MOST_BYTES = 256_000_000
@@ -34,7 +33,7 @@ _LARGE_BYTES = 1_000_000
 """A smaller answer is not counted: it lies in the connection's buffers and occupies nothing else."""
 _SENT_AT_ONCE = 524_288
 _RANGE = re.compile(r"bytes=[ \t]*(\d{0,1000})-(\d{0,1000})", re.IGNORECASE)
-RANGED: dict[int | str, dict[str, Any]] = {206: {"description": "The part that Range asks for."}}
+RANGED: Responses = {206: {"description": "The part that Range asks for."}}
 """Description of what a route answers besides, whose answers are sent by range."""
 
 
