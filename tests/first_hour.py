@@ -113,7 +113,9 @@ def installed_wheel(home: Path) -> str:
     newcomer.do(sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(home / "dist"), str(ROOT))
     newcomer.do("/usr/bin/python3", "-m", "venv", str(home / "clean"))
     (wheel,) = (home / "dist").glob("sunarc-*.whl")
-    newcomer.do(str(home / "clean/bin/pip"), "install", "--quiet", "--disable-pip-version-check", f"{wheel}[archives]")
+    newcomer.do(
+        str(home / "clean/bin/pip"), "install", "--quiet", "--disable-pip-version-check", f"{wheel}[imager,archives]"
+    )
     return str(home / "clean/bin/sunarc")
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from sunarc.common import extras
 from sunarc.common.errors import InputError
-from sunarc.common.extras import extra_module, is_installed
+from sunarc.common.extras import extra_module, is_installed, missing_packages, require_extra
 from sunarc.formats.exported import Table, Variable
 from sunarc.formats.tables import netcdf_bytes
 
@@ -26,6 +26,16 @@ def test_a_module_that_is_not_installed_names_its_extra(monkeypatch: pytest.Monk
         netcdf_bytes(table)
     assert caught.value.field == "extra netcdf"
     assert "sunarc[netcdf]" in caught.value.remedy
+
+
+def test_an_extra_that_is_not_whole_is_refused_with_the_line_that_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    stated = ["numpy>=2", "numpy>=2; extra == 'a'", "no-such.package[x]<3,>=2; extra == 'a'", "other; extra == 'b'"]
+    monkeypatch.setattr(extras, "requires", lambda name: stated if name == "sunarc" else [])
+    assert (missing_packages("a"), missing_packages("none")) == (["no-such.package"], [])
+    with pytest.raises(InputError) as caught:
+        require_extra("a", what="serve")
+    assert (caught.value.field, caught.value.remedy) == ("serve", "pip install 'sunarc[a]'")
+    require_extra("none", what="serve")
 
 
 def test_the_package_has_its_extras_and_a_remedy_for_the_others_that_its_owner_can_follow(

@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ import typer
 from sunarc.cli import main
 
 HEAVY = ("numpy", "numba", "scipy", "cv2", "sqlalchemy", "rich", "fastapi", "uvicorn", "pandas", "matplotlib")
+LISTED = {name: command for commands in main.houses().values() for name, command in commands.items()}
 LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "GOTO_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 MULTIPLIED = """
 import os, sys
@@ -57,7 +59,7 @@ def test_a_command_loads_no_library_that_only_others_need() -> None:
 import sys
 import sunarc.cli.main as main
 for name in ("calibrate", "detect", "serve"):
-    main._loaded(name)
+    main.load_command(name)
 print([name for name in {others} if name in sys.modules])
 """
     assert _answer(code) == "[]"
@@ -109,15 +111,15 @@ except SystemExit:
 
 
 def test_the_list_of_commands_says_what_each_says_of_itself() -> None:
-    for name, listed in main.COMMANDS.items():
-        found = getattr(__import__(f"sunarc.cli.{listed.module}", fromlist=[listed.name]), listed.name)
+    for name, listed in LISTED.items():
+        found = getattr(import_module(listed.module), listed.name)
         said = str(found.info.help) if isinstance(found, typer.Typer) else str(inspect.getdoc(found))
         assert said.split("\n\n")[0].replace("\n", " ") == listed.help, name
 
 
 def test_every_module_with_commands_is_in_the_list() -> None:
-    listed = {command.module for command in main.COMMANDS.values()}
-    shared = {"__init__", "main", "options", "calibrate_files", "calibration_files", "star_files"}
+    listed = {command.module.removeprefix("sunarc.cli.") for command in LISTED.values()}
+    shared = {"__init__", "main", "commands", "options", "calibrate_files", "calibration_files", "star_files"}
     assert {path.stem for path in Path(main.__file__).parent.glob("*.py")} - shared == listed
 
 

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 import zipfile
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
+from tests.calibration.conftest import SGP, TRUTH
+from tests.offline.test_lens_priors import write_csv
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]
 
@@ -22,23 +27,33 @@ def wheel(checkout: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
+def library(root: Path, wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the bin folder of a clean venv that holds what `pip install sunarc` brings."""
+    return environment(root, str(wheel), tmp_path_factory.mktemp("library"))
+
+
+@pytest.fixture(scope="module")
 def installed(root: Path, wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the bin folder of a clean venv that holds the wheel, what it depends on, and gi."""
-    venv = tmp_path_factory.mktemp("installed") / "venv"
-    run("/usr/bin/python3", "-m", "venv", "--without-pip", venv, cwd=venv.parent)
-    python = venv / "bin" / "python"
-    uv = Path(sys.executable).with_name("uv")
-    lock = root / "requirements.lock"
-    run(uv, "pip", "install", "--quiet", "--python", python, "--constraint", lock, wheel, cwd=venv.parent)
-    gi = run("/usr/bin/python3", "-I", "-c", "import gi, os; print(os.path.dirname(gi.__file__))", cwd=venv.parent)
-    site = run(python, "-I", "-c", "import sysconfig; print(sysconfig.get_path('platlib'))", cwd=venv.parent)
+    """Return the bin folder of a clean venv that holds the wheel with the extra `imager`, and gi."""
+    bin_ = environment(root, f"{wheel}[imager]", tmp_path_factory.mktemp("installed"))
+    gi = run("/usr/bin/python3", "-I", "-c", "import gi, os; print(os.path.dirname(gi.__file__))", cwd=bin_)
+    site = run(bin_ / "python", "-I", "-c", "import sysconfig; print(sysconfig.get_path('platlib'))", cwd=bin_)
     Path(site.strip(), "gi").symlink_to(gi.strip())
-    return venv / "bin"
+    return bin_
 
 
-def run(*command: str | Path, cwd: Path) -> str:
+def environment(root: Path, wheel: str, folder: Path) -> Path:
+    """Make a venv with a wheel and what it depends on, and return its bin folder."""
+    python = folder / "venv" / "bin" / "python"
+    run("/usr/bin/python3", "-m", "venv", "--without-pip", folder / "venv", cwd=folder)
+    uv, lock = Path(sys.executable).with_name("uv"), root / "requirements.lock"
+    run(uv, "pip", "install", "--quiet", "--python", python, "--constraint", lock, wheel, cwd=folder)
+    return python.parent
+
+
+def run(*command: str | Path, cwd: Path, given: str = "") -> str:
     """Run a command away from the checkout and return what it prints."""
-    answer = subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
+    answer = subprocess.run(command, cwd=cwd, input=given, capture_output=True, text=True, check=False)
     assert answer.returncode == 0, answer.stdout + answer.stderr
     return answer.stdout
 
@@ -74,3 +89,65 @@ def test_it_makes_a_database_and_finds_it_well(installed: Path, tmp_path: Path) 
 
 def test_it_can_speak_to_cameras(installed: Path, tmp_path: Path) -> None:
     run(installed / "python", "-c", "import sunarc.imager.cameras.aravis", cwd=tmp_path)
+
+
+def test_the_library_is_small_and_has_no_framework(library: Path) -> None:
+    code = "from importlib.metadata import distributions; print(*(one.name.lower() for one in distributions()))"
+    there = set(run(library / "python", "-c", code, cwd=library).split())
+    assert {"sunarc", "numpy", "scipy"} <= there
+    assert not there & {
+        "fastapi",
+        "starlette",
+        "uvicorn",
+        "sqlalchemy",
+        "alembic",
+        "apscheduler",
+        "dask",
+        "distributed",
+    }
+    files = [path.lstat() for path in library.parent.rglob("*") if path.is_file() and not path.is_symlink()]
+    assert sum(one.st_blocks for one in files) * 512 <= 400e6
+
+
+def test_every_module_of_the_library_loads_without_the_houses_packages(library: Path, tmp_path: Path) -> None:
+    code = """
+import importlib, pkgutil, sunarc
+rooms = "common sky optics detection geolocation imaging calibration stars changes formats sources lab".split()
+names = []
+for room in rooms:
+    path = importlib.import_module(f"sunarc.{room}").__path__
+    names += [one.name for one in pkgutil.walk_packages(path, f"sunarc.{room}.")]
+for name in names:
+    importlib.import_module(name)
+print(len(names))
+"""
+    assert int(run(library / "python", "-c", code, cwd=tmp_path)) > 100
+
+
+def test_the_library_fits_a_camera_answers_with_it_and_finds_the_sun(library: Path, tmp_path: Path) -> None:
+    sunarc, points = library / "sunarc", write_csv(tmp_path / "points.csv", TRUTH)
+    site = ("--latitude", SGP.latitude, "--longitude", SGP.longitude, "--altitude", SGP.altitude)
+    size = f"{TRUTH.width},{TRUTH.height}"
+    document = run(sunarc, "calibrate", points, *map(str, site), "--image-size", size, "--json", cwd=tmp_path)
+    calibration = tmp_path / "calibration.json"
+    calibration.write_text(document)
+    assert json.loads(document)["verdict"]["accepted"]
+    run(sunarc, "export", "--calibration", calibration, "--format", "opencv", "-o", "camera.yml", cwd=tmp_path)
+    compared = run(sunarc, "compare", calibration, "camera.yml", "--json", cwd=tmp_path)
+    assert json.loads(compared)["rms_px"] < 1.0
+    image = np.full((TRUTH.height, TRUTH.width), 60, dtype=np.uint8)
+    cv2.circle(image, (900, 700), 12, 255, -1, lineType=cv2.LINE_AA)
+    cv2.imwrite(str(tmp_path / "noon.png"), image)
+    (found,) = json.loads(run(sunarc, "detect", "noon.png", "--method", "disc", "--json", cwd=tmp_path))
+    assert (found["x_px"], found["y_px"]) == pytest.approx((900.0, 700.0), abs=0.5)
+    run(sunarc, "rectify", "noon.png", "--calibration", calibration, "-o", "maps", cwd=tmp_path)
+    for command, row in (("project", "zenith_deg,azimuth_deg\n30,180\n"), ("unproject", "x_px,y_px\n900,700\n")):
+        answer = run(sunarc, command, "--calibration", calibration, cwd=tmp_path, given=row)
+        assert len(answer.splitlines()) == 2
+
+
+@pytest.mark.parametrize("command", ["serve", "reanalyse", "hub", "calibrate"])
+def test_a_command_of_a_house_that_is_not_installed_names_the_line(library: Path, tmp_path: Path, command: str) -> None:
+    done = subprocess.run([library / "sunarc", command], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "pip install 'sunarc[" in done.stderr

@@ -28,8 +28,8 @@ from sunarc.common.errors import InputError
 from sunarc.common.utc import utc_time
 from sunarc.formats.calibration_document import to_document
 from sunarc.formats.csv_files import write_sightings
+from sunarc.formats.lens_prior import read_lens_type
 from sunarc.imager.runtime.clock import VirtualClock
-from sunarc.imager.workers.calibrating.provisional_pose import read_lens_prior
 from sunarc.optics.camera import Camera
 
 NOW = datetime(2013, 5, 14, tzinfo=UTC)
@@ -67,7 +67,7 @@ def test_a_lens_prior_is_written_combined_read_and_used(document: Document, tmp_
     lens = combined_lens([document], [other], spread=SPREAD)
     assert lens.cameras == ("north", "south")
     write_lens_prior(tmp_path / "lens.json", lens)
-    read = read_lens_prior(tmp_path / "lens.json")
+    read = read_lens_type((tmp_path / "lens.json").read_bytes(), name="lens.json")
     assert read.camera.to_vector() == pytest.approx(lens.camera.to_vector())
     points = write_csv(tmp_path / "new.csv", replace(TRUTH, rotation_cam_enu=(0.0, 0.0, 1.0)))
     found = calibrate_file(
@@ -140,10 +140,10 @@ def test_a_file_that_is_no_lens_prior_is_named(document: Document, tmp_path: Pat
     path = tmp_path / "lens.json"
     path.write_text("{")
     with pytest.raises(InputError):
-        read_lens_prior(path)
+        read_lens_type(path.read_bytes(), name=path.name)
     path.write_text(json.dumps(document))
     with pytest.raises(InputError) as refused:
-        read_lens_prior(path)
+        read_lens_type(path.read_bytes(), name=path.name)
     assert refused.value.field == "lens.json, schema"
 
 
@@ -176,7 +176,7 @@ def test_epochs_of_one_camera_are_fitted_together(tmp_path: Path) -> None:
     assert written == sorted([LENS_FILE, "roof-autumn.json", "roof-spring.json"])
     assert [one["pose_epoch"] for one in documents] == ["spring", "autumn"]
     assert all(one["verdict"]["accepted"] for one in documents)
-    assert read_lens_prior(tmp_path / "out" / LENS_FILE).cameras == ("roof",)
+    assert read_lens_type((tmp_path / "out" / LENS_FILE).read_bytes(), name=LENS_FILE).cameras == ("roof",)
     assert documents[1]["model"]["rotation_cam_enu"] == pytest.approx([0.0, 0.02, 1.5], abs=2e-3)
 
 

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from sunarc.common.array_types import FloatArray, picked
-from sunarc.common.errors import InputError
 from sunarc.sky.directions import angles_from_direction, angular_distance, direction_from_angles
 from sunarc.sky.night import (
     SOLAR_SYSTEM_BODIES,
@@ -185,13 +184,6 @@ def test_the_table_is_whole() -> None:
     sirius = np.flatnonzero(table.hip == 32349)[0]
     assert np.degrees(table.right_ascension[sirius]) == pytest.approx(101.2835, abs=5e-4)  # at 2024.0
     assert table.motion[sirius] * ARCSEC == pytest.approx([-0.546, -1.223], abs=0.001)
-
-
-def test_without_ephem_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "ephem", None)
-    with pytest.raises(InputError) as raised:
-        night_sky(0.0, SITES[0], faintest=3.0)
-    assert "sunarc[night]" in raised.value.remedy
 
 
 def test_bodies_by_name_are_those_of_the_night_sky_and_of_their_own_moments() -> None:

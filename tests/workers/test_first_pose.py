@@ -26,7 +26,7 @@ from sunarc.imager.archive.archive import CameraArchive, open_archive
 from sunarc.imager.archive.values import CameraRecord
 from sunarc.imager.runtime.status import Reason, StatusRegistry
 from sunarc.imager.workers.calibrating.monitor import WatchWorker
-from sunarc.imager.workers.calibrating.provisional_pose import FirstPose, ProvisionalPoseEstimator, read_lens_prior
+from sunarc.imager.workers.calibrating.provisional_pose import FirstPose, ProvisionalPoseEstimator
 from sunarc.imager.workers.options import LensPriorOptions
 from sunarc.lab.simulation.truth import SGP
 from sunarc.optics.camera import Camera
@@ -204,10 +204,10 @@ def test_the_settings_name_a_lens_prior_file(tmp_path: Path, lens: LensType) -> 
     assert FirstPose.of(LensPriorOptions()) is None
     path.write_text("{")
     with pytest.raises(InputError) as refused:
-        read_lens_prior(path)
-    assert refused.value.field == str(path)
+        FirstPose.of(LensPriorOptions(lens_prior=path))
+    assert refused.value.field == path.name
     with pytest.raises(InputError):
-        read_lens_prior(tmp_path / "missing.json")
+        FirstPose.of(LensPriorOptions(lens_prior=tmp_path / "missing.json"))
     with pytest.raises(InputError) as refused:
         LensPriorOptions(tilt_deg=0.0)
     assert refused.value.field == "first_pose.tilt_deg"

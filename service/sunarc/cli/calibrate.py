@@ -35,11 +35,14 @@ from sunarc.cli.options import (
     stated_once,
 )
 from sunarc.common.errors import InputError
+from sunarc.common.extras import require_extra
 from sunarc.common.findings import findings_of
 from sunarc.common.messages import significant
+from sunarc.formats.lens_prior import read_lens_type
 from sunarc.imager.runtime.clock import SystemClock
 from sunarc.optics.projections import PROJECTIONS
 from sunarc.sky.site import Site
+from sunarc.sources.files import read_file
 
 if TYPE_CHECKING:
     from sunarc.imager.settings.model import Settings
@@ -97,9 +100,7 @@ def known_lens(path: Path | None, *, start: Path | None, writes: bool) -> LensTy
             problem="beside --lens-prior: the fit would count what the file says once more",
             remedy="fit without --lens-prior, and name the other cameras with --lens-of",
         )
-    from sunarc.imager.workers.calibrating.provisional_pose import read_lens_prior
-
-    return read_lens_prior(path)
+    return read_lens_type(read_file(path), name=path.name)
 
 
 class LensToWrite(NamedTuple):
@@ -241,6 +242,8 @@ def calibrate(
     if points is None and write_lens_prior is not None:
         to_write.write([])
         return
+    if points is None:
+        require_extra("imager", what="calibrate without POINTS")
     if points is None and config is not None:
         of_points = (latitude, longitude, image_size, image_circle, pressure, start, plots, pose_only or None)
         of_fit = (projection or None, mirrored or None)
@@ -369,6 +372,7 @@ def calibrate_stored(
 
 
 def _solve_again(calibration_id: str, config: Path | None, *, as_json: bool) -> None:
+    require_extra("imager", what="calibrate --again")
     from sunarc.imager.commands.calibrate_archive import solve_again
 
     result = solve_again(service_settings(config), calibration_id)

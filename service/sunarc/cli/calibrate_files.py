@@ -145,7 +145,7 @@ def calibrate_file(
     clock, where it is stated; that of the file's column clock_error_s unless given.
     """
     if plots is not None:
-        extra_module("matplotlib", extra="studies")  # before the fit, which takes minutes
+        extra_module("matplotlib", extra="plots")  # before the fit, which takes minutes
     points, clock_error_s = _without_clock_column(read_points(path, image_size, site), clock_error_s)
     known = None if start is None else _accepted_here(start, site)
     if known is not None:

@@ -117,7 +117,7 @@ def find_stars(paths: Sequence[Path], calibration: Calibration, options: StarOpt
 
     Raises
     ------
-    InputError : an image has not the calibration's size, or ephem is not installed.
+    InputError : an image has not the calibration's size.
     """
     camera = calibration.camera
     size = (camera.width, camera.height)
@@ -386,7 +386,7 @@ def find_stars_blind(
 
     Raises
     ------
-    InputError : the images are not of one size, or ephem is not installed.
+    InputError : the images are not of one size.
     """
     seen, size = list[StarImage](), None
     for path in paths:

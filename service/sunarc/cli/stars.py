@@ -15,7 +15,6 @@ from sunarc.cli.calibration_files import read_calibration
 from sunarc.cli.options import SITE, Altitude, AsJson, choice_of, print_json, print_table
 from sunarc.cli.star_files import StarImage, StarOptions, find_stars, find_stars_blind, write_star_sightings
 from sunarc.common.errors import InputError, disk_errors
-from sunarc.common.extras import extra_module
 from sunarc.common.messages import counted
 from sunarc.detection.values import BAYERS
 from sunarc.formats.csv_files import read_sightings
@@ -73,7 +72,7 @@ def stars(
     """Detect and identify stars in images of the night; exit 1 when none matches, or one is of another site.
 
     With --beside the output holds the sun's sightings as well, for the next sunarc calibrate. Give two images or more,
-    ten minutes apart, so that hot pixels and lamps are known. Needs the extra sunarc[night].
+    ten minutes apart, so that hot pixels and lamps are known.
 
     With --blind no calibration is needed, for cameras within 20 degrees of the zenith (or --level-within, by which a
     wrong latitude shows): what turns in images of one night (an hour or more apart) gives lens and pole, and the bright
@@ -84,7 +83,6 @@ def stars(
 
     Example: sunarc stars night/*.jpg --blind --latitude 36.6 --longitude -97.5 --write-calibration camera.json
     """
-    extra_module("ephem", extra="night")  # before the images, which take seconds each
     electrons = 1.0 if gain is None else gain
     for name, value, least in (
         ("--within", within, 0.0),

@@ -83,7 +83,7 @@ def uncertainty(
     Example: sunarc study uncertainty --trials 5 --levels 11 --out study
     """
     methods = _methods(method)
-    extra_module("matplotlib", extra="studies")  # before the fits, which take minutes
+    extra_module("matplotlib", extra="plots")  # before the fits, which take minutes
     make_folder(out)
     with _progress("fits", len(methods) * levels * trials) as advance:
         study = study_uncertainty(
@@ -129,7 +129,7 @@ def shadow(
 
     Example: sunarc study shadow --out study
     """
-    extra_module("matplotlib", extra="studies")
+    extra_module("matplotlib", extra="plots")
     make_folder(out)
     if calibration is None:
         with _progress("sizes", len(SIGMAS_DEG)) as advance:

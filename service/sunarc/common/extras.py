@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from importlib import import_module
+from importlib.metadata import PackageNotFoundError, distribution, requires
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -13,7 +15,7 @@ _PACKAGED = Path("/usr/lib/sunarc")
 """Where the Debian package has this file; nothing can be installed beside it."""
 
 
-PACKED = ("formats", "mqtt", "netcdf", "night", "postgresql")
+PACKED = ("formats", "hub", "imager", "mqtt", "netcdf", "night", "postgresql")
 """Extras that the Debian package brings (deploy/build-deb)."""
 
 
@@ -33,9 +35,45 @@ def extra_module(name: str, *, extra: str) -> Any:  # noqa: ANN401 - a module
         ) from None
 
 
+def require_extra(extra: str, *, what: str) -> None:
+    """Refuse what needs an extra that is not installed.
+
+    Parameters
+    ----------
+    extra : one of the package's; any other needs nothing.
+    what : needs it, for the message: a command or an option.
+
+    Raises
+    ------
+    InputError
+        Names a package that is missing, and the line that installs all.
+    """
+    if missing := missing_packages(extra):
+        problem = f"needs sunarc[{extra}], of which {missing[0]} is not installed"
+        raise InputError(field=what, problem=problem, remedy=_remedy(extra))
+
+
+def missing_packages(extra: str) -> list[str]:
+    """Return the packages of an extra that are not installed."""
+    stated = (requirement.split(";") for requirement in requires("sunarc") or () if ";" in requirement)
+    names = [_NAME.match(package) for package, condition in stated if condition.strip() == f"extra == '{extra}'"]
+    return [name[0] for name in names if name is not None and not _is_there(name[0])]
+
+
+_NAME = re.compile(r"[\w.-]+")
+
+
+def _is_there(package: str) -> bool:
+    try:
+        distribution(package)
+    except PackageNotFoundError:
+        return False
+    return True
+
+
 def _remedy(extra: str) -> str:
     if not Path(__file__).is_relative_to(_PACKAGED):
-        return f"install sunarc[{extra}]"
+        return f"pip install 'sunarc[{extra}]'"
     if extra in PACKED:
         return "the Debian package has it and was damaged: install the package again (deploy/install)"
     return "the Debian package is without it: run this command from a checkout of sunarc, which has it (deploy/setup)"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -46,6 +47,17 @@ def lens_type_to_json(lens: LensType, *, software_version: str) -> dict[str, Any
 
 def _center(camera: Camera) -> tuple[float, float]:
     return (camera.width - 1) / 2.0, (camera.height - 1) / 2.0
+
+
+def read_lens_type(content: bytes, *, name: str) -> LensType:
+    """Return the type of lens that a lens prior file holds; InputError names the file and what is wrong with it."""
+    try:
+        return lens_type_from_json(json.loads(content))
+    except (ValueError, RecursionError):
+        remedy = "name a file of sunarc calibrate --write-lens-prior"
+        raise InputError(field=name, problem="is not JSON", remedy=remedy) from None
+    except InputError as error:
+        raise InputError(field=f"{name}, {error.field}", problem=error.problem, remedy=error.remedy) from None
 
 
 def lens_type_from_json(document: object) -> LensType:

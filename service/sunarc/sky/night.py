@@ -13,13 +13,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from importlib import import_module
 from importlib.resources import files
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
 from sunarc.common.array_types import BoolArray, FloatArray, IntArray, NameArray, picked
-from sunarc.common.extras import extra_module
 from sunarc.sky.directions import angles_from_direction, direction_from_angles
 from sunarc.sky.refraction import apparent_elevation
 from sunarc.sky.site import Site
@@ -188,10 +188,6 @@ def night_sky(unix_s: float, site: Site, *, faintest: float) -> NightSky:
     unix_s : seconds since 1970-01-01 UTC.
     site : the place and its air.
     faintest : V of the faintest; the table ends at `FAINTEST_V`.
-
-    Raises
-    ------
-    InputError : ephem is not installed (extra `night`).
     """
     stars = picked(_stars(), _stars().magnitude <= faintest)
     planets = {name: body_position(name, unix_s, site) for name in SOLAR_SYSTEM_BODIES if name != "moon"}
@@ -225,10 +221,6 @@ def body_directions(
     unix_s : (n,) seconds since 1970-01-01 UTC.
     site : the place and its air.
     temperature, pressure : (n,) of the air, °C and Pa, as measured; the site's where None or NaN.
-
-    Raises
-    ------
-    InputError : ephem is not installed (extra `night`), and a body other than the sun is named.
     """
     directions = np.full((unix_s.size, 3), np.nan)
     row_of = {f"{STAR}{hip}": row for row, hip in enumerate(_stars().hip.tolist())}
@@ -258,7 +250,7 @@ def _stars() -> StarTable:
 
 
 def _ephem() -> Any:  # noqa: ANN401 - a module
-    return extra_module("ephem", extra="night")
+    return import_module("ephem")  # loaded when it is used
 
 
 def _observer(unix_s: float, site: Site) -> Any:  # noqa: ANN401 - ephem is not typed
@@ -312,12 +304,7 @@ class MoonDisc:
 
 
 def moon_disc(unix_s: float, site: Site) -> MoonDisc:
-    """Return the moon's disc at one moment, seen from the site.
-
-    Raises
-    ------
-    InputError : ephem is not installed (extra `night`).
-    """
+    """Return the moon's disc at one moment, seen from the site."""
     moon, sun = true_position("moon", unix_s, site), true_position("sun", unix_s, site)
     distance_km = MOON_RADIUS_KM / np.sin(moon.radius)
     to_sun = sun.direction * sun.distance_au * _AU_KM - moon.direction * distance_km

@@ -18,7 +18,6 @@ import numpy as np
 from sunarc.calibration.model.options import CalibrationOptions, Mirrored
 from sunarc.common.array_types import evenly_spread
 from sunarc.common.errors import InputError
-from sunarc.common.extras import is_installed
 from sunarc.common.findings import Finding
 from sunarc.common.foreign_files import MOST_BYTES, name_path, name_text
 from sunarc.common.utc import DAY_S, rfc3339, to_microseconds
@@ -296,7 +295,7 @@ def _add(indexed: Indexed, plan: CameraPlan, members: list[_Found]) -> None:
         return
     indexed.failures.extend(Failure(one.name, _copy_of(one)) for one in copies)
     # without images of the day there is no calibration that names the stars
-    parts = _by_sun(images, plan, nights=is_installed("ephem"))
+    parts = _by_sun(images, plan, nights=True)
     parts = parts if parts.day else _by_sun(images, plan, nights=False)
     by_day = parts.day
     indexed.failures.extend(Failure(one.name, finding) for one, finding in parts.dusk)

@@ -118,18 +118,13 @@ def test_an_archive_whose_images_are_all_of_the_night_is_refused(site: Site, why
     assert float(found.refused[0].finding.data["zenith_deg"]) > 90.0
 
 
-def test_images_of_the_night_wait_for_the_calibration_of_the_day(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_images_of_the_night_wait_for_the_calibration_of_the_day(tmp_path: Path) -> None:
     dusk, night = "20130514T014000Z.png", "20130514T060000Z.png"
     folder = folder_of(named([*DAY, night, dusk]), tmp_path / "all")
     found = indexed(folder)
     assert [image.file for image in found.cameras[0].nights] == [night]
     assert [image.file for image in found.cameras[0].images] == DAY
     assert codes(found) == [(f"all/{dusk}", "file_at_night")]
-    monkeypatch.setattr(index_module, "is_installed", lambda name: name != "ephem")
-    without = indexed(folder)
-    assert (without.cameras[0].nights, len(codes(without))) == ((), 2)
 
 
 def test_the_size_is_what_most_images_have(tmp_path: Path) -> None:

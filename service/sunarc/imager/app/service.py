@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, TypedDict
 import sunarc
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
 from sunarc.common.errors import OutsideError
-from sunarc.common.extras import extra_module
 from sunarc.common.utc import MICROSECOND
 from sunarc.detection.values import Detection
 from sunarc.imager.app.cameras import camera_record, note_other_camera, require_same_camera
@@ -58,15 +57,9 @@ _WAITING_FRAMES = 4
 
 
 def night_capture(options: NightOptions, site_with_air_at: Callable[[datetime], Site]) -> NightCapture | None:
-    """Return what joins the night's capture and its worker; None where the night is not worked.
-
-    Raises
-    ------
-    InputError : it is, and the extra `night` is not installed.
-    """
+    """Return what joins the night's capture and its worker; None where the night is not worked."""
     if not options.enabled:
         return None
-    extra_module("ephem", extra="night")
     moon = MoonExposures(lambda time: moon_disc(time.timestamp(), site_with_air_at(time)))
     return NightCapture(
         NightExposures(),

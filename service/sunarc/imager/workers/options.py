@@ -117,7 +117,7 @@ class NightOptions:
     Attributes
     ----------
     enabled : look at the stars: every `capture.night_cadence_s` while the sun is below -12 degrees an exposure of
-        seconds is taken, and its stars are used beside the sun's sightings (extra `night`).
+        seconds is taken, and its stars are used beside the sun's sightings.
     """
 
     enabled: bool = False

@@ -46,7 +46,7 @@ def make_folder(folder: Path) -> None:
 
 def write_uncertainty(study: UncertaintyStudy, *, folder: Path) -> tuple[Path, ...]:
     """Write `uncertainty.csv` (distributions), `uncertainty_trials.csv` (every fit), and two figures."""
-    extra_module("matplotlib", extra="studies")  # loaded when something is drawn
+    extra_module("matplotlib", extra="plots")  # loaded when something is drawn
     from sunarc.lab.studies.figures import parameter_figure, rmse_figure, save_png  # noqa: PLC0415 - same
 
     with writing_into(folder):
@@ -61,7 +61,7 @@ def write_uncertainty(study: UncertaintyStudy, *, folder: Path) -> tuple[Path, .
 
 def write_shadow(rows: Sequence[ShadowRow], *, folder: Path) -> tuple[Path, ...]:
     """Write `shadow.csv`, and `shadow.png` where there is more than one size of the error to draw."""
-    extra_module("matplotlib", extra="studies")
+    extra_module("matplotlib", extra="plots")
     from sunarc.lab.studies.figures import save_png, shadow_figure  # noqa: PLC0415 - same
 
     with writing_into(folder):
@@ -109,7 +109,7 @@ def write_calibration_plots(calibration: Calibration, points: Sightings, *, fold
     InputError
         Where they cannot be written.
     """
-    extra_module("matplotlib", extra="studies")  # loaded when something is drawn
+    extra_module("matplotlib", extra="plots")  # loaded when something is drawn
     from sunarc.lab.studies.figures import residual_figure, save_png, sky_figure  # noqa: PLC0415 - same
 
     residuals = residuals_of(calibration, points)

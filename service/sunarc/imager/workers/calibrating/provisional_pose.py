@@ -5,12 +5,10 @@ The lens is that of an earlier calibration, or, where there is none, of its type
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 from typing import NamedTuple
 
 import sunarc
@@ -22,14 +20,14 @@ from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, Sightings
 from sunarc.calibration.pose import estimate_pose
 from sunarc.calibration.quality.widening import with_clock
 from sunarc.common.errors import InputError
-from sunarc.common.foreign_files import read_regular
 from sunarc.formats.calibration_document import to_document
-from sunarc.formats.lens_prior import lens_type_from_json
+from sunarc.formats.lens_prior import read_lens_type
 from sunarc.imager.archive.archive import CameraArchive
 from sunarc.imager.archive.sightings import LENS_CHANGED
 from sunarc.imager.archive.values import CalibrationRecord, PoseEpoch
 from sunarc.imager.workers.calibrating.solver_process import points_of
 from sunarc.imager.workers.options import LensPriorOptions
+from sunarc.sources.files import read_file
 
 
 class FirstPose(NamedTuple):
@@ -47,20 +45,8 @@ class FirstPose(NamedTuple):
         InputError
             Where the file is none.
         """
-        return None if options.lens_prior is None else cls(read_lens_prior(options.lens_prior), options)
-
-
-def read_lens_prior(path: Path) -> LensType:
-    """Return the type of lens of a lens prior file; InputError names what is wrong with it."""
-    remedy = "name a file of sunarc calibrate --write-lens-prior"
-    try:
-        return lens_type_from_json(json.loads(read_regular(path)))
-    except OSError as error:
-        raise InputError(field=str(path), problem=error.strerror or str(error), remedy=remedy) from None
-    except (ValueError, RecursionError):
-        raise InputError(field=str(path), problem="is not JSON", remedy=remedy) from None
-    except InputError as error:
-        raise InputError(field=f"{path.name}, {error.field}", problem=error.problem, remedy=error.remedy) from None
+        path = options.lens_prior
+        return None if path is None else cls(read_lens_type(read_file(path), name=path.name), options)
 
 
 _log = logging.getLogger(__name__)
