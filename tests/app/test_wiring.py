@@ -19,7 +19,7 @@ from tests.fixtures.archive import HIDDEN, store_sun_point
 from tests.fixtures.cameras import INFO
 from tests.fixtures.settings import new_settings
 
-from sunarc.cli import service as commands
+from sunarc.cli import simulate as simulate_command
 from sunarc.common.errors import ConfigurationError, OutsideError
 from sunarc.detection.values import Detection
 from sunarc.imager.app import serving
@@ -273,9 +273,9 @@ def test_the_simulated_imager_gets_what_the_command_was_given(monkeypatch: pytes
     runs: list[ImagerOptions] = []
     handlers = {one: signal.getsignal(one) for one in (signal.SIGTERM, signal.SIGINT)}
     monkeypatch.setattr(simulating, "run_imager", lambda options, *_, **__: runs.append(options))
-    monkeypatch.setattr(commands, "start_log", lambda _: None)
+    monkeypatch.setattr(simulate_command, "start_log", lambda _: None)
     try:
-        commands.simulate(
+        simulate_command.simulate(
             address="127.0.0.3", start=NOON.isoformat(), speed=60.0, lens_seed=4, clouds="veil",
             nd_transmission=0.02, ghost=0.1, sun_cover=0.3, blooming=0.4, moon=(40.0, 120.0),
         )  # fmt: skip
