@@ -33,6 +33,8 @@ LIBRARY = {name: Command(*rest) for name, *rest in (
      "Compare two cameras: differences of B from A over the sky, in px and degrees."),
     ("rectify", "sunarc.cli.documents", "rectify",
      "Map images to a grid of the sky, or of the ground for clouds at a height; north at the top, east at the right."),
+    ("codes", "sunarc.cli.codes", "codes",
+     "Print every code of findings with its meaning and action, as the page docs/codes.md."),
 )}  # fmt: skip
 
 IMAGER = {name: Command(*rest) for name, *rest in (
@@ -43,8 +45,6 @@ IMAGER = {name: Command(*rest) for name, *rest in (
      "Check what the service needs: disk, database, port, clock, camera, files, receivers; exit 1 when a check fails."),
     ("settings", "sunarc.cli.service", "settings",
      "Print every setting with its default, its bounds and its meaning, as the page docs/settings.md."),
-    ("codes", "sunarc.cli.codes", "codes",
-     "Print every code of findings with its meaning and action, as the page docs/codes.md."),
     ("ingest", "sunarc.cli.ingest", "ingest",
      "Find the sun in a folder of archived images and fill the archive; images that are in it are skipped."),
     ("points", "sunarc.cli.database", "points_cli", "Import and export sightings as CSV."),
