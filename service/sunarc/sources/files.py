@@ -11,6 +11,7 @@ from sunarc.common.errors import InputError
 from sunarc.common.foreign_files import name_text, read_regular
 from sunarc.imaging.preview import decoded
 from sunarc.optics.camera import inside_image
+from sunarc.sources.image_files import fits_image, kind_of
 
 
 def read_file(path: Path) -> bytes:
@@ -33,6 +34,8 @@ def read_lines(path: Path) -> list[str]:
 
 def read_image(path: Path) -> Image:
     """Read an image file as it is, 8 or 16 bit."""
+    if kind_of(path.name) == "fits":
+        return fits_image(read_file(path), name_text(path), size=None)
     image = decoded(read_file(path))
     if image is not None and image.ndim == 3 and image.shape[2] == 4:
         image = image[..., :3]  # what is seen through is of no interest
@@ -41,7 +44,9 @@ def read_image(path: Path) -> Image:
     if image is not None and image.dtype == np.uint16:
         return image.astype(np.uint16)
     raise InputError(
-        field=name_text(path), problem="is not an image of 8 or 16 bits", remedy="give a whole PNG, JPEG or TIFF file"
+        field=name_text(path),
+        problem="is not an image of 8 or 16 bits",
+        remedy="give a whole PNG, JPEG, TIFF or FITS file",
     )
 
 
