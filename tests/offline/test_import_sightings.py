@@ -17,8 +17,8 @@ from sunarc.imager.commands.archive_tables import import_points, write_points
 from sunarc.sky.directions import angles_from_direction
 from sunarc.sky.night import body_directions
 
-HEADER = "time_utc,x_px,y_px,sigma_px,temperature_c,pressure_hpa"
-ROWS = ("2013-05-13T18:30:00Z,3.25,2.5,0.04,21.5,980.25", "2013-05-13T18:31:00Z,3.5,2.75,,,")
+HEADER = "time_utc,x_px,y_px,sigma_px,temperature_c,pressure_hpa,clock_error_s"
+ROWS = ("2013-05-13T18:30:00Z,3.25,2.5,0.04,21.5,980.25,0.5", "2013-05-13T18:31:00Z,3.5,2.75,,,,")
 
 
 def points_file(folder: Path, *rows: str) -> Path:
@@ -35,26 +35,28 @@ def test_every_column_reaches_the_archive(tmp_path: Path) -> None:
     assert first.time == datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
     assert (first.x_px, first.y_px, first.sigma_px) == (3.25, 2.5, 0.04)
     assert (first.temperature_c, first.pressure_hpa) == (21.5, 980.25)
+    assert first.clock_error_s == 0.5
     assert (first.method, first.accepted) == ("import", True)
     assert (second.sigma_px, second.temperature_c, second.pressure_hpa) == (None, None, None)
+    assert second.clock_error_s is None
 
 
 def test_what_is_there_already_is_not_added_again(tmp_path: Path) -> None:
     settings = new_settings(tmp_path)
     import_points(settings, points_file(tmp_path), image_size=(8, 6))
-    more = points_file(tmp_path, *ROWS, "2013-05-13T18:32:00Z,3.5,2.75,,,")
+    more = points_file(tmp_path, *ROWS, "2013-05-13T18:32:00Z,3.5,2.75,,,,")
     assert import_points(settings, more) == (1, 3, 0)
 
 
 def test_a_row_beside_the_image_is_left_out_and_counted(tmp_path: Path) -> None:
     settings = new_settings(tmp_path)
-    beside = points_file(tmp_path, *ROWS, "2013-05-13T18:32:00Z,7.54,2.0,,,")
+    beside = points_file(tmp_path, *ROWS, "2013-05-13T18:32:00Z,7.54,2.0,,,,")
     assert import_points(settings, beside, image_size=(8, 6)) == (2, 3, 1)
     with open_archive(settings.database) as archive:
         assert len(archive.sightings.find("roof")) == 2
 
 
-@pytest.mark.parametrize("row", ["2013-05-13T18:32:00Z,9.0,2.0,,,", "2013-05-13T18:32:00Z,1.0,two,,,", "noon,1,1,,,"])
+@pytest.mark.parametrize("row", ["2013-05-13T18:32:00Z,9.0,2.0,,,,", "2013-05-13T18:32:00Z,1.0,two,,,", "noon,1,1,,,,"])
 def test_one_wrong_row_and_nothing_is_written(tmp_path: Path, row: str) -> None:
     settings = new_settings(tmp_path)
     with pytest.raises(InputError):

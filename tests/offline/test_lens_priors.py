@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -178,6 +179,23 @@ def test_epochs_of_one_camera_are_fitted_together(tmp_path: Path) -> None:
     assert all(one["verdict"]["accepted"] for one in documents)
     assert read_lens_type((tmp_path / "out" / LENS_FILE).read_bytes(), name=LENS_FILE).cameras == ("roof",)
     assert documents[1]["model"]["rotation_cam_enu"] == pytest.approx([0.0, 0.02, 1.5], abs=2e-3)
+
+
+def test_the_clock_column_of_an_entrys_file_is_the_bound_of_its_clock(tmp_path: Path) -> None:
+    """A minute turns the camera about the pole by a quarter of a degree; the other entry states no clock."""
+    write_csv(tmp_path / "a.csv")
+    write_csv(tmp_path / "b.csv", seed=2)
+    lines = (tmp_path / "b.csv").read_text().splitlines()
+    stated = [f"{lines[0]},clock_error_s", *(f"{line},60" for line in lines[1:])]
+    (tmp_path / "b.csv").write_text("\n".join(stated) + "\n")
+    spec = tmp_path / "joint.toml"
+    spec.write_text(SPEC)
+    assumed, bounded = calibrate_joint(spec, folder=tmp_path / "out", clock=VirtualClock(NOW))
+    assert "clock_unbounded" in [one["code"] for one in assumed["verdict"]["findings"]]
+    assert "clock_unbounded" not in [one["code"] for one in bounded["verdict"]["findings"]]
+    sky = bounded["uncertainty"]
+    more = math.sqrt(sky["sky_rms_deg"] ** 2 - sky["sky_rms_without_clock_deg"] ** 2)
+    assert 0.1 < more < 0.25
 
 
 @pytest.mark.parametrize(

@@ -351,9 +351,13 @@ LENS_FILE = "lens-prior.json"
 
 
 class JointSpec(NamedTuple):
-    """What a file asks for: the entries, and the stated spread between units; None where it states none."""
+    """What a file asks for: the entries, the bound of each one's clock in s, and the spread between units.
+
+    None where no bound, and no spread, is stated.
+    """
 
     entries: list[Entry]
+    clock_errors_s: list[float | None]
     spread: UnitSpread | None
 
 
@@ -380,8 +384,9 @@ def calibrate_joint(path: Path, *, folder: Path, clock: Clock) -> list[dict[str,
     documents = []
     folder.mkdir(parents=True, exist_ok=True)
     now = clock.now()
-    for entry, solved in zip(spec.entries, joint.calibrations, strict=True):
-        document = _document(solved, entry.points.unix_s, now, camera=entry.camera, pose_epoch=entry.epoch)
+    for entry, clock_error_s, solved in zip(spec.entries, spec.clock_errors_s, joint.calibrations, strict=True):
+        stated = with_clock(solved, clock_error_s)
+        document = _document(stated, entry.points.unix_s, now, camera=entry.camera, pose_epoch=entry.epoch)
         name = "-".join(filter(None, (entry.camera, entry.epoch)))
         (folder / f"{name}.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
         documents.append(document)
@@ -402,7 +407,7 @@ def read_joint_spec(path: Path) -> JointSpec:
     if not isinstance(entries, list) or not entries:
         raise InputError(field=path.name, problem="names no entry", remedy="give [[entry]] with camera and file")
     found = [_entry(f"{path.name}, entry {number}", one, tables, path.parent) for number, one in enumerate(entries, 1)]
-    names = [(entry.camera, entry.epoch) for entry in found]
+    names = [(entry.camera, entry.epoch) for entry, _ in found]
     for camera, epoch in names:
         if names.count((camera, epoch)) > 1:
             raise InputError(
@@ -410,10 +415,12 @@ def read_joint_spec(path: Path) -> JointSpec:
                 problem=f"two entries of the epoch {epoch!r}",
                 remedy="name the epochs differently",
             )
-    return JointSpec(found, None if spread is None else _converted(f"{path.name}, spread", UnitSpread, spread))
+    between = None if spread is None else _converted(f"{path.name}, spread", UnitSpread, spread)
+    return JointSpec([entry for entry, _ in found], [clock_error_s for _, clock_error_s in found], between)
 
 
-def _entry(where: str, given: object, common: Mapping[str, Any], folder: Path) -> Entry:
+def _entry(where: str, given: object, common: Mapping[str, Any], folder: Path) -> tuple[Entry, float | None]:
+    """Return an entry, and the bound of its clock by the column clock_error_s, s; None without that column."""
     if not isinstance(given, dict):
         raise InputError(field=where, problem="is not a table", remedy="give [[entry]] with camera and file")
     _refuse_unknown(where, given, _COMMON | {"camera", "epoch", "file"})
@@ -430,8 +437,9 @@ def _entry(where: str, given: object, common: Mapping[str, Any], folder: Path) -
     of_fit = {key: values[key] for key in _FIT if key in values}
     site = _converted(where, Site, of_site)
     options = _converted(where, CalibrationOptions, of_fit)
-    points = read_points(folder / str(values["file"]), size, site)
-    return Entry(camera=camera, epoch=epoch, points=points, site=site, image_size=size, options=options)
+    points, clock_error_s = _without_clock_column(read_points(folder / str(values["file"]), size, site), None)
+    entry = Entry(camera=camera, epoch=epoch, points=points, site=site, image_size=size, options=options)
+    return entry, clock_error_s
 
 
 def _converted(where: str, convert: Any, given: Any) -> Any:  # noqa: ANN401 - TOML holds anything

@@ -275,9 +275,17 @@ def _points(settings: Settings, table: Sightings, imported: Finding) -> list[Sun
             sigma_px=_finite_or_none(sigma),
             temperature_c=_finite_or_none(temperature),
             pressure_hpa=_finite_or_none(pressure / PA_PER_HPA),
+            clock_error_s=_finite_or_none(clock_error_s),
         )
-        for time, (x, y), sigma, temperature, pressure, body in zip(
-            times, table.pixels, table.sigma_px, table.temperature, table.pressure, table.body, strict=True
+        for time, (x, y), sigma, temperature, pressure, clock_error_s, body in zip(
+            times,
+            table.pixels,
+            table.sigma_px,
+            table.temperature,
+            table.pressure,
+            table.clock_error_s,
+            table.body,
+            strict=True,
         )
     ]
 
