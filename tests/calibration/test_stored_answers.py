@@ -180,7 +180,7 @@ def _unexplained(given: Given) -> Numbers:
     bent = replace(points, pixels=points.pixels + np.where(np.arange(len(points))[:, None] > 200, [0.5, 0.2], 0.0))
     usable = filter_sightings(bent, site=SGP)
     found = unexplained_days(replace(given.fit, left_out=np.arange(201, len(points))), usable, 0.25)
-    return said([found])
+    return said([*found])
 
 
 def _tilts(_: Given) -> Numbers:

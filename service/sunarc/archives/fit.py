@@ -267,7 +267,7 @@ def doubts(calibration: Calibration, camera: ArchiveCamera) -> tuple[Finding, ..
     wanted = camera.options.mirrored
     if wanted != "auto" and calibration.camera.mirrored != (wanted == "yes"):
         found.append(Finding("camera_mirrored", {"mirrored": "yes" if calibration.camera.mirrored else "no"}))
-    tilted = None if camera.options.level_within_deg is not None else tilt_question(calibration.camera, camera.site)
+    tilted = tilt_question(calibration.camera, camera.site)
     return (*found, tilted) if tilted is not None else tuple(found)
 
 
@@ -473,7 +473,13 @@ def _held_to_level(final: Final) -> Final:
     return final._replace(fitted=fitted)
 
 
-_OF_DAYS = {"epoch_does_not_explain_its_days", "held_out_contradicts", "too_many_rejected", "rmse_too_large"}
+_OF_DAYS = {
+    "epoch_does_not_explain_its_days",
+    "half_days_deviate",
+    "held_out_contradicts",
+    "too_many_rejected",
+    "rmse_too_large",
+}
 """Findings by which the sightings of an epoch are not of one camera."""
 
 

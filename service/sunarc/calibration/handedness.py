@@ -56,15 +56,14 @@ def chosen_hand(fitted: Fitted, job: Job) -> HandChoice:
     fitted : of the handedness that is assumed.
     job : its input; "no" and "yes" are stated, all else is asked about.
     """
-    stated = job.options.mirrored
-    gain = math.inf if stated in {"no", "yes"} else -math.inf
+    stated, other, gain = job.options.mirrored, None, math.inf
     if stated not in {"no", "yes"}:
         other = fit_of_hand(job, _other(fitted.start.hand), than=fitted.start.cost)
         gain = math.inf if other is None else -gain_of_other(fitted, other, job)
         if other is not None and stated == "auto" and gain < 0.0:
-            fitted, gain = other, -gain
-    if gain < -_BETTER:
-        return HandChoice(fitted, (other_hand_fits(job, _other(fitted.start.hand)),))
+            fitted, other, gain = other, fitted, -gain
+    if other is not None and gain < -_BETTER:
+        return HandChoice(fitted, other_fits(other, job))
     if gain < _AMBIGUOUS:
         return HandChoice(fitted, (Finding("mirroring_ambiguous"),))
     twin = _of_other_latitude(fitted, job) if fitted.start.hand == "yes" else None
@@ -79,7 +78,18 @@ def named_other(fitted: Fitted | None, job: Job) -> tuple[Finding, ...]:
     other = fit_of_hand(job, _other(hand), than=math.inf if fitted is None else fitted.start.cost)
     if other is None or (fitted is not None and gain_of_other(fitted, other, job) < _BETTER):
         return ()
-    return (other_hand_fits(job, _other(hand)),)
+    return other_fits(other, job)
+
+
+def other_fits(other: Fitted, job: Job) -> tuple[Finding, ...]:
+    """Return the findings that another handedness fits better.
+
+    The latitude of the other sign goes first where a camera that is not mirrored fits there about as well: near the
+    equator it mostly does not, and both latitudes would name each other.
+    """
+    twin = _of_other_latitude(other, job) if other.start.hand == "yes" else None
+    found = other_hand_fits(job, other.start.hand)
+    return (found,) if twin is None else (twin, found)
 
 
 def other_hand_fits(job: Job, other: Hand) -> Finding:
@@ -98,20 +108,22 @@ def fit_of_hand(job: Job, hand: Hand, *, than: float) -> Fitted | None:
 
 
 def gain_of_other(fitted: Fitted, other: Fitted, job: Job) -> float:
-    """Return by how many half squares another fit of the job's sightings is more probable, mounts considered.
+    """Return by how many natural log odds another fit of the job's sightings is more probable, mounts considered.
 
     0 where neither camera comes near the sightings, so that they tell nothing.
     """
     both = {False: fitted.fit, True: other.fit}
     evidence = log_evidences_of_fits(both, NoiseGroups.of(job.usable).bins)
-    gain = evidence[True] - evidence[False] + _log_density(other.fit) - _log_density(fitted.fit)
+    limit_deg = job.options.level_within_deg
+    mounts = _log_density(other.fit, limit_deg) - _log_density(fitted.fit, limit_deg)
+    gain = evidence[True] - evidence[False] + mounts
     return 0.0 if math.isnan(gain) else gain
 
 
-def _log_density(fit: RobustFit) -> float:
-    """Return the log density of a mount that holds the optical axis of the last pose."""
+def _log_density(fit: RobustFit, limit_deg: float | None) -> float:
+    """Return the log density of a mount that holds the optical axis of the last pose, its tilt's limit being stated."""
     camera = fit.problem.camera(fit.unknowns, fit.problem.n_epochs - 1)
-    return math.log(float(mount_density(rotation_matrix(camera.rotation_cam_enu)[2])))
+    return math.log(float(mount_density(rotation_matrix(camera.rotation_cam_enu)[2], limit_deg=limit_deg)))
 
 
 def _other(hand: Hand) -> Hand:

@@ -239,6 +239,9 @@ def _print(summary: Summary, target: Path) -> None:
         ]
     header = ("epoch", "cause", "from, to", "clock\ns", "suns", "RMSE\npx", "sky\n°", "ok")
     print_table(header, rows)
+    for epoch in (epoch for one in summary.report["cameras"] for epoch in one["epochs"]):
+        if not epoch["accepted"] and epoch["reasons"]:
+            print(f"{epoch['camera']} {epoch['epoch']}: {epoch['reasons'][0]}")
     images, suns = (sum(one[key] for one in summary.report["cameras"]) for key in ("images", "accepted"))
     left_out = sum(summary.report["failures"].values())
     counts = (counted(images, "image"), counted(suns, "sun"), f"{counted(left_out, 'file')} left out")

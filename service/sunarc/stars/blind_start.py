@@ -442,7 +442,7 @@ def _decided(found: Sequence[_Hypothesis], site: Site, options: BlindOptions) ->
         "north_deg_per_minute": _NORTH_PER_MINUTE_DEG * abs(math.sin(math.radians(site.latitude))),
     }
     findings = [Finding("blind_found", data)]
-    question = None if options.level_within_deg is not None else tilt_question(best.camera, site)
+    question, stated = tilt_question(best.camera, site), options.level_within_deg is not None
     against = []
     if math.isfinite(best.log10_chance):
         findings.append(Finding("blind_by_pattern", {"log10_chance": best.log10_chance}))
@@ -453,7 +453,7 @@ def _decided(found: Sequence[_Hypothesis], site: Site, options: BlindOptions) ->
     if pose.theta_zz_deg > options.max_tilt_deg:
         against.append(Finding("blind_tilted", {"tilt_deg": pose.theta_zz_deg, "limit": options.max_tilt_deg}))
     if question is not None:
-        (against if float(question.data["odds"]) > 1.0 else findings).append(question)
+        (against if not stated and float(question.data["odds"]) > 1.0 else findings).append(question)
     return BlindStart(
         accepted=not against,
         findings=tuple(against or findings),

@@ -133,3 +133,24 @@ def test_the_shares_of_mounts_are_those_of_levelled_and_of_tilted_ones() -> None
     tilts = np.radians([0.0, 1.0, 3.0, 9.0, 40.0, 74.9, 75.1, 120.0])
     axes = np.stack([np.sin(tilts), np.zeros(tilts.size), np.cos(tilts)], axis=-1)
     np.testing.assert_allclose(mount_density(axes), mounted(axes), rtol=1e-9)
+    # what states nothing: a limit within which levelled mounts lie, and one beyond the steepest
+    for limit in (2.0, 5.0, 90.0):
+        np.testing.assert_array_equal(mount_density(axes, limit_deg=limit), mount_density(axes))
+
+
+@pytest.mark.parametrize("limit", [10.0, 20.0, 60.0])
+def test_a_mount_that_is_stated_to_be_tilted_is_held_at_any_tilt_alike(limit: float) -> None:
+    tilts = np.radians([0.0, 3.0, 9.9, 0.99 * limit, 1.01 * limit, 120.0])
+    axes = np.stack([np.sin(tilts), np.zeros(tilts.size), np.cos(tilts)], axis=-1)
+    cap = 2.0 * math.pi * (1.0 - math.cos(math.radians(limit)))
+    expected = np.array([1.0, 1.0, 1.0, 1.0, 0.01, 0.01]) / cap
+    np.testing.assert_allclose(mount_density(axes, limit_deg=limit), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("true", "sigma"), [(-37.0, 0.0), (48.0, 2.0)])
+def test_a_latitude_that_is_named_has_the_sigma_of_a_mount_and_a_sign_none(true: float, sigma: float) -> None:
+    site = Site(latitude=37.0, longitude=11.0)
+    question = tilt_question(looking(axes_of(site) @ zenith_of(true, 11.0)), site)
+    assert question is not None
+    assert question.code == "camera_tilted_by_latitude"
+    assert question.data["latitude_sigma_deg"] == sigma

@@ -71,6 +71,15 @@ def test_what_lifts_the_refusal_does_not_lift_the_question(how: str) -> None:
     assert verdict.findings[0].code == ASKED[0]
 
 
+def test_a_tilt_above_its_stated_limit_is_refused_with_the_mistake_named_first() -> None:
+    verdict = fitted(ATHENS, exchanged(ATHENS), options=CalibrationOptions(level_within_deg=5.0)).verdict
+    assert not verdict.accepted
+    question, beyond = verdict.findings[:2]
+    assert [question.code, beyond.code] == ["camera_tilted_by_exchange", "tilt_too_large"]
+    assert (question.data["latitude"], question.data["longitude"]) == (ATHENS.latitude, ATHENS.longitude)
+    assert beyond.data["level_within_deg"] == 20.0
+
+
 def test_refraction_shows_a_real_tilt_where_a_sharp_camera_sees_the_sun_down_to_the_horizon() -> None:
     found = fitted(ATHENS, ATHENS, tilt_deg=12.0, lowest_deg=0.5, sigma_px=0.02)
     assert found.verdict.accepted, found.verdict.reasons

@@ -97,8 +97,8 @@ class _HalfDay(NamedTuple):
     day: int
 
 
-def unexplained_days(calibration: Calibration, usable: Sightings, limit: float) -> Finding | None:
-    """Return by how much a fit fails to explain the days of its sightings; None where it explains them.
+def unexplained_days(calibration: Calibration, usable: Sightings, limit: float) -> tuple[Finding, ...]:
+    """Return by how much a fit fails to explain the days of its sightings; nothing where it explains them.
 
     Of the sun's track alone. A day is clear where its sightings run smoothly about the fit, however far off they lie:
     false sightings scatter, and those of another lens do not. So is one whose left-out sightings run smoothly.
@@ -110,7 +110,7 @@ def unexplained_days(calibration: Calibration, usable: Sightings, limit: float) 
     limit : largest share of the sightings of clear days that may be left out, of all and of the last epoch.
     """
     if calibration.left_out is None:
-        return None
+        return ()
     track = (usable.kind == Kind.SUN) & ~usable.alone
     # as far as the lens is defined
     camera = replace(calibration.camera, max_angle=np.pi)
@@ -133,24 +133,16 @@ def unexplained_days(calibration: Calibration, usable: Sightings, limit: float) 
         if left_out.size >= _FEWEST_FOR_SHARE:
             clear[rows] = _runs_smoothly(residual[left_out], usable.unix_s[left_out], largest)[0]
     share, n = max(_left_out(clear, used), _left_out(clear & (usable.epoch == usable.epoch.max(initial=0)), used))
+    found = []
+    if share > limit:
+        found.append(Finding("epoch_does_not_explain_its_days", {"share": share, "n": n, "limit": limit}))
     far = [one for one in halves if one.sigmas > _FAR]
-    if share <= limit and len(far) <= _FEW_HALF_DAYS * len(halves):
-        return None
-    worst = max(halves, key=lambda one: one.sigmas, default=_HalfDay(0.0, 0.0, int(usable.day[0])))
-    return Finding(
-        "epoch_does_not_explain_its_days",
-        {
-            "share": share,
-            "n": n,
-            "limit": limit,
-            "n_far": len(far),
-            "n_half_days": len(halves),
-            "far": _FAR,
-            "off_px": worst.off_px,
-            "sigmas": worst.sigmas,
-            "day": date_of_day(worst.day).isoformat(),
-        },
-    )
+    if len(far) > _FEW_HALF_DAYS * len(halves):
+        worst = max(far, key=lambda one: one.sigmas)
+        counts = {"n_far": len(far), "n_half_days": len(halves), "far": _FAR}
+        size = {"off_px": worst.off_px, "sigmas": worst.sigmas}
+        found.append(Finding("half_days_deviate", {**counts, **size, "day": date_of_day(worst.day).isoformat()}))
+    return tuple(found)
 
 
 def _runs_smoothly(residual: FloatArray, unix_s: FloatArray, largest_px: float) -> tuple[bool, FloatArray]:

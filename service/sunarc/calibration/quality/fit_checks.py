@@ -180,8 +180,9 @@ def _against(
     below = below_horizon(usable, options) or _seen_below_horizon(calibration, usable)
     against = [*below, *_against_scatter(calibration, usable, options), *_against_camera(calibration, options)]
     against += _against_ring(calibration, usable)
-    if below and question is not None:
-        return [question, *against]  # what it names would bring the sun above the horizon, too
+    beyond = any(one.code == "tilt_too_large" for one in against)
+    if (below or beyond) and question is not None:
+        return [question, *against]  # the mistake would bring the sun above the horizon, or the tilt within its limit
     doubt = None if tilt_known else tilt_in_doubt(calibration)
     if doubt is None or question is None:
         return against
@@ -236,9 +237,7 @@ def _against_scatter(calibration: Calibration, usable: Sightings, options: Calib
             of_turn = {"turn_deg": held_out["turn_deg"], "chi_square": held_out["turned"], "limit": _TURNED}
             yield Finding("camera_turned", of_turn)
     if options.max_unexplained < 1.0:
-        unexplained = unexplained_days(calibration, usable, options.max_unexplained)
-        if unexplained is not None:
-            yield unexplained
+        yield from unexplained_days(calibration, usable, options.max_unexplained)
     yield from too_uncertain(calibration, usable, options)
 
 
@@ -409,7 +408,8 @@ def _against_ring(calibration: Calibration, usable: Sightings) -> Iterator[Findi
 def _against_camera(calibration: Calibration, options: CalibrationOptions) -> Iterator[Finding]:
     camera, tilt = calibration.camera, calibration.pose.theta_zz_deg
     if options.level_within_deg is not None and tilt > options.level_within_deg:
-        yield Finding("tilt_too_large", {"tilt_deg": tilt, "limit_deg": options.level_within_deg})
+        limits = {"limit_deg": options.level_within_deg, "level_within_deg": proposed_limit_deg(tilt)}
+        yield Finding("tilt_too_large", {"tilt_deg": tilt, **limits})
     x, y = camera.principal_point_px
     if not (0.0 <= x <= camera.width and 0.0 <= y <= camera.height):
         yield Finding("principal_point_outside", {"x_px": x, "y_px": y})

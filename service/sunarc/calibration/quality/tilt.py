@@ -100,8 +100,9 @@ def tilt_question(camera: Camera, site: Site) -> Finding | None:
 
     The data are `tilt_deg`; the `latitude` and `longitude` at which the camera is level by this mistake, to
     `level_deg`; where a turn about the pole makes it level, the `hours` and `minutes` that the clocks are ahead, and
-    `longitude_off_deg`, with the sigmas that the mount leaves open; `odds`, how much more probable the mistake is than
-    a real tilt; and `level_within_deg`, the limit that allows the tilt.
+    `longitude_off_deg`, and for a latitude `latitude_sigma_deg` (0 of a wrong sign), with the sigmas that the mount
+    leaves open; `odds`, how much more probable the mistake is than a real tilt; and `level_within_deg`, the limit that
+    allows the tilt.
     """
     tilt = tilt_deg(camera)
     if tilt <= LEVEL_DEG:
@@ -127,6 +128,8 @@ def tilt_question(camera: Camera, site: Site) -> Finding | None:
             "longitude_off_deg": ahead_deg,
             "longitude_sigma_deg": sigma_deg,
         }
+    if best.code == "camera_tilted_by_latitude":
+        data["latitude_sigma_deg"] = 0.0 if best.place.latitude == -site.latitude else _LEVELLED_DEG
     return Finding(best.code, data)
 
 
@@ -167,13 +170,20 @@ def _of_line(code: str, per_deg: float, place: Place, level: Place) -> _Explanat
     return _Explanation(code, density if off <= LEVEL_DEG else 0.0, place)
 
 
-def mount_density(axis: FloatArray) -> FloatArray:
-    """Return (...): how probable it is that a mount holds the optical axis in directions (..., 3), per steradian."""
+def mount_density(axis: FloatArray, *, limit_deg: float | None = None) -> FloatArray:
+    """Return (...): how probable it is that a mount holds the optical axis in directions (..., 3), per steradian.
+
+    `limit_deg` is the tilt that is stated: a mount that may be tilted by more than 5 degrees was not levelled. A limit
+    above the steepest tilt states nothing.
+    """
     tilt, sigma = angles_from_direction(axis)[0], math.radians(_LEVELLED_DEG)
+    share, steepest = _TILTED_ON_PURPOSE, _STEEPEST_DEG
+    if limit_deg is not None and LEVEL_DEG < limit_deg < _STEEPEST_DEG:
+        share, steepest = 1.0, limit_deg
     levelled = np.exp(-0.5 * (tilt / _LEVELLED_DEG) ** 2) / (2.0 * math.pi * sigma**2)
-    cap = 2.0 * math.pi * (1.0 - math.cos(math.radians(_STEEPEST_DEG)))
-    on_purpose = np.where(tilt <= _STEEPEST_DEG, 1.0, _OVER_STEEPEST) / cap
-    return np.asarray((1.0 - _TILTED_ON_PURPOSE) * levelled + _TILTED_ON_PURPOSE * on_purpose)
+    cap = 2.0 * math.pi * (1.0 - math.cos(math.radians(steepest)))
+    on_purpose = np.where(tilt <= steepest, 1.0, _OVER_STEEPEST) / cap
+    return np.asarray((1.0 - share) * levelled + share * on_purpose)
 
 
 def require_level(tilt_deg: float, limit_deg: float | None, *, field: str, name: str) -> None:
