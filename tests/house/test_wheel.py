@@ -8,11 +8,12 @@ import sys
 import zipfile
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from tests.calibration.conftest import SGP, TRUTH
 from tests.offline.test_lens_priors import write_csv
+
+from sunarc.lab.simulation.made_archive import encoded, photograph
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]
 
@@ -112,7 +113,7 @@ def test_the_library_is_small_and_has_no_framework(library: Path) -> None:
 def test_every_module_of_the_library_loads_without_the_houses_packages(library: Path, tmp_path: Path) -> None:
     code = """
 import importlib, pkgutil, sunarc
-rooms = "common sky optics detection geolocation imaging calibration stars changes formats sources lab".split()
+rooms = "common sky optics detection geolocation imaging calibration stars changes formats sources".split()
 names = []
 for room in rooms:
     path = importlib.import_module(f"sunarc.{room}").__path__
@@ -121,7 +122,7 @@ for name in names:
     importlib.import_module(name)
 print(len(names))
 """
-    assert int(run(library / "python", "-c", code, cwd=tmp_path)) > 100
+    assert int(run(library / "python", "-c", code, cwd=tmp_path)) > 80
 
 
 def test_the_library_fits_a_camera_answers_with_it_and_finds_the_sun(library: Path, tmp_path: Path) -> None:
@@ -135,12 +136,11 @@ def test_the_library_fits_a_camera_answers_with_it_and_finds_the_sun(library: Pa
     run(sunarc, "export", "--calibration", calibration, "--format", "opencv", "-o", "camera.yml", cwd=tmp_path)
     compared = run(sunarc, "compare", calibration, "camera.yml", "--json", cwd=tmp_path)
     assert json.loads(compared)["rms_px"] < 1.0
-    image = np.full((TRUTH.height, TRUTH.width), 60, dtype=np.uint8)
-    cv2.circle(image, (900, 700), 12, 255, -1, lineType=cv2.LINE_AA)
-    cv2.imwrite(str(tmp_path / "noon.png"), image)
-    (found,) = json.loads(run(sunarc, "detect", "noon.png", "--method", "disc", "--json", cwd=tmp_path))
-    assert (found["x_px"], found["y_px"]) == pytest.approx((900.0, 700.0), abs=0.5)
-    run(sunarc, "rectify", "noon.png", "--calibration", calibration, "-o", "maps", cwd=tmp_path)
+    picture = photograph(TRUTH.width, np.array([900.0, 700.0]), np.random.default_rng(1), hidden=False)
+    (tmp_path / "noon.jpg").write_bytes(encoded(picture))
+    (found,) = json.loads(run(sunarc, "detect", "noon.jpg", "--json", cwd=tmp_path))
+    assert (found["x_px"], found["y_px"]) == pytest.approx((900.0, 700.0), abs=5.0)
+    run(sunarc, "rectify", "noon.jpg", "--calibration", calibration, "-o", "maps", cwd=tmp_path)
     for command, row in (("project", "zenith_deg,azimuth_deg\n30,180\n"), ("unproject", "x_px,y_px\n900,700\n")):
         answer = run(sunarc, command, "--calibration", calibration, cwd=tmp_path, given=row)
         assert len(answer.splitlines()) == 2
