@@ -66,11 +66,13 @@ CELLS = tuple(product((1, 4), (0.0, 3.0, 10.0), (False, True)))
 """Days; tilt of the mount in degrees, 0: drawn; whether its limit is stated."""
 _LIMIT_DEG = {0.0: 5.0, 3.0: 5.0, 10.0: 15.0}
 """Limit that is stated for a mount: the next multiple of five above its tilt."""
+_OTHER_HAND = {"other_handedness_fits", "other_handedness_alone_fits"}
 _OF_THE_POLE = {"camera_tilted_by_clock", "camera_tilted_by_longitude", "sightings_below_horizon"}
 _FIRST_REMEDY = {
     "exchanged": {"camera_tilted_by_exchange", "sightings_below_horizon"},
     "sign of latitude": {
-        "camera_tilted_by_latitude", "sightings_below_horizon", "other_handedness_fits", "latitude_of_other_sign_fits",
+        "camera_tilted_by_latitude", "sightings_below_horizon", "latitude_of_other_sign_fits",
+        *_OTHER_HAND,
     },
     "sign of longitude": _OF_THE_POLE,
     "latitude 1°": {"camera_tilted_by_latitude"},
@@ -79,7 +81,7 @@ _FIRST_REMEDY = {
     "longitude 5°": _OF_THE_POLE,
     "an hour": _OF_THE_POLE,
     "15 minutes": _OF_THE_POLE,
-    "mirrored": {"other_handedness_fits", "latitude_of_other_sign_fits", "mirroring_ambiguous"},
+    "mirrored": {*_OTHER_HAND, "latitude_of_other_sign_fits", "mirroring_ambiguous"},
 }  # fmt: skip
 _AHEAD_S = {"an hour": 3600.0, "15 minutes": 900.0}
 

@@ -21,6 +21,7 @@ from sunarc.calibration.model.options import CalibrationOptions, Mirrored
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.plausible_start import Hand
+from sunarc.calibration.quality.fit_checks import is_tilt_shown
 from sunarc.common.array_types import stacked
 from sunarc.common.utc import DAY_S
 from sunarc.formats.csv_files import read_sightings
@@ -35,13 +36,15 @@ SIZE = (pop.SIZE, pop.SIZE)
 NORTH = Site(latitude=20.0, longitude=103.8)
 
 
-def _day(site: Site, date: datetime, seed: int, *, sigma_px: float = 0.3, mirrored: bool = False) -> Sightings:
+def _day(
+    site: Site, date: datetime, seed: int, *, sigma_px: float = 0.3, mirrored: bool = False, lowest_deg: float = 8.0
+) -> Sightings:
     """Return a clear day's sightings of a level camera that is drawn from the prior."""
     rng = np.random.default_rng(seed)
     camera = replace(pop.random_camera(rng), mirrored=mirrored)
     times = date.timestamp() - site.longitude / 360.0 * DAY_S + np.arange(0.0, DAY_S, 240.0)
     directions = sun_directions(times, site)
-    up = directions[:, 2] > math.sin(math.radians(8.0))
+    up = directions[:, 2] > math.sin(math.radians(lowest_deg))
     pixels = project(camera, directions[up]) + rng.normal(0.0, sigma_px, (int(up.sum()), 2))
     seen = np.all(np.isfinite(pixels) & (np.abs(pixels - 0.5 * pop.SIZE) < 0.5 * pop.SIZE), axis=-1)
     return Sightings.of(unix_s=times[up][seen], pixels=pixels[seen])
@@ -87,6 +90,29 @@ def test_a_mirror_image_that_nobody_stated_is_refused_with_the_latitude_first() 
     assert first.data == {"mirrored": "yes", "stated": "no", "latitude": -1.35}
 
 
+def test_a_handedness_that_alone_has_a_camera_is_not_said_to_fit_better() -> None:
+    site = Site(latitude=46.0, longitude=7.0)
+    points = _day(site, datetime(2026, 6, 21, tzinfo=UTC), 3, mirrored=True)
+    options = CalibrationOptions(projection="equisolid", mirrored="no")
+    found = calibrate(points, site=site, image_size=SIZE, options=options)
+    assert _codes(found) == ["other_handedness_alone_fits", "no_camera_fits"]
+
+
+@pytest.mark.parametrize(
+    ("seed", "latitude", "date"),
+    [(6, 22.0, datetime(2026, 5, 2, tzinfo=UTC)), (8, -16.5, datetime(2026, 8, 9, tzinfo=UTC))],
+)
+def test_a_mirror_image_of_a_level_camera_is_not_shown_to_be_tilted(seed: int, latitude: float, date: datetime) -> None:
+    site = Site(latitude=latitude, longitude=30.0)
+    points = _day(site, date, seed, mirrored=True, lowest_deg=3.0)
+    found = calibrate(
+        points, site=site, image_size=SIZE, options=CalibrationOptions(projection="equisolid", mirrored="no")
+    )
+    assert found.pose.theta_zz_deg > 20.0
+    assert not is_tilt_shown(found)
+    assert not found.verdict.accepted
+
+
 @pytest.mark.real
 @pytest.mark.skipif(not EQUATOR.exists(), reason="the cases of others are not here")
 def test_a_mirror_image_at_the_equinox_is_not_accepted() -> None:
@@ -126,7 +152,7 @@ def test_a_latitude_of_the_wrong_sign_is_no_mirror_image() -> None:
         options = CalibrationOptions(projection="equisolid", mirrored=stated)
         found[stated] = calibrate(points, site=wrong, image_size=(1920, 1920), options=options)
     assert [one.verdict.accepted for one in found.values()] == [False, False, True]
-    assert _codes(found[None])[:2] == ["latitude_of_other_sign_fits", "other_handedness_fits"]
+    assert _codes(found[None])[:2] == ["latitude_of_other_sign_fits", "other_handedness_alone_fits"]
     for calibration in found.values():
         (said,) = [one for one in calibration.verdict.findings if one.code == "latitude_of_other_sign_fits"]
         assert said.data["latitude"] == pytest.approx(54.4959)

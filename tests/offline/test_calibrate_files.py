@@ -137,7 +137,7 @@ def test_the_other_handedness_is_tried_where_a_known_lens_is_refused(
     start.write_bytes(export(document_of(LENS), "opencv").content)
     document = calibrated(a_day_of(tmp_path, clock_s=clock_s, flip=flip), start=start, **known)
     codes = [one["code"] for one in document["verdict"]["findings"]]
-    assert ("other_handedness_fits" in codes) == said
+    assert any(code.startswith("other_handedness") for code in codes) == said
     assert not (document["verdict"]["accepted"] and flip)
 
 

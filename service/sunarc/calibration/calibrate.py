@@ -10,14 +10,14 @@ from sunarc.calibration.fit.assemble import Job, calibration_from_fit, refused, 
 from sunarc.calibration.fit.cross_validation import contradiction, day_contradicts_night, of_one_kind
 from sunarc.calibration.fit.level_evidence import log_odds_of_tilt
 from sunarc.calibration.fit.robust_fit import fit_robustly
-from sunarc.calibration.handedness import Fitted, HandChoice, chosen_hand, named_other
+from sunarc.calibration.handedness import Fitted, HandChoice, chosen_hand, log_odds_against_twin, named_other
 from sunarc.calibration.model.options import USUAL_OPTIONS, CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import Calibration, with_finding
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.paper import fit_as_paper
 from sunarc.calibration.plausible_start import most_plausible_start
 from sunarc.calibration.projection_choice import ChosenLens, chosen_lens
-from sunarc.calibration.quality.fit_checks import TILT, before_fit, below_horizon
+from sunarc.calibration.quality.fit_checks import TILT, TILT_SHOWN, before_fit, below_horizon
 from sunarc.common.errors import InputError
 from sunarc.common.findings import Finding
 from sunarc.optics.camera import Camera
@@ -110,6 +110,8 @@ def _calibrated(job: Job, fitted: Fitted | None = None) -> Calibration:
         outcome = robust_outcome(fit, job.usable, job.options, parts=job.parts)
         of_tilt = log_odds_of_tilt(fit, outcome.cameras[-1], job.site) if job.parts else None
         if of_tilt is not None:
+            if of_tilt >= TILT_SHOWN:  # a mirror image of a level camera is no tilted one either
+                of_tilt = min(of_tilt, log_odds_against_twin(hand.fitted, job))
             outcome = outcome._replace(log_odds={**outcome.log_odds, TILT: of_tilt})
     calibration = calibration_from_fit(outcome, job, others=hand.against)
     if calibration.verdict.accepted:

@@ -20,7 +20,7 @@ from sunarc.calibration.model.sightings import Kind, filter_sightings
 from sunarc.calibration.noise import NoiseGroups
 from sunarc.calibration.plausible_start import Hand, Start, plausible_start
 from sunarc.calibration.quality.fit_checks import before_fit, below_horizon
-from sunarc.calibration.quality.tilt import mount_density
+from sunarc.calibration.quality.tilt import LEVEL_DEG, mount_density, tilt_deg
 from sunarc.common.findings import Finding
 from sunarc.optics.pose import rotation_matrix
 
@@ -73,29 +73,37 @@ def chosen_hand(fitted: Fitted, job: Job) -> HandChoice:
 
 
 def named_other(fitted: Fitted | None, job: Job) -> tuple[Finding, ...]:
-    """Return the finding that the handedness which is not assumed fits far better; nothing where it does not."""
-    hand = fitted.start.hand if fitted is not None else "yes" if job.options.mirrored == "yes" else "no"
-    other = fit_of_hand(job, _other(hand), than=math.inf if fitted is None else fitted.start.cost)
-    if other is None or (fitted is not None and gain_of_other(fitted, other, job) < _BETTER):
+    """Return the finding that the handedness which is not assumed fits far better, or alone; nothing otherwise."""
+    if fitted is None:
+        stated: Hand = "yes" if job.options.mirrored == "yes" else "no"
+        found = fit_of_hand(job, _other(stated), than=math.inf)
+        return () if found is None else other_fits(found, job, compared=False)
+    hand = _other(fitted.start.hand)
+    other = fit_of_hand(job, hand, than=fitted.start.cost)
+    if other is None or gain_of_other(fitted, other, job) < _BETTER:
         return ()
     return other_fits(other, job)
 
 
-def other_fits(other: Fitted, job: Job) -> tuple[Finding, ...]:
-    """Return the findings that another handedness fits better.
+def other_fits(other: Fitted, job: Job, *, compared: bool = True) -> tuple[Finding, ...]:
+    """Return the findings that another handedness fits better, or alone where it was compared with no camera.
 
     The latitude of the other sign goes first where a camera that is not mirrored fits there about as well: near the
     equator it mostly does not, and both latitudes would name each other.
     """
     twin = _of_other_latitude(other, job) if other.start.hand == "yes" else None
-    found = other_hand_fits(job, other.start.hand)
+    found = other_hand_fits(job, other.start.hand, compared=compared)
     return (found,) if twin is None else (twin, found)
 
 
-def other_hand_fits(job: Job, other: Hand) -> Finding:
-    """Return the finding that the sightings are of an image of another handedness, or of a site of another latitude."""
+def other_hand_fits(job: Job, other: Hand, *, compared: bool) -> Finding:
+    """Return the finding that the sightings are of an image of another handedness, or of a site of another latitude.
+
+    `compared`: whether a camera of the stated handedness was found, too, and is far less probable.
+    """
     return Finding(
-        "other_handedness_fits", {"mirrored": other, "stated": _other(other), "latitude": -job.site.latitude}
+        "other_handedness_fits" if compared else "other_handedness_alone_fits",
+        {"mirrored": other, "stated": _other(other), "latitude": -job.site.latitude},
     )
 
 
@@ -118,6 +126,22 @@ def gain_of_other(fitted: Fitted, other: Fitted, job: Job) -> float:
     mounts = _log_density(other.fit, limit_deg) - _log_density(fitted.fit, limit_deg)
     gain = evidence[True] - evidence[False] + mounts
     return 0.0 if math.isnan(gain) else gain
+
+
+def log_odds_against_twin(fitted: Fitted, job: Job) -> float:
+    """Return the log odds of a tilted camera against the other handedness's; infinite where that is tilted as much.
+
+    Asked whatever handedness is stated: at another latitude a mirror image of a level camera is that of a tilted one.
+    """
+    twin = fit_of_hand(job, _other(fitted.start.hand), than=fitted.start.cost)
+    if twin is None or _tilt_deg(twin) > _tilt_deg(fitted) - LEVEL_DEG:
+        return math.inf
+    return -gain_of_other(fitted, twin, job)
+
+
+def _tilt_deg(fitted: Fitted) -> float:
+    """Return the tilt of the last pose of a fit."""
+    return tilt_deg(fitted.fit.problem.camera(fitted.fit.unknowns, fitted.fit.problem.n_epochs - 1))
 
 
 def _log_density(fit: RobustFit, limit_deg: float | None) -> float:

@@ -218,7 +218,7 @@ def _explained(
     solved: Calibration, points: Sightings, *, options: CalibrationOptions, circle: ImageCircle | None
 ) -> Calibration:
     """Return a calibration by a known lens; its verdict says where the sightings alone fit the other handedness."""
-    if solved.verdict.accepted or any(one.code == "other_handedness_fits" for one in solved.verdict.findings):
+    if solved.verdict.accepted or any(one.code.startswith("other_handedness") for one in solved.verdict.findings):
         return solved
     stated: Mirrored = "yes" if solved.camera.mirrored else "no"
     size = (solved.camera.width, solved.camera.height)

@@ -16,6 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from sunarc.common.errors import InputError
+from sunarc.common.utc import DAY_S
 from sunarc.imager.archive.database.state_folder import as_owner, until_the_end
 from sunarc.imager.runtime.clock import SystemClock
 
@@ -61,7 +62,7 @@ ClockError = Annotated[
         help="Bound of the clock's error, seconds, which the stated uncertainty then holds; unless given, 2 s are "
         "assumed.",
         min=0.0,
-        max=86_400.0,
+        max=DAY_S,
     ),
 ]
 ProjectionOption = Annotated[

@@ -13,6 +13,7 @@ from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration, Verdict, proves, refused_for
 from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.calibration.quality.day_arcs import arc_length_deg, unexplained_days
+from sunarc.calibration.quality.day_clocks import unsteady_clock
 from sunarc.calibration.quality.tilt import proposed_limit_deg, tilt_question
 from sunarc.common.findings import Finding
 from sunarc.optics.camera import PARAMETER_NAMES, POSE
@@ -55,7 +56,7 @@ _LEAST_SHARE = 0.05
 """Share of the sky in the image that a provisional calibration answers for at least."""
 _SURELY_TILTED = 5.0
 """Stated sigmas of the pose: 23 suns of a morning tilted cameras that are level to 3 degrees by up to 4.0 of them."""
-_TILT_SHOWN = 2.0 * math.log(10.0)
+TILT_SHOWN = 2.0 * math.log(10.0)
 """Log odds of a tilt against a level camera at another place from which on refraction and horizon show the tilt."""
 _SEEN_BELOW_DEG = 1.0
 """Angle from where the camera sees a sun that was below the horizon, within which a sighting is of the sun."""
@@ -178,7 +179,13 @@ def _against(
 ) -> list[Finding]:
     """Return what refuses a fit; a tilt that is asked about with what else may be behind it."""
     below = below_horizon(usable, options) or _seen_below_horizon(calibration, usable)
-    against = [*below, *_against_scatter(calibration, usable, options), *_against_camera(calibration, options)]
+    unsteady = unsteady_clock(calibration, usable)
+    against = [
+        *below,
+        *([] if unsteady is None else [unsteady]),
+        *_against_scatter(calibration, usable, options),
+        *_against_camera(calibration, options),
+    ]
     against += _against_ring(calibration, usable)
     beyond = any(one.code == "tilt_too_large" for one in against)
     if (below or beyond) and question is not None:
@@ -322,7 +329,7 @@ def is_tilt_shown(calibration: Calibration) -> bool:
 def _tilt_shown(calibration: Calibration) -> Finding | None:
     """Return that the sightings fit a level camera at another place worse; None where they do not show it."""
     log_odds = calibration.evidence.log_odds.get(TILT, 0.0)
-    if log_odds < _TILT_SHOWN:
+    if log_odds < TILT_SHOWN:
         return None
     tilt_deg = calibration.pose.theta_zz_deg
     return Finding(
