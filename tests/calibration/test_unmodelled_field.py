@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.fit.robust_rounds import LENS_MISFIT_PX, allowed_level
+from sunarc.calibration.fit.robust_fit import LENS_MISFIT_PX, allowed_level
 from sunarc.calibration.model.result import Calibration
 from sunarc.common.robust_statistics import tukey_loss
 from sunarc.optics.camera import Camera

@@ -360,7 +360,7 @@ def stations_of_sightings(*more: str) -> set[Station]:
             if found := _arrays(value):
                 own = any(id(one) in columns for one in found)
                 stations.add(Station(place, function, name, own, "calibrate_moved" in begun, "_rounds" in begun))
-        if place == "calibration/fit/robust_rounds.py":
+        if place == "calibration/fit/robust_fit.py":
             begun.add(function)
 
     with tempfile.TemporaryDirectory() as folder:

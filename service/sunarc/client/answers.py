@@ -1,8 +1,9 @@
-"""What a service answers, as values."""
+"""Answers and events of a service as values."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+from collections.abc import Iterable, Iterator, Mapping
 from datetime import datetime
 from typing import Any, NamedTuple
 
@@ -105,3 +106,39 @@ def conditions_of(status: Mapping[str, Any]) -> tuple[Condition, ...]:
         )
         for one in status["reasons"]
     )
+
+
+class ImagerEvent(NamedTuple):
+    """Something that happened.
+
+    kind : "state" (the first one: how things are), "calibration", "bump", "day", "event", "condition_set",
+        "condition_cleared", "worker" or "frame".
+    data : its numbers and names, see docs/rest.md.
+    id : what `Imager.events(after=…)` goes on from.
+    """
+
+    kind: str
+    data: dict[str, Any]
+    id: str
+
+
+def parsed(lines: Iterable[str]) -> Iterator[ImagerEvent]:
+    """Yield the events of a stream's lines; comments and fields of no use here are passed over.
+
+    Raises
+    ------
+    ValueError, TypeError
+        The data are no JSON object.
+    """
+    fields = {"event": "", "data": "", "id": ""}
+    for line in lines:
+        name, _, value = line.partition(":")
+        if name in fields:
+            fields[name] = value.removeprefix(" ")
+        if line or not fields["data"]:
+            continue
+        data = json.loads(fields["data"])
+        if not isinstance(data, dict):
+            raise TypeError("data that are no object")
+        yield ImagerEvent(fields["event"], data, fields["id"])
+        fields |= {"event": "", "data": ""}

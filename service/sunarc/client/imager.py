@@ -10,14 +10,22 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .answers import BackProjection, Condition, Finding, FloatArray, Located, Projection, conditions_of
-from .days import Days
-from .events import ImagerEvent, parsed
-from .requests import _day, _expected_content, _located, _named, _number, _points, _quoted, _time
+from .answers import (
+    BackProjection,
+    Condition,
+    Finding,
+    FloatArray,
+    ImagerEvent,
+    Located,
+    Projection,
+    conditions_of,
+    parsed,
+)
+from .requests import Requests, _day, _expected_content, _located, _named, _number, _points, _quoted, _time
 from .transport import ImagerError
 
 
-class Imager(Days):
+class Imager(Requests):
     """An imager's service. Times are aware datetimes; without one, the answer is for now.
 
     Parameters
@@ -323,3 +331,40 @@ class Imager(Days):
             uncoded = [{"code": "uncoded", "data": {"text": text}} for text in verdict["reasons"]]  # version 0.2
             pairs = zip(verdict.get("findings", uncoded), verdict["reasons"], strict=True)
             return tuple(Finding(finding["code"], finding["data"], text) for finding, text in pairs)
+
+    def sightings_by_day(self, *, since: date | None = None, until: date | None = None) -> list[dict[str, Any]]:
+        """Return how many looks at the sun had which verdict on each solar day, the newest first; 366 days at most."""
+        return self._listed("/sun-points/days", "days", since=_day(since), until=_day(until))
+
+    def days(self, *, since: date | None = None, until: date | None = None) -> Iterator[dict[str, Any]]:
+        """Yield the verdicts of the solar days with since <= date < until, the newest first."""
+        return self._pages("/days", "days", since=_day(since), until=_day(until))
+
+    def housekeeping(
+        self, *, step: str = "hour", since: datetime | None = None, until: datetime | None = None
+    ) -> list[dict[str, Any]]:
+        """Return free disk space and the camera's temperature by "hour" or "day", the newest first."""
+        return self._listed("/housekeeping", "rows", step=step, since=_time(since), until=_time(until))
+
+    def nights(self, *, images: bool = False) -> Iterator[dict[str, Any]]:
+        """Yield the verdicts of the nights, the newest first, with the numbers of their images where asked for."""
+        return self._pages("/nights", "nights", images="true" if images else None)
+
+    def night_image(self, night: date) -> bytes:
+        """Return the picture of a night, by the date of its evening, as JPEG."""
+        return self._content(f"/nights/{night.isoformat()}/image")
+
+    def night_bodies(self, night: date) -> dict[str, Any]:
+        """Return the stars, planets and the moon in the picture of a night, and which were detected."""
+        return self._json(f"/nights/{night.isoformat()}/bodies")
+
+    def day_air(self, day: date) -> dict[str, Any]:
+        """Return the air that was measured on a solar day."""
+        return self._json(f"/days/{day.isoformat()}/air")
+
+    def set_day_air(
+        self, day: date, *, temperature_c: float | None = None, pressure_hpa: float | None = None
+    ) -> dict[str, Any]:
+        """Set the air that was measured on a solar day; None: not measured. Needs the token of changes."""
+        air = {"temperature_c": temperature_c, "pressure_hpa": pressure_hpa}
+        return self._change(f"/days/{day.isoformat()}/air", method="PUT", **air)

@@ -9,7 +9,7 @@ from tests.fixtures.calibration import observed, small_camera, small_problem, sp
 
 from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit, scale_grid
 from sunarc.calibration.fit.normal_equations import linear_system
-from sunarc.calibration.fit.robust_rounds import leverage_of
+from sunarc.calibration.fit.robust_fit import leverage_of
 from sunarc.calibration.solve.problem import Bins, Block
 
 COUNT, NIGHT = 60, 40

@@ -13,8 +13,7 @@ from scipy.special import chdtri, fdtri
 from sunarc.calibration.answers.covariance import project_with_covariance, seen_sky
 from sunarc.calibration.fit.marginal_likelihood import MarginalFit, field_at, inverses, marginal_fit, prior_precision
 from sunarc.calibration.fit.posterior import prediction_variance, shown_sky
-from sunarc.calibration.fit.robust_fit import RobustFit
-from sunarc.calibration.fit.robust_rounds import leverage_of
+from sunarc.calibration.fit.robust_fit import RobustFit, leverage_of
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.common.array_types import BoolArray, FloatArray

@@ -18,7 +18,7 @@ from scipy.special import chdtri
 
 from sunarc.calibration.answers.covariance import sky_sigma_deg
 from sunarc.calibration.fit.assemble import tidied
-from sunarc.calibration.fit.robust_rounds import allowed_level
+from sunarc.calibration.fit.robust_fit import allowed_level
 from sunarc.calibration.lens_library.lens_type import IN_FREE, PARTS, Gaussian, LensType, gaussian_of, information_of
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import (

@@ -18,8 +18,7 @@ from sunarc.common.findings import Finding
 from sunarc.imager.cameras.options import RtspOptions, SnapshotOptions
 from sunarc.imager.live.snapshots import PictureClient, Snapshot, SnapshotClient
 from sunarc.imager.runtime.clock import Clock
-from sunarc.imager.workers.http_exchange import Limit, UnfinishedError, exchange_errors
-from sunarc.imager.workers.http_login import authorization, challenges_in, offers
+from sunarc.imager.workers import http_exchange
 from sunarc.imager.workers.options import read_login
 from sunarc.sources.image_files import MOST_PIXELS
 
@@ -61,10 +60,10 @@ class RtspClient:
         would follow the camera to another host with the password.
         """
         try:
-            limit = Limit(self.options.timeout_s, monotonic=self.clock.monotonic, heartbeat=heartbeat)
-            with exchange_errors():
+            limit = http_exchange.Limit(self.options.timeout_s, monotonic=self.clock.monotonic, heartbeat=heartbeat)
+            with http_exchange.exchange_errors():
                 status = self._described(limit)
-        except (OSError, UnfinishedError) as error:
+        except (OSError, http_exchange.UnfinishedError) as error:
             return Finding("rtsp_unreachable", {"host": self.host, "error": str(error) or type(error).__name__})
         if isinstance(status, Finding):
             return status
@@ -76,18 +75,18 @@ class RtspClient:
             heartbeat()
             return self._key_frame(stream, heartbeat)
 
-    def _described(self, limit: Limit) -> int | Finding:
+    def _described(self, limit: http_exchange.Limit) -> int | Finding:
         """Return the status of the answer to DESCRIBE, with the login where the camera asks for it."""
         status, lines = self._ask(limit, "")
         if status == 401 and self._login is not None:
-            challenges = challenges_in(lines)
-            answer = authorization(self._login, challenges, method="DESCRIBE", uri=self._url.geturl())
+            challenges = http_exchange.challenges_in(lines)
+            answer = http_exchange.authorization(self._login, challenges, method="DESCRIBE", uri=self._url.geturl())
             if answer is None or not _decoder_answers(lines):
-                return Finding("rtsp_login", {"host": self.host, "offers": offers(challenges)})
+                return Finding("rtsp_login", {"host": self.host, "offers": http_exchange.offers(challenges)})
             status, _ = self._ask(limit, f"Authorization: {answer}\r\n")
         return status
 
-    def _ask(self, limit: Limit, header: str) -> tuple[int, list[str]]:
+    def _ask(self, limit: http_exchange.Limit, header: str) -> tuple[int, list[str]]:
         """Send DESCRIBE on a connection of its own; return the status, and what the camera asks for."""
         text = f"DESCRIBE {self._url.geturl()} RTSP/1.0\r\nCSeq: 1\r\nAccept: application/sdp\r\n{header}\r\n"
         address = (self.host, self._url.port or _PORT)
@@ -97,12 +96,12 @@ class RtspClient:
             while b"\r\n\r\n" not in head:
                 part = limit.read(channel)
                 if not part or len(head) > _MOST_HEAD_BYTES:
-                    raise UnfinishedError("its answer has no end")
+                    raise http_exchange.UnfinishedError("its answer has no end")
                 head += part
         first, *lines = head.partition(b"\r\n\r\n")[0].decode("latin-1").split("\r\n")
         words = first.split()
         if len(words) < 2 or not words[0].startswith("RTSP/") or not words[1].isdecimal():
-            raise UnfinishedError("its answer is not RTSP")
+            raise http_exchange.UnfinishedError("its answer is not RTSP")
         fields = [line.partition(":") for line in lines]
         asked = [value.strip() for name, _, value in fields if name.strip().lower() == "www-authenticate"]
         return int(words[1]), asked
@@ -150,10 +149,10 @@ def _decoder_answers(lines: Sequence[str]) -> bool:
     FFmpeg takes the last line that begins with Digest, of MD5 alone; without one the password goes as Basic, even where
     a line that begins with Basic offers Digest behind it.
     """
-    if not any(one.scheme == "digest" for one in challenges_in(lines)):
+    if not any(one.scheme == "digest" for one in http_exchange.challenges_in(lines)):
         return True
     digests = [line for line in lines if line.lower().startswith("digest ")]
-    taken = challenges_in(digests[-1:])[:1]
+    taken = http_exchange.challenges_in(digests[-1:])[:1]
     return any(one.parameters.get("algorithm", "").lower() in {"", "md5", "md5-sess"} for one in taken)
 
 

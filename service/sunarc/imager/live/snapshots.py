@@ -28,10 +28,9 @@ from sunarc.imager.live.live_images import LiveImage, LiveImages
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.runtime.loop import DropOldestQueue, Loop
 from sunarc.imager.runtime.status import CameraStatus, CaptureStatus, Reason, StatusRegistry, condition
+from sunarc.imager.workers import http_exchange
 from sunarc.imager.workers.capture import NOT_WRITTEN
 from sunarc.imager.workers.clock_watch import FrameTime
-from sunarc.imager.workers.http_exchange import HttpAnswer, HttpRequest, Limit, Trust, UnfinishedError, fetch, target_of
-from sunarc.imager.workers.http_login import authorization, challenges_in, offers
 from sunarc.imager.workers.options import CaptureOptions, read_login
 from sunarc.sky.sun import DARK_ZENITH_DEG
 from sunarc.sources.image_files import MOST_PIXELS, image_of, image_size
@@ -84,31 +83,33 @@ class SnapshotClient:
     def picture(self, heartbeat: Callable[[], None] = lambda: None) -> Snapshot | Finding:
         """Return the picture of now, or the finding why there is none."""
         requested, began_s = self._clock.now(), self._clock.monotonic()
-        limit = Limit(self._options.timeout_s, monotonic=self._clock.monotonic, heartbeat=heartbeat)
+        limit = http_exchange.Limit(self._options.timeout_s, monotonic=self._clock.monotonic, heartbeat=heartbeat)
         try:
             answer = self._answer(limit)
         except ssl.SSLCertVerificationError as error:
             return Finding("http_certificate", {"host": self.host, "error": error.verify_message})
-        except (OSError, UnfinishedError) as error:
+        except (OSError, http_exchange.UnfinishedError) as error:
             return Finding("http_unreachable", {"host": self.host, "error": str(error) or type(error).__name__})
         if isinstance(answer, Finding):
             return answer
         half_s = (self._clock.monotonic() - began_s) / 2.0
         return self._checked(answer, requested + timedelta(seconds=half_s), half_s)
 
-    def _answer(self, limit: Limit) -> HttpAnswer | Finding:
+    def _answer(self, limit: http_exchange.Limit) -> http_exchange.HttpAnswer | Finding:
         """Return the answer with the picture: after what the camera asks for, and redirects on the same host."""
         url, login = self._url, dict[str, str]()
         asked = False
         for _ in range(_MOST_REDIRECTS + 2):
-            request = HttpRequest(method="GET", url=url, headers={"accept": "image/*", **login}, body=b"")
+            request = http_exchange.HttpRequest(method="GET", url=url, headers={"accept": "image/*", **login}, body=b"")
             context = None if self._trust is None else self._trust.context()
-            answer = fetch(request, context=context, limit=limit, most_bytes=_MOST_BYTES + 1)
+            answer = http_exchange.fetch(request, context=context, limit=limit, most_bytes=_MOST_BYTES + 1)
             if answer.status == 401 and self._login is not None and not asked:
-                challenges = challenges_in(answer.headers.get("www-authenticate", "").split("\n"))
-                answered = authorization(self._login, challenges, method="GET", uri=target_of(url))
+                challenges = http_exchange.challenges_in(answer.headers.get("www-authenticate", "").split("\n"))
+                answered = http_exchange.authorization(
+                    self._login, challenges, method="GET", uri=http_exchange.target_of(url)
+                )
                 if answered is None:
-                    return Finding("http_login", {"host": self.host, "offers": offers(challenges)})
+                    return Finding("http_login", {"host": self.host, "offers": http_exchange.offers(challenges)})
                 login, asked = {"authorization": answered}, True
             elif answer.status in _REDIRECTS:
                 target = _redirected(url, answer.headers.get("location", ""))
@@ -119,7 +120,7 @@ class SnapshotClient:
                 return self._accepted(answer)
         return Finding("http_status", {"host": self.host, "status": answer.status})
 
-    def _accepted(self, answer: HttpAnswer) -> HttpAnswer | Finding:
+    def _accepted(self, answer: http_exchange.HttpAnswer) -> http_exchange.HttpAnswer | Finding:
         if answer.status in {401, 403}:
             return Finding("http_denied", {"host": self.host, "status": answer.status})
         if answer.status != 200:
@@ -128,7 +129,7 @@ class SnapshotClient:
             return Finding("http_too_large", {"host": self.host, "most": _MOST_BYTES})
         return answer
 
-    def _checked(self, answer: HttpAnswer, time: datetime, half_s: float) -> Snapshot | Finding:
+    def _checked(self, answer: http_exchange.HttpAnswer, time: datetime, half_s: float) -> Snapshot | Finding:
         content = answer.body
         try:
             with Pictures.open(io.BytesIO(content), formats=("JPEG", "PNG")) as picture:
@@ -165,9 +166,9 @@ def _redirected(url: urllib.parse.SplitResult, location: str) -> urllib.parse.Sp
     return target
 
 
-def _trust(options: SnapshotOptions) -> Trust:
+def _trust(options: SnapshotOptions) -> http_exchange.Trust:
     try:
-        return Trust(options.ca_file)
+        return http_exchange.Trust(options.ca_file)
     except OSError as error:
         raise ConfigurationError(f"http.ca_file {options.ca_file}: {error}") from error
 

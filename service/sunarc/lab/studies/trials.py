@@ -16,8 +16,7 @@ from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.fit.assemble import tidied
 from sunarc.calibration.fit.effects import with_effects
 from sunarc.calibration.fit.marginal_likelihood import HyperparameterGrid, field_at, prior_precision
-from sunarc.calibration.fit.robust_fit import grid_of
-from sunarc.calibration.fit.robust_rounds import robust_camera
+from sunarc.calibration.fit.robust_fit import grid_of, robust_camera
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Method
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.noise import NoiseGroups

@@ -11,10 +11,9 @@ from fastapi.responses import Response
 from sunarc.calibration.answers.direction_table import BACK_PROJECTED, PROJECTED
 from sunarc.calibration.answers.error_model import Ensemble
 from sunarc.common.array_types import FloatArray
-from sunarc.imager.web.arrays import Rows
+from sunarc.imager.web.arrays import Rows, parsed_body
 from sunarc.imager.web.bulk import Answering, Computation, ComputeSlots, Question, body_of, compute, row_responses
 from sunarc.imager.web.context import ApiContext
-from sunarc.imager.web.json_bodies import parsed_body
 from sunarc.imager.web.parameters import BY_CALIBRATION, At, Draws, Seed
 from sunarc.imager.web.problems import answers
 from sunarc.imager.web.schemas import BackProjectAnswer, BackProjectRequest, ProjectAnswer, ProjectRequest

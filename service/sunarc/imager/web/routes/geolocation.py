@@ -15,9 +15,8 @@ from sunarc.common.errors import InputError
 from sunarc.geolocation.locate import Located, clouds, shadows
 from sunarc.imager.runtime.json_fields import Time, described
 from sunarc.imager.web import bulk
-from sunarc.imager.web.arrays import Rows
+from sunarc.imager.web.arrays import Rows, parsed_body
 from sunarc.imager.web.context import ApiContext
-from sunarc.imager.web.json_bodies import parsed_body
 from sunarc.imager.web.parameters import BY_CALIBRATION, Answers, At, Body, Draws, ListOf, Number, Pair, Pixel, Seed
 from sunarc.imager.web.problems import answers
 from sunarc.imager.web.routes.directions import finite_rows
