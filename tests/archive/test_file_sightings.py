@@ -101,7 +101,7 @@ def test_sightings_of_version_0_2_get_the_names_of_their_files(archive: Archive)
     unnamed = replace(FOUND, file="", exposure_us=20.0)
     archive.sightings.replace([unnamed, replace(unnamed, exposure_us=40.0)])
     former = ImageKey(to_microseconds(NOON), 20.0, "")
-    archive.sightings.rename_files("roof", {former: image_key(NOON, 20.0, "short.png")})
+    archive.sightings.rename_files("roof", {former: image_key(to_microseconds(NOON), 20.0, "short.png")})
     assert [p.file for p in archive.sightings.find("roof")] == ["short.png", ""]
 
 

@@ -15,7 +15,7 @@ import pytest
 from tests.fixtures.calibration import SGP, small_camera, stated_calibration
 from tests.fixtures.settings import new_settings
 
-from sunarc.archives import pool, states
+from sunarc.archives import passes, states
 from sunarc.archives.ingest import IngestOptions, ingest_folder
 from sunarc.archives.ingest_summary import IngestSummary
 from sunarc.calibration.model.result import Calibration, Verdict
@@ -151,7 +151,7 @@ def test_a_run_after_the_first_looks_at_nothing_and_fits_nothing(images: Path, m
         draw(images, number, sun_px(number))
     ingested(images, monkeypatch, Fits(TRUTH))
     fits = Fits(TRUTH)
-    monkeypatch.setattr(pool, "static_mask_of", None)  # nor are images read for a mask
+    monkeypatch.setattr(passes, "static_mask_of", None)  # nor are images read for a mask
     again = ingested(images, monkeypatch, fits)
     assert (again.known, again.accepted, again.rejected, fits.given) == (COUNT, 0, 0, [])
 

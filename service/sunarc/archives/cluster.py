@@ -16,7 +16,7 @@ from sunarc.common.errors import OutsideError
 from sunarc.common.extras import extra_module
 from sunarc.common.findings import Finding
 from sunarc.imager.runtime.clock import Clock
-from sunarc.sources.look import Answer, Chunk, Done, PackedMask, look_at, static_mask_of
+from sunarc.sources.look import Answer, Chunk, Done, look_at
 
 DEATHS = 3
 """Workers that a chunk may kill before it is divided."""
@@ -69,10 +69,6 @@ class Cluster:
     def dashboard(self) -> str:
         """Address of Dask's dashboard."""
         return str(self.client.dashboard_link)
-
-    def compute_static_masks(self, chunks: Sequence[Chunk]) -> list[PackedMask | None]:
-        """Return the mask of what stands still in the images of each chunk; None where the workers that looked died."""
-        return self.each(static_mask_of, chunks)
 
     def each(self, run: Callable[[Given], Result], given: Sequence[Given]) -> list[Result | None]:
         """Return the result of a function for each of some values; None where it killed three workers."""
@@ -191,10 +187,6 @@ class ClusterWhenNeeded:
 
     def __exit__(self, *error: object) -> None:
         self._stack.close()
-
-    def compute_static_masks(self, chunks: Sequence[Chunk]) -> list[PackedMask | None]:
-        """Return the mask of what stands still in the images of each chunk."""
-        return self._there().compute_static_masks(chunks) if chunks else []
 
     def each(self, run: Callable[[Given], Result], given: Sequence[Given]) -> list[Result | None]:
         """Return the result of a function for each of some values."""

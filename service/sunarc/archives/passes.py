@@ -34,6 +34,7 @@ from sunarc.sources.look import (
     key_of,
     look_at,
     software,
+    static_mask_of,
 )
 
 CHUNK = 64
@@ -113,9 +114,6 @@ class AnswerStore(Protocol):
 class ChunkRunner(Protocol):
     """Looks at chunks: a cluster, or processes of this machine."""
 
-    def compute_static_masks(self, chunks: Sequence[Chunk]) -> list[PackedMask | None]:
-        """Return the mask of what stands still in the images of each chunk."""
-
     def each(self, run: Callable[[Given], Result], given: Sequence[Given]) -> list[Result | None]:
         """Return the result of a function for each of some values; None where it could not be done."""
 
@@ -135,7 +133,7 @@ class Passes(NamedTuple):
         kept = [self.ledger.mask(camera.plan.name, version=software()) for camera in cameras]
         new = [camera for camera, mask in zip(cameras, kept, strict=True) if mask is None]
         moving = [camera for camera in new if _motion_deg(camera) >= _LEAST_MOTION_DEG]
-        masks = self.cluster.compute_static_masks(list(map(_spread, moving)))
+        masks = self.cluster.each(static_mask_of, list(map(_spread, moving)))
         found = dict(zip((one.plan.name for one in moving), masks, strict=True))
         for camera in new:
             self.ledger.keep_mask(camera.plan.name, found.get(camera.plan.name), version=software())

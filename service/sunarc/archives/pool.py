@@ -17,7 +17,7 @@ import cv2
 
 from sunarc.common.findings import Finding
 from sunarc.imager.runtime.child_process import one_thread_each
-from sunarc.sources.look import Answer, Chunk, Done, PackedMask, look_at, static_mask_of
+from sunarc.sources.look import Answer, Chunk, Done, look_at
 
 Run = Callable[[Chunk], list[Answer]]
 Given = TypeVar("Given")
@@ -36,10 +36,6 @@ class ProcessRunner:
 
     def __init__(self, processes: int) -> None:
         self._processes = processes
-
-    def compute_static_masks(self, chunks: Sequence[Chunk]) -> list[PackedMask | None]:
-        """Return the mask of what stands still in the images of each chunk."""
-        return self.each(static_mask_of, chunks)
 
     def each(self, run: Callable[[Given], Result], given: Sequence[Given]) -> list[Result | None]:
         """Return the result of a function for each of some values."""

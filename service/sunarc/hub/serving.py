@@ -139,7 +139,6 @@ def create_hub_app(
     status: Callable[[], StatusSnapshot],
     now: Callable[[], datetime],
     options: ApiOptions,
-    registry: CollectorRegistry | None = None,
     stopping: Callable[[], bool] = lambda: False,
 ) -> FastAPI:
     """Return an application that takes the rows of imagers, and answers for each of their cameras.
@@ -152,7 +151,6 @@ def create_hub_app(
     status : returns how the hub is.
     now : real time.
     options : limits and the token for reading.
-    registry : where Prometheus's numbers are registered; a new one by default.
     stopping : returns whether the hub is about to stop: streams of events end then.
     """
     context = new_context(
@@ -169,7 +167,7 @@ def create_hub_app(
         token=None,
     )
     receiver = FeedReceiver(archive, now)
-    numbers = registry or CollectorRegistry()
+    numbers = CollectorRegistry()
     numbers.register(FleetCollector(archive, now, status))
     app = new_application("sunarc hub")
     app.include_router(feed_routes(receiver))

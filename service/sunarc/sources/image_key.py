@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from datetime import datetime
 from pathlib import PurePosixPath
 from typing import NamedTuple
-
-from sunarc.common.utc import to_microseconds
 
 
 class ImageKey(NamedTuple):
@@ -22,7 +19,7 @@ class ImageKey(NamedTuple):
     folder: str = ""
 
 
-def image_key(time: datetime, exposure_us: float | None, path: str) -> ImageKey:
-    """Return the key of an image that was not looked at yet, by its file's path below the source."""
+def image_key(time_us: int, exposure_us: float | None, path: str) -> ImageKey:
+    """Return the key of an image by its file's path below the source."""
     file = PurePosixPath(path)
-    return ImageKey(to_microseconds(time), exposure_us or 0.0, file.name, file.parent.as_posix())
+    return ImageKey(time_us, exposure_us or 0.0, file.name, file.parent.as_posix())

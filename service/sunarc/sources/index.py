@@ -28,7 +28,7 @@ from sunarc.sky.sun import DARK_ZENITH_DEG, sun_angles
 from sunarc.sources.detect_files import Method
 from sunarc.sources.files import read_file
 from sunarc.sources.image_files import ImageSource, RefusedImageError, SourceFile, image_size, kind_of
-from sunarc.sources.image_key import ImageKey
+from sunarc.sources.image_key import ImageKey, image_key
 from sunarc.sources.image_times import TimedFrame, TimeRules, timed_frames, utc_offset_of
 from sunarc.sources.sources import hash_of, open_source
 
@@ -75,8 +75,7 @@ class ArchiveImage(NamedTuple):
     @property
     def key(self) -> ImageKey:
         """What distinguishes it from other images of its camera."""
-        path = PurePosixPath(self.path)
-        return ImageKey(self.time_us, self.exposure_us or 0.0, path.name, path.parent.as_posix())
+        return image_key(self.time_us, self.exposure_us, self.path)
 
 
 def _shown(address: str, path: str) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from sunarc.archives.cluster import Workers
-from sunarc.sources.look import Answer, Chunk, Done, look_at, static_mask_of
+from sunarc.sources.look import Answer, Chunk, Done, look_at
 
 
 class InProcess:
@@ -22,9 +22,6 @@ class InProcess:
         self.chunks: list[Chunk] = []
         self.calls: list[str] = []
         self._most = most
-
-    def compute_static_masks(self, chunks: Sequence[Chunk]) -> list[Any]:
-        return [static_mask_of(chunk) for chunk in chunks]
 
     def each(self, run: Callable[[Any], Any], given: Sequence[Any]) -> list[Any]:
         self.calls += [run.__name__] * len(given)

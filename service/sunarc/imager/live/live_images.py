@@ -15,6 +15,7 @@ from sunarc.calibration.model.result import Calibration
 from sunarc.common.array_types import Image
 from sunarc.common.errors import InputError
 from sunarc.common.findings import Finding
+from sunarc.common.utc import to_microseconds
 from sunarc.detection.values import Detection, Expectation
 from sunarc.imager.archive.archive import CameraArchive
 from sunarc.imager.archive.pictures_of_one_time import ELSEWHERE
@@ -244,7 +245,7 @@ class LiveImages:
                 suns[one.file] = replace(one.found, accepted=False, verdict="elsewhere", findings=findings)
 
     def _point(self, image: LiveImage, found: Detection, ingest_pass: int) -> SunPoint:
-        key = image_key(image.time, image.exposure_us, image.file)
+        key = image_key(to_microseconds(image.time), image.exposure_us, image.file)
         return sun_point_of(
             found,
             camera=self.camera.name,

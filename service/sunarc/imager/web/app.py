@@ -152,7 +152,6 @@ def create_app(
     latest_image: Callable[[], FilePath | None],
     options: ApiOptions,
     images: ImageStore | None = None,
-    registry: CollectorRegistry | None = None,
     stopping: Callable[[], bool] = lambda: False,
 ) -> FastAPI:
     """Return an application that serves one camera's archive.
@@ -166,7 +165,6 @@ def create_app(
     latest_image : returns the newest preview's file (JPEG or PNG), or None.
     options : limits and the token.
     images : the composites; None where there are none.
-    registry : where Prometheus's numbers are registered; a new one by default.
     stopping : returns whether the service is about to stop: streams of events end then.
     """
     context = new_context(
@@ -182,7 +180,7 @@ def create_app(
         stopping=stopping,
         token=admission.read_token(options.token_file, setting="api.token_file"),
     )
-    numbers = registry or CollectorRegistry()
+    numbers = CollectorRegistry()
     numbers.register(StatusCollector(context))
     app = new_application("sunarc")
     add_camera_routes(app, context)

@@ -171,14 +171,6 @@ class Limit:
                 rest = rest[channel.send(rest[:_PART_BYTES]) :]
 
 
-def exchange(
-    request: HttpRequest, *, context: ssl.SSLContext | None, limit: Limit, most_bytes: int = 0
-) -> tuple[int, bytes]:
-    """Send a request, and return the status and the beginning of the body of its answer; see `fetch`."""
-    answer = fetch(request, context=context, limit=limit, most_bytes=most_bytes)
-    return answer.status, answer.body
-
-
 def fetch(request: HttpRequest, *, context: ssl.SSLContext | None, limit: Limit, most_bytes: int = 0) -> HttpAnswer:
     """Send a request, and return its answer.
 
@@ -240,7 +232,7 @@ def _answer(channel: socket.socket, events: list[h11.Event], limit: Limit, most_
 def connected(request: HttpRequest, context: ssl.SSLContext | None, limit: Limit) -> socket.socket:
     """Return a connection to the first address of a host (or of its proxy) that answers, with TLS where asked for.
 
-    The parameters and errors are those of `exchange`.
+    The parameters and errors are those of `fetch`.
     """
     host, port = request.url.hostname or "", request.url.port or (443 if context else 80)
     proxy = request.proxy

@@ -272,7 +272,7 @@ class Webhook:
         }
         request = http_exchange.HttpRequest(method="POST", url=self._url, headers=headers, body=body)
         try:
-            status, _ = http_exchange.exchange(request, context=self._context(), limit=self._limit(heartbeat))
+            status = http_exchange.fetch(request, context=self._context(), limit=self._limit(heartbeat)).status
         except (OSError, http_exchange.UnfinishedError) as error:
             raise OutsideError(f"{self._url.hostname}: {error}") from error
         if HTTPStatus.OK <= status < HTTPStatus.MULTIPLE_CHOICES:
