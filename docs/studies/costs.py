@@ -49,7 +49,7 @@ from sunarc.imager.web.app import create_app
 from sunarc.imager.web.options import ApiOptions
 from sunarc.lab.simulation.made_archive import encoded, photograph
 from sunarc.lab.simulation.truth import SGP
-from sunarc.lab.studies.figures import LETTERING_PT, TITLE_PT, new_sheet
+from sunarc.public.plots import LETTERING_PT, TITLE_PT, new_sheet
 from sunarc.sources.image_times import TimeRules
 from sunarc.sources.index import CameraPlan, Selector, index_folder
 from sunarc.sources.look import Item, look_at

@@ -17,8 +17,8 @@ import numpy as np
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.answers.direction_table import lookup
 from sunarc.calibration.answers.error_model import draw_ensemble
-from sunarc.cli.calibration_files import read_calibration
 from sunarc.optics.camera import camera_sees
+from sunarc.public.calibration_files import read_calibration
 
 
 def main() -> None:

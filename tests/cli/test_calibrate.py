@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 import pytest
 
-from sunarc.cli import calibrate as module
 from sunarc.formats.csv_files import write_sightings
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles
+from sunarc.public.summary import field_text
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles, sun_directions
 
@@ -249,6 +249,6 @@ def test_a_document_that_is_none_is_one_line_and_exit_2(sunarc: Sunarc, tmp_path
 def test_the_field_is_shown_with_its_part_in_the_prediction(
     amplitude: float, mean: list[list[float]], said: str
 ) -> None:
-    found = module.field_text({"amplitude_px": amplitude, "length_px": 420.0, "mean": mean})
+    found = field_text({"amplitude_px": amplitude, "length_px": 420.0, "mean": mean})
     assert found.endswith(said)
     assert ("0.300 px over 420 px" in found) == (amplitude > 0.0)

@@ -46,7 +46,6 @@ from tests.fixtures.calibration import distinctive_calibration
 
 from sunarc.archives.ledger import ImageId, Known, Ledger
 from sunarc.calibration.model.result import Calibration
-from sunarc.cli.calibrate_files import read_joint_spec
 from sunarc.common.errors import InputError, SunarcError
 from sunarc.common.findings import Finding
 from sunarc.detection.stars.warm_pixels import SensorFormat
@@ -63,6 +62,7 @@ from sunarc.imaging.metadata import document_of, jpeg_with, png_with
 from sunarc.lab.studies.benchmark_cases import BenchmarkTruth
 from sunarc.lab.studies.benchmark_files import read_case, read_entry
 from sunarc.lab.studies.benchmark_scores import score
+from sunarc.public.calibrate_files import read_joint_spec
 from sunarc.sky.site import Site
 from sunarc.sources.files import read_image, read_lines
 from sunarc.sources.image_files import (

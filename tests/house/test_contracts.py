@@ -18,7 +18,7 @@ IMAGER = "imager: its rooms import downward only"
 ARCHIVES = "archives: of the imager no worker, web service, camera driver or command"
 HUB = "hub: of the imager no camera, live source or command"
 LAB = "lab: of the imager its cameras, clock and options alone"
-CLI = "cli: the functions of the library's commands need no service"
+PUBLIC = "public: names and commands of the library need no service"
 CLIENT = "client: it stands apart"
 GI = "imager: cameras.aravis alone imports gi"
 HOUSES = ("archives", "cli", "client", "hub", "imager", "lab")
@@ -95,7 +95,8 @@ BREACHES = [
     ("archives/worker.py", "import sunarc.imager.workers.capture", ARCHIVES),
     ("hub/camera.py", "import sunarc.imager.cameras.frame", HUB),
     ("lab/stored.py", "import sunarc.imager.archive.values", LAB),
-    ("cli/star_files.py", "import sunarc.hub", CLI),
+    ("public/star_files.py", "import sunarc.hub", DOWNWARD),
+    ("public/framework.py", "import typer", PUBLIC),
     ("client/optics.py", "import sunarc.optics.camera", CLIENT),
     ("sources/framework.py", "import fastapi", FILES),
     ("imager/cameras/other.py", "import gi", GI),
@@ -136,11 +137,13 @@ def test_every_room_of_the_library_is_held_to_computing_or_to_reading(
 ) -> None:
     computing = {name.split(".")[1] for name in contracts[CORE]["source_modules"]}
     reading = {name.split(".")[1] for name in contracts[FILES]["source_modules"]}
-    assert computing | reading == rooms_of_the_library(package)
+    assert contracts[PUBLIC]["source_modules"] == ["sunarc.public"]
+    assert computing | reading | {"public"} == rooms_of_the_library(package)
     places = {"calibration": "calibration/model", "detection": "detection/disc"}
-    for room in computing | reading:
+    for room in computing | reading | {"public"}:
         add(package, f"{places.get(room, room)}/impure.py", "import logging")
     answer = lint(package.parent)
-    assert broken(answer) == [CORE, FILES]
-    expected = {f"sunarc.{places.get(room, room).replace('/', '.')}.impure -> logging " for room in computing | reading}
+    assert broken(answer) == [CORE, FILES, PUBLIC]
+    rooms = computing | reading | {"public"}
+    expected = {f"sunarc.{places.get(room, room).replace('/', '.')}.impure -> logging " for room in rooms}
     assert [one for one in sorted(expected) if one not in answer.stdout] == []

@@ -17,13 +17,13 @@ from tests.fixtures.settings import SGP
 
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.stated_prior import PriorTolerances
-from sunarc.cli.calibrate_files import calibrate_file, image_circle_of, start_camera
 from sunarc.common.errors import InputError
 from sunarc.common.utc import rfc3339, utc_time
 from sunarc.formats.calibration_document import from_document
 from sunarc.formats.formats import export
-from sunarc.imager.runtime.clock import VirtualClock
 from sunarc.optics.forward import project
+from sunarc.public.calibrate_files import calibrate_file, image_circle_of, read_start
+from sunarc.public.stated_fit import start_camera
 from sunarc.sky.sun import sun_angles, sun_directions
 
 NOW = datetime(2013, 5, 14, tzinfo=UTC)
@@ -36,9 +36,7 @@ def points_file(folder: Path, *rows: str) -> Path:
 
 
 def calibrated(path: Path, *, size: tuple[int, int] = (1748, 1600), **more: Any) -> dict[str, Any]:  # noqa: ANN401 - options
-    return calibrate_file(
-        path, site=SGP, image_size=size, options=CalibrationOptions(), clock=VirtualClock(NOW), **more
-    )
+    return calibrate_file(path, site=SGP, image_size=size, options=CalibrationOptions(), now=NOW, **more)
 
 
 def test_without_sightings_the_document_is_refused_and_dated_now(tmp_path: Path) -> None:
@@ -73,7 +71,7 @@ def test_the_lens_of_other_images_is_not_kept(tmp_path: Path) -> None:
 def test_a_start_of_another_format_is_the_closest_camera(tmp_path: Path) -> None:
     start = tmp_path / "fisheye.yml"
     start.write_bytes(export(document_of(LENS), "opencv").content)
-    camera = start_camera(start, (1748, 1600), CalibrationOptions(projection="equisolid"))
+    camera = start_camera(read_start(start), (1748, 1600), CalibrationOptions(projection="equisolid"))
     assert (camera.projection, camera.mirrored, camera.max_angle) == ("equisolid", False, math.radians(100.0))
     assert camera.focal_length_px == pytest.approx(LENS.focal_length_px, rel=0.02)
     assert camera.rotation_cam_enu == pytest.approx(LENS.rotation_cam_enu, abs=0.01)
@@ -84,9 +82,9 @@ def test_a_start_of_the_other_handedness_is_refused(tmp_path: Path, mirrored: An
     start = tmp_path / "start.json"
     start.write_text(json.dumps(document_of(replace(LENS, mirrored=hand))))
     with pytest.raises(InputError) as refused:
-        start_camera(start, (1748, 1600), CalibrationOptions(mirrored=mirrored))
+        start_camera(read_start(start), (1748, 1600), CalibrationOptions(mirrored=mirrored))
     assert refused.value.field == "--start"
-    assert start_camera(start, (1748, 1600), CalibrationOptions(mirrored="auto")).mirrored == hand
+    assert start_camera(read_start(start), (1748, 1600), CalibrationOptions(mirrored="auto")).mirrored == hand
 
 
 def test_a_file_without_a_pose_is_no_prior_of_the_pose(tmp_path: Path) -> None:

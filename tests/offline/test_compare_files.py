@@ -11,9 +11,9 @@ import pytest
 import xarray as xr
 from tests.exports.conftest import LENS, document_of
 
-from sunarc.cli.calibration_files import compare_files, read_view_file
 from sunarc.common.errors import InputError, OutsideError
 from sunarc.formats.formats import export
+from sunarc.public.calibration_files import compare_files, read_view_file
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,13 @@ import sunarc
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.lens_library.lens_type import UnitSpread
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.cli.calibrate_files import (
+from sunarc.common.errors import InputError
+from sunarc.common.utc import utc_time
+from sunarc.formats.calibration_document import to_document
+from sunarc.formats.csv_files import write_sightings
+from sunarc.formats.lens_prior import read_lens_type
+from sunarc.optics.camera import Camera
+from sunarc.public.calibrate_files import (
     LENS_FILE,
     calibrate_file,
     calibrate_joint,
@@ -25,13 +31,6 @@ from sunarc.cli.calibrate_files import (
     read_joint_spec,
     write_lens_prior,
 )
-from sunarc.common.errors import InputError
-from sunarc.common.utc import utc_time
-from sunarc.formats.calibration_document import to_document
-from sunarc.formats.csv_files import write_sightings
-from sunarc.formats.lens_prior import read_lens_type
-from sunarc.imager.runtime.clock import VirtualClock
-from sunarc.optics.camera import Camera
 
 NOW = datetime(2013, 5, 14, tzinfo=UTC)
 SPREAD = UnitSpread(focal_length=0.003, center_px=8.0)
@@ -76,7 +75,7 @@ def test_a_lens_prior_is_written_combined_read_and_used(document: Document, tmp_
         site=SGP,
         image_size=(1748, 1748),
         options=CalibrationOptions(),
-        clock=VirtualClock(NOW),
+        now=NOW,
         lens=read,
     )
     assert found["verdict"]["accepted"]
@@ -106,7 +105,7 @@ def test_a_lens_prior_of_other_cameras_is_refused(
             site=SGP,
             image_size=given["size"],
             options=given["options"],
-            clock=VirtualClock(NOW),
+            now=NOW,
             lens=combined_lens([document], [], spread=None),
         )
     assert refused.value.field == "--lens-prior"
@@ -172,7 +171,7 @@ def test_epochs_of_one_camera_are_fitted_together(tmp_path: Path) -> None:
     write_csv(tmp_path / "b.csv", moved, seed=2)
     spec = tmp_path / "joint.toml"
     spec.write_text(SPEC)
-    documents = calibrate_joint(spec, folder=tmp_path / "out", clock=VirtualClock(NOW))
+    documents = calibrate_joint(spec, folder=tmp_path / "out", now=NOW)
     written = sorted(path.name for path in (tmp_path / "out").iterdir())
     assert written == sorted([LENS_FILE, "roof-autumn.json", "roof-spring.json"])
     assert [one["pose_epoch"] for one in documents] == ["spring", "autumn"]
@@ -190,7 +189,7 @@ def test_the_clock_column_of_an_entrys_file_is_the_bound_of_its_clock(tmp_path: 
     (tmp_path / "b.csv").write_text("\n".join(stated) + "\n")
     spec = tmp_path / "joint.toml"
     spec.write_text(SPEC)
-    assumed, bounded = calibrate_joint(spec, folder=tmp_path / "out", clock=VirtualClock(NOW))
+    assumed, bounded = calibrate_joint(spec, folder=tmp_path / "out", now=NOW)
     assert "clock_unbounded" in [one["code"] for one in assumed["verdict"]["findings"]]
     assert "clock_unbounded" not in [one["code"] for one in bounded["verdict"]["findings"]]
     sky = bounded["uncertainty"]

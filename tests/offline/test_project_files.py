@@ -12,9 +12,9 @@ import pytest
 from tests.exports.conftest import LENS, document_of
 
 from sunarc.calibration.answers.covariance import project_with_covariance, unproject_with_sigma
-from sunarc.cli.calibration_files import project_csv, read_calibration, unproject_csv
 from sunarc.common.errors import InputError
 from sunarc.formats.calibration_document import from_document
+from sunarc.public.calibration_files import project_csv, read_calibration, unproject_csv
 from sunarc.sky.directions import angles_from_direction, direction_from_angles
 
 

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from tests.exports.conftest import LENS, FloatArray, document_of
 
-from sunarc.cli.calibration_files import rectify_files
 from sunarc.common.errors import InputError, OutsideError
 from sunarc.imaging.metadata import png_with
 from sunarc.optics.forward import project
+from sunarc.public.calibration_files import rectify_files
 from sunarc.sky.directions import direction_from_angles
 
 CAMERA = replace(

@@ -21,12 +21,12 @@ from tests.fixtures.command_line import Sunarc
 from sunarc.calibration.answers.covariance import hemisphere, unproject_with_sigma
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.selection import MOST_STARS
-from sunarc.cli.star_files import StarOptions, find_stars, read_stars, write_star_sightings
 from sunarc.common.errors import InputError
 from sunarc.formats.calibration_document import from_document, to_document
 from sunarc.formats.csv_files import read_sightings
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
+from sunarc.public.star_files import StarOptions, find_stars, read_stars, write_star_sightings
 from sunarc.sky.directions import angles_from_direction, angular_distance
 from sunarc.sky.night import STAR, night_sky
 from sunarc.sky.site import relative_air_mass

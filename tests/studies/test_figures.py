@@ -12,8 +12,10 @@ from matplotlib.axes import Axes
 from matplotlib.quiver import Quiver
 from tests.fixtures.calibration import ideal_camera, stated_calibration
 
+from sunarc.calibration.answers.residuals import Residuals, residuals_of, used_sightings
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.lab.studies.figures import (
+from sunarc.optics.forward import project
+from sunarc.public.plots import (
     draw_angles,
     draw_arrows,
     draw_components,
@@ -24,8 +26,6 @@ from sunarc.lab.studies.figures import (
     sky_sigma,
     within_image,
 )
-from sunarc.lab.studies.residuals import Residuals, residuals_of, used_sightings
-from sunarc.optics.forward import project
 from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.sun import sun_directions
 

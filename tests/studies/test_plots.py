@@ -9,13 +9,19 @@ import numpy as np
 import pytest
 
 from sunarc.calibration.answers.covariance import sigma_deg
+from sunarc.calibration.answers.residuals import residuals_of
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.lab.simulation.truth import SGP
-from sunarc.lab.studies.figures import RESIDUAL_SHEET_PX, SKY_SHEET_PX, contour_levels, residual_figure, sky_sigma
-from sunarc.lab.studies.reports import write_calibration_plots
-from sunarc.lab.studies.residuals import residuals_of
+from sunarc.public.plots import (
+    RESIDUAL_SHEET_PX,
+    SKY_SHEET_PX,
+    contour_levels,
+    residual_figure,
+    sky_sigma,
+    write_calibration_plots,
+)
 from sunarc.sky.directions import direction_from_angles
 
 if TYPE_CHECKING:

@@ -12,11 +12,12 @@ from sunarc.common.errors import InputError
 from sunarc.lab.simulation.truth import true_camera
 from sunarc.lab.studies.figures import parameter_figure, rmse_figure
 from sunarc.lab.studies.published import CASES, TRUE_RMSE
-from sunarc.lab.studies.reports import make_folder, write_csv, writing_into
+from sunarc.lab.studies.reports import make_folder, write_csv
 from sunarc.lab.studies.tables import COLUMNS, published_row, truth_row
 from sunarc.lab.studies.trials import QUANTITIES
 from sunarc.lab.studies.uncertainty import UncertaintyStudy, distribution_rows, trial_rows, true_values
 from sunarc.optics.pose import pose_angles
+from sunarc.sources.files import writing_into
 
 RNG = np.random.default_rng(0)
 STUDY = UncertaintyStudy(

@@ -8,10 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sunarc.calibration.answers.direction_table import lookup
+from sunarc.calibration.answers.residuals import residuals_of
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.lab.studies.figures import (
+from sunarc.optics.forward import project
+from sunarc.optics.inverse import unproject
+from sunarc.public.plots import (
     contour_levels,
+    draw_arrows,
+    draw_uncertainty,
     key,
     letter,
     new_sheet,
@@ -19,13 +25,9 @@ from sunarc.lab.studies.figures import (
     panel_limit,
     residual_figure,
     sky_figure,
-    sky_sigma,
     some_rows,
 )
-from sunarc.lab.studies.residuals import residuals_of
-from sunarc.optics.forward import project
-from sunarc.optics.inverse import unproject
-from sunarc.sky.directions import angular_distance
+from sunarc.sky.directions import angular_distance, direction_from_angles
 from sunarc.sky.sun import sun_directions
 
 
@@ -139,19 +141,42 @@ def test_rejected_sightings_beyond_a_panel_stand_on_its_edge(cloudy_fit: Calibra
     assert max(float(np.abs(np.asarray(line.get_ydata())).max()) for line in beyond) == pytest.approx(0.97 * high)
 
 
-def test_the_map_of_the_sky_is_turned_as_a_compass(cloudy_fit: Calibration, cloudy_points: Sightings) -> None:
-    figure = sky_figure(cloudy_fit, residuals_of(cloudy_fit, cloudy_points))
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_the_map_of_the_sky_has_north_and_east_where_the_picture_has_them(
+    cloudy_fit: Calibration, cloudy_points: Sightings, *, mirrored: bool
+) -> None:
+    fit = replace(cloudy_fit, camera=replace(cloudy_fit.camera, mirrored=mirrored))
+    figure = sky_figure(fit, residuals_of(fit, cloudy_points))
     axes = figure.axes[0]
-    assert axes.get_theta_direction() == -1  # type: ignore[attr-defined]
-    assert axes.get_theta_offset() == pytest.approx(math.pi / 2)  # type: ignore[attr-defined]
+    azimuth_deg = np.arange(0.0, 360.0, 45.0)
+    places = axes.transData.transform(np.column_stack([np.radians(azimuth_deg), np.full(8, 30.0)]))
+    around = places - axes.transData.transform((0.0, 0.0))
+    pixels = project(
+        fit.camera, direction_from_angles(zenith_deg=np.r_[0.0, np.full(8, 5.0)], azimuth_deg=np.r_[0.0, azimuth_deg])
+    )
+    in_picture = (pixels[1:] - pixels[0]) * [1.0, -1.0]  # y is down in the picture
+    turned = np.angle((around @ [1.0, 1j]) / (in_picture @ [1.0, 1j]))
+    assert np.all(np.abs(turned) < math.radians(6.0))  # a tilt of 2.5 degrees turns parts of so small a ring
+
+
+def test_the_map_of_the_sky_shows_the_suns_that_were_used(cloudy_fit: Calibration, cloudy_points: Sightings) -> None:
+    axes = sky_figure(cloudy_fit, residuals_of(cloudy_fit, cloudy_points)).axes[0]
     drawn = next(line for line in axes.lines if line.get_label() == "the sun, where it was used")
     assert len(np.asarray(drawn.get_xdata())) == cloudy_fit.evidence.n_used
 
 
-def test_sigma_is_nan_where_the_image_ends(cloudy_fit: Calibration) -> None:
-    narrow = replace(cloudy_fit, camera=replace(cloudy_fit.camera, width=900))
-    zenith, azimuth = np.array([5.0, 80.0]), np.arange(0.0, 360.0, 15.0)
-    whole, part = (sky_sigma(fit, zenith_deg=zenith, azimuth_deg=azimuth) for fit in (cloudy_fit, narrow))
-    assert np.isfinite(whole).all()
-    assert 0 < np.isnan(part[1]).sum() < 24
-    assert np.isfinite(part[0]).sum() > 0
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_the_image_s_maps_are_as_the_picture_with_the_horizon_s_letters_at_their_pixels(
+    cloudy_fit: Calibration, cloudy_points: Sightings, *, mirrored: bool
+) -> None:
+    fit = replace(cloudy_fit, camera=replace(cloudy_fit.camera, mirrored=mirrored))
+    east = project(fit.camera, direction_from_angles(zenith_deg=90.0, azimuth_deg=90.0))
+    sheet = new_sheet(width_px=500, height_px=500)
+    for axes in (
+        draw_arrows(sheet.add_subplot(1, 2, 1), fit.camera, residuals_of(fit, cloudy_points)),
+        draw_uncertainty(sheet.add_subplot(1, 2, 2), fit, lookup(fit)),
+    ):
+        assert axes.get_xlim() == (-0.5, 1747.5)
+        assert axes.get_ylim() == (1747.5, -0.5)
+        (letter_,) = [one for one in axes.texts if one.get_text() == "E"]
+        assert np.hypot(*(np.array(letter_.get_position()) - east)) < 60.0

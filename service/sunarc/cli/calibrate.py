@@ -11,13 +11,6 @@ import typer
 from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread
 from sunarc.calibration.model.options import CalibrationOptions, Mirrored
 from sunarc.calibration.stated_prior import PriorTolerances
-from sunarc.cli.calibrate_files import (
-    calibrate_file,
-    calibrate_joint,
-    combined_lens,
-    image_circle_of,
-    write_lens_prior,
-)
 from sunarc.cli.options import (
     SITE,
     Altitude,
@@ -30,17 +23,23 @@ from sunarc.cli.options import (
     parse_image_size,
     print_json,
     print_rows,
-    print_table,
     service_settings,
     stated_once,
 )
 from sunarc.common.errors import InputError
 from sunarc.common.extras import require_extra
-from sunarc.common.findings import findings_of
 from sunarc.common.messages import significant
 from sunarc.formats.lens_prior import read_lens_type
 from sunarc.imager.runtime.clock import SystemClock
 from sunarc.optics.projections import PROJECTIONS
+from sunarc.public.calibrate_files import (
+    calibrate_file,
+    calibrate_joint,
+    combined_lens,
+    image_circle_of,
+    write_lens_prior,
+)
+from sunarc.public.summary import calibration_text, verdict_of
 from sunarc.sky.site import Site
 from sunarc.sources.files import read_file
 
@@ -136,7 +135,7 @@ def print_joint(spec: Path, folder: Path | None, *, as_json: bool) -> None:
     """Fit what a file asks for, and print one row an entry; exit 1 where one is refused."""
     if folder is None:
         raise InputError(field="--output", problem="missing beside --joint", remedy="name a folder")
-    documents = calibrate_joint(spec, folder=folder, clock=SystemClock())
+    documents = calibrate_joint(spec, folder=folder, now=SystemClock().now())
     rows = [
         [
             document["camera"],
@@ -264,7 +263,7 @@ def calibrate(
             mirrored=stated_once("--mirrored", mirrored, get_args(Mirrored)),
             level_within_deg=level_within,
         ),
-        clock=SystemClock(),
+        now=SystemClock().now(),
         circle=None if image_circle is None else image_circle_of(image_circle),
         start=start,
         pose_only=pose_only,
@@ -296,7 +295,7 @@ def _print_result(document: dict[str, Any], plots: Path | None, *, as_json: bool
     if as_json:
         print_json(document)
     else:
-        _print_calibration(document)
+        print(calibration_text(document))
         if plots is not None:
             print(f"drawn: {plots / 'residuals.png'}, {plots / 'sky.png'}")
     if verdict_of(document) not in _KEPT:
@@ -304,14 +303,6 @@ def _print_result(document: dict[str, Any], plots: Path | None, *, as_json: bool
 
 
 _KEPT = ("accepted", "provisional")
-
-
-def verdict_of(document: dict[str, Any]) -> str:
-    """Return the verdict on a calibration in a word."""
-    verdict = document["verdict"]
-    if verdict["marginal"] and document["uncertainty"].get("sigma_limit_deg") is not None:
-        return "provisional"
-    return "accepted" if verdict["accepted"] else "marginal" if verdict["marginal"] else "refused"
 
 
 def _prior_tolerances(
@@ -365,7 +356,7 @@ def calibrate_stored(
     elif document is None:
         print(f"no calibration: {refit.message}")
     else:
-        _print_calibration(document)
+        print(calibration_text(document))
         print(f"{verdict_of(document)}: stored as {document['id']}")
     if refit.state != "accepted" and (document is None or verdict_of(document) not in _KEPT):
         raise typer.Exit(1)
@@ -379,7 +370,7 @@ def _solve_again(calibration_id: str, config: Path | None, *, as_json: bool) -> 
     if as_json:
         print_json(result)
     else:
-        _print_calibration(result["calibration"])
+        print(calibration_text(result["calibration"]))
         outcome = "the same camera" if result["same"] else "another camera"
         print(f"{outcome}: {result['apart_px']:.1e} px from {calibration_id} at most, {result['sightings']} sightings")
     if not result["same"]:
@@ -390,46 +381,3 @@ def _given(value: Value | None, name: str) -> Value:
     if value is None:
         raise InputError(field=name, problem="missing", remedy="give it, see `sunarc calibrate --help`")
     return value
-
-
-def _print_calibration(document: dict[str, Any]) -> None:
-    model, metrics, verdict = document["model"], document["metrics"], document["verdict"]
-    sky = document["uncertainty"]
-    rows: list[list[Any]] = [
-        ["projection", model["projection"] + (", mirrored" if document["image"]["mirrored"] else "")],
-        ["focal length", "{:.3f}, {:.3f} px".format(*model["focal_length_px"])],
-        ["principal point", "{:.3f}, {:.3f} px".format(*model["principal_point_px"])],
-        *([name.removesuffix("_deg"), f"{value:.3f}°"] for name, value in document["pose"].items()),
-        ["sightings used", f"{document['evidence']['n_used']} of {metrics['n'] + document['evidence']['n_rejected']}"],
-        ["RMSE", _rmse(metrics)],
-        [
-            "1-sigma over the sky",
-            f"{significant(sky['sky_rms_deg'], 2)}° RMS, {significant(sky['sky_max_deg'], 2)}° at most",
-        ],
-        ["field beside the lens", field_text(sky["field"])],
-        ["verdict", verdict_of(document)],
-        *(["", reason] for reason in verdict["reasons"]),
-        *(["remedy", remedy] for remedy in _remedies(verdict)),
-    ]
-    print_table(("", ""), rows)
-
-
-def _remedies(verdict: dict[str, Any]) -> list[str]:
-    """Return what to do about a calibration that is not accepted, each once."""
-    found = [] if verdict["accepted"] else [finding.remedy for finding in findings_of(verdict)]
-    return [one for one in dict.fromkeys(found) if one != "none"]
-
-
-def field_text(field: dict[str, Any]) -> str:
-    """Return how large and how smooth the field is, and whether the prediction has its mean."""
-    if field["amplitude_px"] == 0.0:
-        return "none"
-    part = "in the prediction" if any(map(any, field["mean"])) else "not in the prediction"
-    return f"1-sigma {field['amplitude_px']:.3f} px over {field['length_px']:.0f} px, {part}"
-
-
-def _rmse(metrics: dict[str, Any]) -> str:
-    """Return the RMSE in words; what was refused before a fit has none."""
-    if metrics["rmse_px"] is None or metrics["rmse_deg"] is None:
-        return "no fit"
-    return f"{significant(metrics['rmse_px'], 2)} px, {significant(metrics['rmse_deg'], 2)}°"

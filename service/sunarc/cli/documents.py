@@ -10,18 +10,13 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from sunarc.cli.calibration_files import compare_files, rectify_files
 from sunarc.cli.options import AsJson, CalibrationFile, print_json, table
-from sunarc.common.errors import InputError, disk_errors
-from sunarc.formats.asi_core import asi_core_set
-from sunarc.formats.calibration_document import from_document
-from sunarc.formats.exported import Exported
-from sunarc.formats.formats import FORMATS, export_draws, format_of
+from sunarc.common.errors import InputError
+from sunarc.formats.formats import FORMATS
 from sunarc.formats.remap import Grid
-from sunarc.formats.tables import MAP_FORMATS
+from sunarc.public.calibration_files import compare_files, exported, is_set, rectify_files, write_exports
 from sunarc.sources.files import read_file
 
-_YAML = (".yaml", ".yml")
 _READ = tuple(one.name for one in FORMATS.values() if one.read is not None)
 
 
@@ -44,50 +39,22 @@ def export_calibration(
 
     Example: sunarc export --calibration calibration.json --format opencv -o fisheye.yml
     """
-    if format_ == "asi-core" and target is not None and target.suffix not in _YAML:
-        _write_set(asi_core_set(_documents(calibration)), target)
+    if target is None:
+        one = exported(_document(calibration), format_, draws=draws, seed=seed)
+        sys.stdout.buffer.write(one.content)
+        print(f"{format_}: {one.error}", file=sys.stderr)
         return
-    made = _made(_document(calibration), format_, draws=draws, seed=seed)
-    if format_.startswith("azimuth-zenith") and target is not None:
-        _write_set([made], target)
-    elif target is None:
-        sys.stdout.buffer.write(made.content)
-    else:
-        _write(target, made.content)
-        for name, content in made.beside.items():
-            _write(target.parent / name, content)
+    into_folder = is_set(format_, target)
+    documents = _documents(calibration) if into_folder else [_document(calibration)]
+    for one in write_exports(documents, format_, target, draws=draws, seed=seed):
+        for name in () if into_folder else one.beside:
             print(f"{format_}: wrote {name} beside it", file=sys.stderr)
-    print(f"{format_}: {made.error}", file=sys.stderr)
-
-
-def _write_set(made: list[Exported], folder: Path) -> None:
-    """Write a set of files into a folder; what is there of the same name is replaced."""
-    with disk_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    for one in made:
-        for name, content in one.files.items():
-            _write(folder / name, content)
-        print(f"{one.name}: {one.error}", file=sys.stderr)
+        print(f"{one.name if into_folder else format_}: {one.error}", file=sys.stderr)
 
 
 def _documents(path: Path) -> list[dict[str, object]]:
     """Return the document of a file, or those of all JSON files of a folder."""
     return [_document(one) for one in sorted(path.glob("*.json"))] if path.is_dir() else [_document(path)]
-
-
-def _made(document: dict[str, object], format_: str, *, draws: int, seed: int) -> Exported:
-    if draws:
-        return _drawn(document, format_, draws=draws, seed=seed)
-    return format_of(format_, field="--format").write(from_document(document), document)
-
-
-def _drawn(document: dict[str, object], format_: str, *, draws: int, seed: int) -> Exported:
-    for name in MAP_FORMATS:
-        if format_ == name:
-            content = export_draws(document, name, draws=draws, seed=seed)
-            return Exported(content=content, error=f"{draws} draws of its errors, in single precision")
-    choices = " or ".join(MAP_FORMATS)
-    raise InputError(field="--draws", problem=f"{format_!r} has no draws", remedy=f"use --format {choices}")
 
 
 def _document(path: Path) -> dict[str, object]:
@@ -98,11 +65,6 @@ def _document(path: Path) -> dict[str, object]:
     if not isinstance(found, dict):
         raise InputError(field=str(path), problem="is not a JSON object", remedy="give a calibration document")
     return found
-
-
-def _write(path: Path, content: bytes) -> None:
-    with disk_errors(path):
-        path.write_bytes(content)
 
 
 def compare(

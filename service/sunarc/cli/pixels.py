@@ -8,10 +8,10 @@ from typing import Annotated
 
 import typer
 
-from sunarc.cli.calibration_files import project_csv, unproject_csv
 from sunarc.cli.options import AsJson, CalibrationFile, DetectionMethod, choice_of, print_rows
 from sunarc.common.errors import InputError
 from sunarc.detection.values import BAYERS
+from sunarc.public.calibration_files import project_csv, unproject_csv
 from sunarc.sources.detect_files import METHODS, detect_in_files, draw_overlay
 
 

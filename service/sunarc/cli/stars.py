@@ -10,15 +10,15 @@ import typer
 
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.selection import MOST_STARS
-from sunarc.cli.calibrate_files import image_circle_of
-from sunarc.cli.calibration_files import read_calibration
 from sunarc.cli.options import SITE, Altitude, AsJson, choice_of, print_json, print_table
-from sunarc.cli.star_files import StarImage, StarOptions, find_stars, find_stars_blind, write_star_sightings
 from sunarc.common.errors import InputError, disk_errors
 from sunarc.common.messages import counted
 from sunarc.detection.values import BAYERS
 from sunarc.formats.csv_files import read_sightings
 from sunarc.imager.runtime.clock import SystemClock
+from sunarc.public.calibrate_files import image_circle_of
+from sunarc.public.calibration_files import read_calibration
+from sunarc.public.star_files import StarImage, StarOptions, find_stars, find_stars_blind, write_star_sightings
 from sunarc.sky.site import Site
 from sunarc.sources.files import read_lines
 from sunarc.sources.image_times import TimeRules, utc_offset_of
@@ -157,7 +157,7 @@ def _found_blind(
         _print(result.images)
         print(result.as_json()["reason"])
     if result.accepted and target is not None:
-        text = json.dumps(result.document(camera=target.stem, clock=SystemClock()), indent=2)
+        text = json.dumps(result.document(camera=target.stem, now=SystemClock().now()), indent=2)
         with disk_errors(target):
             target.write_text(text + "\n", encoding="utf-8")
     return result.images

@@ -16,7 +16,6 @@ from rich.console import Console
 from rich.table import Table
 
 from sunarc.calibration.model.options import Method
-from sunarc.cli.calibration_files import read_calibration
 from sunarc.cli.options import AsJson, choice_of, print_json, progress_bars
 from sunarc.common.errors import InputError, disk_errors
 from sunarc.common.extras import extra_module
@@ -26,6 +25,7 @@ from sunarc.lab.studies.reports import make_folder, write_shadow, write_tables, 
 from sunarc.lab.studies.shadow import SIGMAS_DEG, WIND_M_S, study_shadow, study_shadow_of
 from sunarc.lab.studies.tables import study_tables
 from sunarc.lab.studies.uncertainty import distribution_rows, study_uncertainty
+from sunarc.public.calibration_files import read_calibration
 
 if TYPE_CHECKING:
     from sunarc.lab.studies.benchmark_cases import BenchmarkCase

@@ -5,13 +5,14 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from datetime import datetime
 from typing import TextIO
 
 import numpy as np
 
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.common.array_types import FloatArray, IntArray, NameArray
+from sunarc.common.array_types import FloatArray, IntArray
 from sunarc.common.errors import InputError
 from sunarc.common.utc import DAY_S, parse_time, rfc3339
 from sunarc.sky.directions import angles_from_direction, direction_from_angles
@@ -45,6 +46,15 @@ def read_sightings(lines: Iterable[str], *, name: str, site: Site | None = None)
     ------
     InputError : naming the line and column, the problem and the remedy.
     """
+    points, wheres = read_unplaced(lines, name=name)
+    return with_named_bodies(points, site, wheres=wheres)
+
+
+def read_unplaced(lines: Iterable[str], *, name: str) -> tuple[Sightings, list[str]]:
+    """Read sightings as `read_sightings` does, but bodies by their names have no direction yet; and where each stands.
+
+    They are complete after `with_named_bodies`.
+    """
     wheres: list[str] = []
     of_camera: list[tuple[str, str]] = []
     rows: list[tuple[float, ...]] = []
@@ -67,11 +77,6 @@ def read_sightings(lines: Iterable[str], *, name: str, site: Site | None = None)
             )
         )
     columns = np.array(rows, dtype=np.float64).reshape(-1, 9)
-    bodies, stated = np.array(body, dtype=np.str_), columns[:, 7]
-    directions = direction_from_angles(zenith_deg=stated, azimuth_deg=columns[:, 8])
-    named = np.flatnonzero(np.isnan(stated) & (bodies != SUN)) if rows else np.zeros(0, dtype=np.int64)
-    if named.size:
-        directions[named] = _named_directions(bodies[named], columns[named], [wheres[n] for n in named.tolist()], site)
     return Sightings.of(
         epoch=_epochs(of_camera, columns[:, 0], name=name),
         unix_s=columns[:, 0],
@@ -80,25 +85,43 @@ def read_sightings(lines: Iterable[str], *, name: str, site: Site | None = None)
         temperature=columns[:, 4],
         pressure=columns[:, 5],
         clock_error_s=columns[:, 6],
-        directions=directions,
-        body=bodies,
-    )
+        directions=direction_from_angles(zenith_deg=columns[:, 7], azimuth_deg=columns[:, 8]),
+        body=np.array(body, dtype=np.str_),
+    ), wheres
 
 
-def _named_directions(names: NameArray, columns: FloatArray, wheres: Sequence[str], site: Site | None) -> FloatArray:
-    """Return the directions (n, 3) of bodies by their names; InputError names the first that no body has."""
-    found = np.full((names.size, 3), np.nan)
+def with_named_bodies(points: Sightings, site: Site | None, *, wheres: Sequence[str]) -> Sightings:
+    """Return sightings whose bodies other than the sun have the directions that a site gives their names.
+
+    Parameters
+    ----------
+    points : a stated direction is kept.
+    site : None: every body but the sun needs a stated direction.
+    wheres : where each row stands, for errors.
+
+    Raises
+    ------
+    InputError
+        Naming the first row whose body is not known.
+    """
+    named = np.flatnonzero(np.isnan(points.directions[:, 0]) & (points.body != SUN))
+    if not named.size:
+        return points
+    found = np.full((named.size, 3), np.nan)
     if site is not None:
-        air = {"temperature": columns[:, 4], "pressure": columns[:, 5]}
-        found = body_directions(names, columns[:, 0], site, **air)
+        air = {"temperature": points.temperature[named], "pressure": points.pressure[named]}
+        found = body_directions(points.body[named], points.unix_s[named], site, **air)
     unknown = np.flatnonzero(np.isnan(found[:, 0]))
     if unknown.size:
+        row = int(named[unknown[0]])
         raise InputError(
-            field=f"{wheres[int(unknown[0])]}, body",
-            problem=f"{str(names[unknown[0]])!r} is not known",
+            field=f"{wheres[row]}, body",
+            problem=f"{str(points.body[row])!r} is not known",
             remedy="give its zenith_deg and azimuth_deg, or sun sightings",
         )
-    return found
+    directions = np.array(points.directions)
+    directions[named] = found
+    return replace(points, directions=directions)
 
 
 def _epochs(of_camera: Sequence[tuple[str, str]], unix_s: FloatArray, *, name: str) -> IntArray:

@@ -88,6 +88,11 @@ class Located:
     geodetic: GeodeticPosition
     covariance_m2: FloatArray
 
+    @property
+    def sigma_m(self) -> FloatArray:
+        """(n,) 1-sigma per axis on the ground, m."""
+        return np.asarray(np.sqrt(0.5 * (self.covariance_m2[:, 0, 0] + self.covariance_m2[:, 1, 1])))
+
 
 def clouds(
     directions: FloatArray, *, height_m: ArrayLike, covariance: FloatArray, site: Site, height_sigma_m: ArrayLike = 0.0

@@ -43,6 +43,14 @@ def angles_from_direction(direction_enu: ArrayLike) -> tuple[FloatArray, FloatAr
     return zenith, np.where(azimuth >= 360.0, 0.0, azimuth)  # -1e-17 % 360 rounds up to 360
 
 
+def unit_vectors(vectors: ArrayLike) -> FloatArray:
+    """Return the unit vectors (..., 3) of vectors of any length, in their precision; NaN of a vector of length 0."""
+    given = np.asarray(vectors)
+    with np.errstate(all="ignore"):
+        scaled = given / np.max(np.abs(given), axis=-1, keepdims=True)  # squares of tiny or huge ones would fail
+        return np.asarray(scaled / np.linalg.norm(scaled, axis=-1, keepdims=True))
+
+
 def wrapped_deg(angle_deg: ArrayLike) -> FloatArray:
     """Return angles, or their differences, (...) in degrees as -180 <= angle < 180."""
     return np.asarray((np.asarray(angle_deg, dtype=np.float64) + 180.0) % 360.0 - 180.0)

@@ -23,6 +23,9 @@ PRESSURE_BOUNDS_HPA = (PRESSURE_BOUNDS_PA[0] / PA_PER_HPA, PRESSURE_BOUNDS_PA[1]
 EARTH_RATE = 7.292e-5
 """Of the earth's rotation against the stars, radians a second."""
 
+Latitude = Annotated[float, Ge(-90.0), Le(90.0)]
+Longitude = Annotated[float, Ge(-180.0), Le(180.0)]
+Altitude = Annotated[float, Ge(-500.0), Le(9000.0)]
 PressurePa = Annotated[float, Ge(PRESSURE_BOUNDS_PA[0]), Le(PRESSURE_BOUNDS_PA[1])]
 TemperatureC = Annotated[float, Ge(TEMPERATURE_BOUNDS_C[0]), Le(TEMPERATURE_BOUNDS_C[1])]
 
@@ -40,9 +43,9 @@ class Site:
     temperature : annual mean air temperature in °C.
     """
 
-    latitude: Annotated[float, Ge(-90.0), Le(90.0)]
-    longitude: Annotated[float, Ge(-180.0), Le(180.0)]
-    altitude: Annotated[float, Ge(-500.0), Le(9000.0)] = 0.0
+    latitude: Latitude
+    longitude: Longitude
+    altitude: Altitude = 0.0
     pressure: PressurePa | None = None
     temperature: TemperatureC = 12.0
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -66,3 +68,21 @@ def require_inside(pixels: FloatArray, image_size: tuple[int, int], *, name: str
             f"{outside.size} of {pixels.shape[0]} (at most {_MOST_BEYOND:.0%})",
             remedy="correct the image size, or the rows",
         )
+
+
+@contextmanager
+def writing_into(folder: Path) -> Iterator[None]:
+    """Make a folder to write into; one that cannot be is the caller's error.
+
+    Raises
+    ------
+    InputError
+        Where the folder or a file in it cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        yield
+    except OSError as error:
+        raise InputError(
+            field=str(folder), problem=error.strerror or str(error), remedy="name a folder that can be written to"
+        ) from None

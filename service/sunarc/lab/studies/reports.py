@@ -3,39 +3,17 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import Sightings
-from sunarc.common.errors import InputError
 from sunarc.common.extras import extra_module
-from sunarc.lab.studies.residuals import residuals_of
 from sunarc.lab.studies.shadow import ShadowRow
 from sunarc.lab.studies.tables import COLUMNS, TableRow
 from sunarc.lab.studies.uncertainty import UncertaintyStudy, distribution_rows, trial_rows
+from sunarc.sources.files import writing_into
 
 _DIGITS = 9
-
-
-@contextmanager
-def writing_into(folder: Path) -> Iterator[None]:
-    """Make a folder to write into; one that cannot be is the caller's error.
-
-    Raises
-    ------
-    InputError
-        Where the folder or a file in it cannot be written.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        yield
-    except OSError as error:
-        raise InputError(
-            field=str(folder), problem=error.strerror or str(error), remedy="name a folder that can be written to"
-        ) from None
 
 
 def make_folder(folder: Path) -> None:
@@ -47,7 +25,8 @@ def make_folder(folder: Path) -> None:
 def write_uncertainty(study: UncertaintyStudy, *, folder: Path) -> tuple[Path, ...]:
     """Write `uncertainty.csv` (distributions), `uncertainty_trials.csv` (every fit), and two figures."""
     extra_module("matplotlib", extra="plots")  # loaded when something is drawn
-    from sunarc.lab.studies.figures import parameter_figure, rmse_figure, save_png  # noqa: PLC0415 - same
+    from sunarc.lab.studies.figures import parameter_figure, rmse_figure  # noqa: PLC0415 - same
+    from sunarc.public.plots import save_png  # noqa: PLC0415 - same
 
     with writing_into(folder):
         distributions, trials = distribution_rows(study), trial_rows(study)
@@ -62,7 +41,8 @@ def write_uncertainty(study: UncertaintyStudy, *, folder: Path) -> tuple[Path, .
 def write_shadow(rows: Sequence[ShadowRow], *, folder: Path) -> tuple[Path, ...]:
     """Write `shadow.csv`, and `shadow.png` where there is more than one size of the error to draw."""
     extra_module("matplotlib", extra="plots")
-    from sunarc.lab.studies.figures import save_png, shadow_figure  # noqa: PLC0415 - same
+    from sunarc.lab.studies.figures import shadow_figure  # noqa: PLC0415 - same
+    from sunarc.public.plots import save_png  # noqa: PLC0415 - same
 
     with writing_into(folder):
         table = [asdict(row) for row in rows]
@@ -89,32 +69,3 @@ def write_csv(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, st
 
 def _cell(value: str | float) -> str:
     return f"{value:.{_DIGITS}g}" if isinstance(value, float) else str(value)
-
-
-def write_calibration_plots(calibration: Calibration, points: Sightings, *, folder: Path) -> tuple[Path, ...]:
-    """Write what a calibration leaves over and how sure it is, as PNG.
-
-    Parameters
-    ----------
-    calibration : accepted or refused.
-    points : the sightings that it was made from.
-    folder : where to; made where it is missing.
-
-    Returns
-    -------
-    The files: `residuals.png` and `sky.png`.
-
-    Raises
-    ------
-    InputError
-        Where they cannot be written.
-    """
-    extra_module("matplotlib", extra="plots")  # loaded when something is drawn
-    from sunarc.lab.studies.figures import residual_figure, save_png, sky_figure  # noqa: PLC0415 - same
-
-    residuals = residuals_of(calibration, points)
-    with writing_into(folder):
-        return (
-            save_png(residual_figure(calibration, residuals), folder / "residuals.png"),
-            save_png(sky_figure(calibration, residuals), folder / "sky.png"),
-        )

@@ -17,7 +17,7 @@ from sunarc.imager.web.context import ApiContext
 from sunarc.imager.web.parameters import BY_CALIBRATION, At, Draws, Seed
 from sunarc.imager.web.problems import answers
 from sunarc.imager.web.schemas import BackProjectAnswer, BackProjectRequest, ProjectAnswer, ProjectRequest
-from sunarc.sky.directions import angles_from_direction, direction_from_angles
+from sunarc.sky.directions import angles_from_direction, direction_from_angles, unit_vectors
 
 
 def direction_routes(context: ApiContext, slots: ComputeSlots) -> APIRouter:
@@ -86,14 +86,7 @@ def _back_project(answering: Answering, pixels: Rows) -> Rows:
 
 
 def _project(answering: Answering, vectors: Rows) -> Rows:
-    return answering.ready.project(_unit(vectors))
-
-
-def _unit(vectors: Rows) -> FloatArray:
-    """Return the unit vectors (n, 3) of vectors of any length, in their precision."""
-    with np.errstate(all="ignore"):  # a vector of length 0 has no direction, and its pixel no number
-        scaled = vectors / np.max(np.abs(vectors), axis=-1, keepdims=True)  # squares of tiny or huge ones would fail
-        return np.asarray(scaled / np.linalg.norm(scaled, axis=-1, keepdims=True))
+    return answering.ready.project(unit_vectors(vectors))
 
 
 def _draw_directions(_answering: Answering, ensemble: Ensemble, draw: int, pixels: Rows) -> Rows:
@@ -103,7 +96,7 @@ def _draw_directions(_answering: Answering, ensemble: Ensemble, draw: int, pixel
 
 
 def _draw_pixels(_answering: Answering, ensemble: Ensemble, draw: int, vectors: Rows) -> Rows:
-    return _as_precise(ensemble.project(draw, _unit(np.asarray(vectors, dtype=np.float64))), vectors)
+    return _as_precise(ensemble.project(draw, unit_vectors(np.asarray(vectors, dtype=np.float64))), vectors)
 
 
 def _as_precise(rows: FloatArray, question: Rows) -> Rows:

@@ -9,6 +9,7 @@ from fastapi import APIRouter, Request
 from fastapi.responses import Response
 from pydantic import BaseModel, Field, model_validator
 
+from sunarc.calibration.answers.cloud_positions import HIGHEST_CLOUD_M, cloud_positions
 from sunarc.calibration.answers.error_model import Ensemble
 from sunarc.common.array_types import BoolArray, FloatArray
 from sunarc.common.errors import InputError
@@ -22,9 +23,8 @@ from sunarc.imager.web.problems import answers
 from sunarc.imager.web.routes.directions import finite_rows
 from sunarc.sky.sun import sun_angles, sun_directions
 
-_HIGHEST_M = 30_000.0
 Height = Annotated[
-    Number, Field(gt=0.0, le=_HIGHEST_M, description="Of the cloud base above the camera's altitude, m.")
+    Number, Field(gt=0.0, le=HIGHEST_CLOUD_M, description="Of the cloud base above the camera's altitude, m.")
 ]
 HeightSigma = Annotated[
     Number, Field(ge=0.0, le=10_000.0, description="1-sigma of the height, the same error for all points, m.")
@@ -198,12 +198,12 @@ def _require_heights(height_m: FloatArray) -> None:
     valid = _are_heights(height_m)
     if not np.all(valid):
         place = int(np.argmin(valid))
-        problem = f"a height of {height_m[place]:g} m is not above 0 and at most {_HIGHEST_M:g}"
+        problem = f"a height of {height_m[place]:g} m is not above 0 and at most {HIGHEST_CLOUD_M:g}"
         raise InputError(field=f"points[{place}][2]", problem=problem, remedy="give the height of a cloud base in m")
 
 
 def _are_heights(height_m: FloatArray) -> BoolArray:
-    return (height_m > 0.0) & (height_m <= _HIGHEST_M)
+    return (height_m > 0.0) & (height_m <= HIGHEST_CLOUD_M)
 
 
 def _require_each(n_times: int, n_points: int) -> None:
@@ -233,12 +233,10 @@ def _located_at(answering: bulk.Answering, exact: FloatArray, unix_s: float | Fl
     """Return the answer's rows for points that see the sun of one time, or each of its own, of one solar day."""
     site = answering.context.site_with_air_at(answering.time)
     exact = _with_heights(exact)
-    directions = np.asarray(answering.ready.back_project(np.ascontiguousarray(exact[:, :2]))[:, 2:5], dtype=np.float64)
+    cloud = cloud_positions(
+        answering.ready, exact[:, :2], height_m=exact[:, 2], height_sigma_m=_height_sigma(exact), site=site
+    )
     with np.errstate(all="ignore"):  # what has no place is answered with null
-        covariance = answering.ready.direction_covariance(np.ascontiguousarray(directions))
-        cloud = clouds(
-            directions, height_m=exact[:, 2], covariance=covariance, site=site, height_sigma_m=_height_sigma(exact)
-        )
         shadow = shadows(cloud, sun_directions(unix_s, site), site)
         return np.concatenate([_row(cloud), _row(shadow)], axis=1)
 
@@ -278,13 +276,12 @@ def _place_draws_json(drawn: FloatArray) -> dict[str, Any]:
 
 def _row(found: Located) -> FloatArray:
     spread = found.covariance_m2
-    sigma = np.sqrt(0.5 * (spread[:, 0, 0] + spread[:, 1, 1]))
     position = found.geodetic
     columns = (
         position.latitude,
         position.longitude,
         position.altitude,
-        sigma,
+        found.sigma_m,
         spread[:, 0, 0],
         spread[:, 0, 1],
         spread[:, 1, 1],

@@ -13,58 +13,50 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.answers.covariance import project_with_covariance, sigma_px, unproject_with_sigma
+from sunarc.calibration.answers.direction_table import BACK_PROJECTED, PROJECTED, Rows, lookup
 from sunarc.calibration.model.result import Calibration
 from sunarc.common.array_types import FloatArray, Image
 from sunarc.common.errors import InputError, OutsideError, disk_errors
 from sunarc.common.extras import extra_module
 from sunarc.common.foreign_files import is_regular, name_text
 from sunarc.detection.values import Bayer
+from sunarc.formats.asi_core import asi_core_set
 from sunarc.formats.calibration_document import from_document
 from sunarc.formats.csv_files import read_pairs, write_columns
-from sunarc.formats.exported import Table, Variable
-from sunarc.formats.formats import read_view
+from sunarc.formats.exported import Exported, Table, Variable
+from sunarc.formats.formats import export_draws, format_of, read_view
 from sunarc.formats.remap import Grid, grid_directions, reach_m, remap_tables, remapped
-from sunarc.formats.tables import netcdf_bytes, npz_bytes
+from sunarc.formats.tables import MAP_FORMATS, netcdf_bytes, npz_bytes
 from sunarc.formats.view import ZENITH_RANGES_DEG, Comparison, View, compare
 from sunarc.imaging.metadata import document_of
 from sunarc.imaging.preview import demosaiced
-from sunarc.optics.camera import camera_sees
-from sunarc.sky.directions import angles_from_direction, direction_from_angles
+from sunarc.sky.directions import angles_from_direction, direction_from_angles, unit_vectors
 from sunarc.sources.files import read_file, read_image
 
 _PLACES = 10
+_YAML = (".yaml", ".yml")
 
 
 def project_csv(calibration: Path, source: TextIO, target: TextIO) -> None:
     """Read zenith_deg,azimuth_deg and write x_px,y_px,sigma_px,cov_xx,cov_xy,cov_yy,inside."""
-    solved = read_calibration(calibration)
+    ready = lookup(read_calibration(calibration))
     angles = read_pairs(source, columns=("zenith_deg", "azimuth_deg"), name="standard input")
-    direction = direction_from_angles(zenith_deg=angles[:, 0], azimuth_deg=angles[:, 1])
-    pixels, covariance = project_with_covariance(solved, direction)
-    columns = {
-        "x_px": pixels[:, 0],
-        "y_px": pixels[:, 1],
-        "sigma_px": sigma_px(covariance),
-        "cov_xx": covariance[:, 0, 0],
-        "cov_xy": covariance[:, 0, 1],
-        "cov_yy": covariance[:, 1, 1],
-        "inside": camera_sees(solved.camera, pixels).astype(np.float64),
-    }
-    write_columns(target, columns, places=dict.fromkeys(columns, _PLACES) | {"inside": 0})
+    directions = direction_from_angles(zenith_deg=angles[:, 0], azimuth_deg=angles[:, 1])
+    found = ready.project(unit_vectors(directions))
+    _write_answers(target, found, [name.removesuffix("_px2") for name in PROJECTED])
 
 
 def unproject_csv(calibration: Path, source: TextIO, target: TextIO) -> None:
     """Read x_px,y_px and write zenith_deg,azimuth_deg,sigma_deg,inside."""
-    pixels = read_pairs(source, columns=("x_px", "y_px"), name="standard input")
-    direction, sigma_deg, inside = unproject_with_sigma(read_calibration(calibration), pixels)
-    zenith, azimuth = angles_from_direction(direction)
-    columns = {
-        "zenith_deg": zenith,
-        "azimuth_deg": azimuth,
-        "sigma_deg": sigma_deg,
-        "inside": np.asarray(inside, dtype=np.float64),
-    }
+    ready = lookup(read_calibration(calibration))
+    found = ready.back_project(read_pairs(source, columns=("x_px", "y_px"), name="standard input"))
+    columns = ["zenith_deg", "azimuth_deg", "sigma_deg", "inside"]
+    _write_answers(target, found[:, [BACK_PROJECTED.index(name) for name in columns]], columns)
+
+
+def _write_answers(target: TextIO, rows: Rows, names: Sequence[str]) -> None:
+    """Write rows (n, k) of answers as columns; the last one is whether the camera sees it."""
+    columns = dict(zip(names, np.asarray(rows, dtype=np.float64).T, strict=True))
     write_columns(target, columns, places=dict.fromkeys(columns, _PLACES) | {"inside": 0})
 
 
@@ -88,6 +80,51 @@ def read_view_file(path: Path) -> View:
         return read_file(other) if is_regular(other) else None
 
     return read_view(read_file(path), name=path.name, beside=beside)
+
+
+def exported(document: dict[str, Any], form: str, *, draws: int = 0, seed: int = 0) -> Exported:
+    """Return a calibration document in another format, with draws of its errors where they are asked for."""
+    if not draws:
+        return format_of(form, field="--format").write(from_document(document), document)
+    for name in MAP_FORMATS:
+        if form == name:
+            content = export_draws(document, name, draws=draws, seed=seed)
+            return Exported(content=content, error=f"{draws} draws of its errors, in single precision")
+    choices = " or ".join(MAP_FORMATS)
+    raise InputError(field="--draws", problem=f"{form!r} has no draws", remedy=f"use --format {choices}")
+
+
+def is_set(form: str, target: Path) -> bool:
+    """Return whether a format is a set of files, for which the target is a folder."""
+    return form.startswith("azimuth-zenith") or (form == "asi-core" and target.suffix not in _YAML)
+
+
+def write_exports(
+    documents: Sequence[dict[str, Any]], form: str, target: Path, *, draws: int = 0, seed: int = 0
+) -> list[Exported]:
+    """Write a calibration document in another format, of asi-core's set all documents; return what was written.
+
+    Parameters
+    ----------
+    documents : the first one is written, or all as a set.
+    form : name of the format.
+    target : the file; the folder of a set. Files of the same name are replaced.
+    draws, seed : of the errors, for formats that have them.
+    """
+    into_folder = is_set(form, target)
+    if form == "asi-core" and into_folder:
+        made = asi_core_set(documents)
+    else:
+        made = [exported(documents[0], form, draws=draws, seed=seed)]
+    folder = target if into_folder else target.parent
+    if into_folder:
+        with disk_errors(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+    for one in made:
+        for name, content in (one.files if into_folder else {target.name: one.content, **one.beside}).items():
+            with disk_errors(folder / name):
+                (folder / name).write_bytes(content)
+    return made
 
 
 def compare_files(first: Path, second: Path, *, differences: Path | None = None) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
@@ -12,7 +11,6 @@ from typing import Any, TextIO
 
 import numpy as np
 
-import sunarc
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
@@ -26,16 +24,15 @@ from sunarc.common.utc import DAY_S, rfc3339, utc_time
 from sunarc.detection.stars.detect import detect_stars
 from sunarc.detection.stars.matching import StarMatches
 from sunarc.detection.values import FWHM, Bayer, PredictedStars, Stars
-from sunarc.formats.calibration_document import to_document
 from sunarc.formats.csv_files import write_sightings
-from sunarc.imager.runtime.clock import Clock
 from sunarc.optics.camera import Camera
+from sunarc.public.documents import new_document
 from sunarc.sky.directions import angular_distance, direction_from_angles
 from sunarc.sky.night import FAINTEST_V, NightSky, night_sky
 from sunarc.sky.site import Site
 from sunarc.sources.detect_files import estimated_full_scale
 from sunarc.sources.files import read_file, read_image
-from sunarc.sources.image_files import RefusedImageError, kind_of
+from sunarc.sources.image_files import RefusedImageError, fits_bayer, fits_frame, fits_image, fits_site, kind_of
 from sunarc.sources.image_times import ASSUMED_UTC, TimeRules, timed_picture
 from sunarc.sources.sources import Folder
 from sunarc.stars.blind_start import BlindOptions, BlindStart, NightDetections, blind_start, with_clock_error
@@ -122,6 +119,11 @@ def find_stars(paths: Sequence[Path], calibration: Calibration, options: StarOpt
     camera = calibration.camera
     size = (camera.width, camera.height)
     seen = [read_stars(path, calibration.site, options, size=size) for path in paths]
+    return named_or_flipped(seen, calibration, options)
+
+
+def named_or_flipped(seen: Sequence[StarImage], calibration: Calibration, options: StarOptions) -> list[StarImage]:
+    """Return images with the names that a calibration gives their stars; or their findings say how they are flipped."""
     return _with_flips(named_stars(seen, calibration, within_px=options.within_px), seen, calibration)
 
 
@@ -225,16 +227,26 @@ def read_stars(path: Path, site: Site, options: StarOptions, *, size: tuple[int,
     if (elsewhere := _other_site(path, site)) is not None:
         reason = elsewhere.text
         return StarImage(file=name_text(path), reason=reason, findings=(elsewhere,), time=time)
+    return stars_of_image(image, time, site, replace(options, bayer=bayer), name=name_text(path), size=size)
+
+
+def stars_of_image(
+    image: Image, time: datetime, site: Site, options: StarOptions, *, name: str, size: tuple[int, int] | None = None
+) -> StarImage:
+    """Return the detections of an image, and the sky at the middle of its exposure.
+
+    InputError where the image has not the size (width, height) that is wanted.
+    """
     found = (image.shape[1], image.shape[0])
-    _require_size(path, found, size)
+    _require_size(name, found, size)
     stars = detect_stars(
         image,
         full_scale=options.full_scale or estimated_full_scale(image),
-        bayer=bayer,
+        bayer=options.bayer,
         gain_e_per_count=options.gain_e_per_count,
     )
     sky = night_sky(time.timestamp(), site, faintest=FAINTEST_V)
-    return StarImage(file=name_text(path), reason="", findings=(), time=time, sky=sky, stars=stars, size=found)
+    return StarImage(file=name, reason="", findings=(), time=time, sky=sky, stars=stars, size=found)
 
 
 _FARTHEST_DEG = 2.0
@@ -245,8 +257,6 @@ def _other_site(path: Path, site: Site) -> Finding | None:
     """Return what a FITS header says that is another site; longitudes that are positive to the west are known."""
     if kind_of(path.name) != "fits":
         return None
-    from sunarc.sources.image_files import fits_site
-
     if (place := fits_site(read_file(path), path.name)) is None:
         return None
     here = direction_from_angles(zenith_deg=90.0 - site.latitude, azimuth_deg=site.longitude)
@@ -266,8 +276,6 @@ def _read(path: Path, options: StarOptions) -> tuple[datetime, Image, Bayer | No
     if kind_of(path.name) != "fits":
         stated = _stated_time(path, options.rules)
         return stated + to_middle, read_image(path), options.bayer
-    from sunarc.sources.image_files import fits_bayer, fits_frame, fits_image
-
     content = read_file(path)
     image = fits_image(content, path.name, size=None)
     bayer = options.bayer or (fits_bayer(content, path.name) if image.ndim == 2 else None)
@@ -289,10 +297,10 @@ def _stated_time(path: Path, rules: TimeRules) -> datetime:
     return timed_picture(Folder(name_text(path.parent)), name_text(path.name), rules, names=names).time
 
 
-def _require_size(path: Path, found: tuple[int, int], size: tuple[int, int] | None) -> None:
+def _require_size(name: str, found: tuple[int, int], size: tuple[int, int] | None) -> None:
     if size is not None and found != size:
         raise InputError(
-            field=name_text(path),
+            field=name,
             problem=f"is {found[0]}x{found[1]}, the calibration of {size[0]}x{size[1]} images",
             remedy="give images of the calibrated camera",
         )
@@ -354,22 +362,12 @@ class BlindResult:
             "images": [image.as_json() for image in self.images],
         }
 
-    def document(self, *, camera: str, clock: Clock) -> dict[str, Any]:
+    def document(self, *, camera: str, now: datetime) -> dict[str, Any]:
         """Return the calibration's document; InputError where there is no calibration."""
         if self.calibration is None:
             raise InputError(field=camera, problem="no calibration", remedy="see the findings")
         first = min(image.time for image in self.images if image.time is not None)
-        return to_document(
-            self.calibration,
-            id=uuid.uuid4().hex,
-            camera=camera,
-            state="candidate" if self.accepted else "refused",
-            created_at=clock.now(),
-            valid_from=utc_time(first.timestamp()),
-            valid_until=None,
-            pose_epoch="",
-            software_version=sunarc.__version__,
-        )
+        return new_document(self.calibration, np.array([first.timestamp()]), created_at=now, camera=camera)
 
 
 def find_stars_blind(
@@ -392,6 +390,14 @@ def find_stars_blind(
     for path in paths:
         seen.append(read_stars(path, site, options, size=size))
         size = size or seen[-1].size
+    return blind_result(seen, site, options, known=known)
+
+
+def blind_result(
+    seen: list[StarImage], site: Site, options: StarOptions, *, known: BlindOptions | None = None
+) -> BlindResult:
+    """Return the camera that images of one night give by their stars; arguments as of `find_stars_blind`."""
+    size = next((one.size for one in seen if one.size is not None), None)
     if size is None:
         few = Finding("blind_few_images", {"n": 0, "turn_deg": 0.0, "limit": 10.0})
         return BlindResult(start=BlindStart(accepted=False, findings=(few,)), images=seen)

@@ -1,0 +1,61 @@
+"""The text of a calibration: what `sunarc calibrate` and `print(calibration)` print."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sunarc.common.findings import findings_of
+from sunarc.common.messages import significant
+
+
+def verdict_of(document: dict[str, Any]) -> str:
+    """Return the verdict on a calibration in a word."""
+    verdict = document["verdict"]
+    if verdict["marginal"] and document["uncertainty"].get("sigma_limit_deg") is not None:
+        return "provisional"
+    return "accepted" if verdict["accepted"] else "marginal" if verdict["marginal"] else "refused"
+
+
+def calibration_text(document: dict[str, Any]) -> str:
+    """Return the main numbers of a calibration document, its verdict and the remedies, a line each."""
+    model, metrics, verdict = document["model"], document["metrics"], document["verdict"]
+    sky = document["uncertainty"]
+    rows: list[list[str]] = [
+        ["projection", model["projection"] + (", mirrored" if document["image"]["mirrored"] else "")],
+        ["focal length", "{:.3f}, {:.3f} px".format(*model["focal_length_px"])],
+        ["principal point", "{:.3f}, {:.3f} px".format(*model["principal_point_px"])],
+        *([name.removesuffix("_deg"), f"{value:.3f}°"] for name, value in document["pose"].items()),
+        ["sightings used", f"{document['evidence']['n_used']} of {metrics['n'] + document['evidence']['n_rejected']}"],
+        ["RMSE", _rmse(metrics)],
+        [
+            "1-sigma over the sky",
+            f"{significant(sky['sky_rms_deg'], 2)}° RMS, {significant(sky['sky_max_deg'], 2)}° at most",
+        ],
+        ["field beside the lens", field_text(sky["field"])],
+        ["verdict", verdict_of(document)],
+        *(["", reason] for reason in verdict["reasons"]),
+        *(["remedy", remedy] for remedy in _remedies(verdict)),
+    ]
+    width = max(len(name) for name, _ in rows) + 2
+    return "\n".join(f"{name:{width}}{value}" for name, value in rows)
+
+
+def _remedies(verdict: dict[str, Any]) -> list[str]:
+    """Return what to do about a calibration that is not accepted, each once."""
+    found = [] if verdict["accepted"] else [finding.remedy for finding in findings_of(verdict)]
+    return [one for one in dict.fromkeys(found) if one != "none"]
+
+
+def field_text(field: dict[str, Any]) -> str:
+    """Return how large and how smooth the field is, and whether the prediction has its mean."""
+    if field["amplitude_px"] == 0.0:
+        return "none"
+    part = "in the prediction" if any(map(any, field["mean"])) else "not in the prediction"
+    return f"1-sigma {field['amplitude_px']:.3f} px over {field['length_px']:.0f} px, {part}"
+
+
+def _rmse(metrics: dict[str, Any]) -> str:
+    """Return the RMSE in words; what was refused before a fit has none."""
+    if metrics["rmse_px"] is None or metrics["rmse_deg"] is None:
+        return "no fit"
+    return f"{significant(metrics['rmse_px'], 2)} px, {significant(metrics['rmse_deg'], 2)}°"
