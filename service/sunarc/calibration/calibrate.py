@@ -63,23 +63,25 @@ def calibrate(points: Sightings, **given: Unpack[FitInput]) -> Calibration:
     return lens.allowed_for(calibrate_chosen(lens))
 
 
-def prepared(points: Sightings, **given: Unpack[FitInput]) -> ChosenLens:
+def prepared(
+    points: Sightings,
+    *,
+    site: Site,
+    image_size: tuple[int, int],
+    options: CalibrationOptions = USUAL_OPTIONS,
+    circle: ImageCircle | None = None,
+    start: Camera | None = None,
+    parts: bool = True,
+    tilt_known: bool = False,
+) -> ChosenLens:
     """Return the input of a fit with the usable sightings and the projection; arguments as of `calibrate`."""
-    site, image_size, start = given["site"], given["image_size"], given.get("start")
     if min(image_size) < 16:
         raise InputError(field="image size", problem=f"{image_size} px", remedy="give width and height in px")
-    job = Job(
-        points,
-        filter_sightings(points, site=site, image_size=image_size),
-        site,
-        image_size,
-        given.get("options", USUAL_OPTIONS),
-        given.get("circle"),
-        None if start is None else start.lens_alone(),
-        parts=given.get("parts", True),
-        tilt_known=given.get("tilt_known", False),
+    usable = filter_sightings(points, site=site, image_size=image_size)
+    begin = None if start is None else start.lens_alone()
+    return chosen_lens(
+        Job(points, usable, site, image_size, options, circle, begin, parts=parts, tilt_known=tilt_known)
     )
-    return chosen_lens(job)
 
 
 def calibrate_chosen(lens: ChosenLens) -> Calibration:
