@@ -14,7 +14,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 NOTEBOOKS = ("front_door.ipynb", "pictures.ipynb")
 MOST_LINES = 20
-OF_OTHER_EXTRAS = ("xarray", "ephem", "h5netcdf", "yaml", "pandas", "dask")
+OF_OTHER_EXTRAS = ("xarray", "fastapi", "h5netcdf", "yaml", "pandas", "dask")
 
 
 def cells(name: str) -> list[dict[str, Any]]:

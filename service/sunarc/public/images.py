@@ -200,7 +200,7 @@ def find_stars(
     full_scale: int | None = None,
     bayer: Bayer | None = None,
 ) -> StarDetections | list[StarDetections]:
-    """Return the stars of a picture of the night with their names, as `sunarc stars` does; needs `sunarc[night]`.
+    """Return the stars of a picture of the night with their names, as `sunarc stars` does.
 
     Parameters
     ----------
