@@ -595,9 +595,18 @@ def imager_recording(service: Service) -> tuple[Supervised, ...]:
         clock=service.clock,
         passing=[NO_FRAME_YET],
     )
+    room = upkeep.StoreRoomWorker(
+        archive=service.archive,
+        clock=service.clock,
+        board=service.board,
+        severity="degraded",
+        quiet_s=upkeep.QUIET_S,
+        patience_s=upkeep.PATIENCE_S,
+    )
     return (
         Supervised(name="housekeeping", make_worker=lambda: housekeeping),
         Supervised(name="conditions", make_worker=lambda: conditions),
+        Supervised(name="room", make_worker=lambda: room, optional=True),
     )
 
 

@@ -64,6 +64,7 @@ class Archive:
         self.notices = NoticeStore(database)
         self.revision = database.revision
         self.require_storing = database.require_storing
+        self.last_written = database.last_written
 
     def __enter__(self) -> Self:
         return self

@@ -17,7 +17,7 @@ from sunarc.imager.archive.images import DiskOptions, DiskUsage, ImageStore
 from sunarc.imager.archive.values import Event, Housekeeping, merged
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.runtime.loop import Attempts, Loop, Pauses
-from sunarc.imager.runtime.status import DiskStatus, Reason, StatusRegistry, condition
+from sunarc.imager.runtime.status import DiskStatus, Reason, Severity, StatusRegistry, condition
 
 _log = logging.getLogger(__name__)
 _DISK_EVERY_S = 5.0
@@ -188,20 +188,36 @@ def _publish(board: StatusRegistry, done: Recovery) -> None:
     board.set_condition(reason.code, reason, log=False)
 
 
+QUIET_S, PATIENCE_S = 60.0, 45.0
+"""Of an imager, which tries to store where nothing was stored for so long: 12 kB a minute, and none by day. Others may
+hold the file locked for 30 s, and a slow device is `database_slow`."""
+
+
 @dataclass(kw_only=True, eq=False)
 class StoreRoomWorker:
-    """Checks whether a hub's database can store a row, and shows why not.
+    """Checks whether a database can store a row, and shows why not.
 
     Parameters
     ----------
-    archive : the hub's.
+    archive : of a hub, or of an imager.
     clock : real time.
     board : where it is shown.
+    severity : "not_ready" of a hub. An imager goes on, and holds its sightings in memory.
+    quiet_s : without a write to the file, after which a row is tried; 0 tries at each look, and room for more rows.
+    patience_s : that a trial may take.
     """
 
     archive: Archive
     clock: Clock
     board: StatusRegistry
+    severity: Severity = "not_ready"
+    quiet_s: float = 0.0
+    patience_s: float = 5.0
+
+    def __post_init__(self) -> None:
+        """Begin as after a write."""
+        self._written, self._written_s = self.archive.last_written(), self.clock.monotonic()
+        self._fails = False
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Check until stopped."""
@@ -209,14 +225,24 @@ class StoreRoomWorker:
 
     def check(self) -> None:
         """Check once."""
-        failure = None
+        if self._was_written() and not self._fails:
+            return
+        failure, room = None, self.quiet_s == 0.0
         try:
-            self.archive.require_storing(now=self.clock.now())
+            self.archive.require_storing(now=self.clock.now(), patience_s=self.patience_s, room=room)
         except StoreFullError as error:
-            failure = condition(_STORE_FULL, severity="not_ready", error=str(error))
+            failure = condition(_STORE_FULL, severity=self.severity, error=str(error))
         except OutsideError as error:
-            failure = condition(_STORE_FAILED, severity="not_ready", error=str(error))
+            failure = condition(_STORE_FAILED, severity=self.severity, error=str(error))
+        self._fails = failure is not None
         self.board.set_one_condition((_STORE_FULL, _STORE_FAILED), failure)
+
+    def _was_written(self) -> bool:
+        """Return whether something was stored of late, by whomever."""
+        written, now_s = self.archive.last_written(), self.clock.monotonic()
+        if written != self._written:
+            self._written, self._written_s = written, now_s
+        return now_s - self._written_s < self.quiet_s
 
 
 _SAMPLE_EVERY_S = 10.0

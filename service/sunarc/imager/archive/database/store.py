@@ -39,6 +39,13 @@ _REBUILT_WITHIN_S = 60.0
 """A read waits no longer for a database that is being put back."""
 
 
+_TRIED_EVERY, _ROOM_TRIED_EVERY, _TRIED_AGAIN_AFTER = timedelta(seconds=10), timedelta(minutes=1), timedelta(seconds=5)
+_TRIED_FOR_S = 5.0
+_TRIED_BYTES, _NEEDED_BYTES = 32_768, 1_048_576
+"""Stored to see whether there is room; and after a write that found none, when a page that is left is no room."""
+_WITHOUT_CAMERA = ""
+
+
 class CommitTimes:
     """How long commits took of late, and how long those that are under way have taken; safe to use from any thread."""
 
@@ -94,6 +101,7 @@ class Database:
         self._room_tried_at: datetime | None = None
         self._trial: SingleCall[None] = SingleCall(self._try_to_store, name="trial row")
         self._trial_bytes = 0
+        self._trial_waited_s = 0.0
 
     def close(self) -> None:
         """Close the connections that are not in use."""
@@ -172,13 +180,28 @@ class Database:
             rows = connection.execute(statement.group_by(by)).all()
         return {str(name): int(n) for name, n in rows if name is not None}
 
-    def require_storing(self, *, now: datetime) -> None:
+    def last_written(self) -> int | None:
+        """Return a number that is another one after a write to the file's log succeeded; None where there is no log."""
+        if self.file is None:
+            return None
+        try:
+            return self.file.path.with_name(f"{self.file.path.name}-wal").stat().st_mtime_ns
+        except OSError:
+            return None
+
+    def require_storing(self, *, now: datetime, patience_s: float = _TRIED_FOR_S, room: bool = True) -> None:
         """Find out whether a row can be stored: a trial every 10 s, and every 5 s after one that failed.
+
+        Parameters
+        ----------
+        now : dates the trial.
+        patience_s : that a trial may take; each call waits 5 s of it, and says nothing while the trial may still end.
+        room : whether trials also ask for space, once a minute; without it one writes 12 kB.
 
         Raises
         ------
         StoreFullError : the disk is full. The first call after a write that found it so only says so.
-        OutsideError : the database does not answer, or takes no row within 5 s.
+        OutsideError : the database does not answer, or takes no row in that time.
         """
         tried_at, failure = self._tried_at, self._unstored
         pause = _TRIED_EVERY if failure is None else _TRIED_AGAIN_AFTER
@@ -189,22 +212,30 @@ class Database:
         if waits:
             return
         self._tried_at = now
-        self._trial_bytes = self._bytes_to_try(failure, now)
+        self._trial_bytes = self._bytes_to_try(failure, now, room=room)
         try:
             self._trial.start().result(_TRIED_FOR_S)
         except OutsideError as error:
-            self._unstored = error
+            self._unstored, self._trial_waited_s = error, 0.0
             raise
         except TimeoutError:
+            self._trial_waited_s += _TRIED_FOR_S
+            if self._trial_waited_s < patience_s:
+                self._tried_at = tried_at
+                if failure is not None:
+                    raise type(failure)(str(failure)) from None
+                return
             where = "" if self.file is None else f" {self.file.path}"
-            self._unstored = OutsideError(f"the database{where} stored no row within {_TRIED_FOR_S:g} s")
+            self._unstored = OutsideError(f"the database{where} stored no row within {patience_s:g} s")
             raise self._unstored from None
-        self._unstored = None
+        self._unstored, self._trial_waited_s = None, 0.0
 
-    def _bytes_to_try(self, failure: OutsideError | None, now: datetime) -> int:
+    def _bytes_to_try(self, failure: OutsideError | None, now: datetime, *, room: bool) -> int:
         """Return the size of the next trial's row: once a minute more than is left of a page."""
         if isinstance(failure, StoreFullError):
             return _NEEDED_BYTES
+        if not room:
+            return 0
         if self._room_tried_at is not None and timedelta(0) <= now - self._room_tried_at < _ROOM_TRIED_EVERY:
             return 0
         self._room_tried_at = now
@@ -212,13 +243,12 @@ class Database:
 
     def _try_to_store(self) -> None:
         """Store so many bytes, and take them back."""
-        count = self._trial_bytes
-        if self.file is not None:
+        count, time = self._trial_bytes, self._tried_at
+        if self.file is not None and count:
             self._try_to_allocate(self.file.path, count)
         text = base64.b85encode(os.urandom(count)).decode()  # compressed by the server, it would be no smaller
         words = dict.fromkeys(("installation", "reason", "kind", "text"), "")
         row = {**words, "camera": _WITHOUT_CAMERA, "seq": 0, "data": text if self.file is None else "", "n": 0}
-        time = self._tried_at
         with self.writing(camera=_WITHOUT_CAMERA) as connection, connection.begin_nested() as tried:
             connection.execute(sa.insert(quarantine).values(**row, first_at=time, last_at=time))
             tried.rollback()
@@ -226,7 +256,7 @@ class Database:
     def _try_to_allocate(self, path: Path, count: int) -> None:
         try:
             with tempfile.TemporaryFile(dir=path.parent) as file:
-                os.posix_fallocate(file.fileno(), 0, max(count, 1))
+                os.posix_fallocate(file.fileno(), 0, count)
         except OSError as error:
             if error.errno not in {errno.ENOSPC, errno.EDQUOT}:
                 raise OutsideError(f"cannot write beside the database {path}: {error}") from error
@@ -419,13 +449,6 @@ def _of_records(table: str, columns: tuple[str, ...], key: tuple[str, ...]) -> s
         f"SELECT {names} FROM json_populate_recordset(NULL::{table}, CAST(:rows AS json)) "
         f"ON CONFLICT ({', '.join(key)}) DO UPDATE SET {written}"
     )
-
-
-_TRIED_EVERY, _ROOM_TRIED_EVERY, _TRIED_AGAIN_AFTER = timedelta(seconds=10), timedelta(minutes=1), timedelta(seconds=5)
-_TRIED_FOR_S = 5.0
-_TRIED_BYTES, _NEEDED_BYTES = 32_768, 1_048_576
-"""Stored to see whether there is room; and after a write that found none, when a page that is left is no room."""
-_WITHOUT_CAMERA = ""
 
 
 class Reserve:
