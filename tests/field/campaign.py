@@ -26,6 +26,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -50,6 +51,8 @@ def campaign(
     most_s: float = float("inf"),
     source: Source = "gige",
     speed: float = SPEED,
+    kinds: Sequence[str] = (),
+    patience: float = 1.0,
 ) -> tuple[Findings, dict[str, int]]:
     """Run a campaign of one source; return what was found wrong and how often each fault was done.
 
@@ -61,11 +64,18 @@ def campaign(
     most_s : real seconds after the start of both processes from which no further window is begun, but one always is.
     source : one of `SOURCES`.
     speed : of the camera's time.
+    kinds : of faults; all of the source unless given.
+    patience : factor of the real seconds within which all has to go on after faults.
     """
-    with _run_of(source, folder, seed, speed) as run:
+    setting = Setting(nights=source == "night", speed=speed)
+    with run_of(source, folder, seed=seed, setting=setting) as run:
+        run.only, run.patience = kinds, patience
         began = now()
         run.wait(15.0 * run.slot_s)
-        windows = Windows(run, {"source": source, "seed": seed, "speed": speed, "cadence_s": run.setting.cadence_s})
+        windows = Windows(
+            run,
+            {"source": source, "seed": seed, "speed": speed, "cadence_s": run.setting.cadence_s, "patience": patience},
+        )
         while sum(run.counts.values()) < faults and (not run.counts or now() - began < most_s):
             windows.one()
         run.wait(15.0 * run.slot_s)
@@ -74,8 +84,8 @@ def campaign(
     return found, run.counts
 
 
-def _run_of(source: Source, folder: Path, seed: int, speed: float) -> Faults:
-    setting = Setting(nights=source == "night", speed=speed)
+def run_of(source: Source, folder: Path, *, seed: int, setting: Setting) -> Faults:
+    """Return the chain of a source, not started."""
     if source in {"folder", "http"}:
         return PictureFaults(folder, port=free_port(), seed=seed, setting=setting, source=source)
     return Faults(folder, port=free_port(), seed=seed, setting=setting, source=source)
@@ -86,8 +96,10 @@ def _in_a_process(source: Source, options: argparse.Namespace, kept: Path) -> di
     network = _IN_A_NETWORK if os.geteuid() == 0 else ()
     share = -(-options.faults // len(options.sources))
     numbers = {"--seed": options.seed, "--faults": share, "--most-s": options.most_s, "--speed": options.speed}
+    numbers |= {"--patience": options.patience}
     arguments = [part for name, value in numbers.items() for part in (name, str(value))]
     command = [sys.executable, "-m", "tests.field.campaign", "--sources", source, "--keep", str(kept), *arguments]
+    command += ["--kinds", *options.kinds] if options.kinds else []
     with (kept / f"{source}.log").open("wb") as log:
         subprocess.run([*network, *command], stdout=log, stderr=log, check=False)
     report = kept / source / "report.json"
@@ -108,6 +120,10 @@ def main() -> int:
     parser.add_argument("--sources", nargs="+", choices=SOURCES, default=SOURCES)
     parser.add_argument("--side-by-side", type=int, default=1, help="sources that run at once")
     parser.add_argument("--speed", type=float, default=SPEED, help="of the cameras' time; less on a busy host")
+    parser.add_argument("--kinds", nargs="+", default=(), help="of faults; those that a source has not are left out")
+    parser.add_argument(
+        "--patience", type=float, default=1.0, help="factor of the time to recover; more on a busy host"
+    )
     parser.add_argument("--json", type=Path)
     parser.add_argument("--keep", type=Path, help="an empty folder for state and logs (default: a temporary one)")
     options = parser.parse_args()
@@ -121,7 +137,8 @@ def main() -> int:
             folder = kept / source
             folder.mkdir()
             numbers = {"seed": options.seed, "faults": options.faults, "most_s": options.most_s}
-            campaign(**numbers, folder=folder, source=source, speed=options.speed)
+            limits = {"speed": options.speed, "kinds": options.kinds, "patience": options.patience}
+            campaign(**numbers, **limits, folder=folder, source=source)
             reports = [json.loads((folder / "report.json").read_text())]
         else:
             with ThreadPoolExecutor(options.side_by_side) as pool:

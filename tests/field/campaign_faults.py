@@ -121,6 +121,8 @@ class Faults(Processes):
         self.seed = seed
         self.pool = ThreadPoolExecutor(_IN_A_WINDOW[1])  # an imager ends with the thread that started it
         self.drawn = threading.local()  # each fault has numbers of its own
+        self.only: Sequence[str] = ()
+        self.patience = 1.0
         self.counts: dict[str, int] = {}
         self.failed = False
         self.n_starts_again = 0
@@ -180,7 +182,8 @@ class Faults(Processes):
     def windows(self) -> Iterator[list[str]]:
         """Yield the faults of one window after the other: some of different kinds, each kind once before any again."""
         drawn = random.Random(self.seed)
-        possible = [fault for fault in FAULTS[self.faults_of] if fault not in self.left_out]
+        every = [fault for fault in FAULTS[self.faults_of] if fault not in self.left_out]
+        possible = [fault for fault in every if fault in (self.only or every)]
         while True:
             kinds = drawn.sample(possible, len(possible))
             while kinds:
@@ -254,7 +257,7 @@ class Faults(Processes):
     def end(self) -> list[str]:
         """End the imager; return what the service has forgotten and what the hub has not, if it does not in minutes."""
         self.kill_imager()
-        end = now() + _RECOVERS_WITHIN_S
+        end = now() + self.patience * _RECOVERS_WITHIN_S
         while missing := self._unfinished():
             if now() > end:
                 break
@@ -270,7 +273,7 @@ class Faults(Processes):
 
         Everything is looked at meanwhile, as in `wait`.
         """
-        since, end, before = self.known(), now() + _RECOVERS_WITHIN_S, list[str]()
+        since, end, before = self.known(), now() + self.patience * _RECOVERS_WITHIN_S, list[str]()
         while since is None or (missing := self.awaited(since)):
             if now() > end:
                 return ["no answer"] if since is None else missing
@@ -283,7 +286,7 @@ class Faults(Processes):
             since = since or self.known()
         if self.hub is None:
             return []
-        end, rows = now() + _RECOVERS_WITHIN_S, self.hub.rows_of(self.database)
+        end, rows = now() + self.patience * _RECOVERS_WITHIN_S, self.hub.rows_of(self.database)
         while missing := self.hub.missing(rows, self.database):
             if now() > end:
                 return missing

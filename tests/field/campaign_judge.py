@@ -6,9 +6,9 @@ import contextlib
 import json
 import sqlite3
 import time
-import urllib.error
 import urllib.request
 from dataclasses import dataclass, field
+from http.client import HTTPException
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -299,5 +299,5 @@ class Judge:
             with urllib.request.urlopen(self._url + route, timeout=5.0) as response:  # noqa: S310 - loopback
                 answer: dict[str, Any] = json.load(response)
                 return answer
-        except (OSError, urllib.error.URLError, ValueError):
+        except (OSError, HTTPException, ValueError):
             return None

@@ -8,6 +8,7 @@ import threading
 import urllib.request
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from http.client import HTTPException
 from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 from typing import Any
@@ -89,7 +90,7 @@ class Other:
         """Answer a request for the picture."""
         try:
             status, headers, body = self.picture()
-        except OSError:
+        except (OSError, HTTPException):
             status, headers, body = 504, {}, b""
         request.send_response_only(status)
         length = len(body) if self.mode != "endless" else 1 << 40
@@ -213,7 +214,7 @@ class CampaignHub:
         """Whether the hub says that it is."""
         try:
             answer: Any = self.process.ask("/readyz")
-        except (OSError, ValueError):
+        except (OSError, ValueError, HTTPException):
             return False
         return bool(answer["status"] == "ready")
 

@@ -17,6 +17,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from http.client import HTTPException
 from pathlib import Path
 from typing import Any, Self
 
@@ -132,6 +133,8 @@ class Processes:
         self.exits: list[str] = []
         self.judge: Judge | None = None
         self.looks = True
+        self.environment: dict[str, str] = {}
+        """Of the service, beside this process's own."""
         self.n_starts = 0
         self.has_own_disk = mount_disk(self.state)
         self.imager: subprocess.Popen[str] | None = None
@@ -302,7 +305,7 @@ class Processes:
                 [*command, str(self.folder / "sunarc.toml")],
                 stdout=log,
                 stderr=log,
-                env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+                env={**os.environ, "OPENBLAS_NUM_THREADS": "1", **self.environment},
             )
         answers = lambda: self.get("/healthz") is not None or self._ended()  # noqa: E731
         self.wait_for(answers, what="the service", within_s=within_s)
@@ -368,7 +371,7 @@ class Processes:
             with urllib.request.urlopen(request, timeout=5.0) as response:  # noqa: S310 - same
                 answer: dict[str, Any] = json.load(response)
                 return answer
-        except (OSError, ValueError):
+        except (OSError, ValueError, HTTPException):  # it may end in the middle of an answer
             return None
 
 

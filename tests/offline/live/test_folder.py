@@ -16,6 +16,8 @@ from tests.offline.live.followed import Followed, serve_calibration_of
 from tests.offline.live.sky_pictures import Lens, jpeg, picture, sun_at
 from tests.offline.live.test_snapshots import bomb
 
+from sunarc.common.findings import Finding
+from sunarc.imager.archive.values import SunPoint
 from sunarc.imaging.preview import decoded
 from sunarc.sources import image_files
 
@@ -72,6 +74,21 @@ def test_images_are_taken_as_they_come_and_once(followed: Followed, tmp_path: Pa
     assert [point.time for point in again.points()] == times
     assert again.service.archive.seen_files.newest("roof", limit=9) == before
     again.close()
+
+
+def test_what_came_and_is_not_stored_waits(followed: Followed, monkeypatch: pytest.MonkeyPatch) -> None:
+    waiting, sightings = [followed.worker.n_waiting], followed.worker.camera.archive.sightings
+    store = sightings.replace
+
+    def replace(points: list[SunPoint], *, first_epoch: str) -> dict[str, Finding]:
+        waiting.append(followed.worker.n_waiting)
+        return store(points, first_epoch=first_epoch)
+
+    monkeypatch.setattr(sightings, "replace", replace)
+    for n in range(3):
+        followed.write(allsky(MORNING - timedelta(minutes=n)), shot(MORNING - timedelta(minutes=n)))
+    followed.turn()
+    assert [*waiting, followed.worker.n_waiting] == [0, 3, 2, 1, 0]
 
 
 def test_the_last_sighting_is_shown_whatever_comes_late_and_without_sun(followed: Followed) -> None:

@@ -132,6 +132,7 @@ class FolderWorker:
         self._remembers = False
         self._ready: dict[str, tuple[image_files.SourceFile, float]] = {}
         self._late: dict[str, image_files.SourceFile] = {}
+        self._n_in_hand = 0
         self._again: dict[str, float] = {}
         self._late_days: dict[date, float] = {}
         self._late_s: float | None = None
@@ -235,8 +236,8 @@ class FolderWorker:
 
     @property
     def n_waiting(self) -> int:
-        """How many files are complete and not looked at, or are tried again."""
-        return len(self._ready) + len(self._again)
+        """How many files came and are not stored: not complete, not looked at, in hand, or tried again."""
+        return len(self._settling) + len(self._ready) + len(self._late) + self._n_in_hand + len(self._again)
 
     @property
     def newest_picture(self) -> Path | None:
@@ -338,12 +339,17 @@ class FolderWorker:
             heartbeat()
         for time in sorted(by_time):
             if live and since_s is not None and self._awaits_more(by_time[time], since_s):
-                continue
+                del by_time[time]
+        while by_time:
+            self._n_in_hand = sum(map(len, by_time.values()))
+            time = min(by_time)
             try:
                 self._take_time(time, by_time[time], live=live)
             except (OutsideError, InputError) as error:
                 self._postpone(by_time[time], error)
+            del by_time[time]
             heartbeat()
+        self._n_in_hand = 0
 
     def _is_recent(self, time: datetime) -> bool:
         """Return whether an image goes before those that come late; in a simulation times are compared with theirs."""
