@@ -34,6 +34,9 @@ _LEAST_TONES = 0.5
 """Share of the pixels of such a tile that are mid-tones: of fewer, an edge may be all that is seen in it."""
 _PERHAPS_MOSAIC = 0.25
 """Share of a tile's pixels that are rough, exceeded in every mosaic of two colours, and by noise of 0.6 counts."""
+_AGREEING, _FEWEST_NEIGHBOURS = 0.6, 30
+"""Neighbouring tiles that become brighter or darker together: half of them by noise, most where light or clouds change.
+Among so many pairs at least."""
 _SMOOTHEST, _LEAST_ROUGH = 0.25, 0.02
 """Quantile of the tiles by their share of rough pixels. Noise of 1.5 counts gives .03 to .1 in JPEG of quality 92,
 and smooth images 0 in JPEG of any."""
@@ -43,11 +46,13 @@ and smooth images 0 in JPEG of any."""
 class ImageTiles:
     """The hash of each tile of an image (rows, columns), and whether the tile is textured: of changing mid-tones.
 
+    means: of the counts of each tile.
     has_noise: whether neighbouring pixels differ by more than a smooth image's that was rounded, in its sky too.
     """
 
     hashes: NDArray[np.uint64]
     textured: NDArray[np.bool_]
+    means: FloatArray
     has_noise: bool
 
     @property
@@ -70,6 +75,7 @@ def image_tiles(image: Image) -> ImageTiles:
     weights = np.random.default_rng(0).integers(0, 1 << 63, (_TILE_PX, wide), dtype=np.uint64) | np.uint64(1)
     rows, columns = len(padded) // _TILE_PX, padded.shape[1] // wide
     hashes, textured = np.zeros((rows, columns), np.uint64), np.zeros((rows, columns), np.bool_)
+    means = np.zeros((rows, columns))
     least, (low, high) = max(3.0, _LEAST_RANGE * full_scale(image)), mid_tones(image)
     for row in range(rows):
         tiles = padded[row * _TILE_PX : (row + 1) * _TILE_PX].reshape(_TILE_PX, columns, wide)
@@ -78,8 +84,9 @@ def image_tiles(image: Image) -> ImageTiles:
         tones = tiles.astype(np.float64)
         mid = np.mean((tones > low) & (tones < high), axis=(0, 2))
         spread = np.ptp(tones, axis=(0, 2))
+        means[row] = np.mean(tones, axis=(0, 2))
         textured[row] = (spread >= least) & (mid >= _LEAST_MID)
-    return ImageTiles(hashes, textured, _has_noise(image))
+    return ImageTiles(hashes, textured, means, _has_noise(image))
 
 
 def _has_noise(image: Image) -> bool:
@@ -142,6 +149,15 @@ def shared_texture(now: ImageTiles, before: ImageTiles) -> float | None:
         return None
     either = now.textured | before.textured
     return float(np.mean(now.hashes[either] == before.hashes[either]))
+
+
+def differs_by_noise(now: ImageTiles, before: ImageTiles) -> bool:
+    """Return whether two images of one shape differ as by noise: each textured tile by itself, up or down."""
+    either = now.textured | before.textured
+    change = np.where(either, np.sign(now.means - before.means), 0.0)
+    products = np.concatenate([(change[1:] * change[:-1]).ravel(), (change[:, 1:] * change[:, :-1]).ravel()])
+    n = np.count_nonzero(products)
+    return bool(n >= _FEWEST_NEIGHBOURS and np.count_nonzero(products > 0.0) <= _AGREEING * n)
 
 
 def is_same_texture(now: ImageTiles, before: ImageTiles) -> bool:

@@ -2,9 +2,10 @@
 
     .venv/bin/python -m tests.offline.live.frozen_rates --days 1000 --seed 1
 
-draws camera-days of pictures whose formulas stand here alone: lenses, clear and overcast skies, fog, overexposure and a
-covered lens, with and without noise, automatic exposure, JPEG and a burnt-in clock, before a foreground that stands
-still; a part of each day every 30 s, the rest every 10 minutes. Printed are the alarms by kind.
+draws camera-days of pictures whose formulas stand here alone: lenses, clear and overcast skies, fog, clouds that move
+in every other quarter of an hour, overexposure, a covered lens and a lamp, with and without noise, automatic exposure,
+JPEG and a burnt-in clock, before a foreground that stands still; a part of each day every 30 s, the rest every 10
+minutes. Printed are the alarms by kind.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from sunarc.sky.site import Site
 
 SIDE = 160
 SITE = Site(latitude=LATITUDE, longitude=LONGITUDE, altitude=ALTITUDE)
-LIVE = ("clear", "overcast", "fog", "white", "covered", "lamp")
+LIVE = ("clear", "overcast", "fog", "clouds", "white", "covered", "lamp")
 FAULTS = ("frozen clear", "frozen overcast", "smear", "four bits")
 
 
@@ -90,6 +91,9 @@ def _scene(
         sky = (0.55 - 0.15 * off**2 + 0.02 * np.exp(-glare)) * light
     elif kind == "fog":
         sky = np.full(rows.shape, 0.6 * light)
+    elif kind == "clouds":
+        moving = np.sin(columns / 14.0 + 40.0 * hour) + np.sin(rows / 11.0 - 25.0 * hour + columns / 23.0)
+        sky = 0.5 * light + 0.1 * moving * (hour % 0.5 < 0.25)
     elif kind == "white":
         sky = np.full(rows.shape, 1.2)
     elif kind == "covered":

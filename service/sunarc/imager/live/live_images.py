@@ -38,6 +38,8 @@ from sunarc.sources.sources import open_source
 _log = logging.getLogger(__name__)
 _CONTENTS = 512
 """Hashes that are remembered: a camera that serves one picture for an hour and more is found."""
+_SUNS = 200
+"""An hour of them, of which one a minute is remembered."""
 _PERHAPS_ELSEWHERE = frozenset({"hidden", "reflection"})
 
 
@@ -69,7 +71,11 @@ class Repetitions:
         self._times: OrderedDict[str, datetime] = OrderedDict()
 
     def resume(self) -> None:
-        """Remember the files from before the start."""
+        """Remember the files from before the start, and the suns in them."""
+        suns = self._camera.archive.sightings.find(self._camera.name, accepted=True, newest_first=True, limit=_SUNS)
+        for point in reversed(suns):
+            if point.x_px is not None and point.y_px is not None:
+                self._images.remember_sun(point.time, (point.x_px, point.y_px))
         for one in reversed(self._camera.archive.seen_files.newest(self._camera.name, limit=_CONTENTS)):
             if one.content is not None and one.time is not None:
                 self._times.setdefault(one.content, one.time)

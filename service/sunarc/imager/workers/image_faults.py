@@ -14,7 +14,7 @@ from sunarc.common.errors import OutsideError
 from sunarc.common.findings import Finding
 from sunarc.imager.archive.archive import CameraArchive
 from sunarc.imager.runtime.status import Reason, StatusRegistry
-from sunarc.imaging.image_tiles import ImageTiles, is_same_sun, is_same_texture, shared_texture
+from sunarc.imaging.image_tiles import ImageTiles, differs_by_noise, is_same_sun, is_same_texture, shared_texture
 from sunarc.imaging.transfer_faults import missing_levels, repeated_rows
 from sunarc.sky.directions import angular_distance
 from sunarc.sky.site import Site
@@ -30,6 +30,10 @@ _NOISE_SHARE, _NOISE_PAIRS = 0.02, 10
 """Of the textured tiles, in common at most to so many pairs in a row: the camera's noise reaches all of its images."""
 _GLARE_CHANGES = timedelta(minutes=10)
 """Within which what surrounds the sun changes, by 2.5 degrees."""
+_SUN_EVERY, _TRACK, _MOST_SUNS = timedelta(minutes=1), timedelta(hours=1), 60
+_FEWEST_SUNS = 4
+_LEAST_MOVED_PX, _OFF_PX, _OFF_SIGMAS = 1.5, 1.0, 4.0
+"""A track that moved less, or less than so many of its own residuals, may be a lamp's."""
 
 
 def sun_moved(earlier: datetime, later: datetime, site: Site) -> bool:
@@ -49,8 +53,9 @@ class RepeatedImages:
     """Finds images that came before, whatever text changes in them.
 
     An image with a sun repeats an earlier one where all around the sun is the same: the sun moved. It is sure that the
-    camera stands still where the image has noise, in itself or by the earlier ones, or after a time: a lamp may be
-    what is taken for the sun. Without noise a still sky without a sun gives the same image for hours: it says nothing.
+    camera stands still where the image has noise, in itself or by the earlier ones; or, after a time, where the images
+    before showed the sun move to where it stands: a lamp may be taken for it. Without noise a still sky without a sun
+    gives the same image for hours: it says nothing.
 
     Parameters
     ----------
@@ -62,6 +67,12 @@ class RepeatedImages:
         self._site = site
         self._pairs = _NOISE_PAIRS if noisy else 0
         self._images: deque[tuple[datetime, ImageTiles]] = deque(maxlen=_MOST_IMAGES)
+        self._suns: deque[tuple[datetime, float, float]] = deque(maxlen=_MOST_SUNS)
+
+    def remember_sun(self, time: datetime, sun: tuple[float, float]) -> None:
+        """Take note of where the sun was in a new image, x and y px."""
+        if not self._suns or time - self._suns[-1][0] >= _SUN_EVERY:
+            self._suns.append((time, *sun))
 
     def earlier(self, tiles: ImageTiles, time: datetime, sun: tuple[float, float] | None) -> Repetition | None:
         """Return when the same image came before; None for a new one, which is remembered.
@@ -76,8 +87,10 @@ class RepeatedImages:
             if found is not None:
                 return found
         if self._images:
-            self._learn(shared_texture(tiles, self._images[-1][1]))
+            self._learn(tiles, self._images[-1][1])
         self._images.append((time, tiles))
+        if sun is not None:
+            self.remember_sun(time, sun)
         return None
 
     def compared(
@@ -90,15 +103,30 @@ class RepeatedImages:
             return Repetition(before, is_sure=True)
         if sun is None or not is_same_sun(now, image, sun) or not sun_moved(before, time, self._site):
             return None
-        return Repetition(before, is_sure=noisy or apart >= _GLARE_CHANGES)
+        return Repetition(before, is_sure=noisy or (apart >= _GLARE_CHANGES and self._had_come(before, sun)))
 
-    def _learn(self, shared: float | None) -> None:
+    def _had_come(self, time: datetime, sun: tuple[float, float]) -> bool:
+        """Return whether the images of the hour before a time showed the sun move to where it is in that image."""
+        track = [(-(time - at).total_seconds(), x, y) for at, x, y in self._suns if time - _TRACK <= at < time]
+        if len(track) < _FEWEST_SUNS:
+            return False
+        seconds, x, y = np.array(track).T
+        lines = np.polyfit(seconds / 60.0, np.stack([x, y], axis=-1), 1)
+        residuals = np.stack([x, y], axis=-1) - (seconds[:, None] / 60.0 * lines[0] + lines[1])
+        sigma_px = float(np.sqrt(np.mean(np.sum(residuals**2, axis=-1))))
+        moved_px = float(np.hypot(*lines[0])) * float(np.ptp(seconds)) / 60.0
+        off_px = float(np.hypot(*(lines[1] - np.array(sun))))
+        return moved_px >= max(_LEAST_MOVED_PX, _OFF_SIGMAS * sigma_px) and off_px <= _OFF_PX + _OFF_SIGMAS * sigma_px
+
+    def _learn(self, now: ImageTiles, before: ImageTiles) -> None:
+        """Count pairs of images that have nothing in common, for their noise: changing light may be another cause."""
+        shared = shared_texture(now, before)
         if shared is None:
             return
-        if shared <= _NOISE_SHARE:
+        if shared > _NOISE_SHARE:
+            self._pairs = 0 if self._pairs < _NOISE_PAIRS else self._pairs
+        elif differs_by_noise(now, before):
             self._pairs += 1
-        elif self._pairs < _NOISE_PAIRS:
-            self._pairs = 0
 
 
 class FrozenAlarm:
