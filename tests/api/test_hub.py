@@ -216,6 +216,7 @@ def test_a_sender_of_whose_rows_none_can_be_stored_waits_ever_longer_and_no_othe
         if waits[-1]:
             refused = hub.put(wrong, after=after + 1)
             assert (refused.status_code, int(refused.headers["retry-after"])) == (429, waits[-1])
+            assert hub.put(wrong, after=after + 1, token="a stranger's").status_code == 401  # noqa: S106
             hub.now[0] += timedelta(seconds=waits[-1])
     assert waits == [0, 0, 0, 1, 2, 4, 8, 16, 32, 60, 60]
     assert hub.put(gzip.compress(b""), camera="mast", token="the token of the camera mast").status_code == 200  # noqa: S106

@@ -222,6 +222,8 @@ def feed_routes(receiver: FeedReceiver) -> APIRouter:
         A repetition changes nothing. What is refused, as a whole or one row, is in /v1/quarantine with its reason.
         A sender of whose rows none can be stored is asked to wait (Retry-After), and answered 429 until then.
         """
+        token = _token_of(request)
+        await run_in_threadpool(receiver.require_token, camera, token)  # a stranger's body is not read
         wait_s = receiver.wait_s(camera)
         if wait_s:
             fault = Fault(
@@ -230,7 +232,7 @@ def feed_routes(receiver: FeedReceiver) -> APIRouter:
             raise RefusedError(HTTPStatus.TOO_MANY_REQUESTS, fault, headers={"retry-after": str(wait_s)})
         sent = SentBody(
             camera=camera,
-            token=_token_of(request),
+            token=token,
             installation=installation,
             revision=revision,
             after=after,
@@ -240,7 +242,6 @@ def feed_routes(receiver: FeedReceiver) -> APIRouter:
         if int(request.headers.get("content-length") or LARGE_BYTES + 1) <= LARGE_BYTES:
             committed = await run_in_threadpool(receiver.take, sent, large=False)
         if committed is None:
-            await run_in_threadpool(receiver.require_token, camera, sent.token)  # a stranger gets no slot
             # After a failure of the hub all imagers catch up: without a limit they would have every thread of the pool.
             async with slots:
                 committed = await run_in_threadpool(receiver.take, sent, large=True)
