@@ -15,7 +15,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-import h11
 from pydantic import TypeAdapter, ValidationError
 
 from sunarc.common.errors import ConfigurationError, OutsideError
@@ -161,9 +160,9 @@ class HubConnection:
         try:
             context = None if self._trust is None else self._trust.context()
             return fetch(request, context=context, limit=limit, most_bytes=_MOST_READ_BYTES)
-        except (UnfinishedError, h11.RemoteProtocolError) as error:
+        except UnfinishedError as error:
             raise HubUnfinishedError(f"the hub {self._url}: {error}") from error
-        except (OSError, ValueError, h11.LocalProtocolError) as error:
+        except OSError as error:
             raise OutsideError(f"the hub {self._url}: {error}") from error
 
 
