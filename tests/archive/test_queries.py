@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 import threading
+from contextlib import closing
 from dataclasses import asdict, replace
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -194,7 +195,7 @@ def test_a_damaged_row_is_in_no_answer_and_keeps_no_other_out(
 ) -> None:
     accepted = [p for p in points if p.accepted]
     first = "SELECT min(time) FROM sun_point WHERE accepted"
-    with sqlite3.connect(path) as connection:
+    with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute(f"UPDATE sun_point SET {damage} WHERE time = ({first})")  # noqa: S608 - of a test
     assert list(archive.sightings.find("roof", accepted=True)) == accepted[1:]
 
@@ -203,7 +204,7 @@ def test_a_damaged_row_is_in_no_answer_and_keeps_no_other_out(
 def test_a_text_in_the_place_of_a_number_counts_as_not_known(
     archive: Archive, path: Path, points: list[SunPoint], column: str
 ) -> None:
-    with sqlite3.connect(path) as connection:
+    with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute(f"UPDATE sun_point SET {column} = 'torn'")  # noqa: S608 - of a test
     found = archive.sightings.find("roof")
     assert [getattr(p, column) for p in found] == [None] * len(points)

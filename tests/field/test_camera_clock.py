@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+from contextlib import closing
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -32,13 +33,13 @@ def offset_s(run: Processes) -> float:
 
 def bounds(run: Processes, *, after: float) -> list[float]:
     """Return the clock bounds of the sightings with a later time, seconds; NaN is none."""
-    with sqlite3.connect(f"file:{run.database}?mode=ro", uri=True, timeout=5.0) as connection:
+    with closing(sqlite3.connect(f"file:{run.database}?mode=ro", uri=True, timeout=5.0)) as connection:
         rows = connection.execute("SELECT clock_error_s FROM sun_point WHERE time > ?", (after * 1e6,)).fetchall()
     return [row[0] for row in rows]
 
 
 def newest(run: Processes) -> float:
-    with sqlite3.connect(f"file:{run.database}?mode=ro", uri=True, timeout=5.0) as connection:
+    with closing(sqlite3.connect(f"file:{run.database}?mode=ro", uri=True, timeout=5.0)) as connection:
         return float(connection.execute("SELECT coalesce(max(time), 0) FROM sun_point").fetchone()[0]) / 1e6
 
 

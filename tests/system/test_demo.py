@@ -7,6 +7,7 @@ import shutil
 import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -77,7 +78,7 @@ def test_composites_stand_in_dated_folders_whole(demo: Result) -> None:
 
 
 def test_the_database_holds_every_look_and_is_sound(demo: Result) -> None:
-    with sqlite3.connect(demo.state / "sunarc.sqlite") as database:
+    with closing(sqlite3.connect(demo.state / "sunarc.sqlite")) as database:
         assert database.execute("PRAGMA integrity_check").fetchone() == ("ok",)
         (accepted,) = database.execute("SELECT count(*) FROM sun_point WHERE accepted").fetchone()
     assert accepted > 100

@@ -11,7 +11,7 @@ import sys
 import time
 import urllib.request
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import pytest
@@ -79,7 +79,7 @@ def wait_for(
 def sightings(database: Path) -> list[tuple[int, float]]:
     if not database.exists():
         return []
-    with sqlite3.connect(f"file:{database}?mode=ro", uri=True) as connection:
+    with closing(sqlite3.connect(f"file:{database}?mode=ro", uri=True)) as connection:
         if not connection.execute("SELECT 1 FROM sqlite_master WHERE name = 'sun_point'").fetchall():
             return []  # the file is there before its tables are
         return connection.execute("SELECT time, exposure_us FROM sun_point ORDER BY time, exposure_us").fetchall()
@@ -121,7 +121,7 @@ def test_kill_9_in_mid_day_loses_and_doubles_nothing_and_sigterm_ends_within_5_s
     after = sightings(database)
     assert after[: len(before)] == before
     assert len(set(after)) == len(after)
-    with sqlite3.connect(database) as connection:
+    with closing(sqlite3.connect(database)) as connection:
         assert connection.execute("PRAGMA integrity_check").fetchone() == ("ok",)
         assert connection.execute("SELECT count(*) FROM pose_epoch").fetchone() == (1,)
 
