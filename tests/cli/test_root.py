@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import shutil
 import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import cv2
+import numpy as np
 import pytest
+from tests.exports.conftest import LENS, document_of
 from tests.fixtures.archive import make_empty
 from tests.fixtures.ports import free_port
 
@@ -271,6 +275,78 @@ def test_init_follows_no_link_of_another_users_folder(
     assert place.seen() == before
     found = (place.state / "sunarc.toml").stat()
     assert (found.st_uid, found.st_gid) == (USER, GROUP)
+
+
+def known_camera(place: Place) -> str:
+    """Write a calibration document that everybody may read, and return its path."""
+    small = replace(LENS, width=220, height=200, focal_length_px=(75.0, 75.0), principal_point_px=(110.0, 100.0))
+    path = place.victims.parent / "calibration.json"
+    path.write_text(json.dumps(document_of(small)))
+    return str(path)
+
+
+OUTPUTS = {
+    "export": ("export", "--calibration", "CALIBRATION", "--format", "opencv", "-o", "STATE/out/file"),
+    "export of a set": ("export", "--calibration", "CALIBRATION", "--format", "azimuth-zenith-png", "-o", "STATE/link"),
+    "compare": ("compare", "CALIBRATION", "CALIBRATION", "--differences", "STATE/out/file.npz"),
+    "reanalyse": (
+        "reanalyse",
+        "PICTURES",
+        "--yes",
+        "--utc-offset",
+        "0",
+        "--latitude",
+        "36.6",
+        "--longitude",
+        "-97.5",
+        "-o",
+        "STATE/link",
+    ),
+    "study": ("study", "shadow", "--out", "STATE/link"),
+}
+
+
+@pytest.mark.parametrize("name", OUTPUTS)
+def test_no_link_leads_what_root_writes_into_another_users_folder_out_of_it(
+    sunarc: Sunarc, place: Place, name: str
+) -> None:
+    pictures = place.victims.parent / "pictures"
+    pictures.mkdir()
+    cv2.imwrite(str(pictures / "image-20130513180000.jpg"), np.full((60, 80), 90, dtype=np.uint8))
+    place.by_user(
+        "os.mkdir('out'); os.symlink(V / 'file', 'out/file'); os.symlink(V / 'file', 'out/file.npz'); "
+        "os.symlink(V / 'copies', 'link')"
+    )
+    before, files = place.seen(), {"STATE": place.state, "CALIBRATION": known_camera(place), "PICTURES": pictures}
+    words = [word.replace(key, str(path)) for word in OUTPUTS[name] for key, path in [_named(word, files)]]
+    answer = sunarc(*words)
+    assert "Traceback" not in answer.err
+    assert (answer.code in {2, 3}, place.seen()) == (True, before), answer.err
+    assert "ermission denied" in answer.err or str(USER) in answer.err
+
+
+def _named(word: str, files: dict[str, Path | str]) -> tuple[str, Path | str]:
+    return next(((key, path) for key, path in files.items() if key in word), (word, word))
+
+
+def test_what_root_writes_into_another_users_folder_belongs_to_that_user(sunarc: Sunarc, place: Place) -> None:
+    target = place.state / "fisheye.yml"
+    words = ("export", "--calibration", known_camera(place), "--format", "opencv", "-o", str(target))
+    assert sunarc(*words).code == 0
+    assert (target.stat().st_uid, target.stat().st_gid) == (USER, GROUP)
+    assert os.geteuid() == 0
+
+
+def test_a_simulated_camera_of_root_follows_no_link_of_another_users_folder(place: Place) -> None:
+    place.by_user(
+        "os.mkdir('pictures'); os.symlink(V / 'file', 'truth.json'); os.symlink(V / 'copies', 'pictures/2013')"
+    )
+    before = place.seen()
+    out = ("--folder", str(place.state / "pictures"), "--truth", str(place.state / "truth.json"))
+    command = [sys.executable, "-m", "sunarc", "simulate", *out]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=100.0)
+    assert (done.returncode, "Traceback" in done.stderr) == (3, False)
+    assert place.seen() == before
 
 
 def test_a_service_that_root_starts_acts_as_the_owner_of_its_state(place: Place) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,17 +16,19 @@ from sunarc.calibration.selection import SelectionOptions
 from sunarc.changes.values import WatchOptions
 from sunarc.common.bounds import OneOf, bounds_of
 from sunarc.common.errors import ConfigurationError, InputError
+from sunarc.common.foreign_files import MOST_SETTINGS_BYTES
 from sunarc.detection.values import DiscOptions
 from sunarc.imager.cameras.options import AravisOptions
 from sunarc.imager.runtime.supervisor import SupervisorOptions
-from sunarc.imager.settings.load import load_settings
+from sunarc.imager.settings.file_text import read_text
+from sunarc.imager.settings.load import load_hub_settings, load_settings
 from sunarc.imager.settings.model import Settings
 from sunarc.imager.settings.reference import all_settings, dataclass_in
 from sunarc.imager.workers.options import CaptureOptions, RefitOptions
 from sunarc.imaging.exposure import SunExposureOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from sunarc.common.bounds import Bound
 
@@ -298,3 +301,19 @@ def test_the_shipped_example_can_be_run_with_and_names_settings_alone() -> None:
         elif " = " in bare:
             names.add(section + bare.partition(" = ")[0])
     assert names - set(NAMES) == set()
+
+
+@pytest.mark.parametrize("kind", ["pipe", "zero", "large"])
+@pytest.mark.parametrize("read", [load_settings, load_hub_settings, read_text])
+def test_only_a_regular_file_of_a_bounded_size_is_read(
+    tmp_path: Path, kind: str, read: Callable[[Path], object]
+) -> None:
+    path = tmp_path / "sunarc.toml"
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "zero":
+        path.symlink_to("/dev/zero")
+    else:
+        path.write_bytes(b"#" * (MOST_SETTINGS_BYTES + 1))
+    with pytest.raises(ConfigurationError, match="larger than" if kind == "large" else "not a regular file"):
+        read(path)

@@ -26,6 +26,7 @@ from sunarc.cli.options import (
     service_settings,
     stated_once,
 )
+from sunarc.cli.owner import act_as_owner_of
 from sunarc.common.errors import InputError
 from sunarc.common.extras import require_extra
 from sunarc.common.messages import significant
@@ -56,6 +57,7 @@ WriteLensPrior = Annotated[
     Path | None,
     typer.Option(
         "--write-lens-prior",
+        callback=act_as_owner_of,
         help="Write what this calibration, and those of --lens-of, say of the type of lens.",
         rich_help_panel=_PANEL,
     ),
@@ -82,7 +84,11 @@ JointFile = Annotated[
 JointFolder = Annotated[
     Path | None,
     typer.Option(
-        "--output", "-o", help="Folder of the documents and the lens prior of --joint.", rich_help_panel=_PANEL
+        "--output",
+        "-o",
+        callback=act_as_owner_of,
+        help="Folder of the documents and the lens prior of --joint.",
+        rich_help_panel=_PANEL,
     ),
 ]
 
@@ -215,7 +221,9 @@ def calibrate(
             "--provisional", help="Keep a fit that lacks only hours or days; it answers where its 1-sigma is small."
         ),
     ] = False,
-    plots: Annotated[Path | None, typer.Option(help="Folder for residuals.png and sky.png.")] = None,
+    plots: Annotated[
+        Path | None, typer.Option(callback=act_as_owner_of, help="Folder for residuals.png and sky.png.")
+    ] = None,
     again: Annotated[
         str | None, typer.Option("--again", metavar="ID", help="Solve a past calibration of the archive again.")
     ] = None,

@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 
 from sunarc.cli.options import AsJson, CalibrationFile, print_json, table
+from sunarc.cli.owner import act_as_owner_of
 from sunarc.common.errors import InputError
 from sunarc.formats.formats import FORMATS
 from sunarc.formats.remap import Grid
@@ -28,7 +29,12 @@ def export_calibration(
     format_: Annotated[str, typer.Option("--format", help=f"{', '.join(FORMATS)}.")],
     target: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="File (asi-core, azimuth-zenith: folder) to write; else standard output."),
+        typer.Option(
+            "--output",
+            "-o",
+            callback=act_as_owner_of,
+            help="File (asi-core, azimuth-zenith: folder) to write; else standard output.",
+        ),
     ] = None,
     draws: Annotated[
         int, typer.Option(help="Draws of the calibration's errors to add (netcdf and npz): `direction_draw`.", min=0)
@@ -72,7 +78,10 @@ def compare(
     second: Annotated[Path, typer.Argument(metavar="B", help="Another one, of images of the same size.")],
     *,
     differences: Annotated[
-        Path | None, typer.Option("--differences", help="Write every compared direction here: .nc or .npz.")
+        Path | None,
+        typer.Option(
+            "--differences", callback=act_as_owner_of, help="Write every compared direction here: .nc or .npz."
+        ),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -118,7 +127,7 @@ def rectify(
     images: Annotated[list[Path], typer.Argument(metavar="IMAGE…", help="Images of the camera.")],
     calibration: CalibrationFile,
     *,
-    folder: Annotated[Path, typer.Option("--output", "-o", help="Folder to write into.")],
+    folder: Annotated[Path, typer.Option("--output", "-o", callback=act_as_owner_of, help="Folder to write into.")],
     grid: Annotated[str, typer.Option(help="sky (PNG, equidistant) or ground (GeoTIFF, under a cloud layer).")] = "sky",
     size: Annotated[int, typer.Option(help="Pixels along a side.")] = 1024,
     cloud_height: Annotated[float | None, typer.Option(help="Of the layer above the camera, m; for ground.")] = None,

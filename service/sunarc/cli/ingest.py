@@ -24,6 +24,7 @@ from sunarc.cli.options import (
     progress_bars,
     service_settings,
 )
+from sunarc.cli.owner import act_as_owner_of
 from sunarc.common.errors import InputError
 from sunarc.common.messages import counted
 from sunarc.sources.detect_files import METHODS
@@ -50,7 +51,10 @@ def ingest(
         int | None, typer.Option(help="Processes; one for each processor unless given.", show_default=False)
     ] = None,
     contact_sheet: Annotated[
-        Path | None, typer.Option(help="PNG with examples of each verdict; in the state folder unless given.")
+        Path | None,
+        typer.Option(
+            callback=act_as_owner_of, help="PNG with examples of each verdict; in the state folder unless given."
+        ),
     ] = None,
     calibrate: Annotated[
         bool, typer.Option("--calibrate", help="Then fit the camera, as sunarc calibrate --config FILE does.")

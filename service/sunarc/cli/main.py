@@ -18,9 +18,9 @@ from typer.main import get_group
 
 from sunarc import __version__
 from sunarc.cli.commands import Command
+from sunarc.cli.owner import until_the_end
 from sunarc.common.errors import ConfigurationError, InputError, OutsideError, SunarcError
 from sunarc.common.extras import missing_packages, require_extra
-from sunarc.imager.archive.database.state_folder import until_the_end
 from sunarc.imager.runtime.child_process import one_thread_each
 
 _LIBRARY = "library"

@@ -15,9 +15,9 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from sunarc.cli.owner import act_as_owner
 from sunarc.common.errors import InputError
 from sunarc.common.utc import DAY_S
-from sunarc.imager.archive.database.state_folder import as_owner, until_the_end
 from sunarc.imager.runtime.clock import SystemClock
 
 if TYPE_CHECKING:
@@ -29,14 +29,6 @@ SITE = "Where the camera stands"
 Config = Annotated[
     Path | None, typer.Option("--config", envvar="SUNARC_CONFIG", help="Settings file (TOML).", show_default=False)
 ]
-
-
-def act_as_owner(folder: Path | None) -> Path | None:
-    """Act as the owner of a state folder until the command has ended, where root asks; return the folder."""
-    if folder is not None:
-        until_the_end.enter_context(as_owner(folder))
-    return folder
-
 
 State = Annotated[Path, typer.Option("--state", callback=act_as_owner, help="The service's state folder.")]
 OptionalState = Annotated[

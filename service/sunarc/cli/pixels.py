@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from sunarc.cli.options import AsJson, CalibrationFile, DetectionMethod, choice_of, print_rows
+from sunarc.cli.owner import act_as_owner_of
 from sunarc.common.errors import InputError
 from sunarc.detection.values import BAYERS
 from sunarc.public.calibration_files import project_csv, unproject_csv
@@ -21,7 +22,9 @@ def detect(
     method: DetectionMethod = "auto",
     full_scale: Annotated[int | None, typer.Option(help="Largest count; judged from the file unless given.")] = None,
     bayer: Annotated[str | None, typer.Option(help="Colours of a raw mosaic: RGGB, BGGR, GRBG or GBRG.")] = None,
-    overlay: Annotated[Path | None, typer.Option(help="Write the (one) image with a cross on the sun.")] = None,
+    overlay: Annotated[
+        Path | None, typer.Option(callback=act_as_owner_of, help="Write the (one) image with a cross on the sun.")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Find the sun in images; exit 1 when none shows it, 2 when none is an image.

@@ -30,6 +30,7 @@ from sunarc.cli.options import (
     progress_bars,
     stated_once,
 )
+from sunarc.cli.owner import act_as_owner_of
 from sunarc.common.errors import InputError
 from sunarc.common.foreign_files import name_text
 from sunarc.common.messages import counted, significant
@@ -52,7 +53,12 @@ def reanalyse_archive(
         ),
     ] = None,
     *,
-    target: Annotated[Path, typer.Option("--output", "-o", help="Folder of the results; a run goes on where it was.")],
+    target: Annotated[
+        Path,
+        typer.Option(
+            "--output", "-o", callback=act_as_owner_of, help="Folder of the results; a run goes on where it was."
+        ),
+    ],
     latitude: Annotated[float | None, typer.Option(help="Degrees, north positive.", rich_help_panel=SITE)] = None,
     longitude: Annotated[float | None, typer.Option(help="Degrees, east positive.", rich_help_panel=SITE)] = None,
     altitude: Annotated[float, typer.Option(help="Metres above sea level.", rich_help_panel=SITE)] = 0.0,

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from sunarc.cli.options import Altitude, Latitude, Longitude
+from sunarc.cli.owner import act_as_owner_of
 from sunarc.common.errors import InputError
 from sunarc.common.utc import parse_time
 from sunarc.imager.runtime.log_to_journal import start_log
@@ -38,7 +39,10 @@ def simulate(
         bool, typer.Option("--nights", help="Show the nights, with stars and moon; else skip them.")
     ] = False,
     folder: Annotated[
-        Path | None, typer.Option(help="Write a picture a minute here instead, as another program's camera does.")
+        Path | None,
+        typer.Option(
+            callback=act_as_owner_of, help="Write a picture a minute here instead, as another program's camera does."
+        ),
     ] = None,
     http: Annotated[
         str | None, typer.Option(help="Give the present picture at ADDRESS:PORT instead, as Mobotix and Axis do.")
@@ -47,7 +51,9 @@ def simulate(
         Path | None, typer.Option(help="With --http: ask for the USER:PASSWORD in this file, as Digest or Basic.")
     ] = None,
     cadence: Annotated[float, typer.Option(help="Simulated seconds between the pictures of --folder.")] = 60.0,
-    truth: Annotated[Path | None, typer.Option(help="Write the true camera here, a calibration document.")] = None,
+    truth: Annotated[
+        Path | None, typer.Option(callback=act_as_owner_of, help="Write the true camera here, a calibration document.")
+    ] = None,
 ) -> None:
     """Run a simulated imager that speaks GigE Vision on loopback; SIGUSR1 halves the speed of its clock.
 

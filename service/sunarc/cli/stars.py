@@ -11,6 +11,7 @@ import typer
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.selection import MOST_STARS
 from sunarc.cli.options import SITE, Altitude, AsJson, choice_of, print_json, print_table
+from sunarc.cli.owner import act_as_owner_of
 from sunarc.common.errors import InputError, disk_errors
 from sunarc.common.messages import counted
 from sunarc.detection.values import BAYERS
@@ -37,7 +38,10 @@ def stars(
         bool, typer.Option("--blind", help="Without a calibration: find the camera by images of one night, or by one.")
     ] = False,
     write_calibration: Annotated[
-        Path | None, typer.Option(help="The calibration that --blind found (JSON).", rich_help_panel=BLIND)
+        Path | None,
+        typer.Option(
+            callback=act_as_owner_of, help="The calibration that --blind found (JSON).", rich_help_panel=BLIND
+        ),
     ] = None,
     latitude: Annotated[float | None, typer.Option(help="Degrees, north positive.", rich_help_panel=SITE)] = None,
     longitude: Annotated[float | None, typer.Option(help="Degrees, east positive.", rich_help_panel=SITE)] = None,
@@ -48,7 +52,9 @@ def stars(
     level_within: Annotated[
         float | None, typer.Option(help="How far the camera is tilted at most, degrees.", rich_help_panel=BLIND)
     ] = None,
-    output: Annotated[Path | None, typer.Option("--output", "-o", help="CSV of the stars' sightings.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", callback=act_as_owner_of, help="CSV of the stars' sightings.")
+    ] = None,
     beside: Annotated[
         Path | None, typer.Option(help="Sightings of the sun (CSV), written before the stars': all in one file.")
     ] = None,

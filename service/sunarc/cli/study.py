@@ -17,6 +17,7 @@ from rich.table import Table
 
 from sunarc.calibration.model.options import Method
 from sunarc.cli.options import AsJson, choice_of, print_json, progress_bars
+from sunarc.cli.owner import act_as_owner_of
 from sunarc.common.errors import InputError, disk_errors
 from sunarc.common.extras import extra_module
 from sunarc.common.findings import Finding
@@ -40,7 +41,7 @@ study_cli.add_typer(benchmark_cli, name="benchmark")
 
 AnyRow = Mapping[str, str | int | float]
 
-Out = Annotated[Path, typer.Option("--out", help="Folder for the CSV and PNG files.")]
+Out = Annotated[Path, typer.Option("--out", callback=act_as_owner_of, help="Folder for the CSV and PNG files.")]
 Methods = Annotated[str, typer.Option("--method", help="paper, robust or both.")]
 Seed = Annotated[int, typer.Option(help="Of everything that is drawn.", min=0)]
 
@@ -145,7 +146,9 @@ def shadow(
 @benchmark_cli.command()
 def make(
     *,
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for `cases/` and `truth/`.")],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", callback=act_as_owner_of, help="Folder for `cases/` and `truth/`.")
+    ],
     part: Annotated[str, typer.Option(help="simulated, or night: with stars.")] = "simulated",
     cases: Annotated[int, typer.Option(help="How many.", min=1, max=1000)] = 60,
     first: Annotated[int, typer.Option(help="Number of the first.", min=0)] = 0,
@@ -179,7 +182,7 @@ def make(
 def run(
     cases: Annotated[Path, typer.Argument(help="The folder `cases/` of a round.")],
     *,
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the entry.")],
+    out: Annotated[Path, typer.Option("--out", "-o", callback=act_as_owner_of, help="Folder for the entry.")],
     method: Annotated[str, typer.Option("--method", help="paper or robust.")] = "robust",
     as_json: AsJson = False,
 ) -> None:
@@ -211,7 +214,9 @@ def score_entries(
     entries: Annotated[list[Path], typer.Argument(help="Folders of entries; an entrant is called as its folder.")],
     *,
     truth: Annotated[Path, typer.Option("--truth", help="The folder `truth/` of the round.")],
-    out: Annotated[Path | None, typer.Option("--out", help="File for the tables, in Markdown.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", callback=act_as_owner_of, help="File for the tables, in Markdown.")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Score entries against the truth; a wrong entry is scored as what it is, with a finding.

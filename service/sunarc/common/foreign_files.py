@@ -17,6 +17,8 @@ MOST_BYTES = 1 << 30
 """Size of a file that is still read: larger ones are no images, and would take a worker's memory."""
 MOST_SECRET_BYTES = 1 << 16
 """Size of a file that holds a token or a password."""
+MOST_SETTINGS_BYTES = 1 << 20
+"""Size of a file of settings."""
 _FLAGS = os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
 """A pipe without a writer does not block, and a terminal does not become the process's own."""
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from sunarc.common.errors import ConfigurationError, InputError
+from sunarc.common.foreign_files import MOST_SETTINGS_BYTES, read_regular
 
 Value = str | int | float | bool
 
@@ -54,7 +55,7 @@ def read_text(path: Path) -> str | None:
     ConfigurationError : it cannot be read, or is not TOML in UTF-8.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_regular(path, most_bytes=MOST_SETTINGS_BYTES).decode("utf-8-sig")
         tomllib.loads(text)
     except FileNotFoundError:
         return None

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 from pydantic import ValidationError
 
 from sunarc.common.errors import ConfigurationError, InputError
+from sunarc.common.foreign_files import MOST_SETTINGS_BYTES, read_regular
 from sunarc.imager.settings.model import HubSettings, Settings
 from sunarc.imager.settings.reference import all_settings
 
@@ -74,7 +75,7 @@ def _of_tables(tables: Mapping[str, Any], model: type[Loaded], where: str) -> Lo
 
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        return tomllib.loads(read_regular(path, most_bytes=MOST_SETTINGS_BYTES).decode("utf-8-sig"))
     except OSError as error:
         raise ConfigurationError(f"{path}: {error.strerror}; name a settings file with --config") from None
     except UnicodeDecodeError as error:

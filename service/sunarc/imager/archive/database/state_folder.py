@@ -11,13 +11,10 @@ import pwd
 import stat
 import threading
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 
 from sunarc.common.errors import OutsideError
-
-until_the_end = ExitStack()
-"""Contexts that last until the command has ended, which closes them."""
 
 PRIVATE = 0o640
 """Mode of a copy of the database: its owner, and the group for backups."""
