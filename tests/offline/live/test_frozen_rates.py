@@ -21,6 +21,17 @@ def test_a_living_camera_has_no_alarm(kind: str) -> None:
 
 
 @pytest.mark.parametrize(
+    "camera",
+    [
+        Camera("fog", noise=0.0, quality=92, exposes=False, clock=False, seed=1429229876),  # light that changes slowly
+        Camera("lamp", noise=0.0, quality=40, exposes=True, clock=True, seed=703689775),  # a sun that does not move
+    ],
+)
+def test_a_source_without_noise_is_not_taken_for_a_frozen_one(camera: Camera) -> None:
+    assert codes_of(camera) == set()
+
+
+@pytest.mark.parametrize(
     ("kind", "code", "least"),
     [
         ("frozen clear", "camera_frozen", 3),
