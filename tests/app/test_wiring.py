@@ -107,7 +107,9 @@ def test_without_capture_the_service_ends_and_without_detection_it_is_not_ready(
     assert {name for name, worker in workers.items() if worker.severity == "not_ready"} == {"capture", "detect"}
 
 
-def test_only_what_sends_to_others_is_optional(tmp_path: Path, camera: OpenCamera, clock: VirtualClock) -> None:
+def test_only_what_sends_to_others_or_tries_the_store_is_optional(
+    tmp_path: Path, camera: OpenCamera, clock: VirtualClock
+) -> None:
     (tmp_path / "secret").write_text("0123456789abcdef")
     push = {"webhooks": ["http://127.0.0.1:9/"], "webhook_secret_file": tmp_path / "secret", "mqtt": "mqtt://127.0.0.1"}
     hub = {"url": "http://127.0.0.1:9", "token_file": tmp_path / "secret"}
@@ -115,7 +117,7 @@ def test_only_what_sends_to_others_is_optional(tmp_path: Path, camera: OpenCamer
     workers = (*running.workers(), *imager_recording(running), *serving.push_workers_of(running))
     running.archive.close()
     sending = {"feed", "notices", "push_mqtt", f"push_{webhook_name('http://127.0.0.1:9/')}"}
-    assert {worker.name for worker in workers if worker.optional} == sending
+    assert {worker.name for worker in workers if worker.optional} == {*sending, "room"}
 
 
 def test_a_replay_takes_the_cameras_place_and_no_other_workers(service: Service, replay: Service) -> None:
