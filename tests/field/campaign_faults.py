@@ -112,6 +112,11 @@ class Faults(Processes):
     source : how the images come.
     """
 
+    only: Sequence[str] = ()
+    """The kinds that are drawn; all of the source where it is empty."""
+    patience = 1.0
+    """Factor of the real seconds within which all has to go on after faults."""
+
     def __init__(
         self, folder: Path, *, port: int, seed: int, setting: Setting | None = None, source: Source = "gige"
     ) -> None:
@@ -121,8 +126,6 @@ class Faults(Processes):
         self.seed = seed
         self.pool = ThreadPoolExecutor(_IN_A_WINDOW[1])  # an imager ends with the thread that started it
         self.drawn = threading.local()  # each fault has numbers of its own
-        self.only: Sequence[str] = ()
-        self.patience = 1.0
         self.counts: dict[str, int] = {}
         self.failed = False
         self.n_starts_again = 0
