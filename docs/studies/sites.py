@@ -59,7 +59,7 @@ stated sigmas by which a fitted tilt may differ."""
 _SET = -math.sin(math.radians(0.5667))
 """Height of a sun that refraction no longer lifts above the horizon: pvlib's is without refraction there."""
 SLIPS = (
-    "none", "projection not told", "exchanged", "sign of latitude", "sign of longitude", "latitude 1°", "latitude 5°",
+    "none", "projection not stated", "exchanged", "sign of latitude", "sign of longitude", "latitude 1°", "latitude 5°",
     "longitude 1°", "longitude 5°", "an hour", "15 minutes", "mirrored",
 )  # fmt: skip
 CELLS = tuple(product((1, 4), (0.0, 3.0, 10.0), (False, True)))
@@ -156,12 +156,12 @@ def observed(world: World, slip: str, number: int) -> Day:
     clear = (directions[:, 2] > math.sin(math.radians(_LOWEST_DEG))) & (rng.uniform(size=len(times)) > 0.15)
     times, directions = times[clear], directions[clear]
     pixels = seen(world, directions, mirrored=slip == "mirrored")
-    told = times + pd.Timedelta(seconds=_AHEAD_S.get(slip, 0.0))
+    stamped = times + pd.Timedelta(seconds=_AHEAD_S.get(slip, 0.0))
     points = Sightings.of(
-        unix_s=told.as_unit("ns").asi8 / 1e9, pixels=pixels + rng.normal(0.0, _NOISE_PX, pixels.shape)
+        unix_s=stamped.as_unit("ns").asi8 / 1e9, pixels=pixels + rng.normal(0.0, _NOISE_PX, pixels.shape)
     )
     typed = typed_site(world, slip, number)
-    return Day(points, directions, sun(told, *typed), Site(latitude=typed[0], longitude=typed[1]))
+    return Day(points, directions, sun(stamped, *typed), Site(latitude=typed[0], longitude=typed[1]))
 
 
 def typed_site(world: World, slip: str, number: int) -> tuple[float, float]:
@@ -179,8 +179,8 @@ def typed_site(world: World, slip: str, number: int) -> tuple[float, float]:
 
 
 def fitted(world: World, day: Day, slip: str) -> Calibration:
-    """Return what the owner gets; no bound of the clock is stated."""
-    projection: Projection | Literal["auto"] = "auto" if slip == "projection not told" else "equidistant"
+    """Return the fit that the owner gets; no bound of the clock is stated."""
+    projection: Projection | Literal["auto"] = "auto" if slip == "projection not stated" else "equidistant"
     options = CalibrationOptions(projection=projection, level_within_deg=world.limit_deg)
     return with_clock(calibrate(day.points, site=day.site, image_size=(_SIZE, _SIZE), options=options), None)
 
@@ -234,7 +234,7 @@ def error_deg(world: World, calibration: Calibration) -> float:
 
 
 def judged(number: int, slip: str) -> dict[str, Any] | None:
-    """Return what came of a slip at a site; None where it cannot be typed."""
+    """Return the outcome of a slip at a site; None where it cannot be typed."""
     world = drawn(number, slip)
     if abs(typed_site(world, slip, number)[0]) > 90.0:
         return None
@@ -248,7 +248,7 @@ def judged(number: int, slip: str) -> dict[str, Any] | None:
     if found.verdict.accepted:
         outcome = "right" if right else "hidden" if hidden else "wrong"
     else:
-        asked = slip in ("none", "projection not told") and world.tilt_deg > limit and "tilt_in_doubt" in codes
+        asked = slip in ("none", "projection not stated") and world.tilt_deg > limit and "tilt_in_doubt" in codes
         outcome = "remedy" if asked or codes[0] in _FIRST_REMEDY.get(slip, set()) else "refused"
     return {
         "site": number, "slip": slip, "stated": world.limit_deg is not None, "days": world.days,

@@ -125,7 +125,7 @@ def test_a_mirror_image_at_the_equinox_is_not_accepted() -> None:
     assert "latitude_of_other_sign_fits" not in _codes(found)
 
 
-@pytest.mark.parametrize(("number", "slip"), [(0, "projection not told"), (29, "none")])
+@pytest.mark.parametrize(("number", "slip"), [(0, "projection not stated"), (29, "none")])
 def test_a_camera_that_is_stated_to_be_tilted_is_not_taken_for_a_level_mirrored_one(
     number: int, slip: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

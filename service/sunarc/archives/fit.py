@@ -57,7 +57,7 @@ _MOST_CHANGES = 12
 
 
 class FittedPose(NamedTuple):
-    """A calibration of a pose, the rows of the suns that it was given, and the stars beside them."""
+    """A calibration of a pose, the rows of the suns that it was given, and the stars with them."""
 
     calibration: Calibration
     rows: IntArray
@@ -97,7 +97,7 @@ def with_changes_within(points: Sightings, states: Sequence[State], camera: Arch
 def with_lenses_apart(
     points: Sightings, path: IntArray, states: Sequence[State], fitted: Mapping[int, FittedPose], camera: ArchiveCamera
 ) -> list[State]:
-    """Return states, those that no one lens explains beside the state before with a lens of their own.
+    """Return states, those that no one lens explains with the state before given a lens of their own.
 
     A state is taken for a known lens in another pose within what is known of that lens, which is little at first.
 
@@ -262,7 +262,7 @@ def document_of(
 
 
 def doubts(calibration: Calibration, camera: ArchiveCamera) -> tuple[Finding, ...]:
-    """Return what a camera's first fit says against the site or the times that were given."""
+    """Return the findings of a camera's first fit against the site or the times that were given."""
     found = []
     wanted = camera.options.mirrored
     if wanted != "auto" and calibration.camera.mirrored != (wanted == "yes"):

@@ -25,11 +25,11 @@ from sunarc.common.findings import Finding
 from sunarc.optics.pose import rotation_matrix
 
 _AMBIGUOUS = 3.0
-"""Logarithm of the odds (half a difference of chi-squared) for a handedness to be taken: 20 to 1. Chosen."""
+"""Natural log odds for a handedness to be taken: 20 to 1. Chosen."""
 _BETTER = 10.0
-"""Logarithm of the odds for another camera to be named as the right one: 22,000 to 1. Chosen."""
+"""Natural log odds for another camera to be named as the right one: 22,000 to 1. Chosen."""
 _FAR = 60.0
-"""Half a difference of chi-squared between starts, from which the worse one is not fitted: of 36 days near the equator
+"""Natural log odds between starts, from which the worse one is not fitted: of 36 days near the equator
 none became the better one by the fit."""
 
 
@@ -116,7 +116,7 @@ def fit_of_hand(job: Job, hand: Hand, *, than: float) -> Fitted | None:
 
 
 def gain_of_other(fitted: Fitted, other: Fitted, job: Job) -> float:
-    """Return by how many natural log odds another fit of the job's sightings is more probable, mounts considered.
+    """Return the natural log odds of another fit of the job's sightings, mounts considered.
 
     0 where neither camera comes near the sightings, so that they tell nothing.
     """

@@ -154,7 +154,7 @@ LENS_FILE = "lens-prior.json"
 
 
 class JointSpec(NamedTuple):
-    """What a file asks for: the entries, the bound of each one's clock in s, and the spread between units.
+    """Request of a joint fit: the entries, the bound of each one's clock in s, and the spread between units.
 
     None where no bound, and no spread, is stated.
     """
@@ -200,7 +200,7 @@ def calibrate_joint(path: Path, *, folder: Path, now: datetime) -> list[dict[str
 
 
 def read_joint_spec(path: Path) -> JointSpec:
-    """Return what a TOML file asks to fit together; InputError names the key that is wrong."""
+    """Return the request of a TOML file to fit entries together; InputError names the key that is wrong."""
     try:
         tables = tomllib.loads(read_file(path).decode())
     except (ValueError, RecursionError) as error:
@@ -248,7 +248,7 @@ def _entry(where: str, given: object, common: Mapping[str, Any], folder: Path) -
 
 
 def _converted(where: str, convert: Any, given: Any) -> Any:  # noqa: ANN401 - TOML holds anything
-    """Return what a table or a list of TOML means; InputError where it means nothing."""
+    """Return the value of a table or a list of TOML; InputError where it has none."""
     try:
         return convert(**given) if isinstance(given, dict) else convert(*given)
     except (TypeError, ValueError) as error:

@@ -77,7 +77,7 @@ _MAX_TILT_DEG = 20.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BlindOptions:
-    """What is known of the camera before.
+    """Prior knowledge of the camera.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class BlindOptions:
     circle: ImageCircle | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what is no tilt."""
+        """Refuse a tilt out of bounds."""
         require_bounds(self, section_path="blind start")
 
     @property

@@ -47,7 +47,7 @@ _UNDETERMINED = frozenset(
         *("sightings_determine", "hours_missing", "declinations_alike"),
     }
 )
-"""What a fit is refused for that contradicts nothing."""
+"""Codes of refusals that contradict nothing."""
 TILT = "tilt"
 """Name of the tilt among the log odds of a fit."""
 _MOST_ODDS = 1e4
@@ -81,7 +81,7 @@ _TURNED = 20.0
 
 
 def before_fit(usable: Sightings, options: CalibrationOptions) -> tuple[Finding, ...]:
-    """Return what makes a fit pointless: too few sightings, too short an arc, a sun below the horizon or still."""
+    """Return the findings that make a fit pointless: few sightings, a short arc, a sun below the horizon or still."""
     n_static = sum(position.n for position in usable.filtering.static)
     n_all = len(usable) + n_static
     if n_static > _MOST_STATIC * n_all:
@@ -200,7 +200,7 @@ def _against(
 
 
 def _proven_effects(calibration: Calibration) -> Iterator[Finding]:
-    """Yield what the sightings prove of errors that they share."""
+    """Yield the shared errors that the sightings prove."""
     log_odds, (fx, fy) = calibration.evidence.log_odds, calibration.camera.focal_length_px
     proven = {name: odds for name, odds in log_odds.items() if proves(name, odds)}
     if "pixels" in proven:
@@ -265,7 +265,7 @@ def too_uncertain(calibration: Calibration, usable: Sightings, options: Calibrat
 
 
 def determined(calibration: Calibration, usable: Sightings) -> Iterator[Finding]:
-    """Yield what the sightings determine of a camera that is too uncertain, and which hours and days are missing."""
+    """Yield how far the sightings determine a camera that is too uncertain, and which hours and days are missing."""
     if len(usable) == 0:
         return
     latest = usable.directions[usable.epoch == np.max(usable.epoch)]
