@@ -160,3 +160,14 @@ def _bright_cloud(scene: Photograph, grid: _Grid, rng: np.random.Generator) -> F
     cx, cy = scene.sun_px[0] + 0.12 * scene.size, scene.sun_px[1] - 0.05 * scene.size
     lumps = _blurred(rng.standard_normal(grid.rows.shape, dtype=np.float32), 6.0) * 25
     return np.asarray(1.6 * (np.hypot((grid.columns - cx) / 1.6, grid.rows - cy) + lumps < 0.05 * scene.size))
+
+
+def sky(*, x: float, y: float, radius: float, size: int = 600, smear: float = 0.0, seed: int = 0) -> NDArray[np.uint16]:
+    """Return an RGB image of a saturated blob with glare, on a graded sky."""
+    rng = np.random.default_rng(seed)
+    rows, columns = np.mgrid[:size, :size]
+    far = np.hypot(columns - x, rows - y)
+    light = 0.1 + 1.2 / (1 + np.exp(np.minimum((far - radius) / 1.5, 50.0))) + 0.4 / (1 + (far / (2 * radius)) ** 2)
+    light = light + smear * np.exp(-0.5 * ((columns - x) / 1.5) ** 2)
+    colour = np.stack([light * c for c in (0.9, 1.0, 1.1)], axis=-1) + rng.normal(0, 0.003, (size, size, 3))
+    return np.clip(colour * 4095, 0, 4095).astype(np.uint16)

@@ -52,8 +52,10 @@ class Detection:
     residual_chi2 : reduced chi² of the fit (`disc`, `moon`), None else.
     snr : the light's flux over its standard deviation (`disc`, `moon`), None else.
     saturated_px : number of saturated pixels in the window.
-    spread_px : rms distance of the centres of the circles at the rim's levels from their median (`paper`), None else.
-    radial_bias_px : None; a key of `sunarc detect --json`.
+    spread_px : rms distance of the centres from their median: of the circles at the rim's levels, or of the paper's
+        estimators where these are asked for (`paper`), None else.
+    radial_bias_px : expected bias of the saturated blob's centre along the radius, negative towards the axis; not
+        subtracted (`paper` with a lens given), None else.
     exposure_us : exposure time, as the caller gave it.
     """
 
