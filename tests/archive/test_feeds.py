@@ -295,6 +295,28 @@ def test_a_document_of_a_newer_version_or_a_damaged_one_is_set_apart(imager: Hub
     assert hub.calibrations.find("roof") == ()
 
 
+@pytest.mark.parametrize("damage", [{"method": "paper"}, None], ids=["changed", "no JSON any more"])
+def test_a_document_damaged_later_leaves_the_hubs_and_the_other_columns_are_taken(
+    imager: HubArchive, hub: HubArchive, damage: dict[str, str] | None
+) -> None:
+    imager.calibrations.add(document("a"))
+    imager.calibrations.activate("a")
+    feed(imager, hub)
+    imager.calibrations.retire("a", at=NOW)
+    batch = next_batch(imager)
+    rows = [
+        replace(row, data={**row.data, "document": damage and {**row.data["document"], **damage}})
+        if row.data is not None and row.data.get("id") == "a" and row.kind == "calibration"
+        else row
+        for row in batch.rows
+    ]
+    assert any(row.data is not None and row.data.get("id") == "a" for row in rows)
+    hub.feeds.take(replace(batch, rows=tuple(rows)), now=NOW)
+    assert reasons(hub) == []
+    assert hub.calibrations.find("roof") == imager.calibrations.find("roof")
+    assert hub.calibrations.damaged("roof") is None
+
+
 def test_a_row_is_never_written_over_another_cameras(imager: HubArchive, hub: HubArchive, tmp_path: Path) -> None:
     live_a_little(imager)
     feed(imager, hub)

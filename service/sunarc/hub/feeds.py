@@ -500,14 +500,33 @@ class _Storing:
         for kind, group in groupby(self.batch.rows, key=lambda row: row.kind):
             sound = []
             for row in group:
-                refusal = _refusal(self.batch.camera, row, now)
+                taken, refusal = self._judged(row, now)
                 if refusal is None:
-                    sound.append(row)
+                    sound.append(taken)
                 else:
                     self.apart.append((row, refusal))
             if kind != STATUS and sound:
                 n_stored += self._store(kind, self._referring(kind, sound))
         return n_stored
+
+    def _judged(self, row: FeedRow, now: datetime) -> tuple[FeedRow, Refusal | None]:
+        """Return a row as it is stored, and why it is not.
+
+        A document that was damaged on the imager is the one that the hub has under its id and checksum: the other columns
+        are taken, and both sides agree.
+        """
+        refusal = _refusal(self.batch.camera, row, now)
+        if refusal is None or row.kind != "calibration" or row.data is None:
+            return row, refusal
+        if problem_of(row.kind, {**row.data, "document": {}}) is not None:
+            return row, refusal
+        c, of_row = calibration.c, row.data
+        same = (c.camera == self.batch.camera, c.id == of_row["id"], c.document_sha256 == of_row["document_sha256"])
+        stored = self.connection.scalar(select(c.document).where(*same))
+        if stored is None:
+            return row, refusal
+        whole = replace(row, data={**row.data, "document": stored})
+        return whole, _refusal(self.batch.camera, whole, now)
 
     def _referring(self, kind: str, rows: list[FeedRow]) -> list[FeedRow]:
         """Return the rows that refer to rows of the same camera; set the others apart."""
