@@ -18,7 +18,8 @@ from tests.fixtures.nights import judged, whole_night
 from sunarc.common.errors import NotFoundError
 from sunarc.common.findings import Finding, uncoded
 from sunarc.hub.archive import HubArchive
-from sunarc.hub.feeds import FUTURE, KEPT
+from sunarc.hub.feed_schema import FUTURE
+from sunarc.hub.feeds import KEPT
 from sunarc.imager.archive.feed_rows import FED, FeedBatch, FeedRow, Refusal, read_feed_lines
 from sunarc.imager.archive.values import Day, DayAir, Event, Refit, SunPoint, fields_of
 from sunarc.sources.image_key import ImageKey

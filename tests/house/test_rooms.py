@@ -17,6 +17,7 @@ LARGEST_FACE = 20
 APART = {
     "sunarc.lab.simulation.serving": "app alone may choose the simulator",
     "sunarc.calibration.fit.level_evidence": "needs the equations of a fit; the judgement of a tilt stands below them",
+    "sunarc.calibration.quality.day_clocks": "a model of its own, solved for each day; the checks of a fit ask it once",
     "sunarc.cli.commands": "what the entry points name",
     "sunarc.cli.main": "what the console script calls; `python -m sunarc` calls it too",
     "sunarc.hub.clocks": "of the core, which computes; its reader is a worker",

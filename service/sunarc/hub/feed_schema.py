@@ -6,11 +6,12 @@ what `feed_schema` returns.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import re
 from collections.abc import Callable, Mapping
-from datetime import UTC, date, datetime
+from datetime import UTC, date, datetime, timedelta
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -18,11 +19,38 @@ from sqlalchemy import JSON, BigInteger, Boolean, Column, Float, Integer, Text
 
 from sunarc.common.findings import from_json
 from sunarc.common.utc import from_microseconds, to_microseconds
+from sunarc.formats.calibration_document import READ_SCHEMAS
 from sunarc.imager.archive import values
 from sunarc.imager.archive.database import tables
-from sunarc.imager.archive.feed_rows import FED, MOST_ROW_BYTES, REMOVED, SINCE, STATUS, columns_of, plain_type
+from sunarc.imager.archive.database.connections import json_text
+from sunarc.imager.archive.feed_rows import (
+    FED,
+    MOST_LEVELS,
+    MOST_ROW_BYTES,
+    REMOVED,
+    SINCE,
+    STATUS,
+    FeedRow,
+    Refusal,
+    columns_of,
+    plain_type,
+)
 from sunarc.imager.runtime.json_fields import descriptions
 
+FUTURE = timedelta(minutes=10)
+"""A row dated later than now by more than this is set apart: clocks differ by seconds, time zones by hours."""
+_DATED = {
+    "pose_epoch": "started_at",
+    "sun_point": "time",
+    "day": "decided_at",
+    "day_air": "set_at",
+    "night": "decided_at",
+    "calibration": "created_at",
+    "refit": "requested_at",
+    "event": "time",
+    "housekeeping": "time",
+}
+_KINDS = frozenset({*FED, *(kind + REMOVED for kind in FED)})
 LATEST_US = to_microseconds(datetime(2200, 1, 1, tzinfo=UTC))
 """No time is that late."""
 _LARGEST = 1.7976931348623157e308
@@ -210,6 +238,52 @@ def _checks(kind: str, only_key: bool) -> tuple[_Check, ...]:  # noqa: FBT001
 
 def _named(rule: _Rule) -> str:
     return str(rule.schema.get("type", "word of " + ", ".join(map(str, rule.schema.get("enum", ())))))
+
+
+def refusal_of(camera: str, row: FeedRow, now: datetime) -> Refusal | None:
+    """Return why a row is not stored, as far as it says itself."""
+    kind = row.kind.removesuffix(REMOVED)
+    if row.data is None:
+        text = f"a row of kind {row.kind} was too large to be sent or stored, or has more than {MOST_LEVELS} levels"
+        return Refusal(reason="body_too_large", text=text)
+    if row.kind not in {STATUS, *_KINDS}:
+        return Refusal(reason="malformed", text=f"kind {row.kind} is unknown")
+    problem = problem_of(kind, row.data, only_key=row.kind != kind)
+    if problem is not None:
+        return Refusal(reason="malformed", text=problem)
+    if kind == STATUS:
+        return None
+    named = row.data.get("name" if kind == "camera" else "camera", camera)
+    if named != camera and not (kind == "event" and named is None):
+        return Refusal(reason="other_camera", text=f"the row is of camera {named}")
+    return _refusal_of_value(kind, row, row.data, now)
+
+
+def _refusal_of_value(kind: str, row: FeedRow, data: Mapping[str, Any], now: datetime) -> Refusal | None:
+    try:
+        values = typed(kind, data)
+    except (ValueError, OverflowError) as error:
+        return Refusal(reason="malformed", text=str(error))
+    if row.kind != kind:
+        return None  # removed: its time says when it was made
+    dated: datetime | None = values.get(_DATED.get(kind, ""))
+    if dated is not None and dated > now + FUTURE:
+        return Refusal(reason="future_clock", text=f"dated {dated.isoformat()}, later than now")
+    if dated is not None and dated.year < 1970:
+        return Refusal(reason="malformed", text=f"dated {dated.isoformat()}, before 1970")
+    return _refusal_of_document(data) if kind == "calibration" else None
+
+
+def _refusal_of_document(data: Mapping[str, Any]) -> Refusal | None:
+    document = data["document"]
+    schema = document.get("schema") if isinstance(document, dict) else None
+    if schema not in READ_SCHEMAS:
+        return Refusal(
+            reason="newer_document", text=f"document {data['id']} is {schema}, none of {', '.join(READ_SCHEMAS)}"
+        )
+    if hashlib.sha256(json_text(document).encode()).hexdigest() != data["document_sha256"]:
+        return Refusal(reason="damaged_document", text=f"document {data['id']} does not match its checksum")
+    return None
 
 
 def problem_of(kind: str, data: Mapping[str, Any], *, only_key: bool = False) -> str | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -34,8 +33,7 @@ from sqlalchemy.exc import DataError, DBAPIError, IntegrityError, StatementError
 
 from sunarc.common.errors import InputError, NotFoundError, OutsideError
 from sunarc.common.utc import from_microseconds, utc_time
-from sunarc.formats.calibration_document import READ_SCHEMAS
-from sunarc.hub.feed_schema import LATEST_US, problem_of, typed
+from sunarc.hub.feed_schema import FUTURE, LATEST_US, problem_of, refusal_of, typed
 from sunarc.imager.archive.database.connections import is_of_row, json_text
 from sunarc.imager.archive.database.store import Database, Part, given, upsert, upsert_all, upsert_records
 from sunarc.imager.archive.database.tables import (
@@ -53,7 +51,6 @@ from sunarc.imager.archive.day_digests import DayDigests, day_digests
 from sunarc.imager.archive.days import night_of_event, row_of_night
 from sunarc.imager.archive.feed_rows import (
     FED,
-    MOST_LEVELS,
     REMOVED,
     SINCE,
     STATUS,
@@ -66,19 +63,6 @@ from sunarc.imager.archive.feed_rows import (
 )
 from sunarc.imager.runtime.json_fields import EXAMPLE_TIME, Returned, Time, described
 
-FUTURE = timedelta(minutes=10)
-"""A row dated later than now by more than this is set apart: clocks differ by seconds, time zones by hours."""
-_DATED = {
-    "pose_epoch": "started_at",
-    "sun_point": "time",
-    "day": "decided_at",
-    "day_air": "set_at",
-    "night": "decided_at",
-    "calibration": "created_at",
-    "refit": "requested_at",
-    "event": "time",
-    "housekeeping": "time",
-}
 _OF_ONE_CAMERA = frozenset({"pose_epoch", "calibration", "refit"})
 """Tables whose key is an id: a row of another camera must not be written over, nor removed."""
 _REFERENCES: Mapping[str, Mapping[str, Table]] = {
@@ -103,7 +87,6 @@ _OTHERS = "(others)"
 """Stands for cameras that nobody registered, beyond the first so many: names cost a stranger nothing."""
 _NAME = re.compile(r"(?! )[^/]{1,100}(?<! )")
 """Of a camera: it is a part of addresses."""
-_KINDS = frozenset({*FED, *(kind + REMOVED for kind in FED)})
 WHOLE = 0
 """The `seq` of what was refused as a whole."""
 
@@ -425,52 +408,6 @@ def _shown(status: object) -> dict[str, Any] | None:
     return status
 
 
-def _refusal(camera: str, row: FeedRow, now: datetime) -> Refusal | None:
-    """Return why a row is not stored, as far as it says itself."""
-    kind = row.kind.removesuffix(REMOVED)
-    if row.data is None:
-        text = f"a row of kind {row.kind} was too large to be sent or stored, or has more than {MOST_LEVELS} levels"
-        return Refusal(reason="body_too_large", text=text)
-    if row.kind not in {STATUS, *_KINDS}:
-        return Refusal(reason="malformed", text=f"kind {row.kind} is unknown")
-    problem = problem_of(kind, row.data, only_key=row.kind != kind)
-    if problem is not None:
-        return Refusal(reason="malformed", text=problem)
-    if kind == STATUS:
-        return None
-    named = row.data.get("name" if kind == "camera" else "camera", camera)
-    if named != camera and not (kind == "event" and named is None):
-        return Refusal(reason="other_camera", text=f"the row is of camera {named}")
-    return _refusal_of_value(kind, row, row.data, now)
-
-
-def _refusal_of_value(kind: str, row: FeedRow, data: Mapping[str, Any], now: datetime) -> Refusal | None:
-    try:
-        values = typed(kind, data)
-    except (ValueError, OverflowError) as error:
-        return Refusal(reason="malformed", text=str(error))
-    if row.kind != kind:
-        return None  # removed: its time says when it was made
-    dated: datetime | None = values.get(_DATED.get(kind, ""))
-    if dated is not None and dated > now + FUTURE:
-        return Refusal(reason="future_clock", text=f"dated {dated.isoformat()}, later than now")
-    if dated is not None and dated.year < 1970:
-        return Refusal(reason="malformed", text=f"dated {dated.isoformat()}, before 1970")
-    return _refusal_of_document(data) if kind == "calibration" else None
-
-
-def _refusal_of_document(data: Mapping[str, Any]) -> Refusal | None:
-    document = data["document"]
-    schema = document.get("schema") if isinstance(document, dict) else None
-    if schema not in READ_SCHEMAS:
-        return Refusal(
-            reason="newer_document", text=f"document {data['id']} is {schema}, none of {', '.join(READ_SCHEMAS)}"
-        )
-    if hashlib.sha256(json_text(document).encode()).hexdigest() != data["document_sha256"]:
-        return Refusal(reason="damaged_document", text=f"document {data['id']} does not match its checksum")
-    return None
-
-
 @dataclass(eq=False)
 class _Storing:
     """Stores the rows of a batch in their order; those that cannot be stored are set apart, and what follows is stored.
@@ -512,21 +449,19 @@ class _Storing:
     def _judged(self, row: FeedRow, now: datetime) -> tuple[FeedRow, Refusal | None]:
         """Return a row as it is stored, and why it is not.
 
-        A document that was damaged on the imager is the one that the hub has under its id and checksum: the other columns
-        are taken, and both sides agree.
+        A document that was damaged on the imager is that of the hub, of the same id and checksum: the other columns are
+        taken, and both sides agree.
         """
-        refusal = _refusal(self.batch.camera, row, now)
-        if refusal is None or row.kind != "calibration" or row.data is None:
+        refusal = refusal_of(self.batch.camera, row, now)
+        if refusal is None or row.kind != "calibration" or problem_of(row.kind, {**(row.data or {}), "document": {}}):
             return row, refusal
-        if problem_of(row.kind, {**row.data, "document": {}}) is not None:
+        whole = {**(row.data or {})}
+        same = (calibration.c[name] == whole[name] for name in ("camera", "id", "document_sha256"))
+        whole["document"] = self.connection.scalar(select(calibration.c.document).where(*same))
+        if whole["document"] is None or whole["camera"] != self.batch.camera:
             return row, refusal
-        c, of_row = calibration.c, row.data
-        same = (c.camera == self.batch.camera, c.id == of_row["id"], c.document_sha256 == of_row["document_sha256"])
-        stored = self.connection.scalar(select(c.document).where(*same))
-        if stored is None:
-            return row, refusal
-        whole = replace(row, data={**row.data, "document": stored})
-        return whole, _refusal(self.batch.camera, whole, now)
+        row = replace(row, data=whole)
+        return row, refusal_of(self.batch.camera, row, now)
 
     def _referring(self, kind: str, rows: list[FeedRow]) -> list[FeedRow]:
         """Return the rows that refer to rows of the same camera; set the others apart."""
