@@ -142,13 +142,12 @@ def test_what_serve_demands_is_tried_and_what_is_off_is_not(
     }
     assert found[webhook_name(hook)][0] == "warn"
     token.unlink()
-    monkeypatch.setitem(sys.modules, "ephem", None)
     monkeypatch.setitem(sys.modules, "paho.mqtt.client", None)
     _, found = findings(sunarc, config)
-    wrong = ("api.token_file", "night", "hub", "mqtt", webhook_name(hook))
+    wrong = ("api.token_file", "hub", "mqtt", webhook_name(hook))
     assert {what: found[what][0] for what in wrong} == dict.fromkeys(wrong, "fail")
     printed = sunarc("check", "--config", str(config)).out
-    assert "[night]" in "".join(printed.split())  # of the remedy, and no markup of the table
+    assert "[mqtt]" in "".join(printed.split())  # of the remedy, and no markup of the table
 
 
 def test_a_hub_that_refuses_the_token_is_a_failure_and_one_that_takes_it_gets_no_rows(
