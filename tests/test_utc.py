@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import UTC, datetime, timedelta, timezone
 
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from sunarc.common.errors import InputError
@@ -27,6 +27,7 @@ def test_text_is_in_utc_and_ends_with_z(time: datetime, timespec: str, text: str
     assert rfc3339(time, timespec=timespec) == text
 
 
+@settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])  # the host may be busy
 @given(st.datetimes(min_value=datetime(1970, 1, 1), max_value=datetime(2199, 12, 31)))  # noqa: DTZ001 - zoned below
 def test_every_time_returns_from_its_text_its_microseconds_and_its_seconds(naive: datetime) -> None:
     time = naive.replace(tzinfo=UTC)
