@@ -6,6 +6,8 @@ Usage: python3 -I past.py MIDNIGHT DAYS A_DAY, MIDNIGHT the unix time at which t
 import os
 import sys
 from datetime import UTC, datetime
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +16,16 @@ sys.path.insert(0, "/usr/lib/sunarc/site")
 
 import numpy as np
 
-from sunarc.imager.archive.archive import open_archive
-from sunarc.imager.archive.values import SunPoint
-from sunarc.imager.settings.load import load_settings
-from sunarc.lab.simulation.truth import true_camera
 from sunarc.optics.forward import project
 from sunarc.sky.sun import sun_angles, sun_directions
 
+imager, lab = (
+    ("sunarc.imager", "sunarc.lab") if find_spec("sunarc.imager") else ("sunarc", "sunarc")
+)  # before the houses
+open_archive: Any = import_module(f"{imager}.archive.archive").open_archive
+SunPoint: Any = import_module(f"{imager}.archive.values").SunPoint
+load_settings: Any = import_module(f"{imager}.settings.load").load_settings
+true_camera: Any = import_module(f"{lab}.simulation.truth").true_camera
 SENSOR_PX = 1748
 
 midnight, days, a_day = float(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
